@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <variant>
 #include <vector>
 
 namespace penumbra {
@@ -80,5 +81,8 @@ class Image {
   int width_ = 0, height_ = 0;
   std::vector<Pixel> pixels_;
 };
+
+/// What a camera delivers: 8 or 16 bit codes, or linear float from a float file.
+using FramePixels = std::variant<Image<Rgb8>, Image<Rgb16>, Image<Rgb>>;
 
 }  // namespace penumbra
