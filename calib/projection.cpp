@@ -1,0 +1,215 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <utility>
+
+#include "calib/calib.h"
+#include "calib/radial_lens.h"
+#include "codec/codec.h"
+#include "core/conventions.h"
+
+namespace penumbra::calib {
+namespace {
+
+constexpr std::array<std::pair<ProjectionKind, std::string_view>, 8> kNames{{
+    {ProjectionKind::kLatLong, "latlong"},
+    {ProjectionKind::kAngular, "angular"},
+    {ProjectionKind::kMirrorBall, "mirror-ball"},
+    {ProjectionKind::kEquidistant, "equidistant"},
+    {ProjectionKind::kPinhole, "pinhole"},
+    {ProjectionKind::kVerticalCross, "vertical-cross"},
+    {ProjectionKind::kExrLatLong, "exr-latlong"},
+    {ProjectionKind::kExrCube, "exr-cube"},
+}};
+
+// Rounding of a round trip must not push a position on the border out of the picture.
+constexpr double kSlackPx = 1e-9;
+
+bool within(double value, double low, double high) {
+  return value >= low - kSlackPx && value <= high + kSlackPx;  // false for NaN
+}
+
+std::optional<glm::dvec2> clamp_into_picture(const Projection& p, glm::dvec2 pixel) {
+  if (!within(pixel.x, 0, p.width) || !within(pixel.y, 0, p.height)) return std::nullopt;
+  return glm::dvec2{std::clamp(pixel.x, 0., static_cast<double>(p.width)),
+                    std::clamp(pixel.y, 0., static_cast<double>(p.height))};
+}
+
+// ------------------------------------------------------------------------------- cube faces
+
+/// A face of the unit cube as it lies in the picture: position (a, b) in -1..1, a to the right and b
+/// down, sees centre + a right + b down. Column and row count faces.
+struct Face {
+  glm::dvec3 centre, right, down;
+  int column, row;
+};
+
+/// Seen from inside. The sides unfold from the front face, so each shares an edge with its neighbour.
+constexpr std::array<Face, 6> kCrossFaces{{
+    {{0, 1, 0}, {1, 0, 0}, {0, 0, -1}, 1, 0},
+    {{-1, 0, 0}, {0, 0, -1}, {0, -1, 0}, 0, 1},
+    {{0, 0, -1}, {1, 0, 0}, {0, -1, 0}, 1, 1},
+    {{1, 0, 0}, {0, 0, 1}, {0, -1, 0}, 2, 1},
+    {{0, -1, 0}, {1, 0, 0}, {0, 0, 1}, 1, 2},
+    {{0, 0, 1}, {1, 0, 0}, {0, 1, 0}, 1, 3},
+}};
+
+/// The diagram in OpenEXR's ImfEnvmap.h, which numbers the cube's corners.
+constexpr std::array<Face, 6> kExrFaces{{
+    {{1, 0, 0}, {0, 0, 1}, {0, -1, 0}, 0, 0},
+    {{-1, 0, 0}, {0, 0, -1}, {0, -1, 0}, 0, 1},
+    {{0, 1, 0}, {1, 0, 0}, {0, 0, -1}, 0, 2},
+    {{0, -1, 0}, {1, 0, 0}, {0, 0, 1}, 0, 3},
+    {{0, 0, 1}, {-1, 0, 0}, {0, -1, 0}, 0, 4},
+    {{0, 0, -1}, {1, 0, 0}, {0, -1, 0}, 0, 5},
+}};
+
+/// Where the faces lie: face size in pixels, and how far inside it the directions -1 and +1 are: on
+/// the outer pixel borders (cross, inset 0) or on the outer pixel centres (OpenEXR, inset .5).
+struct FaceLayout {
+  const std::array<Face, 6>& faces;
+  double size;
+  double inset;
+  double span() const { return size - 2 * inset; }
+  glm::dvec2 origin(const Face& f) const {
+    return {f.column * size + inset, f.row * size + inset};
+  }
+};
+
+FaceLayout face_layout(const Projection& p) {
+  if (p.kind == ProjectionKind::kVerticalCross) return {kCrossFaces, p.width / 3., 0};
+  return {kExrFaces, static_cast<double>(p.width), .5};
+}
+
+std::optional<glm::dvec3> direction_in_faces(const FaceLayout& layout, glm::dvec2 pixel) {
+  for (const Face& face : layout.faces) {
+    const glm::dvec2 at = pixel - layout.origin(face);
+    // Closed on all sides: an edge of the cross that borders on an empty square is still seen.
+    if (!within(at.x, 0, layout.span()) || !within(at.y, 0, layout.span())) continue;
+    const glm::dvec2 ab = 2. * at / layout.span() - 1.;
+    return glm::normalize(face.centre + ab.x * face.right + ab.y * face.down);
+  }
+  return std::nullopt;
+}
+
+glm::dvec2 pixel_in_faces(const FaceLayout& layout, const glm::dvec3& d) {
+  const Face& face = *std::max_element(
+      layout.faces.begin(), layout.faces.end(),
+      [&](const Face& a, const Face& b) { return glm::dot(a.centre, d) < glm::dot(b.centre, d); });
+  const glm::dvec3 on_face = d / glm::dot(face.centre, d);
+  const glm::dvec2 ab{glm::dot(face.right, on_face), glm::dot(face.down, on_face)};
+  return layout.origin(face) + (ab + 1.) / 2. * layout.span();
+}
+
+// ------------------------------------------------------------------------------- OpenEXR lat-long
+
+// Column 0 has longitude +pi, the last one -pi; row 0 latitude +pi/2, the last one -pi/2; longitude
+// turns from +z to +x (ImfEnvmap.h). Positions count from pixel centres there, from borders here.
+std::optional<glm::dvec3> direction_in_exr_latlong(const Projection& p, glm::dvec2 pixel) {
+  const glm::dvec2 last{p.width - 1., p.height - 1.};
+  const glm::dvec2 at = pixel - .5;
+  if (!within(at.x, 0, last.x) || !within(at.y, 0, last.y)) return std::nullopt;
+  const double longitude = 2 * kPi * (.5 - at.x / last.x);
+  const double latitude = kPi * (.5 - at.y / last.y);
+  return glm::dvec3{std::cos(latitude) * std::sin(longitude), std::sin(latitude),
+                    std::cos(latitude) * std::cos(longitude)};
+}
+
+glm::dvec2 pixel_in_exr_latlong(const Projection& p, const glm::dvec3& d) {
+  const double longitude = std::atan2(d.x, d.z);
+  const double latitude = std::atan2(d.y, std::hypot(d.x, d.z));
+  return {.5 + (p.width - 1) * (.5 - longitude / (2 * kPi)),
+          .5 + (p.height - 1) * (.5 - latitude / kPi)};
+}
+
+// ------------------------------------------------------------------------------- checks
+
+Result<void> check_shape(ProjectionKind kind, int width, int height) {
+  const std::string where(projection_name(kind));
+  const std::string size = fmt::format("{}x{}", width, height);
+  if (width < 1 || height < 1 || width > codec::kMaxSide || height > codec::kMaxSide)
+    return fail(ErrorCode::kInvalid, where,
+                fmt::format("size {} is not within 1..{}", size, codec::kMaxSide));
+  if (kind == ProjectionKind::kVerticalCross && width * 4 != height * 3)
+    return fail(ErrorCode::kInvalid, where, "size " + size + ", but a cross is 3 x 4 squares");
+  if (kind == ProjectionKind::kExrCube && (width * 6 != height || width < 2))
+    return fail(ErrorCode::kInvalid, where, "size " + size + ", but a cube is N x 6 N, N at least 2");
+  if (kind == ProjectionKind::kExrLatLong && (width < 2 || height < 2))
+    return fail(ErrorCode::kInvalid, where, "size " + size + ", but 2x2 is the smallest");
+  return {};
+}
+
+}  // namespace
+
+Result<ProjectionKind> projection_kind(std::string_view name) {
+  std::string known;
+  for (const auto& [kind, text] : kNames) {
+    if (text == name) return kind;
+    known += (known.empty() ? "" : ", ") + std::string(text);
+  }
+  return fail(ErrorCode::kInvalid, std::string(name), "unknown projection; known are " + known);
+}
+
+std::string_view projection_name(ProjectionKind kind) {
+  for (const auto& [known, text] : kNames)
+    if (known == kind) return text;
+  return "unknown";
+}
+
+Result<Projection> make_projection(ProjectionKind kind, int width, int height) {
+  PENUMBRA_TRY(check_shape(kind, width, height));
+  Projection p{kind, width, height, {0, 0}, {width / 2., height / 2.}};
+  if (kind == ProjectionKind::kEquidistant)  // r = f th reaches pi/2 at half the shorter side
+    p.focal_px = glm::dvec2(std::min(width, height) / kPi);
+  if (kind == ProjectionKind::kPinhole)  // r = f tan th reaches 30 degrees at half the height
+    p.focal_px = glm::dvec2(height / 2. / std::tan(kPi / 6));
+  return p;
+}
+
+std::optional<glm::dvec3> direction_from_pixel(const Projection& p, glm::dvec2 pixel) {
+  const auto inside = clamp_into_picture(p, pixel);
+  if (!inside) return std::nullopt;
+  if (const auto lens = radial_lens(p)) {
+    const glm::dvec2 q = (*inside - lens->centre_px) / lens->focal_px;
+    if (std::hypot(q.x, q.y) > lens->rim * (1 + 1e-12)) return std::nullopt;
+    return lens->direction(q);
+  }
+  switch (p.kind) {
+    case ProjectionKind::kPinhole: {
+      const glm::dvec2 q = (*inside - p.principal_px) / p.focal_px;
+      return glm::normalize(glm::dvec3{q.x, -q.y, -1});
+    }
+    case ProjectionKind::kVerticalCross:
+    case ProjectionKind::kExrCube:
+      return direction_in_faces(face_layout(p), *inside);
+    case ProjectionKind::kExrLatLong:
+      return direction_in_exr_latlong(p, *inside);
+    default:
+      return latlong_direction(inside->x, inside->y, p.width, p.height);
+  }
+}
+
+std::optional<glm::dvec2> pixel_from_direction(const Projection& p, const glm::dvec3& direction) {
+  const double length = glm::length(direction);
+  if (!(length > 0) || !std::isfinite(length)) return std::nullopt;
+  const glm::dvec3 d = direction / length;
+  if (const auto lens = radial_lens(p))
+    return clamp_into_picture(p, lens->centre_px + lens->coordinates(d) * lens->focal_px);
+  switch (p.kind) {
+    case ProjectionKind::kPinhole:
+      if (d.z >= 0) return std::nullopt;
+      return clamp_into_picture(p, p.principal_px + glm::dvec2{d.x, -d.y} / -d.z * p.focal_px);
+    case ProjectionKind::kVerticalCross:
+    case ProjectionKind::kExrCube:
+      return clamp_into_picture(p, pixel_in_faces(face_layout(p), d));
+    case ProjectionKind::kExrLatLong:
+      return clamp_into_picture(p, pixel_in_exr_latlong(p, d));
+    default:
+      return clamp_into_picture(p, latlong_pixel(d, p.width, p.height));
+  }
+}
+
+}  // namespace penumbra::calib

@@ -1,0 +1,17 @@
+// Where capture and lighting meet: one HDR lat-long picture of the surroundings.
+#pragma once
+
+#include "core/image.h"
+#include "core/units.h"
+
+namespace penumbra {
+
+struct Environment {
+  Image<Rgb> radiance;       // lat-long (conventions.h), linear relative radiance; 0 where not seen
+  Image<float> confidence;   // 0 = not seen, 1 = measured; empty when every pixel is measured
+  TimestampNs time;          // capture time of the newest frame in it
+  double clipped_fraction = 0;  // of the solid angle: saturated in every exposure
+  double black_fraction = 0;    // of the solid angle: below the noise in every exposure
+};
+
+}  // namespace penumbra

@@ -1,0 +1,91 @@
+#include <algorithm>
+#include <cmath>
+
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+
+namespace {
+
+// Directions and weights of a lat-long map, for the case with holes.
+Result<Projection> project_with_holes(const Environment& environment, int bands) {
+  const Image<Rgb>& map = environment.radiance;
+  std::vector<glm::vec3> direction;
+  std::vector<float> solid_angle;
+  direction.reserve(map.area());
+  solid_angle.reserve(map.area());
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x) {
+      direction.emplace_back(latlong_direction(x + .5, y + .5, map.width(), map.height()));
+      solid_angle.push_back(static_cast<float>(latlong_solid_angle(y, map.width(), map.height())));
+    }
+  return project_samples({direction, solid_angle, environment.confidence.pixels(), map.pixels()}, bands);
+}
+
+}  // namespace
+
+Result<Projection> LightEstimator::project(const Environment& environment) {
+  const Image<Rgb>& map = environment.radiance;
+  if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  if (!environment.confidence.empty()) return project_with_holes(environment, kMaxBands);
+  if (map.width() % 4 != 0) {
+    auto light = project_latlong(map, kMaxBands);
+    if (!light) return std::unexpected(light.error());
+    return Projection{*light, 1.};
+  }
+  if (!projector_ || width_ != map.width() || height_ != map.height()) {
+    projector_ = std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands);
+    width_ = map.width();
+    height_ = map.height();
+  }
+  auto light = projector_->project(map);
+  if (!light) return std::unexpected(light.error());
+  return Projection{*light, 1.};
+}
+
+Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
+  // All nine bands are measured whatever is used: the rest predicts the truncation error.
+  auto projection = project(environment);
+  if (!projection) return std::unexpected(projection.error());
+  LightEstimate estimate = make_estimate(projection->light, bands_);
+  estimate.time = environment.time;
+  estimate.coverage = projection->coverage;
+  estimate.clipped_fraction = environment.clipped_fraction;
+  return estimate;
+}
+
+LightEstimate make_estimate(const RadianceSh& nine_bands, int bands) {
+  LightEstimate estimate;
+  estimate.light = nine_bands.with_bands(bands);
+  estimate.valid = true;
+  estimate.coverage = 1;
+  estimate.mean_radiance = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
+  // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2 |l_l|^2.
+  double left_out = 0;
+  for (int l = bands; l < nine_bands.bands(); ++l)
+    for (int m = -l; m <= l; ++m) {
+      const double y = luminance(nine_bands[sh_index(l, m)]);
+      left_out += std::pow(cosine_coefficient(l) * y, 2);
+    }
+  const double mean_irradiance = kPi * luminance(estimate.mean_radiance);
+  if (mean_irradiance > 0)
+    estimate.truncation_error = std::sqrt(left_out / (4 * kPi)) / mean_irradiance;
+  return estimate;
+}
+
+double largest_visible_change(const RadianceSh& before, const RadianceSh& after) {
+  // |sum dl_n t_n| <= |dl| |t| and |t|^2 <= (1/pi^2) Int cos+^2 = 2/(3 pi).
+  double largest = 0;
+  const int bands = std::max(before.bands(), after.bands());
+  const RadianceSh a = before.with_bands(bands), b = after.with_bands(bands);
+  for (int c = 0; c < 3; ++c) {
+    double square = 0;
+    for (int n = 0; n < a.size(); ++n) square += std::pow(double(b[n][c]) - a[n][c], 2);
+    const double mean = a[0][c] / std::sqrt(4 * kPi);
+    const double change = std::sqrt(square * 2 / (3 * kPi));
+    largest = std::max(largest, mean > 0 ? change / mean : (change > 0 ? HUGE_VAL : 0));
+  }
+  return largest;
+}
+
+}  // namespace penumbra::lighting

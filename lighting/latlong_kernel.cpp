@@ -1,0 +1,118 @@
+#include "lighting/latlong_kernel.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "lighting/latlong_kernel.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace penumbra::lighting {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+using Lanes = hn::ScalableTag<float>;
+
+// The four pixels at p, -p, pi - p and p - pi share |cos mp| and |sin mp|. Their sums with the signs of
+// even cosine, odd cosine, even sine and odd sine:
+//   ce = a + b + c + d    co = a + b - c - d    se = a - b - c + d    so = a - b + c - d
+HWY_ATTR void Fold(const RowTables& t, const float* rgb) {
+  const Lanes d;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const int quarter = t.width / 4, half = t.width / 2;
+  float* const buffer = t.scratch;
+  const auto plane = [&](int which, int channel) HWY_ATTR {
+    return buffer + (which * 3 + channel) * t.stride;
+  };
+  int k = 0;
+  for (; k + lanes <= quarter; k += lanes) {
+    hn::Vec<Lanes> a[3], b[3], c[3], e[3];
+    hn::LoadInterleaved3(d, rgb + 3 * (half + k), a[0], a[1], a[2]);
+    hn::LoadInterleaved3(d, rgb + 3 * (half - k - lanes), b[0], b[1], b[2]);
+    hn::LoadInterleaved3(d, rgb + 3 * (t.width - k - lanes), c[0], c[1], c[2]);
+    hn::LoadInterleaved3(d, rgb + 3 * k, e[0], e[1], e[2]);
+    for (int ch = 0; ch < 3; ++ch) {
+      const auto rb = hn::Reverse(d, b[ch]), rc = hn::Reverse(d, c[ch]);
+      const auto ab = hn::Add(a[ch], rb), amb = hn::Sub(a[ch], rb);
+      const auto cd = hn::Add(rc, e[ch]), cmd = hn::Sub(rc, e[ch]);
+      hn::StoreU(hn::Add(ab, cd), d, plane(0, ch) + k);
+      hn::StoreU(hn::Sub(ab, cd), d, plane(1, ch) + k);
+      hn::StoreU(hn::Sub(amb, cmd), d, plane(2, ch) + k);
+      hn::StoreU(hn::Add(amb, cmd), d, plane(3, ch) + k);
+    }
+  }
+  for (; k < quarter; ++k)
+    for (int ch = 0; ch < 3; ++ch) {
+      const float a = rgb[3 * (half + k) + ch], b = rgb[3 * (half - 1 - k) + ch];
+      const float c = rgb[3 * (t.width - 1 - k) + ch], e = rgb[3 * k + ch];
+      plane(0, ch)[k] = a + b + c + e;
+      plane(1, ch)[k] = a + b - c - e;
+      plane(2, ch)[k] = a - b - c + e;
+      plane(3, ch)[k] = a - b + c - e;
+    }
+}
+
+// Dot products of one folded plane triple with `Count` tables at once: the tables and the planes are
+// zero beyond the quarter row, so whole vectors suffice.
+template <int Count>
+HWY_ATTR void Dots(int n, const float* const* table, const float* r, const float* g, const float* b,
+                   double (*const* out)[3]) {
+  const Lanes d;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  hn::Vec<Lanes> sum[Count][3];
+  for (auto& s : sum) s[0] = s[1] = s[2] = hn::Zero(d);
+  for (int k = 0; k < n; k += lanes) {
+    const auto vr = hn::LoadU(d, r + k), vg = hn::LoadU(d, g + k), vb = hn::LoadU(d, b + k);
+    for (int i = 0; i < Count; ++i) {
+      const auto w = hn::LoadU(d, table[i] + k);
+      sum[i][0] = hn::MulAdd(w, vr, sum[i][0]);
+      sum[i][1] = hn::MulAdd(w, vg, sum[i][1]);
+      sum[i][2] = hn::MulAdd(w, vb, sum[i][2]);
+    }
+  }
+  for (int i = 0; i < Count; ++i)
+    for (int ch = 0; ch < 3; ++ch)
+      (*out[i])[ch] = static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum[i][ch])));
+}
+
+HWY_ATTR void RowFourierSums(const RowTables& t, const float* rgb, double (*out_cos)[3],
+                             double (*out_sin)[3]) {
+  Fold(t, rgb);
+  const int n = (t.width / 4 + 15) / 16 * 16;
+  for (int which = 0; which < 4; ++which) {
+    const float* const plane = t.scratch + which * 3 * t.stride;
+    const float* const base = which < 2 ? t.cosine : t.sine;
+    double(*const target)[3] = which < 2 ? out_cos : out_sin;
+    const float* table[5];
+    double(*out[5])[3];
+    int count = 0;
+    const int first = which % 2 == 1 ? 1 : (which == 0 ? 0 : 2);
+    for (int m = first; m < t.bands; m += 2) {
+      table[count] = base + m * t.stride;
+      out[count++] = &target[m];
+    }
+    const float *r = plane, *g = plane + t.stride, *b = plane + 2 * t.stride;
+    switch (count) {
+      case 1: Dots<1>(n, table, r, g, b, out); break;
+      case 2: Dots<2>(n, table, r, g, b, out); break;
+      case 3: Dots<3>(n, table, r, g, b, out); break;
+      case 4: Dots<4>(n, table, r, g, b, out); break;
+      case 5: Dots<5>(n, table, r, g, b, out); break;
+      default: break;
+    }
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace penumbra::lighting
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace penumbra::lighting {
+HWY_EXPORT(RowFourierSums);
+
+void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
+                      double (*out_sin)[3]) {
+  HWY_DYNAMIC_DISPATCH(RowFourierSums)(tables, rgb, out_cos, out_sin);
+}
+}  // namespace penumbra::lighting
+#endif

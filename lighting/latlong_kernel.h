@@ -1,0 +1,20 @@
+// Fourier sums of one lat-long row about +y, with run-time choice of the vector instructions.
+#pragma once
+
+namespace penumbra::lighting {
+
+/// Cosine and sine tables over the first quarter turn: cosine[m * stride + k] = cos(m p_k),
+/// p_k = 2 pi (k + .5)/width, k < width/4, zero up to the stride; sine likewise.
+struct RowTables {
+  int width = 0, bands = 0;
+  int stride = 0;  // width/4 rounded up to a multiple of 64 floats
+  const float* cosine = nullptr;
+  const float* sine = nullptr;
+  float* scratch = nullptr;  // 12 * stride floats
+};
+
+/// out_cos[m][c] = sum over the row of L_c cos(m p), out_sin likewise; m < bands.
+void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
+                      double (*out_sin)[3]);
+
+}  // namespace penumbra::lighting

@@ -1,0 +1,177 @@
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <fmt/format.h>
+
+#include "lighting/latlong_kernel.h"
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+
+namespace {
+
+// The rows are summed about +y; this turns the result to the z pole. Local x, y, z are world -z, -x, +y,
+// so that a lat-long azimuth p is the local azimuth -p.
+const glm::dmat3 kWorldFromRowFrame(glm::dvec3(0, 0, -1), glm::dvec3(-1, 0, 0), glm::dvec3(0, 1, 0));
+
+constexpr int rounded_up(int n, int multiple) { return (n + multiple - 1) / multiple * multiple; }
+
+Error first_non_finite(const Image<Rgb>& map) {
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x)
+      if (!is_finite(map.at(x, y)))
+        return {ErrorCode::kNonFinite, "environment", fmt::format("pixel {},{} is not finite", x, y)};
+  return {ErrorCode::kNonFinite, "environment", "its sum is not finite"};
+}
+
+}  // namespace
+
+struct LatLongProjector::Tables {
+  int width, height, bands;
+  std::vector<float> cosine, sine, scratch;
+  std::vector<double> legendre;  // per row: w_j K_lm P_lm(cos th_j), m-major, l >= m
+  RowTables row;
+  ShRotation to_world;
+
+  Tables(int w, int h, int b) : width(w), height(h), bands(b), to_world(kWorldFromRowFrame, b) {
+    const int stride = rounded_up(w / 4, 64);
+    cosine.resize(static_cast<std::size_t>(b) * stride);
+    sine.resize(cosine.size());
+    scratch.resize(12 * static_cast<std::size_t>(stride));
+    for (int m = 0; m < b; ++m)
+      for (int k = 0; k < w / 4; ++k) {
+        const double p = 2 * kPi * (k + .5) / w;
+        cosine[static_cast<std::size_t>(m * stride + k)] = static_cast<float>(std::cos(m * p));
+        sine[static_cast<std::size_t>(m * stride + k)] = static_cast<float>(std::sin(m * p));
+      }
+    row = {w, b, stride, cosine.data(), sine.data(), scratch.data()};
+    double basis[kMaxCoefficients];
+    for (int j = 0; j < h; ++j) {
+      // At azimuth 0 the cosine terms of the basis are the weighted Legendre functions themselves.
+      const double theta = kPi * (j + .5) / h;
+      evaluate_basis(b, {std::sin(theta), 0, std::cos(theta)}, basis);
+      for (int m = 0; m < b; ++m)
+        for (int l = m; l < b; ++l)
+          legendre.push_back(latlong_solid_angle(j, w, h) * basis[sh_index(l, m)]);
+    }
+  }
+};
+
+LatLongProjector::LatLongProjector(int width, int height, int bands)
+    : tables_(std::make_unique<Tables>(width, height, bands)) {
+  assert(width >= 4 && width % 4 == 0 && height >= 1 && bands >= 1 && bands <= kMaxBands);
+}
+LatLongProjector::~LatLongProjector() = default;
+LatLongProjector::LatLongProjector(LatLongProjector&&) noexcept = default;
+LatLongProjector& LatLongProjector::operator=(LatLongProjector&&) noexcept = default;
+
+Result<RadianceSh> LatLongProjector::project(const Image<Rgb>& map) {
+  const Tables& t = *tables_;
+  if (map.width() != t.width || map.height() != t.height)
+    return fail(ErrorCode::kInvalid, "environment",
+                fmt::format("{}x{} pixels, expected {}x{}", map.width(), map.height(), t.width, t.height));
+  double sum[kMaxCoefficients][3] = {};
+  double row_cos[kMaxBands][3] = {}, row_sin[kMaxBands][3] = {};
+  const double* legendre = t.legendre.data();
+  for (int j = 0; j < t.height; ++j) {
+    row_fourier_sums(t.row, &map.row(j)[0].r, row_cos, row_sin);
+    for (int m = 0; m < t.bands; ++m)
+      for (int l = m; l < t.bands; ++l) {
+        const double w = *legendre++;
+        for (int c = 0; c < 3; ++c) sum[sh_index(l, m)][c] += w * row_cos[m][c];
+        if (m > 0)  // local azimuth is -p, hence the minus
+          for (int c = 0; c < 3; ++c) sum[sh_index(l, -m)][c] -= w * row_sin[m][c];
+      }
+  }
+  RadianceSh local(t.bands);
+  for (int n = 0; n < local.size(); ++n) {
+    local[n] = {static_cast<float>(sum[n][0]), static_cast<float>(sum[n][1]),
+                static_cast<float>(sum[n][2])};
+    if (!is_finite(local[n])) return std::unexpected(first_non_finite(map));
+  }
+  return t.to_world * local;
+}
+
+Result<RadianceSh> project_latlong(const Image<Rgb>& map, int bands) {
+  if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  if (map.width() % 4 == 0) return LatLongProjector(map.width(), map.height(), bands).project(map);
+  std::vector<glm::vec3> direction;
+  std::vector<float> solid_angle;
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x) {
+      direction.emplace_back(latlong_direction(x + .5, y + .5, map.width(), map.height()));
+      solid_angle.push_back(static_cast<float>(latlong_solid_angle(y, map.width(), map.height())));
+    }
+  auto projection = project_samples({direction, solid_angle, {}, map.pixels()}, bands);
+  if (!projection) return std::unexpected(projection.error());
+  return projection->light;
+}
+
+namespace {
+
+constexpr double kSmoothness = 1e-3;   // mu of the penalty; small against covered energy (order 1)
+constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
+constexpr double kLeastCoverage = .02;
+
+using Matrix = Eigen::MatrixXd;
+
+// Sums over the seen pixels of w Y Y^T, of w L Y^T and of w.
+struct NormalEquations {
+  Matrix gram, moments;
+  double seen_sr = 0;
+};
+
+Result<NormalEquations> accumulate(const LightSamples& s, int bands, bool need_gram) {
+  const int count = coefficient_count(bands);
+  NormalEquations sums{Matrix::Zero(count, count), Matrix::Zero(count, 3), 0};
+  Eigen::VectorXd basis(count);
+  for (std::size_t i = 0; i < s.radiance.size(); ++i) {
+    const double w = s.solid_angle_sr[i] * (s.confidence.empty() ? 1. : double(s.confidence[i]));
+    if (w <= 0) continue;
+    if (!is_finite(s.radiance[i]))
+      return fail(ErrorCode::kNonFinite, "environment", fmt::format("sample {} is not finite", i));
+    evaluate_basis(bands, glm::normalize(glm::dvec3(s.direction[i])),
+                   {basis.data(), static_cast<std::size_t>(count)});
+    const Eigen::RowVector3d radiance(s.radiance[i].r, s.radiance[i].g, s.radiance[i].b);
+    sums.moments.noalias() += (w * basis) * radiance;
+    if (need_gram) sums.gram.selfadjointView<Eigen::Lower>().rankUpdate(basis, w);
+    sums.seen_sr += w;
+  }
+  return sums;
+}
+
+RadianceSh to_light(const Matrix& coefficients, int bands) {
+  RadianceSh light(bands);
+  for (int n = 0; n < light.size(); ++n)
+    for (int c = 0; c < 3; ++c) light[n][c] = static_cast<float>(coefficients(n, c));
+  return light;
+}
+
+}  // namespace
+
+Result<Projection> project_samples(const LightSamples& s, int bands) {
+  const std::size_t n = s.radiance.size();
+  if (s.direction.size() != n || s.solid_angle_sr.size() != n ||
+      (!s.confidence.empty() && s.confidence.size() != n))
+    return fail(ErrorCode::kInvalid, "environment", "directions, weights and pixels differ in number");
+  double seen = 0;
+  for (std::size_t i = 0; i < n; ++i)
+    seen += s.solid_angle_sr[i] * (s.confidence.empty() ? 1. : double(s.confidence[i]));
+  const double coverage = std::min(1., seen / (4 * kPi));
+  if (coverage < kLeastCoverage)
+    return fail(ErrorCode::kUndetermined, "environment",
+                fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage));
+  const bool complete = coverage > kFullCoverage;
+  auto sums = accumulate(s, bands, !complete);
+  if (!sums) return std::unexpected(sums.error());
+  if (complete) return Projection{to_light(sums->moments, bands), coverage};
+
+  Matrix system = sums->gram.selfadjointView<Eigen::Lower>();
+  for (int l = 0; l < bands; ++l)
+    for (int m = -l; m <= l; ++m)
+      system(sh_index(l, m), sh_index(l, m)) += kSmoothness * l * l * (l + 1.) * (l + 1.);
+  return Projection{to_light(system.ldlt().solve(sums->moments), bands), coverage};
+}
+
+}  // namespace penumbra::lighting
