@@ -40,14 +40,15 @@ std::optional<glm::dvec2> clamp_into_picture(const Projection& p, glm::dvec2 pix
 
 // ------------------------------------------------------------------------------- cube faces
 
-/// A face of the unit cube as it lies in the picture: position (a, b) in -1..1, a to the right and b
-/// down, sees centre + a right + b down. Column and row count faces.
+/// A face of the unit cube as it lies in the picture: position (a, b) in -1..1, a to the right and
+/// b down, sees centre + a right + b down. Column and row count faces.
 struct Face {
   glm::dvec3 centre, right, down;
   int column, row;
 };
 
-/// Seen from inside. The sides unfold from the front face, so each shares an edge with its neighbour.
+/// Seen from inside. The sides unfold from the front face, so each shares an edge with its
+/// neighbour.
 constexpr std::array<Face, 6> kCrossFaces{{
     {{0, 1, 0}, {1, 0, 0}, {0, 0, -1}, 1, 0},
     {{-1, 0, 0}, {0, 0, -1}, {0, -1, 0}, 0, 1},
@@ -74,9 +75,7 @@ struct FaceLayout {
   double size;
   double inset;
   double span() const { return size - 2 * inset; }
-  glm::dvec2 origin(const Face& f) const {
-    return {f.column * size + inset, f.row * size + inset};
-  }
+  glm::dvec2 origin(const Face& f) const { return {f.column * size + inset, f.row * size + inset}; }
 };
 
 FaceLayout face_layout(const Projection& p) {
@@ -136,7 +135,8 @@ Result<void> check_shape(ProjectionKind kind, int width, int height) {
   if (kind == ProjectionKind::kVerticalCross && width * 4 != height * 3)
     return fail(ErrorCode::kInvalid, where, "size " + size + ", but a cross is 3 x 4 squares");
   if (kind == ProjectionKind::kExrCube && (width * 6 != height || width < 2))
-    return fail(ErrorCode::kInvalid, where, "size " + size + ", but a cube is N x 6 N, N at least 2");
+    return fail(ErrorCode::kInvalid, where,
+                "size " + size + ", but a cube is N x 6 N, N at least 2");
   if (kind == ProjectionKind::kExrLatLong && (width < 2 || height < 2))
     return fail(ErrorCode::kInvalid, where, "size " + size + ", but 2x2 is the smallest");
   return {};

@@ -27,8 +27,8 @@ void set_cell(ProjectionTable& table, int x, int y, double solid_angle, double c
 //
 // dw = sin th dth dphi = d(1 - cos th) dphi. In the normalised plane q of RadialLens let
 // F(rho) = 1 - cos th(rho), held at 2 outside the rim. The field F(rho)/rho^2 q has the divergence
-// F'(rho)/rho = sin th th'/rho = dw/dA, and 0 outside the rim. So a pixel's solid angle is the flux of
-// that field out of its four edges (Gauss): pixels cut by the rim come out exactly, an edge is
+// F'(rho)/rho = sin th th'/rho = dw/dA, and 0 outside the rim. So a pixel's solid angle is the flux
+// of that field out of its four edges (Gauss): pixels cut by the rim come out exactly, an edge is
 // integrated once for the two pixels it parts, and the sum over the picture telescopes to
 // 2 * (angle of the outer border) = 4 pi.
 
@@ -55,7 +55,8 @@ double edge_flux(const RadialLens& lens, double a, double s0, double s1) {
     flux *= a * half;
   }
   if (in0 != s0 || in1 != s1)  // outside the rim F = 2, and Int a/(a^2 + s^2) ds = atan(s/a)
-    flux += 2 * ((std::atan(s1 / a) - std::atan(in1 / a)) + (std::atan(in0 / a) - std::atan(s0 / a)));
+    flux +=
+        2 * ((std::atan(s1 / a) - std::atan(in1 / a)) + (std::atan(in0 / a) - std::atan(s0 / a)));
   return flux;
 }
 
@@ -190,8 +191,8 @@ void fill_latlong(ProjectionTable& table, const Projection& p) {
   }
 }
 
-/// Pixel centres on the poles and on the seam: the first and last rows are caps half a row high, the
-/// first and last columns (the same meridian) half as wide.
+/// Pixel centres on the poles and on the seam: the first and last rows are caps half a row high,
+/// the first and last columns (the same meridian) half as wide.
 void fill_exr_latlong(ProjectionTable& table, const Projection& p) {
   const auto theta = [&](double row) { return kPi * std::clamp(row / (p.height - 1), 0., 1.); };
   for (int y = 0; y < p.height; ++y) {
@@ -222,11 +223,18 @@ ProjectionTable make_projection_table(const Projection& p) {
     return table;
   }
   switch (p.kind) {
-    case ProjectionKind::kPinhole: fill_pinhole(table, p); break;
+    case ProjectionKind::kPinhole:
+      fill_pinhole(table, p);
+      break;
     case ProjectionKind::kVerticalCross:
-    case ProjectionKind::kExrCube: fill_faces(table, p); break;
-    case ProjectionKind::kExrLatLong: fill_exr_latlong(table, p); break;
-    default: fill_latlong(table, p);
+    case ProjectionKind::kExrCube:
+      fill_faces(table, p);
+      break;
+    case ProjectionKind::kExrLatLong:
+      fill_exr_latlong(table, p);
+      break;
+    default:
+      fill_latlong(table, p);
   }
   return table;
 }

@@ -1,4 +1,5 @@
-// Private to calib: the three projections whose picture radius depends on the angle from one axis only.
+// Private to calib: the three projections whose picture radius depends on the angle from one axis
+// only.
 #pragma once
 
 #include <cmath>
@@ -12,9 +13,10 @@
 namespace penumbra::calib {
 
 /// Normalised picture coordinates q = (pixel - centre) / focal and their radius rho = |q|.
-/// Equidistant and angular: theta = rho, counted from -z (angular: focal = R/pi, so that theta = pi on
-/// the inscribed circle). Mirror ball: rho = sin(theta/2), theta counted from +z, focal = R: the ray of
-/// an orthographic camera leaves the sphere at twice the angle of the normal, whose sine is rho.
+/// Equidistant and angular: theta = rho, counted from -z (angular: focal = R/pi, so that theta = pi
+/// on the inscribed circle). Mirror ball: rho = sin(theta/2), theta counted from +z, focal = R: the
+/// ray of an orthographic camera leaves the sphere at twice the angle of the normal, whose sine is
+/// rho.
 struct RadialLens {
   glm::dvec2 centre_px{0, 0};
   glm::dvec2 focal_px{1, 1};

@@ -17,7 +17,9 @@ namespace {
 constexpr std::size_t kMaxSamples = 1 << 20;
 
 // NaN stays NaN: it must not turn into a plausible black.
-double clamp01(double x) { return std::isnan(x) ? x : std::clamp(x, 0., 1.); }
+double clamp01(double x) {
+  return std::isnan(x) ? x : std::clamp(x, 0., 1.);
+}
 
 // IEC 61966-2-1, section 5.2 and 5.3.
 double srgb_decode(double code) {
@@ -35,8 +37,8 @@ double table_decode(const std::vector<float>& table, double code) {
   return (1 - t) * table[below] + t * table[below + 1];
 }
 
-// Where several codes mean the same light (a flat piece), the lowest, except at the top: light at or
-// above the last value saturates, and saturation is the full code.
+// Where several codes mean the same light (a flat piece), the lowest, except at the top: light at
+// or above the last value saturates, and saturation is the full code.
 double table_encode(const std::vector<float>& table, double linear) {
   if (std::isnan(linear)) return linear;
   if (linear >= table.back()) return 1;
@@ -108,7 +110,8 @@ Result<std::array<std::vector<float>, 3>> read_decode(const fs::path& path,
   for (std::size_t c = 0; c < 3; ++c) {
     const toml::node& node = decode[decode.size() == 1 ? 0 : c];
     if (!node.is_array())
-      return fail(ErrorCode::kInvalid, at_line(path, node.source()), "decode: not a list of numbers");
+      return fail(ErrorCode::kInvalid, at_line(path, node.source()),
+                  "decode: not a list of numbers");
     PENUMBRA_ASSIGN(samples, read_samples(path, *node.as_array()));
     channels[c] = std::move(samples);
   }
@@ -137,9 +140,22 @@ Result<Response> read_response(const fs::path& path) {
   return response;
 }
 
+/// A table has its own number of samples. A formula is sampled at four points per 8-bit code, so
+/// that every 8-bit code lies on a sample.
+int sample_count(const Response& response) {
+  const std::string text = response.describe();
+  constexpr std::string_view prefix = "table of ";
+  int count = 4 * 255 + 1;
+  if (text.starts_with(prefix))
+    std::from_chars(text.data() + prefix.size(), text.data() + text.size(), count);
+  return count;
+}
+
 }  // namespace
 
-Response Response::linear() { return {}; }
+Response Response::linear() {
+  return {};
+}
 
 Response Response::srgb() {
   Response response;
@@ -156,7 +172,12 @@ Response Response::gamma(double exponent) {
 }
 
 Result<Response> Response::from_table(std::array<std::vector<float>, 3> decode) {
-  for (std::size_t c = 0; c < 3; ++c) PENUMBRA_TRY(check_table(decode[c], static_cast<int>(c)));
+  for (std::size_t c = 0; c < 3; ++c) {
+    PENUMBRA_TRY(check_table(decode[c], static_cast<int>(c)));
+    if (decode[c].size() != decode[0].size())
+      return fail(ErrorCode::kInvalid, "response",
+                  "the channels have different numbers of samples");
+  }
   Response response;
   response.form_ = Form::kTable;
   response.table_ = std::make_shared<const std::array<std::vector<float>, 3>>(std::move(decode));
@@ -167,10 +188,14 @@ double Response::decode(double code, int channel) const {
   assert(channel >= 0 && channel < 3);
   const double x = clamp01(code);
   switch (form_) {
-    case Form::kSrgb: return srgb_decode(x);
-    case Form::kGamma: return std::pow(x, exponent_);
-    case Form::kTable: return table_decode((*table_)[static_cast<std::size_t>(channel)], x);
-    default: return x;
+    case Form::kSrgb:
+      return srgb_decode(x);
+    case Form::kGamma:
+      return std::pow(x, exponent_);
+    case Form::kTable:
+      return table_decode((*table_)[static_cast<std::size_t>(channel)], x);
+    default:
+      return x;
   }
 }
 
@@ -178,10 +203,14 @@ double Response::encode(double linear, int channel) const {
   assert(channel >= 0 && channel < 3);
   const double x = clamp01(linear);
   switch (form_) {
-    case Form::kSrgb: return srgb_encode(x);
-    case Form::kGamma: return std::pow(x, 1 / exponent_);
-    case Form::kTable: return table_encode((*table_)[static_cast<std::size_t>(channel)], x);
-    default: return x;
+    case Form::kSrgb:
+      return srgb_encode(x);
+    case Form::kGamma:
+      return std::pow(x, 1 / exponent_);
+    case Form::kTable:
+      return table_encode((*table_)[static_cast<std::size_t>(channel)], x);
+    default:
+      return x;
   }
 }
 
@@ -205,10 +234,14 @@ bool Response::is_linear() const {
 
 std::string Response::describe() const {
   switch (form_) {
-    case Form::kSrgb: return "srgb";
-    case Form::kGamma: return fmt::format("gamma:{}", exponent_);
-    case Form::kTable: return fmt::format("table of {}", (*table_)[0].size());
-    default: return "linear";
+    case Form::kSrgb:
+      return "srgb";
+    case Form::kGamma:
+      return fmt::format("gamma:{}", exponent_);
+    case Form::kTable:
+      return fmt::format("table of {}", (*table_)[0].size());
+    default:
+      return "linear";
   }
 }
 
@@ -224,8 +257,7 @@ Result<Response> parse_response(const std::string& text, const fs::path& folder)
       return fail(ErrorCode::kInvalid, text, "the exponent is not a positive number");
     return Response::gamma(exponent);
   }
-  if (text.empty())
-    return fail(ErrorCode::kInvalid, "response", fmt::format("empty; {}", known));
+  if (text.empty()) return fail(ErrorCode::kInvalid, "response", fmt::format("empty; {}", known));
   const fs::path path = folder / text;
   std::error_code ignored;
   if (!fs::exists(path, ignored))
@@ -235,12 +267,17 @@ Result<Response> parse_response(const std::string& text, const fs::path& folder)
 }
 
 Result<void> write_response(const fs::path& path, const Response& response) {
-  // A formula is sampled at four points per 8-bit code, so all 8-bit codes lie on samples.
-  constexpr int formula_samples = 4 * 255 + 1;
+  const int count = sample_count(response);
   const int channels = response.same_for_all_channels() ? 1 : 3;
-  std::string text = "version = 1\n# linear light for equidistant codes, per channel\ndecode = [\n";
+  std::string text =
+      "version = 1\n# linear light at equidistant codes; one list serves all channels\n";
+  text += "decode = [\n";
   for (int c = 0; c < channels; ++c) {
-    const std::vector<float> samples = response.samples(formula_samples, c);
+    std::vector<float> samples;
+    samples.reserve(static_cast<std::size_t>(count));
+    for (int i = 0; i < count; ++i)
+      samples.push_back(
+          static_cast<float>(response.decode(static_cast<double>(i) / (count - 1), c)));
     text += fmt::format("  [{}],\n", fmt::join(samples, ", "));
   }
   return write_bytes(path, text + "]\n");

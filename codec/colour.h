@@ -22,8 +22,7 @@ inline constexpr Chromaticities kRec709{.64, .33, .30, .60, .15, .06, .3127, .32
 /// Files round the white point in several ways (.3127, .31271); a conversion between those would
 /// change every stored number for nothing.
 inline bool is_rec709(const Chromaticities& c) {
-  return std::ranges::equal(c, kRec709,
-                            [](double a, double b) { return std::abs(a - b) < 5e-4; });
+  return std::ranges::equal(c, kRec709, [](double a, double b) { return std::abs(a - b) < 5e-4; });
 }
 
 /// XYZ of an RGB triple, Y = 1 for white. Nothing if the primaries span no volume.

@@ -1,6 +1,6 @@
-// OpenEXR through its C++ library, and the choice between the two kinds of HDR file. The library throws;
-// everything is caught here. Files are read and written through memory: the library's own output file
-// swallows errors when it is closed, so a full disk would pass for success.
+// OpenEXR through its C++ library, and the choice between the two kinds of HDR file. The library
+// throws; everything is caught here. Files are read and written through memory: the library's own
+// output file swallows errors when it is closed, so a full disk would pass for success.
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
@@ -157,9 +157,10 @@ void read_channels(Imf::InputFile& file, const Channels& channels, Image<Rgb>& p
   const bool grey = channels.rgb[0] == channels.rgb[1];
   Imf::FrameBuffer buffer;
   for (std::size_t c = 0; c < (grey ? 1u : 3u); ++c)
-    buffer.insert(channels.rgb[c],
-                  Imf::Slice::Make(Imf::FLOAT, &pixels.at(0, 0)[static_cast<int>(c)], window,
-                                   sizeof(Rgb), sizeof(Rgb) * static_cast<std::size_t>(pixels.width())));
+    buffer.insert(
+        channels.rgb[c],
+        Imf::Slice::Make(Imf::FLOAT, &pixels.at(0, 0)[static_cast<int>(c)], window, sizeof(Rgb),
+                         sizeof(Rgb) * static_cast<std::size_t>(pixels.width())));
   file.setFrameBuffer(buffer);
   file.readPixels(window.min.y, window.max.y);
   if (grey)
@@ -219,24 +220,27 @@ Result<HdrImage> decode_checked(Bytes bytes, const std::string& name) {
   const Imf::Header& header = file.header();
   const auto channels = choose_channels(header.channels());
   if (!channels)
-    return fail(ErrorCode::kUnreadable, name,
-                "no colour channels (R G B, Y, or one alone); has:" + channel_names(header.channels()));
+    return fail(
+        ErrorCode::kUnreadable, name,
+        "no colour channels (R G B, Y, or one alone); has:" + channel_names(header.channels()));
   const Imath::Box2i window = header.dataWindow();
   HdrImage out;
   out.pixels = Image<Rgb>(window.max.x - window.min.x + 1, window.max.y - window.min.y + 1);
-  if (channels->luminance_chroma) read_luminance_chroma(bytes, name, out.pixels);
-  else read_channels(file, *channels, out.pixels);
+  if (channels->luminance_chroma)
+    read_luminance_chroma(bytes, name, out.pixels);
+  else
+    read_channels(file, *channels, out.pixels);
   PENUMBRA_TRY(convert_to_rec709(header, name, out.pixels));
   out.non_finite = count_non_finite(out.pixels.pixels());
   out.environment = environment_of(header);
   return out;
 }
 
-// A light source above the largest half must stay a number: an infinity would be left out by whoever
-// sums the light, and the sun with it.
+// A light source above the largest half must stay a number: an infinity would be left out by
+// whoever sums the light, and the sun with it.
 Imath::half to_half(float value) {
-  if (std::isfinite(value)) value = std::clamp(value, -HALF_MAX, HALF_MAX);
-  return Imath::half(value);
+  constexpr float kLargest = HALF_MAX;
+  return Imath::half(std::isfinite(value) ? std::clamp(value, -kLargest, kLargest) : value);
 }
 
 std::vector<Imath::half> to_halves(const Image<Rgb>& pixels) {

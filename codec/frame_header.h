@@ -1,6 +1,6 @@
-// What can be said about a PNG, JPEG or TIFF file before it is decoded: its size, and whether all of it
-// is there. OpenCV's decoders allocate by the declared size and return a half-filled picture, or print,
-// when bytes are missing; so both are settled here first.
+// What can be said about a PNG, JPEG or TIFF file before it is decoded: its size, and whether all
+// of it is there. OpenCV's decoders allocate by the declared size and return a half-filled picture,
+// or print, when bytes are missing; so both are settled here first.
 #pragma once
 
 #include <cstdint>
@@ -56,8 +56,8 @@ inline bool is_jpeg(Bytes bytes) {
 }
 
 inline bool is_tiff(Bytes bytes) {
-  return bytes.size() >= 4 && (std::memcmp(bytes.data(), "II*\0", 4) == 0 ||
-                               std::memcmp(bytes.data(), "MM\0*", 4) == 0);
+  return bytes.size() >= 4 &&
+         (std::memcmp(bytes.data(), "II*\0", 4) == 0 || std::memcmp(bytes.data(), "MM\0*", 4) == 0);
 }
 
 /// Chunks in order, from IHDR to IEND.
@@ -101,7 +101,8 @@ inline FrameHeader scan_jpeg(Bytes bytes) {
     // Coded data holds 0xff only before 0 or a restart marker.
     const auto coded = [&](std::uint32_t after) { return after == 0 || (after & 0xf8) == 0xd0; };
     while (at + 1 < bytes.size() && (bytes[at] != 0xff || coded(bytes[at + 1]))) ++at;
-    if (at + 1 >= bytes.size()) return detail::stop(header, "truncated: no end of the scan begun", start);
+    if (at + 1 >= bytes.size())
+      return detail::stop(header, "truncated: no end of the scan begun", start);
   }
 }
 

@@ -1,5 +1,5 @@
-// Camera frames through OpenCV's image codecs, from and to memory. OpenCV throws; everything is caught
-// here.
+// Camera frames through OpenCV's image codecs, from and to memory. OpenCV throws; everything is
+// caught here.
 #include <climits>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -38,7 +38,8 @@ cv::Mat to_bgr(const Image<Pixel>& image) {
   return mat;
 }
 
-// Pixels stay where the sensor put them: a turn by the EXIF tag would part them from their lens model.
+// Pixels stay where the sensor put them: a turn by the EXIF tag would part them from their lens
+// model.
 constexpr int kReadFlags = cv::IMREAD_ANYDEPTH | cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION;
 
 Result<FramePixels> decode_frame(Bytes bytes, const std::string& name) {
@@ -48,10 +49,14 @@ Result<FramePixels> decode_frame(Bytes bytes, const std::string& name) {
   if (mat.empty() || mat.channels() != 3)
     return fail(ErrorCode::kUnreadable, name, "damaged picture data");
   switch (mat.depth()) {
-    case CV_8U: return from_bgr<Rgb8, unsigned char>(mat);
-    case CV_16U: return from_bgr<Rgb16, unsigned short>(mat);
-    case CV_32F: return from_bgr<Rgb, float>(mat);
-    default: return fail(ErrorCode::kUnreadable, name, "neither 8 nor 16 bit nor float");
+    case CV_8U:
+      return from_bgr<Rgb8, unsigned char>(mat);
+    case CV_16U:
+      return from_bgr<Rgb16, unsigned short>(mat);
+    case CV_32F:
+      return from_bgr<Rgb, float>(mat);
+    default:
+      return fail(ErrorCode::kUnreadable, name, "neither 8 nor 16 bit nor float");
   }
 }
 
@@ -79,7 +84,8 @@ Result<void> write(const std::filesystem::path& path, const Image<Pixel>& pixels
   const std::string extension = lower_extension(path);
   const bool jpeg = extension == ".jpg" || extension == ".jpeg";
   if (!jpeg && extension != ".png" && extension != ".tif" && extension != ".tiff")
-    return fail(ErrorCode::kInvalid, path.string(), "unknown extension (.png, .jpg, .jpeg, .tif, .tiff)");
+    return fail(ErrorCode::kInvalid, path.string(),
+                "unknown extension (.png, .jpg, .jpeg, .tif, .tiff)");
   // OpenCV would clamp 16 bit codes to 255 without a word.
   if (jpeg && sizeof(Code) > 1)
     return fail(ErrorCode::kInvalid, path.string(), "JPEG holds 8 bit codes only");
@@ -94,7 +100,9 @@ Result<void> write(const std::filesystem::path& path, const Image<Pixel>& pixels
 Result<FramePixels> read_frame(const std::filesystem::path& path) {
   PENUMBRA_ASSIGN(bytes, read_bytes(path, INT_MAX));
   const std::string name = path.string();
-  if (is_exr(bytes) || is_radiance(bytes)) {
+  // Radiance last: its magic may stand anywhere in the first lines, by chance even in a PNG.
+  const bool coded = is_png(bytes) || is_jpeg(bytes) || is_tiff(bytes);
+  if (!coded && (is_exr(bytes) || is_radiance(bytes))) {
     PENUMBRA_ASSIGN(hdr, decode_hdr(bytes, name));
     return std::move(hdr.pixels);
   }
@@ -121,7 +129,8 @@ Result<std::vector<unsigned char>> encode_jpeg(const Image<Rgb8>& pixels, int qu
   const std::string name = "JPEG encoder";
   if (pixels.empty()) return fail(ErrorCode::kInvalid, name, "empty picture");
   if (quality < 1 || quality > 100)
-    return fail(ErrorCode::kInvalid, name, "quality " + std::to_string(quality) + " is not in 1..100");
+    return fail(ErrorCode::kInvalid, name,
+                "quality " + std::to_string(quality) + " is not in 1..100");
   return encode(".jpg", to_bgr<unsigned char>(pixels), {cv::IMWRITE_JPEG_QUALITY, quality}, name);
 }
 

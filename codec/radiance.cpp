@@ -1,5 +1,5 @@
-// Radiance pictures (RGBE and XYZE), after "The Radiance picture file format" (G. Ward, filefmts.pdf)
-// and "Real Pixels" (Graphics Gems II).
+// Radiance pictures (RGBE and XYZE), after "The Radiance picture file format" (G. Ward,
+// filefmts.pdf) and "Real Pixels" (Graphics Gems II).
 #include <array>
 #include <charconv>
 #include <cmath>
@@ -75,7 +75,8 @@ std::optional<std::size_t> find_magic(Bytes bytes) {
                               std::min(bytes.size(), kMagicWithin));
   for (std::size_t at = 0; (at = text.find("#?", at)) != std::string_view::npos; ++at) {
     const bool line_start = at == 0 || text[at - 1] == '\n';
-    const bool named = at + 2 < text.size() && std::isalpha(static_cast<unsigned char>(text[at + 2]));
+    const bool named =
+        at + 2 < text.size() && std::isalpha(static_cast<unsigned char>(text[at + 2]));
     if (line_start && named) return at;
   }
   return std::nullopt;
@@ -161,8 +162,10 @@ std::optional<Axis> parse_axis(std::string_view& line) {
   const auto [end, error] = std::from_chars(count.data(), count.data() + count.size(), axis.count);
   if (end != count.data() + count.size() || count.empty()) return std::nullopt;
   // More digits than the type holds: still a size, and too large.
-  if (error == std::errc::result_out_of_range) axis.count = std::int64_t{1} << 31;
-  else if (error != std::errc{}) return std::nullopt;
+  if (error == std::errc::result_out_of_range)
+    axis.count = std::int64_t{1} << 31;
+  else if (error != std::errc{})
+    return std::nullopt;
   axis.count = std::min(axis.count, std::int64_t{1} << 31);
   return axis;
 }
@@ -219,8 +222,8 @@ Result<void> read_planes(Cursor& cursor, std::span<Rgbe> scanline) {
   return {};
 }
 
-// Flat pixels, where (1, 1, 1, n) repeats the pixel before it; several in a row are the bytes of one
-// count, lowest first.
+// Flat pixels, where (1, 1, 1, n) repeats the pixel before it; several in a row are the bytes of
+// one count, lowest first.
 Result<void> read_old_runs(Cursor& cursor, std::span<Rgbe> scanline) {
   unsigned shift = 0;
   for (std::size_t x = 0; x < scanline.size();) {
@@ -247,8 +250,8 @@ Result<void> read_old_runs(Cursor& cursor, std::span<Rgbe> scanline) {
 Result<void> read_scanline(Cursor& cursor, std::span<Rgbe> scanline) {
   if (!cursor.has(4)) return cursor.truncated("a scan line");
   const unsigned char* p = cursor.peek();
-  const bool planes = std::ssize(scanline) >= kMinRunWidth && std::ssize(scanline) <= kMaxRunWidth &&
-                      p[0] == 2 && p[1] == 2 && p[2] < 128;
+  const bool planes = std::ssize(scanline) >= kMinRunWidth &&
+                      std::ssize(scanline) <= kMaxRunWidth && p[0] == 2 && p[1] == 2 && p[2] < 128;
   if (!planes) return read_old_runs(cursor, scanline);
   if ((std::size_t{p[2]} << 8 | p[3]) != scanline.size())
     return cursor.damaged("scan line of another width");
@@ -256,8 +259,9 @@ Result<void> read_scanline(Cursor& cursor, std::span<Rgbe> scanline) {
   return read_planes(cursor, scanline);
 }
 
-// Mantissa m and exponent e mean m 2^(e-136), as in rgbe.c, OpenCV, stb and OpenImageIO. Radiance's own
-// programs put the value in the middle of its step (m + .5); at m = 0 that would lift every pure colour.
+// Mantissa m and exponent e mean m 2^(e-136), as in rgbe.c, OpenCV, stb and OpenImageIO. Radiance's
+// own programs put the value in the middle of its step (m + .5); at m = 0 that would lift every
+// pure colour.
 Image<Rgb> to_image(const std::vector<Rgbe>& codes, const Header& header) {
   std::array<std::array<double, 256>, 3> scale{};
   for (std::size_t c = 0; c < 3; ++c)
@@ -281,8 +285,9 @@ Image<Rgb> to_image(const std::vector<Rgbe>& codes, const Header& header) {
   return image;
 }
 
-// Pictures without PRIMARIES are taken as Rec.709, whatever their writer meant: Radiance's own default
-// differs only slightly, and nearly every .hdr in use comes from programs that mean Rec.709.
+// Pictures without PRIMARIES are taken as Rec.709, whatever their writer meant: Radiance's own
+// default differs only slightly, and nearly every .hdr in use comes from programs that mean
+// Rec.709.
 std::optional<glm::dmat3> conversion(const Header& header) {
   if (header.xyz) return glm::inverse(*xyz_from_rgb(kRec709));
   if (!header.primaries || is_rec709(*header.primaries)) return kIdentity;
@@ -332,7 +337,9 @@ void append_plane(std::span<const unsigned char> plane, std::string& out) {
 
 }  // namespace
 
-bool is_radiance(Bytes bytes) { return find_magic(bytes).has_value(); }
+bool is_radiance(Bytes bytes) {
+  return find_magic(bytes).has_value();
+}
 
 Result<HdrImage> decode_radiance(std::span<const unsigned char> bytes, const std::string& name) {
   const auto magic = find_magic(bytes);
@@ -343,7 +350,8 @@ Result<HdrImage> decode_radiance(std::span<const unsigned char> bytes, const std
   const auto matrix = conversion(header);
   if (!matrix) return cursor.damaged("PRIMARIES span no colours");
 
-  // Grows with what the file really holds, so that a short file cannot ask for the memory of a large one.
+  // Grows with what the file really holds, so that a short file cannot ask for the memory of a
+  // large one.
   std::vector<Rgbe> codes;
   const auto length = static_cast<std::size_t>(header.length);
   for (int scanline = 0; scanline < header.scanlines; ++scanline) {

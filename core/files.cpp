@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
@@ -13,8 +14,11 @@ namespace {
 
 // Keeps the extension, since image libraries choose the format by it.
 fs::path temporary_beside(const fs::path& target) {
-  fs::path name = "." + target.stem().string() + ".partial-" + std::to_string(::getpid());
-  name += target.extension();
+  static std::atomic<unsigned> counter = 0;  // threads may write the same target
+  std::string name = ".";
+  name += target.stem().string();
+  name += ".partial-" + std::to_string(::getpid()) + "-" + std::to_string(counter++);
+  name += target.extension().string();
   return target.parent_path() / name;
 }
 

@@ -1,0 +1,300 @@
+#include <fmt/format.h>
+#include <toml++/toml.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
+
+#include "capture/folder_format.h"
+#include "codec/codec.h"
+#include "core/files.h"
+
+namespace penumbra::capture {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::string_view kCameraKeys[] = {"name",
+                                            "role",
+                                            "eye",
+                                            "width",
+                                            "height",
+                                            "projection",
+                                            "focal_px",
+                                            "principal_px",
+                                            "distortion",
+                                            "response",
+                                            "black_level",
+                                            "frames",
+                                            "world_from_camera",
+                                            "full_well_electrons",
+                                            "read_fraction"};
+
+/// One table of the file; every error names file, line and key.
+class Keys {
+ public:
+  Keys(const fs::path& path, const toml::table& table) : path_(path), table_(table) {}
+
+  std::unexpected<Error> invalid(const toml::node& at, std::string_view key,
+                                 const std::string& detail,
+                                 ErrorCode code = ErrorCode::kInvalid) const {
+    return fail(code, fmt::format("{}:{}", path_.string(), at.source().begin.line),
+                fmt::format("{}: {}", key, detail));
+  }
+  std::unexpected<Error> invalid(std::string_view key, const std::string& detail) const {
+    const toml::node* node = table_.get(key);
+    return invalid(node ? *node : static_cast<const toml::node&>(table_), key, detail);
+  }
+
+  bool has(std::string_view key) const { return table_.contains(key); }
+
+  Result<void> only(std::span<const std::string_view> known) const {
+    for (const auto& [key, node] : table_)
+      if (std::ranges::find(known, key.str()) == known.end())
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("{}:{}", path_.string(), key.source().begin.line),
+                    fmt::format("unknown key \"{}\"", key.str()));
+    return {};
+  }
+
+  Result<std::string> text(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    if (!node->is_string()) return invalid(key, "not a text");
+    return node->value_or(std::string());
+  }
+
+  Result<double> number(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    return number(*node, key);
+  }
+
+  Result<int> side(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    const auto value = node->is_integer() ? node->value_or(std::int64_t{0}) : 0;
+    if (value < 1 || value > codec::kMaxSide)
+      return invalid(key, fmt::format("not a whole number within 1..{}", codec::kMaxSide));
+    return static_cast<int>(value);
+  }
+
+  Result<std::vector<double>> numbers(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    if (!node->is_array()) return invalid(key, "not a list of numbers");
+    std::vector<double> values;
+    for (const toml::node& element : *node->as_array()) {
+      PENUMBRA_ASSIGN(value, number(element, key));
+      values.push_back(value);
+    }
+    return values;
+  }
+
+ private:
+  Result<double> number(const toml::node& node, std::string_view key) const {
+    const auto value = node.is_number() ? node.value<double>() : std::nullopt;
+    if (!value || !std::isfinite(*value)) return invalid(node, key, "not a finite number");
+    return *value;
+  }
+
+  const fs::path& path_;
+  const toml::table& table_;
+};
+
+Result<glm::dvec2> read_pair(const Keys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(values, keys.numbers(key));
+  if (values.size() != 2)
+    return keys.invalid(key, fmt::format("{} numbers, expected 2", values.size()));
+  return glm::dvec2{values[0], values[1]};
+}
+
+bool has_intrinsics(calib::ProjectionKind kind) {
+  return kind == calib::ProjectionKind::kEquidistant || kind == calib::ProjectionKind::kPinhole;
+}
+
+Result<calib::Projection> read_projection(const Keys& keys) {
+  PENUMBRA_ASSIGN(name, keys.text("projection"));
+  const auto kind = calib::projection_kind(name);
+  if (!kind)
+    return keys.invalid("projection", fmt::format("\"{}\": {}", name, kind.error().detail));
+  PENUMBRA_ASSIGN(width, keys.side("width"));
+  PENUMBRA_ASSIGN(height, keys.side("height"));
+  auto projection = calib::make_projection(*kind, width, height);
+  if (!projection) return keys.invalid("projection", name + ": " + projection.error().detail);
+  for (const std::string_view key : {"focal_px", "principal_px"}) {
+    if (!keys.has(key)) continue;
+    if (!has_intrinsics(*kind)) return keys.invalid(key, "the projection " + name + " has none");
+    PENUMBRA_ASSIGN(pair, read_pair(keys, key));
+    if (key == "focal_px" && (pair.x <= 0 || pair.y <= 0)) return keys.invalid(key, "not positive");
+    (key == "focal_px" ? projection->focal_px : projection->principal_px) = pair;
+  }
+  if (!keys.has("distortion")) return projection;
+  PENUMBRA_ASSIGN(distortion, keys.numbers("distortion"));
+  if (std::ranges::any_of(distortion, [](double k) { return k != 0; }))
+    return keys.invalid("distortion", "distortion is not supported yet for " + name);
+  return projection;
+}
+
+/// A rotation and a translation, column-major, within the rounding of a file's few digits.
+Result<Pose> read_pose(const Keys& keys) {
+  constexpr std::string_view key = "world_from_camera";
+  constexpr double tolerance = 1e-3;
+  PENUMBRA_ASSIGN(m, keys.numbers(key));
+  if (m.size() != 16) return keys.invalid(key, fmt::format("{} numbers, expected 16", m.size()));
+  if (m[3] != 0 || m[7] != 0 || m[11] != 0 || m[15] != 1)
+    return keys.invalid(key, "the last row is not 0 0 0 1 (the list is column-major)");
+  const glm::dmat3 r(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
+  for (int a = 0; a < 3; ++a)
+    for (int b = 0; b < 3; ++b)
+      if (std::abs(glm::dot(r[a], r[b]) - (a == b ? 1 : 0)) > tolerance)
+        return keys.invalid(key, "not a rigid transform: its axes are not orthonormal");
+  if (glm::determinant(r) < 0) return keys.invalid(key, "not a rigid transform: it mirrors");
+  return Pose{glm::normalize(glm::quat_cast(r)), {m[12], m[13], m[14]}};
+}
+
+Result<void> read_identity(const Keys& keys, CameraInfo& info) {
+  PENUMBRA_ASSIGN(name, keys.text("name"));
+  if (name.empty()) return keys.invalid("name", "empty");
+  PENUMBRA_ASSIGN(role, keys.text("role"));
+  if (role != "environment" && role != "view")
+    return keys.invalid("role", fmt::format("\"{}\", expected environment or view", role));
+  info.name = name;
+  info.role = role == "view" ? Role::kView : Role::kEnvironment;
+  if (!keys.has("eye")) return {};
+  PENUMBRA_ASSIGN(eye, keys.text("eye"));
+  if (!eye.empty() && eye != "left" && eye != "right")
+    return keys.invalid("eye", fmt::format("\"{}\", expected left or right", eye));
+  info.eye = eye;
+  return {};
+}
+
+Result<void> read_sensor(const Keys& keys, CameraInfo& info) {
+  if (keys.has("black_level")) {
+    PENUMBRA_ASSIGN(black, keys.number("black_level"));
+    if (black < 0 || black >= 1)
+      return keys.invalid("black_level", "not within 0..1 of full scale");
+    info.black_level = black;
+  }
+  if (keys.has("full_well_electrons")) {
+    PENUMBRA_ASSIGN(electrons, keys.number("full_well_electrons"));
+    if (electrons <= 0) return keys.invalid("full_well_electrons", "not positive");
+    info.noise.full_well_electrons = electrons;
+  }
+  if (keys.has("read_fraction")) {
+    PENUMBRA_ASSIGN(read, keys.number("read_fraction"));
+    if (read < 0 || read >= 1)
+      return keys.invalid("read_fraction", "not within 0..1 of full scale");
+    info.noise.read_fraction = read;
+  }
+  return {};
+}
+
+bool is_float_file(const FrameRow& row) {
+  std::string extension = fs::path(row.file).extension().string();
+  std::ranges::transform(extension, extension.begin(),
+                         [](unsigned char c) { return std::tolower(c); });
+  return extension == ".exr" || extension == ".hdr";
+}
+
+/// Codes mean nothing without a response; float frames need none.
+Result<calib::Response> read_response(const Keys& keys, const fs::path& folder,
+                                      const std::vector<FrameRow>& rows) {
+  if (!keys.has("response")) {
+    if (std::ranges::all_of(rows, is_float_file)) return calib::Response::linear();
+    return keys.invalid("response", "missing");
+  }
+  PENUMBRA_ASSIGN(text, keys.text("response"));
+  auto response = calib::parse_response(text, folder);
+  // An error within a response file already names that file and its line.
+  if (!response && response.error().code == ErrorCode::kInvalid && response.error().where == text)
+    return keys.invalid("response", fmt::format("\"{}\": {}", text, response.error().detail));
+  return response;
+}
+
+Result<FolderCamera> read_camera(const Keys& keys, const fs::path& folder) {
+  PENUMBRA_TRY(keys.only(kCameraKeys));
+  FolderCamera camera;
+  PENUMBRA_TRY(read_identity(keys, camera.info));
+  PENUMBRA_ASSIGN(projection, read_projection(keys));
+  camera.info.projection = projection;
+  PENUMBRA_TRY(read_sensor(keys, camera.info));
+  if (keys.has("world_from_camera")) {
+    PENUMBRA_ASSIGN(pose, read_pose(keys));
+    camera.info.world_from_camera = pose;
+  }
+  PENUMBRA_ASSIGN(list, keys.text("frames"));
+  if (!stays_inside(list))
+    return keys.invalid("frames", fmt::format("\"{}\" is not a path inside the folder", list));
+  PENUMBRA_ASSIGN(rows, read_frame_list(folder, list));
+  camera.rows = std::move(rows);
+  PENUMBRA_ASSIGN(response, read_response(keys, folder, camera.rows));
+  camera.info.response = response;
+  return camera;
+}
+
+Result<toml::table> parse_file(const fs::path& path) {
+  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 24));
+  try {
+    return toml::parse(std::string_view(reinterpret_cast<const char*>(bytes.data()), bytes.size()),
+                       path.string());
+  } catch (const toml::parse_error& e) {
+    return fail(ErrorCode::kUnreadable, fmt::format("{}:{}", path.string(), e.source().begin.line),
+                std::string(e.description()));
+  }
+}
+
+}  // namespace
+
+Result<std::vector<FolderCamera>> read_manifest(const fs::path& folder) {
+  const fs::path path = folder / kManifestName;
+  PENUMBRA_ASSIGN(root, parse_file(path));
+  const Keys keys(path, root);
+  constexpr std::string_view known[] = {"version", "camera"};
+  PENUMBRA_TRY(keys.only(known));
+  const toml::node* version = root.get("version");
+  if (!version || !version->is_integer() || version->value_or(std::int64_t{0}) != 1)
+    return keys.invalid("version", version ? "expected 1" : "missing");
+  const toml::array* list = root["camera"].as_array();
+  if (!list || list->empty()) return keys.invalid("camera", "no [[camera]]");
+  std::vector<FolderCamera> cameras;
+  for (const toml::node& node : *list) {
+    if (!node.is_table()) return keys.invalid(node, "camera", "not a [[camera]]");
+    const Keys camera_keys(path, *node.as_table());
+    PENUMBRA_ASSIGN(camera, read_camera(camera_keys, folder));
+    if (std::ranges::any_of(cameras,
+                            [&](const auto& c) { return c.info.name == camera.info.name; }))
+      return camera_keys.invalid("name", fmt::format("\"{}\" is used twice", camera.info.name));
+    cameras.push_back(std::move(camera));
+  }
+  if (std::ranges::all_of(cameras, [](const auto& c) { return c.rows.empty(); }))
+    return fail(ErrorCode::kInvalid, path.string(), "no camera has a frame");
+  return cameras;
+}
+
+std::string print_manifest(const std::vector<CameraInfo>& cameras,
+                           const std::vector<std::string>& responses) {
+  std::string text = "version = 1\n";
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const CameraInfo& c = cameras[i];
+    const auto& p = c.projection;
+    text += fmt::format("\n[[camera]]\nname = \"{}\"\nrole = \"{}\"\n", c.name,
+                        c.role == Role::kView ? "view" : "environment");
+    if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
+    text += fmt::format("width = {}\nheight = {}\nprojection = \"{}\"\n", p.width, p.height,
+                        calib::projection_name(p.kind));
+    if (has_intrinsics(p.kind))
+      text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
+                          p.focal_px.y, p.principal_px.x, p.principal_px.y);
+    text += fmt::format("response = \"{}\"\nblack_level = {}\n", responses[i], c.black_level);
+    text += fmt::format("full_well_electrons = {}\nread_fraction = {}\n",
+                        c.noise.full_well_electrons, c.noise.read_fraction);
+    const glm::dmat4 m = c.world_from_camera.matrix();
+    text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
+    text += fmt::format("frames = \"{}.csv\"\n", c.name);
+  }
+  return text;
+}
+
+}  // namespace penumbra::capture

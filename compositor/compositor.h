@@ -1,0 +1,112 @@
+// Draws virtual objects and their shadows into camera frames by differential rendering, and writes the
+// result: video files, a window. GL draws the layers (object radiance and coverage, shadow ratio) into
+// the rectangle that they can reach; the fused pass over the touched pixels runs on the CPU, where the
+// frame is anyway. Frames outside the touched pixels are not read, converted or written.
+// threads: a Compositor belongs to the thread that made it; VideoWriter thread-bound
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/result.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
+
+namespace penumbra::compositor {
+
+/// Sensor code <-> linear signal in fractions of full scale, tabulated for one bit depth.
+/// source: the camera's inverse response, sampled at every code
+class CodeCurve {
+ public:
+  /// decode[c][code] = linear signal of that code, 2^bits values each, non-decreasing; `black_level` in
+  /// fractions of full scale is taken off after decoding and put back before encoding.
+  CodeCurve(const std::array<std::vector<float>, 3>& decode, float black_level);
+
+  float decode(int channel, unsigned code) const {
+    return decode_[static_cast<std::size_t>(channel)][code];
+  }
+  unsigned encode(int channel, float linear) const;
+  unsigned largest_code() const { return static_cast<unsigned>(decode_[0].size()) - 1; }
+
+ private:
+  float black_;
+  std::array<std::vector<float>, 3> decode_;
+  std::array<std::vector<float>, 3> encode_;  // code at the edges of logarithmic buckets
+};
+
+/// One eye of one frame.
+struct View {
+  prt::PinholeView camera;
+  const CodeCurve* curve = nullptr;  // of 8 or 16 bit as the frame; unused for float frames
+  float signal_per_radiance = 1;     // sensor signal (fraction of full scale) per unit of radiance
+};
+
+struct Touched {
+  std::size_t pixels = 0;   // written
+  double fraction = 0;      // of the frame
+};
+
+class Compositor {
+ public:
+  enum class Surface { kOffscreen, kWindow };
+
+  /// errors: kUnavailable (no EGL, no OpenGL ES 3.1, no display)
+  static Result<std::unique_ptr<Compositor>> create(int width, int height, Surface surface,
+                                                    const std::string& title = "Penumbra");
+  ~Compositor();
+
+  /// Uploads geometry once; the number names the object from then on.
+  int add_object(const prt::BakedObject& object);
+  /// Rigid placement of the bake frame in the world.
+  void set_pose(int object, const Pose& world_from_bake);
+  /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty shadow.
+  void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
+  /// Real geometry (world frame): hides objects and shadows behind it.
+  void add_occluder(const prt::Mesh& world_mesh);
+
+  /// Composites in place, in linear camera radiance:
+  ///   B = f^-1(z), z' = f(a e L_v + (1 - a) B s)
+  /// in:     frame of the size given at creation
+  /// errors: kInvalid (size, missing curve, depth), kUnavailable (GL lost)
+  /// source: Debevec 1998 in the ratio form
+  Result<Touched> composite(const View& view, FramePixels& frame);
+
+  /// Shows an 8-bit picture; nothing without a window. False when the user has closed the window.
+  bool present(const Image<Rgb8>& picture);
+
+  std::string renderer() const;  // what GL calls itself
+
+ private:
+  struct Impl;
+  explicit Compositor(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+/// H.264 in MP4, written under a temporary name until finish(). Odd sizes lose their last row or column.
+/// errors: kUnwritable, kUnavailable (no encoder)
+class VideoWriter {
+ public:
+  static Result<VideoWriter> create(const std::filesystem::path& path, int width, int height,
+                                    double frames_per_second);
+  ~VideoWriter();
+  VideoWriter(VideoWriter&&) noexcept;
+  VideoWriter& operator=(VideoWriter&&) noexcept;
+
+  Result<void> write(const Image<Rgb8>& frame);
+  Result<void> finish();
+
+ private:
+  struct Impl;
+  explicit VideoWriter(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace penumbra::compositor

@@ -1,0 +1,117 @@
+#include <EGL/egl.h>
+// After egl.h, which it needs.
+#include <EGL/eglext.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstring>
+
+#include "compositor/gl.h"
+
+namespace penumbra::compositor {
+
+namespace {
+
+class OffscreenContext final : public GlContext {
+ public:
+  OffscreenContext(EGLDisplay display, EGLContext context) : display_(display), context_(context) {}
+  ~OffscreenContext() override {
+    eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT);
+    eglDestroyContext(display_, context_);
+    // The display is shared by the whole process and stays.
+  }
+  bool has_window() const override { return false; }
+  void make_current() override { eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, context_); }
+  bool show() override { return true; }
+  std::pair<int, int> size() const override { return {0, 0}; }
+
+ private:
+  EGLDisplay display_;
+  EGLContext context_;
+};
+
+bool has(const char* extensions, const char* name) {
+  return extensions != nullptr && std::strstr(extensions, name) != nullptr;
+}
+
+// A device (a GPU, or Mesa's software device) before Mesa's surfaceless platform: both need no display.
+EGLDisplay open_display() {
+  const char* client = eglQueryString(EGL_NO_DISPLAY, EGL_EXTENSIONS);
+  const auto get_display = reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(
+      eglGetProcAddress("eglGetPlatformDisplayEXT"));
+  if (get_display == nullptr) return eglGetDisplay(EGL_DEFAULT_DISPLAY);
+  EGLint major = 0, minor = 0;
+  if (has(client, "EGL_MESA_platform_surfaceless")) {
+    const EGLDisplay d = get_display(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
+    if (d != EGL_NO_DISPLAY && eglInitialize(d, &major, &minor)) return d;
+  }
+  const auto query = reinterpret_cast<PFNEGLQUERYDEVICESEXTPROC>(eglGetProcAddress("eglQueryDevicesEXT"));
+  if (has(client, "EGL_EXT_platform_device") && query != nullptr) {
+    EGLDeviceEXT devices[16];
+    EGLint count = 0;
+    if (query(16, devices, &count))
+      for (EGLint i = 0; i < count; ++i) {
+        const EGLDisplay d = get_display(EGL_PLATFORM_DEVICE_EXT, devices[i], nullptr);
+        if (d != EGL_NO_DISPLAY && eglInitialize(d, &major, &minor)) return d;
+      }
+  }
+  return EGL_NO_DISPLAY;
+}
+
+}  // namespace
+
+Result<std::unique_ptr<GlContext>> make_offscreen_context() {
+  const EGLDisplay display = open_display();
+  EGLint major = 0, minor = 0;
+  if (display == EGL_NO_DISPLAY || !eglInitialize(display, &major, &minor))
+    return fail(ErrorCode::kUnavailable, "EGL", "no display, neither surfaceless nor a device");
+  if (!has(eglQueryString(display, EGL_EXTENSIONS), "EGL_KHR_surfaceless_context"))
+    return fail(ErrorCode::kUnavailable, "EGL", "has no surfaceless contexts");
+  eglBindAPI(EGL_OPENGL_ES_API);
+  const EGLint config_attributes[] = {EGL_SURFACE_TYPE, 0, EGL_RENDERABLE_TYPE, EGL_OPENGL_ES3_BIT, EGL_NONE};
+  EGLConfig config = nullptr;
+  EGLint count = 0;
+  if (!eglChooseConfig(display, config_attributes, &config, 1, &count) || count < 1)
+    return fail(ErrorCode::kUnavailable, "EGL", "has no OpenGL ES 3 configuration");
+  const EGLint context_attributes[] = {EGL_CONTEXT_MAJOR_VERSION, 3, EGL_CONTEXT_MINOR_VERSION, 1, EGL_NONE};
+  const EGLContext context = eglCreateContext(display, config, EGL_NO_CONTEXT, context_attributes);
+  if (context == EGL_NO_CONTEXT)
+    return fail(ErrorCode::kUnavailable, "EGL", "cannot make an OpenGL ES 3.1 context");
+  auto out = std::make_unique<OffscreenContext>(display, context);
+  out->make_current();
+  return out;
+}
+
+namespace {
+
+// Attaches one shader; the log on failure.
+Result<void> attach(GLuint program, GLenum kind, const char* source) {
+  const GLuint shader = glCreateShader(kind);
+  glShaderSource(shader, 1, &source, nullptr);
+  glCompileShader(shader);
+  GLint ok = 0;
+  glGetShaderiv(shader, GL_COMPILE_STATUS, &ok);
+  char log[1024] = {};
+  if (!ok) glGetShaderInfoLog(shader, sizeof log, nullptr, log);
+  glAttachShader(program, shader);
+  glDeleteShader(shader);
+  if (!ok) return fail(ErrorCode::kUnavailable, "GL shader", log);
+  return {};
+}
+
+}  // namespace
+
+Result<GlProgram> make_program(const char* vertex, const char* fragment) {
+  GlProgram program;
+  PENUMBRA_TRY(attach(program.get(), GL_VERTEX_SHADER, vertex));
+  PENUMBRA_TRY(attach(program.get(), GL_FRAGMENT_SHADER, fragment));
+  glLinkProgram(program.get());
+  GLint ok = 0;
+  glGetProgramiv(program.get(), GL_LINK_STATUS, &ok);
+  if (ok) return program;
+  char log[1024] = {};
+  glGetProgramInfoLog(program.get(), sizeof log, nullptr, log);
+  return fail(ErrorCode::kUnavailable, "GL program", log);
+}
+
+}  // namespace penumbra::compositor

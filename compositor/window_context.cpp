@@ -1,0 +1,53 @@
+#define GLFW_INCLUDE_NONE
+#include <GLFW/glfw3.h>
+
+#include "compositor/gl.h"
+
+namespace penumbra::compositor {
+
+namespace {
+
+class WindowContext final : public GlContext {
+ public:
+  explicit WindowContext(GLFWwindow* window) : window_(window) {}
+  ~WindowContext() override {
+    glfwDestroyWindow(window_);
+    glfwTerminate();
+  }
+  bool has_window() const override { return true; }
+  void make_current() override { glfwMakeContextCurrent(window_); }
+  bool show() override {
+    glfwSwapBuffers(window_);
+    glfwPollEvents();
+    return !glfwWindowShouldClose(window_) && glfwGetKey(window_, GLFW_KEY_ESCAPE) != GLFW_PRESS;
+  }
+  std::pair<int, int> size() const override {
+    std::pair<int, int> out;
+    glfwGetFramebufferSize(window_, &out.first, &out.second);
+    return out;
+  }
+
+ private:
+  GLFWwindow* window_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<GlContext>> make_window_context(int width, int height, const std::string& title) {
+  if (!glfwInit()) return fail(ErrorCode::kUnavailable, "window", "no display");
+  glfwWindowHint(GLFW_CLIENT_API, GLFW_OPENGL_ES_API);
+  glfwWindowHint(GLFW_CONTEXT_CREATION_API, GLFW_EGL_CONTEXT_API);
+  glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, 3);
+  glfwWindowHint(GLFW_CONTEXT_VERSION_MINOR, 1);
+  GLFWwindow* window = glfwCreateWindow(width, height, title.c_str(), nullptr, nullptr);
+  if (window == nullptr) {
+    glfwTerminate();
+    return fail(ErrorCode::kUnavailable, "window", "cannot make one with OpenGL ES 3.1");
+  }
+  auto out = std::make_unique<WindowContext>(window);
+  out->make_current();
+  glfwSwapInterval(0);  // the camera sets the pace, not the screen
+  return out;
+}
+
+}  // namespace penumbra::compositor

@@ -1,0 +1,355 @@
+#include <fmt/format.h>
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <bit>
+#include <chrono>
+#include <cmath>
+#include <mutex>
+
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "prt/ray_pattern.h"
+
+namespace penumbra::prt {
+
+namespace {
+
+constexpr int kLanes = RayScene::kPacket;
+static_assert(kLanes == lighting::kBasisLanes);
+constexpr std::size_t kChunk = 64;  // points a task takes at once
+constexpr float kNear = 1e-4f;      // in radii of the object: rays start clear of their own surface
+
+struct Point {
+  glm::vec3 position, normal;
+  int rays;
+};
+
+// Where a blocked ray ended: a triangle's inside point, or the receiver.
+struct BounceHit {
+  static constexpr std::uint32_t kGround = 0xfffffffeu;
+  std::uint32_t triangle;
+  float u, v;     // barycentric, or the receiver's texture coordinates
+  float weight;   // share of this ray in the point's transfer
+};
+
+struct PointResult {
+  std::vector<float> blocked;  // sum over blocked rays of w Y_n
+  float group_blocked[4] = {};
+  std::vector<BounceHit> hits;
+};
+
+// The bake works on a copy moved to the origin and scaled to radius one, so that neither the size nor the
+// place of the model changes a float operation.
+class Baker {
+ public:
+  Baker(const Mesh& mesh, const BakeOptions& options) : options_(options), mesh_(mesh) {
+    const Bounds b = bounds_of(mesh);
+    centre_ = b.centre();
+    scale_ = 1 / std::max(radius_around(mesh, centre_), 1e-30f);
+    for (glm::vec3& p : mesh_.positions) p = (p - centre_) * scale_;
+    for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
+      points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
+    if (options.receiver) add_receiver_points(options.receiver->grid);
+    coefficients_ = static_cast<std::size_t>(coefficient_count(options.bands));
+  }
+
+  Result<BakedObject> run(Mesh mesh);
+
+ private:
+  void add_receiver_points(const GroundGrid& grid);
+  bool is_ground_point(std::size_t i) const { return i >= mesh_.positions.size(); }
+  float plane_height() const { return (options_.receiver->grid.height - centre_.y) * scale_; }
+  bool grey() const;
+
+  void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
+                   PointResult& out) const;
+  void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
+                 bool ground_point, std::uint32_t blocked, std::vector<BounceHit>& hits) const;
+  std::uint32_t ground_mask(const RayScene::Packet& packet) const;
+  void start_transfer(std::size_t index, const PointResult& result);
+  void bounce(std::size_t index, const std::vector<BounceHit>& hits);
+  void add_ground_bounce(const BounceHit& hit, int channel, float* sum) const;
+  void report_progress(double share);
+  double standard_error(const std::vector<PointResult>& results) const;
+  Transfer packed_vertices() const;
+  Transfer packed_deficit() const;
+
+  const float* transfer_at(std::size_t point, int channel) const {
+    return &current_[(point * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(channel)) *
+                     coefficients_];
+  }
+
+  const BakeOptions& options_;
+  Mesh mesh_;
+  glm::vec3 centre_{};
+  float scale_ = 1;
+  std::vector<Point> points_;
+  std::size_t coefficients_ = 0;
+  int channels_ = 1;
+  std::vector<float> shadowed_, current_, next_;  // [point][channel][n]
+  std::vector<float> ground_far_;                 // transfer of an unshadowed receiver, per n
+  std::mutex progress_mutex_;
+  double progress_ = 0;
+};
+
+void Baker::add_receiver_points(const GroundGrid& grid) {
+  for (int j = 0; j < grid.size; ++j)
+    for (int i = 0; i < grid.size; ++i) {
+      const glm::vec2 p = grid.position({(static_cast<float>(i) + .5f) / static_cast<float>(grid.size),
+                                         (static_cast<float>(j) + .5f) / static_cast<float>(grid.size)});
+      const glm::vec3 world(p.x, grid.height, p.y);
+      points_.push_back({(world - centre_) * scale_, {0, 1, 0}, options_.ground_rays});
+    }
+}
+
+bool Baker::grey() const {
+  const auto is_grey = [](const Rgb& c) {
+    return std::abs(c.r - c.g) < 1e-3f && std::abs(c.g - c.b) < 1e-3f;
+  };
+  return std::ranges::all_of(mesh_.albedo, is_grey) &&
+         (!options_.receiver || is_grey(options_.receiver->albedo));
+}
+
+std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
+  std::uint32_t mask = 0;
+  for (int i = 0; i < kLanes; ++i) mask |= static_cast<std::uint32_t>(packet.y[i] < 0) << i;
+  return mask;
+}
+
+void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
+                      bool ground_point, std::uint32_t blocked, std::vector<BounceHit>& hits) const {
+  for (; blocked; blocked &= blocked - 1) {
+    const int i = std::countr_zero(blocked);
+    if (packet.triangle[i] != RayScene::kMiss) {
+      if (packet.front[i]) hits.push_back({packet.triangle[i], packet.u[i], packet.v[i], weight[i]});
+    } else if (!ground_point) {
+      const float t = std::max(0.f, (plane_height() - origin.y) / packet.y[i]);
+      const glm::vec2 here(origin.x + t * packet.x[i], origin.z + t * packet.z[i]);
+      const glm::vec2 uv = options_.receiver->grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
+      hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
+    }
+  }
+}
+
+void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
+                        PointResult& out) const {
+  const Point& point = points_[index];
+  const bool ground_point = is_ground_point(index);
+  const bool plane_blocks = options_.receiver && !ground_point;
+  const glm::vec3 origin = point.position + kNear * point.normal;
+  const RayPatterns::Turn turn = RayPatterns::turn_of(index);
+
+  // From the receiver the object fills a cone; rays elsewhere would be wasted.
+  const float distance = glm::length(origin);
+  const bool cone = ground_point && distance > 1.15f;
+  const float cos_half = cone ? std::sqrt(1 - 1 / (distance * distance)) : 0;
+  const glm::mat3 frame = frame_around(cone ? -origin / distance : point.normal);
+  const float uniform_weight = cone ? 2 * (1 - cos_half) / static_cast<float>(patterns.rays())
+                                    : 1 / static_cast<float>(patterns.rays());
+
+  out.blocked.assign(coefficients_, 0);
+  out.hits.clear();
+  std::fill_n(out.group_blocked, 4, 0.f);
+  alignas(64) float sum[kMaxCoefficients * kLanes];
+  std::fill_n(sum, coefficients_ * kLanes, 0.f);
+  RayScene::Packet packet;
+  alignas(64) float weight[kLanes], basis[kMaxCoefficients * kLanes];
+  for (int block = 0; block < patterns.rays() / kLanes; ++block) {
+    if (cone) {
+      patterns.cone_block(turn, block, frame, cos_half, packet);
+      for (int i = 0; i < kLanes; ++i) weight[i] = uniform_weight * std::max(0.f, packet.y[i]);
+    } else {
+      patterns.cosine_block(turn, block, frame, packet);
+      std::fill_n(weight, kLanes, uniform_weight);
+    }
+    std::uint32_t blocked = 0;
+    if (options_.bounces > 0) {
+      scene.intersect(origin, kNear, packet);
+      for (int i = 0; i < kLanes; ++i)
+        blocked |= static_cast<std::uint32_t>(packet.triangle[i] != RayScene::kMiss) << i;
+    } else {
+      blocked = scene.occluded(origin, kNear, packet);
+    }
+    if (plane_blocks) blocked |= ground_mask(packet);
+    if (blocked == 0) continue;
+    if (options_.bounces > 0) keep_hits(packet, origin, weight, ground_point, blocked, out.hits);
+    lighting::evaluate_basis_block(options_.bands, packet.x, packet.y, packet.z, basis);
+    const std::uint8_t* const groups = patterns.groups(turn, block);
+    for (int i = 0; i < kLanes; ++i) {
+      weight[i] = blocked >> i & 1 ? weight[i] : 0;
+      out.group_blocked[groups[i]] += weight[i];
+    }
+    for (std::size_t n = 0; n < coefficients_; ++n)
+      for (int i = 0; i < kLanes; ++i) sum[n * kLanes + i] += weight[i] * basis[n * kLanes + i];
+  }
+  for (std::size_t n = 0; n < coefficients_; ++n)
+    for (int i = 0; i < kLanes; ++i) out.blocked[n] += sum[n * kLanes + i];
+}
+
+// What is blocked is taken from the closed form, so nothing blocked means an exact result.
+void Baker::start_transfer(std::size_t index, const PointResult& result) {
+  double basis[kMaxCoefficients];
+  lighting::evaluate_basis(options_.bands, glm::normalize(glm::dvec3(points_[index].normal)), basis);
+  for (int l = 0; l < options_.bands; ++l)
+    for (int m = -l; m <= l; ++m) {
+      const auto n = static_cast<std::size_t>(sh_index(l, m));
+      const double open = lighting::cosine_coefficient(l) / kPi * basis[n];
+      for (int c = 0; c < channels_; ++c)
+        shadowed_[(index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) *
+                      coefficients_ + n] = static_cast<float>(open) - result.blocked[n];
+    }
+}
+
+void Baker::add_ground_bounce(const BounceHit& hit, int channel, float* sum) const {
+  const float k = hit.weight * options_.receiver->albedo[channel];
+  if (k == 0) return;
+  const int size = options_.receiver->grid.size;
+  if (hit.u < 0 || hit.u >= 1 || hit.v < 0 || hit.v >= 1 || !std::isfinite(hit.u + hit.v)) {
+    for (std::size_t n = 0; n < coefficients_; ++n) sum[n] += k * ground_far_[n];
+    return;
+  }
+  const float x = std::clamp(hit.u * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
+  const float y = std::clamp(hit.v * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
+  const int x0 = std::min(static_cast<int>(x), size - 2), y0 = std::min(static_cast<int>(y), size - 2);
+  const float fx = x - static_cast<float>(x0), fy = y - static_cast<float>(y0);
+  const std::size_t base = mesh_.positions.size() + static_cast<std::size_t>(y0 * size + x0);
+  const float* const t00 = transfer_at(base, channel);
+  const float* const t10 = transfer_at(base + 1, channel);
+  const float* const t01 = transfer_at(base + static_cast<std::size_t>(size), channel);
+  const float* const t11 = transfer_at(base + static_cast<std::size_t>(size) + 1, channel);
+  const float w00 = k * (1 - fx) * (1 - fy), w10 = k * fx * (1 - fy), w01 = k * (1 - fx) * fy, w11 = k * fx * fy;
+  for (std::size_t n = 0; n < coefficients_; ++n)
+    sum[n] += w00 * t00[n] + w10 * t10[n] + w01 * t01[n] + w11 * t11[n];
+}
+
+void Baker::bounce(std::size_t index, const std::vector<BounceHit>& hits) {
+  for (int c = 0; c < channels_; ++c) {
+    const std::size_t at =
+        (index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) * coefficients_;
+    float sum[kMaxCoefficients];
+    std::copy_n(&shadowed_[at], coefficients_, sum);
+    for (const BounceHit& hit : hits) {
+      if (hit.triangle == BounceHit::kGround) {
+        add_ground_bounce(hit, c, sum);
+        continue;
+      }
+      const auto& t = mesh_.triangles[hit.triangle];
+      const float w0 = 1 - hit.u - hit.v;
+      const float rho = w0 * mesh_.albedo[t[0]][c] + hit.u * mesh_.albedo[t[1]][c] +
+                        hit.v * mesh_.albedo[t[2]][c];
+      const float k = hit.weight * rho;
+      const float *a = transfer_at(t[0], c), *b = transfer_at(t[1], c), *d = transfer_at(t[2], c);
+      for (std::size_t n = 0; n < coefficients_; ++n)
+        sum[n] += k * (w0 * a[n] + hit.u * b[n] + hit.v * d[n]);
+    }
+    std::copy_n(sum, coefficients_, &next_[at]);
+  }
+}
+
+void Baker::report_progress(double share) {
+  if (!options_.progress) return;
+  const std::scoped_lock lock(progress_mutex_);
+  progress_ += share;
+  options_.progress(std::min(1., progress_));
+}
+
+double Baker::standard_error(const std::vector<PointResult>& results) const {
+  // t_0 of each group is (1 - its blocked share) times a constant; the mean of four has variance s^2/4.
+  double variance = 0, mean = 0;
+  const std::size_t count = mesh_.positions.size();
+  for (std::size_t i = 0; i < count; ++i) {
+    double m = 0, s = 0;
+    for (float g : results[i].group_blocked) m += g;  // each group holds a quarter of the weight
+    for (float g : results[i].group_blocked) s += std::pow(4 * g - m, 2);
+    variance += s / 3 / 4;
+    mean += 1 - m;
+  }
+  mean /= static_cast<double>(count);
+  return mean > 0 ? std::sqrt(variance / static_cast<double>(count)) / mean : 0;
+}
+
+Transfer Baker::packed_vertices() const {
+  Transfer out(options_.bands, channels_, mesh_.positions.size());
+  for (std::size_t p = 0; p < out.points; ++p)
+    for (int c = 0; c < channels_; ++c)
+      for (std::size_t n = 0; n < coefficients_; ++n)
+        out.set(c, static_cast<int>(n), p, transfer_at(p, c)[n]);
+  return out;
+}
+
+// The deficit, not the transfer: it is small where the shadow is faint, so halves stay exact there.
+Transfer Baker::packed_deficit() const {
+  Transfer out(options_.bands, channels_, points_.size() - mesh_.positions.size());
+  for (std::size_t p = 0; p < out.points; ++p)
+    for (int c = 0; c < channels_; ++c)
+      for (std::size_t n = 0; n < coefficients_; ++n)
+        out.set(c, static_cast<int>(n), p, ground_far_[n] - transfer_at(mesh_.positions.size() + p, c)[n]);
+  return out;
+}
+
+Result<BakedObject> Baker::run(Mesh mesh) {
+  const auto start = std::chrono::steady_clock::now();
+  auto scene = RayScene::build(mesh_);
+  if (!scene) return std::unexpected(scene.error());
+  channels_ = options_.bounces > 0 && !grey() ? 3 : 1;
+  const std::size_t floats = points_.size() * static_cast<std::size_t>(channels_) * coefficients_;
+  shadowed_.resize(floats);
+  double up[kMaxCoefficients];
+  lighting::evaluate_basis(options_.bands, {0, 1, 0}, up);
+  for (int l = 0; l < options_.bands; ++l)
+    for (int m = -l; m <= l; ++m)
+      ground_far_.push_back(static_cast<float>(lighting::cosine_coefficient(l) / kPi * up[sh_index(l, m)]));
+
+  const RayPatterns patterns(options_.rays), ground_patterns(options_.ground_rays);
+  std::vector<PointResult> results(points_.size());
+  std::uint64_t rays = 0;
+  for (const Point& p : points_) rays += static_cast<std::uint64_t>(p.rays);
+  const auto parallel = [&](auto&& body) {
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, points_.size(), kChunk), body);
+  };
+  parallel([&](const tbb::blocked_range<std::size_t>& range) {
+    double traced = 0;
+    for (std::size_t i = range.begin(); i < range.end(); ++i) {
+      trace_point(*scene, is_ground_point(i) ? ground_patterns : patterns, i, results[i]);
+      start_transfer(i, results[i]);
+      traced += points_[i].rays;
+    }
+    report_progress(.9 * traced / static_cast<double>(rays));
+  });
+  current_ = shadowed_;
+  if (options_.bounces > 0) next_.resize(floats);
+  for (int b = 0; b < options_.bounces; ++b) {
+    parallel([&](const tbb::blocked_range<std::size_t>& range) {
+      for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
+    });
+    std::swap(current_, next_);
+    report_progress(.1 / options_.bounces);
+  }
+  BakedObject out;
+  out.transfer = packed_vertices();
+  if (options_.receiver) {
+    out.receiver = options_.receiver;
+    out.ground_deficit = packed_deficit();
+  }
+  out.mesh = std::move(mesh);
+  const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
+  out.report = {rays, seconds.count(), standard_error(results)};
+  return out;
+}
+
+}  // namespace
+
+Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
+  if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
+  if (o.bands < 1 || o.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "bands", fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
+  if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
+    return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
+  if (o.bounces < 0) return fail(ErrorCode::kInvalid, "bounces", "must not be negative");
+  return Baker(mesh, o).run(std::move(mesh));
+}
+
+}  // namespace penumbra::prt

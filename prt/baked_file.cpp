@@ -1,0 +1,288 @@
+#include <fmt/format.h>
+#include <tiny_gltf.h>
+
+#include <algorithm>
+#include <cstring>
+
+#include "core/files.h"
+#include "core/half.h"
+#include "prt/prt.h"
+
+// Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of four:
+// value number channel * bands^2 + n stands in component (number % 4) of attribute (number / 4).
+// asset.extras.penumbra holds the rest; the receiver's texels are an accessor of half-float bits.
+
+namespace penumbra::prt {
+namespace {
+
+constexpr int kVersion = 1;
+using tinygltf::Model;
+using tinygltf::Value;
+
+class Writer {
+ public:
+  explicit Writer(Model& model) : model_(model) { model_.buffers.emplace_back(); }
+
+  int add(const void* data, std::size_t bytes, std::size_t count, int component, int type, int target) {
+    auto& buffer = model_.buffers[0].data;
+    buffer.resize((buffer.size() + 3) / 4 * 4);
+    tinygltf::BufferView view;
+    view.buffer = 0;
+    view.byteOffset = buffer.size();
+    view.byteLength = bytes;
+    view.target = target;
+    const auto* first = static_cast<const unsigned char*>(data);
+    buffer.insert(buffer.end(), first, first + bytes);
+    model_.bufferViews.push_back(view);
+    tinygltf::Accessor accessor;
+    accessor.bufferView = static_cast<int>(model_.bufferViews.size()) - 1;
+    accessor.componentType = component;
+    accessor.type = type;
+    accessor.count = count;
+    model_.accessors.push_back(accessor);
+    return static_cast<int>(model_.accessors.size()) - 1;
+  }
+  template <class T>
+  int add_vertices(const std::vector<T>& data, int type) {
+    return add(data.data(), data.size() * sizeof(T), data.size(), TINYGLTF_COMPONENT_TYPE_FLOAT, type,
+               TINYGLTF_TARGET_ARRAY_BUFFER);
+  }
+
+ private:
+  Model& model_;
+};
+
+Value number(double v) { return Value(v); }
+
+Value::Object describe(const BakedObject& o, int ground_accessor) {
+  Value::Object d;
+  d["version"] = Value(kVersion);
+  d["bands"] = Value(o.transfer.bands);
+  d["channels"] = Value(o.transfer.channels);
+  d["rays"] = number(static_cast<double>(o.report.rays));
+  d["seconds"] = number(o.report.seconds);
+  d["standard_error"] = number(o.report.standard_error);
+  if (o.receiver) {
+    const GroundGrid& g = o.receiver->grid;
+    const Rgb& a = o.receiver->albedo;
+    Value::Object r;
+    r["size"] = Value(g.size);
+    r["centre_m"] = Value(Value::Array{number(g.centre.x), number(g.centre.y)});
+    r["half_extent_m"] = number(g.half_extent);
+    r["core_m"] = number(g.core);
+    r["height_m"] = number(g.height);
+    r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
+    r["accessor"] = Value(ground_accessor);
+    d["receiver"] = Value(r);
+  }
+  return d;
+}
+
+Model to_model(const BakedObject& o) {
+  Model model;
+  Writer writer(model);
+  tinygltf::Primitive primitive;
+  primitive.mode = TINYGLTF_MODE_TRIANGLES;
+  primitive.attributes["POSITION"] = writer.add_vertices(o.mesh.positions, TINYGLTF_TYPE_VEC3);
+  const Bounds b = bounds_of(o.mesh);
+  model.accessors.back().minValues = {b.low.x, b.low.y, b.low.z};
+  model.accessors.back().maxValues = {b.high.x, b.high.y, b.high.z};
+  primitive.attributes["NORMAL"] = writer.add_vertices(o.mesh.normals, TINYGLTF_TYPE_VEC3);
+  primitive.attributes["COLOR_0"] = writer.add_vertices(o.mesh.albedo, TINYGLTF_TYPE_VEC3);
+  const int per_channel = coefficient_count(o.transfer.bands), values = o.transfer.channels * per_channel;
+  for (int first = 0; first < values; first += 4) {
+    std::vector<std::array<float, 4>> quad(o.transfer.points);
+    for (std::size_t p = 0; p < o.transfer.points; ++p)
+      for (int k = 0; k < 4 && first + k < values; ++k)
+        quad[p][static_cast<std::size_t>(k)] =
+            o.transfer.value((first + k) / per_channel, (first + k) % per_channel, p);
+    primitive.attributes[fmt::format("_TRANSFER_{}", first / 4)] =
+        writer.add_vertices(quad, TINYGLTF_TYPE_VEC4);
+  }
+  primitive.indices = writer.add(o.mesh.triangles.data(), o.mesh.triangles.size() * 12,
+                                 o.mesh.triangles.size() * 3, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
+                                 TINYGLTF_TYPE_SCALAR, TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
+  const int ground =
+      o.receiver ? writer.add(o.ground_deficit.values.data(), o.ground_deficit.values.size() * 2, o.ground_deficit.values.size(),
+                              TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0)
+                 : -1;
+  model.meshes.emplace_back().primitives.push_back(primitive);
+  model.nodes.emplace_back().mesh = 0;
+  model.scenes.emplace_back().nodes = {0};
+  model.defaultScene = 0;
+  model.asset.version = "2.0";
+  model.asset.generator = "penumbra";
+  Value::Object extras;
+  extras["penumbra"] = Value(describe(o, ground));
+  model.asset.extras = Value(extras);
+  return model;
+}
+
+// Bytes of an accessor, checked against view and buffer; nothing when anything is off.
+std::optional<std::span<const unsigned char>> accessor_bytes(const Model& m, int index, int component,
+                                                             int type, std::size_t element_bytes) {
+  if (index < 0 || static_cast<std::size_t>(index) >= m.accessors.size()) return std::nullopt;
+  const auto& a = m.accessors[static_cast<std::size_t>(index)];
+  if (a.componentType != component || a.type != type || a.bufferView < 0 || a.byteOffset != 0 ||
+      static_cast<std::size_t>(a.bufferView) >= m.bufferViews.size())
+    return std::nullopt;
+  const auto& v = m.bufferViews[static_cast<std::size_t>(a.bufferView)];
+  if (v.buffer < 0 || static_cast<std::size_t>(v.buffer) >= m.buffers.size() || v.byteStride != 0)
+    return std::nullopt;
+  const auto& data = m.buffers[static_cast<std::size_t>(v.buffer)].data;
+  if (v.byteOffset > data.size() || v.byteLength > data.size() - v.byteOffset ||
+      a.count > v.byteLength / element_bytes)
+    return std::nullopt;
+  return std::span(data).subspan(v.byteOffset, a.count * element_bytes);
+}
+
+template <class T>
+bool read_attribute(const Model& m, const tinygltf::Primitive& p, const std::string& name, int type,
+                    std::vector<T>& out) {
+  const auto found = p.attributes.find(name);
+  if (found == p.attributes.end()) return false;
+  const auto bytes = accessor_bytes(m, found->second, TINYGLTF_COMPONENT_TYPE_FLOAT, type, sizeof(T));
+  if (!bytes) return false;
+  out.resize(bytes->size() / sizeof(T));
+  std::memcpy(out.data(), bytes->data(), bytes->size());
+  return true;
+}
+
+bool finite(std::span<const float> values) {
+  return std::ranges::all_of(values, [](float v) { return std::isfinite(v); });
+}
+
+bool read_mesh(const Model& m, const tinygltf::Primitive& p, Mesh& mesh) {
+  if (!read_attribute(m, p, "POSITION", TINYGLTF_TYPE_VEC3, mesh.positions) ||
+      !read_attribute(m, p, "NORMAL", TINYGLTF_TYPE_VEC3, mesh.normals) ||
+      !read_attribute(m, p, "COLOR_0", TINYGLTF_TYPE_VEC3, mesh.albedo))
+    return false;
+  const std::size_t n = mesh.positions.size();
+  const auto indices = accessor_bytes(m, p.indices, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
+                                      TINYGLTF_TYPE_SCALAR, 4);
+  if (n == 0 || mesh.normals.size() != n || mesh.albedo.size() != n || !indices || indices->size() % 12 != 0)
+    return false;
+  mesh.triangles.resize(indices->size() / 12);
+  std::memcpy(mesh.triangles.data(), indices->data(), indices->size());
+  return !mesh.triangles.empty() && finite({&mesh.positions[0].x, 3 * n}) &&
+         finite({&mesh.normals[0].x, 3 * n}) && finite({&mesh.albedo[0].r, 3 * n}) &&
+         std::ranges::all_of(mesh.triangles, [&](const auto& t) {
+           return t[0] < n && t[1] < n && t[2] < n;
+         });
+}
+
+bool read_transfer(const Model& m, const tinygltf::Primitive& p, int bands, int channels, BakedObject& o) {
+  o.transfer = Transfer(bands, channels, o.mesh.positions.size());
+  const int per_channel = coefficient_count(bands), values = channels * per_channel;
+  for (int first = 0; first < values; first += 4) {
+    std::vector<std::array<float, 4>> quad;
+    if (!read_attribute(m, p, fmt::format("_TRANSFER_{}", first / 4), TINYGLTF_TYPE_VEC4, quad) ||
+        quad.size() != o.transfer.points || !finite({quad[0].data(), quad.size() * 4}))
+      return false;
+    for (std::size_t i = 0; i < quad.size(); ++i)
+      for (int k = 0; k < 4 && first + k < values; ++k)
+        o.transfer.set((first + k) / per_channel, (first + k) % per_channel, i,
+                       quad[i][static_cast<std::size_t>(k)]);
+  }
+  return true;
+}
+
+double get(const Value& v, const char* key) {
+  const Value& found = v.Get(key);
+  return found.IsNumber() ? found.GetNumberAsDouble() : NAN;
+}
+double get(const Value& v, const char* key, int i) {
+  const Value& found = v.Get(key);
+  if (!found.IsArray() || found.ArrayLen() <= static_cast<std::size_t>(i)) return NAN;
+  const Value& item = found.Get(i);
+  return item.IsNumber() ? item.GetNumberAsDouble() : NAN;
+}
+
+bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
+  GroundGrid g;
+  const double size = get(r, "size");
+  if (!(size >= 2 && size <= 4096)) return false;
+  g.size = static_cast<int>(size);
+  g.centre = {get(r, "centre_m", 0), get(r, "centre_m", 1)};
+  g.half_extent = static_cast<float>(get(r, "half_extent_m"));
+  g.core = static_cast<float>(get(r, "core_m"));
+  g.height = static_cast<float>(get(r, "height_m"));
+  const Rgb albedo{static_cast<float>(get(r, "albedo", 0)), static_cast<float>(get(r, "albedo", 1)),
+                   static_cast<float>(get(r, "albedo", 2))};
+  const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.core, g.height, albedo.r, albedo.g, albedo.b};
+  if (!finite(all) || g.half_extent <= 0 || g.core <= 0) return false;
+  o.ground_deficit = Transfer(o.transfer.bands, o.transfer.channels, static_cast<std::size_t>(g.size) *
+                                                                 static_cast<std::size_t>(g.size));
+  const auto bytes = accessor_bytes(m, static_cast<int>(get(r, "accessor")),
+                                    TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 2);
+  if (!bytes || bytes->size() != o.ground_deficit.values.size() * 2) return false;
+  std::memcpy(o.ground_deficit.values.data(), bytes->data(), bytes->size());
+  o.receiver = Receiver{g, albedo};
+  return std::ranges::all_of(o.ground_deficit.values, [](auto h) { return std::isfinite(float_from_half(h)); });
+}
+
+const Value* own_extras(const Model& m) {
+  return m.asset.extras.IsObject() && m.asset.extras.Has("penumbra") ? &m.asset.extras.Get("penumbra")
+                                                                     : nullptr;
+}
+
+Result<BakedObject> from_model(const Model& m, const std::string& file) {
+  const Value* extras = own_extras(m);
+  if (!extras) return fail(ErrorCode::kInvalid, file, "glTF without baked transfer; bake it first");
+  if (get(*extras, "version") != kVersion)
+    return fail(ErrorCode::kInvalid, file, fmt::format("baked by another version, expected {}", kVersion));
+  const double bands = get(*extras, "bands"), channels = get(*extras, "channels");
+  if (!(bands >= 1 && bands <= kMaxBands) || !(channels == 1 || channels == 3))
+    return fail(ErrorCode::kUnreadable, file, "damaged: bands or channels out of range");
+  if (m.meshes.size() != 1 || m.meshes[0].primitives.size() != 1)
+    return fail(ErrorCode::kUnreadable, file, "damaged: one mesh with one primitive expected");
+  BakedObject o;
+  const auto& primitive = m.meshes[0].primitives[0];
+  if (!read_mesh(m, primitive, o.mesh)) return fail(ErrorCode::kUnreadable, file, "damaged mesh");
+  if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
+    return fail(ErrorCode::kUnreadable, file, "damaged transfer");
+  if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
+    return fail(ErrorCode::kUnreadable, file, "damaged receiver");
+  o.report = {static_cast<std::uint64_t>(std::max(0., get(*extras, "rays"))), get(*extras, "seconds"),
+              get(*extras, "standard_error")};
+  return o;
+}
+
+}  // namespace
+
+Result<void> write_baked(const std::filesystem::path& path, const BakedObject& object) {
+  return replace_file(path, [&](const std::filesystem::path& temporary) -> Result<void> {
+    Model model = to_model(object);
+    if (!tinygltf::TinyGLTF().WriteGltfSceneToFile(&model, temporary.string(), true, true, false, true))
+      return fail(ErrorCode::kUnwritable, path.string(), "cannot write the file");
+    return {};
+  });
+}
+
+Result<BakedObject> read_baked(const std::filesystem::path& path) {
+  auto bytes = read_bytes(path);
+  if (!bytes) return std::unexpected(bytes.error());
+  Model model;
+  std::string error, warning;
+  try {
+    if (!tinygltf::TinyGLTF().LoadBinaryFromMemory(&model, &error, &warning, bytes->data(),
+                                                   static_cast<unsigned>(bytes->size()))) {
+      std::ranges::replace(error, '\n', ' ');
+      return fail(ErrorCode::kUnreadable, path.string(), error.empty() ? "not a binary glTF" : error);
+    }
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kUnreadable, path.string(), e.what());
+  }
+  return from_model(model, path.string());
+}
+
+bool is_baked_file(const std::filesystem::path& path) {
+  const auto bytes = read_bytes(path);
+  if (!bytes || bytes->size() < 20 || std::memcmp(bytes->data(), "glTF", 4) != 0) return false;
+  // The asset entry is part of the JSON chunk that opens the file.
+  const std::string_view text(reinterpret_cast<const char*>(bytes->data()), bytes->size());
+  return text.find("\"penumbra\"") != std::string_view::npos &&
+         text.find("_TRANSFER_0") != std::string_view::npos;
+}
+
+}  // namespace penumbra::prt

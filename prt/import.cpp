@@ -1,0 +1,134 @@
+#include <assimp/postprocess.h>
+#include <assimp/scene.h>
+#include <fmt/format.h>
+
+#include <assimp/Importer.hpp>
+#include <algorithm>
+#include <glm/geometric.hpp>
+
+#include "prt/prt.h"
+
+namespace penumbra::prt {
+
+namespace {
+
+Rgb albedo_of(const aiMaterial* material, Rgb fallback, bool has_own) {
+  if (!has_own || material == nullptr) return fallback;
+  aiColor4D colour;
+  if (material->Get(AI_MATKEY_BASE_COLOR, colour) == AI_SUCCESS ||
+      material->Get(AI_MATKEY_COLOR_DIFFUSE, colour) == AI_SUCCESS)
+    return {std::clamp(colour.r, 0.f, 1.f), std::clamp(colour.g, 0.f, 1.f), std::clamp(colour.b, 0.f, 1.f)};
+  return fallback;
+}
+
+// Assimp invents a material named "DefaultMaterial" for files that have none.
+bool is_own_material(const aiMaterial* material) {
+  aiString name;
+  return material != nullptr &&
+         (material->Get(AI_MATKEY_NAME, name) != AI_SUCCESS ||
+          std::string_view(name.C_Str()) != AI_DEFAULT_MATERIAL_NAME);
+}
+
+Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb albedo,
+                          const std::string& file, Mesh& out) {
+  aiMatrix3x3 normal_matrix(to_world);
+  normal_matrix.Inverse().Transpose();
+  for (unsigned i = 0; i < in.mNumVertices; ++i) {
+    const aiVector3D p = to_world * in.mVertices[i];
+    aiVector3D n = in.mNormals ? normal_matrix * in.mNormals[i] : aiVector3D(0, 1, 0);
+    if (!std::isfinite(p.x) || !std::isfinite(p.y) || !std::isfinite(p.z))
+      return fail(ErrorCode::kNonFinite, file, fmt::format("vertex {} of mesh \"{}\" is not finite", i,
+                                                           in.mName.C_Str()));
+    if (!std::isfinite(n.x + n.y + n.z) || n.SquareLength() < 1e-20f) n = aiVector3D(0, 1, 0);
+    n.Normalize();
+    out.positions.emplace_back(p.x, p.y, p.z);
+    out.normals.emplace_back(n.x, n.y, n.z);
+    Rgb a = albedo;
+    if (in.mColors[0]) a = a * Rgb{in.mColors[0][i].r, in.mColors[0][i].g, in.mColors[0][i].b};
+    out.albedo.push_back(a);
+  }
+  return {};
+}
+
+void add_triangles(const aiMesh& in, std::uint32_t first, Import& out) {
+  const auto& p = out.mesh.positions;
+  for (unsigned f = 0; f < in.mNumFaces; ++f) {
+    const aiFace& face = in.mFaces[f];
+    if (face.mNumIndices != 3) continue;  // points and lines carry no surface
+    const std::array<std::uint32_t, 3> t{first + face.mIndices[0], first + face.mIndices[1],
+                                         first + face.mIndices[2]};
+    if (std::ranges::any_of(t, [&](auto i) { return i >= p.size(); })) continue;
+    const glm::vec3 e1 = p[t[1]] - p[t[0]], e2 = p[t[2]] - p[t[0]];
+    // Relative to the edges, so that small models keep their triangles.
+    if (glm::length(glm::cross(e1, e2)) <= 1e-7f * glm::length(e1) * glm::length(e2)) {
+      ++out.degenerate_triangles;
+      continue;
+    }
+    out.mesh.triangles.push_back(t);
+  }
+}
+
+Result<void> add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& to_parent,
+                      Rgb default_albedo, const std::string& file, Import& out) {
+  const aiMatrix4x4 to_world = to_parent * node.mTransformation;
+  for (unsigned i = 0; i < node.mNumMeshes; ++i) {
+    const aiMesh& mesh = *scene.mMeshes[node.mMeshes[i]];
+    const aiMaterial* material =
+        mesh.mMaterialIndex < scene.mNumMaterials ? scene.mMaterials[mesh.mMaterialIndex] : nullptr;
+    const Rgb albedo = albedo_of(material, default_albedo, is_own_material(material));
+    const auto first = static_cast<std::uint32_t>(out.mesh.positions.size());
+    PENUMBRA_TRY(add_vertices(mesh, to_world, albedo, file, out.mesh));
+    add_triangles(mesh, first, out);
+  }
+  for (unsigned i = 0; i < node.mNumChildren; ++i)
+    PENUMBRA_TRY(add_node(scene, *node.mChildren[i], to_world, default_albedo, file, out));
+  return {};
+}
+
+// Vertices that no triangle uses would be baked for nothing.
+void drop_unused_vertices(Mesh& mesh) {
+  std::vector<std::uint32_t> fresh(mesh.positions.size(), 0xffffffffu);
+  Mesh out;
+  for (auto& t : mesh.triangles)
+    for (auto& i : t) {
+      if (fresh[i] == 0xffffffffu) {
+        fresh[i] = static_cast<std::uint32_t>(out.positions.size());
+        out.positions.push_back(mesh.positions[i]);
+        out.normals.push_back(mesh.normals[i]);
+        out.albedo.push_back(mesh.albedo[i]);
+      }
+      i = fresh[i];
+    }
+  out.triangles = std::move(mesh.triangles);
+  mesh = std::move(out);
+}
+
+}  // namespace
+
+Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo) {
+  const std::string file = path.string();
+  std::error_code error;
+  if (!std::filesystem::is_regular_file(path, error))
+    return fail(ErrorCode::kNotFound, file, "no such file");
+  try {
+    Assimp::Importer importer;
+    // Wide smoothing angle: scanned meshes come without normals and are smooth.
+    importer.SetPropertyFloat(AI_CONFIG_PP_GSN_MAX_SMOOTHING_ANGLE, 80.f);
+    const aiScene* scene = importer.ReadFile(
+        file, aiProcess_Triangulate | aiProcess_JoinIdenticalVertices | aiProcess_GenSmoothNormals |
+                  aiProcess_SortByPType);
+    if (scene == nullptr || scene->mRootNode == nullptr)
+      return fail(ErrorCode::kUnreadable, file, importer.GetErrorString());
+    Import out;
+    PENUMBRA_TRY(add_node(*scene, *scene->mRootNode, aiMatrix4x4(), default_albedo, file, out));
+    if (out.mesh.triangles.empty())
+      return fail(ErrorCode::kInvalid, file,
+                  out.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
+    drop_unused_vertices(out.mesh);
+    return out;
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kUnreadable, file, e.what());
+  }
+}
+
+}  // namespace penumbra::prt

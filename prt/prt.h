@@ -1,0 +1,271 @@
+// Geometry, ray queries, precomputed radiance transfer, relighting, and the path-traced reference.
+// Frames: a mesh lives in its bake frame (y up = the receiver's normal, metres); the light is rotated
+// into that frame. Back faces are black, in the bake and in the reference alike.
+// threads: free functions reentrant and internally parallel (TBB); RayScene queries reentrant
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <glm/mat4x4.hpp>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/result.h"
+#include "core/sh.h"
+
+namespace penumbra::prt {
+
+// ---------------------------------------------------------------------------------- geometry
+
+struct Mesh {
+  std::vector<glm::vec3> positions;
+  std::vector<glm::vec3> normals;                       // unit, one per position
+  std::vector<Rgb> albedo;                              // 0..1, one per position
+  std::vector<std::array<std::uint32_t, 3>> triangles;  // counter-clockwise seen from outside
+};
+
+struct Bounds {
+  glm::vec3 low, high;
+  glm::vec3 centre() const { return .5f * (low + high); }
+};
+Bounds bounds_of(const Mesh& mesh);
+/// Largest distance of a vertex from `centre`.
+float radius_around(const Mesh& mesh, const glm::vec3& centre);
+/// Affine map of positions; normals follow by the inverse transpose.
+void transform(Mesh& mesh, const glm::dmat4& matrix);
+void append(Mesh& mesh, const Mesh& other);
+/// Splits every edge longer than `longest_edge` (shared edges alike, so no cracks); at most
+/// `triangle_limit` triangles. Vertex transfer needs edges shorter than the shading features.
+void subdivide(Mesh& mesh, float longest_edge, std::size_t triangle_limit = 400'000);
+
+/// Sphere from a subdivided icosahedron, unit outward normals.
+Mesh make_sphere(const glm::vec3& centre, float radius, int subdivisions, Rgb albedo);
+/// Axis-aligned box with flat faces of n x n quads.
+Mesh make_box(const glm::vec3& low, const glm::vec3& high, int n, Rgb albedo);
+/// (2, 3) torus knot resting on y = 0: the shape of the built-in demo.
+Mesh make_knot(float height, int segments, int sides, Rgb albedo);
+
+struct Import {
+  Mesh mesh;
+  std::size_t degenerate_triangles = 0;  // removed
+};
+/// glTF (.gltf, .glb), OBJ, PLY and what else Assimp reads, at rest pose; normals are made where absent.
+/// Materials give the albedo, `default_albedo` where there is none.
+/// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate), kNonFinite (vertex named)
+Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo);
+
+// ---------------------------------------------------------------------------------- rays
+
+struct Hit {
+  std::uint32_t triangle;
+  float distance, u, v;  // position = (1-u-v) a + u b + v c
+  bool front;            // seen against the geometric normal
+};
+
+/// Triangle rays over Embree. A committed scene is immutable.
+class RayScene {
+ public:
+  /// errors: kInvalid (no triangles), kUnavailable (Embree says why)
+  static Result<RayScene> build(const Mesh& mesh);
+  ~RayScene();
+  RayScene(RayScene&&) noexcept;
+  RayScene& operator=(RayScene&&) noexcept;
+
+  std::optional<Hit> intersect(const glm::vec3& origin, const glm::vec3& direction, float near,
+                               float far = 1e30f) const;
+  bool occluded(const glm::vec3& origin, const glm::vec3& direction, float near, float far = 1e30f) const;
+
+  static constexpr int kPacket = 16;
+  struct Packet {
+    alignas(64) float x[kPacket], y[kPacket], z[kPacket];  // unit directions
+    alignas(64) float distance[kPacket], u[kPacket], v[kPacket];
+    alignas(64) std::uint32_t triangle[kPacket];  // kMiss or the triangle
+    alignas(64) bool front[kPacket];
+  };
+  static constexpr std::uint32_t kMiss = 0xffffffffu;
+  /// Sixteen rays from one origin: nearest hits.
+  void intersect(const glm::vec3& origin, float near, Packet& packet) const;
+  /// Sixteen rays from one origin: bit i is set when ray i is blocked.
+  std::uint32_t occluded(const glm::vec3& origin, float near, const Packet& packet) const;
+
+ private:
+  struct Impl;
+  explicit RayScene(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+// ---------------------------------------------------------------------------------- bake
+
+/// Sample points of a receiving plane around an object: size x size texels, dense near the centre.
+/// Along each axis position = centre + core * sinh(k (2u - 1)), u in 0..1 the texture coordinate.
+struct GroundGrid {
+  int size = 128;
+  glm::vec2 centre{0, 0};    // x, z in the bake frame, metres
+  float half_extent = 1;     // metres from the centre to the rim
+  float core = .1f;          // metres over which the spacing is about constant
+  float height = 0;          // y of the plane in the bake frame
+
+  glm::vec2 position(glm::vec2 uv) const;  // x, z
+  glm::vec2 uv(glm::vec2 position) const;  // outside 0..1 beyond the rim
+};
+/// The grid that an object needs: out to five radii of its bounding sphere, where an upright object
+/// takes less than 1 % of the light (deficit R^2 h/d^3).
+GroundGrid fit_ground_grid(const Mesh& mesh, float plane_height, int size = 128);
+
+struct Receiver {
+  GroundGrid grid;
+  Rgb albedo;  // its reflection lights the object; 0 = none
+};
+
+struct BakeOptions {
+  int bands = 5;
+  int bounces = 4;     // of light between the object's parts, and between object and receiver
+  int rays = 256;      // per vertex, a multiple of 64
+  int ground_rays = 1024;  // per receiver texel, a multiple of 64
+  std::optional<Receiver> receiver;
+  std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
+};
+
+/// Transfer t_n of conventions.h at points, as half floats in structure-of-arrays order:
+/// value(channel, n, point) stands at ((channel * bands^2) + n) * stride + point. One channel serves all
+/// three colours when every albedo is grey.
+struct Transfer {
+  int bands = 0;
+  int channels = 1;
+  std::size_t points = 0;
+  std::size_t stride = 0;  // points rounded up to a multiple of 64; the padding is zero
+  std::vector<std::uint16_t> values;
+
+  Transfer() = default;
+  Transfer(int bands_, int channels_, std::size_t points_);
+  std::size_t index(int channel, int n, std::size_t point) const {
+    return (static_cast<std::size_t>(channel) * static_cast<std::size_t>(coefficient_count(bands)) +
+            static_cast<std::size_t>(n)) * stride + point;
+  }
+  float value(int channel, int n, std::size_t point) const;
+  void set(int channel, int n, std::size_t point, float v);
+};
+
+struct BakeReport {
+  std::uint64_t rays = 0;
+  double seconds = 0;
+  /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from four independent
+  /// randomisations.
+  double standard_error = 0;
+};
+
+struct BakedObject {
+  Mesh mesh;
+  Transfer transfer;
+  std::optional<Receiver> receiver;
+  /// (E0_n - E_n)/pi at the receiver's texels, row by row: what the object takes of an unshadowed
+  /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
+  Transfer ground_deficit;
+  BakeReport report;
+};
+
+/// Precomputes transfer at every vertex, and at the texels of the receiver with the object in place.
+/// errors:  kInvalid (options), kUnavailable (Embree)
+/// source:  Sloan, Kautz & Snyder 2002; t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine
+///          (convex shapes come out exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
+Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
+
+/// The baked file: binary glTF that any viewer opens, transfer in underscore attributes.
+/// errors: kUnwritable / kNotFound, kUnreadable, kInvalid (not baked by us, another version)
+Result<void> write_baked(const std::filesystem::path& path, const BakedObject& object);
+Result<BakedObject> read_baked(const std::filesystem::path& path);
+/// True when the file is a glTF that carries our transfer.
+bool is_baked_file(const std::filesystem::path& path);
+
+// ---------------------------------------------------------------------------------- relight
+
+/// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo (times pi:
+/// irradiance). `light` must be in the bake frame; further bands than baked are ignored.
+/// out: 3 * transfer.stride floats. threads: reentrant, no allocation
+void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out);
+
+// ---------------------------------------------------------------------------------- reference
+
+/// Radiance arriving from a direction, with a sampler when it is peaky.
+class EnvironmentLight {
+ public:
+  /// A lat-long map, sampled by importance. errors: kInvalid, kNonFinite, kUndetermined (all black)
+  static Result<EnvironmentLight> from_map(const Image<Rgb>& map);
+  /// Truncated spherical harmonics, negative lobes kept; sampled by the cosine alone.
+  static EnvironmentLight from_sh(const RadianceSh& light);
+
+  Rgb radiance(const glm::vec3& direction) const;
+  bool has_sampler() const { return !cumulative_rows_.empty(); }
+  struct Sample {
+    glm::vec3 direction;
+    Rgb radiance;
+    float density;  // per steradian
+  };
+  Sample sample(float u1, float u2) const;
+  float density(const glm::vec3& direction) const;
+
+ private:
+  Image<Rgb> map_;
+  std::optional<RadianceSh> sh_;
+  std::vector<float> cumulative_rows_, cumulative_columns_;
+  double total_ = 0;  // of luminance times solid angle
+};
+
+/// An infinite real plane. `texture` scales the albedo by position where given.
+struct Plane {
+  glm::dvec3 point{0, 0, 0}, normal{0, 1, 0};
+  Rgb albedo{.5f, .5f, .5f};
+  std::function<Rgb(const glm::dvec3&)> texture;
+};
+
+struct World {
+  Mesh mesh;  // world frame, virtual and real together
+  std::vector<Plane> planes;
+  const EnvironmentLight* light = nullptr;
+  /// What a ray that leaves the camera and meets nothing shows; `light` when empty.
+  std::function<Rgb(const glm::vec3&)> background;
+};
+
+struct PinholeView {
+  int width = 0, height = 0;
+  glm::dvec2 focal_px{0, 0}, principal_px{0, 0};
+  Pose world_from_camera;
+};
+
+struct ReferenceOptions {
+  double error = .01;          // stop when the estimated relative RMS error is below
+  int longest_path = 12;       // diffuse bounces; Russian roulette from the fourth on
+  int most_samples = 4096;     // per pixel
+  std::uint64_t seed = 1;
+  std::function<void(double done)> progress;
+};
+
+struct Reference {
+  Image<Rgb> radiance;   // mean of the two halves
+  Image<Rgb> half_a, half_b;
+  double error = 0;      // RMS(a - b)/2 over the mean, by luminance
+  int samples = 0;       // per pixel, both halves
+};
+
+/// Path tracer with next-event estimation and balance-heuristic weights (Veach & Guibas 1995).
+/// errors: kInvalid (size), kUnavailable
+Result<Reference> render_reference(const World& world, const PinholeView& view,
+                                   const ReferenceOptions& options);
+
+/// Irradiance at surface points by the same estimator: for shadow errors in s and for closed forms.
+struct IrradiancePoint {
+  glm::dvec3 position, normal;
+};
+Result<std::vector<Rgb>> reference_irradiance(const World& world, std::span<const IrradiancePoint> points,
+                                              int samples, std::uint64_t seed);
+
+}  // namespace penumbra::prt

@@ -1,0 +1,60 @@
+#include <algorithm>
+#include <cmath>
+
+#include "lighting/lighting.h"
+#include "shadows/shadows.h"
+
+namespace penumbra::shadows {
+
+namespace {
+
+// 1 inside, 0 at the rim, by distance from the grid's centre in texture coordinates.
+float rim_fade(int x, int y, int size) {
+  const float dx = std::abs((static_cast<float>(x) + .5f) / static_cast<float>(size) * 2 - 1);
+  const float dy = std::abs((static_cast<float>(y) + .5f) / static_cast<float>(size) * 2 - 1);
+  const float t = std::clamp((1 - std::max(dx, dy)) / .1f, 0.f, 1.f);
+  return t * t * (3 - 2 * t);
+}
+
+}  // namespace
+
+Result<void> compose_planar_shadow(const prt::BakedObject& object, const RadianceSh& light,
+                                   PlanarShadow& out) {
+  if (!object.receiver) return fail(ErrorCode::kInvalid, "object", "was baked without a receiver");
+  const int size = object.receiver->grid.size;
+  if (out.ratio.width() != size || out.ratio.height() != size) out.ratio = Image<Rgb>(size, size);
+  thread_local std::vector<float> deficit;  // grows once per thread
+  deficit.resize(3 * object.ground_deficit.stride);
+  prt::relight(object.ground_deficit, light, deficit);
+
+  // Both in units of irradiance/pi, like the deficit.
+  const RadianceSh used = light.with_bands(object.ground_deficit.bands);
+  const Rgb open = lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) * static_cast<float>(1 / kPi);
+  const Rgb mean = used[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
+  Rgb inverse;
+  for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;
+
+  out.x0 = out.y0 = size;
+  out.x1 = out.y1 = 0;
+  for (int y = 0; y < size; ++y)
+    for (int x = 0; x < size; ++x) {
+      const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) + static_cast<std::size_t>(x);
+      const float fade = rim_fade(x, y, size);
+      Rgb s{1, 1, 1};
+      bool visible = false;
+      for (int c = 0; c < 3; ++c) {
+        const float d = fade * inverse[c] * deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
+        s[c] = std::clamp(1 - d, 0.f, 1.5f);
+        visible |= std::abs(d) > kInvisibleRatio;
+      }
+      out.ratio.at(x, y) = visible ? s : Rgb{1, 1, 1};
+      if (!visible) continue;
+      out.x0 = std::min(out.x0, x);
+      out.y0 = std::min(out.y0, y);
+      out.x1 = std::max(out.x1, x + 1);
+      out.y1 = std::max(out.y1, y + 1);
+    }
+  return {};
+}
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,265 @@
+#include <gtest/gtest.h>
+
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "codec/codec.h"
+#include "core/files.h"
+#include "tests/fuzz/mutate.h"
+#include "tests/support/shared_data.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::codec {
+namespace {
+
+using test::TempFolder;
+using ByteList = std::vector<unsigned char>;
+
+// A grey PNG of 2 x 1 pixels: 10, 200.
+const ByteList kGrey8{0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d,
+                      0x49, 0x48, 0x44, 0x52, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00, 0x00, 0x01,
+                      0x08, 0x00, 0x00, 0x00, 0x00, 0xd1, 0x49, 0x20, 0x56, 0x00, 0x00, 0x00,
+                      0x0b, 0x49, 0x44, 0x41, 0x54, 0x78, 0xda, 0x63, 0xe0, 0x3a, 0x01, 0x00,
+                      0x00, 0xdf, 0x00, 0xd3, 0xd8, 0x85, 0xd2, 0xae, 0x00, 0x00, 0x00, 0x00,
+                      0x49, 0x45, 0x4e, 0x44, 0xae, 0x42, 0x60, 0x82};
+// A grey PNG of 2 x 1 pixels in 16 bits: 1000, 60000.
+const ByteList kGrey16{0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d,
+                       0x49, 0x48, 0x44, 0x52, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00, 0x00, 0x01,
+                       0x10, 0x00, 0x00, 0x00, 0x00, 0x81, 0xd9, 0xfc, 0x15, 0x00, 0x00, 0x00,
+                       0x0d, 0x49, 0x44, 0x41, 0x54, 0x78, 0xda, 0x63, 0x60, 0x7e, 0xf1, 0x2a,
+                       0x01, 0x00, 0x04, 0xfd, 0x02, 0x36, 0x68, 0x99, 0xf1, 0xfc, 0x00, 0x00,
+                       0x00, 0x00, 0x49, 0x45, 0x4e, 0x44, 0xae, 0x42, 0x60, 0x82};
+// One pixel: 1, 2, 3, alpha 0.
+const ByteList kRgba8{0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d,
+                      0x49, 0x48, 0x44, 0x52, 0x00, 0x00, 0x00, 0x01, 0x00, 0x00, 0x00, 0x01,
+                      0x08, 0x06, 0x00, 0x00, 0x00, 0x1f, 0x15, 0xc4, 0x89, 0x00, 0x00, 0x00,
+                      0x0d, 0x49, 0x44, 0x41, 0x54, 0x78, 0xda, 0x63, 0x60, 0x64, 0x62, 0x66,
+                      0x00, 0x00, 0x00, 0x15, 0x00, 0x07, 0xf3, 0xf4, 0x32, 0x5e, 0x00, 0x00,
+                      0x00, 0x00, 0x49, 0x45, 0x4e, 0x44, 0xae, 0x42, 0x60, 0x82};
+
+Image<Rgb8> ramp8(int width, int height) {
+  Image<Rgb8> image(width, height);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x)
+      image.at(x, y) = {static_cast<std::uint8_t>(x * 7), static_cast<std::uint8_t>(y * 11),
+                        static_cast<std::uint8_t>(200 - x)};
+  return image;
+}
+
+Image<Rgb16> ramp16(int width, int height) {
+  Image<Rgb16> image(width, height);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x)
+      image.at(x, y) = {static_cast<std::uint16_t>(x * 701), static_cast<std::uint16_t>(y * 1103),
+                        static_cast<std::uint16_t>(65535 - x)};
+  return image;
+}
+
+class Frames : public testing::Test {
+ protected:
+  Result<FramePixels> read(const ByteList& bytes) {
+    const auto path = folder_.path() / "frame.bin";
+    EXPECT_TRUE(write_bytes(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()}));
+    return read_frame(path);
+  }
+  ByteList bytes_of(const std::string& name, const auto& image) {
+    EXPECT_TRUE(write_frame(folder_.path() / name, image));
+    const auto bytes = read_bytes(folder_.path() / name);
+    return bytes ? *bytes : ByteList();
+  }
+  // The picture, or an empty one and a failure.
+  template <class Pixel>
+  Image<Pixel> expect(const Result<FramePixels>& frame) {
+    if (!frame) {
+      ADD_FAILURE() << frame.error().where << ": " << frame.error().detail;
+      return {};
+    }
+    const auto* image = std::get_if<Image<Pixel>>(&*frame);
+    EXPECT_TRUE(image) << "another depth";
+    return image ? *image : Image<Pixel>();
+  }
+
+  TempFolder folder_;
+};
+
+template <class T>
+std::optional<ErrorCode> code(const Result<T>& result) {
+  return result ? std::optional<ErrorCode>() : result.error().code;
+}
+
+TEST_F(Frames, LosslessRoundTripKeepsEveryCode) {
+  for (const char* name : {"a.png", "a.tif", "a.tiff", "A.PNG"}) {
+    EXPECT_EQ(expect<Rgb8>(read(bytes_of(name, ramp8(31, 17)))), ramp8(31, 17)) << name;
+    EXPECT_EQ(expect<Rgb16>(read(bytes_of(name, ramp16(31, 17)))), ramp16(31, 17)) << name;
+  }
+}
+
+TEST_F(Frames, JpegStaysNearAndKeepsChannelOrder) {
+  const Image<Rgb8> flat(40, 24, {200, 100, 20});
+  for (const char* name : {"a.jpg", "a.jpeg"}) {
+    const auto back = expect<Rgb8>(read(bytes_of(name, flat)));
+    ASSERT_TRUE(back.same_size(flat));
+    for (const Rgb8& p : back.pixels()) {
+      EXPECT_NEAR(p.r, 200, 3);
+      EXPECT_NEAR(p.g, 100, 3);
+      EXPECT_NEAR(p.b, 20, 3);
+    }
+  }
+}
+
+TEST_F(Frames, GreyBecomesThreeEqualChannels) {
+  const auto eight = expect<Rgb8>(read(kGrey8));
+  ASSERT_EQ(eight.width(), 2);
+  EXPECT_EQ(eight.at(0, 0), (Rgb8{10, 10, 10}));
+  EXPECT_EQ(eight.at(1, 0), (Rgb8{200, 200, 200}));
+  const auto sixteen = expect<Rgb16>(read(kGrey16));
+  ASSERT_EQ(sixteen.width(), 2);
+  EXPECT_EQ(sixteen.at(0, 0), (Rgb16{1000, 1000, 1000}));
+  EXPECT_EQ(sixteen.at(1, 0), (Rgb16{60000, 60000, 60000}));
+}
+
+TEST_F(Frames, AlphaIsDroppedNotMultiplied) {
+  const auto image = expect<Rgb8>(read(kRgba8));
+  ASSERT_EQ(image.area(), 1u);
+  EXPECT_EQ(image.at(0, 0), (Rgb8{1, 2, 3}));
+}
+
+TEST_F(Frames, ExifOrientationDoesNotTurnThePicture) {
+  const auto plain = encode_jpeg(ramp8(24, 16));
+  ASSERT_TRUE(plain);
+  // An Exif segment whose only entry is orientation 6, a quarter turn.
+  const ByteList exif{0xff, 0xe1, 0, 34,   'E', 'x', 'i', 'f', 0, 0, 'M', 'M', 0, 42, 0, 0, 0, 8,
+                      0,    1,    1, 0x12, 0,   3,   0,   0,   0, 1, 0,   6,   0, 0,  0, 0, 0, 0};
+  ByteList turned = *plain;
+  turned.insert(turned.begin() + 2, exif.begin(), exif.end());
+  const auto image = expect<Rgb8>(read(turned));
+  EXPECT_EQ(image, expect<Rgb8>(read(*plain)));
+  EXPECT_EQ(image.width(), 24);
+}
+
+TEST_F(Frames, FloatFilesComeBackAsLinearFloat) {
+  Image<Rgb> image(9, 2, {.5f, 2, 1});
+  for (const char* name : {"a.exr", "a.hdr"}) {
+    ASSERT_TRUE(write_hdr(folder_.path() / name, image));
+    EXPECT_EQ(expect<Rgb>(read_frame(folder_.path() / name)), image) << name;
+  }
+}
+
+TEST_F(Frames, EveryTruncationIsAnError) {
+  for (const char* name : {"a.png", "a.jpg", "a.tif"}) {
+    const ByteList whole = bytes_of(name, ramp8(19, 13));
+    ASSERT_TRUE(read(whole)) << name;
+    for (std::size_t size = 0; size < whole.size(); ++size) {
+      const ByteList part(whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size));
+      ASSERT_EQ(code(read(part)), ErrorCode::kUnreadable) << name << " cut to " << size;
+    }
+  }
+}
+
+TEST_F(Frames, JpegThumbnailEndIsNotThePicturesEnd) {
+  const auto plain = encode_jpeg(ramp8(24, 16));
+  ASSERT_TRUE(plain);
+  // An application segment that holds an end-of-image marker, as a thumbnail would.
+  const ByteList segment{0xff, 0xe5, 0, 4, 0xff, 0xd9};
+  ByteList whole = *plain;
+  whole.insert(whole.begin() + 2, segment.begin(), segment.end());
+  EXPECT_TRUE(read(whole));
+  whole.resize(whole.size() - 40);
+  EXPECT_EQ(code(read(whole)), ErrorCode::kUnreadable);
+}
+
+TEST_F(Frames, BytesAfterThePictureAreIgnored) {
+  for (const char* name : {"a.png", "a.jpg", "a.tif"}) {
+    ByteList bytes = bytes_of(name, ramp8(19, 13));
+    bytes.resize(bytes.size() + 5000, 0xab);
+    EXPECT_TRUE(read(bytes)) << name;
+  }
+}
+
+TEST_F(Frames, HugeSizesAreRefusedBeforeDecoding) {
+  ByteList png = kGrey8;
+  png[16] = 0x3b;  // about 1e9 columns
+  EXPECT_EQ(code(read(png)), ErrorCode::kInvalid);
+  png[16] = 0xff;
+  EXPECT_EQ(code(read(png)), ErrorCode::kInvalid);
+
+  ByteList jpeg = bytes_of("a.jpg", ramp8(19, 13));
+  for (std::size_t i = 0; i + 8 < jpeg.size(); ++i)
+    if (jpeg[i] == 0xff && jpeg[i + 1] == 0xc0) jpeg[i + 5] = jpeg[i + 7] = 0xff;
+  EXPECT_EQ(code(read(jpeg)), ErrorCode::kInvalid);
+
+  ByteList none = kGrey8;
+  none[19] = 0;
+  EXPECT_EQ(code(read(none)), ErrorCode::kUnreadable);
+}
+
+TEST_F(Frames, WhatIsNoPictureIsRefused) {
+  EXPECT_EQ(code(read_frame(folder_.path() / "absent.png")), ErrorCode::kNotFound);
+  EXPECT_EQ(code(read_frame(folder_.path())), ErrorCode::kUnreadable);
+  EXPECT_EQ(code(read({})), ErrorCode::kUnreadable);
+  EXPECT_EQ(code(read({'B', 'M', 0, 0})), ErrorCode::kUnreadable);
+  EXPECT_EQ(code(read(ByteList(1000, 0))), ErrorCode::kUnreadable);
+}
+
+TEST_F(Frames, DamageNeverCrashes) {
+  // Few rounds: behind the checks of this folder stand libpng, libjpeg and libtiff, which are not
+  // its own to fuzz, and which print.
+  for (const char* name : {"a.png", "a.jpg", "a.tif"}) {
+    int errors = 0;
+    test::mutate_and_run(bytes_of(name, ramp8(6, 5)), 60, 21,
+                         [&](std::span<const unsigned char> bytes) {
+                           errors += !read(ByteList(bytes.begin(), bytes.end()));
+                         });
+    EXPECT_GT(errors, 5) << name;
+  }
+}
+
+TEST_F(Frames, UnwritableOutputLeavesNothing) {
+  const TempFolder folder;
+  for (const char* name : {"a.png", "a.jpg", "a.tif"}) {
+    EXPECT_EQ(code(write_frame(folder.path() / "absent" / name, ramp8(4, 4))),
+              ErrorCode::kUnwritable);
+    EXPECT_EQ(code(write_frame(folder.path() / name, Image<Rgb8>())), ErrorCode::kInvalid);
+  }
+  EXPECT_EQ(code(write_frame(folder.path() / "a.bmp", ramp8(4, 4))), ErrorCode::kInvalid);
+  EXPECT_EQ(code(write_frame(folder.path() / "a", ramp8(4, 4))), ErrorCode::kInvalid);
+  EXPECT_TRUE(folder.empty());
+}
+
+TEST_F(Frames, SixteenBitCodesAreNotSqueezedIntoJpeg) {
+  EXPECT_EQ(code(write_frame(folder_.path() / "a.jpg", ramp16(4, 4))), ErrorCode::kInvalid);
+  EXPECT_TRUE(folder_.empty());
+}
+
+TEST_F(Frames, JpegBytesAreWholeAndGrowWithQuality) {
+  const auto low = encode_jpeg(ramp8(64, 64), 20);
+  const auto high = encode_jpeg(ramp8(64, 64), 95);
+  ASSERT_TRUE(low && high);
+  EXPECT_LT(low->size(), high->size());
+  EXPECT_EQ((*low)[0], 0xff);
+  EXPECT_EQ((*low)[1], 0xd8);
+  EXPECT_EQ((*low)[low->size() - 2], 0xff);
+  EXPECT_EQ(low->back(), 0xd9);
+  EXPECT_EQ(code(encode_jpeg(Image<Rgb8>())), ErrorCode::kInvalid);
+  EXPECT_EQ(code(encode_jpeg(ramp8(4, 4), 0)), ErrorCode::kInvalid);
+  EXPECT_EQ(code(encode_jpeg(ramp8(4, 4), 101)), ErrorCode::kInvalid);
+}
+
+TEST_F(Frames, EveryPictureOfTheRealStacksIsRead) {
+  PENUMBRA_NEED_SHARED(stacks, "eval-only/stacks");
+  int read_count = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(stacks)) {
+    const auto extension = entry.path().extension();
+    if (extension != ".png" && extension != ".jpg" && extension != ".JPG") continue;
+    const auto frame = read_frame(entry.path());
+    ASSERT_TRUE(frame) << entry.path() << ": " << frame.error().detail;
+    EXPECT_TRUE(std::holds_alternative<Image<Rgb8>>(*frame)) << entry.path();
+    ++read_count;
+  }
+  EXPECT_GT(read_count, 0);
+}
+
+}  // namespace
+}  // namespace penumbra::codec
