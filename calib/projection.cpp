@@ -148,7 +148,8 @@ Result<ProjectionKind> projection_kind(std::string_view name) {
   std::string known;
   for (const auto& [kind, text] : kNames) {
     if (text == name) return kind;
-    known += (known.empty() ? "" : ", ") + std::string(text);
+    if (!known.empty()) known += ", ";
+    known += text;
   }
   return fail(ErrorCode::kInvalid, std::string(name), "unknown projection; known are " + known);
 }

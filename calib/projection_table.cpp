@@ -176,7 +176,9 @@ void fill_faces(ProjectionTable& table, const Projection& p) {
   for (int y = 0; y < p.height; ++y) {
     for (int x = 0; x < p.width; ++x) {
       const bool empty = cross && y / size != 1 && x / size != 1;
-      const auto cell = static_cast<std::size_t>((y % size) * size + x % size);
+      const auto row = static_cast<std::size_t>(y % size),
+                 column = static_cast<std::size_t>(x % size);
+      const std::size_t cell = row * static_cast<std::size_t>(size) + column;
       set_cell(table, x, y, empty ? 0 : cells[cell], empty ? 0 : 1);
     }
   }

@@ -28,22 +28,36 @@ std::vector<std::string_view> split(std::string_view line) {
   }
 }
 
-template <class Number>
-std::optional<Number> to_number(std::string_view text) {
-  Number value{};
+std::optional<double> to_number(std::string_view text) {
+  double value = 0;
   const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (error != std::errc{} || stop != text.data() + text.size() || !std::isfinite(value))
     return std::nullopt;
   return value;
 }
 
-/// Seconds as text to whole nanoseconds. A double would lose the last digits of times that count
-/// from 1970; the 64 bit mantissa of long double keeps them up to the limit here.
+/// Digit by digit: a double would lose the last nanoseconds of times that count from 1970.
+TimestampNs exact_time(std::string_view decimal) {
+  const bool negative = decimal.starts_with('-');
+  const auto point = decimal.find('.');
+  std::int64_t value = 0;
+  for (const char c : decimal.substr(0, point))
+    if (c != '-') value = value * 10 + (c - '0');
+  std::string_view digits;
+  if (point != std::string_view::npos) digits = decimal.substr(point + 1);
+  for (std::size_t i = 0; i < 9; ++i)
+    value = value * 10 + (i < digits.size() ? digits[i] - '0' : 0);
+  if (digits.size() > 9 && digits[9] >= '5') ++value;
+  return {negative ? -value : value};
+}
+
 std::optional<TimestampNs> to_time(std::string_view text) {
-  constexpr long double limit_s = 4e9L;
-  const auto seconds = to_number<long double>(text);
-  if (!seconds || std::fabs(*seconds) > limit_s) return std::nullopt;
-  return TimestampNs{std::llround(*seconds * 1e9L)};
+  constexpr double limit_s = 9e9;  // 64 bit nanoseconds end at 9.2e9 s
+  const auto seconds = to_number(text);
+  if (!seconds || std::abs(*seconds) > limit_s) return std::nullopt;
+  if (text.find_first_of("eE") != std::string_view::npos)
+    return TimestampNs{std::llround(*seconds * 1e9)};
+  return exact_time(text);
 }
 
 std::string print_time(TimestampNs time) {
@@ -57,7 +71,7 @@ Result<Pose> parse_pose(std::span<const std::string_view> fields, const std::str
   constexpr std::string_view names[] = {"tx", "ty", "tz", "qx", "qy", "qz", "qw"};
   double v[7];
   for (std::size_t i = 0; i < 7; ++i) {
-    const auto number = to_number<double>(fields[i]);
+    const auto number = to_number(fields[i]);
     if (!number)
       return fail(ErrorCode::kInvalid, where,
                   fmt::format("{} is \"{}\", not a finite number", names[i], fields[i]));
@@ -76,7 +90,10 @@ Result<Pose> parse_pose(std::span<const std::string_view> fields, const std::str
 Result<bool> parse_header(std::string_view line, const std::string& where) {
   const std::string full = std::string(kListHeader) + std::string(kPoseHeader);
   std::string compact;
-  for (const auto field : split(line)) compact += (compact.empty() ? "" : ",") + std::string(field);
+  for (const auto field : split(line)) {
+    if (!compact.empty()) compact += ',';
+    compact += field;
+  }
   if (compact == kListHeader) return false;
   if (compact == full) return true;
   return fail(ErrorCode::kInvalid, where,
@@ -119,12 +136,12 @@ Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::str
   if (!stays_inside(row.file))
     return invalid(fmt::format("file \"{}\" is not a path inside the folder", row.file));
   const auto time = to_time(fields[1]);
-  if (!time) return invalid(fmt::format("time_s is \"{}\", not a number within 4e9", fields[1]));
+  if (!time) return invalid(fmt::format("time_s is \"{}\", not a number within 9e9", fields[1]));
   row.time = *time;
-  const auto seconds = to_number<double>(fields[2]);
+  const auto seconds = to_number(fields[2]);
   if (!seconds || *seconds <= 0)
     return invalid(fmt::format("exposure_s is \"{}\", not a positive number", fields[2]));
-  const auto gain = to_number<double>(fields[3]);
+  const auto gain = to_number(fields[3]);
   if (!gain || *gain <= 0)
     return invalid(fmt::format("gain is \"{}\", not a positive number", fields[3]));
   row.exposure = {Seconds(*seconds), Gain(*gain)};

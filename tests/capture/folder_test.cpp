@@ -113,6 +113,24 @@ TEST(CaptureFolder, ReadsIntrinsicsAndNoise) {
   EXPECT_EQ(camera.noise.read_fraction, 1e-3);
 }
 
+TEST(CaptureFolder, TimesInAnyDecimalFormAreNanoseconds) {
+  const HandMade made;
+  const std::vector<std::pair<std::string, std::int64_t>> times{
+      {"-.5", -500'000'000}, {"0", 0},
+      {"1e-3", 1'000'000},   {"0.0333333335", 33'333'334},
+      {"2.", 2'000'000'000}, {"1700000000.123456789", 1'700'000'000'123'456'789}};
+  std::string list = "file,time_s,exposure_s,gain\r\n";
+  for (const auto& [text, ns] : times) list += "environment/0.png, " + text + ", 1, 1\r\n";
+  write_text(made.path() / "environment.csv", list);
+  const auto source = open_capture_folder(made.path());
+  ASSERT_TRUE(source.has_value()) << source.error().where << ": " << source.error().detail;
+  for (const auto& [text, ns] : times) {
+    const auto frame = (*source)->next();
+    ASSERT_TRUE(frame && *frame);
+    EXPECT_EQ((*frame)->time.value, ns) << text;
+  }
+}
+
 TEST(CaptureFolder, RefusesABadManifestNamingFileLineAndKey) {
   struct Case {
     std::string from, to, line, detail;

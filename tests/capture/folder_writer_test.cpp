@@ -218,17 +218,20 @@ TEST(CaptureFolderWriter, RefusesBadFramesAndWritesNothing) {
   refused([](Frame& f) { f.time.value -= 1; }, "before the previous frame's");
 }
 
-TEST(CaptureFolderWriter, NegativeTimesReadBackExactly) {
+TEST(CaptureFolderWriter, NegativeAndHugeTimesReadBackExactly) {
   const test::TempFolder temp;
   auto frames = frames_in_order();
   frames.resize(1);
-  frames[0].time = {-1'000'000'001};
-  write_all(temp.path(), frames);
-  const auto source = open_capture_folder(temp.path());
-  ASSERT_TRUE(source.has_value());
-  const auto frame = (*source)->next();
-  ASSERT_TRUE(frame && *frame);
-  EXPECT_EQ((*frame)->time.value, -1'000'000'001);
+  for (const std::int64_t ns : {-1'000'000'001LL, -1LL, 8'999'999'999'999'999'999LL}) {
+    frames[0].time = {ns};
+    const fs::path folder = temp.path() / std::to_string(ns);
+    write_all(folder, frames);
+    const auto source = open_capture_folder(folder);
+    ASSERT_TRUE(source.has_value());
+    const auto frame = (*source)->next();
+    ASSERT_TRUE(frame && *frame);
+    EXPECT_EQ((*frame)->time.value, ns);
+  }
 }
 
 }  // namespace

@@ -1,10 +1,11 @@
+#include "core/code_curve.h"
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstdint>
 
-#include "compositor/compositor.h"
-
-namespace penumbra::compositor {
+namespace penumbra {
 
 namespace {
 
@@ -47,4 +48,4 @@ unsigned CodeCurve::encode(int channel, float linear) const {
   return static_cast<unsigned>(codes[bucket] + (codes[bucket + 1] - codes[bucket]) * within + .5f);
 }
 
-}  // namespace penumbra::compositor
+}  // namespace penumbra

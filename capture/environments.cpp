@@ -1,0 +1,143 @@
+#include <oneapi/tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "capture/capture.h"
+#include "core/conventions.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+using glm::dvec3;
+
+constexpr dvec3 kRoomLow(-3.4, -1.2, -3.0), kRoomHigh(3.6, 2.0, 3.2);  // metres from the capture point
+
+bool inside(double a, double a0, double a1, double b, double b0, double b1) {
+  return a > a0 && a < a1 && b > b0 && b < b1;
+}
+
+// Light falls off towards corners and edges; a stand-in for interreflection that looks right.
+float corner_shade(const dvec3& p) {
+  double shade = 1;
+  for (int k = 0; k < 3; ++k) {
+    const double d = std::min(p[k] - kRoomLow[k], kRoomHigh[k] - p[k]);
+    if (d > 1e-6) shade *= 1 - .35 * std::exp(-d / .35);
+  }
+  return static_cast<float>(shade);
+}
+
+Rgb ceiling(const dvec3& p) {
+  for (const double x : {-1.5, 1.3})
+    if (inside(p.x, x - .6, x + .6, p.z, -.9, .9)) return {46, 44, 40};
+  return {.82f, .81f, .79f};
+}
+
+Rgb window_wall(const dvec3& p) {  // z low: the window looks out in front
+  if (inside(p.x, -1.9, .9, p.y, -.35, 1.45)) {
+    const double bar = std::min({std::abs(p.x + 1.9), std::abs(p.x + .5), std::abs(p.x - .9),
+                                 std::abs(p.y + .35), std::abs(p.y - .75), std::abs(p.y - 1.45)});
+    if (bar < .035) return {.5f, .49f, .47f};
+    const auto height = static_cast<float>((p.y + .35) / 1.8);
+    if (p.y < .05 + .12 * std::sin(3.1 * p.x) + .05 * std::sin(11 * p.x)) return {3.2f, 4.1f, 2.4f};  // trees
+    return Rgb{11, 14, 19} * (.75f + .35f * height);
+  }
+  return {.78f, .76f, .72f};
+}
+
+Rgb side_wall(const dvec3& p, bool left) {
+  const Rgb paint = left ? Rgb{.74f, .46f, .33f} : Rgb{.63f, .67f, .66f};
+  if (left) {  // two pictures
+    for (const double z : {-1.3, .6})
+      if (inside(p.z, z - .42, z + .42, p.y, -.1, .75)) {
+        const bool frame = !inside(p.z, z - .37, z + .37, p.y, -.05, .7);
+        return frame ? Rgb{.09f, .07f, .06f}
+                     : Rgb{.35f + .25f * float(std::sin(9 * p.z)), .4f, .3f + .3f * float(std::cos(7 * p.y))};
+      }
+  } else if (inside(p.z, -1.6, .9, p.y, -1.2, .95)) {  // shelf with books
+    const double cell = std::fmod(p.y + 1.2, .43);
+    if (cell < .04 || std::abs(std::fmod(p.z + 1.6, .85)) < .03) return {.42f, .30f, .2f};
+    const double book = std::floor(p.z * 21);
+    const auto hue = static_cast<float>(std::abs(std::sin(book * 12.9898 + std::floor((p.y + 1.2) / .43) * 78.233)));
+    return cell < .34 ? Rgb{.12f + .4f * hue, .14f + .25f * (1 - hue), .16f + .2f * std::abs(.5f - hue)}
+                      : Rgb{.06f, .05f, .05f};
+  }
+  return paint;
+}
+
+Rgb room(const dvec3& d) {
+  // A floor lamp's shade on the right before the wall.
+  const dvec3 lamp(2.5, .35, -1.9);
+  if (glm::dot(d, glm::normalize(lamp)) > std::cos(.19 / glm::length(lamp))) return {62, 44, 24};
+  double t = 1e9;
+  int axis = 0;
+  for (int k = 0; k < 3; ++k) {
+    if (d[k] == 0) continue;
+    const double s = (d[k] > 0 ? kRoomHigh[k] : kRoomLow[k]) / d[k];
+    if (s < t) t = s, axis = k;
+  }
+  const dvec3 p = d * t;
+  Rgb colour;
+  if (axis == 1) {
+    colour = d.y > 0 ? ceiling(p) : Rgb{.46f, .35f, .25f};
+  } else if (axis == 2 && d.z < 0) {
+    colour = window_wall(p);
+  } else if (axis == 2) {
+    colour = inside(p.x, -.5, .5, p.y, -1.2, .95) ? Rgb{.36f, .25f, .17f} : Rgb{.78f, .76f, .72f};
+  } else {
+    colour = side_wall(p, d.x < 0);
+  }
+  if (axis != 1 && p.y < -1.1) colour = {.82f, .81f, .79f};  // skirting board
+  return luminance(colour) > 2 ? colour : colour * (1.1f * corner_shade(p));
+}
+
+template <class Radiance>
+Image<Rgb> paint(int width, int height, int samples, Radiance radiance) {
+  Image<Rgb> map(width, height);
+  tbb::parallel_for(0, height, [&](int y) {
+    for (int x = 0; x < width; ++x) {
+      Rgb sum;
+      for (int j = 0; j < samples; ++j)
+        for (int i = 0; i < samples; ++i)
+          sum += radiance(latlong_direction(x + (i + .5) / samples, y + (j + .5) / samples, width, height));
+      map.at(x, y) = sum * (1.f / static_cast<float>(samples * samples));
+    }
+  });
+  return map;
+}
+
+}  // namespace
+
+Image<Rgb> make_room_environment(int width, int height) { return paint(width, height, 2, room); }
+
+Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad) {
+  constexpr double kSunRadius = .2666 * kPi / 180;
+  const dvec3 sun = glm::normalize(dvec3(.55 * std::cos(sun_elevation_rad), std::sin(sun_elevation_rad),
+                                         -.83 * std::cos(sun_elevation_rad)));
+  Image<Rgb> map = paint(width, height, 2, [&](const dvec3& d) {
+    if (d.y < 0) return Rgb{.16f, .15f, .13f};
+    const auto gamma = static_cast<float>(std::max(0., glm::dot(d, sun)));
+    const auto low = static_cast<float>(std::pow(1 - d.y, 3));
+    return Rgb{.11f, .21f, .46f} + Rgb{.35f, .33f, .26f} * low + Rgb{.5f, .45f, .35f} * std::pow(gamma, 60.f);
+  });
+  // The disc is spread over the pixels by its share of each, so its energy does not depend on the grid.
+  const glm::dvec2 centre = latlong_pixel(sun, width, height);
+  constexpr int kSamples = 24;
+  const Rgb radiance{46000, 43000, 38000};
+  const int reach = 2 + static_cast<int>(kSunRadius / kPi * height);
+  const int wide = 2 + static_cast<int>(reach / std::max(.05, std::cos(sun_elevation_rad)));
+  for (int y = std::max(0, int(centre.y) - reach); y <= std::min(height - 1, int(centre.y) + reach); ++y)
+    for (int x = int(centre.x) - wide; x <= int(centre.x) + wide; ++x) {
+      int hits = 0;
+      for (int k = 0; k < kSamples * kSamples; ++k) {
+        const dvec3 d = latlong_direction(x + (k % kSamples + .5) / kSamples,
+                                          y + (double(k / kSamples) + .5) / kSamples, width, height);
+        hits += glm::dot(d, sun) > std::cos(kSunRadius);
+      }
+      map.at(((x % width) + width) % width, y) += radiance * (static_cast<float>(hits) / (kSamples * kSamples));
+    }
+  return map;
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,129 @@
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "capture/capture.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr std::uint64_t kGolden = 0x9e3779b97f4a7c15ull;
+
+std::uint64_t mix(std::uint64_t z) {  // SplitMix64, Steele et al. 2014
+  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
+  z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
+  return z ^ (z >> 31);
+}
+
+// Quantiles of the normal distribution at the middles of 65536 equal shares, scaled to unit variance.
+const std::vector<float>& normal_quantiles() {
+  static const std::vector<float> table = [] {
+    std::vector<double> q(65536);
+    double square = 0;
+    for (std::size_t i = 0; i < q.size() / 2; ++i) {
+      // Bisection on erfc: once, at start.
+      const double share = (static_cast<double>(i) + .5) / 65536;
+      double low = -10, high = 0;
+      for (int k = 0; k < 60; ++k) {
+        const double middle = (low + high) / 2;
+        (.5 * std::erfc(-middle / std::numbers::sqrt2) < share ? low : high) = middle;
+      }
+      q[i] = low;
+      q[q.size() - 1 - i] = -low;
+      square += 2 * low * low;
+    }
+    const double scale = std::sqrt(65536 / square);
+    std::vector<float> out;
+    for (double v : q) out.push_back(static_cast<float>(v * scale));
+    return out;
+  }();
+  return table;
+}
+
+// Exact for few photons, where a normal distribution would be skewed wrongly.
+double small_poisson(double mean, std::uint64_t state) {
+  const double limit = std::exp(-mean);
+  double product = 1;
+  int count = -1;
+  do {
+    state += kGolden;
+    product *= static_cast<double>((mix(state) >> 11) + 1) * 0x1p-53;
+    ++count;
+  } while (product > limit);
+  return count;
+}
+
+struct Exposer {
+  const Sensor& sensor;
+  const CodeCurve curve;
+  float signal_per_radiance, shot_variance, read_variance, electrons;
+  std::uint64_t seed;
+  const float* normal = normal_quantiles().data();
+
+  // Signal after noise, in fractions of full scale, without black level.
+  float noisy(float signal, std::uint64_t index) const {
+    const std::uint64_t bits = mix((seed + index) * kGolden);
+    const float read = normal[bits & 0xffff];
+    const float photons = signal * electrons;
+    if (photons > 30)
+      return signal + normal[bits >> 16 & 0xffff] * std::sqrt(shot_variance * signal + read_variance);
+    if (photons <= 0) return signal + read * std::sqrt(read_variance);
+    return static_cast<float>(small_poisson(photons, bits)) / electrons + read * std::sqrt(read_variance);
+  }
+};
+
+float light_left(const Sensor& sensor, int x, int y, int width, int height) {
+  const double dx = (x + .5) / width * 2 - 1, dy = (y + .5) / height * 2 - 1;
+  return static_cast<float>(1 - sensor.vignetting * (dx * dx + dy * dy) / 2);
+}
+
+template <class Pixel>
+void expose_rows(const Exposer& e, const Image<Rgb>& radiance, Image<Pixel>& out) {
+  using Code = decltype(out.at(0, 0).r);
+  const int width = out.width(), height = out.height();
+  tbb::parallel_for(tbb::blocked_range<int>(0, height, 16), [&](const auto& rows) {
+    for (int y = rows.begin(); y < rows.end(); ++y)
+      for (int x = 0; x < width; ++x) {
+        const float kept = e.sensor.vignetting > 0 ? light_left(e.sensor, x, y, width, height) : 1;
+        const Rgb signal = radiance.at(x, y) * (kept * e.signal_per_radiance);
+        const auto index = 3 * (static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(width) +
+                                static_cast<std::uint64_t>(x));
+        Code codes[3];
+        for (int c = 0; c < 3; ++c) {
+          // Far above full scale the noise cannot matter and floats would lose it anyway.
+          const float clipped = std::clamp(signal[c], 0.f, 4.f);
+          const float v = e.sensor.noisy ? e.noisy(clipped, index + static_cast<std::uint64_t>(c)) : clipped;
+          codes[c] = static_cast<Code>(e.curve.encode(c, v));
+        }
+        out.at(x, y) = {codes[0], codes[1], codes[2]};
+      }
+  });
+}
+
+}  // namespace
+
+void expose(const Sensor& sensor, const Image<Rgb>& radiance, Exposure exposure, std::uint64_t seed,
+            FramePixels& out) {
+  const double gain = exposure.gain.value();
+  const Exposer e{sensor,
+                  make_code_curve(sensor.response, sensor.bits, sensor.black_level),
+                  static_cast<float>(exposure.product()),
+                  static_cast<float>(gain / sensor.noise.full_well_electrons),
+                  static_cast<float>(std::pow(gain * sensor.noise.read_fraction, 2)),
+                  static_cast<float>(sensor.noise.full_well_electrons / gain),
+                  mix(seed)};
+  const auto into = [&]<class Pixel>(Image<Pixel>*) {
+    auto* image = std::get_if<Image<Pixel>>(&out);
+    if (image == nullptr || !image->same_size(radiance))
+      image = &out.template emplace<Image<Pixel>>(radiance.width(), radiance.height());
+    expose_rows(e, radiance, *image);
+  };
+  if (sensor.bits > 8) into(static_cast<Image<Rgb16>*>(nullptr));
+  else into(static_cast<Image<Rgb8>*>(nullptr));
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,311 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
+#include <vector>
+
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "tests/support/lights.h"
+
+namespace penumbra::prt {
+namespace {
+
+using test::constant_light;
+
+constexpr Rgb kWhite{1, 1, 1}, kBlack{0, 0, 0};
+constexpr float kHalfStep = 0x1p-11f;  // largest relative rounding error of a half float
+
+BakedObject baked(Mesh mesh, const BakeOptions& options) {
+  auto object = bake(std::move(mesh), options);
+  EXPECT_TRUE(object) << (object ? "" : object.error().detail);
+  return object ? std::move(*object) : BakedObject{};
+}
+
+std::vector<float> relit(const Transfer& transfer, const RadianceSh& light) {
+  std::vector<float> out(3 * transfer.stride, NAN);
+  relight(transfer, light, out);
+  out.resize(transfer.points);  // the red channel
+  return out;
+}
+
+double open_transfer(int n, const glm::vec3& normal) {
+  double basis[kMaxCoefficients];
+  lighting::evaluate_basis(kMaxBands, glm::normalize(glm::dvec3(normal)), basis);
+  const int l = static_cast<int>(std::sqrt(static_cast<double>(n)));
+  return lighting::cosine_coefficient(l) / kPi * basis[n];
+}
+
+Mesh grey_knot(float albedo) { return make_knot(1, 120, 24, {albedo, albedo, albedo}); }
+
+// ------------------------------------------------------------------------------------- convex
+
+void expect_closed_form(const Mesh& mesh, const BakeOptions& options) {
+  const BakedObject object = baked(mesh, options);
+  ASSERT_EQ(object.transfer.points, mesh.positions.size());
+  for (std::size_t p = 0; p < object.transfer.points; ++p)
+    for (int n = 0; n < coefficient_count(options.bands); ++n) {
+      const double expected = open_transfer(n, mesh.normals[p]);
+      ASSERT_NEAR(object.transfer.value(0, n, p), expected, kHalfStep * std::abs(expected) + 1e-6)
+          << "vertex " << p << " coefficient " << n;
+    }
+  EXPECT_EQ(object.report.standard_error, 0);
+}
+
+TEST(Bake, ConvexMeshHasTheClosedForm) {
+  const BakeOptions options{.bands = 9, .bounces = 2, .rays = 128};
+  expect_closed_form(make_sphere({.1f, .5f, -.2f}, .7f, 3, kWhite), options);
+  expect_closed_form(make_sphere({0, 0, 0}, 1, 0, kWhite), options);
+  expect_closed_form(make_box({-1, 0, -.5f}, {1, .3f, .5f}, 4, kWhite), options);
+}
+
+TEST(Bake, WhiteFurnaceOnConvexMeshGivesOne) {
+  for (const Mesh& mesh : {make_sphere({0, 1, 0}, 1, 3, kWhite),
+                           make_box({-1, 0, -1}, {1, 2, 1}, 3, kWhite)}) {
+    const BakedObject object = baked(mesh, {.bands = 3, .rays = 64});
+    for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, kHalfStep);
+  }
+}
+
+// ------------------------------------------------------------------------------------- bounces
+
+TEST(Bake, WhiteFurnaceClosesOnAnyShapeAfterManyBounces) {
+  // With albedo 1 nothing is lost, so each surface of an open shape glows like the sky; the sampled
+  // equations have the same solution, hence no Monte Carlo error.
+  const BakedObject object = baked(grey_knot(1), {.bands = 2, .bounces = 60, .rays = 64});
+  for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, 2 * kHalfStep);
+}
+
+TEST(Bake, EachBounceOnlyAddsUnderConstantLight) {
+  std::vector<float> last;
+  for (const int bounces : {0, 1, 2, 5}) {
+    const auto now = relit(baked(grey_knot(.8f), {.bands = 1, .bounces = bounces, .rays = 64}).transfer,
+                           constant_light(kWhite));
+    for (std::size_t i = 0; i < last.size(); ++i) ASSERT_GE(now[i], last[i]);
+    last = now;
+  }
+  for (const float v : last) ASSERT_TRUE(v >= 0 && v <= 1 + kHalfStep) << v;
+}
+
+TEST(Bake, BlackSurfacesReflectNothing) {
+  const Transfer direct = baked(grey_knot(0), {.bands = 3, .bounces = 0, .rays = 64}).transfer;
+  EXPECT_EQ(direct.values, baked(grey_knot(0), {.bands = 3, .bounces = 3, .rays = 64}).transfer.values);
+}
+
+TEST(Bake, ColouredAlbedoActsPerChannel) {
+  const BakeOptions options{.bands = 3, .rays = 64};
+  const BakedObject coloured = baked(make_knot(1, 60, 12, {.9f, .5f, 0}), options);
+  ASSERT_EQ(coloured.transfer.channels, 3);
+  int channel = 0;
+  for (const float albedo : {.9f, .5f, 0.f}) {
+    const BakedObject grey = baked(make_knot(1, 60, 12, {albedo, albedo, albedo}), options);
+    ASSERT_EQ(grey.transfer.channels, 1) << "one channel serves all colours of grey";
+    for (int n = 0; n < 9; ++n)
+      for (std::size_t p = 0; p < grey.transfer.points; ++p)
+        ASSERT_EQ(coloured.transfer.value(channel, n, p), grey.transfer.value(0, n, p));
+    ++channel;
+  }
+}
+
+// ------------------------------------------------------------------------------------- bowl
+
+struct Bowl {
+  Mesh mesh;
+  double fraction = 0;               // of the sphere's area
+  std::vector<double> vertex_share;  // of the bowl's area
+};
+
+// The inside of a sphere below `cut`, seen from its centre. Between any two patches of a sphere's inside
+// the form factor is area/(4 pi R^2), so the ragged rim does no harm.
+Bowl make_bowl(float cut, float albedo) {
+  const Mesh sphere = make_sphere({0, 0, 0}, 1, 4, {albedo, albedo, albedo});
+  Bowl bowl;
+  std::vector<int> place(sphere.positions.size(), -1);
+  double whole = 0, kept = 0;
+  for (const auto& t : sphere.triangles) {
+    const glm::vec3 a = sphere.positions[t[0]], b = sphere.positions[t[1]], c = sphere.positions[t[2]];
+    const double area = .5 * glm::length(glm::cross(b - a, c - a));
+    whole += area;
+    if ((a.y + b.y + c.y) / 3 > cut) continue;
+    kept += area;
+    for (const auto i : t)
+      if (place[i] < 0) {
+        place[i] = static_cast<int>(bowl.mesh.positions.size());
+        bowl.mesh.positions.push_back(sphere.positions[i]);
+        bowl.mesh.normals.push_back(-sphere.normals[i]);
+        bowl.mesh.albedo.push_back(sphere.albedo[i]);
+        bowl.vertex_share.push_back(0);
+      }
+    const auto at = [&](int i) { return static_cast<std::uint32_t>(place[t[static_cast<std::size_t>(i)]]); };
+    bowl.mesh.triangles.push_back({at(0), at(2), at(1)});
+    for (int i = 0; i < 3; ++i) bowl.vertex_share[at(i)] += area / 3;
+  }
+  bowl.fraction = kept / whole;
+  for (double& share : bowl.vertex_share) share /= kept;
+  return bowl;
+}
+
+TEST(Bake, BowlUnderConstantLightGlowsByTheClosedForm) {
+  for (const auto& [cut, rho] : {std::pair{.6f, .8f}, {0.f, .5f}, {.9f, .3f}}) {
+    const Bowl bowl = make_bowl(cut, rho);
+    const BakedObject object = baked(bowl.mesh, {.bands = 1, .bounces = 20, .rays = 1024});
+    const auto e = relit(object.transfer, constant_light(kWhite));  // E/pi; exit radiance is rho times it
+    const double f = bowl.fraction, expected = (1 - f) / (1 - rho * f);
+    double mean = 0;
+    for (std::size_t i = 0; i < e.size(); ++i) {
+      EXPECT_NEAR(e[i], expected, .015 * expected) << "f " << f << " rho " << rho << " vertex " << i;
+      mean += bowl.vertex_share[i] * e[i];
+    }
+    EXPECT_NEAR(mean, expected, .005 * expected) << "f " << f << " rho " << rho;
+  }
+}
+
+TEST(Bake, BowlSpreadsWhatItReflectsEvenlyUnderAnyLight) {
+  constexpr float kRho = .7f;
+  const Bowl bowl = make_bowl(.3f, kRho);
+  const RadianceSh light = test::sloped_light(1, {.5, .6, -.4});
+  const auto direct =
+      relit(baked(bowl.mesh, {.bands = 2, .bounces = 0, .rays = 1024}).transfer, light);
+  const auto all = relit(baked(bowl.mesh, {.bands = 2, .bounces = 20, .rays = 1024}).transfer, light);
+  double mean_direct = 0;
+  for (std::size_t i = 0; i < direct.size(); ++i) mean_direct += bowl.vertex_share[i] * direct[i];
+  const double f = bowl.fraction, indirect = kRho * f * mean_direct / (1 - kRho * f);
+  for (std::size_t i = 0; i < direct.size(); ++i)
+    EXPECT_NEAR(all[i] - direct[i], indirect, .02 * indirect) << "vertex " << i;
+}
+
+// ------------------------------------------------------------------------------------- receiver
+
+TEST(Bake, SphereTakesItsClosedFormFromTheFloor) {
+  for (const float height : {1.f, 1.3f, 2.5f}) {  // of the centre, in radii: resting, just above, hovering
+    constexpr float kRadius = .25f;
+    const Mesh sphere = make_sphere({.3f, 1 + height * kRadius, -.1f}, kRadius, 4, kBlack);
+    const GroundGrid grid = fit_ground_grid(sphere, 1, 48);
+    const BakedObject object =
+        baked(sphere, {.bands = 1, .bounces = 1, .rays = 64, .receiver = Receiver{grid, kBlack}});
+    const auto deficit = relit(object.ground_deficit, constant_light(kWhite));
+    for (int j = 0; j < grid.size; ++j)
+      for (int i = 0; i < grid.size; ++i) {
+        const glm::vec2 at = grid.position((glm::vec2(i, j) + .5f) / static_cast<float>(grid.size));
+        const double d = glm::length(glm::dvec3(at.x - .3, height * kRadius, at.y + .1)) / kRadius;
+        EXPECT_NEAR(deficit[static_cast<std::size_t>(j * grid.size + i)], height / (d * d * d), .01)
+            << "height " << height << " texel " << i << ',' << j;
+      }
+  }
+}
+
+TEST(Bake, BlackFloorHidesTheLowerHemisphere) {
+  const Mesh sphere = make_sphere({0, 2, 0}, .5f, 2, kBlack);
+  const BakedObject object = baked(
+      sphere, {.bands = 1, .bounces = 0, .rays = 1024, .receiver = Receiver{fit_ground_grid(sphere, 0, 8), kBlack}});
+  const auto e = relit(object.transfer, constant_light(kWhite));
+  for (std::size_t i = 0; i < e.size(); ++i)
+    EXPECT_NEAR(e[i], (1 + sphere.normals[i].y) / 2, .01) << "vertex " << i;
+}
+
+TEST(Bake, WhiteFurnaceClosesBetweenObjectAndFloor) {
+  const Mesh knot = make_knot(1, 60, 12, kWhite);
+  const BakedObject object =
+      baked(knot, {.bands = 1, .bounces = 60, .rays = 64, .ground_rays = 64,
+                   .receiver = Receiver{fit_ground_grid(knot, 0, 24), kWhite}});
+  for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, .005);
+  for (const float v : relit(object.ground_deficit, constant_light(kWhite))) ASSERT_NEAR(v, 0, .005);
+}
+
+// ------------------------------------------------------------------------------------- stability
+
+TEST(Bake, IsBitIdenticalEveryTime) {
+  const Mesh knot = make_knot(1, 60, 12, {.8f, .5f, .3f});
+  const BakeOptions options{.bands = 3, .rays = 64, .ground_rays = 64,
+                            .receiver = Receiver{fit_ground_grid(knot, 0, 32), {.5f, .5f, .5f}}};
+  const BakedObject a = baked(knot, options), b = baked(knot, options);
+  EXPECT_EQ(a.transfer.values, b.transfer.values);
+  EXPECT_EQ(a.ground_deficit.values, b.ground_deficit.values);
+  EXPECT_EQ(a.report.standard_error, b.report.standard_error);
+}
+
+TEST(Bake, SizeAndPlaceLeaveTheTransferUnchanged) {
+  const BakeOptions options{.bands = 4, .rays = 256};
+  const Transfer plain = baked(make_knot(1, 60, 12, {.7f, .7f, .7f}), options).transfer;
+  struct Placing {
+    double scale, offset;
+  };
+  for (const Placing placing : {Placing{1e-3, 0}, {1e3, 0}, {1, 10}, {1e3, 1e4}}) {
+    Mesh mesh = make_knot(1, 60, 12, {.7f, .7f, .7f});
+    glm::dmat4 m = glm::translate(glm::dmat4(1), glm::dvec3(placing.offset));
+    transform(mesh, glm::scale(m, glm::dvec3(placing.scale)));
+    const Transfer moved = baked(mesh, options).transfer;
+    ASSERT_EQ(moved.points, plain.points);
+    double worst = 0, square = 0;
+    for (std::size_t p = 0; p < plain.points; ++p)
+      for (int n = 0; n < 16; ++n) {
+        const double change = std::abs(moved.value(0, n, p) - plain.value(0, n, p));
+        worst = std::max(worst, change);
+        square += change * change / static_cast<double>(plain.points * 16);
+      }
+    // One ray in 256 that grazes an edge may fall on its other side.
+    EXPECT_LT(std::sqrt(square), 1e-4) << placing.scale << ' ' << placing.offset;
+    EXPECT_LT(worst, .28 * 2.5 / 256) << placing.scale << ' ' << placing.offset;
+  }
+}
+
+// ------------------------------------------------------------------------------------- errors
+
+TEST(Bake, RefusesWhatItCannotBake) {
+  const Mesh box = make_box({0, 0, 0}, {1, 1, 1}, 1, kWhite);
+  const auto code = [](const Mesh& mesh, const BakeOptions& options) {
+    const auto object = bake(mesh, options);
+    return object ? std::nullopt : std::optional(object.error().code);
+  };
+  EXPECT_EQ(code({}, {}), ErrorCode::kInvalid) << "no triangles";
+  for (const int bands : {-1, 0, kMaxBands + 1})
+    EXPECT_EQ(code(box, {.bands = bands}), ErrorCode::kInvalid) << bands;
+  for (const int rays : {-64, 0, 1, 63, 65, 100}) {
+    EXPECT_EQ(code(box, {.rays = rays}), ErrorCode::kInvalid) << rays;
+    EXPECT_EQ(code(box, {.ground_rays = rays}), ErrorCode::kInvalid) << rays;
+  }
+  EXPECT_EQ(code(box, {.bounces = -1}), ErrorCode::kInvalid);
+  EXPECT_EQ(code(box, {.bands = kMaxBands, .bounces = 0, .rays = 64}), std::nullopt);
+}
+
+TEST(Bake, ProgressRisesToOne) {
+  double last = 0;
+  BakeOptions options{.bands = 2, .rays = 64};
+  options.progress = [&](double done) {
+    EXPECT_GE(done, last);
+    EXPECT_LE(done, 1);
+    last = done;
+  };
+  baked(make_knot(1, 60, 12, kWhite), options);
+  EXPECT_NEAR(last, 1, 1e-9);
+}
+
+TEST(Bake, StandardErrorFallsWithMoreRays) {
+  double last = 1;
+  for (const int rays : {64, 256, 1024}) {
+    const double now = baked(grey_knot(0), {.bands = 1, .bounces = 0, .rays = rays}).report.standard_error;
+    EXPECT_LT(now, .5 * last) << rays;
+    EXPECT_GT(now, 0) << rays;
+    last = now;
+  }
+}
+
+TEST(Bake, ReportedStandardErrorIsTheTrueOne) {
+  const Transfer truth = baked(grey_knot(0), {.bands = 1, .bounces = 0, .rays = 4096}).transfer;
+  for (const int rays : {64, 256}) {
+    const BakedObject object = baked(grey_knot(0), {.bands = 1, .bounces = 0, .rays = rays});
+    double square = 0, mean = 0;
+    for (std::size_t p = 0; p < truth.points; ++p) {
+      square += std::pow(object.transfer.value(0, 0, p) - truth.value(0, 0, p), 2);
+      mean += truth.value(0, 0, p);
+    }
+    const auto count = static_cast<double>(truth.points);
+    const double error = std::sqrt(square / count) / (mean / count);
+    EXPECT_GT(object.report.standard_error, error / 2) << rays;
+    EXPECT_LT(object.report.standard_error, error * 2) << rays;
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::prt
