@@ -101,7 +101,7 @@ class Response {
 Result<Response> parse_response(const std::string& text, const std::filesystem::path& folder = {});
 Result<void> write_response(const std::filesystem::path& path, const Response& response);
 
-/// Response from a registered 8-bit bracket by OpenCV's Debevec calibration (Debevec & Malik 1997),
+/// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes left out,
 /// made monotone; masked pixels are pure blue (0,0,255) registration borders.
 /// errors: kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one colour)
 Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,

@@ -65,6 +65,10 @@ class FrameSource {
 /// errors: kNotFound, kInvalid (unknown key, bad value: file and line), kUnreadable
 Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder);
 
+/// A camera on its own (for `render`): `version = 1` and one [[camera]] without frames.
+/// errors: kNotFound, kUnreadable, kInvalid
+Result<CameraInfo> read_camera_file(const std::filesystem::path& path);
+
 /// Writes a capture folder frame by frame: 8 and 16 bit frames as PNG, float ones as EXR. capture.toml
 /// is written by finish(), so an unfinished folder is not a capture.
 class CaptureFolderWriter {
@@ -178,7 +182,7 @@ class EnvironmentAssembler {
 
 /// An environment file in any supported projection as directions, solid angles and radiance. The mapping
 /// comes from the OpenEXR attribute where there is one, else from `projection`, else from the shape:
-/// 2:1 lat-long, 3:4 vertical cross, 1:1 angular. Non-finite pixels get confidence 0.
+/// 2:1 lat-long, 3:4 vertical cross, 1:1 angular. Non-finite pixels get no solid angle.
 struct EnvironmentFile {
   calib::Projection projection;
   calib::ProjectionTable table;

@@ -43,6 +43,7 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
     if (!is_finite(out.radiance.pixels()[i])) {
       out.radiance.pixels()[i] = {};
       out.table.confidence[i] = 0;
+      out.table.solid_angle_sr[i] = 0;
     }
   return out;
 }

@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <toml++/toml.h>
 
 #include <algorithm>
 #include <cctype>
@@ -9,7 +8,7 @@
 
 #include "capture/folder_format.h"
 #include "codec/codec.h"
-#include "core/files.h"
+#include "core/toml_keys.h"
 
 namespace penumbra::capture {
 namespace fs = std::filesystem;
@@ -31,82 +30,8 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "full_well_electrons",
                                             "read_fraction"};
 
-/// One table of the file; every error names file, line and key.
-class Keys {
- public:
-  Keys(const fs::path& path, const toml::table& table) : path_(path), table_(table) {}
-
-  std::unexpected<Error> invalid(const toml::node& at, std::string_view key,
-                                 const std::string& detail,
-                                 ErrorCode code = ErrorCode::kInvalid) const {
-    return fail(code, fmt::format("{}:{}", path_.string(), at.source().begin.line),
-                fmt::format("{}: {}", key, detail));
-  }
-  std::unexpected<Error> invalid(std::string_view key, const std::string& detail) const {
-    const toml::node* node = table_.get(key);
-    return invalid(node ? *node : static_cast<const toml::node&>(table_), key, detail);
-  }
-
-  bool has(std::string_view key) const { return table_.contains(key); }
-
-  Result<void> only(std::span<const std::string_view> known) const {
-    for (const auto& [key, node] : table_)
-      if (std::ranges::find(known, key.str()) == known.end())
-        return fail(ErrorCode::kInvalid,
-                    fmt::format("{}:{}", path_.string(), key.source().begin.line),
-                    fmt::format("unknown key \"{}\"", key.str()));
-    return {};
-  }
-
-  Result<std::string> text(std::string_view key) const {
-    const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    if (!node->is_string()) return invalid(key, "not a text");
-    return node->value_or(std::string());
-  }
-
-  Result<double> number(std::string_view key) const {
-    const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    return number(*node, key);
-  }
-
-  Result<int> side(std::string_view key) const {
-    const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    const auto value = node->is_integer() ? node->value_or(std::int64_t{0}) : 0;
-    if (value < 1 || value > codec::kMaxSide)
-      return invalid(key, fmt::format("not a whole number within 1..{}", codec::kMaxSide));
-    return static_cast<int>(value);
-  }
-
-  Result<std::vector<double>> numbers(std::string_view key) const {
-    const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    if (!node->is_array()) return invalid(key, "not a list of numbers");
-    std::vector<double> values;
-    for (const toml::node& element : *node->as_array()) {
-      PENUMBRA_ASSIGN(value, number(element, key));
-      values.push_back(value);
-    }
-    return values;
-  }
-
- private:
-  Result<double> number(const toml::node& node, std::string_view key) const {
-    const auto value = node.is_number() ? node.value<double>() : std::nullopt;
-    if (!value || !std::isfinite(*value)) return invalid(node, key, "not a finite number");
-    return *value;
-  }
-
-  const fs::path& path_;
-  const toml::table& table_;
-};
-
-Result<glm::dvec2> read_pair(const Keys& keys, std::string_view key) {
-  PENUMBRA_ASSIGN(values, keys.numbers(key));
-  if (values.size() != 2)
-    return keys.invalid(key, fmt::format("{} numbers, expected 2", values.size()));
+Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(values, keys.numbers(key, 2));
   return glm::dvec2{values[0], values[1]};
 }
 
@@ -114,13 +39,13 @@ bool has_intrinsics(calib::ProjectionKind kind) {
   return kind == calib::ProjectionKind::kEquidistant || kind == calib::ProjectionKind::kPinhole;
 }
 
-Result<calib::Projection> read_projection(const Keys& keys) {
+Result<calib::Projection> read_projection(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(name, keys.text("projection"));
   const auto kind = calib::projection_kind(name);
   if (!kind)
     return keys.invalid("projection", fmt::format("\"{}\": {}", name, kind.error().detail));
-  PENUMBRA_ASSIGN(width, keys.side("width"));
-  PENUMBRA_ASSIGN(height, keys.side("height"));
+  PENUMBRA_ASSIGN(width, keys.integer("width", 1, codec::kMaxSide));
+  PENUMBRA_ASSIGN(height, keys.integer("height", 1, codec::kMaxSide));
   auto projection = calib::make_projection(*kind, width, height);
   if (!projection) return keys.invalid("projection", name + ": " + projection.error().detail);
   for (const std::string_view key : {"focal_px", "principal_px"}) {
@@ -138,11 +63,10 @@ Result<calib::Projection> read_projection(const Keys& keys) {
 }
 
 /// A rotation and a translation, column-major, within the rounding of a file's few digits.
-Result<Pose> read_pose(const Keys& keys) {
+Result<Pose> read_pose(const TomlKeys& keys) {
   constexpr std::string_view key = "world_from_camera";
   constexpr double tolerance = 1e-3;
-  PENUMBRA_ASSIGN(m, keys.numbers(key));
-  if (m.size() != 16) return keys.invalid(key, fmt::format("{} numbers, expected 16", m.size()));
+  PENUMBRA_ASSIGN(m, keys.numbers(key, 16));
   if (m[3] != 0 || m[7] != 0 || m[11] != 0 || m[15] != 1)
     return keys.invalid(key, "the last row is not 0 0 0 1 (the list is column-major)");
   const glm::dmat3 r(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
@@ -154,7 +78,7 @@ Result<Pose> read_pose(const Keys& keys) {
   return Pose{glm::normalize(glm::quat_cast(r)), {m[12], m[13], m[14]}};
 }
 
-Result<void> read_identity(const Keys& keys, CameraInfo& info) {
+Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
   PENUMBRA_ASSIGN(name, keys.text("name"));
   if (name.empty()) return keys.invalid("name", "empty");
   PENUMBRA_ASSIGN(role, keys.text("role"));
@@ -170,7 +94,7 @@ Result<void> read_identity(const Keys& keys, CameraInfo& info) {
   return {};
 }
 
-Result<void> read_sensor(const Keys& keys, CameraInfo& info) {
+Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
   if (keys.has("black_level")) {
     PENUMBRA_ASSIGN(black, keys.number("black_level"));
     if (black < 0 || black >= 1)
@@ -199,7 +123,7 @@ bool is_float_file(const FrameRow& row) {
 }
 
 /// Codes mean nothing without a response; float frames need none.
-Result<calib::Response> read_response(const Keys& keys, const fs::path& folder,
+Result<calib::Response> read_response(const TomlKeys& keys, const fs::path& folder,
                                       const std::vector<FrameRow>& rows) {
   if (!keys.has("response")) {
     if (std::ranges::all_of(rows, is_float_file)) return calib::Response::linear();
@@ -213,17 +137,25 @@ Result<calib::Response> read_response(const Keys& keys, const fs::path& folder,
   return response;
 }
 
-Result<FolderCamera> read_camera(const Keys& keys, const fs::path& folder) {
+/// All of a camera but its frames and, since that may depend on them, its response.
+Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   PENUMBRA_TRY(keys.only(kCameraKeys));
-  FolderCamera camera;
-  PENUMBRA_TRY(read_identity(keys, camera.info));
+  CameraInfo info;
+  PENUMBRA_TRY(read_identity(keys, info));
   PENUMBRA_ASSIGN(projection, read_projection(keys));
-  camera.info.projection = projection;
-  PENUMBRA_TRY(read_sensor(keys, camera.info));
+  info.projection = projection;
+  PENUMBRA_TRY(read_sensor(keys, info));
   if (keys.has("world_from_camera")) {
     PENUMBRA_ASSIGN(pose, read_pose(keys));
-    camera.info.world_from_camera = pose;
+    info.world_from_camera = pose;
   }
+  return info;
+}
+
+Result<FolderCamera> read_camera(const TomlKeys& keys, const fs::path& folder) {
+  FolderCamera camera;
+  PENUMBRA_ASSIGN(info, read_camera_info(keys));
+  camera.info = std::move(info);
   PENUMBRA_ASSIGN(list, keys.text("frames"));
   if (!stays_inside(list))
     return keys.invalid("frames", fmt::format("\"{}\" is not a path inside the folder", list));
@@ -234,34 +166,20 @@ Result<FolderCamera> read_camera(const Keys& keys, const fs::path& folder) {
   return camera;
 }
 
-Result<toml::table> parse_file(const fs::path& path) {
-  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 24));
-  try {
-    return toml::parse(std::string_view(reinterpret_cast<const char*>(bytes.data()), bytes.size()),
-                       path.string());
-  } catch (const toml::parse_error& e) {
-    return fail(ErrorCode::kUnreadable, fmt::format("{}:{}", path.string(), e.source().begin.line),
-                std::string(e.description()));
-  }
-}
-
 }  // namespace
 
 Result<std::vector<FolderCamera>> read_manifest(const fs::path& folder) {
   const fs::path path = folder / kManifestName;
-  PENUMBRA_ASSIGN(root, parse_file(path));
-  const Keys keys(path, root);
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
   constexpr std::string_view known[] = {"version", "camera"};
   PENUMBRA_TRY(keys.only(known));
-  const toml::node* version = root.get("version");
-  if (!version || !version->is_integer() || version->value_or(std::int64_t{0}) != 1)
-    return keys.invalid("version", version ? "expected 1" : "missing");
-  const toml::array* list = root["camera"].as_array();
-  if (!list || list->empty()) return keys.invalid("camera", "no [[camera]]");
+  PENUMBRA_TRY(keys.version(1));
+  PENUMBRA_ASSIGN(list, keys.tables("camera"));
+  if (list.empty()) return keys.invalid("camera", "no [[camera]]");
   std::vector<FolderCamera> cameras;
-  for (const toml::node& node : *list) {
-    if (!node.is_table()) return keys.invalid(node, "camera", "not a [[camera]]");
-    const Keys camera_keys(path, *node.as_table());
+  for (const toml::table* table : list) {
+    const TomlKeys camera_keys(path, *table);
     PENUMBRA_ASSIGN(camera, read_camera(camera_keys, folder));
     if (std::ranges::any_of(cameras,
                             [&](const auto& c) { return c.info.name == camera.info.name; }))
@@ -271,6 +189,18 @@ Result<std::vector<FolderCamera>> read_manifest(const fs::path& folder) {
   if (std::ranges::all_of(cameras, [](const auto& c) { return c.rows.empty(); }))
     return fail(ErrorCode::kInvalid, path.string(), "no camera has a frame");
   return cameras;
+}
+
+Result<CameraInfo> read_camera_file(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
+  constexpr std::string_view known[] = {"version", "camera"};
+  PENUMBRA_TRY(keys.only(known));
+  PENUMBRA_TRY(keys.version(1));
+  PENUMBRA_ASSIGN(list, keys.tables("camera"));
+  if (list.size() != 1)
+    return keys.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
+  return read_camera_info(TomlKeys(path, *list[0]));
 }
 
 std::string print_manifest(const std::vector<CameraInfo>& cameras,

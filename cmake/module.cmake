@@ -2,8 +2,8 @@
 add_library(penumbra_options INTERFACE)
 target_compile_options(penumbra_options INTERFACE -Wall -Wextra -Wpedantic -Werror -Wshadow
                        -Wnon-virtual-dtor -Wno-psabi
-                       # GCC 12 reports std::optional and std::expected wrongly at -O2 and above.
-                       $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
+                       # False alarms of GCC 12 at -O2 and above: std::optional, std::expected; "x" + string.
+                       $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized -Wno-restrict>)
 target_include_directories(penumbra_options INTERFACE ${CMAKE_SOURCE_DIR})
 if(PENUMBRA_SANITIZE)
   target_compile_options(penumbra_options INTERFACE -fsanitize=${PENUMBRA_SANITIZE}

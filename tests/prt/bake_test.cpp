@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/gtc/matrix_transform.hpp>
+#include <optional>
 #include <vector>
 
 #include "lighting/lighting.h"
@@ -16,6 +17,17 @@ using test::constant_light;
 
 constexpr Rgb kWhite{1, 1, 1}, kBlack{0, 0, 0};
 constexpr float kHalfStep = 0x1p-11f;  // largest relative rounding error of a half float
+
+BakeOptions settings(int bands, int bounces, int rays, std::optional<Receiver> receiver = {},
+                     int ground_rays = 1024) {
+  BakeOptions options;
+  options.bands = bands;
+  options.bounces = bounces;
+  options.rays = rays;
+  options.ground_rays = ground_rays;
+  options.receiver = receiver;
+  return options;
+}
 
 BakedObject baked(Mesh mesh, const BakeOptions& options) {
   auto object = bake(std::move(mesh), options);
@@ -54,7 +66,7 @@ void expect_closed_form(const Mesh& mesh, const BakeOptions& options) {
 }
 
 TEST(Bake, ConvexMeshHasTheClosedForm) {
-  const BakeOptions options{.bands = 9, .bounces = 2, .rays = 128};
+  const BakeOptions options = settings(9, 2, 128);
   expect_closed_form(make_sphere({.1f, .5f, -.2f}, .7f, 3, kWhite), options);
   expect_closed_form(make_sphere({0, 0, 0}, 1, 0, kWhite), options);
   expect_closed_form(make_box({-1, 0, -.5f}, {1, .3f, .5f}, 4, kWhite), options);
@@ -63,7 +75,7 @@ TEST(Bake, ConvexMeshHasTheClosedForm) {
 TEST(Bake, WhiteFurnaceOnConvexMeshGivesOne) {
   for (const Mesh& mesh : {make_sphere({0, 1, 0}, 1, 3, kWhite),
                            make_box({-1, 0, -1}, {1, 2, 1}, 3, kWhite)}) {
-    const BakedObject object = baked(mesh, {.bands = 3, .rays = 64});
+    const BakedObject object = baked(mesh, settings(3, 4, 64));
     for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, kHalfStep);
   }
 }
@@ -73,14 +85,14 @@ TEST(Bake, WhiteFurnaceOnConvexMeshGivesOne) {
 TEST(Bake, WhiteFurnaceClosesOnAnyShapeAfterManyBounces) {
   // With albedo 1 nothing is lost, so each surface of an open shape glows like the sky; the sampled
   // equations have the same solution, hence no Monte Carlo error.
-  const BakedObject object = baked(grey_knot(1), {.bands = 2, .bounces = 60, .rays = 64});
+  const BakedObject object = baked(grey_knot(1), settings(2, 60, 64));
   for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, 2 * kHalfStep);
 }
 
 TEST(Bake, EachBounceOnlyAddsUnderConstantLight) {
   std::vector<float> last;
   for (const int bounces : {0, 1, 2, 5}) {
-    const auto now = relit(baked(grey_knot(.8f), {.bands = 1, .bounces = bounces, .rays = 64}).transfer,
+    const auto now = relit(baked(grey_knot(.8f), settings(1, bounces, 64)).transfer,
                            constant_light(kWhite));
     for (std::size_t i = 0; i < last.size(); ++i) ASSERT_GE(now[i], last[i]);
     last = now;
@@ -89,12 +101,12 @@ TEST(Bake, EachBounceOnlyAddsUnderConstantLight) {
 }
 
 TEST(Bake, BlackSurfacesReflectNothing) {
-  const Transfer direct = baked(grey_knot(0), {.bands = 3, .bounces = 0, .rays = 64}).transfer;
-  EXPECT_EQ(direct.values, baked(grey_knot(0), {.bands = 3, .bounces = 3, .rays = 64}).transfer.values);
+  const Transfer direct = baked(grey_knot(0), settings(3, 0, 64)).transfer;
+  EXPECT_EQ(direct.values, baked(grey_knot(0), settings(3, 3, 64)).transfer.values);
 }
 
 TEST(Bake, ColouredAlbedoActsPerChannel) {
-  const BakeOptions options{.bands = 3, .rays = 64};
+  const BakeOptions options = settings(3, 4, 64);
   const BakedObject coloured = baked(make_knot(1, 60, 12, {.9f, .5f, 0}), options);
   ASSERT_EQ(coloured.transfer.channels, 3);
   int channel = 0;
@@ -149,15 +161,16 @@ Bowl make_bowl(float cut, float albedo) {
 TEST(Bake, BowlUnderConstantLightGlowsByTheClosedForm) {
   for (const auto& [cut, rho] : {std::pair{.6f, .8f}, {0.f, .5f}, {.9f, .3f}}) {
     const Bowl bowl = make_bowl(cut, rho);
-    const BakedObject object = baked(bowl.mesh, {.bands = 1, .bounces = 20, .rays = 1024});
+    const BakedObject object = baked(bowl.mesh, settings(1, 20, 1024));
     const auto e = relit(object.transfer, constant_light(kWhite));  // E/pi; exit radiance is rho times it
     const double f = bowl.fraction, expected = (1 - f) / (1 - rho * f);
     double mean = 0;
     for (std::size_t i = 0; i < e.size(); ++i) {
-      EXPECT_NEAR(e[i], expected, .015 * expected) << "f " << f << " rho " << rho << " vertex " << i;
+      // A vertex has the noise of its own 1024 rays; over the bowl it averages out.
+      ASSERT_NEAR(e[i], expected, .012) << "f " << f << " rho " << rho << " vertex " << i;
       mean += bowl.vertex_share[i] * e[i];
     }
-    EXPECT_NEAR(mean, expected, .005 * expected) << "f " << f << " rho " << rho;
+    EXPECT_NEAR(mean, expected, .002 * expected) << "f " << f << " rho " << rho;
   }
 }
 
@@ -165,9 +178,8 @@ TEST(Bake, BowlSpreadsWhatItReflectsEvenlyUnderAnyLight) {
   constexpr float kRho = .7f;
   const Bowl bowl = make_bowl(.3f, kRho);
   const RadianceSh light = test::sloped_light(1, {.5, .6, -.4});
-  const auto direct =
-      relit(baked(bowl.mesh, {.bands = 2, .bounces = 0, .rays = 1024}).transfer, light);
-  const auto all = relit(baked(bowl.mesh, {.bands = 2, .bounces = 20, .rays = 1024}).transfer, light);
+  const auto direct = relit(baked(bowl.mesh, settings(2, 0, 1024)).transfer, light);
+  const auto all = relit(baked(bowl.mesh, settings(2, 20, 1024)).transfer, light);
   double mean_direct = 0;
   for (std::size_t i = 0; i < direct.size(); ++i) mean_direct += bowl.vertex_share[i] * direct[i];
   const double f = bowl.fraction, indirect = kRho * f * mean_direct / (1 - kRho * f);
@@ -182,8 +194,7 @@ TEST(Bake, SphereTakesItsClosedFormFromTheFloor) {
     constexpr float kRadius = .25f;
     const Mesh sphere = make_sphere({.3f, 1 + height * kRadius, -.1f}, kRadius, 4, kBlack);
     const GroundGrid grid = fit_ground_grid(sphere, 1, 48);
-    const BakedObject object =
-        baked(sphere, {.bands = 1, .bounces = 1, .rays = 64, .receiver = Receiver{grid, kBlack}});
+    const BakedObject object = baked(sphere, settings(1, 1, 64, Receiver{grid, kBlack}));
     const auto deficit = relit(object.ground_deficit, constant_light(kWhite));
     for (int j = 0; j < grid.size; ++j)
       for (int i = 0; i < grid.size; ++i) {
@@ -197,8 +208,8 @@ TEST(Bake, SphereTakesItsClosedFormFromTheFloor) {
 
 TEST(Bake, BlackFloorHidesTheLowerHemisphere) {
   const Mesh sphere = make_sphere({0, 2, 0}, .5f, 2, kBlack);
-  const BakedObject object = baked(
-      sphere, {.bands = 1, .bounces = 0, .rays = 1024, .receiver = Receiver{fit_ground_grid(sphere, 0, 8), kBlack}});
+  const BakedObject object =
+      baked(sphere, settings(1, 0, 1024, Receiver{fit_ground_grid(sphere, 0, 8), kBlack}));
   const auto e = relit(object.transfer, constant_light(kWhite));
   for (std::size_t i = 0; i < e.size(); ++i)
     EXPECT_NEAR(e[i], (1 + sphere.normals[i].y) / 2, .01) << "vertex " << i;
@@ -206,9 +217,8 @@ TEST(Bake, BlackFloorHidesTheLowerHemisphere) {
 
 TEST(Bake, WhiteFurnaceClosesBetweenObjectAndFloor) {
   const Mesh knot = make_knot(1, 60, 12, kWhite);
-  const BakedObject object =
-      baked(knot, {.bands = 1, .bounces = 60, .rays = 64, .ground_rays = 64,
-                   .receiver = Receiver{fit_ground_grid(knot, 0, 24), kWhite}});
+  const Receiver floor{fit_ground_grid(knot, 0, 24), kWhite};
+  const BakedObject object = baked(knot, settings(1, 60, 64, floor, 64));
   for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, .005);
   for (const float v : relit(object.ground_deficit, constant_light(kWhite))) ASSERT_NEAR(v, 0, .005);
 }
@@ -217,8 +227,8 @@ TEST(Bake, WhiteFurnaceClosesBetweenObjectAndFloor) {
 
 TEST(Bake, IsBitIdenticalEveryTime) {
   const Mesh knot = make_knot(1, 60, 12, {.8f, .5f, .3f});
-  const BakeOptions options{.bands = 3, .rays = 64, .ground_rays = 64,
-                            .receiver = Receiver{fit_ground_grid(knot, 0, 32), {.5f, .5f, .5f}}};
+  const Receiver floor{fit_ground_grid(knot, 0, 32), {.5f, .5f, .5f}};
+  const BakeOptions options = settings(3, 4, 64, floor, 64);
   const BakedObject a = baked(knot, options), b = baked(knot, options);
   EXPECT_EQ(a.transfer.values, b.transfer.values);
   EXPECT_EQ(a.ground_deficit.values, b.ground_deficit.values);
@@ -226,7 +236,7 @@ TEST(Bake, IsBitIdenticalEveryTime) {
 }
 
 TEST(Bake, SizeAndPlaceLeaveTheTransferUnchanged) {
-  const BakeOptions options{.bands = 4, .rays = 256};
+  const BakeOptions options = settings(4, 4, 256);
   const Transfer plain = baked(make_knot(1, 60, 12, {.7f, .7f, .7f}), options).transfer;
   struct Placing {
     double scale, offset;
@@ -244,9 +254,10 @@ TEST(Bake, SizeAndPlaceLeaveTheTransferUnchanged) {
         worst = std::max(worst, change);
         square += change * change / static_cast<double>(plain.points * 16);
       }
-    // One ray in 256 that grazes an edge may fall on its other side.
     EXPECT_LT(std::sqrt(square), 1e-4) << placing.scale << ' ' << placing.offset;
-    EXPECT_LT(worst, .28 * 2.5 / 256) << placing.scale << ' ' << placing.offset;
+    // A ray that grazes an edge may fall on its other side once the positions are rounded.
+    constexpr double kOneRay = .75 / 256;
+    EXPECT_LT(worst, placing.offset > 0 ? kOneRay : 1e-3) << placing.scale << ' ' << placing.offset;
   }
 }
 
@@ -258,20 +269,20 @@ TEST(Bake, RefusesWhatItCannotBake) {
     const auto object = bake(mesh, options);
     return object ? std::nullopt : std::optional(object.error().code);
   };
-  EXPECT_EQ(code({}, {}), ErrorCode::kInvalid) << "no triangles";
+  EXPECT_EQ(code({}, settings(3, 0, 64)), ErrorCode::kInvalid) << "no triangles";
   for (const int bands : {-1, 0, kMaxBands + 1})
-    EXPECT_EQ(code(box, {.bands = bands}), ErrorCode::kInvalid) << bands;
+    EXPECT_EQ(code(box, settings(bands, 0, 64)), ErrorCode::kInvalid) << bands;
   for (const int rays : {-64, 0, 1, 63, 65, 100}) {
-    EXPECT_EQ(code(box, {.rays = rays}), ErrorCode::kInvalid) << rays;
-    EXPECT_EQ(code(box, {.ground_rays = rays}), ErrorCode::kInvalid) << rays;
+    EXPECT_EQ(code(box, settings(3, 0, rays)), ErrorCode::kInvalid) << rays;
+    EXPECT_EQ(code(box, settings(3, 0, 64, {}, rays)), ErrorCode::kInvalid) << rays;
   }
-  EXPECT_EQ(code(box, {.bounces = -1}), ErrorCode::kInvalid);
-  EXPECT_EQ(code(box, {.bands = kMaxBands, .bounces = 0, .rays = 64}), std::nullopt);
+  EXPECT_EQ(code(box, settings(3, -1, 64)), ErrorCode::kInvalid);
+  EXPECT_EQ(code(box, settings(kMaxBands, 0, 64)), std::nullopt);
 }
 
 TEST(Bake, ProgressRisesToOne) {
   double last = 0;
-  BakeOptions options{.bands = 2, .rays = 64};
+  BakeOptions options = settings(2, 4, 64);
   options.progress = [&](double done) {
     EXPECT_GE(done, last);
     EXPECT_LE(done, 1);
@@ -284,7 +295,7 @@ TEST(Bake, ProgressRisesToOne) {
 TEST(Bake, StandardErrorFallsWithMoreRays) {
   double last = 1;
   for (const int rays : {64, 256, 1024}) {
-    const double now = baked(grey_knot(0), {.bands = 1, .bounces = 0, .rays = rays}).report.standard_error;
+    const double now = baked(grey_knot(0), settings(1, 0, rays)).report.standard_error;
     EXPECT_LT(now, .5 * last) << rays;
     EXPECT_GT(now, 0) << rays;
     last = now;
@@ -292,9 +303,9 @@ TEST(Bake, StandardErrorFallsWithMoreRays) {
 }
 
 TEST(Bake, ReportedStandardErrorIsTheTrueOne) {
-  const Transfer truth = baked(grey_knot(0), {.bands = 1, .bounces = 0, .rays = 4096}).transfer;
+  const Transfer truth = baked(grey_knot(0), settings(1, 0, 4096)).transfer;
   for (const int rays : {64, 256}) {
-    const BakedObject object = baked(grey_knot(0), {.bands = 1, .bounces = 0, .rays = rays});
+    const BakedObject object = baked(grey_knot(0), settings(1, 0, rays));
     double square = 0, mean = 0;
     for (std::size_t p = 0; p < truth.points; ++p) {
       square += std::pow(object.transfer.value(0, 0, p) - truth.value(0, 0, p), 2);

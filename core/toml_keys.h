@@ -1,0 +1,135 @@
+// TOML tables read strictly: unknown keys, wrong kinds and values out of range are errors that name the
+// file, the line and the key. Included by the few files that read TOML.
+#pragma once
+
+#include <fmt/format.h>
+#include <toml++/toml.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/files.h"
+#include "core/result.h"
+
+namespace penumbra {
+
+/// One table of the file; every error names file, line and key.
+class TomlKeys {
+ public:
+  TomlKeys(const std::filesystem::path& path, const toml::table& table) : path_(path), table_(table) {}
+
+  std::unexpected<Error> invalid(const toml::node& at, std::string_view key,
+                                 const std::string& detail,
+                                 ErrorCode code = ErrorCode::kInvalid) const {
+    return fail(code, fmt::format("{}:{}", path_.string(), at.source().begin.line),
+                fmt::format("{}: {}", key, detail));
+  }
+  std::unexpected<Error> invalid(std::string_view key, const std::string& detail) const {
+    const toml::node* node = table_.get(key);
+    return invalid(node ? *node : static_cast<const toml::node&>(table_), key, detail);
+  }
+
+  bool has(std::string_view key) const { return table_.contains(key); }
+
+  Result<void> only(std::span<const std::string_view> known) const {
+    for (const auto& [key, node] : table_)
+      if (std::ranges::find(known, key.str()) == known.end())
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("{}:{}", path_.string(), key.source().begin.line),
+                    fmt::format("unknown key \"{}\"", key.str()));
+    return {};
+  }
+
+  Result<std::string> text(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    if (!node->is_string()) return invalid(key, "not a text");
+    return node->value_or(std::string());
+  }
+
+  Result<double> number(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    return number(*node, key);
+  }
+
+  /// A whole number within [low, high].
+  Result<int> integer(std::string_view key, int low, int high) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    const auto value = node->is_integer() ? node->value_or(std::int64_t{0}) : 0;
+    if (!node->is_integer() || value < low || value > high)
+      return invalid(key, fmt::format("not a whole number within {}..{}", low, high));
+    return static_cast<int>(value);
+  }
+
+  Result<bool> flag(std::string_view key) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    if (!node->is_boolean()) return invalid(key, "neither true nor false");
+    return node->value_or(false);
+  }
+
+  /// `count` numbers, or any count when 0.
+  Result<std::vector<double>> numbers(std::string_view key, std::size_t count = 0) const {
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "missing");
+    if (!node->is_array()) return invalid(key, "not a list of numbers");
+    std::vector<double> values;
+    for (const toml::node& element : *node->as_array()) {
+      PENUMBRA_ASSIGN(value, number(element, key));
+      values.push_back(value);
+    }
+    if (count != 0 && values.size() != count)
+      return invalid(key, fmt::format("{} numbers, expected {}", values.size(), count));
+    return values;
+  }
+
+  /// The tables of [[key]]; empty where there is none.
+  Result<std::vector<const toml::table*>> tables(std::string_view key) const {
+    std::vector<const toml::table*> out;
+    const toml::node* node = table_.get(key);
+    if (!node) return out;
+    if (!node->is_array()) return invalid(key, "not a list of tables");
+    for (const toml::node& element : *node->as_array()) {
+      if (!element.is_table()) return invalid(element, key, "not a [[" + std::string(key) + "]]");
+      out.push_back(element.as_table());
+    }
+    return out;
+  }
+
+  Result<void> version(int expected) const {
+    const toml::node* node = table_.get("version");
+    if (!node || !node->is_integer() || node->value_or(std::int64_t{0}) != expected)
+      return invalid("version", node ? fmt::format("expected {}", expected) : "missing");
+    return {};
+  }
+
+ private:
+  Result<double> number(const toml::node& node, std::string_view key) const {
+    const auto value = node.is_number() ? node.value<double>() : std::nullopt;
+    if (!value || !std::isfinite(*value)) return invalid(node, key, "not a finite number");
+    return *value;
+  }
+
+  const std::filesystem::path& path_;
+  const toml::table& table_;
+};
+
+inline Result<toml::table> parse_toml(const std::filesystem::path& path) {
+  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 24));
+  try {
+    return toml::parse(std::string_view(reinterpret_cast<const char*>(bytes.data()), bytes.size()),
+                       path.string());
+  } catch (const toml::parse_error& e) {
+    return fail(ErrorCode::kUnreadable, fmt::format("{}:{}", path.string(), e.source().begin.line),
+                std::string(e.description()));
+  }
+}
+
+}  // namespace penumbra

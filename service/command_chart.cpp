@@ -1,0 +1,217 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "capture/capture.h"
+#include "codec/codec.h"
+#include "core/conventions.h"
+#include "core/files.h"
+#include "service/commands.h"
+#include "service/light_file.h"
+#include "service/progress.h"
+#include "service/report.h"
+#include "service/still.h"
+
+namespace penumbra::service {
+
+namespace {
+
+struct Row {
+  std::string environment;
+  int bands = 0;
+  double object_rel_rmse = 0, shadow_rmse = 0, object_bias = 0, reference_error = 0;
+};
+
+// One scene for all environments: the object stands on a 40 % grey floor before a camera that sees both.
+struct Bench {
+  Scene scene;
+  PreparedScene prepared, reference_scene;
+  prt::PinholeView view;
+};
+
+prt::PinholeView make_view() {
+  constexpr int kWidth = 192, kHeight = 144;
+  return {kWidth, kHeight, {210, 210}, {kWidth / 2., kHeight / 2.},
+          capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
+}
+
+Result<Bench> make_bench(const ChartOptions& o) {
+  Bench bench;
+  SceneObject object;
+  object.asset = o.asset.value_or("builtin:knot");
+  object.name = "object";
+  object.albedo = {.6f, .6f, .6f};
+  object.stand = true;
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  floor.albedo = Rgb{.4f, .4f, .4f};
+  bench.scene = {{object}, {floor}};
+  bench.view = make_view();
+  BakeSettings settings;
+  settings.bands = kMaxBands;  // fewer bands are the same coefficients, left out
+  settings.rays = 1024;
+  settings.ground_rays = 2048;
+  auto prepared = prepare(bench.scene, settings, progress_bar);
+  if (!prepared) return std::unexpected(prepared.error());
+  bench.prepared = std::move(*prepared);
+  return bench;
+}
+
+// Which pixels show the object alone (coverage 1), and which the floor alone.
+struct Masks {
+  std::vector<bool> object, floor;
+};
+
+// Black object on white background, and white floor: read from two composites under constant light.
+Result<Masks> make_masks(const Bench& bench) {
+  const Image<Rgb> white(64, 32, {1, 1, 1});
+  StillScene in{&bench.prepared, &white, bench.view};
+  Still backdrop{Image<Rgb>(bench.view.width, bench.view.height, {0, 0, 0}), 0, 0};
+  RadianceSh light(1);
+  light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
+  auto lit = render_composite(in, light, backdrop);
+  if (!lit) return std::unexpected(lit.error());
+  // Over white, an object pixel of full coverage shows nothing of the backdrop.
+  Still white_backdrop{Image<Rgb>(bench.view.width, bench.view.height, {100, 100, 100}), 0, 0};
+  auto over_white = render_composite(in, light, white_backdrop);
+  if (!over_white) return std::unexpected(over_white.error());
+  Masks masks;
+  auto sky = prt::EnvironmentLight::from_map(white);
+  for (int y = 0; y < bench.view.height; ++y)
+    for (int x = 0; x < bench.view.width; ++x) {
+      const Rgb &a = lit->radiance.at(x, y), &b = over_white->radiance.at(x, y);
+      masks.object.push_back(a.g > 0 && std::abs(b.g - a.g) < 1e-3f);
+      const double dy = -(y + .5 - bench.view.principal_px.y) / bench.view.focal_px.y;
+      const glm::dvec3 d = bench.view.world_from_camera.rotation *
+                           glm::dvec3((x + .5 - bench.view.principal_px.x) / bench.view.focal_px.x, dy, -1);
+      masks.floor.push_back(a.g == 0 && d.y < 0);
+    }
+  return masks;
+}
+
+// Object error relative to its mean; shadow error of s = L/L_0 where the reference is below .95.
+Row compare_pictures(const Still& ours, const Still& truth, const Still& empty, const Still& our_empty,
+                     const Masks& masks) {
+  Row row;
+  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0;
+  for (std::size_t i = 0; i < masks.object.size(); ++i) {
+    const double a = luminance(ours.radiance.pixels()[i]), t = luminance(truth.radiance.pixels()[i]);
+    if (masks.object[i]) {
+      square += (a - t) * (a - t);
+      mean += t;
+      bias += a - t;
+      ++objects;
+    } else if (masks.floor[i]) {
+      const double s_true = t / luminance(empty.radiance.pixels()[i]);
+      const double s_ours = a / luminance(our_empty.radiance.pixels()[i]);
+      if (s_true >= .95) continue;
+      shadow_square += (s_ours - s_true) * (s_ours - s_true);
+      ++shadows;
+    }
+  }
+  row.object_rel_rmse = std::sqrt(square / objects) / (mean / objects);
+  row.object_bias = bias / mean;
+  row.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;
+  row.reference_error = truth.error;
+  return row;
+}
+
+struct Environment {
+  std::string name;
+  Image<Rgb> map;
+  RadianceSh light{kMaxBands};
+};
+
+Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
+  std::vector<Environment> out;
+  const auto add = [&](std::string name, Image<Rgb> map) -> Result<void> {
+    auto light = lighting::project_latlong(map, kMaxBands);
+    if (!light) return fail(light.error().code, name, light.error().detail);
+    out.push_back({std::move(name), std::move(map), *light});
+    return {};
+  };
+  for (const std::string& path : o.environments) {
+    auto light = read_light(path, std::nullopt);
+    if (!light) return std::unexpected(light.error());
+    auto map = capture::to_latlong(light->file);
+    if (!map) return std::unexpected(map.error());
+    PENUMBRA_TRY(add(std::filesystem::path(path).stem().string(), std::move(*map)));
+  }
+  if (!out.empty()) return out;
+  PENUMBRA_TRY(add("room", capture::make_room_environment(1024, 512)));
+  PENUMBRA_TRY(add("clear-sky", capture::make_sky_environment(1024, 512, .8)));
+  return out;
+}
+
+Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const Masks& masks,
+                               const Environment& environment, std::vector<Row>& rows) {
+  const StillScene in{&bench.prepared, &environment.map, bench.view};
+  auto empty = render_real(in, o.error, {});
+  if (!empty) return std::unexpected(empty.error());
+  std::optional<Still> truth;
+  for (const int bands : o.bands) {
+    const RadianceSh light = environment.light.with_bands(bands);
+    Still truncated_empty = *empty;
+    if (o.truncated || !truth) {
+      auto reference = render_reference(in, true, o.error, o.truncated ? std::optional(light) : std::nullopt,
+                                        progress_bar(fmt::format("{} {}", environment.name, bands)));
+      if (!reference) return std::unexpected(reference.error());
+      truth = std::move(*reference);
+    }
+    if (o.truncated) {
+      // The floor under truncated light, in closed form.
+      const Rgb e = lighting::evaluate(lighting::irradiance(light), {0, 1, 0});
+      const Rgb exit = e * (.4f / static_cast<float>(kPi));
+      for (std::size_t i = 0; i < masks.floor.size(); ++i)
+        if (masks.floor[i]) truncated_empty.radiance.pixels()[i] = exit;
+    }
+    auto ours = render_composite(in, light, truncated_empty);
+    if (!ours) return std::unexpected(ours.error());
+    Row row = compare_pictures(*ours, *truth, truncated_empty, truncated_empty, masks);
+    row.environment = environment.name;
+    row.bands = bands;
+    if (!o.json)
+      fmt::print("{:<44} {:>3} {:>12.2f} {:>12.2f} {:>12.4f} {:>12.2f}\n", row.environment, bands * bands,
+                 100 * row.object_rel_rmse, 100 * row.object_bias, row.shadow_rmse, 100 * row.reference_error);
+    rows.push_back(row);
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<void> chart(const ChartOptions& options) {
+  ChartOptions o = options;
+  if (o.bands.empty()) o.bands = {1, 2, 3, 4, 5, 6, 9};
+  for (int b : o.bands)
+    if (b < 1 || b > kMaxBands) return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
+  if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
+  PENUMBRA_TRY(make_folder(o.output));
+  auto environments = read_environments(o);
+  if (!environments) return std::unexpected(environments.error());
+  auto bench = make_bench(o);
+  if (!bench) return std::unexpected(bench.error());
+  auto masks = make_masks(*bench);
+  if (!masks) return std::unexpected(masks.error());
+  if (!o.json)
+    fmt::print("{:<44} {:>3} {:>12} {:>12} {:>12} {:>12}\n", "environment", "n", "object %", "bias %", "shadow s",
+               "ref error %");
+  std::vector<Row> rows;
+  for (const Environment& e : *environments) PENUMBRA_TRY(chart_environment(o, *bench, *masks, e, rows));
+  std::string csv = "environment,coefficients,object_rel_rmse,object_bias,shadow_rmse,reference_error\n";
+  nlohmann::json json = nlohmann::json::array();
+  for (const Row& r : rows) {
+    csv += fmt::format("{},{},{:.6f},{:.6f},{:.6f},{:.6f}\n", r.environment, r.bands * r.bands, r.object_rel_rmse,
+                       r.object_bias, r.shadow_rmse, r.reference_error);
+    json.push_back({{"environment", r.environment}, {"coefficients", r.bands * r.bands},
+                    {"object_rel_rmse", r.object_rel_rmse}, {"object_bias", r.object_bias},
+                    {"shadow_rmse", r.shadow_rmse}, {"reference_error", r.reference_error}});
+  }
+  PENUMBRA_TRY(write_bytes(std::filesystem::path(o.output) / "accuracy.csv", csv));
+  if (o.json) print_json({{"rows", json}});
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,70 @@
+#include <fmt/format.h>
+
+#include <filesystem>
+
+#include "core/files.h"
+#include "service/commands.h"
+#include "service/output.h"
+#include "service/progress.h"
+#include "service/report.h"
+#include "service/summary.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// The first view camera's frames are frame_000000.png; a second eye carries its name.
+std::string still_name(const capture::CameraInfo& camera, bool first, std::uint64_t number) {
+  return first ? fmt::format("frame_{:06}.png", number)
+               : fmt::format("frame_{}_{:06}.png", camera.eye.empty() ? camera.name : camera.eye, number);
+}
+
+}  // namespace
+
+Result<void> composite(const CompositeOptions& o) {
+  if (o.bands < 1 || o.bands > kMaxBands) return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  auto source = capture::open_capture_folder(o.capture);
+  if (!source) return std::unexpected(source.error());
+  auto scene = read_scene(o.scene);
+  if (!scene) return std::unexpected(scene.error());
+  StageTimes times;
+  const auto& cameras = (*source)->cameras();
+  auto light = LightStage::create(cameras, o.bands, times);
+  if (!light) return fail(light.error().code, o.capture, light.error().detail);
+  // The output is tried before the long work.
+  FrameWriter::Options writer_options{o.output, true, o.video, 30};
+  PENUMBRA_TRY(make_folder(o.output));
+  BakeSettings settings;
+  settings.bands = o.bands;
+  auto prepared = prepare(*scene, settings, progress_bar);
+  if (!prepared) return std::unexpected(prepared.error());
+  auto compose = ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
+  if (!compose) return std::unexpected(compose.error());
+  auto writer = FrameWriter::create(writer_options, times);
+  if (!writer) return std::unexpected(writer.error());
+
+  int first_view = -1;
+  std::vector<std::uint64_t> written(cameras.size());
+  auto counts = run_replay(
+      **source, *light, **compose,
+      [&](const Output& out) {
+        if (first_view < 0) first_view = out.source.camera;
+        const bool first = out.source.camera == first_view;
+        const auto camera = static_cast<std::size_t>(out.source.camera);
+        return (*writer)->write(still_name(cameras[camera], first, written[camera]++), out.pixels, first);
+      },
+      times);
+  if (!counts) return std::unexpected(counts.error());
+  PENUMBRA_TRY((*writer)->finish());
+  const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
+  const nlohmann::json summary =
+      summarise(*counts, times,
+                {o.bands, view->projection.width, view->projection.height,
+                 static_cast<int>(prepared->objects.size()), (*compose)->output().renderer()});
+  PENUMBRA_TRY(write_bytes(std::filesystem::path(o.output) / "summary.json", summary.dump(2) + "\n"));
+  if (o.json) print_json(summary);
+  else print_summary(summary);
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,149 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "codec/codec.h"
+#include "core/files.h"
+#include "service/commands.h"
+#include "service/output.h"
+#include "service/progress.h"
+#include "service/report.h"
+#include "service/studio_setup.h"
+#include "service/summary.h"
+
+namespace penumbra::service {
+
+namespace {
+
+using compositor::Compositor;
+
+bool has_display() {
+  const auto set = [](const char* name) {
+    const char* value = std::getenv(name);
+    return value && *value;
+  };
+  return set("DISPLAY") || set("WAYLAND_DISPLAY");
+}
+
+// Passes frames on and records them as they come.
+class RecordingSource : public capture::FrameSource {
+ public:
+  RecordingSource(capture::FrameSource& source, capture::CaptureFolderWriter writer)
+      : source_(source), writer_(std::move(writer)) {}
+  const std::vector<capture::CameraInfo>& cameras() const override { return source_.cameras(); }
+  Result<std::optional<capture::Frame>> next() override {
+    auto frame = source_.next();
+    if (frame && *frame) PENUMBRA_TRY(writer_.write(**frame));
+    return frame;
+  }
+  Result<void> finish() { return writer_.finish(); }
+
+ private:
+  capture::FrameSource& source_;
+  capture::CaptureFolderWriter writer_;
+};
+
+Result<void> check(const DemoOptions& o) {
+  if (o.frames < 1) return fail(ErrorCode::kInvalid, "--frames", "must be positive");
+  if (o.width < 64 || o.height < 64 || o.width > 8192 || o.height > 8192)
+    return fail(ErrorCode::kInvalid, "--size", "each side must be within 64..8192");
+  if (!(o.fps > 0 && o.fps <= 1000)) return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
+  if (o.bands < 1 || o.bands > kMaxBands) return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  if (o.live && o.record) return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
+  return {};
+}
+
+Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::CameraInfo>& cameras,
+                                                   const PreparedScene& scene, bool headless, StageTimes& times) {
+  if (!headless && has_display()) {
+    auto windowed = ComposeStage::create(cameras, scene, Compositor::Surface::kWindow, times);
+    if (windowed) return windowed;
+    spdlog::warn("{}: {}; going on without a window", windowed.error().where, windowed.error().detail);
+  }
+  return ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
+}
+
+struct Prepared {
+  StudioSetup setup;
+  PreparedScene scene;
+};
+
+Result<Prepared> prepare_demo(const DemoOptions& o) {
+  StudioRequest request;
+  request.environment = o.environment;
+  request.asset = o.asset;
+  request.animated = o.animated;
+  request.width = o.width;
+  request.height = o.height;
+  request.fps = o.fps;
+  request.frames = o.frames;
+  // A live camera costs the machine nothing; its frames are filmed before the clock starts.
+  request.view_clip = o.live ? 16 : 0;
+  auto setup = set_up_studio(request);
+  if (!setup) return std::unexpected(setup.error());
+  BakeSettings settings;
+  settings.bands = o.bands;
+  auto scene = prepare(setup->scene, settings, progress_bar);
+  if (!scene) return std::unexpected(scene.error());
+  return Prepared{std::move(*setup), std::move(*scene)};
+}
+
+}  // namespace
+
+Result<void> demo(const DemoOptions& o) {
+  PENUMBRA_TRY(check(o));
+  const std::filesystem::path folder = o.output;
+  PENUMBRA_TRY(make_folder(folder));
+  auto ready = prepare_demo(o);
+  if (!ready) return std::unexpected(ready.error());
+  capture::Studio studio(ready->setup.world, ready->setup.options);
+  for (const Exposure& e : studio.schedule())
+    spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(), e.gain.value());
+  StageTimes times;
+  auto light = LightStage::create(studio.cameras(), o.bands, times);
+  if (!light) return std::unexpected(light.error());
+  auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
+  if (!compose) return std::unexpected(compose.error());
+  auto writer = FrameWriter::create({folder, false, true, o.fps}, times);
+  if (!writer) return std::unexpected(writer.error());
+  std::optional<RecordingSource> recording;
+  if (o.record) {
+    auto recorder = capture::CaptureFolderWriter::create(*o.record, studio.cameras());
+    if (!recorder) return std::unexpected(recorder.error());
+    recording.emplace(studio, std::move(*recorder));
+  }
+  std::shared_ptr<const FramePixels> last, last_source;
+  const Sink sink = [&](const Output& out) {
+    last = out.pixels;
+    last_source = out.source.pixels;
+    if (!(*compose)->output().present(to_display(*out.pixels))) return false;
+    return (*writer)->write("", out.pixels, true);
+  };
+  const std::atomic<bool> never = false;
+  capture::FrameSource& source = recording ? static_cast<capture::FrameSource&>(*recording) : studio;
+  auto counts = o.live ? run_live(source, *light, **compose, sink, times, never)
+                       : run_replay(source, *light, **compose, sink, times);
+  if (!counts) return std::unexpected(counts.error());
+  PENUMBRA_TRY((*writer)->finish());
+  if (recording) {
+    PENUMBRA_TRY(recording->finish());
+    PENUMBRA_TRY(write_scene(std::filesystem::path(*o.record) / "scene.toml", ready->setup.scene));
+  }
+  PENUMBRA_TRY(codec::write_frame(folder / "still.png", to_display(*last)));
+  PENUMBRA_TRY(codec::write_frame(folder / "camera.png", to_display(*last_source)));
+  const nlohmann::json summary = summarise(
+      *counts, times,
+      {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()), (*compose)->output().renderer()});
+  PENUMBRA_TRY(write_bytes(folder / "summary.json", summary.dump(2) + "\n"));
+  if (o.json) {
+    print_json(summary);
+  } else {
+    print_summary(summary);
+    fmt::print("{0}/video.mp4  {0}/still.png  {0}/camera.png (before)  {0}/summary.json\n", folder.string());
+  }
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,139 @@
+#include <fmt/format.h>
+
+#include <filesystem>
+
+#include "calib/calib.h"
+#include "capture/capture.h"
+#include "codec/codec.h"
+#include "core/conventions.h"
+#include "service/commands.h"
+#include "service/report.h"
+#include "service/scene.h"
+
+namespace penumbra::service {
+
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+Result<json> inspect_capture(const std::string& folder) {
+  auto source = capture::open_capture_folder(folder);
+  if (!source) return std::unexpected(source.error());
+  json cameras = json::array();
+  for (const capture::CameraInfo& c : (*source)->cameras())
+    cameras.push_back({{"name", c.name},
+                       {"role", c.role == capture::Role::kView ? "view" : "environment"},
+                       {"width", c.projection.width},
+                       {"height", c.projection.height},
+                       {"projection", calib::projection_name(c.projection.kind)},
+                       {"response", c.response.describe()},
+                       {"frames", 0}});
+  for (;;) {
+    auto frame = (*source)->next();
+    if (!frame) return std::unexpected(frame.error());
+    if (!*frame) break;
+    json& camera = cameras[static_cast<std::size_t>((*frame)->camera)];
+    camera["frames"] = camera["frames"].get<int>() + 1;
+    camera["last_time_s"] = ((*frame)->time - TimestampNs{0}).count();
+  }
+  return json{{"kind", "capture folder"}, {"cameras", cameras}};
+}
+
+Result<json> inspect_baked(const std::string& file) {
+  auto baked = prt::read_baked(file);
+  if (!baked) return std::unexpected(baked.error());
+  json out = {{"kind", "baked object"},
+              {"vertices", baked->mesh.positions.size()},
+              {"triangles", baked->mesh.triangles.size()},
+              {"bands", baked->transfer.bands},
+              {"channels", baked->transfer.channels},
+              {"rays", baked->report.rays},
+              {"standard_error", baked->report.standard_error}};
+  if (baked->receiver) {
+    const prt::GroundGrid& g = baked->receiver->grid;
+    out["receiver"] = {{"texels", g.size * g.size}, {"half_extent_m", g.half_extent}, {"height_m", g.height},
+                       {"albedo", to_json(baked->receiver->albedo)}};
+  }
+  return out;
+}
+
+Result<json> inspect_mesh(const std::string& file) {
+  auto imported = prt::import_mesh(file, {.7f, .7f, .7f});
+  if (!imported) return std::unexpected(imported.error());
+  const prt::Bounds b = bounds_of(imported->mesh);
+  return json{{"kind", "mesh"},
+              {"vertices", imported->mesh.positions.size()},
+              {"triangles", imported->mesh.triangles.size()},
+              {"degenerate_triangles", imported->degenerate_triangles},
+              {"size_m", {b.high.x - b.low.x, b.high.y - b.low.y, b.high.z - b.low.z}},
+              {"low_m", {b.low.x, b.low.y, b.low.z}}};
+}
+
+Result<json> inspect_picture(const std::string& file) {
+  auto frame = codec::read_frame(file);
+  if (!frame) return std::unexpected(frame.error());
+  json out = {{"width", capture::width(*frame)}, {"height", capture::height(*frame)}};
+  const auto* linear = std::get_if<Image<Rgb>>(&*frame);
+  if (!linear) {
+    out["kind"] = std::holds_alternative<Image<Rgb8>>(*frame) ? "8-bit picture" : "16-bit picture";
+    return out;
+  }
+  double low = HUGE_VAL, high = 0, sum = 0;
+  std::size_t finite = 0;
+  for (const Rgb& c : linear->pixels()) {
+    if (!is_finite(c)) continue;
+    const double y = luminance(c);
+    if (y > 0) low = std::min(low, y);
+    high = std::max(high, y);
+    sum += y;
+    ++finite;
+  }
+  out["kind"] = "HDR picture";
+  out["non_finite"] = linear->area() - finite;
+  out["smallest_positive_luminance"] = std::isfinite(low) ? low : 0;
+  out["largest_luminance"] = high;
+  out["mean_luminance"] = finite ? sum / static_cast<double>(finite) : 0;
+  return out;
+}
+
+Result<json> inspect_toml(const std::string& file) {
+  if (auto scene = read_scene(file)) {
+    json names = json::array();
+    for (const SceneObject& o : scene->objects) names.push_back({{"name", o.name}, {"asset", o.asset}});
+    return json{{"kind", "scene"}, {"objects", names}, {"real", scene->real.size()}};
+  }
+  auto camera = capture::read_camera_file(file);
+  if (!camera) return std::unexpected(camera.error());
+  return json{{"kind", "camera"}, {"name", camera->name}, {"width", camera->projection.width},
+              {"height", camera->projection.height},
+              {"projection", calib::projection_name(camera->projection.kind)}};
+}
+
+Result<json> describe(const std::string& file) {
+  std::error_code error;
+  if (fs::is_directory(file, error)) return inspect_capture(file);
+  const std::string extension = fs::path(file).extension().string();
+  if (extension == ".toml") return inspect_toml(file);
+  if (extension == ".glb" && prt::is_baked_file(file)) return inspect_baked(file);
+  for (const char* mesh : {".glb", ".gltf", ".obj", ".ply", ".fbx"})
+    if (extension == mesh) return inspect_mesh(file);
+  return inspect_picture(file);
+}
+
+}  // namespace
+
+Result<void> inspect(const InspectOptions& o) {
+  auto description = describe(o.file);
+  if (!description) return std::unexpected(description.error());
+  (*description)["file"] = o.file;
+  if (o.json) {
+    print_json(*description);
+    return {};
+  }
+  for (const auto& [key, value] : description->items())
+    fmt::print("{}: {}\n", key, value.is_string() ? value.get<std::string>() : value.dump());
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,78 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <filesystem>
+
+#include "codec/codec.h"
+#include "service/commands.h"
+#include "service/light_file.h"
+#include "service/progress.h"
+#include "service/report.h"
+#include "service/still.h"
+
+namespace penumbra::service {
+
+namespace {
+
+Result<prt::PinholeView> read_view(const std::string& path) {
+  auto camera = capture::read_camera_file(path);
+  if (!camera) return std::unexpected(camera.error());
+  if (camera->projection.kind != calib::ProjectionKind::kPinhole)
+    return fail(ErrorCode::kInvalid, path, "render needs a pinhole camera");
+  return prt::PinholeView{camera->projection.width, camera->projection.height, camera->projection.focal_px,
+                          camera->projection.principal_px, camera->world_from_camera};
+}
+
+}  // namespace
+
+Result<void> render(const RenderOptions& o) {
+  if (o.discs != "auto" && o.discs != "0")
+    return fail(ErrorCode::kInvalid, "--discs", "\"" + o.discs + "\": this version lights by bands alone; give 0 or auto");
+  if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
+  const std::string extension = std::filesystem::path(o.output).extension().string();
+  if (extension != ".exr" && extension != ".hdr")
+    return fail(ErrorCode::kInvalid, o.output, "linear radiance goes to .exr or .hdr");
+  auto light = read_light(o.environment, o.projection);
+  if (!light) return std::unexpected(light.error());
+  auto map = capture::to_latlong(light->file);
+  if (!map) return std::unexpected(map.error());
+  auto view = read_view(o.camera);
+  if (!view) return std::unexpected(view.error());
+  auto bands = choose_bands(o.bands, light->nine_bands);
+  if (!bands) return std::unexpected(bands.error());
+  if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
+    return fail(ErrorCode::kInvalid, "--truncated-to", "not within 1..9");
+  auto scene = read_scene(o.scene);
+  if (!scene) return std::unexpected(scene.error());
+  BakeSettings settings;
+  settings.bands = *bands;
+  if (o.reference || o.without_objects) settings.rays = settings.ground_rays = 64, settings.bounces = 0;
+  auto prepared = prepare(*scene, settings, progress_bar);
+  if (!prepared) return std::unexpected(prepared.error());
+
+  const StillScene in{&*prepared, &*map, *view};
+  const auto still = [&]() -> Result<Still> {
+    if (o.reference) {
+      std::optional<RadianceSh> truncated;
+      if (o.truncated_to) truncated = light->nine_bands.with_bands(*o.truncated_to);
+      return render_reference(in, !o.without_objects, o.error, truncated, progress_bar("reference"));
+    }
+    auto real = render_real(in, o.error, progress_bar("real world"));
+    if (!real || o.without_objects) return real;
+    return render_composite(in, light->nine_bands.with_bands(*bands), *real);
+  }();
+  if (!still) return std::unexpected(still.error());
+  PENUMBRA_TRY(codec::write_hdr(o.output, still->radiance, codec::Depth::kFloat));
+  if (o.json) {
+    print_json({{"width", view->width}, {"height", view->height}, {"bands", *bands},
+                {"reference", o.reference}, {"error", still->error}, {"samples_per_pixel", still->samples}});
+  } else if (still->samples > 0) {
+    fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output, view->width,
+               view->height, still->samples, 100 * still->error);
+  } else {
+    fmt::print("{}: {}x{}, {} bands\n", o.output, view->width, view->height, *bands);
+  }
+  return {};
+}
+
+}  // namespace penumbra::service

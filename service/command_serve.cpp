@@ -1,0 +1,122 @@
+#include <spdlog/spdlog.h>
+
+#include <atomic>
+#include <csignal>
+
+#include "service/commands.h"
+#include "service/http_api.h"
+#include "service/progress.h"
+#include "service/rig_config.h"
+#include "service/runner.h"
+#include "service/studio_setup.h"
+
+namespace penumbra::service {
+
+namespace {
+
+std::atomic<bool> g_stop = false;  // set by the signal handler alone
+static_assert(std::atomic<bool>::is_always_lock_free);
+
+extern "C" void on_signal(int) { g_stop = true; }
+
+// A capture folder played again and again, its times running on.
+class LoopingFolder : public capture::FrameSource {
+ public:
+  static Result<std::unique_ptr<LoopingFolder>> open(const std::string& folder) {
+    auto first = capture::open_capture_folder(folder);
+    if (!first) return std::unexpected(first.error());
+    auto out = std::unique_ptr<LoopingFolder>(new LoopingFolder);
+    out->folder_ = folder;
+    out->cameras_ = (*first)->cameras();
+    out->source_ = std::move(*first);
+    return out;
+  }
+  const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
+  Result<std::optional<capture::Frame>> next() override {
+    auto frame = source_->next();
+    if (!frame) return frame;
+    if (!*frame) {
+      auto again = capture::open_capture_folder(folder_);
+      if (!again) return std::unexpected(again.error());
+      source_ = std::move(*again);
+      offset_ns_ = last_ns_ + 33'000'000;
+      frame = source_->next();
+      if (!frame || !*frame) return frame;
+    }
+    (*frame)->time.value += offset_ns_;
+    last_ns_ = (*frame)->time.value;
+    return frame;
+  }
+
+ private:
+  LoopingFolder() = default;
+  std::string folder_;
+  std::vector<capture::CameraInfo> cameras_;
+  std::unique_ptr<capture::FrameSource> source_;
+  std::int64_t offset_ns_ = 0, last_ns_ = 0;
+};
+
+struct Rig {
+  std::unique_ptr<capture::FrameSource> source;
+  Scene scene;
+};
+
+Result<Rig> open_rig(const RigConfig& c) {
+  Rig rig;
+  if (c.source == "studio") {
+    StudioRequest request{c.environment, c.asset, true, c.width, c.height, c.fps, 1 << 30, 16};
+    auto setup = set_up_studio(request);
+    if (!setup) return std::unexpected(setup.error());
+    rig.scene = std::move(setup->scene);
+    rig.source = std::make_unique<capture::Studio>(setup->world, setup->options);
+  } else {
+    auto source = LoopingFolder::open(c.source);
+    if (!source) return std::unexpected(source.error());
+    rig.source = std::move(*source);
+  }
+  if (c.scene) {
+    auto scene = read_scene(*c.scene);
+    if (!scene) return std::unexpected(scene.error());
+    rig.scene = std::move(*scene);
+  }
+  return rig;
+}
+
+}  // namespace
+
+Result<void> serve(const ServeOptions& o) {
+  auto config = read_rig_config(o.config);
+  if (!config) return std::unexpected(config.error());
+  auto rig = open_rig(*config);
+  if (!rig) return std::unexpected(rig.error());
+  BakeSettings settings;
+  settings.bands = config->bands;
+  auto prepared = prepare(rig->scene, settings, progress_bar);
+  if (!prepared) return std::unexpected(prepared.error());
+  StageTimes times;
+  const auto& cameras = rig->source->cameras();
+  auto light = LightStage::create(cameras, config->bands, times);
+  if (!light) return std::unexpected(light.error());
+  auto compose = ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
+  if (!compose) return std::unexpected(compose.error());
+
+  g_stop = false;
+  std::signal(SIGINT, on_signal);
+  std::signal(SIGTERM, on_signal);
+  PublishedState state;
+  auto api = HttpApi::start(config->address, config->port, state, times, config->stale_after_s);
+  if (!api) return std::unexpected(api.error());
+  spdlog::info("listening on http://{}:{}", config->address, (*api)->port());
+  auto counts = run_live(
+      *rig->source, *light, **compose,
+      [&](const Output& out) {
+        state.publish(out.light, out.source.time, out.pixels);
+        return true;
+      },
+      times, g_stop);
+  if (!counts) return std::unexpected(counts.error());
+  spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts->frames, counts->seconds, counts->dropped);
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,97 @@
+// The subcommands of `penumbra` as functions. main.cpp parses arguments and prints errors; a command
+// prints its result on standard output (with json: one object and nothing else) and logs elsewhere.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/result.h"
+
+namespace penumbra::service {
+
+struct HdrMergeOptions {
+  std::vector<std::string> images;
+  std::string times;                    // seconds, separated by commas
+  std::optional<std::string> response;  // estimated from the bracket when absent
+  std::string output;
+  bool json = false;
+};
+Result<void> hdr_merge(const HdrMergeOptions& options);
+
+struct LightEstimateOptions {
+  std::string environment;
+  std::optional<std::string> projection;
+  std::string bands = "auto";
+  bool json = false;
+};
+Result<void> light_estimate(const LightEstimateOptions& options);
+
+struct BakeCommandOptions {
+  std::string asset, output;
+  int bands = 5, bounces = 4, samples = 256;
+  double receiver_albedo = 0;
+  bool json = false;
+};
+Result<void> bake(const BakeCommandOptions& options);
+
+struct RenderOptions {
+  std::string scene, environment, camera, output;
+  std::optional<std::string> projection;
+  std::string bands = "auto", discs = "auto";
+  bool reference = false, without_objects = false;
+  double error = .01;
+  std::optional<int> truncated_to;  // reference under light cut to so many bands
+  bool json = false;
+};
+Result<void> render(const RenderOptions& options);
+
+struct CompositeOptions {
+  std::string capture, scene, output;
+  int bands = 5;
+  bool json = false, video = true;
+};
+Result<void> composite(const CompositeOptions& options);
+
+struct DemoOptions {
+  bool headless = false, live = false, json = false, animated = true;
+  int frames = 90;
+  std::string output = "out/demo";
+  std::optional<std::string> environment, asset, record;
+  int width = 1280, height = 720;
+  double fps = 30;
+  int bands = 5;
+};
+Result<void> demo(const DemoOptions& options);
+
+struct ServeOptions {
+  std::string config;
+};
+Result<void> serve(const ServeOptions& options);
+
+struct CompareOptions {
+  std::string a, b;
+  std::optional<std::string> mask;  // "blue": pixels that are pure blue in this picture are left out
+  bool scale = false;               // allow one scale factor
+  bool json = false;
+};
+Result<void> compare(const CompareOptions& options);
+
+struct InspectOptions {
+  std::string file;
+  bool json = false;
+};
+Result<void> inspect(const InspectOptions& options);
+
+struct ChartOptions {
+  std::string output = "out/chart";
+  std::vector<std::string> environments;
+  std::optional<std::string> asset;
+  std::vector<int> bands;
+  double error = .004;
+  bool truncated = false;  // compare under the same truncated light instead of the whole light
+  bool json = false;
+};
+Result<void> chart(const ChartOptions& options);
+
+}  // namespace penumbra::service

@@ -1,0 +1,103 @@
+#include "service/http_api.h"
+
+#include <fmt/format.h>
+#include <httplib.h>
+
+#include <thread>
+
+#include "codec/codec.h"
+#include "service/output.h"
+#include "service/report.h"
+
+namespace penumbra::service {
+
+void PublishedState::publish(const lighting::LightEstimate& light, TimestampNs now,
+                             std::shared_ptr<const FramePixels> frame) {
+  const std::scoped_lock lock(mutex_);
+  state_.light = light;
+  state_.now = now;
+  state_.frame = std::move(frame);
+  ++state_.frames;
+  published_ = std::chrono::steady_clock::now();
+}
+
+PublishedState::Snapshot PublishedState::snapshot() const {
+  const std::scoped_lock lock(mutex_);
+  Snapshot out = state_;
+  out.idle_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - published_).count();
+  return out;
+}
+
+namespace {
+
+// "starting" before any light, "stale" when light or frames stopped coming, else "ok".
+std::string status_of(const PublishedState::Snapshot& s, double stale_after_s) {
+  if (!s.light.valid) return "starting";
+  return s.light.age(s.now).count() + s.idle_s > stale_after_s ? "stale" : "ok";
+}
+
+void reply(httplib::Response& response, const nlohmann::json& body, int status = 200) {
+  response.status = status;
+  response.set_content(body.dump() + "\n", "application/json");
+}
+
+}  // namespace
+
+struct HttpApi::Impl {
+  httplib::Server server;
+  std::jthread thread;
+  int port = 0;
+
+  void routes(const PublishedState& state, const StageTimes& times, double stale_after_s) {
+    server.Get("/healthz", [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
+      const auto s = state.snapshot();
+      const std::string status = status_of(s, stale_after_s);
+      reply(r, {{"status", status}, {"frames", s.frames}, {"stages", to_json(times)}}, status == "ok" ? 200 : 503);
+    });
+    server.Get("/v1/light", [&state, stale_after_s](const httplib::Request&, httplib::Response& r) {
+      const auto s = state.snapshot();
+      if (!s.light.valid) return reply(r, {{"error", "no light has been measured yet"}}, 503);
+      nlohmann::json body = to_json(s.light);
+      body["time_ns"] = s.light.time.value;
+      body["age_s"] = s.light.age(s.now).count() + s.idle_s;
+      body["valid"] = s.light.valid;
+      body["status"] = status_of(s, stale_after_s);
+      body["units"] = "linear Rec.709, relative radiance; basis and index: real SH without Condon-Shortley phase, "
+                      "l*l+l+m, z the pole of a y-up world";
+      reply(r, body);
+    });
+    server.Get("/v1/frame.jpg", [&state](const httplib::Request&, httplib::Response& r) {
+      const auto s = state.snapshot();
+      if (!s.frame) return reply(r, {{"error", "no frame has been composited yet"}}, 503);
+      const auto jpeg = codec::encode_jpeg(to_display(*s.frame));
+      if (!jpeg) return reply(r, {{"error", jpeg.error().detail}}, 500);
+      r.set_content(std::string(jpeg->begin(), jpeg->end()), "image/jpeg");
+    });
+    server.set_error_handler([](const httplib::Request& q, httplib::Response& r) {
+      if (r.body.empty()) reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, r.status);
+    });
+    server.set_payload_max_length(1 << 16);
+    server.set_read_timeout(5);
+    server.set_write_timeout(5);
+  }
+};
+
+HttpApi::HttpApi(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+HttpApi::~HttpApi() {
+  if (impl_) impl_->server.stop();
+}
+int HttpApi::port() const { return impl_->port; }
+
+Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int port, const PublishedState& state,
+                                                const StageTimes& times, double stale_after_s) {
+  auto impl = std::make_unique<Impl>();
+  impl->routes(state, times, stale_after_s);
+  impl->port = port == 0 ? impl->server.bind_to_any_port(address) : port;
+  const bool bound = port == 0 ? impl->port > 0 : impl->server.bind_to_port(address, port);
+  if (!bound)
+    return fail(ErrorCode::kUnavailable, fmt::format("{}:{}", address, port), "cannot listen there; is it in use?");
+  impl->thread = std::jthread([server = &impl->server] { server->listen_after_bind(); });
+  return std::unique_ptr<HttpApi>(new HttpApi(std::move(impl)));
+}
+
+}  // namespace penumbra::service

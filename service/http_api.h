@@ -1,0 +1,51 @@
+// The HTTP interface on loopback: GET /healthz, /v1/light, /v1/frame.jpg.
+#pragma once
+
+#include <chrono>
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include "capture/capture.h"
+#include "core/result.h"
+#include "lighting/lighting.h"
+#include "service/stage_times.h"
+
+namespace penumbra::service {
+
+/// The newest of everything that a client may ask for. threads: thread-safe
+class PublishedState {
+ public:
+  void publish(const lighting::LightEstimate& light, TimestampNs now, std::shared_ptr<const FramePixels> frame);
+
+  struct Snapshot {
+    lighting::LightEstimate light;
+    TimestampNs now;                           // capture time of the newest view frame
+    std::shared_ptr<const FramePixels> frame;  // null before the first
+    double idle_s = 0;                         // wall time since the last publication
+    std::uint64_t frames = 0;
+  };
+  Snapshot snapshot() const;
+
+ private:
+  mutable std::mutex mutex_;
+  Snapshot state_;  // guarded by mutex_
+  std::chrono::steady_clock::time_point published_ = std::chrono::steady_clock::now();
+};
+
+/// Serves on a thread of its own until destroyed.
+class HttpApi {
+ public:
+  /// port 0 takes any free one. errors: kUnavailable (address in use)
+  static Result<std::unique_ptr<HttpApi>> start(const std::string& address, int port, const PublishedState& state,
+                                                const StageTimes& times, double stale_after_s);
+  ~HttpApi();
+  int port() const;
+
+ private:
+  struct Impl;
+  explicit HttpApi(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace penumbra::service

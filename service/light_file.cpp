@@ -1,0 +1,49 @@
+#include "service/light_file.h"
+
+#include <spdlog/spdlog.h>
+
+#include <charconv>
+
+namespace penumbra::service {
+
+Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection) {
+  std::optional<calib::ProjectionKind> kind;
+  if (projection) {
+    auto parsed = calib::projection_kind(*projection);
+    if (!parsed) return std::unexpected(parsed.error());
+    kind = *parsed;
+  }
+  auto file = capture::read_environment(path, kind);
+  if (!file) return std::unexpected(file.error());
+  FileLight out;
+  if (file->non_finite > 0)
+    spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path, file->non_finite);
+  if (file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0) {
+    auto light = lighting::project_latlong(file->radiance, kMaxBands);
+    if (!light) return fail(light.error().code, path, light.error().detail);
+    out.nine_bands = *light;
+  } else {
+    const calib::ProjectionTable& t = file->table;
+    auto light = lighting::project_samples({t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
+    if (!light) return fail(light.error().code, path, light.error().detail);
+    out.nine_bands = light->light;
+    out.coverage = light->coverage;
+  }
+  out.file = std::move(*file);
+  return out;
+}
+
+Result<int> choose_bands(const std::string& text, const RadianceSh& nine_bands) {
+  if (text == "auto") {
+    for (int bands = 1; bands < kMaxBands; ++bands)
+      if (lighting::make_estimate(nine_bands, bands).truncation_error <= .005) return bands;
+    return kMaxBands;
+  }
+  int bands = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), bands);
+  if (error != std::errc() || end != text.data() + text.size() || bands < 1 || bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "\"" + text + "\" is neither auto nor within 1..9");
+  return bands;
+}
+
+}  // namespace penumbra::service

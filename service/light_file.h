@@ -1,0 +1,26 @@
+// Light from an environment file, for the commands that start from one.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "capture/capture.h"
+#include "lighting/lighting.h"
+
+namespace penumbra::service {
+
+struct FileLight {
+  capture::EnvironmentFile file;
+  RadianceSh nine_bands{kMaxBands};
+  double coverage = 1;
+};
+
+/// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are reported
+/// in the log and left out.
+Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection);
+
+/// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
+/// errors: kInvalid
+Result<int> choose_bands(const std::string& text, const RadianceSh& nine_bands);
+
+}  // namespace penumbra::service

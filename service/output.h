@@ -1,0 +1,56 @@
+// Writes composited frames on a thread of its own: PNG stills and an H.264 video.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "compositor/compositor.h"
+#include "core/queues.h"
+#include "core/result.h"
+#include "service/stage_times.h"
+
+namespace penumbra::service {
+
+/// threads: thread-bound; owns one worker thread
+class FrameWriter {
+ public:
+  struct Options {
+    std::filesystem::path folder;
+    bool stills = true, video = true;
+    double fps = 30;
+  };
+  /// errors: kUnwritable
+  static Result<std::unique_ptr<FrameWriter>> create(const Options& options, StageTimes& times);
+  ~FrameWriter();
+
+  /// Queues a frame (waits while four are in work). False after an error of the worker.
+  bool write(const std::string& name, std::shared_ptr<const FramePixels> pixels, bool in_video);
+  /// Writes what is queued, closes the video; the first error of the worker, if any.
+  Result<void> finish();
+
+ private:
+  struct Job {
+    std::string name;
+    std::shared_ptr<const FramePixels> pixels;
+    bool in_video;
+  };
+  FrameWriter(const Options& options, StageTimes& times) : options_(options), times_(times) {}
+  void work() noexcept;
+  Result<void> handle(const Job& job);
+
+  Options options_;
+  StageTimes& times_;
+  Bounded<Job> queue_{4};
+  std::optional<compositor::VideoWriter> video_;
+  Result<void> result_;  // written by the worker, read after join
+  std::jthread worker_;
+};
+
+/// Eight-bit picture of any frame, for video, JPEG and windows: 16 bit loses its low byte, float frames
+/// go through sRGB with `exposure`.
+Image<Rgb8> to_display(const FramePixels& pixels, float exposure = 1);
+
+}  // namespace penumbra::service

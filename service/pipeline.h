@@ -1,0 +1,84 @@
+// The way of one frame, in two stages that meet in a LightEstimate: the light at environment-camera rate,
+// the composite at view-camera rate. Live and replay call the same two functions.
+// threads: each stage is thread-bound; ComposeStage owns the GL context of its thread
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "capture/capture.h"
+#include "compositor/compositor.h"
+#include "core/result.h"
+#include "lighting/lighting.h"
+#include "service/scene.h"
+#include "service/stage_times.h"
+
+namespace penumbra::service {
+
+/// Bracketed frames in, light out.
+class LightStage {
+ public:
+  /// errors: kInvalid (no environment camera)
+  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras, int bands, StageTimes& times);
+
+  int camera() const { return camera_; }
+  /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
+  Result<lighting::LightEstimate> process(const capture::Frame& frame);
+
+ private:
+  LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times);
+  int camera_;
+  capture::HdrRing ring_;
+  capture::EnvironmentAssembler assembler_;
+  Environment environment_;
+  lighting::LightEstimator estimator_;
+  StageTimes& times_;
+};
+
+struct Composited {
+  FramePixels pixels;
+  compositor::Touched touched;
+  bool relit = false;
+};
+
+/// View frames and light in, composited frames out.
+class ComposeStage {
+ public:
+  /// Light that changed less than this share of the mean cannot be seen in 8 bits.
+  static constexpr double kVisibleChange = .005;
+
+  /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole), kUnavailable
+  static Result<std::unique_ptr<ComposeStage>> create(const std::vector<capture::CameraInfo>& cameras,
+                                                      const PreparedScene& scene,
+                                                      compositor::Compositor::Surface surface, StageTimes& times);
+
+  /// Composites one view frame under `light`. errors: as Compositor::composite
+  Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);
+  compositor::Compositor& output() { return *compositor_; }
+
+ private:
+  struct Object {
+    const PreparedObject* prepared;
+    int handle;
+    std::optional<RadianceSh> light_used;  // in the bake frame
+    std::vector<float> relit;
+    shadows::PlanarShadow shadow;
+  };
+  struct ViewCamera {
+    capture::CameraInfo info;
+    std::optional<CodeCurve> curve8, curve16;
+  };
+
+  ComposeStage(std::unique_ptr<compositor::Compositor> compositor, StageTimes& times)
+      : compositor_(std::move(compositor)), times_(times) {}
+  bool update_light(Object& object, const RadianceSh& world_light, double seconds);
+  const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
+
+  std::unique_ptr<compositor::Compositor> compositor_;
+  StageTimes& times_;
+  std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
+  std::vector<Object> objects_;
+};
+
+}  // namespace penumbra::service

@@ -1,0 +1,113 @@
+#include "service/rig_config.h"
+
+#include "core/conventions.h"
+#include "core/toml_keys.h"
+
+namespace penumbra::service {
+namespace fs = std::filesystem;
+namespace {
+
+// One optional table of the file, with its known keys checked.
+class Section {
+ public:
+  Section(const fs::path& path, const toml::table& root, const TomlKeys& root_keys, std::string_view name)
+      : path_(path), root_keys_(root_keys), name_(name), node_(root.get(name)) {}
+
+  template <class Read>
+  Result<void> read(std::span<const std::string_view> known, Read read) const {
+    if (!node_) return {};
+    if (!node_->is_table()) return root_keys_.invalid(name_, "not a table");
+    const TomlKeys keys(path_, *node_->as_table());
+    PENUMBRA_TRY(keys.only(known));
+    return read(keys);
+  }
+
+ private:
+  const fs::path& path_;
+  const TomlKeys& root_keys_;
+  std::string_view name_;
+  const toml::node* node_;
+};
+
+std::string resolve(const std::string& file, const fs::path& folder) {
+  return fs::path(file).is_absolute() || file.starts_with("builtin:") ? file : (folder / file).string();
+}
+
+Result<void> read_path(const TomlKeys& keys, std::string_view key, const fs::path& folder,
+                       std::optional<std::string>& out) {
+  if (!keys.has(key)) return {};
+  PENUMBRA_ASSIGN(text, keys.text(key));
+  out = resolve(text, folder);
+  return {};
+}
+
+Result<void> read_number(const TomlKeys& keys, std::string_view key, double low, double high, double& out) {
+  if (!keys.has(key)) return {};
+  PENUMBRA_ASSIGN(value, keys.number(key));
+  if (value <= low || value > high) return keys.invalid(key, fmt::format("not within {}..{}", low, high));
+  out = value;
+  return {};
+}
+
+Result<void> read_integer(const TomlKeys& keys, std::string_view key, int low, int high, int& out) {
+  if (!keys.has(key)) return {};
+  PENUMBRA_ASSIGN(value, keys.integer(key, low, high));
+  out = value;
+  return {};
+}
+
+Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfig& c) {
+  PENUMBRA_ASSIGN(source, keys.text("source"));
+  c.source = source == "studio" ? source : resolve(source, folder);
+  PENUMBRA_TRY(read_path(keys, "environment", folder, c.environment));
+  PENUMBRA_TRY(read_path(keys, "asset", folder, c.asset));
+  PENUMBRA_TRY(read_number(keys, "fps", 0, 1000, c.fps));
+  PENUMBRA_TRY(read_integer(keys, "width", 64, 8192, c.width));
+  return read_integer(keys, "height", 64, 8192, c.height);
+}
+
+Result<void> read_http(const TomlKeys& keys, RigConfig& c) {
+  if (keys.has("address")) {
+    PENUMBRA_ASSIGN(address, keys.text("address"));
+    // Strangers must not see through the user's cameras.
+    if (!address.starts_with("127.") && address != "localhost" && address != "::1")
+      return keys.invalid("address", "\"" + address + "\" is not a loopback address");
+    c.address = address;
+  }
+  return read_integer(keys, "port", 0, 65535, c.port);
+}
+
+}  // namespace
+
+Result<RigConfig> read_rig_config(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
+  constexpr std::string_view known[] = {"version", "capture", "scene", "light", "http"};
+  PENUMBRA_TRY(keys.only(known));
+  PENUMBRA_TRY(keys.version(1));
+  const fs::path folder = path.parent_path();
+  RigConfig c;
+  if (!keys.has("capture")) return keys.invalid("capture", "missing: say source = \"studio\" or a capture folder");
+  constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "fps", "width", "height"};
+  constexpr std::string_view scene_keys[] = {"file"};
+  constexpr std::string_view light_keys[] = {"bands", "stale_after_s"};
+  constexpr std::string_view http_keys[] = {"address", "port"};
+  PENUMBRA_TRY(Section(path, root, keys, "capture").read(capture_keys, [&](const TomlKeys& k) {
+    return read_capture(k, folder, c);
+  }));
+  PENUMBRA_TRY(Section(path, root, keys, "scene").read(scene_keys, [&](const TomlKeys& k) {
+    return read_path(k, "file", folder, c.scene);
+  }));
+  PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, [&](const TomlKeys& k) -> Result<void> {
+    PENUMBRA_TRY(read_integer(k, "bands", 1, kMaxBands, c.bands));
+    return read_number(k, "stale_after_s", 0, 3600, c.stale_after_s);
+  }));
+  PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, [&](const TomlKeys& k) {
+    return read_http(k, c);
+  }));
+  if (c.source != "studio" && !c.scene)
+    return fail(ErrorCode::kInvalid, path.string(), "a capture folder needs [scene] file = \"scene.toml\"");
+  return c;
+}
+
+}  // namespace penumbra::service

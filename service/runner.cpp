@@ -1,0 +1,189 @@
+#include "service/runner.h"
+
+#include <spdlog/spdlog.h>
+
+#include <chrono>
+#include <mutex>
+#include <set>
+#include <thread>
+
+namespace penumbra::service {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+// All black and all clipped are states of the scene, not failures of the program.
+bool is_ordinary(const Error& e) { return e.code == ErrorCode::kUndetermined; }
+
+Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light, ComposeStage& compose,
+                         const Sink& sink, RunCounts& counts, bool& go_on) {
+  ++counts.frames;
+  if (!light.valid) {
+    ++counts.without_light;
+    go_on = sink({frame, frame.pixels, light});
+    return {};
+  }
+  auto composited = compose.process(frame, light);
+  if (!composited) return std::unexpected(composited.error());
+  counts.touched += composited->touched.fraction;
+  go_on = sink({frame, std::make_shared<const FramePixels>(std::move(composited->pixels)), light});
+  return {};
+}
+
+Result<void> never_any_light(const RunCounts& counts, const std::optional<Error>& last) {
+  if (counts.frames == 0) return fail(ErrorCode::kInvalid, "capture", "has no view frame");
+  if (counts.without_light < counts.frames) return {};
+  return std::unexpected(last.value_or(Error{ErrorCode::kUndetermined, "capture", "no environment frame came before the last view frame"}));
+}
+
+}  // namespace
+
+Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
+                             const Sink& sink, StageTimes& times) {
+  RunCounts counts;
+  lighting::LightEstimate estimate;
+  std::optional<Error> last_unusable;
+  std::set<double> exposures;
+  const auto start = Clock::now();
+  for (bool go_on = true; go_on;) {
+    auto frame = [&] {
+      const StageTimer timer(times, "source");
+      return source.next();
+    }();
+    if (!frame) return std::unexpected(frame.error());
+    if (!*frame) break;
+    if ((*frame)->camera == light.camera()) {
+      exposures.insert((*frame)->exposure.product());
+      auto estimated = light.process(**frame);
+      if (estimated) {
+        estimate = std::move(*estimated);
+      } else if (is_ordinary(estimated.error())) {
+        ++counts.unusable;
+        last_unusable = estimated.error();
+      } else {
+        return std::unexpected(estimated.error());
+      }
+    } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView) {
+      PENUMBRA_TRY(compose_one(**frame, estimate, compose, sink, counts, go_on));
+    }
+  }
+  counts.seconds = since(start);
+  counts.exposures = static_cast<int>(exposures.size());
+  PENUMBRA_TRY(never_any_light(counts, last_unusable));
+  return counts;
+}
+
+namespace {
+
+// What the threads of a live run share. Every queue closes when anyone stops.
+struct Live {
+  Latest<capture::Frame> environment, view;
+  Latest<lighting::LightEstimate> light;
+  std::mutex mutex;
+  std::optional<Error> error, last_unusable;  // guarded by mutex
+  std::uint64_t unusable = 0;                 // guarded by mutex
+  std::set<double> exposures;                 // light thread only
+
+  void close() {
+    environment.close();
+    view.close();
+    light.close();
+  }
+  void stop_with(const Error& e) {
+    {
+      const std::scoped_lock lock(mutex);
+      if (!error) error = e;
+    }
+    close();
+  }
+};
+
+void produce(Live& live, capture::FrameSource& source, int environment_camera, StageTimes& times,
+             const std::atomic<bool>& stop) noexcept {
+  try {
+    std::optional<Clock::time_point> origin;
+    TimestampNs first{};
+    while (!stop && !live.view.closed()) {
+      auto frame = [&] {
+        const StageTimer timer(times, "source");
+        return source.next();
+      }();
+      if (!frame) return live.stop_with(frame.error());
+      if (!*frame) break;
+      if (!origin) origin = Clock::now(), first = (*frame)->time;
+      std::this_thread::sleep_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first));
+      const bool is_view = source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;
+      if ((*frame)->camera == environment_camera) live.environment.put(std::move(**frame));
+      else if (is_view) live.view.put(std::move(**frame));
+    }
+    live.environment.close();
+    live.view.close();
+  } catch (const std::exception& e) {
+    live.stop_with({ErrorCode::kUnavailable, "source thread", e.what()});
+  }
+}
+
+void measure(Live& live, LightStage& light) noexcept {
+  try {
+    while (true) {
+      auto frame = live.environment.wait(Seconds(.5));
+      if (!frame) {
+        if (live.environment.closed()) return;
+        continue;
+      }
+      live.exposures.insert(frame->exposure.product());
+      auto estimate = light.process(*frame);
+      if (estimate) {
+        live.light.put(std::move(*estimate));
+      } else if (is_ordinary(estimate.error())) {
+        const std::scoped_lock lock(live.mutex);
+        ++live.unusable;
+        live.last_unusable = estimate.error();
+      } else {
+        return live.stop_with(estimate.error());
+      }
+    }
+  } catch (const std::exception& e) {
+    live.stop_with({ErrorCode::kUnavailable, "light thread", e.what()});
+  }
+}
+
+}  // namespace
+
+Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
+                           const Sink& sink, StageTimes& times, const std::atomic<bool>& stop) {
+  Live live;
+  RunCounts counts;
+  Result<void> composed;
+  const auto start = Clock::now();
+  {
+    const std::jthread producer([&] { produce(live, source, light.camera(), times, stop); });
+    const std::jthread measurer([&] { measure(live, light); });
+    lighting::LightEstimate estimate;
+    bool go_on = true;
+    while (go_on && !stop) {
+      auto frame = live.view.wait(Seconds(.5));
+      if (!frame) {
+        if (live.view.closed()) break;
+        continue;
+      }
+      if (auto newer = live.light.take()) estimate = std::move(*newer);
+      composed = compose_one(*frame, estimate, compose, sink, counts, go_on);
+      if (!composed) break;
+    }
+    live.close();  // first release everyone, then join
+  }
+  counts.seconds = since(start);
+  counts.dropped = live.view.dropped() + live.environment.dropped();
+  counts.unusable = live.unusable;
+  counts.exposures = static_cast<int>(live.exposures.size());
+  if (live.error) return std::unexpected(*live.error);
+  PENUMBRA_TRY(composed);
+  if (!stop) PENUMBRA_TRY(never_any_light(counts, live.last_unusable));
+  return counts;
+}
+
+}  // namespace penumbra::service

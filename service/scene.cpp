@@ -1,0 +1,227 @@
+#include "service/scene.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <glm/gtc/quaternion.hpp>
+#include <glm/gtx/quaternion.hpp>
+
+#include "core/conventions.h"
+#include "core/files.h"
+
+namespace penumbra::service {
+namespace fs = std::filesystem;
+
+namespace {
+
+// A square column twisted by a third of a turn, rounded by its own normals: shows its rotation.
+prt::Mesh make_twist(Rgb albedo) {
+  prt::Mesh mesh = prt::make_box({-.13f, 0, -.13f}, {.13f, .62f, .13f}, 28, albedo);
+  for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
+    glm::vec3 &p = mesh.positions[i], &n = mesh.normals[i];
+    constexpr float kTurn = 2.1f / .62f;  // radians a metre
+    const float a = kTurn * p.y, c = std::cos(a), s = std::sin(a);
+    // Inverse transpose of the twist's Jacobian: the normal leans by the slope of the turned wall.
+    const float slope = kTurn * (p.x * n.z - p.z * n.x);
+    const glm::vec3 turned(c * n.x + s * n.z, n.y + slope, -s * n.x + c * n.z);
+    p = {c * p.x + s * p.z, p.y, -s * p.x + c * p.z};
+    n = glm::normalize(turned);
+  }
+  return mesh;
+}
+
+// World frame of a plane's bake frame: y along the normal, at the foot of `position`.
+Pose frame_on_plane(const prt::Plane& plane, const glm::dvec3& position) {
+  const glm::dquat up = glm::rotation(glm::dvec3(0, 1, 0), plane.normal);
+  const double height = glm::dot(position - plane.point, plane.normal);
+  return {up, position - height * plane.normal};
+}
+
+// The plane that an object stands on: the nearest one that it is in front of.
+const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const glm::dvec3& point) {
+  const prt::Plane* best = nullptr;
+  double nearest = HUGE_VAL;
+  for (const prt::Plane& plane : planes) {
+    const double d = glm::dot(point - plane.point, plane.normal);
+    if (d >= -1e-3 && d < nearest) nearest = d, best = &plane;
+  }
+  return best;
+}
+
+std::uint64_t hash(std::uint64_t h, const void* data, std::size_t bytes) {  // FNV-1a
+  const auto* p = static_cast<const unsigned char*>(data);
+  for (std::size_t i = 0; i < bytes; ++i) h = (h ^ p[i]) * 0x100000001b3ull;
+  return h;
+}
+
+// Everything that the bake's result depends on; the version changes with the bake's own code.
+std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
+  constexpr std::uint64_t kBakeVersion = 1;
+  std::uint64_t h = hash(0xcbf29ce484222325ull, &kBakeVersion, sizeof kBakeVersion);
+  h = hash(h, mesh.positions.data(), mesh.positions.size() * sizeof(glm::vec3));
+  h = hash(h, mesh.normals.data(), mesh.normals.size() * sizeof(glm::vec3));
+  h = hash(h, mesh.albedo.data(), mesh.albedo.size() * sizeof(Rgb));
+  h = hash(h, mesh.triangles.data(), mesh.triangles.size() * sizeof(mesh.triangles[0]));
+  const int numbers[] = {o.bands, o.bounces, o.rays, o.ground_rays, o.receiver ? o.receiver->grid.size : 0};
+  h = hash(h, numbers, sizeof numbers);
+  if (o.receiver) {
+    const prt::GroundGrid& g = o.receiver->grid;
+    const float floats[] = {g.centre.x, g.centre.y, g.half_extent, g.core, g.height, o.receiver->albedo.r,
+                            o.receiver->albedo.g, o.receiver->albedo.b};
+    h = hash(h, floats, sizeof floats);
+  }
+  return fmt::format("{:016x}.glb", h);
+}
+
+std::optional<fs::path> cache_folder() {
+  const char* cache = std::getenv("XDG_CACHE_HOME");
+  const char* home = std::getenv("HOME");
+  if (cache && *cache) return fs::path(cache) / "penumbra";
+  if (home && *home) return fs::path(home) / ".cache" / "penumbra";
+  return std::nullopt;
+}
+
+Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh, const prt::BakeOptions& options,
+                                        bool use_cache) {
+  const auto folder = use_cache ? cache_folder() : std::nullopt;
+  const fs::path file = folder ? *folder / cache_name(mesh, options) : fs::path();
+  if (folder)
+    if (auto recalled = prt::read_baked(file)) return recalled;
+  auto baked = prt::bake(std::move(mesh), options);
+  if (!baked) return fail(baked.error().code, name, baked.error().detail);
+  spdlog::info("{}: baked {} vertices, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of t_0", name,
+               baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
+               baked->report.seconds, 100 * baked->report.standard_error);
+  if (folder && make_folder(*folder)) {
+    // A cache that cannot be written costs time, not the result.
+    if (const auto written = prt::write_baked(file, *baked); !written)
+      spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
+  }
+  return baked;
+}
+
+// From the asset's frame to the world, standing on the floor where asked.
+glm::dmat4 placement(const SceneObject& o, const prt::Mesh& mesh) {
+  Pose pose{o.rotation, o.position};
+  double scale = o.scale;
+  glm::dvec3 shift(0);
+  if (o.stand) {
+    const prt::Bounds b = bounds_of(mesh);
+    const glm::dvec3 size(b.high - b.low);
+    scale = o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9});
+    shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+  }
+  return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
+         glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0), glm::dvec4(shift, 1));
+}
+
+// A file that is baked already: its frame is placed upright; scale moves lengths, transfer has none.
+Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
+  auto baked = prt::read_baked(o.asset);
+  if (!baked) return std::unexpected(baked.error());
+  const double scale = placement(o, baked->mesh)[1][1] / (Pose{o.rotation, {}}).matrix()[1][1];
+  prt::transform(baked->mesh, glm::dmat4(glm::dmat3(scale)));
+  if (baked->receiver) {
+    prt::GroundGrid& g = baked->receiver->grid;
+    const auto k = static_cast<float>(scale);
+    g.centre *= k, g.half_extent *= k, g.core *= k, g.height *= k;
+  }
+  const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
+  if (plane && up.y < .9999)
+    return fail(ErrorCode::kInvalid, o.name, "is baked for standing upright and cannot be tilted; use the asset itself");
+  return PreparedObject{o.name, std::move(*baked), Pose{o.rotation, frame.translation}, o.spin_rpm};
+}
+
+Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene, const BakeSettings& settings,
+                                      const std::function<void(double)>& progress) {
+  if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
+    return place_baked(o, plane_under(scene.planes, o.position));
+  constexpr float kEdgeShare = .04f;  // a vertex every 4 % of the radius resolves contact shadows
+  auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
+  if (!mesh) return std::unexpected(mesh.error());
+  prt::transform(*mesh, placement(o, *mesh));
+  const glm::dvec3 centre(bounds_of(*mesh).centre());
+  const prt::Plane* plane = plane_under(scene.planes, centre);
+  PreparedObject out;
+  out.name = o.name;
+  out.spin_rpm = o.spin_rpm;
+  out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  prt::transform(*mesh, out.world_from_bake.inverse().matrix());
+  prt::BakeOptions options;
+  options.bands = settings.bands;
+  options.bounces = settings.bounces;
+  options.rays = settings.rays;
+  options.ground_rays = settings.ground_rays;
+  options.progress = progress;
+  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(*mesh, 0), plane->albedo};
+  auto baked = bake_or_recall(o.name, std::move(*mesh), options, settings.use_cache);
+  if (!baked) return std::unexpected(baked.error());
+  out.baked = std::move(*baked);
+  return out;
+}
+
+}  // namespace
+
+Pose PreparedObject::pose_at(double seconds) const {
+  if (spin_rpm == 0) return world_from_bake;
+  const double turn = 2 * kPi * spin_rpm / 60 * seconds;
+  return world_from_bake * Pose{glm::angleAxis(turn, glm::dvec3(0, 1, 0)), {0, 0, 0}};
+}
+
+Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share) {
+  prt::Mesh mesh;
+  if (asset == "builtin:knot") {
+    mesh = prt::make_knot(.5f, 240, 40, albedo);
+  } else if (asset == "builtin:twist") {
+    mesh = make_twist(albedo);
+  } else if (asset.starts_with("builtin:")) {
+    return fail(ErrorCode::kNotFound, asset, "no such built-in asset; there are builtin:knot and builtin:twist");
+  } else {
+    auto imported = prt::import_mesh(asset, albedo);
+    if (!imported) return std::unexpected(imported.error());
+    if (imported->degenerate_triangles > 0)
+      spdlog::warn("{}: {} degenerate triangles dropped", asset, imported->degenerate_triangles);
+    mesh = std::move(imported->mesh);
+  }
+  if (edge_share > 0)
+    prt::subdivide(mesh, edge_share * prt::radius_around(mesh, prt::bounds_of(mesh).centre()));
+  return mesh;
+}
+
+Result<PreparedScene> prepare(const Scene& scene, const BakeSettings& settings,
+                              const std::function<std::function<void(double)>(const std::string&)>& progress) {
+  PreparedScene out;
+  for (const RealGeometry& real : scene.real) {
+    if (real.plane) {
+      // Without a known albedo the floor's reflection on the object is unknown and left out.
+      out.planes.push_back({real.plane->point, real.plane->normal, real.albedo.value_or(Rgb{}), {}});
+      continue;
+    }
+    auto mesh = load_asset(real.mesh, real.albedo.value_or(Rgb{.5f, .5f, .5f}), 0);
+    if (!mesh) return std::unexpected(mesh.error());
+    append(out.real_mesh, *mesh);
+  }
+  for (const SceneObject& object : scene.objects) {
+    auto prepared = prepare_object(object, out, settings, progress("bake " + object.name));
+    if (!prepared) return std::unexpected(prepared.error());
+    out.objects.push_back(std::move(*prepared));
+  }
+  return out;
+}
+
+prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects) {
+  prt::Mesh all = scene.real_mesh;
+  if (!with_objects) return all;
+  for (const PreparedObject& o : scene.objects) {
+    prt::Mesh mesh = o.baked.mesh;
+    prt::transform(mesh, o.world_from_bake.matrix());
+    append(all, mesh);
+  }
+  return all;
+}
+
+}  // namespace penumbra::service

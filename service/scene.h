@@ -1,0 +1,78 @@
+// Scenes: scene.toml, placing, and baking what is not baked yet into the cache.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/result.h"
+#include "prt/prt.h"
+
+namespace penumbra::service {
+
+struct SceneObject {
+  std::string name;
+  std::string asset;  // a file, or "builtin:knot", "builtin:twist"
+  Rgb albedo{.7f, .7f, .7f};
+  glm::dvec3 position{0, 0, 0};
+  glm::dquat rotation{1, 0, 0, 0};
+  double scale = 1;
+  double spin_rpm = 0;          // turntable about the receiver's normal
+  bool stand = false;           // set on the floor at `stand_size_m`, centred on `position`
+  double stand_size_m = .5;     // largest extent
+};
+
+struct RealPlane {
+  glm::dvec3 point{0, 0, 0}, normal{0, 1, 0};
+};
+struct RealGeometry {
+  std::optional<RealPlane> plane;  // or
+  std::string mesh;
+  std::optional<Rgb> albedo;
+};
+
+struct Scene {
+  std::vector<SceneObject> objects;
+  std::vector<RealGeometry> real;
+};
+
+/// errors: kNotFound, kUnreadable, kInvalid (unknown key, bad value: file and line)
+Result<Scene> read_scene(const std::filesystem::path& path);
+Result<void> write_scene(const std::filesystem::path& path, const Scene& scene);
+
+struct BakeSettings {
+  int bands = 5, bounces = 4, rays = 256, ground_rays = 1024;
+  bool use_cache = true;
+};
+
+/// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.
+struct PreparedObject {
+  std::string name;
+  prt::BakedObject baked;
+  Pose world_from_bake;  // at time 0
+  double spin_rpm = 0;
+  /// Placement at a time: the turntable turns about the bake frame's y.
+  Pose pose_at(double seconds) const;
+};
+
+struct PreparedScene {
+  std::vector<PreparedObject> objects;
+  std::vector<prt::Plane> planes;
+  prt::Mesh real_mesh;  // world frame; empty without real meshes
+};
+
+/// Loads, places and bakes. Log lines (what is baked, dropped triangles) go to spdlog.
+/// errors: what the assets say
+Result<PreparedScene> prepare(const Scene& scene, const BakeSettings& settings,
+                              const std::function<std::function<void(double)>(const std::string&)>& progress);
+
+/// An asset in its own frame, or a built-in one. `edge_share`: longest edge after subdivision, as a share
+/// of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
+Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share);
+
+/// All meshes of a scene in the world frame at time 0, for the reference.
+prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects);
+
+}  // namespace penumbra::service

@@ -1,0 +1,154 @@
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "core/toml_keys.h"
+#include "service/scene.h"
+
+namespace penumbra::service {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::string_view kObjectKeys[] = {"name",  "asset",    "albedo",    "position",     "rotation",
+                                            "scale", "spin_rpm", "animation", "stand_size_m"};
+constexpr std::string_view kRealKeys[] = {"plane", "mesh", "albedo"};
+
+Result<Rgb> read_albedo(const TomlKeys& keys) {
+  PENUMBRA_ASSIGN(v, keys.numbers("albedo", 3));
+  for (double c : v)
+    if (c < 0 || c > 1) return keys.invalid("albedo", "not within 0..1");
+  return Rgb{static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
+}
+
+// Relative paths are meant from the scene's folder.
+std::string resolve(const std::string& file, const fs::path& folder) {
+  if (file.starts_with("builtin:") || fs::path(file).is_absolute()) return file;
+  return (folder / file).string();
+}
+
+Result<void> read_placement(const TomlKeys& keys, SceneObject& o) {
+  if (keys.has("position")) {
+    PENUMBRA_ASSIGN(p, keys.numbers("position", 3));
+    o.position = {p[0], p[1], p[2]};
+  }
+  if (keys.has("rotation")) {
+    PENUMBRA_ASSIGN(q, keys.numbers("rotation", 4));
+    const glm::dquat r(q[3], q[0], q[1], q[2]);
+    if (std::abs(glm::length(r) - 1) > 1e-3) return keys.invalid("rotation", "not a unit quaternion x, y, z, w");
+    o.rotation = glm::normalize(r);
+  }
+  if (keys.has("scale")) {
+    PENUMBRA_ASSIGN(s, keys.number("scale"));
+    if (s <= 0) return keys.invalid("scale", "not positive");
+    o.scale = s;
+  }
+  if (keys.has("stand_size_m")) {
+    if (keys.has("scale")) return keys.invalid("stand_size_m", "cannot stand beside scale");
+    PENUMBRA_ASSIGN(s, keys.number("stand_size_m"));
+    if (s <= 0) return keys.invalid("stand_size_m", "not positive");
+    o.stand = true;
+    o.stand_size_m = s;
+  }
+  return {};
+}
+
+Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
+  PENUMBRA_TRY(keys.only(kObjectKeys));
+  SceneObject o;
+  PENUMBRA_ASSIGN(asset, keys.text("asset"));
+  o.asset = resolve(asset, folder);
+  o.name = fs::path(asset).stem().string();
+  if (keys.has("name")) {
+    PENUMBRA_ASSIGN(name, keys.text("name"));
+    o.name = name;
+  }
+  if (keys.has("albedo")) {
+    PENUMBRA_ASSIGN(albedo, read_albedo(keys));
+    o.albedo = albedo;
+  }
+  PENUMBRA_TRY(read_placement(keys, o));
+  if (keys.has("spin_rpm")) {
+    PENUMBRA_ASSIGN(spin, keys.number("spin_rpm"));
+    o.spin_rpm = spin;
+  }
+  if (keys.has("animation"))
+    return keys.invalid("animation", "clips are not played yet; use spin_rpm for a turntable");
+  return o;
+}
+
+Result<RealGeometry> read_real(const fs::path& path, const toml::table& table, const fs::path& folder) {
+  const TomlKeys keys(path, table);
+  PENUMBRA_TRY(keys.only(kRealKeys));
+  RealGeometry real;
+  if (keys.has("plane") == keys.has("mesh")) return keys.invalid("plane", "give a plane or a mesh, one of them");
+  if (keys.has("albedo")) {
+    PENUMBRA_ASSIGN(albedo, read_albedo(keys));
+    real.albedo = albedo;
+  }
+  if (keys.has("mesh")) {
+    PENUMBRA_ASSIGN(mesh, keys.text("mesh"));
+    real.mesh = resolve(mesh, folder);
+    return real;
+  }
+  const toml::table* plane = table["plane"].as_table();
+  if (!plane) return keys.invalid("plane", "not a table { point = [..], normal = [..] }");
+  const TomlKeys plane_keys(path, *plane);
+  constexpr std::string_view known[] = {"point", "normal"};
+  PENUMBRA_TRY(plane_keys.only(known));
+  PENUMBRA_ASSIGN(p, plane_keys.numbers("point", 3));
+  PENUMBRA_ASSIGN(n, plane_keys.numbers("normal", 3));
+  const glm::dvec3 normal(n[0], n[1], n[2]);
+  if (glm::length(normal) < 1e-6) return plane_keys.invalid("normal", "has no length");
+  real.plane = RealPlane{{p[0], p[1], p[2]}, glm::normalize(normal)};
+  return real;
+}
+
+}  // namespace
+
+Result<Scene> read_scene(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
+  constexpr std::string_view known[] = {"version", "object", "real"};
+  PENUMBRA_TRY(keys.only(known));
+  PENUMBRA_TRY(keys.version(1));
+  const fs::path folder = path.parent_path();
+  Scene scene;
+  PENUMBRA_ASSIGN(objects, keys.tables("object"));
+  for (const toml::table* table : objects) {
+    PENUMBRA_ASSIGN(object, read_object(TomlKeys(path, *table), folder));
+    scene.objects.push_back(object);
+  }
+  PENUMBRA_ASSIGN(reals, keys.tables("real"));
+  for (const toml::table* table : reals) {
+    PENUMBRA_ASSIGN(real, read_real(path, *table, folder));
+    scene.real.push_back(real);
+  }
+  return scene;
+}
+
+Result<void> write_scene(const fs::path& path, const Scene& scene) {
+  std::string text = "version = 1\n";
+  const auto list = [](const auto&... v) { return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", ")); };
+  for (const SceneObject& o : scene.objects) {
+    const std::string asset =
+        o.asset.starts_with("builtin:") ? o.asset : fs::absolute(o.asset).lexically_normal().string();
+    text += fmt::format("\n[[object]]\nname = \"{}\"\nasset = \"{}\"\nalbedo = {}\n", o.name, asset,
+                        list(o.albedo.r, o.albedo.g, o.albedo.b));
+    text += fmt::format("position = {}\nrotation = {}\n", list(o.position.x, o.position.y, o.position.z),
+                        list(o.rotation.x, o.rotation.y, o.rotation.z, o.rotation.w));
+    text += o.stand ? fmt::format("stand_size_m = {}\n", o.stand_size_m) : fmt::format("scale = {}\n", o.scale);
+    if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
+  }
+  for (const RealGeometry& r : scene.real) {
+    text += "\n[[real]]\n";
+    if (r.plane) {
+      const auto &p = r.plane->point, &n = r.plane->normal;
+      text += fmt::format("plane = {{ point = {}, normal = {} }}\n", list(p.x, p.y, p.z), list(n.x, n.y, n.z));
+    } else {
+      text += fmt::format("mesh = \"{}\"\n", fs::absolute(r.mesh).lexically_normal().string());
+    }
+    if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
+  }
+  return write_bytes(path, text);
+}
+
+}  // namespace penumbra::service

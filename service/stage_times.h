@@ -1,0 +1,53 @@
+// Durations of named stages, for percentiles in summaries.
+#pragma once
+
+#include <chrono>
+#include <map>
+#include <mutex>
+#include <string>
+#include <vector>
+
+namespace penumbra::service {
+
+/// threads: thread-safe
+class StageTimes {
+ public:
+  struct Percentiles {
+    double p50_ms = 0, p99_ms = 0;
+    std::size_t count = 0;
+  };
+
+  void add(const std::string& stage, double ms);
+  /// In order of first use.
+  std::vector<std::pair<std::string, Percentiles>> summary() const;
+
+ private:
+  static constexpr std::size_t kMostSamples = 1 << 16;  // a stage that runs for days keeps its last ones
+  struct Stage {
+    std::string name;
+    std::vector<float> ms;
+    std::size_t next = 0;
+  };
+  mutable std::mutex mutex_;
+  std::vector<Stage> stages_;  // guarded by mutex_
+};
+
+/// Adds the time from construction to destruction.
+class StageTimer {
+ public:
+  StageTimer(StageTimes& times, std::string stage)
+      : times_(times), stage_(std::move(stage)), start_(std::chrono::steady_clock::now()) {}
+  StageTimer(const StageTimer&) = delete;
+  StageTimer& operator=(const StageTimer&) = delete;
+  ~StageTimer() {
+    const std::chrono::duration<double, std::milli> ms = std::chrono::steady_clock::now() - start_;
+    times_.add(stage_, ms.count());
+  }
+
+ private:
+  StageTimes& times_;
+  std::string stage_;
+  std::chrono::steady_clock::time_point start_;
+};
+
+}  // namespace penumbra::service

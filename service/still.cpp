@@ -1,0 +1,109 @@
+#include "service/still.h"
+
+#include <oneapi/tbb/parallel_for.h>
+
+#include <algorithm>
+
+#include "core/conventions.h"
+#include "service/pipeline.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// Exact irradiance of an unshadowed plane from every pixel of the map.
+Rgb plane_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
+  double sum[3] = {};
+  for (int y = 0; y < map.height(); ++y) {
+    const double w = latlong_solid_angle(y, map.width(), map.height());
+    for (int x = 0; x < map.width(); ++x) {
+      const double c = glm::dot(latlong_direction(x + .5, y + .5, map.width(), map.height()), normal);
+      if (c <= 0) continue;
+      for (int k = 0; k < 3; ++k) sum[k] += w * c * map.at(x, y)[k];
+    }
+  }
+  return {static_cast<float>(sum[0]), static_cast<float>(sum[1]), static_cast<float>(sum[2])};
+}
+
+glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
+  return glm::normalize(v.world_from_camera.rotation *
+                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x, -(py - v.principal_px.y) / v.focal_px.y, -1));
+}
+
+}  // namespace
+
+Result<Still> render_real(const StillScene& in, double error, const Progress& progress) {
+  if (!in.scene->real_mesh.triangles.empty())
+    return render_reference(in, false, error, std::nullopt, progress);
+  auto light = prt::EnvironmentLight::from_map(*in.environment);
+  if (!light) return std::unexpected(light.error());
+  std::vector<Rgb> exit_radiance;
+  for (const prt::Plane& p : in.scene->planes)
+    exit_radiance.push_back(p.albedo * plane_irradiance(*in.environment, p.normal) * static_cast<float>(1 / kPi));
+  constexpr int kSamples = 4;
+  Still out;
+  out.radiance = Image<Rgb>(in.view.width, in.view.height);
+  const glm::dvec3 eye = in.view.world_from_camera.translation;
+  tbb::parallel_for(0, in.view.height, [&](int y) {
+    for (int x = 0; x < in.view.width; ++x) {
+      Rgb sum;
+      for (int k = 0; k < kSamples * kSamples; ++k) {
+        const glm::dvec3 d =
+            ray_through(in.view, x + (k % kSamples + .5) / kSamples, y + (double(k / kSamples) + .5) / kSamples);
+        double nearest = 1e30;
+        std::size_t hit = exit_radiance.size();
+        for (std::size_t i = 0; i < exit_radiance.size(); ++i) {
+          const prt::Plane& p = in.scene->planes[i];
+          const double slope = glm::dot(p.normal, d), t = glm::dot(p.normal, p.point - eye) / slope;
+          if (slope < 0 && t > 1e-4 && t < nearest) nearest = t, hit = i;
+        }
+        sum += hit < exit_radiance.size() ? exit_radiance[hit] : light->radiance(glm::vec3(d));
+      }
+      out.radiance.at(x, y) = sum * (1.f / (kSamples * kSamples));
+    }
+  });
+  return out;
+}
+
+Result<Still> render_composite(const StillScene& in, const RadianceSh& light, const Still& real) {
+  capture::CameraInfo camera;
+  camera.name = "camera";
+  camera.role = capture::Role::kView;
+  camera.projection = {calib::ProjectionKind::kPinhole, in.view.width, in.view.height, in.view.focal_px,
+                       in.view.principal_px};
+  camera.world_from_camera = in.view.world_from_camera;
+  StageTimes times;
+  auto stage = ComposeStage::create({camera}, *in.scene, compositor::Compositor::Surface::kOffscreen, times);
+  if (!stage) return std::unexpected(stage.error());
+  capture::Frame frame;
+  frame.exposure = {Seconds(1), Gain(1)};
+  frame.world_from_camera = in.view.world_from_camera;
+  frame.pixels = std::make_shared<const FramePixels>(real.radiance);
+  lighting::LightEstimate estimate;
+  estimate.light = light;
+  estimate.valid = true;
+  auto composited = (*stage)->process(frame, estimate);
+  if (!composited) return std::unexpected(composited.error());
+  return Still{std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples};
+}
+
+Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
+                               const std::optional<RadianceSh>& truncated, const Progress& progress) {
+  auto map_light = prt::EnvironmentLight::from_map(*in.environment);
+  if (!map_light) return std::unexpected(map_light.error());
+  const prt::EnvironmentLight light =
+      truncated ? prt::EnvironmentLight::from_sh(*truncated) : *map_light;
+  prt::World world;
+  world.mesh = world_mesh(*in.scene, with_objects);
+  world.planes = in.scene->planes;
+  world.light = &light;
+  world.background = [&](const glm::vec3& d) { return map_light->radiance(d); };
+  prt::ReferenceOptions options;
+  options.error = error;
+  options.progress = progress;
+  auto reference = prt::render_reference(world, in.view, options);
+  if (!reference) return std::unexpected(reference.error());
+  return Still{std::move(reference->radiance), reference->error, reference->samples};
+}
+
+}  // namespace penumbra::service

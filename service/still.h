@@ -1,0 +1,39 @@
+// Stills in linear radiance: the real world alone, our composite over it, and the path-traced truth.
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "capture/capture.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "service/scene.h"
+
+namespace penumbra::service {
+
+struct Still {
+  Image<Rgb> radiance;
+  double error = 0;  // the reference's own estimate; 0 where nothing was sampled
+  int samples = 0;
+};
+
+struct StillScene {
+  const PreparedScene* scene = nullptr;
+  const Image<Rgb>* environment = nullptr;  // lat-long
+  prt::PinholeView view;
+};
+
+using Progress = std::function<void(double)>;
+
+/// The world without virtual objects: environment and planes in closed form (irradiance exact from every
+/// pixel), path traced when there are real meshes.
+Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
+
+/// Our method over the real picture, under `light`.
+Result<Still> render_composite(const StillScene& in, const RadianceSh& light, const Still& real);
+
+/// The truth: the object really stands there. Under the whole environment, or under `truncated` light.
+Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
+                               const std::optional<RadianceSh>& truncated, const Progress& progress);
+
+}  // namespace penumbra::service

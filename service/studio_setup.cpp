@@ -1,0 +1,61 @@
+#include "service/studio_setup.h"
+
+#include <filesystem>
+
+#include "service/light_file.h"
+
+namespace penumbra::service {
+
+Result<StudioSetup> set_up_studio(const StudioRequest& r) {
+  StudioSetup out;
+  Image<Rgb> map;
+  if (r.environment) {
+    auto light = read_light(*r.environment, std::nullopt);
+    if (!light) return std::unexpected(light.error());
+    auto latlong = capture::to_latlong(light->file);
+    if (!latlong) return std::unexpected(latlong.error());
+    map = std::move(*latlong);
+  } else {
+    map = capture::make_room_environment(4096, 2048);
+  }
+  auto world = capture::FloorWorld::make(std::move(map));
+  if (!world) return fail(world.error().code, r.environment.value_or("environment"), world.error().detail);
+  out.world = std::move(*world);
+
+  capture::StudioOptions& o = out.options;
+  o.view_width = r.width;
+  o.view_height = r.height;
+  o.view_focal_px = 1.15 * r.height * 16 / 9 / 1.4;  // 60 degrees across at 16:9
+  o.world_from_view = capture::look_at({.25, .95, 1.75}, {.0, .19, 0});
+  o.view_fps = r.fps;
+  o.view_frames = r.frames;
+  o.view_clip = r.view_clip;
+  o.sensor.response = calib::Response::srgb();
+
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  floor.albedo = out.world->mean_floor_albedo();
+  out.scene.real.push_back(floor);
+  SceneObject still;
+  still.asset = r.asset.value_or("builtin:knot");
+  still.name = r.asset ? std::filesystem::path(*r.asset).stem().string() : "knot";
+  still.albedo = {.62f, .60f, .57f};
+  still.stand = true;
+  still.stand_size_m = .5;
+  if (r.animated) still.position = {-.22, 0, .05};
+  out.scene.objects.push_back(still);
+  if (r.animated) {
+    SceneObject turning;
+    turning.asset = "builtin:twist";
+    turning.name = "twist";
+    turning.albedo = {.66f, .32f, .18f};
+    turning.position = {.42, 0, -.12};
+    turning.stand = true;
+    turning.stand_size_m = .5;
+    turning.spin_rpm = 10;
+    out.scene.objects.push_back(turning);
+  }
+  return out;
+}
+
+}  // namespace penumbra::service

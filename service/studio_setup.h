@@ -1,0 +1,32 @@
+// The built-in studio as demo and serve use it.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "capture/capture.h"
+#include "service/scene.h"
+
+namespace penumbra::service {
+
+struct StudioSetup {
+  std::shared_ptr<capture::FloorWorld> world;
+  capture::StudioOptions options;
+  Scene scene;
+};
+
+struct StudioRequest {
+  std::optional<std::string> environment, asset;
+  bool animated = true;
+  int width = 1280, height = 720;
+  double fps = 30;
+  int frames = 90;
+  int view_clip = 0;
+};
+
+/// Environment (the built-in room without one), cameras and the scene: a static object (the knot, or the
+/// asset stood on the floor half a metre large) and a turning one.
+Result<StudioSetup> set_up_studio(const StudioRequest& request);
+
+}  // namespace penumbra::service

@@ -1,0 +1,236 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <glm/geometric.hpp>
+#include <set>
+#include <string>
+#include <string_view>
+
+#include "prt/prt.h"
+#include "tests/support/shared_data.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::prt {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr Rgb kDefault{.7f, .6f, .5f};
+constexpr const char* kTriangle = "v 0 0 0\nv 1 0 0\nv 0 0 -1\nf 1 2 3\n";  // faces up
+
+class ImportMesh : public testing::Test {
+ protected:
+  fs::path put(const char* name, std::string_view text) const {
+    const fs::path path = folder_.path() / name;
+    std::ofstream(path, std::ios::binary) << text;
+    return path;
+  }
+  Import imported(const char* name, std::string_view text) const {
+    auto result = import_mesh(put(name, text), kDefault);
+    EXPECT_TRUE(result) << (result ? "" : result.error().detail);
+    return result ? *result : Import{};
+  }
+  Error error_of(const char* name, std::string_view text) const {
+    const fs::path path = put(name, text);
+    const auto result = import_mesh(path, kDefault);
+    EXPECT_FALSE(result) << name;
+    if (result) return {};
+    EXPECT_EQ(result.error().where, path.string());
+    EXPECT_FALSE(result.error().detail.empty());
+    return result.error();
+  }
+
+  test::TempFolder folder_;
+};
+
+float area_of(const Mesh& mesh) {
+  float area = 0;
+  for (const auto& t : mesh.triangles)
+    area += .5f * glm::length(glm::cross(mesh.positions[t[1]] - mesh.positions[t[0]],
+                                         mesh.positions[t[2]] - mesh.positions[t[0]]));
+  return area;
+}
+
+void expect_sound(const Mesh& mesh) {
+  ASSERT_EQ(mesh.normals.size(), mesh.positions.size());
+  ASSERT_EQ(mesh.albedo.size(), mesh.positions.size());
+  std::set<std::uint32_t> used;
+  for (const auto& t : mesh.triangles)
+    for (const auto i : t) {
+      ASSERT_LT(i, mesh.positions.size());
+      used.insert(i);
+    }
+  EXPECT_EQ(used.size(), mesh.positions.size()) << "vertices without a triangle would be baked for nothing";
+  for (const glm::vec3& n : mesh.normals) ASSERT_NEAR(glm::length(n), 1, 1e-5);
+}
+
+// ------------------------------------------------------------------------------------- geometry
+
+TEST_F(ImportMesh, QuadsAreCutIntoTrianglesOfTheSameSurface) {
+  const Import import = imported("quad.obj", "v 0 0 0\nv 2 0 0\nv 2 0 -3\nv 0 0 -3\nf 1 2 3 4\n");
+  expect_sound(import.mesh);
+  EXPECT_EQ(import.mesh.triangles.size(), 2u);
+  EXPECT_EQ(import.degenerate_triangles, 0u);
+  EXPECT_NEAR(area_of(import.mesh), 6, 1e-5);
+  for (const auto& t : import.mesh.triangles) {
+    const auto& p = import.mesh.positions;
+    EXPECT_GT(glm::cross(p[t[1]] - p[t[0]], p[t[2]] - p[t[0]]).y, 0) << "the winding is kept";
+  }
+}
+
+TEST_F(ImportMesh, MissingNormalsAreMadeOutward) {
+  const Mesh sphere = make_sphere({1, 2, 3}, .5f, 3, kDefault);
+  std::string text;
+  for (const glm::vec3& p : sphere.positions)
+    text += "v " + std::to_string(p.x) + ' ' + std::to_string(p.y) + ' ' + std::to_string(p.z) + '\n';
+  for (const auto& t : sphere.triangles) {
+    text += 'f';
+    for (const auto i : t) text += ' ' + std::to_string(i + 1);
+    text += '\n';
+  }
+  const Mesh mesh = imported("sphere.obj", text).mesh;
+  expect_sound(mesh);
+  EXPECT_EQ(mesh.positions.size(), sphere.positions.size()) << "neighbours share their vertices";
+  EXPECT_EQ(mesh.triangles.size(), sphere.triangles.size());
+  for (std::size_t i = 0; i < mesh.positions.size(); ++i)
+    EXPECT_GT(glm::dot(mesh.normals[i], glm::normalize(mesh.positions[i] - glm::vec3(1, 2, 3))), .999f);
+}
+
+TEST_F(ImportMesh, GivenNormalsAreKept) {
+  const Mesh mesh = imported("n.obj", "v 0 0 0\nv 1 0 0\nv 0 0 -1\nvn 0 .8 .6\nf 1//1 2//1 3//1\n").mesh;
+  expect_sound(mesh);
+  for (const glm::vec3& n : mesh.normals) EXPECT_LT(glm::distance(n, glm::vec3(0, .8f, .6f)), 1e-5f);
+}
+
+TEST_F(ImportMesh, DegenerateTrianglesAreDroppedAndCounted) {
+  const Import import = imported("d.obj", std::string(kTriangle) +
+                                              "v 2 0 0\nv 3 0 0\nv 4 0 0\n"
+                                              "f 4 5 6\n"    // on one line
+                                              "f 1 2 2\n"    // two corners are one
+                                              "v 1 0 0\nf 2 3 7\n");  // two corners at one place
+  expect_sound(import.mesh);
+  EXPECT_EQ(import.mesh.triangles.size(), 1u);
+  EXPECT_EQ(import.degenerate_triangles, 3u);
+  EXPECT_NEAR(area_of(import.mesh), .5, 1e-6);
+}
+
+TEST_F(ImportMesh, SmallTrianglesAreNotDegenerate) {
+  const Import import = imported("s.obj", "v 0 0 0\nv 1e-6 0 0\nv 0 0 -1e-6\nf 1 2 3\n");
+  EXPECT_EQ(import.mesh.triangles.size(), 1u);
+  EXPECT_EQ(import.degenerate_triangles, 0u);
+}
+
+TEST_F(ImportMesh, NodesOfAGltfPlaceTheirMeshes) {
+  // One triangle (0,0,0) (1,0,0) (0,1,0), scaled by 2 and moved to z = 5.
+  const Mesh mesh = imported("t.gltf", R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],
+    "nodes":[{"translation":[0,0,5],"children":[1]},{"scale":[2,2,2],"mesh":0}],
+    "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+    "accessors":[{"bufferView":0,"componentType":5126,"type":"VEC3","count":3,"min":[0,0,0],"max":[1,1,0]}],
+    "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":
+    "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]})").mesh;
+  expect_sound(mesh);
+  const Bounds b = bounds_of(mesh);
+  EXPECT_LT(glm::distance(b.low, glm::vec3(0, 0, 5)), 1e-5f);
+  EXPECT_LT(glm::distance(b.high, glm::vec3(2, 2, 5)), 1e-5f);
+  for (const glm::vec3& n : mesh.normals) EXPECT_LT(glm::distance(n, glm::vec3(0, 0, 1)), 1e-5f);
+}
+
+// ------------------------------------------------------------------------------------- albedo
+
+TEST_F(ImportMesh, WithoutMaterialTheDefaultAlbedoHolds) {
+  for (const Rgb& a : imported("t.obj", kTriangle).mesh.albedo) EXPECT_EQ(a, kDefault);
+  const Mesh ply = imported("t.ply",
+                            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                            "property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
+                            "end_header\n0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n").mesh;
+  expect_sound(ply);
+  for (const Rgb& a : ply.albedo) EXPECT_EQ(a, kDefault);
+}
+
+TEST_F(ImportMesh, MaterialGivesTheAlbedo) {
+  put("m.mtl", "newmtl red\nKd .8 .1 .2\n");
+  const Mesh mesh = imported("m.obj", "mtllib m.mtl\nusemtl red\n" + std::string(kTriangle)).mesh;
+  ASSERT_EQ(mesh.albedo.size(), 3u);
+  for (const Rgb& a : mesh.albedo)
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(a[c], (Rgb{.8f, .1f, .2f})[c], 1e-6);
+}
+
+TEST_F(ImportMesh, AlbedoStaysBetweenZeroAndOne) {
+  put("m.mtl", "newmtl odd\nKd 7 -1 .5\n");
+  const Mesh odd = imported("m.obj", "mtllib m.mtl\nusemtl odd\n" + std::string(kTriangle)).mesh;
+  const Mesh coloured = imported("c.ply",
+                                 "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                                 "property float z\nproperty float red\nproperty float green\n"
+                                 "property float blue\nelement face 1\n"
+                                 "property list uchar int vertex_indices\nend_header\n"
+                                 "0 0 0 9 -3 .5\n1 0 0 9 -3 .5\n0 0 -1 nan .5 .5\n3 0 1 2\n").mesh;
+  for (const Mesh* mesh : {&odd, &coloured})
+    for (const Rgb& a : mesh->albedo)
+      for (int c = 0; c < 3; ++c) EXPECT_TRUE(a[c] >= 0 && a[c] <= 1) << a[c];
+}
+
+// ------------------------------------------------------------------------------------- errors
+
+TEST_F(ImportMesh, MissingFileIsNotFound) {
+  const auto result = import_mesh(folder_.path() / "absent.obj", kDefault);
+  ASSERT_FALSE(result);
+  EXPECT_EQ(result.error().code, ErrorCode::kNotFound);
+  EXPECT_EQ(result.error().where, (folder_.path() / "absent.obj").string());
+  EXPECT_FALSE(import_mesh(folder_.path(), kDefault)) << "a folder";
+}
+
+TEST_F(ImportMesh, OnlyDegenerateTrianglesAreAnError) {
+  const Error error = error_of("d.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 2 2\n");
+  EXPECT_EQ(error.code, ErrorCode::kInvalid);
+  EXPECT_NE(error.detail.find("degenerate"), std::string::npos);
+}
+
+TEST_F(ImportMesh, FilesWithoutTrianglesAreErrors) {
+  for (const auto& [name, text] : {std::pair{"empty.obj", ""}, {"empty.ply", ""}, {"empty.glb", ""},
+                                   {"empty.gltf", "{}"}, {"points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"},
+                                   {"lines.obj", "v 0 0 0\nv 1 0 0\nl 1 2\n"}}) {
+    const Error error = error_of(name, text);
+    EXPECT_TRUE(error.code == ErrorCode::kInvalid || error.code == ErrorCode::kUnreadable) << name;
+  }
+}
+
+TEST_F(ImportMesh, NonFiniteVertexIsNamed) {
+  for (const char* bad : {"nan", "inf", "-inf"}) {
+    const Error error = error_of("n.obj", "v 0 0 0\nv 1 0 0\nv 0 " + std::string(bad) + " -1\nf 1 2 3\n");
+    EXPECT_EQ(error.code, ErrorCode::kNonFinite) << bad;
+    EXPECT_NE(error.detail.find("vertex 2"), std::string::npos) << error.detail;
+  }
+}
+
+TEST_F(ImportMesh, OtherFilesAreUnreadable) {
+  for (const char* name : {"text.obj", "text.ply", "text.glb", "text.gltf", "text.fbx", "text.unknown"}) {
+    const Error error = error_of(name, "It was a dark and stormy night; no triangle was in sight.\n");
+    EXPECT_TRUE(error.code == ErrorCode::kInvalid || error.code == ErrorCode::kUnreadable) << name;
+    EXPECT_EQ(error.detail.find('\n'), std::string::npos) << "errors are printed as one line";
+  }
+  const Error cut = error_of("cut.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n");
+  EXPECT_TRUE(cut.code == ErrorCode::kInvalid || cut.code == ErrorCode::kUnreadable);
+}
+
+TEST_F(ImportMesh, IndexOfAVertexThatIsNotThereNeverReachesTheMesh) {
+  const auto result = import_mesh(put("i.obj", std::string(kTriangle) + "f 1 2 9\n"), kDefault);
+  if (result) expect_sound(result->mesh);  // dropped or refused, both are sound
+}
+
+// ------------------------------------------------------------------------------------- shared data
+
+TEST_F(ImportMesh, BunnyKeepsItsVerticesAndFaces) {
+  PENUMBRA_NEED_SHARED(path, "eval-only/meshes/stanford-bunny.obj");
+  const auto result = import_mesh(path, kDefault);
+  ASSERT_TRUE(result) << result.error().detail;
+  expect_sound(result->mesh);
+  EXPECT_EQ(result->mesh.triangles.size() + result->degenerate_triangles, 69451u);
+  EXPECT_EQ(result->mesh.positions.size(), 35947u);
+  EXPECT_EQ(result->degenerate_triangles, 0u);
+  EXPECT_NEAR(radius_around(result->mesh, bounds_of(result->mesh).centre()), .1, .03) << "metres";
+}
+
+}  // namespace
+}  // namespace penumbra::prt
