@@ -15,6 +15,8 @@ static_assert(sizeof(HalfRgba) == 8);
 
 namespace {
 
+constexpr int kTileRows = 16, kTileColumns = 64;
+
 bool is_identity_latlong(const calib::Projection& p, const Pose& pose, int width, int height) {
   return p.kind == calib::ProjectionKind::kLatLong && p.width == width && p.height == height &&
          std::abs(std::abs(pose.rotation.w) - 1) < 1e-9;
@@ -24,11 +26,16 @@ bool is_identity_latlong(const calib::Projection& p, const Pose& pose, int width
 
 EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection, const Pose& world_from_camera,
                                            int width, int height)
-    : source_width_(projection.width), source_height_(projection.height), width_(width), height_(height) {
-  if (is_identity_latlong(projection, world_from_camera, width, height)) return;
+    : source_width_(projection.width), source_height_(projection.height), width_(width), height_(height),
+      seen_(static_cast<std::size_t>(height)), alpha_(static_cast<std::size_t>(height)) {
+  if (is_identity_latlong(projection, world_from_camera, width, height)) {
+    std::ranges::fill(seen_, width);
+    return;
+  }
   const glm::dquat camera_from_world = glm::conjugate(world_from_camera.rotation);
   taps_.reserve(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
-  for (int y = 0; y < height; ++y)
+  for (int y = 0; y < height; ++y) {
+    Span span{width, 0};
     for (int x = 0; x < width; ++x) {
       const glm::dvec3 d = camera_from_world * latlong_direction(x + .5, y + .5, width, height);
       const auto pixel = calib::pixel_from_direction(projection, d);
@@ -37,21 +44,41 @@ EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection, 
         complete_ = false;
         continue;
       }
+      span = {std::min(span.first, x), x + 1};
+      ++seen_[static_cast<std::size_t>(y)];
       // From pixel centres; the border repeats its last pixel.
       const double px = std::clamp(pixel->x - .5, 0., source_width_ - 1.);
       const double py = std::clamp(pixel->y - .5, 0., source_height_ - 1.);
       const int ix = std::min(static_cast<int>(px), source_width_ - 2);
       const int iy = std::min(static_cast<int>(py), source_height_ - 2);
-      taps_.push_back({iy * source_width_ + ix, static_cast<std::uint16_t>(std::lround((px - ix) * 32768)),
-                       static_cast<std::uint16_t>(std::lround((py - iy) * 32768))});
+      taps_.push_back({iy * source_width_ + ix, static_cast<float>(px - ix), static_cast<float>(py - iy)});
     }
+    spans_.push_back({std::min(span.first, span.last), span.last});
+  }
 }
 
 EnvironmentAssembler::~EnvironmentAssembler() = default;
 EnvironmentAssembler::EnvironmentAssembler(EnvironmentAssembler&&) noexcept = default;
 EnvironmentAssembler& EnvironmentAssembler::operator=(EnvironmentAssembler&&) noexcept = default;
 
-void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out) const {
+// A row of the environment is a curve in the source: tiles reuse the source's cache lines between rows.
+// What is not seen stays black from the allocation on.
+void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
+                                       Image<Rgb>& out) {
+  for (int y = first_row; y < last_row; ++y) alpha_[static_cast<std::size_t>(y)] = 0;
+  for (int tile = 0; tile < width_; tile += kTileColumns)
+    for (int y = first_row; y < last_row; ++y) {
+      const auto row = static_cast<std::size_t>(y);
+      const int first = std::max(tile, spans_[row].first);
+      const int last = std::min(tile + kTileColumns, spans_[row].last);
+      if (first >= last) continue;
+      alpha_[row] += double(gather_row(source, source_width_,
+                                       &taps_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
+                                       last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
+    }
+}
+
+void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out) {
   if (out.radiance.width() != width_ || out.radiance.height() != height_) {
     out.radiance = Image<Rgb>(width_, height_);
     out.confidence = {};
@@ -60,28 +87,22 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
       for (std::size_t i = 0; i < taps_.size(); ++i) out.confidence.pixels()[i] = taps_[i].offset < 0 ? 0.f : 1.f;
     }
   }
-  std::vector<double> lost(static_cast<std::size_t>(height_));  // solid angle per row, summed in order
   const auto* source = &merged.pixels.pixels()[0].r;
-  tbb::parallel_for(tbb::blocked_range<int>(0, height_, 16), [&](const auto& rows) {
-    for (int y = rows.begin(); y < rows.end(); ++y) {
-      float* const target = &out.radiance.row(y)[0].r;
-      float alpha = 0;
-      int seen = width_;
-      if (taps_.empty()) {
-        alpha = convert_row(source + 4 * static_cast<std::ptrdiff_t>(y) * width_, width_, merged.scale, target);
-      } else {
-        const auto* taps =
-            &taps_[static_cast<std::size_t>(y) * static_cast<std::size_t>(width_)];
-        alpha = gather_row(source, source_width_, taps, width_, merged.scale, target);
-        if (!complete_)
-          seen = static_cast<int>(std::count_if(taps, taps + width_, [](const GatherTap& t) { return t.offset >= 0; }));
-      }
-      lost[static_cast<std::size_t>(y)] =
-          (seen - double(alpha)) * latlong_solid_angle(y, width_, height_);
+  tbb::parallel_for(tbb::blocked_range<int>(0, height_, kTileRows), [&](const auto& rows) {
+    if (taps_.empty()) {
+      for (int y = rows.begin(); y < rows.end(); ++y)
+        alpha_[static_cast<std::size_t>(y)] =
+            double(convert_row(source + 4 * static_cast<std::ptrdiff_t>(y) * width_, width_, merged.scale,
+                               &out.radiance.row(y)[0].r));
+    } else {
+      gather_rows(rows.begin(), rows.end(), source, merged.scale, out.radiance);
     }
   });
   double total = 0;
-  for (double v : lost) total += std::max(0., v);
+  for (int y = 0; y < height_; ++y) {
+    const auto row = static_cast<std::size_t>(y);
+    total += std::max(0., seen_[row] - alpha_[row]) * latlong_solid_angle(y, width_, height_);
+  }
   out.clipped_fraction = total / (4 * kPi);
   out.black_fraction = merged.black_fraction;
 }

@@ -104,7 +104,7 @@ struct MergedImage {
   Image<HalfRgba> pixels;     // radiance / `scale`; fourth channel 0 where every exposure is clipped
   float scale = 1;            // relative radiance of a stored 1
   double clipped_fraction = 0;  // of the pixels
-  double black_fraction = 0;    // of the pixels: under twice the noise in the longest exposure
+  double black_fraction = 0;    // of the samples: under twice the noise in the longest exposure
 };
 
 /// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from the
@@ -172,11 +172,18 @@ class EnvironmentAssembler {
   EnvironmentAssembler& operator=(EnvironmentAssembler&&) noexcept;
   /// Bilinear gather; where the camera does not look, radiance and confidence are 0.
   /// threads: internally parallel; no allocation once `out` has its size
-  void assemble(const MergedImage& merged, Environment& out) const;
+  void assemble(const MergedImage& merged, Environment& out);
 
  private:
+  void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale, Image<Rgb>& out);
+  struct Span {
+    int first, last;  // columns [first, last) of a row hold everything that is seen
+  };
   int source_width_, source_height_, width_, height_;
   bool complete_ = true;
+  std::vector<Span> spans_;    // one a row
+  std::vector<int> seen_;      // pixels a row
+  std::vector<double> alpha_;  // sum of the confidence a row, of the newest image
   std::vector<GatherTap> taps_;  // empty: the source is the environment already
 };
 

@@ -6,10 +6,10 @@
 namespace penumbra::capture {
 
 /// out[3 i + c] = scale * bilinear sample of RGBA half pixels at tap i; a tap of offset -1 gives 0.
-/// Returns the sum of the sampled fourth channel. Taps: offset in pixels, weights in 1/32768.
+/// Returns the sum of the sampled fourth channel. Taps: offset in pixels, weights 0..1 of the right and the lower neighbour.
 struct GatherTap {
   std::int32_t offset;
-  std::uint16_t right, down;
+  float right, down;
 };
 float gather_row(const std::uint16_t* rgba, int source_width, const GatherTap* taps, int count, float scale,
                  float* out);

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "capture/merge_math.h"
+#include "capture/table_kernel.h"
 #include "core/half.h"
 
 namespace penumbra::capture {
@@ -13,7 +14,6 @@ namespace penumbra::capture {
 namespace {
 
 constexpr std::size_t kPairs = 65536;
-constexpr int kBlock = 256;  // pixels whose codes are sorted out together; everything stays in cache
 
 // Information about the radiance grows with the exposure (shot noise): a pair must hold most of it.
 bool two_suffice(std::span<const double> products) {
@@ -54,7 +54,7 @@ std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures
     out.clip_code_[static_cast<std::size_t>(c)] = static_cast<std::uint8_t>(first_clipped(curve, c, black_level));
     const double floor = std::sqrt(noise.variance(0, at(out.order_[0]).gain.value()) + step.variance(c, 0));
     out.black_code_[static_cast<std::size_t>(c)] =
-        static_cast<std::uint8_t>(curve.encode(c, static_cast<float>(2 * floor)));
+        static_cast<std::uint8_t>(1 + std::min(254u, curve.encode(c, static_cast<float>(2 * floor))));
   }
   for (int c = 0; c < out.channel_sets_; ++c)
     tbb::parallel_for(std::size_t{0}, (steps + 1) * 256, [&](std::size_t row) {
@@ -77,88 +77,50 @@ std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures
   return out;
 }
 
-namespace {
-
-// Which exposure decides each code, and the table entry that holds the answer.
-struct Selector {
-  alignas(64) std::uint8_t low[3 * kBlock], high[3 * kBlock], step[3 * kBlock];
-  alignas(64) std::uint8_t clip[3 * kBlock];
-  alignas(64) std::uint32_t index[3 * kBlock];
-
-  explicit Selector(const std::array<std::uint8_t, 3>& clip_code) {
-    for (int i = 0; i < 3 * kBlock; ++i) clip[i] = clip_code[static_cast<std::size_t>(i % 3)];
-  }
-
-  // From the shortest exposure up, each unclipped longer one takes over; plain byte loops vectorise.
-  void select(std::span<const std::uint8_t* const> codes, std::size_t first, int count) {
-    const auto steps = static_cast<int>(codes.size());
-    for (int i = 0; i < count; ++i) {
-      low[i] = codes[static_cast<std::size_t>(steps - 1)][first + static_cast<std::size_t>(i)];
-      high[i] = 0;
-      step[i] = static_cast<std::uint8_t>(steps);
-    }
-    for (int k = steps - 1; k >= 0; --k) {
-      const std::uint8_t* const here = codes[static_cast<std::size_t>(k)] + first;
-      const std::uint8_t* const next = k + 1 < steps ? codes[static_cast<std::size_t>(k + 1)] + first : nullptr;
-      const auto number = static_cast<std::uint8_t>(k);
-      for (int i = 0; i < count; ++i) {
-        const bool open = here[i] < clip[i];
-        low[i] = open ? here[i] : low[i];
-        step[i] = open ? number : step[i];
-      }
-      if (next) {
-        for (int i = 0; i < count; ++i) high[i] = here[i] < clip[i] ? next[i] : high[i];
-      } else {
-        for (int i = 0; i < count; ++i) high[i] = here[i] < clip[i] ? 0 : high[i];
-      }
-    }
-    for (int i = 0; i < count; ++i)
-      index[i] = static_cast<std::uint32_t>(low[i]) | static_cast<std::uint32_t>(high[i]) << 8 |
-                 static_cast<std::uint32_t>(step[i]) << 16;
-  }
-};
-
-}  // namespace
-
 void TableMerger::merge(std::span<const Image<Rgb8>* const> frames, MergedImage& out) const {
   assert(frames.size() == order_.size());
   const int width = frames[0]->width(), height = frames[0]->height();
   if (out.pixels.width() != width || out.pixels.height() != height) out.pixels = Image<HalfRgba>(width, height);
   out.scale = scale_;
-  const std::uint8_t* codes[16];
-  for (std::size_t k = 0; k < order_.size(); ++k)
-    codes[k] = &frames[static_cast<std::size_t>(order_[k])]->pixels()[0].r;
-  const std::span<const std::uint8_t* const> ordered(codes, order_.size());
   const std::size_t set = channel_sets_ == 3 ? (order_.size() + 1) * kPairs : 0;
-  const std::uint16_t *red = tables_.data(), *green = red + set, *blue = green + set;
-  const auto all_clipped = static_cast<std::uint8_t>(order_.size());
-  const std::size_t area = out.pixels.area();
+  std::uint8_t clip[3 * kMergeBlock], black_codes[3 * kMergeBlock];
+  for (std::size_t i = 0; i < 3 * kMergeBlock; ++i) clip[i] = clip_code_[i % 3], black_codes[i] = black_code_[i % 3];
+  const TableView tables{{tables_.data(), tables_.data() + set, tables_.data() + 2 * set},
+                         clip, black_codes, static_cast<int>(order_.size())};
+  const std::size_t area = out.pixels.area(), whole = area / kMergeBlock;
   std::atomic<std::size_t> clipped = 0, black = 0;
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, (area + kBlock - 1) / kBlock, 64), [&](const auto& range) {
-    Selector selector(clip_code_);
-    std::size_t clipped_here = 0, black_here = 0;
+  const auto codes_at = [&](std::size_t k, std::size_t pixel) {
+    return &frames[static_cast<std::size_t>(order_[k])]->pixels()[pixel].r;
+  };
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, whole, 64), [&](const auto& range) {
+    BlockCounts sum;
     for (std::size_t block = range.begin(); block < range.end(); ++block) {
-      const std::size_t first = block * kBlock;
-      const int count = static_cast<int>(std::min<std::size_t>(kBlock, area - first));
-      selector.select(ordered, 3 * first, 3 * count);
-      HalfRgba* const target = &out.pixels.pixels()[first];
-      for (int i = 0; i < count; ++i) {
-        const std::uint8_t* const step = &selector.step[3 * i];
-        const bool lost = step[0] == all_clipped || step[1] == all_clipped || step[2] == all_clipped;
-        target[i] = {red[selector.index[3 * i]], green[selector.index[3 * i + 1]],
-                     blue[selector.index[3 * i + 2]], lost ? std::uint16_t{0} : kHalfOne};
-        clipped_here += lost;
-      }
-      const std::uint8_t* const longest = codes[0] + 3 * first;
-      for (int i = 0; i < count; ++i)
-        black_here += longest[3 * i] <= black_code_[0] && longest[3 * i + 1] <= black_code_[1] &&
-                      longest[3 * i + 2] <= black_code_[2];
+      const std::uint8_t* codes[16];
+      for (std::size_t k = 0; k < order_.size(); ++k) codes[k] = codes_at(k, block * kMergeBlock);
+      const BlockCounts counts = merge_block(tables, codes, &out.pixels.pixels()[block * kMergeBlock]);
+      sum.clipped += counts.clipped;
+      sum.black += counts.black;
     }
-    clipped += clipped_here;
-    black += black_here;
+    clipped += sum.clipped;
+    black += sum.black;
   });
+  if (const std::size_t rest = area % kMergeBlock) {
+    // The last pixels in a block of their own, repeated so that the counts stay right in proportion.
+    std::uint8_t padded[16][3 * kMergeBlock];
+    const std::uint8_t* codes[16];
+    for (std::size_t k = 0; k < order_.size(); ++k) {
+      const std::uint8_t* const source = codes_at(k, whole * kMergeBlock);
+      for (std::size_t i = 0; i < 3 * kMergeBlock; ++i) padded[k][i] = source[i % (3 * rest)];
+      codes[k] = padded[k];
+    }
+    HalfRgba pixels[kMergeBlock];
+    const BlockCounts counts = merge_block(tables, codes, pixels);
+    std::copy_n(pixels, rest, &out.pixels.pixels()[whole * kMergeBlock]);
+    clipped += counts.clipped * rest / kMergeBlock;
+    black += counts.black * rest / kMergeBlock;
+  }
   out.clipped_fraction = static_cast<double>(clipped) / static_cast<double>(area);
-  out.black_fraction = static_cast<double>(black) / static_cast<double>(area);
+  out.black_fraction = static_cast<double>(black) / static_cast<double>(3 * area);
 }
 
 }  // namespace penumbra::capture

@@ -41,7 +41,7 @@ float value_noise(double x, double y) {
 // Stone slabs with joints: mean near 1. Fades out with distance, where a camera could not resolve it.
 float floor_detail(double x, double z) {
   constexpr double kSlab = .6, kJoint = .006;
-  const double fade = 1 / (1 + std::pow(std::hypot(x, z) / 6, 4));
+  const double fade = 1 / (1 + std::pow(std::hypot(x, z) / 2.4, 8));
   const double gx = x / kSlab - std::floor(x / kSlab), gz = z / kSlab - std::floor(z / kSlab);
   const double edge = std::min({gx, 1 - gx, gz, 1 - gz}) * kSlab;
   const double joint = edge < kJoint ? .72 : 1;

@@ -159,7 +159,8 @@ Mesh make_box(const glm::vec3& low, const glm::vec3& high, int n, Rgb albedo) {
 }
 
 Mesh make_knot(float height, int segments, int sides, Rgb albedo) {
-  // Centre line of the (2, 3) torus knot, standing upright; tube by parallel transport.
+  // Centre line of the (2, 3) torus knot, standing upright. The torus' own normal frames the tube: it is
+  // periodic, so the last ring meets the first.
   const auto line = [](double t) {
     const double r = 2 + std::cos(3 * t);
     return glm::dvec3(r * std::cos(2 * t), r * std::sin(2 * t), std::sin(3 * t));
@@ -167,13 +168,12 @@ Mesh make_knot(float height, int segments, int sides, Rgb albedo) {
   constexpr double kTube = .52;
   Mesh mesh;
   const double step = 2 * std::numbers::pi / segments;
-  glm::dvec3 reference(0, 0, 1);
   for (int i = 0; i < segments; ++i) {
-    const glm::dvec3 c = line(i * step);
-    const glm::dvec3 tangent = glm::normalize(line((i + .5) * step) - line((i - .5) * step));
-    const glm::dvec3 side = glm::normalize(reference - tangent * glm::dot(reference, tangent));
+    const double t = i * step;
+    const glm::dvec3 c = line(t), tangent = glm::normalize(line(t + 1e-4) - line(t - 1e-4));
+    const glm::dvec3 outward(std::cos(3 * t) * std::cos(2 * t), std::cos(3 * t) * std::sin(2 * t), std::sin(3 * t));
+    const glm::dvec3 side = glm::normalize(outward - tangent * glm::dot(outward, tangent));
     const glm::dvec3 up = glm::cross(tangent, side);
-    reference = side;
     for (int j = 0; j < sides; ++j) {
       const double a = 2 * std::numbers::pi * j / sides;
       const glm::dvec3 n = std::cos(a) * side + std::sin(a) * up;
@@ -182,20 +182,12 @@ Mesh make_knot(float height, int segments, int sides, Rgb albedo) {
       mesh.albedo.push_back(albedo);
     }
   }
-  // Parallel transport comes back turned; the last ring is stitched at the nearest offset.
-  std::uint32_t offset = 0;
-  float nearest = HUGE_VALF;
-  const auto last = static_cast<std::uint32_t>((segments - 1) * sides);
-  for (std::uint32_t j = 0; j < static_cast<std::uint32_t>(sides); ++j)
-    if (const float d = glm::distance(mesh.normals[last], mesh.normals[j]); d < nearest) nearest = d, offset = j;
-  const auto n = static_cast<std::uint32_t>(sides);
-  for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(segments); ++i)
+  const auto rings = static_cast<std::uint32_t>(segments), n = static_cast<std::uint32_t>(sides);
+  for (std::uint32_t i = 0; i < rings; ++i)
     for (std::uint32_t j = 0; j < n; ++j) {
-      const bool wrap = i + 1 == static_cast<std::uint32_t>(segments);
-      const std::uint32_t shift = wrap ? offset : 0, next = wrap ? 0 : (i + 1) * n;
-      const std::uint32_t a = i * n + j, b = i * n + (j + 1) % n;
-      const std::uint32_t c = next + (j + shift) % n, d = next + (j + 1 + shift) % n;
-      mesh.triangles.insert(mesh.triangles.end(), {{a, d, c}, {a, b, d}});
+      const std::uint32_t here = i * n, next = (i + 1) % rings * n, k = (j + 1) % n;
+      mesh.triangles.insert(mesh.triangles.end(),
+                            {{here + j, next + k, next + j}, {here + j, here + k, next + k}});
     }
   const Bounds b = bounds_of(mesh);
   const float scale = height / (b.high.y - b.low.y);

@@ -129,7 +129,7 @@ struct Receiver {
 struct BakeOptions {
   int bands = 5;
   int bounces = 4;     // of light between the object's parts, and between object and receiver
-  int rays = 256;      // per vertex, a multiple of 64
+  int rays = 1024;     // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
   std::optional<Receiver> receiver;
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
@@ -158,8 +158,8 @@ struct Transfer {
 struct BakeReport {
   std::uint64_t rays = 0;
   double seconds = 0;
-  /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from four independent
-  /// randomisations.
+  /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of four
+  /// quarters of the rays; an upper bound, since together they are stratified finer.
   double standard_error = 0;
 };
 

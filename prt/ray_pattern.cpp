@@ -24,10 +24,30 @@ std::uint32_t morton(double u, double v) {
          spread_bits(static_cast<std::uint32_t>(v * 1024)) << 1;
 }
 
-double radical_inverse_2(std::uint32_t i) {
-  double value = 0, digit = .5;
-  for (; i; i >>= 1, digit *= .5)
-    if (i & 1) value += digit;
+std::uint32_t reversed_bits(std::uint32_t v) {
+  v = (v << 16) | (v >> 16);
+  v = ((v & 0x00ff00ffu) << 8) | ((v & 0xff00ff00u) >> 8);
+  v = ((v & 0x0f0f0f0fu) << 4) | ((v & 0xf0f0f0f0u) >> 4);
+  v = ((v & 0x33333333u) << 2) | ((v & 0xccccccccu) >> 2);
+  return ((v & 0x55555555u) << 1) | ((v & 0xaaaaaaaau) >> 1);
+}
+
+// Owen scrambling by a hash that carries only upwards (Laine & Karras 2011), on reversed bits.
+std::uint32_t owen_scrambled(std::uint32_t v, std::uint32_t seed) {
+  v = reversed_bits(v);
+  v += seed;
+  v ^= v * 0x6c50b47cu;
+  v ^= v * 0xb82f1e52u;
+  v ^= v * 0xc7afe638u;
+  v ^= v * 0x8d22f6e6u;
+  return reversed_bits(v);
+}
+
+// Second dimension of Sobol's sequence; the first is the reversed index.
+std::uint32_t sobol_second(std::uint32_t i) {
+  std::uint32_t value = 0;
+  for (std::uint32_t direction = 1u << 31; i; i >>= 1, direction ^= direction >> 1)
+    if (i & 1) value ^= direction;
   return value;
 }
 
@@ -47,17 +67,17 @@ struct Sample {
   std::uint8_t group;
 };
 
-// Four Hammersley sets, each shifted on the torus by its own random offset (Cranley & Patterson 1976),
-// in Morton order so that sixteen neighbours make a coherent packet.
+// Owen-scrambled Sobol points: a (0, m, 2)-net as a whole, and each quarter is one of its own, so the
+// quarters' spread bounds the error of the whole from above. In Morton order, so that sixteen neighbours
+// make a coherent packet.
 std::vector<Sample> make_samples(int rays, std::mt19937& rng) {
   std::vector<Sample> samples;
-  const int per_group = rays / 4;
-  for (int g = 0; g < 4; ++g) {
-    const double du = static_cast<double>(rng()) * 0x1p-32, dv = static_cast<double>(rng()) * 0x1p-32;
-    for (int i = 0; i < per_group; ++i) {
-      const double u = (i + .5) / per_group + du, v = radical_inverse_2(static_cast<std::uint32_t>(i)) + dv;
-      samples.push_back({u - std::floor(u), v - std::floor(v), static_cast<std::uint8_t>(g)});
-    }
+  const auto seed_u = static_cast<std::uint32_t>(rng()), seed_v = static_cast<std::uint32_t>(rng());
+  for (int i = 0; i < rays; ++i) {
+    const auto index = static_cast<std::uint32_t>(i);
+    samples.push_back({owen_scrambled(reversed_bits(index), seed_u) * 0x1p-32,
+                       owen_scrambled(sobol_second(index), seed_v) * 0x1p-32,
+                       static_cast<std::uint8_t>(i / (rays / 4))});
   }
   std::ranges::sort(samples, {}, [](const Sample& s) { return morton(s.u, s.v); });
   return samples;

@@ -1,4 +1,4 @@
-// Ray directions of the bake: stratified, coherent in blocks of sixteen, four independent groups.
+// Ray directions of the bake: stratified, coherent in blocks of sixteen, in four groups.
 #pragma once
 
 #include <array>
@@ -27,7 +27,7 @@ class RayPatterns {
   /// The same, uniform in solid angle in a cone of given cosine of its half angle.
   void cone_block(Turn turn, int block, const glm::mat3& frame, float cos_half,
                   RayScene::Packet& packet) const;
-  /// Which of the four independent groups each ray of a block belongs to.
+  /// Which of the four groups each ray of a block belongs to.
   const std::uint8_t* groups(Turn turn, int block) const;
 
   static constexpr int kVariants = 32;

@@ -29,7 +29,7 @@ Result<void> light_estimate(const LightEstimateOptions& options);
 
 struct BakeCommandOptions {
   std::string asset, output;
-  int bands = 5, bounces = 4, samples = 256;
+  int bands = 5, bounces = 4, samples = 1024;
   double receiver_albedo = 0;
   bool json = false;
 };

@@ -92,19 +92,17 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   constexpr std::string_view scene_keys[] = {"file"};
   constexpr std::string_view light_keys[] = {"bands", "stale_after_s"};
   constexpr std::string_view http_keys[] = {"address", "port"};
-  PENUMBRA_TRY(Section(path, root, keys, "capture").read(capture_keys, [&](const TomlKeys& k) {
-    return read_capture(k, folder, c);
-  }));
-  PENUMBRA_TRY(Section(path, root, keys, "scene").read(scene_keys, [&](const TomlKeys& k) {
-    return read_path(k, "file", folder, c.scene);
-  }));
-  PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, [&](const TomlKeys& k) -> Result<void> {
+  const auto capture = [&](const TomlKeys& k) { return read_capture(k, folder, c); };
+  const auto scene = [&](const TomlKeys& k) { return read_path(k, "file", folder, c.scene); };
+  const auto light = [&](const TomlKeys& k) -> Result<void> {
     PENUMBRA_TRY(read_integer(k, "bands", 1, kMaxBands, c.bands));
     return read_number(k, "stale_after_s", 0, 3600, c.stale_after_s);
-  }));
-  PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, [&](const TomlKeys& k) {
-    return read_http(k, c);
-  }));
+  };
+  const auto http = [&](const TomlKeys& k) { return read_http(k, c); };
+  PENUMBRA_TRY(Section(path, root, keys, "capture").read(capture_keys, capture));
+  PENUMBRA_TRY(Section(path, root, keys, "scene").read(scene_keys, scene));
+  PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, light));
+  PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, http));
   if (c.source != "studio" && !c.scene)
     return fail(ErrorCode::kInvalid, path.string(), "a capture folder needs [scene] file = \"scene.toml\"");
   return c;

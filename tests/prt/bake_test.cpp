@@ -8,12 +8,15 @@
 
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "tests/prt/bowl.h"
 #include "tests/support/lights.h"
 
 namespace penumbra::prt {
 namespace {
 
+using test::Bowl;
 using test::constant_light;
+using test::make_bowl;
 
 constexpr Rgb kWhite{1, 1, 1}, kBlack{0, 0, 0};
 constexpr float kHalfStep = 0x1p-11f;  // largest relative rounding error of a half float
@@ -121,42 +124,6 @@ TEST(Bake, ColouredAlbedoActsPerChannel) {
 }
 
 // ------------------------------------------------------------------------------------- bowl
-
-struct Bowl {
-  Mesh mesh;
-  double fraction = 0;               // of the sphere's area
-  std::vector<double> vertex_share;  // of the bowl's area
-};
-
-// The inside of a sphere below `cut`, seen from its centre. Between any two patches of a sphere's inside
-// the form factor is area/(4 pi R^2), so the ragged rim does no harm.
-Bowl make_bowl(float cut, float albedo) {
-  const Mesh sphere = make_sphere({0, 0, 0}, 1, 4, {albedo, albedo, albedo});
-  Bowl bowl;
-  std::vector<int> place(sphere.positions.size(), -1);
-  double whole = 0, kept = 0;
-  for (const auto& t : sphere.triangles) {
-    const glm::vec3 a = sphere.positions[t[0]], b = sphere.positions[t[1]], c = sphere.positions[t[2]];
-    const double area = .5 * glm::length(glm::cross(b - a, c - a));
-    whole += area;
-    if ((a.y + b.y + c.y) / 3 > cut) continue;
-    kept += area;
-    for (const auto i : t)
-      if (place[i] < 0) {
-        place[i] = static_cast<int>(bowl.mesh.positions.size());
-        bowl.mesh.positions.push_back(sphere.positions[i]);
-        bowl.mesh.normals.push_back(-sphere.normals[i]);
-        bowl.mesh.albedo.push_back(sphere.albedo[i]);
-        bowl.vertex_share.push_back(0);
-      }
-    const auto at = [&](int i) { return static_cast<std::uint32_t>(place[t[static_cast<std::size_t>(i)]]); };
-    bowl.mesh.triangles.push_back({at(0), at(2), at(1)});
-    for (int i = 0; i < 3; ++i) bowl.vertex_share[at(i)] += area / 3;
-  }
-  bowl.fraction = kept / whole;
-  for (double& share : bowl.vertex_share) share /= kept;
-  return bowl;
-}
 
 TEST(Bake, BowlUnderConstantLightGlowsByTheClosedForm) {
   for (const auto& [cut, rho] : {std::pair{.6f, .8f}, {0.f, .5f}, {.9f, .3f}}) {
