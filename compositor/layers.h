@@ -1,6 +1,7 @@
 // The two layers that GL draws: object radiance with coverage, and the shadow ratio on receivers.
 #pragma once
 
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -38,8 +39,9 @@ class Layers {
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
   void add_occluder(const prt::Mesh& mesh);
 
-  /// Object layer: premultiplied signal (radiance times signal_per_radiance) and coverage, 4 samples.
-  /// Shadow layer: the product of all objects' ratios s; 1 where none reaches.
+  /// Object layer: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples.
+  /// Shadow layer: the product of all objects' ratios s; 1 where none reaches. Both are left as they are
+  /// when nothing changed since the last call; the caller keeps them.
   Result<void> draw(const View& view, Layer& objects, Layer& shadows);
 
  private:
@@ -53,6 +55,8 @@ class Layers {
     bool has_receiver = false;
     prt::GroundGrid grid;
     GlTexture shadow;
+    GlVertexArray receiver_geometry;
+    GlBuffer receiver_vertices;
     glm::vec2 shadow_low{0, 0}, shadow_high{0, 0};  // visible part, metres in the bake frame
     bool shadow_visible = false;
   };
@@ -62,27 +66,30 @@ class Layers {
     GLsizei index_count = 0;
   };
   struct Targets {
-    GlFramebuffer multisampled, resolved, ratio;
-    GlRenderbuffer multisampled_colour, multisampled_depth, ratio_depth;
-    GlTexture resolved_colour, ratio_colour;
+    GlFramebuffer fine, averaged, ratio;
+    GlRenderbuffer fine_depth, ratio_depth;
+    GlTexture fine_colour, averaged_colour, ratio_colour;
   };
 
   Layers(int width, int height, GlProgram object, GlProgram receiver, GlProgram depth)
       : width_(width), height_(height), object_program_(std::move(object)),
         receiver_program_(std::move(receiver)), depth_program_(std::move(depth)) {}
   Result<void> make_targets();
+  void make_receiver_indices();
+  void upload_receiver(Object& o, const shadows::PlanarShadow& shadow);
   void draw_occluders(const glm::dmat4& clip_from_world);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world, Layer& out);
   void draw_receivers(const glm::dmat4& clip_from_world, Layer& out);
-  void begin(GLuint framebuffer, const Rect& rect, float clear);
+  void begin(GLuint framebuffer, const Rect& rect, int scale, bool depth, float clear);
   void read(GLuint framebuffer, Layer& out);
 
   int width_, height_;
   GlProgram object_program_, receiver_program_, depth_program_;
   Targets targets_;
-  GlVertexArray empty_;
+  GlBuffer receiver_indices_;
   std::vector<Object> objects_;
   std::vector<Occluder> occluders_;
+  std::optional<View> drawn_;  // what the caller's layers show
 };
 
 }  // namespace penumbra::compositor

@@ -239,6 +239,7 @@ struct PinholeView {
   int width = 0, height = 0;
   glm::dvec2 focal_px{0, 0}, principal_px{0, 0};
   Pose world_from_camera;
+  friend bool operator==(const PinholeView&, const PinholeView&) = default;
 };
 
 struct ReferenceOptions {

@@ -8,12 +8,16 @@ namespace penumbra::shadows {
 
 namespace {
 
+float smooth_step(float t) {
+  t = std::clamp(t, 0.f, 1.f);
+  return t * t * (3 - 2 * t);
+}
+
 // 1 inside, 0 at the rim, by distance from the grid's centre in texture coordinates.
 float rim_fade(int x, int y, int size) {
   const float dx = std::abs((static_cast<float>(x) + .5f) / static_cast<float>(size) * 2 - 1);
   const float dy = std::abs((static_cast<float>(y) + .5f) / static_cast<float>(size) * 2 - 1);
-  const float t = std::clamp((1 - std::max(dx, dy)) / .1f, 0.f, 1.f);
-  return t * t * (3 - 2 * t);
+  return smooth_step((1 - std::max(dx, dy)) / .1f);
 }
 
 }  // namespace
@@ -40,14 +44,15 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Radianc
     for (int x = 0; x < size; ++x) {
       const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) + static_cast<std::size_t>(x);
       const float fade = rim_fade(x, y, size);
-      Rgb s{1, 1, 1};
-      bool visible = false;
+      float d[3], largest = 0;
       for (int c = 0; c < 3; ++c) {
-        const float d = fade * inverse[c] * deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
-        s[c] = std::clamp(1 - d, 0.f, 1.5f);
-        visible |= std::abs(d) > kInvisibleRatio;
+        d[c] = fade * inverse[c] * deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
+        largest = std::max(largest, std::abs(d[c]));
       }
-      out.ratio.at(x, y) = visible ? s : Rgb{1, 1, 1};
+      const bool visible = largest > kInvisibleRatio;
+      const float kept = visible ? smooth_step(largest / kInvisibleRatio - 1) : 0;
+      Rgb& s = out.ratio.at(x, y);
+      for (int c = 0; c < 3; ++c) s[c] = std::clamp(1 - kept * d[c], 0.f, 1.5f);
       if (!visible) continue;
       out.x0 = std::min(out.x0, x);
       out.y0 = std::min(out.y0, y);

@@ -18,8 +18,9 @@ struct PlanarShadow {
   bool empty() const { return x0 >= x1 || y0 >= y1; }
 };
 
-/// Ratios closer to 1 than this are 1: a quarter of an 8-bit code at most.
-inline constexpr float kInvisibleRatio = .002f;
+/// Ratios closer to 1 than this are 1 (a third of an 8-bit sRGB code at most); up to twice as far they are
+/// faded in, so that the border cannot be seen. This is what keeps the touched area small.
+inline constexpr float kInvisibleRatio = .003f;
 /// Where E0 is below this share of the mean over all directions, the ratio form has no footing: s = 1.
 inline constexpr float kLeastIrradiance = .05f;
 

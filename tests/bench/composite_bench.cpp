@@ -49,7 +49,9 @@ void composite(benchmark::State& state) {
   FramePixels work = frame;
   Image<Rgb8> copy(width, height);
   double touched = 0;
+  const bool moving = state.range(2) != 0;
   compare(state, [&] {
+            if (moving) view.camera.world_from_camera.translation.x += 1e-4;  // or the layers are kept
             work = frame;
             touched = (*compositor)->composite(view, work)->fraction;
           },
@@ -61,8 +63,8 @@ void composite(benchmark::State& state) {
 }
 BENCHMARK(composite)
     ->Name("compositor/composite_vs_frame_copy")
-    ->ArgNames({"threads", "width"})
-    ->Args({1, 1280})->Args({2, 1280})->Args({2, 1920})
+    ->ArgNames({"threads", "width", "moving"})
+    ->Args({1, 1280, 1})->Args({2, 1280, 1})->Args({2, 1920, 1})->Args({1, 1920, 0})->Args({2, 1280, 0})
     ->Iterations(21)->UseManualTime()->Unit(benchmark::kMillisecond);
 
 }  // namespace

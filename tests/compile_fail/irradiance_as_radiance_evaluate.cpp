@@ -4,7 +4,9 @@
 
 using namespace penumbra;
 
-Rgb towards(const RadianceSh& light) { return lighting::evaluate(light, {0, 1, 0}); }
+Rgb towards(const RadianceSh& light) {
+  return lighting::evaluate(light, {0, 1, 0});
+}
 
 int main() {
   const RadianceSh light(3);

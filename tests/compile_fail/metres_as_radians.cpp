@@ -3,7 +3,9 @@
 
 using namespace penumbra;
 
-constexpr double half(Radians angle) { return .5 * angle.value(); }
+constexpr double half(Radians angle) {
+  return .5 * angle.value();
+}
 
 int main() {
   [[maybe_unused]] const Metres distance(2);

@@ -3,7 +3,9 @@
 
 using namespace penumbra;
 
-constexpr double half(Radians angle) { return .5 * angle.value(); }
+constexpr double half(Radians angle) {
+  return .5 * angle.value();
+}
 
 int main() {
 #ifdef WRONG

@@ -3,7 +3,9 @@
 
 using namespace penumbra;
 
-constexpr float twice(RelativeRadiance radiance) { return 2 * radiance.value(); }
+constexpr float twice(RelativeRadiance radiance) {
+  return 2 * radiance.value();
+}
 
 int main() {
   [[maybe_unused]] const Seconds time(.25);

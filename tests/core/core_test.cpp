@@ -95,7 +95,8 @@ TEST(Pose, ComposedAppliesTheRightOneFirst) {
     const dvec3 p = random_point(rng);
     EXPECT_LT(glm::distance((a * b) * p, a * (b * p)), 1e-12);
   }
-  const Pose turn{glm::angleAxis(kPi / 2, dvec3(0, 1, 0)), {0, 0, 0}}, shift{{1, 0, 0, 0}, {0, 0, -1}};
+  const Pose turn{glm::angleAxis(kPi / 2, dvec3(0, 1, 0)), {0, 0, 0}},
+      shift{{1, 0, 0, 0}, {0, 0, -1}};
   EXPECT_LT(glm::distance(turn * shift * dvec3(0), dvec3(-1, 0, 0)), 1e-15);
   EXPECT_LT(glm::distance(shift * turn * dvec3(0), dvec3(0, 0, -1)), 1e-15);
 }
@@ -125,9 +126,11 @@ TEST(Pose, MatricesActLikeThePose) {
 
 TEST(LatLong, AxesStandWhereTheConventionsSay) {
   EXPECT_LT(glm::distance(latlong_direction(32, 16, 64, 32), dvec3(0, 0, -1)), 1e-15) << "centre";
-  EXPECT_LT(glm::distance(latlong_direction(48, 16, 64, 32), dvec3(1, 0, 0)), 1e-15) << "to its right";
+  EXPECT_LT(glm::distance(latlong_direction(48, 16, 64, 32), dvec3(1, 0, 0)), 1e-15)
+      << "to its right";
   EXPECT_LT(glm::distance(latlong_direction(16, 16, 64, 32), dvec3(-1, 0, 0)), 1e-15);
-  EXPECT_LT(glm::distance(latlong_direction(7, 0, 64, 32), dvec3(0, 1, 0)), 1e-15) << "top row is up";
+  EXPECT_LT(glm::distance(latlong_direction(7, 0, 64, 32), dvec3(0, 1, 0)), 1e-15)
+      << "top row is up";
 }
 
 TEST(LatLong, PixelAndDirectionInvertEachOther) {
@@ -305,7 +308,8 @@ TEST_F(Files, BytesComeBackAsWritten) {
     ASSERT_TRUE(write_bytes(file("a.bin"), text));
     const auto back = read_bytes(file("a.bin"));
     ASSERT_TRUE(back);
-    EXPECT_TRUE(std::ranges::equal(*back, text, {}, {}, [](char c) { return static_cast<unsigned char>(c); }));
+    EXPECT_TRUE(std::ranges::equal(*back, text, {}, {},
+                                   [](char c) { return static_cast<unsigned char>(c); }));
   }
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <glm/gtc/matrix_transform.hpp>
 #include <optional>
 #include <vector>
@@ -52,7 +53,9 @@ double open_transfer(int n, const glm::vec3& normal) {
   return lighting::cosine_coefficient(l) / kPi * basis[n];
 }
 
-Mesh grey_knot(float albedo) { return make_knot(1, 120, 24, {albedo, albedo, albedo}); }
+Mesh grey_knot(float albedo) {
+  return make_knot(1, 120, 24, {albedo, albedo, albedo});
+}
 
 // ------------------------------------------------------------------------------------- convex
 
@@ -76,10 +79,11 @@ TEST(Bake, ConvexMeshHasTheClosedForm) {
 }
 
 TEST(Bake, WhiteFurnaceOnConvexMeshGivesOne) {
-  for (const Mesh& mesh : {make_sphere({0, 1, 0}, 1, 3, kWhite),
-                           make_box({-1, 0, -1}, {1, 2, 1}, 3, kWhite)}) {
+  for (const Mesh& mesh :
+       {make_sphere({0, 1, 0}, 1, 3, kWhite), make_box({-1, 0, -1}, {1, 2, 1}, 3, kWhite)}) {
     const BakedObject object = baked(mesh, settings(3, 4, 64));
-    for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, kHalfStep);
+    for (const float v : relit(object.transfer, constant_light(kWhite)))
+      ASSERT_NEAR(v, 1, kHalfStep);
   }
 }
 
@@ -89,14 +93,15 @@ TEST(Bake, WhiteFurnaceClosesOnAnyShapeAfterManyBounces) {
   // With albedo 1 nothing is lost, so each surface of an open shape glows like the sky; the sampled
   // equations have the same solution, hence no Monte Carlo error.
   const BakedObject object = baked(grey_knot(1), settings(2, 60, 64));
-  for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, 2 * kHalfStep);
+  for (const float v : relit(object.transfer, constant_light(kWhite)))
+    ASSERT_NEAR(v, 1, 2 * kHalfStep);
 }
 
 TEST(Bake, EachBounceOnlyAddsUnderConstantLight) {
   std::vector<float> last;
   for (const int bounces : {0, 1, 2, 5}) {
-    const auto now = relit(baked(grey_knot(.8f), settings(1, bounces, 64)).transfer,
-                           constant_light(kWhite));
+    const auto now =
+        relit(baked(grey_knot(.8f), settings(1, bounces, 64)).transfer, constant_light(kWhite));
     for (std::size_t i = 0; i < last.size(); ++i) ASSERT_GE(now[i], last[i]);
     last = now;
   }
@@ -129,7 +134,8 @@ TEST(Bake, BowlUnderConstantLightGlowsByTheClosedForm) {
   for (const auto& [cut, rho] : {std::pair{.6f, .8f}, {0.f, .5f}, {.9f, .3f}}) {
     const Bowl bowl = make_bowl(cut, rho);
     const BakedObject object = baked(bowl.mesh, settings(1, 20, 1024));
-    const auto e = relit(object.transfer, constant_light(kWhite));  // E/pi; exit radiance is rho times it
+    const auto e =
+        relit(object.transfer, constant_light(kWhite));  // E/pi; exit radiance is rho times it
     const double f = bowl.fraction, expected = (1 - f) / (1 - rho * f);
     double mean = 0;
     for (std::size_t i = 0; i < e.size(); ++i) {
@@ -157,11 +163,12 @@ TEST(Bake, BowlSpreadsWhatItReflectsEvenlyUnderAnyLight) {
 // ------------------------------------------------------------------------------------- receiver
 
 TEST(Bake, SphereTakesItsClosedFormFromTheFloor) {
-  for (const float height : {1.f, 1.3f, 2.5f}) {  // of the centre, in radii: resting, just above, hovering
+  for (const float height :
+       {1.f, 1.3f, 2.5f}) {  // of the centre, in radii: resting, just above, hovering
     constexpr float kRadius = .25f;
     const Mesh sphere = make_sphere({.3f, 1 + height * kRadius, -.1f}, kRadius, 4, kBlack);
     const GroundGrid grid = fit_ground_grid(sphere, 1, 48);
-    const BakedObject object = baked(sphere, settings(1, 1, 64, Receiver{grid, kBlack}));
+    const BakedObject object = baked(sphere, settings(1, 1, 64, Receiver{grid, kBlack}, 2048));
     const auto deficit = relit(object.ground_deficit, constant_light(kWhite));
     for (int j = 0; j < grid.size; ++j)
       for (int i = 0; i < grid.size; ++i) {
@@ -187,7 +194,8 @@ TEST(Bake, WhiteFurnaceClosesBetweenObjectAndFloor) {
   const Receiver floor{fit_ground_grid(knot, 0, 24), kWhite};
   const BakedObject object = baked(knot, settings(1, 60, 64, floor, 64));
   for (const float v : relit(object.transfer, constant_light(kWhite))) ASSERT_NEAR(v, 1, .005);
-  for (const float v : relit(object.ground_deficit, constant_light(kWhite))) ASSERT_NEAR(v, 0, .005);
+  for (const float v : relit(object.ground_deficit, constant_light(kWhite)))
+    ASSERT_NEAR(v, 0, .005);
 }
 
 // ------------------------------------------------------------------------------------- stability
@@ -245,6 +253,39 @@ TEST(Bake, RefusesWhatItCannotBake) {
   }
   EXPECT_EQ(code(box, settings(3, -1, 64)), ErrorCode::kInvalid);
   EXPECT_EQ(code(box, settings(kMaxBands, 0, 64)), std::nullopt);
+}
+
+TEST(BakeDeathTest, RefusesAnImpossibleReceiver) {
+  // In processes of their own: the ray tracer aborts when it is asked about NaN.
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  const Mesh box = make_box({0, 0, 0}, {1, 1, 1}, 1, kWhite);
+  const GroundGrid good = fit_ground_grid(box, 0, 8);
+  GroundGrid none = good, single = good, flat = good, rough = good, nowhere = good, lost = good;
+  none.size = 0, single.size = 1, flat.half_extent = 0, rough.core = 0;
+  nowhere.height = NAN, lost.centre.x = INFINITY;
+  for (const GroundGrid& grid : {none, single, flat, rough, nowhere, lost})
+    EXPECT_EXIT(
+        {
+          const auto object = bake(box, settings(2, 1, 64, Receiver{grid, kWhite}, 64));
+          std::_Exit(object ? 1 : object.error().code == ErrorCode::kInvalid ? 0 : 2);
+        },
+        testing::ExitedWithCode(0), "")
+        << grid.size << ' ' << grid.half_extent << ' ' << grid.core << ' ' << grid.height;
+}
+
+TEST(GroundGrid, PositionAndTextureCoordinateInvertEachOther) {
+  GroundGrid grid = fit_ground_grid(make_sphere({3, 1, -2}, .5f, 2, kWhite), .5f, 32);
+  EXPECT_EQ(grid.height, .5f);
+  float last = -HUGE_VALF;
+  for (float u = 0; u <= 1; u += 1 / 64.f) {
+    const glm::vec2 p = grid.position({u, 1 - u});
+    EXPECT_GT(p.x, last) << "positions rise with the coordinate";
+    last = p.x;
+    EXPECT_LT(glm::distance(grid.uv(p), glm::vec2(u, 1 - u)), 1e-5f);
+  }
+  EXPECT_LT(glm::distance(grid.position({.5f, .5f}), glm::vec2(3, -2)), 1e-5f);
+  EXPECT_NEAR(grid.position({1, 1}).x, 3 + grid.half_extent, 1e-4);
+  EXPECT_GT(grid.uv({3 + 1.01f * grid.half_extent, -2}).x, 1);
 }
 
 TEST(Bake, ProgressRisesToOne) {

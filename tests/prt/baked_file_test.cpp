@@ -27,14 +27,16 @@ class BakedFile : public testing::Test {
     options.rays = options.ground_rays = 64;
     options.bounces = 1;
     const Mesh mesh = make_knot(.37f, 12, 5, albedo);
-    if (with_receiver) options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 9), {.2f, .3f, .7f}};
+    if (with_receiver)
+      options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 9), {.2f, .3f, .7f}};
     auto result = bake(mesh, options);
     EXPECT_TRUE(result);
     return result ? *result : BakedObject{};
   }
   fs::path file(const char* name) const { return folder_.path() / name; }
   void put(const fs::path& path, std::string_view bytes) const {
-    std::ofstream(path, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+    std::ofstream(path, std::ios::binary)
+        .write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   }
   std::string written(const BakedObject& object) const {
     EXPECT_TRUE(write_baked(file("whole.glb"), object));
@@ -48,7 +50,8 @@ class BakedFile : public testing::Test {
     if (back) return std::nullopt;
     EXPECT_EQ(back.error().where, file("damaged.glb").string());
     EXPECT_FALSE(back.error().detail.empty());
-    EXPECT_EQ(back.error().detail.find('\n'), std::string::npos) << "errors are printed as one line";
+    EXPECT_EQ(back.error().detail.find('\n'), std::string::npos)
+        << "errors are printed as one line";
     return back.error().code;
   }
 
@@ -110,7 +113,8 @@ TEST_F(BakedFile, IsAGltfThatOtherReadersOpen) {
   ASSERT_TRUE(write_baked(file("a.glb"), before));
   const auto imported = import_mesh(file("a.glb"), {0, 0, 0});
   ASSERT_TRUE(imported) << imported.error().detail;
-  EXPECT_EQ(imported->mesh.triangles.size() + imported->degenerate_triangles, before.mesh.triangles.size());
+  EXPECT_EQ(imported->mesh.triangles.size() + imported->degenerate_triangles,
+            before.mesh.triangles.size());
   const Bounds a = bounds_of(before.mesh), b = bounds_of(imported->mesh);
   EXPECT_LT(glm::distance(a.low, b.low) + glm::distance(a.high, b.high), 1e-6f);
 }
@@ -150,7 +154,8 @@ struct Parts {
 Parts split(const std::string& file) {
   const auto word = [&](std::size_t at) {
     std::size_t v = 0;
-    for (std::size_t i = 0; i < 4; ++i) v |= std::size_t{static_cast<unsigned char>(file[at + i])} << (8 * i);
+    for (std::size_t i = 0; i < 4; ++i)
+      v |= std::size_t{static_cast<unsigned char>(file[at + i])} << (8 * i);
     return v;
   };
   const std::size_t json = word(12);
@@ -202,8 +207,7 @@ TEST_F(BakedFile, DeclaredSizeIsCheckedBeforeItIsAllocated) {
   const Parts parts = split(written(object(true, {.5f, .5f, .5f})));
   rusage before{}, after{};
   ::getrusage(RUSAGE_SELF, &before);
-  const auto code =
-      error_of(glb(replaced(parts.json, "\"size\":9", "\"size\":4096"), parts.bytes));
+  const auto code = error_of(glb(replaced(parts.json, "\"size\":9", "\"size\":4096"), parts.bytes));
   ::getrusage(RUSAGE_SELF, &after);
   EXPECT_EQ(code, ErrorCode::kUnreadable);
   EXPECT_LT(after.ru_maxrss - before.ru_maxrss, 64 * 1024) << "kilobytes, for a file of a few";
@@ -215,7 +219,8 @@ TEST_F(BakedFile, MissingReportFigureIsNotReadAsNan) {
     put(file("a.glb"), glb(replaced(parts.json, key, "\"other\":"), parts.bytes));
     const auto back = read_baked(file("a.glb"));
     if (!back) continue;
-    EXPECT_TRUE(std::isfinite(back->report.standard_error) && std::isfinite(back->report.seconds)) << key;
+    EXPECT_TRUE(std::isfinite(back->report.standard_error) && std::isfinite(back->report.seconds))
+        << key;
   }
 }
 
@@ -247,9 +252,11 @@ TEST_F(BakedFile, FilesThatWereNotBakedAreRefused) {
   EXPECT_EQ(read_baked(file("absent.glb")).error().code, ErrorCode::kNotFound);
   EXPECT_TRUE(error_of("A plain text file.\nWith two lines.\n"));
   EXPECT_TRUE(error_of(""));
-  EXPECT_EQ(error_of(glb(R"({"asset":{"version":"2.0"}})")), ErrorCode::kInvalid) << "glTF, but not ours";
+  EXPECT_EQ(error_of(glb(R"({"asset":{"version":"2.0"}})")), ErrorCode::kInvalid)
+      << "glTF, but not ours";
   EXPECT_FALSE(is_baked_file(file("damaged.glb")));
-  EXPECT_TRUE(error_of(glb(R"({"asset":{"version":"2.0","extras":{"penumbra":{"version":1,"bands":3,"channels":1}}}})")))
+  EXPECT_TRUE(error_of(glb(
+      R"({"asset":{"version":"2.0","extras":{"penumbra":{"version":1,"bands":3,"channels":1}}}})")))
       << "ours, but empty";
   EXPECT_TRUE(error_of(glb(R"({"asset":{"version":"2.0","extras":{"penumbra":[]}}})")));
 }
@@ -262,7 +269,8 @@ TEST_F(BakedFile, RandomDamageNeverCrashes) {
     std::string bytes = whole;
     // Most damage to the description, where it has the most ways to mislead.
     const std::size_t reach = i % 4 == 0 ? whole.size() : 20 + json;
-    for (int k = 0; k <= i % 3; ++k) bytes[rng() % reach] = static_cast<char>(i % 2 ? rng() : '0' + rng() % 10);
+    for (int k = 0; k <= i % 3; ++k)
+      bytes[rng() % reach] = static_cast<char>(i % 2 ? rng() : '0' + rng() % 10);
     const auto ignored = error_of(bytes);
     (void)ignored;
   }

@@ -22,7 +22,8 @@ inline Bowl make_bowl(float cut, float albedo) {
   std::vector<int> place(sphere.positions.size(), -1);
   double whole = 0, kept = 0;
   for (const auto& t : sphere.triangles) {
-    const glm::vec3 a = sphere.positions[t[0]], b = sphere.positions[t[1]], c = sphere.positions[t[2]];
+    const glm::vec3 a = sphere.positions[t[0]], b = sphere.positions[t[1]],
+                    c = sphere.positions[t[2]];
     const double area = .5 * glm::length(glm::cross(b - a, c - a));
     whole += area;
     if ((a.y + b.y + c.y) / 3 > cut) continue;
@@ -35,7 +36,9 @@ inline Bowl make_bowl(float cut, float albedo) {
         bowl.mesh.albedo.push_back(sphere.albedo[i]);
         bowl.vertex_share.push_back(0);
       }
-    const auto at = [&](int i) { return static_cast<std::uint32_t>(place[t[static_cast<std::size_t>(i)]]); };
+    const auto at = [&](int i) {
+      return static_cast<std::uint32_t>(place[t[static_cast<std::size_t>(i)]]);
+    };
     bowl.mesh.triangles.push_back({at(0), at(2), at(1)});
     for (int i = 0; i < 3; ++i) bowl.vertex_share[at(i)] += area / 3;
   }

@@ -18,7 +18,8 @@ using glm::dvec3;
 Image<Rgb> map_of(int width, int height, auto radiance) {
   Image<Rgb> map(width, height);
   for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x) map.at(x, y) = radiance(latlong_direction(x + .5, y + .5, width, height));
+    for (int x = 0; x < width; ++x)
+      map.at(x, y) = radiance(latlong_direction(x + .5, y + .5, width, height));
   return map;
 }
 
@@ -27,14 +28,15 @@ const std::vector<IrradiancePoint>& points_around() {
     std::mt19937 rng(4);
     std::normal_distribution<double> gauss;
     std::vector<IrradiancePoint> made;
-    for (int i = 0; i < 12; ++i) made.push_back({{0, 0, 0}, glm::normalize(dvec3(gauss(rng), gauss(rng), gauss(rng)))});
+    for (int i = 0; i < 12; ++i)
+      made.push_back({{0, 0, 0}, glm::normalize(dvec3(gauss(rng), gauss(rng), gauss(rng)))});
     return made;
   }();
   return points;
 }
 
-std::vector<Rgb> irradiance_under(const EnvironmentLight& light, const std::vector<IrradiancePoint>& points,
-                                  int samples) {
+std::vector<Rgb> irradiance_under(const EnvironmentLight& light,
+                                  const std::vector<IrradiancePoint>& points, int samples) {
   World world;
   world.light = &light;
   const auto e = reference_irradiance(world, points, samples, 3);
@@ -64,7 +66,8 @@ TEST(EnvironmentLight, ShowsTheMapsPixelInEveryDirection) {
   for (int y = 0; y < 8; ++y)
     for (int x = 0; x < 16; ++x)
       for (const double at : {.01, .5, .99})
-        EXPECT_EQ(light->radiance(glm::vec3(latlong_direction(x + at, y + at, 16, 8))), map.at(x, y));
+        EXPECT_EQ(light->radiance(glm::vec3(latlong_direction(x + at, y + at, 16, 8))),
+                  map.at(x, y));
 }
 
 TEST(EnvironmentLight, SamplesFallByTheirDensity) {
@@ -97,7 +100,8 @@ TEST(EnvironmentLight, SamplesFallByTheirDensity) {
       EXPECT_LE(std::abs(off), 5 * std::sqrt(expected) + 3) << x << ' ' << y;
     }
   EXPECT_NEAR(whole, 1, 1e-5) << "a density integrates to one";
-  EXPECT_LT(square, 126 + 4 * std::sqrt(2 * 126.)) << "chi square of 127 pixels, four standard deviations";
+  EXPECT_LT(square, 126 + 4 * std::sqrt(2 * 126.))
+      << "chi square of 127 pixels, four standard deviations";
 }
 
 TEST(EnvironmentLight, SamplesCarryTheirOwnRadianceAndDensity) {
@@ -112,8 +116,10 @@ TEST(EnvironmentLight, SamplesCarryTheirOwnRadianceAndDensity) {
     const auto s = light->sample(std::uniform_real_distribution<float>(0, .9999f)(rng),
                                  std::uniform_real_distribution<float>(0, .9999f)(rng));
     // On a pixel's rim the rounded direction may fall on the neighbour.
-    if (light->radiance(s.direction) != s.radiance) ++elsewhere;
-    else EXPECT_FLOAT_EQ(light->density(s.direction), s.density);
+    if (light->radiance(s.direction) != s.radiance)
+      ++elsewhere;
+    else
+      EXPECT_FLOAT_EQ(light->density(s.direction), s.density);
   }
   EXPECT_LT(elsewhere, 20);
 }
@@ -121,9 +127,8 @@ TEST(EnvironmentLight, SamplesCarryTheirOwnRadianceAndDensity) {
 TEST(EnvironmentLight, MapAndSphericalHarmonicsOfTheSameLightAgree) {
   const RadianceSh sh = test::sloped_light(1, {.4, -.5, .3}, 2);
   const auto smooth = EnvironmentLight::from_sh(sh);
-  const auto map = EnvironmentLight::from_map(map_of(256, 128, [&](const dvec3& d) {
-    return lighting::evaluate(sh, d);
-  }));
+  const auto map = EnvironmentLight::from_map(
+      map_of(256, 128, [&](const dvec3& d) { return lighting::evaluate(sh, d); }));
   ASSERT_TRUE(map);
   EXPECT_TRUE(map->has_sampler());
   EXPECT_FALSE(smooth.has_sampler());

@@ -23,15 +23,16 @@ constexpr Rgb kDefault{.7f, .6f, .5f};
 constexpr const char* kTriangle = "v 0 0 0\nv 1 0 0\nv 0 0 -1\nf 1 2 3\n";  // faces up
 
 constexpr const char* kPly =
-    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float "
+    "z\n"
     "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     "0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n";
 
 // One triangle (0,0,0) (1,0,0) (0,1,0) under these nodes.
 std::string gltf(std::string nodes, std::string of_primitive = "", std::string more = "") {
   if (!of_primitive.empty()) of_primitive = "," + of_primitive;
-  return R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":)" + nodes + "," + more +
-         R"("meshes":[{"primitives":[{"attributes":{"POSITION":0})" + of_primitive + R"(}]}],
+  return R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":)" + nodes + "," +
+         more + R"("meshes":[{"primitives":[{"attributes":{"POSITION":0})" + of_primitive + R"(}]}],
     "accessors":[{"bufferView":0,"componentType":5126,"type":"VEC3","count":3,
                   "min":[0,0,0],"max":[1,1,0]}],
     "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":
@@ -80,7 +81,8 @@ void expect_sound(const Mesh& mesh) {
       ASSERT_LT(i, mesh.positions.size());
       used.insert(i);
     }
-  EXPECT_EQ(used.size(), mesh.positions.size()) << "vertices without a triangle would be baked for nothing";
+  EXPECT_EQ(used.size(), mesh.positions.size())
+      << "vertices without a triangle would be baked for nothing";
   for (const glm::vec3& n : mesh.normals) ASSERT_NEAR(glm::length(n), 1, 1e-5);
 }
 
@@ -102,7 +104,8 @@ TEST_F(ImportMesh, MissingNormalsAreMadeOutward) {
   const Mesh sphere = make_sphere({1, 2, 3}, .5f, 3, kDefault);
   std::string text;
   for (const glm::vec3& p : sphere.positions)
-    text += "v " + std::to_string(p.x) + ' ' + std::to_string(p.y) + ' ' + std::to_string(p.z) + '\n';
+    text +=
+        "v " + std::to_string(p.x) + ' ' + std::to_string(p.y) + ' ' + std::to_string(p.z) + '\n';
   for (const auto& t : sphere.triangles) {
     text += 'f';
     for (const auto i : t) text += ' ' + std::to_string(i + 1);
@@ -113,20 +116,23 @@ TEST_F(ImportMesh, MissingNormalsAreMadeOutward) {
   EXPECT_EQ(mesh.positions.size(), sphere.positions.size()) << "neighbours share their vertices";
   EXPECT_EQ(mesh.triangles.size(), sphere.triangles.size());
   for (std::size_t i = 0; i < mesh.positions.size(); ++i)
-    EXPECT_GT(glm::dot(mesh.normals[i], glm::normalize(mesh.positions[i] - glm::vec3(1, 2, 3))), .999f);
+    EXPECT_GT(glm::dot(mesh.normals[i], glm::normalize(mesh.positions[i] - glm::vec3(1, 2, 3))),
+              .999f);
 }
 
 TEST_F(ImportMesh, GivenNormalsAreKept) {
-  const Mesh mesh = imported("n.obj", "v 0 0 0\nv 1 0 0\nv 0 0 -1\nvn 0 .8 .6\nf 1//1 2//1 3//1\n").mesh;
+  const Mesh mesh =
+      imported("n.obj", "v 0 0 0\nv 1 0 0\nv 0 0 -1\nvn 0 .8 .6\nf 1//1 2//1 3//1\n").mesh;
   expect_sound(mesh);
-  for (const glm::vec3& n : mesh.normals) EXPECT_LT(glm::distance(n, glm::vec3(0, .8f, .6f)), 1e-5f);
+  for (const glm::vec3& n : mesh.normals)
+    EXPECT_LT(glm::distance(n, glm::vec3(0, .8f, .6f)), 1e-5f);
 }
 
 TEST_F(ImportMesh, DegenerateTrianglesAreDroppedAndCounted) {
   const Import import = imported("d.obj", std::string(kTriangle) +
                                               "v 2 0 0\nv 3 0 0\nv 4 0 0\n"
-                                              "f 4 5 6\n"    // on one line
-                                              "f 1 2 2\n"    // two corners are one
+                                              "f 4 5 6\n"             // on one line
+                                              "f 1 2 2\n"             // two corners are one
                                               "v 1 0 0\nf 2 3 7\n");  // two corners at one place
   expect_sound(import.mesh);
   EXPECT_EQ(import.mesh.triangles.size(), 1u);
@@ -146,7 +152,8 @@ TEST_F(ImportMesh, SizeDoesNotMakeATriangleDegenerate) {
 
 TEST_F(ImportMesh, NodesOfAGltfPlaceTheirMeshes) {
   const Mesh mesh = imported("t.gltf", gltf(R"([{"translation":[0,0,5],"children":[1]},
-                                                {"scale":[2,2,2],"mesh":0}])")).mesh;
+                                                {"scale":[2,2,2],"mesh":0}])"))
+                        .mesh;
   expect_sound(mesh);
   const Bounds b = bounds_of(mesh);
   EXPECT_LT(glm::distance(b.low, glm::vec3(0, 0, 5)), 1e-5f);
@@ -160,10 +167,11 @@ TEST_F(ImportMesh, WithoutMaterialTheDefaultAlbedoHolds) {
   const std::string stl =
       "solid a\nfacet normal 0 1 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 -1\n"
       "endloop\nendfacet\nendsolid a\n";
-  for (const auto& [name, text] :
-       {std::pair<const char*, std::string>{"t.obj", kTriangle}, {"t.ply", kPly}, {"t.stl", stl},
-        {"t.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n"},
-        {"t.gltf", gltf(R"([{"mesh":0}])")}}) {
+  for (const auto& [name, text] : {std::pair<const char*, std::string>{"t.obj", kTriangle},
+                                   {"t.ply", kPly},
+                                   {"t.stl", stl},
+                                   {"t.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n"},
+                                   {"t.gltf", gltf(R"([{"mesh":0}])")}}) {
     const Mesh mesh = imported(name, text).mesh;
     expect_sound(mesh);
     ASSERT_EQ(mesh.positions.size(), 3u) << name;
@@ -175,8 +183,10 @@ TEST_F(ImportMesh, MaterialGivesTheAlbedo) {
   put("m.mtl", "newmtl red\nKd .8 .1 .2\n");
   const Mesh obj = imported("m.obj", "mtllib m.mtl\nusemtl red\n" + std::string(kTriangle)).mesh;
   // A material without a name is one all the same.
-  const Mesh nameless = imported("m.gltf", gltf(R"([{"mesh":0}])", R"("material":0)", R"("materials":
-      [{"pbrMetallicRoughness":{"baseColorFactor":[0.8,0.1,0.2,1]}}],)")).mesh;
+  const Mesh nameless =
+      imported("m.gltf", gltf(R"([{"mesh":0}])", R"("material":0)", R"("materials":
+      [{"pbrMetallicRoughness":{"baseColorFactor":[0.8,0.1,0.2,1]}}],)"))
+          .mesh;
   for (const Mesh* mesh : {&obj, &nameless}) {
     ASSERT_EQ(mesh->albedo.size(), 3u);
     for (const Rgb& a : mesh->albedo)
@@ -187,12 +197,14 @@ TEST_F(ImportMesh, MaterialGivesTheAlbedo) {
 TEST_F(ImportMesh, AlbedoStaysBetweenZeroAndOne) {
   put("m.mtl", "newmtl odd\nKd 7 -1 .5\n");
   const Mesh odd = imported("m.obj", "mtllib m.mtl\nusemtl odd\n" + std::string(kTriangle)).mesh;
-  const Mesh coloured = imported("c.ply",
-                                 "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-                                 "property float z\nproperty float red\nproperty float green\n"
-                                 "property float blue\nelement face 1\n"
-                                 "property list uchar int vertex_indices\nend_header\n"
-                                 "0 0 0 9 -3 .5\n1 0 0 9 -3 .5\n0 0 -1 nan .5 .5\n3 0 1 2\n").mesh;
+  const Mesh coloured =
+      imported("c.ply",
+               "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+               "property float z\nproperty float red\nproperty float green\n"
+               "property float blue\nelement face 1\n"
+               "property list uchar int vertex_indices\nend_header\n"
+               "0 0 0 9 -3 .5\n1 0 0 9 -3 .5\n0 0 -1 nan .5 .5\n3 0 1 2\n")
+          .mesh;
   for (const Mesh* mesh : {&odd, &coloured})
     for (const Rgb& a : mesh->albedo)
       for (int c = 0; c < 3; ++c) EXPECT_TRUE(a[c] >= 0 && a[c] <= 1) << a[c];
@@ -215,8 +227,11 @@ TEST_F(ImportMesh, OnlyDegenerateTrianglesAreAnError) {
 }
 
 TEST_F(ImportMesh, FilesWithoutTrianglesAreErrors) {
-  for (const auto& [name, text] : {std::pair{"empty.obj", ""}, {"empty.ply", ""}, {"empty.glb", ""},
-                                   {"empty.gltf", "{}"}, {"points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"},
+  for (const auto& [name, text] : {std::pair{"empty.obj", ""},
+                                   {"empty.ply", ""},
+                                   {"empty.glb", ""},
+                                   {"empty.gltf", "{}"},
+                                   {"points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"},
                                    {"lines.obj", "v 0 0 0\nv 1 0 0\nl 1 2\n"}}) {
     const Error error = error_of(name, text);
     EXPECT_TRUE(error.code == ErrorCode::kInvalid || error.code == ErrorCode::kUnreadable) << name;
@@ -225,15 +240,18 @@ TEST_F(ImportMesh, FilesWithoutTrianglesAreErrors) {
 
 TEST_F(ImportMesh, NonFiniteVertexIsNamed) {
   for (const char* bad : {"nan", "inf", "-inf"}) {
-    const Error error = error_of("n.obj", "v 0 0 0\nv 1 0 0\nv 0 " + std::string(bad) + " -1\nf 1 2 3\n");
+    const Error error =
+        error_of("n.obj", "v 0 0 0\nv 1 0 0\nv 0 " + std::string(bad) + " -1\nf 1 2 3\n");
     EXPECT_EQ(error.code, ErrorCode::kNonFinite) << bad;
     EXPECT_NE(error.detail.find("vertex 2"), std::string::npos) << error.detail;
   }
 }
 
 TEST_F(ImportMesh, OtherFilesAreUnreadable) {
-  for (const char* name : {"text.obj", "text.ply", "text.glb", "text.gltf", "text.fbx", "text.unknown"}) {
-    const Error error = error_of(name, "It was a dark and stormy night; no triangle was in sight.\n");
+  for (const char* name :
+       {"text.obj", "text.ply", "text.glb", "text.gltf", "text.fbx", "text.unknown"}) {
+    const Error error =
+        error_of(name, "It was a dark and stormy night; no triangle was in sight.\n");
     EXPECT_TRUE(error.code == ErrorCode::kInvalid || error.code == ErrorCode::kUnreadable) << name;
     EXPECT_EQ(error.detail.find('\n'), std::string::npos) << "errors are printed as one line";
   }
@@ -248,7 +266,8 @@ TEST_F(ImportMeshDeathTest, DamagedFilesEndInAnErrorAndInFiniteTime) {
       {"in the properties.ply", ply.substr(0, 90)},
       {"in the vertices.ply", ply.substr(0, ply.size() - 20)},
       {"in the face.ply", ply.substr(0, ply.size() - 2)},
-      {"without its end.ply", ply.substr(0, ply.find("end_header")) + "end\n0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n"},
+      {"without its end.ply",
+       ply.substr(0, ply.find("end_header")) + "end\n0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n"},
       {"in the counts.off", "OFF\n3 1 "},
       {"in the vertices.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n"},
       {"with an odd face.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 0 -1\n0\n"}};

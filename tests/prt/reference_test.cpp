@@ -21,7 +21,8 @@ constexpr Rgb kWhite{1, 1, 1}, kBlack{0, 0, 0};
 Image<Rgb> map_of(int width, int height, auto radiance) {
   Image<Rgb> map(width, height);
   for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x) map.at(x, y) = radiance(latlong_direction(x + .5, y + .5, width, height));
+    for (int x = 0; x < width; ++x)
+      map.at(x, y) = radiance(latlong_direction(x + .5, y + .5, width, height));
   return map;
 }
 
@@ -35,7 +36,8 @@ PinholeView view_of(int size, const Pose& world_from_camera) {
   return {size, size, {double(size), double(size)}, {size / 2., size / 2.}, world_from_camera};
 }
 
-Reference rendered(const World& world, const PinholeView& view, int samples, std::uint64_t seed = 1) {
+Reference rendered(const World& world, const PinholeView& view, int samples,
+                   std::uint64_t seed = 1) {
   ReferenceOptions options;
   options.error = 0;  // as many samples as asked for
   options.most_samples = samples;
@@ -45,7 +47,8 @@ Reference rendered(const World& world, const PinholeView& view, int samples, std
   return picture ? *picture : Reference{};
 }
 
-std::vector<Rgb> irradiance_at(const World& world, const std::vector<IrradiancePoint>& points, int samples) {
+std::vector<Rgb> irradiance_at(const World& world, const std::vector<IrradiancePoint>& points,
+                               int samples) {
   auto result = reference_irradiance(world, points, samples, 7);
   EXPECT_TRUE(result);
   return result ? *result : std::vector<Rgb>(points.size(), Rgb{NAN, NAN, NAN});
@@ -74,8 +77,10 @@ TEST(Reference, EmptyWorldShowsTheEnvironment) {
   for (int y = 0; y < 24; ++y)
     for (int x = 0; x < 24; ++x) {
       // A camera looks along its -z with +y up; the top-left corner is (0, 0).
-      const dvec3 d = pose.rotation * glm::normalize(dvec3((x + .5 - 12) / 24, -(y + .5 - 12) / 24, -1));
-      EXPECT_NEAR(picture.radiance.at(x, y).g, 1 + glm::dot(d, dvec3(.5, .25, -.2)), .002) << x << ' ' << y;
+      const dvec3 d =
+          pose.rotation * glm::normalize(dvec3((x + .5 - 12) / 24, -(y + .5 - 12) / 24, -1));
+      EXPECT_NEAR(picture.radiance.at(x, y).g, 1 + glm::dot(d, dvec3(.5, .25, -.2)), .002)
+          << x << ' ' << y;
     }
 }
 
@@ -155,7 +160,8 @@ TEST(Reference, HalvesAreIndependentAndTheErrorShrinksAsItShould) {
     const double mean = halves.mean / kSeeds, reported = std::sqrt(halves.reported_square / kSeeds);
     const double error = std::sqrt(halves.square / (kSeeds * double(truth.area()))) / mean;
     // Neighbouring pixels share their edges: the correlation of one picture scatters by about .08.
-    EXPECT_LT(std::abs(halves.product) / std::sqrt(halves.square_a * halves.square_b), .12) << samples;
+    EXPECT_LT(std::abs(halves.product) / std::sqrt(halves.square_a * halves.square_b), .12)
+        << samples;
     EXPECT_NEAR(reported / error, 1, .15) << samples;
     // Four times the samples halve the error, or better where they are better than random.
     EXPECT_LT(reported, .55 * last) << samples;
@@ -211,7 +217,8 @@ TEST(ReferenceIrradiance, SphereTakesItsClosedFormFromTheFloor) {
     World world = world_of(make_sphere({0, float(height), 0}, 1, 5, kBlack), light);
     world.planes = {floor_of({.5f, .5f, .5f})};
     std::vector<IrradiancePoint> points;
-    for (const double r : {.3, .8, 1.5, 2.5, 4.}) points.push_back({{r * .6, 0, r * .8}, {0, 1, 0}});
+    for (const double r : {.3, .8, 1.5, 2.5, 4.})
+      points.push_back({{r * .6, 0, r * .8}, {0, 1, 0}});
     const auto e = irradiance_at(world, points, 16384);
     for (std::size_t i = 0; i < points.size(); ++i) {
       const double d = glm::distance(points[i].position, dvec3(0, height, 0));
@@ -221,14 +228,15 @@ TEST(ReferenceIrradiance, SphereTakesItsClosedFormFromTheFloor) {
 }
 
 TEST(ReferenceIrradiance, FloorAddsWhatItReflects) {
-  // Over an infinite floor of albedo rho a surface with normal n sees (1 + n.y)/2 of sky and the rest of
-  // floor. The points float alone, so nothing shades the floor.
+  // Over an infinite floor of albedo rho a surface with normal n sees (1 + n.y)/2 of sky and the
+  // rest of floor. The points float alone, so nothing shades the floor.
   constexpr float kRho = .6f;
   const auto light = EnvironmentLight::from_sh(test::constant_light(kWhite));
   World world = world_of({}, light);
   world.planes = {floor_of({kRho, kRho, kRho})};
   std::vector<IrradiancePoint> points;
-  for (const double y : {-1., -.5, 0., .5, 1.}) points.push_back({{0, 2, 0}, {std::sqrt(1 - y * y), y, 0}});
+  for (const double y : {-1., -.5, 0., .5, 1.})
+    points.push_back({{0, 2, 0}, {std::sqrt(1 - y * y), y, 0}});
   const auto e = irradiance_at(world, points, 16384);
   for (std::size_t i = 0; i < points.size(); ++i) {
     const double sky = (1 + points[i].normal.y) / 2;

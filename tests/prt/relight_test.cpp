@@ -56,8 +56,10 @@ TEST(Relight, EqualsThePlainLoopForEverySize) {
   for (const std::size_t points : {1uz, 63uz, 64uz, 65uz, 1000uz})
     for (const int channels : {1, 3})
       for (const int bands : {1, 2, 3, 5, 9}) {
-        SCOPED_TRACE(testing::Message() << points << " points, " << channels << " channels, " << bands);
-        expect_plain_loop(random_transfer(bands, channels, points, 1), test::random_light(bands, 2));
+        SCOPED_TRACE(testing::Message()
+                     << points << " points, " << channels << " channels, " << bands);
+        expect_plain_loop(random_transfer(bands, channels, points, 1),
+                          test::random_light(bands, 2));
       }
 }
 

@@ -17,8 +17,9 @@ using glm::dvec3;
 
 constexpr Rgb kWhite{1, 1, 1}, kBlack{0, 0, 0}, kGrey{.5f, .5f, .5f};
 
-prt::BakedObject baked(const prt::Mesh& mesh, int bands, int size = 64) {
+prt::BakedObject baked(const prt::Mesh& mesh, int bands, int size = 64, int ground_rays = 1024) {
   prt::BakeOptions options;
+  options.ground_rays = ground_rays;
   options.bands = bands;
   options.bounces = 1;
   options.rays = 64;
@@ -34,9 +35,13 @@ PlanarShadow composed(const prt::BakedObject& object, const RadianceSh& light) {
   return shadow;
 }
 
-prt::Mesh knot(Rgb albedo = kBlack) { return prt::make_knot(1, 60, 12, albedo); }
+prt::Mesh knot(Rgb albedo = kBlack) {
+  return prt::make_knot(1, 60, 12, albedo);
+}
 
-glm::dmat3 yaw(double angle) { return glm::mat3_cast(glm::angleAxis(angle, dvec3(0, 1, 0))); }
+glm::dmat3 yaw(double angle) {
+  return glm::mat3_cast(glm::angleAxis(angle, dvec3(0, 1, 0)));
+}
 
 RadianceSh turned(const RadianceSh& light, double angle) {
   return lighting::ShRotation(yaw(angle), light.bands()) * light;
@@ -67,20 +72,22 @@ double largest_difference(const PlanarShadow& a, const PlanarShadow& b) {
 
 TEST(PlanarShadow, SphereUnderUniformSkyFollowsTheClosedForm) {
   for (const float height : {1.f, 1.5f, 3.f}) {  // of the centre, in radii: resting and hovering
-    const auto object = baked(prt::make_sphere({0, height, 0}, 1, 4, kBlack), 3);
+    const auto object = baked(prt::make_sphere({0, height, 0}, 1, 4, kBlack), 3, 48, 4096);
     const PlanarShadow shadow = composed(object, test::constant_light({3, 1, .2f}, 3));
     const auto& grid = object.receiver->grid;
     int compared = 0;
     for (int y = 0; y < grid.size; ++y)
       for (int x = 0; x < grid.size; ++x) {
         const glm::vec2 p = texel_position(grid, x, y), uv = grid.uv(p);
-        if (std::max(std::abs(2 * uv.x - 1), std::abs(2 * uv.y - 1)) > .9f) continue;  // the faded rim
+        if (std::max(std::abs(2 * uv.x - 1), std::abs(2 * uv.y - 1)) > .9f)
+          continue;  // the faded rim
         const double d = std::sqrt(double(p.x) * p.x + double(p.y) * p.y + double(height) * height);
         for (int c = 0; c < 3; ++c)
-          ASSERT_NEAR(shadow.ratio.at(x, y)[c], 1 - height / (d * d * d), .01) << height << ' ' << p.x << ' ' << p.y;
+          ASSERT_NEAR(shadow.ratio.at(x, y)[c], 1 - height / (d * d * d), .01)
+              << height << ' ' << p.x << ' ' << p.y;
         ++compared;
       }
-    EXPECT_GT(compared, 3000);
+    EXPECT_GT(compared, 1600);
   }
 }
 
@@ -132,7 +139,8 @@ TEST(PlanarShadow, YawOfAWholeTurnCloses) {
 }
 
 TEST(PlanarShadow, YawOfTheObjectIsTheOppositeYawOfTheLight) {
-  // A quarter turn maps the grid onto itself: (x, z) goes to (z, -x), texel (x, y) to (y, size - 1 - x).
+  // A quarter turn maps the grid onto itself: (x, z) goes to (z, -x), texel (x, y) to (y, size - 1
+  // - x).
   const prt::Mesh mesh = knot();
   prt::Mesh rotated = mesh;
   prt::transform(rotated, glm::dmat4(yaw(kPi / 2)));
@@ -155,27 +163,28 @@ TEST(PlanarShadow, YawOfTheObjectIsTheOppositeYawOfTheLight) {
 
 TEST(PlanarShadow, AnyYawOfTheObjectIsTheOppositeYawOfTheLight) {
   constexpr double kAngle = .65;
+  constexpr int kSize = 96;
   const prt::Mesh mesh = knot();
   prt::Mesh rotated = mesh;
   prt::transform(rotated, glm::dmat4(yaw(kAngle)));
-  const auto object = baked(mesh, 4, 128), rotated_object = baked(rotated, 4, 128);
+  const auto object = baked(mesh, 4, kSize), rotated_object = baked(rotated, 4, kSize);
   const RadianceSh light = test::random_light(4, 4, .15f);
   const PlanarShadow by_object = composed(rotated_object, light);
   const PlanarShadow by_light = composed(object, turned(light, -kAngle));
   const auto& grid = object.receiver->grid;
   double square = 0;
   int compared = 0;
-  for (int y = 0; y < 128; ++y)
-    for (int x = 0; x < 128; ++x) {
+  for (int y = 0; y < kSize; ++y)
+    for (int x = 0; x < kSize; ++x) {
       const glm::vec2 p = texel_position(rotated_object.receiver->grid, x, y);
       if (glm::length(p) > .5f * grid.half_extent) continue;
       const dvec3 before = yaw(-kAngle) * dvec3(p.x, 0, p.y);
-      const glm::vec2 at = grid.uv({before.x, before.z}) * 128.f - .5f;
+      const glm::vec2 at = grid.uv({before.x, before.z}) * float(kSize) - .5f;
       const int x0 = int(at.x), y0 = int(at.y);
       const float fx = at.x - float(x0), fy = at.y - float(y0);
       const auto s = [&](int i, int j) { return by_light.ratio.at(x0 + i, y0 + j).g; };
-      const float there = (1 - fy) * ((1 - fx) * s(0, 0) + fx * s(1, 0)) +
-                          fy * ((1 - fx) * s(0, 1) + fx * s(1, 1));
+      const float there =
+          (1 - fy) * ((1 - fx) * s(0, 0) + fx * s(1, 0)) + fy * ((1 - fx) * s(0, 1) + fx * s(1, 1));
       square += std::pow(by_object.ratio.at(x, y).g - there, 2);
       ++compared;
     }
@@ -187,7 +196,8 @@ TEST(PlanarShadow, AnyYawOfTheObjectIsTheOppositeYawOfTheLight) {
 
 TEST(PlanarShadow, IsExactlyOneOutsideItsRectangleWhichIsTight) {
   const auto object = baked(prt::make_sphere({0, 1.4f, 0}, 1, 3, kBlack), 3);
-  for (const RadianceSh& light : {test::constant_light(kWhite, 3), test::sloped_light(1, {.6, .5, 0}, 3)}) {
+  for (const RadianceSh& light :
+       {test::constant_light(kWhite, 3), test::sloped_light(1, {.6, .5, 0}, 3)}) {
     const PlanarShadow shadow = composed(object, light);
     ASSERT_FALSE(shadow.empty());
     int left = 64, top = 64, right = 0, bottom = 0;
@@ -208,7 +218,8 @@ TEST(PlanarShadow, FadesToOneAtTheRim) {
   const auto object = baked(prt::make_sphere({0, 3, 0}, 1, 3, kBlack), 1);
   const PlanarShadow shadow = composed(object, test::constant_light(kWhite));
   for (int i = 0; i < 64; ++i)
-    for (const Rgb& s : {shadow.ratio.at(i, 0), shadow.ratio.at(i, 63), shadow.ratio.at(0, i), shadow.ratio.at(63, i)})
+    for (const Rgb& s : {shadow.ratio.at(i, 0), shadow.ratio.at(i, 63), shadow.ratio.at(0, i),
+                         shadow.ratio.at(63, i)})
       EXPECT_EQ(s, kWhite);
 }
 
@@ -242,7 +253,7 @@ TEST(PlanarShadow, LightFromBelowOnlyCastsNone) {
   for (const int bands : {2, 3, 5}) {
     const auto object = baked(knot(), bands, 16);
     expect_all_one(composed(object, *below));
-    // Linear light that is exactly dark on a surface that faces up.
+    // A linear light that leaves a surface facing up exactly dark.
     expect_all_one(composed(object, test::sloped_light(1, {0, -1.5, 0})));
   }
 }
@@ -263,7 +274,8 @@ TEST(PlanarShadow, ColourWithoutLightStaysUntouched) {
 TEST(PlanarShadow, StaysInItsRangeUnderAnyLight) {
   const auto object = baked(knot(kGrey), 5, 48);
   for (unsigned seed = 0; seed < 30; ++seed) {
-    const PlanarShadow shadow = composed(object, test::random_light(5, seed, 2));  // negative lobes and all
+    const PlanarShadow shadow =
+        composed(object, test::random_light(5, seed, 2));  // negative lobes and all
     for (const Rgb& s : shadow.ratio.pixels())
       for (int c = 0; c < 3; ++c) ASSERT_TRUE(s[c] >= 0 && s[c] <= 1.5f) << s[c];
   }
@@ -271,7 +283,8 @@ TEST(PlanarShadow, StaysInItsRangeUnderAnyLight) {
 
 TEST(PlanarShadow, NonFiniteLightNeverReachesThePicture) {
   const auto object = baked(knot(), 2, 16);
-  for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()})
+  for (const float bad :
+       {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()})
     for (const int n : {0, 1, 3}) {
       RadianceSh light = test::constant_light(kWhite, 2);
       light[n].r = bad;
