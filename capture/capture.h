@@ -265,7 +265,7 @@ struct StudioOptions {
   double view_focal_px = 1100;
   double environment_fps = 30, view_fps = 30;
   std::vector<Exposure> schedule;   // of the environment camera; empty: chosen from the light
-  std::optional<Exposure> view_exposure;  // nothing: chosen so that the floor is at 35 % of full scale
+  std::optional<Exposure> view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
   Sensor sensor;
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;

@@ -89,7 +89,9 @@ Rgb room(const dvec3& d) {
     colour = side_wall(p, d.x < 0);
   }
   if (axis != 1 && p.y < -1.1) colour = {.82f, .81f, .79f};  // skirting board
-  return luminance(colour) > 2 ? colour : colour * (1.1f * corner_shade(p));
+  // Painted surfaces as bright as the room's own lamps and window would make them.
+  constexpr float kLitBy = 2.6f;
+  return luminance(colour) > 2 ? colour : colour * (kLitBy * corner_shade(p));
 }
 
 template <class Radiance>

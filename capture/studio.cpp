@@ -124,7 +124,7 @@ Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
   if (!options_.view_exposure) {
     // The lower third shows the floor.
     const int h = view_radiance_.height();
-    options_.view_exposure = Exposure{Seconds(.35 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
+    options_.view_exposure = Exposure{Seconds(.3 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
   }
   for (int i = 0; i < options_.view_clip; ++i) {
     FramePixels pixels;

@@ -97,7 +97,10 @@ Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map) {
 
 Rgb FloorWorld::floor_albedo(const glm::dvec3& p) const {
   const Rgb ground = lookup(map_, glm::normalize(glm::dvec3(p.x, -kCaptureHeight, p.z)));
-  const float detail = albedo_scale_ * floor_detail(p.x, p.z);
+  // The correction fades out towards the horizon, where the floor meets the environment's own picture.
+  const double far = std::clamp((std::hypot(p.x, p.z) - 2) / 8, 0., 1.);
+  const auto scale = static_cast<float>(albedo_scale_ + (1 - albedo_scale_) * far * far * (3 - 2 * far));
+  const float detail = scale * floor_detail(p.x, p.z);
   Rgb albedo;
   for (int c = 0; c < 3; ++c) {
     const float e = std::max(irradiance_[c], 1e-6f);

@@ -10,6 +10,7 @@
 #include "compositor/gl.h"
 #include "compositor/half_rows.h"
 #include "compositor/layers.h"
+#include "compositor/receivers.h"
 
 namespace penumbra::compositor {
 
@@ -19,56 +20,85 @@ namespace {
 template <class Code>
 struct Coded {
   const CodeCurve& curve;
-  template <class Pixel>
-  static constexpr bool matches = sizeof(Pixel) == 3 * sizeof(Code);
   float decode(int c, Code code) const { return curve.decode(c, code); }
-  Code encode(int c, float v) const { return static_cast<Code>(curve.encode(c, v)); }
+  Code encode(int c, float v) const {
+    if constexpr (sizeof(Code) == 1) return curve.encode8(c, v);
+    else return static_cast<Code>(curve.encode(c, v));
+  }
 };
 struct Linear {
   static float decode(int, float v) { return v; }
   static float encode(int, float v) { return v; }
 };
 
+// Rows of one worker: shadow ratios and the layers as floats.
+struct RowBuffers {
+  std::vector<float> r, g, b, object, hidden;
+  void resize(std::size_t width) {
+    for (auto* v : {&r, &g, &b}) v->resize(width);
+    for (auto* v : {&object, &hidden}) v->resize(4 * width);
+  }
+};
+
+bool has_row(const Layer& layer, int y) { return y >= layer.rect.y0 && y < layer.rect.y1; }
+
+void load_row(const Layer& layer, int y, std::vector<float>& out) {
+  floats_from_halves(layer.row(y), std::span(out).first(layer.row(y).size()));
+}
+
+struct Layered {
+  const Layer &objects, &hidden;
+  const Receivers& receivers;
+  Rect area;  // all that is touched at most
+};
+
+// Ratios of the row; real geometry in front of the receiver takes them back to 1.
+bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
+  const auto width = static_cast<std::size_t>(in.area.width());
+  for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
+  if (!in.receivers.multiply_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data())) return false;
+  if (!has_row(in.hidden, y)) return true;
+  load_row(in.hidden, y, rows.hidden);
+  for (int x = in.hidden.rect.x0; x < in.hidden.rect.x1; ++x) {
+    const float seen = 1 - rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
+    const auto i = static_cast<std::size_t>(x - in.area.x0);
+    for (auto* v : {&rows.r, &rows.g, &rows.b}) (*v)[i] = 1 + seen * ((*v)[i] - 1);
+  }
+  return true;
+}
+
 // The fused pass over one row of the touched rectangle.
 template <class Pixel, class Codec>
-std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Rect& area, const Layer& objects,
-                          const Layer& shadows, std::span<float> object_row, std::span<float> shadow_row) {
-  const bool has_objects = y >= objects.rect.y0 && y < objects.rect.y1;
-  const bool has_shadows = y >= shadows.rect.y0 && y < shadows.rect.y1;
-  if (has_objects) floats_from_halves(objects.row(y), object_row.first(objects.row(y).size()));
-  if (has_shadows) floats_from_halves(shadows.row(y), shadow_row.first(shadows.row(y).size()));
-  constexpr float kNoObject[4] = {0, 0, 0, 0}, kNoShadow[4] = {1, 1, 1, 1};
+std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& in, RowBuffers& rows) {
+  const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
+  if (!has_objects && !has_shadows) return 0;
+  if (has_objects) load_row(in.objects, y, rows.object);
+  constexpr float kNoObject[4] = {0, 0, 0, 0};
   std::size_t touched = 0;
-  for (int x = area.x0; x < area.x1; ++x) {
-    const float* v = kNoObject;
-    const float* s = kNoShadow;
-    if (has_objects && x >= objects.rect.x0 && x < objects.rect.x1)
-      v = &object_row[static_cast<std::size_t>(x - objects.rect.x0) * 4];
-    if (has_shadows && x >= shadows.rect.x0 && x < shadows.rect.x1)
-      s = &shadow_row[static_cast<std::size_t>(x - shadows.rect.x0) * 4];
-    if (v[3] == 0 && s[0] == 1 && s[1] == 1 && s[2] == 1) continue;
+  for (int x = in.area.x0; x < in.area.x1; ++x) {
+    const auto i = static_cast<std::size_t>(x - in.area.x0);
+    const bool in_objects = has_objects && x >= in.objects.rect.x0 && x < in.objects.rect.x1;
+    const float* const v = in_objects ? &rows.object[static_cast<std::size_t>(x - in.objects.rect.x0) * 4] : kNoObject;
+    if (v[3] == 0 && rows.r[i] == 1 && rows.g[i] == 1 && rows.b[i] == 1) continue;
     ++touched;
     const float behind = 1 - v[3];
     Pixel& p = row[x];
-    p.r = codec.encode(0, v[0] + behind * s[0] * codec.decode(0, p.r));
-    p.g = codec.encode(1, v[1] + behind * s[1] * codec.decode(1, p.g));
-    p.b = codec.encode(2, v[2] + behind * s[2] * codec.decode(2, p.b));
+    p.r = codec.encode(0, v[0] + behind * rows.r[i] * codec.decode(0, p.r));
+    p.g = codec.encode(1, v[1] + behind * rows.g[i] * codec.decode(1, p.g));
+    p.b = codec.encode(2, v[2] + behind * rows.b[i] * codec.decode(2, p.b));
   }
   return touched;
 }
 
 template <class Pixel, class Codec>
-std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Layer& objects,
-                             const Layer& shadows) {
-  const Rect area = united(objects.rect, shadows.rect);
+std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Layered& in) {
   std::atomic<std::size_t> touched = 0;
-  tbb::parallel_for(tbb::blocked_range<int>(area.y0, area.y0 + area.height(), 16), [&](const auto& rows) {
-    thread_local std::vector<float> object_row, shadow_row;  // grow once per thread
-    object_row.resize(static_cast<std::size_t>(frame.width()) * 4);
-    shadow_row.resize(static_cast<std::size_t>(frame.width()) * 4);
+  tbb::parallel_for(tbb::blocked_range<int>(in.area.y0, in.area.y0 + in.area.height(), 8), [&](const auto& range) {
+    thread_local RowBuffers rows;  // grow once per thread
+    rows.resize(static_cast<std::size_t>(frame.width()));
     std::size_t count = 0;
-    for (int y = rows.begin(); y < rows.end(); ++y)
-      count += composite_row(codec, frame.row(y).data(), y, area, objects, shadows, object_row, shadow_row);
+    for (int y = range.begin(); y < range.end(); ++y)
+      count += composite_row(codec, frame.row(y).data(), y, in, rows);
     touched += count;
   });
   return touched;
@@ -97,7 +127,9 @@ struct Compositor::Impl {
   std::unique_ptr<Layers> layers;
   std::unique_ptr<GlProgram> show;
   std::unique_ptr<GlTexture> picture;
-  Layer objects, shadows;
+  Receivers receivers;
+  std::vector<int> receiver_of;  // by object, -1 without
+  Layer objects, hidden;
 };
 
 Compositor::Compositor(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -130,11 +162,23 @@ Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Su
   return std::unique_ptr<Compositor>(new Compositor(std::move(impl)));
 }
 
-int Compositor::add_object(const prt::BakedObject& object) { return impl_->layers->add_object(object); }
-void Compositor::set_pose(int object, const Pose& pose) { impl_->layers->set_pose(object, pose); }
-void Compositor::set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow) {
-  impl_->layers->set_light(object, relit, shadow);
+int Compositor::add_object(const prt::BakedObject& object) {
+  impl_->receiver_of.push_back(object.receiver ? impl_->receivers.add(object.receiver->grid) : -1);
+  return impl_->layers->add_object(object);
 }
+
+void Compositor::set_pose(int object, const Pose& world_from_bake) {
+  impl_->layers->set_pose(object, world_from_bake);
+  if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
+    impl_->receivers.set_pose(r, world_from_bake);
+}
+
+void Compositor::set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow) {
+  impl_->layers->set_light(object, relit);
+  if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
+    impl_->receivers.set_shadow(r, shadow);
+}
+
 void Compositor::add_occluder(const prt::Mesh& mesh) { impl_->layers->add_occluder(mesh); }
 
 Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
@@ -147,14 +191,16 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
                           : std::holds_alternative<Image<Rgb16>>(frame) ? 65535u : 0u;
   if (needed && (view.curve == nullptr || view.curve->largest_code() != needed))
     return fail(ErrorCode::kInvalid, "frame", "no response curve of its bit depth");
-  PENUMBRA_TRY(impl_->layers->draw(view, impl_->objects, impl_->shadows));
+  const Rect receiver_area = impl_->receivers.prepare(view.camera);
+  PENUMBRA_TRY(impl_->layers->draw(view, receiver_area, impl_->objects, impl_->hidden));
+  const Layered in{impl_->objects, impl_->hidden, impl_->receivers, united(impl_->objects.rect, receiver_area)};
   Touched touched;
   if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    touched.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, impl_->objects, impl_->shadows);
+    touched.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, in);
   else if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    touched.pixels = composite_pixels(Coded<std::uint16_t>{*view.curve}, *f16, impl_->objects, impl_->shadows);
+    touched.pixels = composite_pixels(Coded<std::uint16_t>{*view.curve}, *f16, in);
   else
-    touched.pixels = composite_pixels(Linear{}, std::get<Image<Rgb>>(frame), impl_->objects, impl_->shadows);
+    touched.pixels = composite_pixels(Linear{}, std::get<Image<Rgb>>(frame), in);
   touched.fraction = static_cast<double>(touched.pixels) / (static_cast<double>(width) * height);
   return touched;
 }

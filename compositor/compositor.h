@@ -1,7 +1,7 @@
 // Draws virtual objects and their shadows into camera frames by differential rendering, and writes the
-// result: video files, a window. GL draws the layers (object radiance and coverage, shadow ratio) into
-// the rectangle that they can reach; the fused pass over the touched pixels runs on the CPU, where the
-// frame is anyway. Frames outside the touched pixels are not read, converted or written.
+// result: video files, a window. GL draws the objects (radiance and coverage) into the rectangle that they
+// can reach; the shadow ratio and the fused pass over the touched pixels run on the CPU, where the frame is
+// anyway. Pixels outside are not read, converted or written.
 // threads: a Compositor belongs to the thread that made it; VideoWriter thread-bound
 #pragma once
 

@@ -4,17 +4,14 @@
 
 #include <algorithm>
 #include <glm/gtc/type_ptr.hpp>
-#include <limits>
 
 namespace penumbra::compositor {
 
 namespace {
 
-constexpr double kNear = .02, kFar = 1000;  // metres
-// Two by two samples a pixel. Drawn twice as large and averaged: without a GPU that takes a third of the
-// time of four-fold multisampling.
+// Two by two samples a pixel. Drawn twice as large and averaged: without a GPU that takes less time than
+// four-fold multisampling.
 constexpr int kOversampling = 2;
-constexpr int kReceiverCells = 48;  // along each side of a receiver's mesh
 
 constexpr const char* kObjectVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
@@ -38,70 +35,16 @@ out vec4 colour;
 void main() { colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1); }
 )";
 
-// A mesh over the visible part of the shadow, dense enough that texture coordinates, which follow the
-// grid's stretch, are linear within a cell.
-constexpr const char* kReceiverVertex = R"(#version 310 es
-layout(location = 0) in vec3 position;
-layout(location = 1) in vec2 texture_position;
-uniform mat4 clip_from_object;
-out vec2 uv;
-void main() {
-  uv = texture_position;
-  gl_Position = clip_from_object * vec4(position, 1);
-})";
-
-constexpr const char* kReceiverFragment = R"(#version 310 es
-precision highp float;
-in vec2 uv;
-uniform sampler2D ratio;
-out vec4 colour;
-void main() { colour = vec4(texture(ratio, uv).rgb, 1); }
-)";
-
-constexpr const char* kDepthVertex = R"(#version 310 es
+constexpr const char* kOccluderVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
 uniform mat4 clip_from_object;
 void main() { gl_Position = clip_from_object * vec4(position, 1); }
 )";
-constexpr const char* kDepthFragment = R"(#version 310 es
+constexpr const char* kOccluderFragment = R"(#version 310 es
 precision mediump float;
-void main() {}
+out vec4 colour;
+void main() { colour = vec4(1); }
 )";
-
-// Row 0 of the framebuffer is the top of the picture: clip y grows downwards.
-glm::dmat4 clip_from_camera(const prt::PinholeView& v) {
-  glm::dmat4 m(0);
-  m[0][0] = 2 * v.focal_px.x / v.width;
-  m[2][0] = 1 - 2 * v.principal_px.x / v.width;
-  m[1][1] = -2 * v.focal_px.y / v.height;
-  m[2][1] = 1 - 2 * v.principal_px.y / v.height;
-  m[2][2] = (kFar + kNear) / (kNear - kFar);
-  m[3][2] = 2 * kFar * kNear / (kNear - kFar);
-  m[2][3] = -1;
-  return m;
-}
-
-// Pixels that a convex set of points can reach, cut at the near plane by taking the whole frame.
-Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width, int height) {
-  double x0 = width, y0 = height, x1 = 0, y1 = 0;
-  int behind = 0;
-  for (const glm::dvec3& p : points) {
-    const glm::dvec4 c = clip_from_points * glm::dvec4(p, 1);
-    if (c.w < kNear) {
-      ++behind;
-      continue;
-    }
-    const double x = (c.x / c.w + 1) / 2 * width, y = (c.y / c.w + 1) / 2 * height;
-    x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
-  }
-  if (behind == static_cast<int>(points.size())) return {};
-  if (behind > 0) return {0, 0, width, height};
-  const auto clamped = [](double v, int limit) {
-    return static_cast<int>(std::clamp(v, 0., static_cast<double>(limit)));
-  };
-  return {clamped(std::floor(x0) - 1, width), clamped(std::floor(y0) - 1, height),
-          clamped(std::ceil(x1) + 1, width), clamped(std::ceil(y1) + 1, height)};
-}
 
 void set_matrix(GLuint program, const glm::dmat4& m) {
   const glm::mat4 single(m);
@@ -118,35 +61,21 @@ GLsizeiptr bytes_of(const auto& v) { return static_cast<GLsizeiptr>(v.size() * s
 
 }  // namespace
 
-Rect united(const Rect& a, const Rect& b) {
-  if (a.empty()) return b;
-  if (b.empty()) return a;
-  return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)};
-}
-
 Result<Layers> Layers::create(int width, int height) {
   auto object = make_program(kObjectVertex, kObjectFragment);
   if (!object) return std::unexpected(object.error());
-  auto receiver = make_program(kReceiverVertex, kReceiverFragment);
-  if (!receiver) return std::unexpected(receiver.error());
-  auto depth = make_program(kDepthVertex, kDepthFragment);
-  if (!depth) return std::unexpected(depth.error());
-  Layers layers(width, height, std::move(*object), std::move(*receiver), std::move(*depth));
+  auto occluder = make_program(kOccluderVertex, kOccluderFragment);
+  if (!occluder) return std::unexpected(occluder.error());
+  Layers layers(width, height, std::move(*object), std::move(*occluder));
   PENUMBRA_TRY(layers.make_targets());
-  layers.make_receiver_indices();
   return layers;
 }
 
 Result<void> Layers::make_targets() {
   Targets& t = targets_;
-  const auto complete = [](const char* which) -> Result<void> {
+  const auto complete = []() -> Result<void> {
     if (glCheckFramebufferStatus(GL_FRAMEBUFFER) == GL_FRAMEBUFFER_COMPLETE) return {};
-    return fail(ErrorCode::kUnavailable, "GL", fmt::format("no half-float {} target", which));
-  };
-  const auto depth = [&](const GlRenderbuffer& r, int scale) {
-    glBindRenderbuffer(GL_RENDERBUFFER, r.get());
-    glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, scale * width_, scale * height_);
-    glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER, r.get());
+    return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures");
   };
   const auto colour = [&](const GlTexture& x, int scale) {
     glBindTexture(GL_TEXTURE_2D, x.get());
@@ -155,29 +84,13 @@ Result<void> Layers::make_targets() {
   };
   glBindFramebuffer(GL_FRAMEBUFFER, t.fine.get());
   colour(t.fine_colour, kOversampling);
-  depth(t.fine_depth, kOversampling);
-  PENUMBRA_TRY(complete("object"));
+  glBindRenderbuffer(GL_RENDERBUFFER, t.fine_depth.get());
+  glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, kOversampling * width_, kOversampling * height_);
+  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER, t.fine_depth.get());
+  PENUMBRA_TRY(complete());
   glBindFramebuffer(GL_FRAMEBUFFER, t.averaged.get());
   colour(t.averaged_colour, 1);
-  PENUMBRA_TRY(complete("averaged"));
-  glBindFramebuffer(GL_FRAMEBUFFER, t.ratio.get());
-  colour(t.ratio_colour, 1);
-  depth(t.ratio_depth, 1);
-  return complete("shadow");
-}
-
-void Layers::make_receiver_indices() {
-  std::vector<std::uint16_t> indices;
-  for (int j = 0; j < kReceiverCells; ++j)
-    for (int i = 0; i < kReceiverCells; ++i) {
-      const auto a = static_cast<std::uint16_t>(j * (kReceiverCells + 1) + i);
-      const auto b = static_cast<std::uint16_t>(a + 1), c = static_cast<std::uint16_t>(a + kReceiverCells + 1);
-      const auto d = static_cast<std::uint16_t>(c + 1);
-      indices.insert(indices.end(), {a, b, d, a, d, c});
-    }
-  glBindVertexArray(0);
-  glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, receiver_indices_.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(indices), indices.data(), GL_STATIC_DRAW);
+  return complete();
 }
 
 int Layers::add_object(const prt::BakedObject& baked) {
@@ -200,16 +113,6 @@ int Layers::add_object(const prt::BakedObject& baked) {
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(), GL_STATIC_DRAW);
   glBindVertexArray(0);
-  if (baked.receiver) {
-    o.has_receiver = true;
-    o.grid = baked.receiver->grid;
-    glBindTexture(GL_TEXTURE_2D, o.shadow.get());
-    glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB16F, o.grid.size, o.grid.size);
-    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
-    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MAG_FILTER, GL_LINEAR);
-    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_WRAP_S, GL_CLAMP_TO_EDGE);
-    glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_WRAP_T, GL_CLAMP_TO_EDGE);
-  }
   objects_.push_back(std::move(o));
   drawn_.reset();
   return static_cast<int>(objects_.size()) - 1;
@@ -222,47 +125,11 @@ void Layers::set_pose(int object, const Pose& world_from_bake) {
   drawn_.reset();
 }
 
-void Layers::set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow) {
-  Object& o = objects_[static_cast<std::size_t>(object)];
-  drawn_.reset();
+void Layers::set_light(int object, std::span<const float> relit) {
+  const Object& o = objects_[static_cast<std::size_t>(object)];
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, static_cast<GLsizeiptr>(3 * o.stride * sizeof(float)), relit.data());
-  o.shadow_visible = o.has_receiver && !shadow.empty();
-  if (!o.shadow_visible) return;
-  glBindTexture(GL_TEXTURE_2D, o.shadow.get());
-  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, o.grid.size, o.grid.size, GL_RGB, GL_FLOAT, shadow.ratio.pixels().data());
-  upload_receiver(o, shadow);
-}
-
-// The mesh of the visible texels and one more on each side: bilinear reads reach half a texel out.
-void Layers::upload_receiver(Object& o, const shadows::PlanarShadow& shadow) {
-  const auto size = static_cast<float>(o.grid.size);
-  const glm::vec2 low(static_cast<float>(std::max(0, shadow.x0 - 1)), static_cast<float>(std::max(0, shadow.y0 - 1)));
-  const glm::vec2 high(static_cast<float>(std::min(o.grid.size, shadow.x1 + 1)),
-                       static_cast<float>(std::min(o.grid.size, shadow.y1 + 1)));
-  struct Corner {
-    glm::vec3 position;
-    glm::vec2 uv;
-  };
-  Corner corners[(kReceiverCells + 1) * (kReceiverCells + 1)];
-  for (int j = 0; j <= kReceiverCells; ++j)
-    for (int i = 0; i <= kReceiverCells; ++i) {
-      const glm::vec2 share(static_cast<float>(i) / kReceiverCells, static_cast<float>(j) / kReceiverCells);
-      const glm::vec2 uv = (low + share * (high - low)) / size;
-      const glm::vec2 place = o.grid.position(uv);
-      corners[j * (kReceiverCells + 1) + i] = {{place.x, o.grid.height, place.y}, uv};
-    }
-  o.shadow_low = o.grid.position(low / size);
-  o.shadow_high = o.grid.position(high / size);
-  glBindVertexArray(o.receiver_geometry.get());
-  glBindBuffer(GL_ARRAY_BUFFER, o.receiver_vertices.get());
-  glBufferData(GL_ARRAY_BUFFER, sizeof corners, corners, GL_DYNAMIC_DRAW);
-  glEnableVertexAttribArray(0);
-  glEnableVertexAttribArray(1);
-  glVertexAttribPointer(0, 3, GL_FLOAT, GL_FALSE, sizeof(Corner), nullptr);
-  glVertexAttribPointer(1, 2, GL_FLOAT, GL_FALSE, sizeof(Corner), reinterpret_cast<const void*>(sizeof(glm::vec3)));
-  glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, receiver_indices_.get());
-  glBindVertexArray(0);
+  drawn_.reset();
 }
 
 void Layers::add_occluder(const prt::Mesh& mesh) {
@@ -280,29 +147,20 @@ void Layers::add_occluder(const prt::Mesh& mesh) {
 }
 
 // The viewport is moved so that the rectangle lies in the framebuffer's corner.
-void Layers::begin(GLuint framebuffer, const Rect& rect, int scale, bool depth, float clear) {
-  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer);
-  glViewport(-scale * rect.x0, -scale * rect.y0, scale * width_, scale * height_);
+void Layers::begin(const Rect& rect) {
+  glBindFramebuffer(GL_FRAMEBUFFER, targets_.fine.get());
+  glViewport(-kOversampling * rect.x0, -kOversampling * rect.y0, kOversampling * width_, kOversampling * height_);
   glEnable(GL_SCISSOR_TEST);
-  glScissor(0, 0, scale * rect.width(), scale * rect.height());
-  (depth ? glEnable : glDisable)(GL_DEPTH_TEST);
-  glDepthMask(GL_TRUE);
-  glClearColor(clear, clear, clear, clear);
-  glClear(GL_COLOR_BUFFER_BIT | (depth ? GL_DEPTH_BUFFER_BIT : 0u));
+  glScissor(0, 0, kOversampling * rect.width(), kOversampling * rect.height());
+  glEnable(GL_DEPTH_TEST);
+  glClearColor(0, 0, 0, 0);
+  glClear(GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT);
   glFrontFace(GL_CW);  // clip y points down
 }
 
-void Layers::read(GLuint framebuffer, Layer& out) {
-  out.halves.resize(static_cast<std::size_t>(out.rect.width()) * static_cast<std::size_t>(out.rect.height()) * 4);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, framebuffer);
-  glReadPixels(0, 0, out.rect.width(), out.rect.height(), GL_RGBA, GL_HALF_FLOAT, out.halves.data());
-}
-
 void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
-  if (occluders_.empty()) return;
-  glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
-  glUseProgram(depth_program_.get());
-  set_matrix(depth_program_.get(), clip_from_world);
+  glUseProgram(occluder_program_.get());
+  set_matrix(occluder_program_.get(), clip_from_world);
   // Away from the camera, so that real geometry never hides what rests on it.
   glEnable(GL_POLYGON_OFFSET_FILL);
   glPolygonOffset(1, 4);
@@ -311,20 +169,9 @@ void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
   }
   glDisable(GL_POLYGON_OFFSET_FILL);
-  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
 }
 
-void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, Layer& out) {
-  out.rect = {};
-  for (const Object& o : objects_) {
-    const glm::vec3 &a = o.bounds.low, &b = o.bounds.high;
-    const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z}, {b.x, b.y, a.z},
-                                   {a.x, a.y, b.z}, {b.x, a.y, b.z}, {a.x, b.y, b.z}, {b.x, b.y, b.z}};
-    out.rect = united(out.rect, reach(clip_from_world * o.world_from_bake.matrix(), corners, width_, height_));
-  }
-  if (out.rect.empty()) return;
-  begin(targets_.fine.get(), out.rect, kOversampling, true, 0);
-  draw_occluders(clip_from_world);
+void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
   glUseProgram(object_program_.get());
   glUniform1f(glGetUniformLocation(object_program_.get(), "signal_per_radiance"), view.signal_per_radiance);
   for (const Object& o : objects_) {
@@ -332,55 +179,53 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, L
     glBindVertexArray(o.geometry.get());
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
   }
+}
+
+void Layers::finish(Layer& out) {
   glDisable(GL_SCISSOR_TEST);
   glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_.averaged.get());
   const int w = out.rect.width(), h = out.rect.height();
   // A linear blit of exactly two to one reads between four samples: their mean.
   glBlitFramebuffer(0, 0, kOversampling * w, kOversampling * h, 0, 0, w, h, GL_COLOR_BUFFER_BIT, GL_LINEAR);
-  read(targets_.averaged.get(), out);
+  out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.averaged.get());
+  glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
 }
 
-void Layers::draw_receivers(const glm::dmat4& clip_from_world, Layer& out) {
-  out.rect = {};
-  for (const Object& o : objects_) {
-    if (!o.shadow_visible) continue;
-    const double h = o.grid.height;
-    const glm::dvec3 corners[4] = {{o.shadow_low.x, h, o.shadow_low.y}, {o.shadow_high.x, h, o.shadow_low.y},
-                                   {o.shadow_low.x, h, o.shadow_high.y}, {o.shadow_high.x, h, o.shadow_high.y}};
-    out.rect = united(out.rect, reach(clip_from_world * o.world_from_bake.matrix(), corners, width_, height_));
-  }
-  if (out.rect.empty()) return;
-  begin(targets_.ratio.get(), out.rect, 1, !occluders_.empty(), 1);
-  draw_occluders(clip_from_world);
-  // Ratios of several objects multiply: always inside the bounds of what all of them can block together.
-  glBlendFunc(GL_DST_COLOR, GL_ZERO);
-  glDepthMask(GL_FALSE);
-  glUseProgram(receiver_program_.get());
-  glActiveTexture(GL_TEXTURE0);
-  glUniform1i(glGetUniformLocation(receiver_program_.get(), "ratio"), 0);
-  for (const Object& o : objects_) {
-    if (!o.shadow_visible) continue;
-    set_matrix(receiver_program_.get(), clip_from_world * o.world_from_bake.matrix());
-    glBindVertexArray(o.receiver_geometry.get());
-    glBindTexture(GL_TEXTURE_2D, o.shadow.get());
-    glDrawElements(GL_TRIANGLES, 6 * kReceiverCells * kReceiverCells, GL_UNSIGNED_SHORT, nullptr);
-    glEnable(GL_BLEND);  // from the second on
-  }
-  glDisable(GL_BLEND);
-  read(targets_.ratio.get(), out);
-}
-
-Result<void> Layers::draw(const View& view, Layer& objects, Layer& shadows) {
+Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& objects, Layer& hidden) {
   // A camera on a tripod before unchanged objects in unchanged light: the layers still hold.
-  if (drawn_ && drawn_->camera == view.camera && drawn_->signal_per_radiance == view.signal_per_radiance) return {};
+  if (drawn_ && drawn_->view.camera == view.camera && drawn_->receiver_area == receiver_area &&
+      drawn_->view.signal_per_radiance == view.signal_per_radiance)
+    return {};
   drawn_.reset();
   const glm::dmat4 clip_from_world =
       clip_from_camera(view.camera) * view.camera.world_from_camera.inverse().matrix();
-  draw_objects(view, clip_from_world, objects);
-  draw_receivers(clip_from_world, shadows);
+  objects.rect = {};
+  for (const Object& o : objects_) {
+    const glm::vec3 &a = o.bounds.low, &b = o.bounds.high;
+    const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z}, {b.x, b.y, a.z},
+                                   {a.x, a.y, b.z}, {b.x, a.y, b.z}, {a.x, b.y, b.z}, {b.x, b.y, b.z}};
+    objects.rect = united(objects.rect, reach(clip_from_world * o.world_from_bake.matrix(), corners, width_, height_));
+  }
+  if (!objects.rect.empty()) {
+    begin(objects.rect);
+    if (!occluders_.empty()) {
+      glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
+      draw_occluders(clip_from_world);
+      glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+    }
+    draw_objects(view, clip_from_world);
+    finish(objects);
+  }
+  hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
+  if (!hidden.rect.empty()) {
+    begin(hidden.rect);
+    draw_occluders(clip_from_world);
+    finish(hidden);
+  }
   if (const GLenum error = glGetError(); error != GL_NO_ERROR)
     return fail(ErrorCode::kUnavailable, "GL", fmt::format("error 0x{:04x} while drawing", error));
-  drawn_ = view;
+  drawn_ = Drawn{view, receiver_area};
   return {};
 }
 

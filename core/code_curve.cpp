@@ -11,8 +11,7 @@ namespace {
 
 // Buckets of equal relative width from 2^-16 to 1: the upper bits of the float are the index.
 constexpr int kShift = 23 - 7;  // 128 buckets an octave
-constexpr float kSmallest = 0x1p-16f;
-const std::uint32_t kFirstBits = std::bit_cast<std::uint32_t>(kSmallest) >> kShift;
+const std::uint32_t kFirstBits = std::bit_cast<std::uint32_t>(0x1p-16f) >> kShift;
 const std::uint32_t kLastBits = std::bit_cast<std::uint32_t>(1.f) >> kShift;
 
 // Fractional code of a linear value by inverting the table with linear interpolation.
@@ -32,6 +31,13 @@ CodeCurve::CodeCurve(const std::array<std::vector<float>, 3>& decode, float blac
   for (std::size_t c = 0; c < 3; ++c) {
     for (std::uint32_t bits = kFirstBits; bits <= kLastBits + 1; ++bits)
       encode_[c].push_back(invert(decode[c], std::bit_cast<float>(bits << kShift)));
+    if (decode[c].size() == 256) {
+      const std::uint32_t last = std::bit_cast<std::uint32_t>(1.f) >> kShift8;
+      for (std::uint32_t bits = kFirst8; bits < last; ++bits)
+        encode8_[c].push_back(static_cast<std::uint8_t>(
+            invert(decode[c], std::bit_cast<float>((bits << kShift8) | (1u << (kShift8 - 1)))) + .5f));
+      encode8_[c].front() = static_cast<std::uint8_t>(invert(decode[c], 0) + .5f);  // black stays black
+    }
     for (float& v : decode_[c]) v -= black_level;
   }
 }

@@ -35,6 +35,8 @@ Result<void> replace_file(const fs::path& target,
     written = write(temporary);
   } catch (const std::exception& e) {
     written = fail(ErrorCode::kUnwritable, target.string(), e.what());
+  } catch (...) {
+    written = fail(ErrorCode::kUnwritable, target.string(), "unknown failure");
   }
   if (!written) {
     fs::remove(temporary, ignored);

@@ -115,7 +115,8 @@ bool Baker::grey() const {
 
 std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
   std::uint32_t mask = 0;
-  for (int i = 0; i < kLanes; ++i) mask |= static_cast<std::uint32_t>(packet.y[i] < 0) << i;
+  for (int i = 0; i < kLanes; ++i)
+    if (packet.y[i] < 0) mask |= 1u << i;
   return mask;
 }
 
@@ -169,7 +170,7 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
     if (options_.bounces > 0) {
       scene.intersect(origin, kNear, packet);
       for (int i = 0; i < kLanes; ++i)
-        blocked |= static_cast<std::uint32_t>(packet.triangle[i] != RayScene::kMiss) << i;
+        if (packet.triangle[i] != RayScene::kMiss) blocked |= 1u << i;
     } else {
       blocked = scene.occluded(origin, kNear, packet);
     }
@@ -344,6 +345,19 @@ Result<BakedObject> Baker::run(Mesh mesh) {
 
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
+  if (mesh.normals.size() != mesh.positions.size() || mesh.albedo.size() != mesh.positions.size())
+    return fail(ErrorCode::kInvalid, "mesh", "positions, normals and albedo differ in number");
+  for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
+    const glm::vec3 sum = mesh.positions[i] + mesh.normals[i];
+    if (!std::isfinite(sum.x + sum.y + sum.z))
+      return fail(ErrorCode::kNonFinite, "mesh", fmt::format("vertex {} is not finite", i));
+  }
+  if (o.receiver) {
+    const GroundGrid& g = o.receiver->grid;
+    if (g.size < 2 || g.size > 4096 || !(g.half_extent > 0) ||
+        !std::isfinite(g.half_extent + g.height + g.centre.x + g.centre.y))
+      return fail(ErrorCode::kInvalid, "receiver", "size not within 2..4096, or extent not positive and finite");
+  }
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands", fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)

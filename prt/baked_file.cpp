@@ -15,7 +15,7 @@
 namespace penumbra::prt {
 namespace {
 
-constexpr int kVersion = 1;
+constexpr int kVersion = 2;
 using tinygltf::Model;
 using tinygltf::Value;
 
@@ -69,7 +69,6 @@ Value::Object describe(const BakedObject& o, int ground_accessor) {
     r["size"] = Value(g.size);
     r["centre_m"] = Value(Value::Array{number(g.centre.x), number(g.centre.y)});
     r["half_extent_m"] = number(g.half_extent);
-    r["core_m"] = number(g.core);
     r["height_m"] = number(g.height);
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
     r["accessor"] = Value(ground_accessor);
@@ -144,8 +143,8 @@ bool read_attribute(const Model& m, const tinygltf::Primitive& p, const std::str
   const auto bytes = accessor_bytes(m, found->second, TINYGLTF_COMPONENT_TYPE_FLOAT, type, sizeof(T));
   if (!bytes) return false;
   out.resize(bytes->size() / sizeof(T));
-  std::memcpy(out.data(), bytes->data(), bytes->size());
-  return true;
+  if (!out.empty()) std::memcpy(out.data(), bytes->data(), bytes->size());
+  return !out.empty();
 }
 
 bool finite(std::span<const float> values) {
@@ -205,17 +204,21 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   g.size = static_cast<int>(size);
   g.centre = {get(r, "centre_m", 0), get(r, "centre_m", 1)};
   g.half_extent = static_cast<float>(get(r, "half_extent_m"));
-  g.core = static_cast<float>(get(r, "core_m"));
   g.height = static_cast<float>(get(r, "height_m"));
   const Rgb albedo{static_cast<float>(get(r, "albedo", 0)), static_cast<float>(get(r, "albedo", 1)),
                    static_cast<float>(get(r, "albedo", 2))};
-  const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.core, g.height, albedo.r, albedo.g, albedo.b};
-  if (!finite(all) || g.half_extent <= 0 || g.core <= 0) return false;
-  o.ground_deficit = Transfer(o.transfer.bands, o.transfer.channels, static_cast<std::size_t>(g.size) *
-                                                                 static_cast<std::size_t>(g.size));
-  const auto bytes = accessor_bytes(m, static_cast<int>(get(r, "accessor")),
-                                    TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 2);
-  if (!bytes || bytes->size() != o.ground_deficit.values.size() * 2) return false;
+  const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height, albedo.r, albedo.g, albedo.b};
+  if (!finite(all) || g.half_extent <= 0) return false;
+  const double accessor = get(r, "accessor");
+  if (!(accessor >= 0 && accessor < static_cast<double>(m.accessors.size()))) return false;
+  const auto bytes = accessor_bytes(m, static_cast<int>(accessor), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT,
+                                    TINYGLTF_TYPE_SCALAR, 2);
+  // The file must hold the texels before any room is made for them.
+  const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
+  const std::size_t values = (texels + 63) / 64 * 64 * static_cast<std::size_t>(o.transfer.channels) *
+                             static_cast<std::size_t>(coefficient_count(o.transfer.bands));
+  if (!bytes || bytes->size() != values * 2) return false;
+  o.ground_deficit = Transfer(o.transfer.bands, o.transfer.channels, texels);
   std::memcpy(o.ground_deficit.values.data(), bytes->data(), bytes->size());
   o.receiver = Receiver{g, albedo};
   return std::ranges::all_of(o.ground_deficit.values, [](auto h) { return std::isfinite(float_from_half(h)); });
@@ -243,8 +246,11 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
     return fail(ErrorCode::kUnreadable, file, "damaged transfer");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "damaged receiver");
-  o.report = {static_cast<std::uint64_t>(std::max(0., get(*extras, "rays"))), get(*extras, "seconds"),
-              get(*extras, "standard_error")};
+  const auto figure = [&](const char* key) {  // reports only: absent or damaged ones are 0
+    const double v = get(*extras, key);
+    return v >= 0 && v < 1e18 ? v : 0;
+  };
+  o.report = {static_cast<std::uint64_t>(figure("rays")), figure("seconds"), figure("standard_error")};
   return o;
 }
 

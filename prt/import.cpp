@@ -4,7 +4,12 @@
 
 #include <assimp/Importer.hpp>
 #include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <fstream>
 #include <glm/geometric.hpp>
+#include <map>
+#include <string_view>
 
 #include "prt/prt.h"
 
@@ -12,21 +17,31 @@ namespace penumbra::prt {
 
 namespace {
 
+// Assimp invents materials for files that have none: by a name of its own, or nameless in white or .6 grey.
+bool is_own_material(const aiMaterial* material) {
+  if (material == nullptr) return false;
+  aiString name;
+  if (material->Get(AI_MATKEY_NAME, name) == AI_SUCCESS && name.length > 0)
+    return std::string_view(name.C_Str()) != AI_DEFAULT_MATERIAL_NAME;
+  aiColor4D c;
+  if (material->Get(AI_MATKEY_BASE_COLOR, c) != AI_SUCCESS && material->Get(AI_MATKEY_COLOR_DIFFUSE, c) != AI_SUCCESS)
+    return false;
+  const bool grey = c.r == c.g && c.g == c.b;
+  return !(grey && (c.r == 1 || std::abs(c.r - .6f) < 1e-3f));
+}
+
+Rgb clamped_albedo(Rgb a, Rgb fallback) {
+  for (int k = 0; k < 3; ++k) a[k] = std::isfinite(a[k]) ? std::clamp(a[k], 0.f, 1.f) : fallback[k];
+  return a;
+}
+
 Rgb albedo_of(const aiMaterial* material, Rgb fallback, bool has_own) {
   if (!has_own || material == nullptr) return fallback;
   aiColor4D colour;
   if (material->Get(AI_MATKEY_BASE_COLOR, colour) == AI_SUCCESS ||
       material->Get(AI_MATKEY_COLOR_DIFFUSE, colour) == AI_SUCCESS)
-    return {std::clamp(colour.r, 0.f, 1.f), std::clamp(colour.g, 0.f, 1.f), std::clamp(colour.b, 0.f, 1.f)};
+    return clamped_albedo({colour.r, colour.g, colour.b}, fallback);
   return fallback;
-}
-
-// Assimp invents a material named "DefaultMaterial" for files that have none.
-bool is_own_material(const aiMaterial* material) {
-  aiString name;
-  return material != nullptr &&
-         (material->Get(AI_MATKEY_NAME, name) != AI_SUCCESS ||
-          std::string_view(name.C_Str()) != AI_DEFAULT_MATERIAL_NAME);
 }
 
 Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb albedo,
@@ -45,7 +60,7 @@ Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb alb
     out.normals.emplace_back(n.x, n.y, n.z);
     Rgb a = albedo;
     if (in.mColors[0]) a = a * Rgb{in.mColors[0][i].r, in.mColors[0][i].g, in.mColors[0][i].b};
-    out.albedo.push_back(a);
+    out.albedo.push_back(clamped_albedo(a, albedo));
   }
   return {};
 }
@@ -85,23 +100,40 @@ Result<void> add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x
   return {};
 }
 
-// Vertices that no triangle uses would be baked for nothing.
-void drop_unused_vertices(Mesh& mesh) {
-  std::vector<std::uint32_t> fresh(mesh.positions.size(), 0xffffffffu);
+// Equal vertices become one, to the bit (Assimp's own joining merges what lies within 1e-5 of a unit, which
+// destroys small models); vertices that no triangle uses would be baked for nothing.
+void weld(Mesh& mesh) {
+  using Key = std::array<float, 9>;
+  std::map<Key, std::uint32_t> known;
   Mesh out;
   for (auto& t : mesh.triangles)
     for (auto& i : t) {
-      if (fresh[i] == 0xffffffffu) {
-        fresh[i] = static_cast<std::uint32_t>(out.positions.size());
-        out.positions.push_back(mesh.positions[i]);
-        out.normals.push_back(mesh.normals[i]);
-        out.albedo.push_back(mesh.albedo[i]);
+      const glm::vec3 &p = mesh.positions[i], &n = mesh.normals[i];
+      const Rgb& a = mesh.albedo[i];
+      const auto [found, fresh] = known.try_emplace(Key{p.x, p.y, p.z, n.x, n.y, n.z, a.r, a.g, a.b},
+                                                    static_cast<std::uint32_t>(out.positions.size()));
+      if (fresh) {
+        out.positions.push_back(p);
+        out.normals.push_back(n);
+        out.albedo.push_back(a);
       }
-      i = fresh[i];
+      i = found->second;
     }
   out.triangles = std::move(mesh.triangles);
   mesh = std::move(out);
 }
+
+// Assimp's PLY reader never returns from a text header without its end.
+bool is_endless_ply(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  std::string head(1 << 16, '\0');
+  in.read(head.data(), static_cast<std::streamsize>(head.size()));
+  head.resize(static_cast<std::size_t>(in.gcount()));
+  return head.starts_with("ply") && head.find("end_header") == std::string::npos;
+}
+
+// Other kinds that Assimp knows end the process on a damaged file: Debian builds it with assertions on.
+constexpr std::string_view kKinds[] = {".gltf", ".glb", ".obj", ".ply", ".stl", ".fbx", ".dae"};
 
 }  // namespace
 
@@ -110,13 +142,17 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
   std::error_code error;
   if (!std::filesystem::is_regular_file(path, error))
     return fail(ErrorCode::kNotFound, file, "no such file");
+  if (is_endless_ply(path)) return fail(ErrorCode::kUnreadable, file, "its PLY header has no end");
+  std::string kind = path.extension().string();
+  std::ranges::transform(kind, kind.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  if (std::ranges::find(kKinds, kind) == std::end(kKinds))
+    return fail(ErrorCode::kInvalid, file, "not a kind that is read: glTF, OBJ, PLY, STL, FBX or COLLADA");
   try {
     Assimp::Importer importer;
     // Wide smoothing angle: scanned meshes come without normals and are smooth.
     importer.SetPropertyFloat(AI_CONFIG_PP_GSN_MAX_SMOOTHING_ANGLE, 80.f);
     const aiScene* scene = importer.ReadFile(
-        file, aiProcess_Triangulate | aiProcess_JoinIdenticalVertices | aiProcess_GenSmoothNormals |
-                  aiProcess_SortByPType);
+        file, aiProcess_Triangulate | aiProcess_GenSmoothNormals | aiProcess_SortByPType);
     if (scene == nullptr || scene->mRootNode == nullptr)
       return fail(ErrorCode::kUnreadable, file, importer.GetErrorString());
     Import out;
@@ -124,7 +160,7 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
     if (out.mesh.triangles.empty())
       return fail(ErrorCode::kInvalid, file,
                   out.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
-    drop_unused_vertices(out.mesh);
+    weld(out.mesh);
     return out;
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, file, e.what());

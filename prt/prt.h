@@ -58,7 +58,7 @@ struct Import {
   Mesh mesh;
   std::size_t degenerate_triangles = 0;  // removed
 };
-/// glTF (.gltf, .glb), OBJ, PLY and what else Assimp reads, at rest pose; normals are made where absent.
+/// glTF (.gltf, .glb), OBJ, PLY, STL, FBX or COLLADA, at rest pose; normals are made where absent.
 /// Materials give the albedo, `default_albedo` where there is none.
 /// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate), kNonFinite (vertex named)
 Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo);
@@ -105,13 +105,15 @@ class RayScene {
 
 // ---------------------------------------------------------------------------------- bake
 
-/// Sample points of a receiving plane around an object: size x size texels, dense near the centre.
-/// Along each axis position = centre + core * sinh(k (2u - 1)), u in 0..1 the texture coordinate.
+/// Sample points of a receiving plane around an object: size x size texels, dense near the centre. Along
+/// each axis, with p in -1..1 the position in half extents and w in -1..1 the texture coordinate 2u - 1:
+///   w = (1 + k) p / (1 + k |p|),  p = w / (1 + k - k |w|),  k = 3
+/// so the centre is sampled 1 + k times as densely as an even grid and the rim 1/(1 + k) times.
 struct GroundGrid {
+  static constexpr float kStretch = 3;
   int size = 128;
   glm::vec2 centre{0, 0};    // x, z in the bake frame, metres
   float half_extent = 1;     // metres from the centre to the rim
-  float core = .1f;          // metres over which the spacing is about constant
   float height = 0;          // y of the plane in the bake frame
 
   glm::vec2 position(glm::vec2 uv) const;  // x, z

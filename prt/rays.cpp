@@ -129,7 +129,8 @@ std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const Pack
   fill(ray, origin, near, p);
   rtcOccluded16(kAllActive, impl_->scene, &context, &ray);
   std::uint32_t blocked = 0;
-  for (int i = 0; i < kPacket; ++i) blocked |= static_cast<std::uint32_t>(ray.tfar[i] < 0) << i;
+  for (int i = 0; i < kPacket; ++i)
+    if (ray.tfar[i] < 0) blocked |= 1u << i;
   return blocked;
 }
 

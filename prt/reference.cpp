@@ -209,8 +209,11 @@ double half_difference(const Image<Rgb>& a, const Image<Rgb>& b, int samples) {
 
 Result<Reference> render_reference(const World& world, const PinholeView& view,
                                    const ReferenceOptions& options) {
-  if (view.width < 1 || view.height < 1 || view.focal_px.x <= 0 || view.focal_px.y <= 0)
-    return fail(ErrorCode::kInvalid, "camera", "size and focal length must be positive");
+  if (view.width < 1 || view.height < 1 || !(view.focal_px.x > 0) || !(view.focal_px.y > 0) ||
+      !std::isfinite(view.focal_px.x + view.focal_px.y + view.principal_px.x + view.principal_px.y))
+    return fail(ErrorCode::kInvalid, "camera", "size and focal length must be positive and finite");
+  if (options.most_samples < 2) return fail(ErrorCode::kInvalid, "samples", "two at least, one for each half");
+  if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
   auto tracer = Tracer::make(world, options.longest_path);
   if (!tracer) return std::unexpected(tracer.error());
   Reference out;
@@ -243,6 +246,7 @@ Result<Reference> render_reference(const World& world, const PinholeView& view,
 
 Result<std::vector<Rgb>> reference_irradiance(const World& world, std::span<const IrradiancePoint> points,
                                               int samples, std::uint64_t seed) {
+  if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
   auto tracer = Tracer::make(world, ReferenceOptions{}.longest_path);
   if (!tracer) return std::unexpected(tracer.error());
   std::vector<Rgb> out(points.size());

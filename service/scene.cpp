@@ -59,7 +59,7 @@ std::uint64_t hash(std::uint64_t h, const void* data, std::size_t bytes) {  // F
 
 // Everything that the bake's result depends on; the version changes with the bake's own code.
 std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
-  constexpr std::uint64_t kBakeVersion = 1;
+  constexpr std::uint64_t kBakeVersion = 2;
   std::uint64_t h = hash(0xcbf29ce484222325ull, &kBakeVersion, sizeof kBakeVersion);
   h = hash(h, mesh.positions.data(), mesh.positions.size() * sizeof(glm::vec3));
   h = hash(h, mesh.normals.data(), mesh.normals.size() * sizeof(glm::vec3));
@@ -69,7 +69,7 @@ std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
   h = hash(h, numbers, sizeof numbers);
   if (o.receiver) {
     const prt::GroundGrid& g = o.receiver->grid;
-    const float floats[] = {g.centre.x, g.centre.y, g.half_extent, g.core, g.height, o.receiver->albedo.r,
+    const float floats[] = {g.centre.x, g.centre.y, g.half_extent, g.height, o.receiver->albedo.r,
                             o.receiver->albedo.g, o.receiver->albedo.b};
     h = hash(h, floats, sizeof floats);
   }
@@ -127,7 +127,7 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
   if (baked->receiver) {
     prt::GroundGrid& g = baked->receiver->grid;
     const auto k = static_cast<float>(scale);
-    g.centre *= k, g.half_extent *= k, g.core *= k, g.height *= k;
+    g.centre *= k, g.half_extent *= k, g.height *= k;
   }
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));

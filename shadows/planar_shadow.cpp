@@ -49,10 +49,10 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Radianc
         d[c] = fade * inverse[c] * deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
         largest = std::max(largest, std::abs(d[c]));
       }
-      const bool visible = largest > kInvisibleRatio;
+      const bool visible = largest > kInvisibleRatio && std::isfinite(d[0] + d[1] + d[2]);
       const float kept = visible ? smooth_step(largest / kInvisibleRatio - 1) : 0;
       Rgb& s = out.ratio.at(x, y);
-      for (int c = 0; c < 3; ++c) s[c] = std::clamp(1 - kept * d[c], 0.f, 1.5f);
+      for (int c = 0; c < 3; ++c) s[c] = visible ? std::clamp(1 - kept * d[c], 0.f, 1.5f) : 1;
       if (!visible) continue;
       out.x0 = std::min(out.x0, x);
       out.y0 = std::min(out.y0, y);

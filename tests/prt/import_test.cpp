@@ -170,7 +170,6 @@ TEST_F(ImportMesh, WithoutMaterialTheDefaultAlbedoHolds) {
   for (const auto& [name, text] : {std::pair<const char*, std::string>{"t.obj", kTriangle},
                                    {"t.ply", kPly},
                                    {"t.stl", stl},
-                                   {"t.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 0 -1\n3 0 1 2\n"},
                                    {"t.gltf", gltf(R"([{"mesh":0}])")}}) {
     const Mesh mesh = imported(name, text).mesh;
     expect_sound(mesh);

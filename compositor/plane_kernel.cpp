@@ -1,0 +1,85 @@
+#include "compositor/receivers.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "compositor/plane_kernel.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace penumbra::compositor {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+using D = hn::ScalableTag<float>;
+using DI = hn::RebindToSigned<D>;
+
+// Texture coordinate in texels along one axis: GroundGrid::uv without its centre.
+HWY_INLINE hn::Vec<D> Texel(hn::Vec<D> p, float size) {
+  const D d;
+  constexpr float k = prt::GroundGrid::kStretch;
+  const auto w = hn::Div(hn::Mul(p, hn::Set(d, 1 + k)), hn::MulAdd(hn::Abs(p), hn::Set(d, k), hn::Set(d, 1.f)));
+  const auto texel = hn::MulAdd(w, hn::Set(d, .5f * size), hn::Set(d, .5f * size - .5f));
+  return hn::Min(hn::Max(texel, hn::Zero(d)), hn::Set(d, size - 1));
+}
+
+HWY_INLINE void MultiplyChannel(const PlaneLookup& t, int channel, hn::Vec<DI> at, hn::Vec<D> fx, hn::Vec<D> fy,
+                                hn::Mask<D> inside, std::size_t count, float* out) {
+  const D d;
+  const float* const upper = t.ratio + channel;
+  const float* const lower = upper + 3 * t.size;
+  const auto a = hn::GatherIndex(d, upper, at), b = hn::GatherIndex(d, upper + 3, at);
+  const auto c = hn::GatherIndex(d, lower, at), e = hn::GatherIndex(d, lower + 3, at);
+  const auto top = hn::MulAdd(fx, hn::Sub(b, a), a), bottom = hn::MulAdd(fx, hn::Sub(e, c), c);
+  const auto s = hn::IfThenElse(inside, hn::MulAdd(fy, hn::Sub(bottom, top), top), hn::Set(d, 1.f));
+  if (count == hn::Lanes(d)) {
+    hn::StoreU(hn::Mul(s, hn::LoadU(d, out)), d, out);
+    return;
+  }
+  HWY_ALIGN float lanes[HWY_MAX_BYTES / sizeof(float)];
+  hn::Store(s, d, lanes);
+  for (std::size_t i = 0; i < count; ++i) out[i] *= lanes[i];
+}
+
+HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, float* r, float* g, float* b) {
+  const D d;
+  const DI di;
+  const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
+  const float py = static_cast<float>(y) + .5f;
+  const auto size = static_cast<float>(t.size);
+  float start[3];
+  for (int k = 0; k < 3; ++k) start[k] = t.h[k][1] * py + t.h[k][2];
+  for (std::size_t i = 0; i < total; i += lanes) {
+    const auto px = hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i)) + .5f));
+    const auto w = hn::MulAdd(px, hn::Set(d, t.h[2][0]), hn::Set(d, start[2]));
+    const auto inverse = hn::Div(hn::Set(d, 1.f), w);
+    const auto x = hn::Mul(hn::MulAdd(px, hn::Set(d, t.h[0][0]), hn::Set(d, start[0])), inverse);
+    const auto z = hn::Mul(hn::MulAdd(px, hn::Set(d, t.h[1][0]), hn::Set(d, start[1])), inverse);
+    const auto one = hn::Set(d, 1.f);
+    const auto inside = hn::And(hn::Gt(w, hn::Zero(d)), hn::And(hn::Lt(hn::Abs(x), one), hn::Lt(hn::Abs(z), one)));
+    if (hn::AllFalse(d, inside)) continue;
+    // Lanes outside may hold anything, NaN too: they read texel 0 and are not used.
+    const auto u = hn::IfThenElseZero(inside, Texel(x, size)), v = hn::IfThenElseZero(inside, Texel(z, size));
+    const auto last = hn::Set(di, t.size - 2);
+    const auto iu = hn::Min(hn::ConvertTo(di, u), last), iv = hn::Min(hn::ConvertTo(di, v), last);
+    const auto fx = hn::Sub(u, hn::ConvertTo(d, iu)), fy = hn::Sub(v, hn::ConvertTo(d, iv));
+    const auto at = hn::Mul(hn::Add(hn::Mul(iv, hn::Set(di, t.size)), iu), hn::Set(di, 3));
+    const std::size_t count = total - i < lanes ? total - i : lanes;
+    MultiplyChannel(t, 0, at, fx, fy, inside, count, r + i);
+    MultiplyChannel(t, 1, at, fx, fy, inside, count, g + i);
+    MultiplyChannel(t, 2, at, fx, fy, inside, count, b + i);
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace penumbra::compositor
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace penumbra::compositor {
+HWY_EXPORT(MultiplyPlaneRatios);
+
+void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g, float* b) {
+  HWY_DYNAMIC_DISPATCH(MultiplyPlaneRatios)(plane, y, x0, x1, r, g, b);
+}
+}  // namespace penumbra::compositor
+#endif
