@@ -219,7 +219,7 @@ class World {
 /// is kMeanLuminance: full scales a second at gain 1, the light of a room for usual exposure times.
 class FloorWorld : public World {
  public:
-  static constexpr double kCaptureHeight = 1.2, kMeanLuminance = 60;
+  static constexpr double kCaptureHeight = .8, kMeanLuminance = 60;
   /// errors: kInvalid (no pixels), kNonFinite, kUndetermined (black)
   static Result<std::shared_ptr<FloorWorld>> make(Image<Rgb> latlong);
   Rgb radiance(const glm::dvec3& origin, const glm::dvec3& direction) const override;

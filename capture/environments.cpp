@@ -12,7 +12,7 @@ namespace {
 
 using glm::dvec3;
 
-constexpr dvec3 kRoomLow(-3.4, -1.2, -3.0), kRoomHigh(3.6, 2.0, 3.2);  // metres from the capture point
+constexpr dvec3 kRoomLow(-3.4, -.8, -3.0), kRoomHigh(3.6, 2.1, 3.2);  // metres from the capture point
 
 bool inside(double a, double a0, double a1, double b, double b0, double b1) {
   return a > a0 && a < a1 && b > b0 && b < b1;
@@ -35,13 +35,13 @@ Rgb ceiling(const dvec3& p) {
 }
 
 Rgb window_wall(const dvec3& p) {  // z low: the window looks out in front
-  if (inside(p.x, -1.9, .9, p.y, -.35, 1.45)) {
+  if (inside(p.x, -1.9, .9, p.y, .0, 1.7)) {
     const double bar = std::min({std::abs(p.x + 1.9), std::abs(p.x + .5), std::abs(p.x - .9),
-                                 std::abs(p.y + .35), std::abs(p.y - .75), std::abs(p.y - 1.45)});
+                                 std::abs(p.y), std::abs(p.y - .95), std::abs(p.y - 1.7)});
     if (bar < .035) return {.5f, .49f, .47f};
-    const auto height = static_cast<float>((p.y + .35) / 1.8);
-    if (p.y < .05 + .12 * std::sin(3.1 * p.x) + .05 * std::sin(11 * p.x)) return {3.2f, 4.1f, 2.4f};  // trees
-    return Rgb{11, 14, 19} * (.75f + .35f * height);
+    const auto height = static_cast<float>(p.y / 1.7);
+    if (p.y < .33 + .12 * std::sin(3.1 * p.x) + .05 * std::sin(11 * p.x)) return {2.2f, 2.9f, 1.5f};  // trees
+    return Rgb{8, 10, 13.5f} * (.75f + .35f * height);
   }
   return {.78f, .76f, .72f};
 }
@@ -50,16 +50,16 @@ Rgb side_wall(const dvec3& p, bool left) {
   const Rgb paint = left ? Rgb{.74f, .46f, .33f} : Rgb{.63f, .67f, .66f};
   if (left) {  // two pictures
     for (const double z : {-1.3, .6})
-      if (inside(p.z, z - .42, z + .42, p.y, -.1, .75)) {
-        const bool frame = !inside(p.z, z - .37, z + .37, p.y, -.05, .7);
+      if (inside(p.z, z - .42, z + .42, p.y, .35, 1.2)) {
+        const bool frame = !inside(p.z, z - .37, z + .37, p.y, .4, 1.15);
         return frame ? Rgb{.09f, .07f, .06f}
                      : Rgb{.35f + .25f * float(std::sin(9 * p.z)), .4f, .3f + .3f * float(std::cos(7 * p.y))};
       }
-  } else if (inside(p.z, -1.6, .9, p.y, -1.2, .95)) {  // shelf with books
-    const double cell = std::fmod(p.y + 1.2, .43);
+  } else if (inside(p.z, -1.6, .9, p.y, kRoomLow.y, 1.3)) {  // shelf with books
+    const double cell = std::fmod(p.y - kRoomLow.y, .43);
     if (cell < .04 || std::abs(std::fmod(p.z + 1.6, .85)) < .03) return {.42f, .30f, .2f};
     const double book = std::floor(p.z * 21);
-    const auto hue = static_cast<float>(std::abs(std::sin(book * 12.9898 + std::floor((p.y + 1.2) / .43) * 78.233)));
+    const auto hue = static_cast<float>(std::abs(std::sin(book * 12.9898 + std::floor((p.y - kRoomLow.y) / .43) * 78.233)));
     return cell < .34 ? Rgb{.12f + .4f * hue, .14f + .25f * (1 - hue), .16f + .2f * std::abs(.5f - hue)}
                       : Rgb{.06f, .05f, .05f};
   }
@@ -68,7 +68,7 @@ Rgb side_wall(const dvec3& p, bool left) {
 
 Rgb room(const dvec3& d) {
   // A floor lamp's shade on the right before the wall.
-  const dvec3 lamp(2.5, .35, -1.9);
+  const dvec3 lamp(2.3, .75, -2.2);
   if (glm::dot(d, glm::normalize(lamp)) > std::cos(.19 / glm::length(lamp))) return {62, 44, 24};
   double t = 1e9;
   int axis = 0;
@@ -84,11 +84,11 @@ Rgb room(const dvec3& d) {
   } else if (axis == 2 && d.z < 0) {
     colour = window_wall(p);
   } else if (axis == 2) {
-    colour = inside(p.x, -.5, .5, p.y, -1.2, .95) ? Rgb{.36f, .25f, .17f} : Rgb{.78f, .76f, .72f};
+    colour = inside(p.x, -.5, .5, p.y, kRoomLow.y, 1.3) ? Rgb{.36f, .25f, .17f} : Rgb{.78f, .76f, .72f};
   } else {
     colour = side_wall(p, d.x < 0);
   }
-  if (axis != 1 && p.y < -1.1) colour = {.82f, .81f, .79f};  // skirting board
+  if (axis != 1 && p.y < kRoomLow.y + .09) colour = {.82f, .81f, .79f};  // skirting board
   // Painted surfaces as bright as the room's own lamps and window would make them.
   constexpr float kLitBy = 2.6f;
   return luminance(colour) > 2 ? colour : colour * (kLitBy * corner_shade(p));

@@ -44,7 +44,7 @@ float floor_detail(double x, double z) {
   const double fade = 1 / (1 + std::pow(std::hypot(x, z) / 2.4, 8));
   const double gx = x / kSlab - std::floor(x / kSlab), gz = z / kSlab - std::floor(z / kSlab);
   const double edge = std::min({gx, 1 - gx, gz, 1 - gz}) * kSlab;
-  const double joint = edge < kJoint ? .72 : 1;
+  const double joint = edge < kJoint ? .8 : 1;
   const int slab_x = static_cast<int>(std::floor(x / kSlab)), slab_z = static_cast<int>(std::floor(z / kSlab));
   const double tone = 1 + .08 * (lattice(slab_x * 7 + 3, slab_z * 13 + 5) - .5);
   const double grain = 1 + .16 * (value_noise(x * 90, z * 90) - .5) + .10 * (value_noise(x * 23, z * 23) - .5) +
@@ -101,10 +101,12 @@ Rgb FloorWorld::floor_albedo(const glm::dvec3& p) const {
   const double far = std::clamp((std::hypot(p.x, p.z) - 2) / 8, 0., 1.);
   const auto scale = static_cast<float>(albedo_scale_ + (1 - albedo_scale_) * far * far * (3 - 2 * far));
   const float detail = scale * floor_detail(p.x, p.z);
+  // Far out the plane stands for walls and lamps of the picture, which may be brighter than any floor.
+  const float whitest = far < 1 ? kWhitest / static_cast<float>(1 - far) : 1e6f;
   Rgb albedo;
   for (int c = 0; c < 3; ++c) {
     const float e = std::max(irradiance_[c], 1e-6f);
-    albedo[c] = std::clamp(static_cast<float>(kPi) * ground[c] / e * detail, kBlackest, kWhitest);
+    albedo[c] = std::clamp(static_cast<float>(kPi) * ground[c] / e * detail, kBlackest, whitest);
   }
   return albedo;
 }

@@ -95,7 +95,7 @@ class TomlKeys {
     std::vector<const toml::table*> out;
     const toml::node* node = table_.get(key);
     if (!node) return out;
-    if (!node->is_array()) return invalid(key, "not a list of tables");
+    if (!node->is_array()) return invalid(key, fmt::format("no [[{}]], but another kind of value", key));
     for (const toml::node& element : *node->as_array()) {
       if (!element.is_table()) return invalid(element, key, "not a [[" + std::string(key) + "]]");
       out.push_back(element.as_table());

@@ -197,7 +197,7 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"size\":9", "\"size\":1"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"count\":60", "\"count\":0"), ErrorCode::kUnreadable) << "no vertices";
   EXPECT_EQ(code("\"accessor\":", "\"accessed\":"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"version\":1", "\"version\":2"), ErrorCode::kInvalid) << "another version";
+  EXPECT_EQ(code("\"version\":2", "\"version\":3"), ErrorCode::kInvalid) << "another version";
   EXPECT_EQ(code("\"_TRANSFER_1\"", "\"_TRANSFER_7\""), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"penumbra\":", "\"elsewhere\":"), ErrorCode::kInvalid) << "not ours";
 }
