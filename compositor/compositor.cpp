@@ -137,9 +137,11 @@ Compositor::~Compositor() {
   if (impl_ && impl_->context) impl_->context->make_current();
 }
 
-Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Surface surface,
+Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Surface surface, int oversampling,
                                                        const std::string& title) {
   if (width < 1 || height < 1) return fail(ErrorCode::kInvalid, "compositor", "empty frame size");
+  if (oversampling != 2 && oversampling != 4)
+    return fail(ErrorCode::kInvalid, "compositor", "oversampling is 2 or 4");
   auto context = surface == Surface::kWindow ? make_window_context(width, height, title)
                                              : make_offscreen_context();
   if (!context) return std::unexpected(context.error());
@@ -147,7 +149,7 @@ Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Su
   impl->width = width;
   impl->height = height;
   impl->context = std::move(*context);
-  auto layers = Layers::create(width, height);
+  auto layers = Layers::create(width, height, oversampling);
   if (!layers) return std::unexpected(layers.error());
   impl->layers = std::make_unique<Layers>(std::move(*layers));
   if (impl->context->has_window()) {

@@ -9,10 +9,6 @@ namespace penumbra::compositor {
 
 namespace {
 
-// Two by two samples a pixel. Drawn twice as large and averaged: without a GPU that takes less time than
-// four-fold multisampling.
-constexpr int kOversampling = 2;
-
 constexpr const char* kObjectVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 albedo;
@@ -61,36 +57,35 @@ GLsizeiptr bytes_of(const auto& v) { return static_cast<GLsizeiptr>(v.size() * s
 
 }  // namespace
 
-Result<Layers> Layers::create(int width, int height) {
+Result<Layers> Layers::create(int width, int height, int oversampling) {
   auto object = make_program(kObjectVertex, kObjectFragment);
   if (!object) return std::unexpected(object.error());
   auto occluder = make_program(kOccluderVertex, kOccluderFragment);
   if (!occluder) return std::unexpected(occluder.error());
-  Layers layers(width, height, std::move(*object), std::move(*occluder));
+  Layers layers(width, height, oversampling, std::move(*object), std::move(*occluder));
   PENUMBRA_TRY(layers.make_targets());
   return layers;
 }
 
+// Drawn larger and averaged: without a GPU that takes less time than multisampling.
 Result<void> Layers::make_targets() {
-  Targets& t = targets_;
-  const auto complete = []() -> Result<void> {
-    if (glCheckFramebufferStatus(GL_FRAMEBUFFER) == GL_FRAMEBUFFER_COMPLETE) return {};
-    return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures");
-  };
-  const auto colour = [&](const GlTexture& x, int scale) {
-    glBindTexture(GL_TEXTURE_2D, x.get());
+  for (int scale = oversampling_; scale >= 1; scale /= 2) {
+    Target t;
+    t.scale = scale;
+    glBindFramebuffer(GL_FRAMEBUFFER, t.framebuffer.get());
+    glBindTexture(GL_TEXTURE_2D, t.colour.get());
     glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, scale * width_, scale * height_);
-    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, x.get(), 0);
-  };
-  glBindFramebuffer(GL_FRAMEBUFFER, t.fine.get());
-  colour(t.fine_colour, kOversampling);
-  glBindRenderbuffer(GL_RENDERBUFFER, t.fine_depth.get());
-  glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, kOversampling * width_, kOversampling * height_);
-  glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER, t.fine_depth.get());
-  PENUMBRA_TRY(complete());
-  glBindFramebuffer(GL_FRAMEBUFFER, t.averaged.get());
-  colour(t.averaged_colour, 1);
-  return complete();
+    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, t.colour.get(), 0);
+    if (scale == oversampling_) {
+      glBindRenderbuffer(GL_RENDERBUFFER, fine_depth_.get());
+      glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, scale * width_, scale * height_);
+      glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER, fine_depth_.get());
+    }
+    if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE)
+      return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures of this size");
+    targets_.push_back(std::move(t));
+  }
+  return {};
 }
 
 int Layers::add_object(const prt::BakedObject& baked) {
@@ -148,10 +143,10 @@ void Layers::add_occluder(const prt::Mesh& mesh) {
 
 // The viewport is moved so that the rectangle lies in the framebuffer's corner.
 void Layers::begin(const Rect& rect) {
-  glBindFramebuffer(GL_FRAMEBUFFER, targets_.fine.get());
-  glViewport(-kOversampling * rect.x0, -kOversampling * rect.y0, kOversampling * width_, kOversampling * height_);
+  glBindFramebuffer(GL_FRAMEBUFFER, targets_.front().framebuffer.get());
+  glViewport(-oversampling_ * rect.x0, -oversampling_ * rect.y0, oversampling_ * width_, oversampling_ * height_);
   glEnable(GL_SCISSOR_TEST);
-  glScissor(0, 0, kOversampling * rect.width(), kOversampling * rect.height());
+  glScissor(0, 0, oversampling_ * rect.width(), oversampling_ * rect.height());
   glEnable(GL_DEPTH_TEST);
   glClearColor(0, 0, 0, 0);
   glClear(GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT);
@@ -183,12 +178,16 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
 
 void Layers::finish(Layer& out) {
   glDisable(GL_SCISSOR_TEST);
-  glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_.averaged.get());
   const int w = out.rect.width(), h = out.rect.height();
-  // A linear blit of exactly two to one reads between four samples: their mean.
-  glBlitFramebuffer(0, 0, kOversampling * w, kOversampling * h, 0, 0, w, h, GL_COLOR_BUFFER_BIT, GL_LINEAR);
+  for (std::size_t i = 1; i < targets_.size(); ++i) {
+    // A linear blit of exactly two to one reads between four samples: their mean.
+    const int from = targets_[i - 1].scale, to = targets_[i].scale;
+    glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
+    glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
+    glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT, GL_LINEAR);
+  }
   out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.averaged.get());
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());
   glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
 }
 

@@ -23,7 +23,7 @@ struct Layer {
 
 class Layers {
  public:
-  static Result<Layers> create(int width, int height);
+  static Result<Layers> create(int width, int height, int oversampling);
 
   int add_object(const prt::BakedObject& object);
   void set_pose(int object, const Pose& world_from_bake);
@@ -49,18 +49,19 @@ class Layers {
     GlBuffer vertices, indices;
     GLsizei index_count = 0;
   };
-  struct Targets {
-    GlFramebuffer fine, averaged;
-    GlRenderbuffer fine_depth;
-    GlTexture fine_colour, averaged_colour;
+  // The fine picture first, each following one half as large, the last at one sample a pixel.
+  struct Target {
+    GlFramebuffer framebuffer;
+    GlTexture colour;
+    int scale;
   };
   struct Drawn {
     View view;
     Rect receiver_area;
   };
 
-  Layers(int width, int height, GlProgram object, GlProgram occluder)
-      : width_(width), height_(height), object_program_(std::move(object)),
+  Layers(int width, int height, int oversampling, GlProgram object, GlProgram occluder)
+      : width_(width), height_(height), oversampling_(oversampling), object_program_(std::move(object)),
         occluder_program_(std::move(occluder)) {}
   Result<void> make_targets();
   void begin(const Rect& rect);
@@ -68,9 +69,10 @@ class Layers {
   void draw_objects(const View& view, const glm::dmat4& clip_from_world);
   void finish(Layer& out);
 
-  int width_, height_;
+  int width_, height_, oversampling_;
   GlProgram object_program_, occluder_program_;
-  Targets targets_;
+  std::vector<Target> targets_;
+  GlRenderbuffer fine_depth_;
   std::vector<Object> objects_;
   std::vector<Occluder> occluders_;
   std::optional<Drawn> drawn_;  // what the caller's layers show

@@ -68,13 +68,13 @@ struct Masks {
 Result<Masks> make_masks(const Bench& bench) {
   const Image<Rgb> white(64, 32, {1, 1, 1});
   StillScene in{&bench.prepared, &white, bench.view};
-  Still backdrop{Image<Rgb>(bench.view.width, bench.view.height, {0, 0, 0}), 0, 0};
+  Still backdrop{Image<Rgb>(bench.view.width, bench.view.height, {0, 0, 0}), 0, 0, {}, {}};
   RadianceSh light(1);
   light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
   auto lit = render_composite(in, light, backdrop);
   if (!lit) return std::unexpected(lit.error());
   // Over white, an object pixel of full coverage shows nothing of the backdrop.
-  Still white_backdrop{Image<Rgb>(bench.view.width, bench.view.height, {100, 100, 100}), 0, 0};
+  Still white_backdrop{Image<Rgb>(bench.view.width, bench.view.height, {100, 100, 100}), 0, 0, {}, {}};
   auto over_white = render_composite(in, light, white_backdrop);
   if (!over_white) return std::unexpected(over_white.error());
   Masks masks;
@@ -95,13 +95,14 @@ Result<Masks> make_masks(const Bench& bench) {
 Row compare_pictures(const Still& ours, const Still& truth, const Still& empty, const Still& our_empty,
                      const Masks& masks) {
   Row row;
-  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0;
+  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
     const double a = luminance(ours.radiance.pixels()[i]), t = luminance(truth.radiance.pixels()[i]);
     if (masks.object[i]) {
       square += (a - t) * (a - t);
       mean += t;
       bias += a - t;
+      noise += std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) / 4;
       ++objects;
     } else if (masks.floor[i]) {
       const double s_true = t / luminance(empty.radiance.pixels()[i]);
@@ -114,7 +115,7 @@ Row compare_pictures(const Still& ours, const Still& truth, const Still& empty, 
   row.object_rel_rmse = std::sqrt(square / objects) / (mean / objects);
   row.object_bias = bias / mean;
   row.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;
-  row.reference_error = truth.error;
+  row.reference_error = std::sqrt(noise / objects) / (mean / objects);
   return row;
 }
 

@@ -52,7 +52,7 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(const std::vector<capture::CameraInfo>& cameras,
                                                            const PreparedScene& scene,
                                                            compositor::Compositor::Surface surface,
-                                                           StageTimes& times) {
+                                                           StageTimes& times, int oversampling) {
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
@@ -63,7 +63,8 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(const std::vector<cap
     if (!first) first = &c;
   }
   if (!first) return fail(ErrorCode::kInvalid, "capture", "has no view camera");
-  auto compositor = compositor::Compositor::create(first->projection.width, first->projection.height, surface);
+  auto compositor = compositor::Compositor::create(first->projection.width, first->projection.height, surface,
+                                                   oversampling);
   if (!compositor) return std::unexpected(compositor.error());
   auto stage = std::unique_ptr<ComposeStage>(new ComposeStage(std::move(*compositor), times));
   for (const capture::CameraInfo& c : cameras) stage->views_.push_back({c, std::nullopt, std::nullopt});

@@ -51,7 +51,8 @@ class ComposeStage {
   /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole), kUnavailable
   static Result<std::unique_ptr<ComposeStage>> create(const std::vector<capture::CameraInfo>& cameras,
                                                       const PreparedScene& scene,
-                                                      compositor::Compositor::Surface surface, StageTimes& times);
+                                                      compositor::Compositor::Surface surface, StageTimes& times,
+                                                      int oversampling = 2);
 
   /// Composites one view frame under `light`. errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);

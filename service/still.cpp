@@ -73,7 +73,7 @@ Result<Still> render_composite(const StillScene& in, const RadianceSh& light, co
                        in.view.principal_px};
   camera.world_from_camera = in.view.world_from_camera;
   StageTimes times;
-  auto stage = ComposeStage::create({camera}, *in.scene, compositor::Compositor::Surface::kOffscreen, times);
+  auto stage = ComposeStage::create({camera}, *in.scene, compositor::Compositor::Surface::kOffscreen, times, 4);
   if (!stage) return std::unexpected(stage.error());
   capture::Frame frame;
   frame.exposure = {Seconds(1), Gain(1)};
@@ -84,7 +84,7 @@ Result<Still> render_composite(const StillScene& in, const RadianceSh& light, co
   estimate.valid = true;
   auto composited = (*stage)->process(frame, estimate);
   if (!composited) return std::unexpected(composited.error());
-  return Still{std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples};
+  return Still{std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
 }
 
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
@@ -103,7 +103,8 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
   options.progress = progress;
   auto reference = prt::render_reference(world, in.view, options);
   if (!reference) return std::unexpected(reference.error());
-  return Still{std::move(reference->radiance), reference->error, reference->samples};
+  return Still{std::move(reference->radiance), reference->error, reference->samples,
+               std::move(reference->half_a), std::move(reference->half_b)};
 }
 
 }  // namespace penumbra::service

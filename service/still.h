@@ -15,6 +15,7 @@ struct Still {
   Image<Rgb> radiance;
   double error = 0;  // the reference's own estimate; 0 where nothing was sampled
   int samples = 0;
+  Image<Rgb> half_a, half_b;  // of a reference: independent, their mean is `radiance`; else empty
 };
 
 struct StillScene {
