@@ -23,10 +23,10 @@ namespace penumbra::calib {
 // ---------------------------------------------------------------------------------- projection
 
 enum class ProjectionKind {
-  kLatLong,        // whole sphere, conventions.h
-  kAngular,        // whole sphere, radius proportional to the angle from -z; inscribed circle (Debevec)
-  kMirrorBall,     // orthographic mirror ball, r = R sin(th/2); inscribed circle; exactly equal area
-  kEquidistant,    // fisheye r = f th
+  kLatLong,  // whole sphere, conventions.h
+  kAngular,  // whole sphere, radius proportional to the angle from -z; inscribed circle (Debevec)
+  kMirrorBall,   // orthographic mirror ball, r = R sin(th/2); inscribed circle; exactly equal area
+  kEquidistant,  // fisheye r = f th
   kPinhole,
   kVerticalCross,  // 3 x 4 faces: top; left front right; bottom; back turned by 180 degrees
   kExrLatLong,     // OpenEXR's lat-long: centre +z, +x left of centre, pixel centres on the poles
@@ -46,20 +46,23 @@ struct Projection {
   glm::dvec2 principal_px{0, 0};
 };
 
-/// A projection with defaults filled in: principal point in the middle; equidistant: 180 degrees across
-/// the shorter side; pinhole: 60 degrees across the height. errors: kInvalid (size, aspect of a cross)
+/// A projection with defaults filled in: principal point in the middle; equidistant: 180 degrees
+/// across the shorter side; pinhole: 60 degrees across the height. errors: kInvalid (size, aspect
+/// of a cross)
 Result<Projection> make_projection(ProjectionKind kind, int width, int height);
 
-/// Direction in the camera frame seen at a continuous pixel; nothing outside the picture's valid area.
+/// Direction in the camera frame seen at a continuous pixel; nothing outside the picture's valid
+/// area.
 std::optional<glm::dvec3> direction_from_pixel(const Projection& projection, glm::dvec2 pixel);
 
 /// Inverse; nothing where the camera does not look (behind a pinhole, outside a fisheye's picture).
-std::optional<glm::dvec2> pixel_from_direction(const Projection& projection, const glm::dvec3& direction);
+std::optional<glm::dvec2> pixel_from_direction(const Projection& projection,
+                                               const glm::dvec3& direction);
 
-/// Per pixel: unit direction through its centre, exact solid angle (integrated over the pixel's valid
-/// part; pixels partly outside the sphere's image count only their part), confidence 0..1 (0 = not seen).
-/// The solid angles of a whole-sphere projection sum to 4 pi within 1e-6.
-/// source: central radial lens r(th): dw/dA = sin th/(r r'); mirror ball 4/R^2; plane element of a cube
+/// Per pixel: unit direction through its centre, exact solid angle (integrated over the pixel's
+/// valid part; pixels partly outside the sphere's image count only their part), confidence 0..1 (0
+/// = not seen). The solid angles of a whole-sphere projection sum to 4 pi within 1e-6. source:
+/// central radial lens r(th): dw/dA = sin th/(r r'); mirror ball 4/R^2; plane element of a cube
 struct ProjectionTable {
   int width = 0, height = 0;
   std::vector<glm::vec3> direction;
@@ -101,18 +104,17 @@ class Response {
 Result<Response> parse_response(const std::string& text, const std::filesystem::path& folder = {});
 Result<void> write_response(const std::filesystem::path& path, const Response& response);
 
-/// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes left out,
-/// made monotone; masked pixels are pure blue (0,0,255) registration borders.
-/// errors: kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one colour)
+/// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes
+/// left out, made monotone; masked pixels are pure blue (0,0,255) registration borders. errors:
+/// kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one colour)
 Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
                                    std::span<const Seconds> times);
 
 // ---------------------------------------------------------------------------------- noise
 
 /// Signal y in fractions of full scale at gain g: var(y) = g y / full_well + (g read)^2, where
-/// `full_well` is in electrons at gain 1 and `read` in fractions of full scale at gain 1. Quantisation
-/// is added by whoever knows the bit depth.
-/// source: Hasinoff et al. 2010, eq. 1-3
+/// `full_well` is in electrons at gain 1 and `read` in fractions of full scale at gain 1.
+/// Quantisation is added by whoever knows the bit depth. source: Hasinoff et al. 2010, eq. 1-3
 struct NoiseModel {
   double full_well_electrons = 20000;
   double read_fraction = 5e-4;

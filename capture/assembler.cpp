@@ -24,10 +24,14 @@ bool is_identity_latlong(const calib::Projection& p, const Pose& pose, int width
 
 }  // namespace
 
-EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection, const Pose& world_from_camera,
-                                           int width, int height)
-    : source_width_(projection.width), source_height_(projection.height), width_(width), height_(height),
-      seen_(static_cast<std::size_t>(height)), alpha_(static_cast<std::size_t>(height)) {
+EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
+                                           const Pose& world_from_camera, int width, int height)
+    : source_width_(projection.width),
+      source_height_(projection.height),
+      width_(width),
+      height_(height),
+      seen_(static_cast<std::size_t>(height)),
+      alpha_(static_cast<std::size_t>(height)) {
   if (is_identity_latlong(projection, world_from_camera, width, height)) {
     std::ranges::fill(seen_, width);
     return;
@@ -51,7 +55,8 @@ EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection, 
       const double py = std::clamp(pixel->y - .5, 0., source_height_ - 1.);
       const int ix = std::min(static_cast<int>(px), source_width_ - 2);
       const int iy = std::min(static_cast<int>(py), source_height_ - 2);
-      taps_.push_back({iy * source_width_ + ix, static_cast<float>(px - ix), static_cast<float>(py - iy)});
+      taps_.push_back(
+          {iy * source_width_ + ix, static_cast<float>(px - ix), static_cast<float>(py - iy)});
     }
     spans_.push_back({std::min(span.first, span.last), span.last});
   }
@@ -61,10 +66,10 @@ EnvironmentAssembler::~EnvironmentAssembler() = default;
 EnvironmentAssembler::EnvironmentAssembler(EnvironmentAssembler&&) noexcept = default;
 EnvironmentAssembler& EnvironmentAssembler::operator=(EnvironmentAssembler&&) noexcept = default;
 
-// A row of the environment is a curve in the source: tiles reuse the source's cache lines between rows.
-// What is not seen stays black from the allocation on.
-void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
-                                       Image<Rgb>& out) {
+// A row of the environment is a curve in the source: tiles reuse the source's cache lines between
+// rows. What is not seen stays black from the allocation on.
+void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::uint16_t* source,
+                                       float scale, Image<Rgb>& out) {
   for (int y = first_row; y < last_row; ++y) alpha_[static_cast<std::size_t>(y)] = 0;
   for (int tile = 0; tile < width_; tile += kTileColumns)
     for (int y = first_row; y < last_row; ++y) {
@@ -72,9 +77,10 @@ void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::u
       const int first = std::max(tile, spans_[row].first);
       const int last = std::min(tile + kTileColumns, spans_[row].last);
       if (first >= last) continue;
-      alpha_[row] += double(gather_row(source, source_width_,
-                                       &taps_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
-                                       last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
+      alpha_[row] += double(gather_row(
+          source, source_width_,
+          &taps_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
+          last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
     }
 }
 
@@ -84,7 +90,8 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     out.confidence = {};
     if (!complete_) {
       out.confidence = Image<float>(width_, height_);
-      for (std::size_t i = 0; i < taps_.size(); ++i) out.confidence.pixels()[i] = taps_[i].offset < 0 ? 0.f : 1.f;
+      for (std::size_t i = 0; i < taps_.size(); ++i)
+        out.confidence.pixels()[i] = taps_[i].offset < 0 ? 0.f : 1.f;
     }
   }
   const auto* source = &merged.pixels.pixels()[0].r;
@@ -92,8 +99,8 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     if (taps_.empty()) {
       for (int y = rows.begin(); y < rows.end(); ++y)
         alpha_[static_cast<std::size_t>(y)] =
-            double(convert_row(source + 4 * static_cast<std::ptrdiff_t>(y) * width_, width_, merged.scale,
-                               &out.radiance.row(y)[0].r));
+            double(convert_row(source + 4 * static_cast<std::ptrdiff_t>(y) * width_, width_,
+                               merged.scale, &out.radiance.row(y)[0].r));
     } else {
       gather_rows(rows.begin(), rows.end(), source, merged.scale, out.radiance);
     }

@@ -1,6 +1,6 @@
-// Cameras and what becomes of their frames: capture folders, the synthetic studio, HDR merge, and the
-// assembly of a lat-long environment. Nothing here knows spherical harmonics.
-// threads: classes are thread-bound (one thread at a time), free functions reentrant
+// Cameras and what becomes of their frames: capture folders, the synthetic studio, HDR merge, and
+// the assembly of a lat-long environment. Nothing here knows spherical harmonics. threads: classes
+// are thread-bound (one thread at a time), free functions reentrant
 #pragma once
 
 #include <cstdint>
@@ -59,18 +59,18 @@ class FrameSource {
 
 // ------------------------------------------------------------------------------ capture folder
 
-/// Opens a folder with capture.toml (design in docs/capture-folder.md). Everything that can be checked
-/// without decoding a picture is checked here: keys, sizes, exposures (positive, finite), times
-/// (non-decreasing), files present.
-/// errors: kNotFound, kInvalid (unknown key, bad value: file and line), kUnreadable
+/// Opens a folder with capture.toml (design in docs/capture-folder.md). Everything that can be
+/// checked without decoding a picture is checked here: keys, sizes, exposures (positive, finite),
+/// times (non-decreasing), files present. errors: kNotFound, kInvalid (unknown key, bad value: file
+/// and line), kUnreadable
 Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder);
 
 /// A camera on its own (for `render`): `version = 1` and one [[camera]] without frames.
 /// errors: kNotFound, kUnreadable, kInvalid
 Result<CameraInfo> read_camera_file(const std::filesystem::path& path);
 
-/// Writes a capture folder frame by frame: 8 and 16 bit frames as PNG, float ones as EXR. capture.toml
-/// is written by finish(), so an unfinished folder is not a capture.
+/// Writes a capture folder frame by frame: 8 and 16 bit frames as PNG, float ones as EXR.
+/// capture.toml is written by finish(), so an unfinished folder is not a capture.
 class CaptureFolderWriter {
  public:
   /// errors: kUnwritable
@@ -101,16 +101,17 @@ struct ExposureStack {
 CodeCurve make_code_curve(const calib::Response& response, int bits, double black_level);
 
 struct MergedImage {
-  Image<HalfRgba> pixels;     // radiance / `scale`; fourth channel 0 where every exposure is clipped
-  float scale = 1;            // relative radiance of a stored 1
+  Image<HalfRgba> pixels;  // radiance / `scale`; fourth channel 0 where every exposure is clipped
+  float scale = 1;         // relative radiance of a stored 1
   double clipped_fraction = 0;  // of the pixels
   double black_fraction = 0;    // of the samples: under twice the noise in the longest exposure
 };
 
-/// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from the
-/// Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count. Negative results
-/// are kept; a pixel that is clipped everywhere gets the lower bound of its shortest exposure.
-/// errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and finite),
+/// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from
+/// the Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count. Negative
+/// results are kept; a pixel that is clipped everywhere gets the lower bound of its shortest
+/// exposure. errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and
+/// finite),
 ///          kUndetermined (all black, all clipped)
 /// source:  Granados et al. 2010; start Hanji et al. 2020; weights Hasinoff et al. 2010
 struct MergedFloat {
@@ -120,28 +121,32 @@ struct MergedFloat {
 };
 Result<MergedFloat> merge(const ExposureStack& stack);
 
-/// The same estimate for 8-bit frames of a fixed set of exposures, from tables: the longest unclipped
-/// exposure and the next one decide, which costs at most 3 % of RMSE at two stops between exposures.
-/// threads: merge() reentrant, internally parallel, no allocation once `out` has its size
+/// The same estimate for 8-bit frames of a fixed set of exposures, from tables: the longest
+/// unclipped exposure and the next one decide, which costs at most 3 % of RMSE at two stops between
+/// exposures. threads: merge() reentrant, internally parallel, no allocation once `out` has its
+/// size
 class TableMerger {
  public:
   /// Nothing when exposures lie so close that two of them hold less than 90 % of the information.
-  static std::optional<TableMerger> make(std::span<const Exposure> exposures, const calib::Response& response,
+  static std::optional<TableMerger> make(std::span<const Exposure> exposures,
+                                         const calib::Response& response,
                                          const calib::NoiseModel& noise, double black_level);
   /// frames in the order of the exposures given to make(), equal sizes.
   void merge(std::span<const Image<Rgb8>* const> frames, MergedImage& out) const;
 
  private:
   TableMerger() = default;
-  std::vector<int> order_;       // longest exposure first
-  std::vector<std::uint16_t> tables_;  // [channel set][step][code of next][code]: half radiance / scale
+  std::vector<int> order_;  // longest exposure first
+  std::vector<std::uint16_t>
+      tables_;  // [channel set][step][code of next][code]: half radiance / scale
   int channel_sets_ = 1;
   float scale_ = 1;
   std::array<std::uint8_t, 3> clip_code_{};
   std::array<std::uint8_t, 3> black_code_{};
 };
 
-/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new image.
+/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new
+/// image.
 class HdrRing {
  public:
   HdrRing(CameraInfo camera, int slots);
@@ -165,8 +170,8 @@ struct GatherTap;  // private: gather_kernel.h
 /// Gathers a camera's merged image into a lat-long environment in world directions.
 class EnvironmentAssembler {
  public:
-  EnvironmentAssembler(const calib::Projection& projection, const Pose& world_from_camera, int width,
-                       int height);
+  EnvironmentAssembler(const calib::Projection& projection, const Pose& world_from_camera,
+                       int width, int height);
   ~EnvironmentAssembler();
   EnvironmentAssembler(EnvironmentAssembler&&) noexcept;
   EnvironmentAssembler& operator=(EnvironmentAssembler&&) noexcept;
@@ -175,21 +180,22 @@ class EnvironmentAssembler {
   void assemble(const MergedImage& merged, Environment& out);
 
  private:
-  void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale, Image<Rgb>& out);
+  void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
+                   Image<Rgb>& out);
   struct Span {
     int first, last;  // columns [first, last) of a row hold everything that is seen
   };
   int source_width_, source_height_, width_, height_;
   bool complete_ = true;
-  std::vector<Span> spans_;    // one a row
-  std::vector<int> seen_;      // pixels a row
-  std::vector<double> alpha_;  // sum of the confidence a row, of the newest image
+  std::vector<Span> spans_;      // one a row
+  std::vector<int> seen_;        // pixels a row
+  std::vector<double> alpha_;    // sum of the confidence a row, of the newest image
   std::vector<GatherTap> taps_;  // empty: the source is the environment already
 };
 
-/// An environment file in any supported projection as directions, solid angles and radiance. The mapping
-/// comes from the OpenEXR attribute where there is one, else from `projection`, else from the shape:
-/// 2:1 lat-long, 3:4 vertical cross, 1:1 angular. Non-finite pixels get no solid angle.
+/// An environment file in any supported projection as directions, solid angles and radiance. The
+/// mapping comes from the OpenEXR attribute where there is one, else from `projection`, else from
+/// the shape: 2:1 lat-long, 3:4 vertical cross, 1:1 angular. Non-finite pixels get no solid angle.
 struct EnvironmentFile {
   calib::Projection projection;
   calib::ProjectionTable table;
@@ -214,9 +220,10 @@ class World {
 };
 
 /// A far environment over a textured diffuse floor y = 0. The floor takes its colour from the
-/// environment's own ground, seen from kCaptureHeight above the origin, and fine detail from a procedural
-/// texture; it is lit by the environment. Radiance is scaled so that the mean luminance over the sphere
-/// is kMeanLuminance: full scales a second at gain 1, the light of a room for usual exposure times.
+/// environment's own ground, seen from kCaptureHeight above the origin, and fine detail from a
+/// procedural texture; it is lit by the environment. Radiance is scaled so that the mean luminance
+/// over the sphere is kMeanLuminance: full scales a second at gain 1, the light of a room for usual
+/// exposure times.
 class FloorWorld : public World {
  public:
   static constexpr double kCaptureHeight = .8, kMeanLuminance = 60;
@@ -242,8 +249,8 @@ Image<Rgb> make_room_environment(int width, int height);
 /// Clear sky with a sun disc (radius .2666 degrees) of the given elevation, over grey ground.
 Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad);
 
-/// From radiance to codes: exposure, vignetting, shot and read noise, black level, clipping, response,
-/// quantisation.
+/// From radiance to codes: exposure, vignetting, shot and read noise, black level, clipping,
+/// response, quantisation.
 struct Sensor {
   calib::Response response;
   calib::NoiseModel noise;
@@ -261,18 +268,20 @@ void expose(const Sensor& sensor, const Image<Rgb>& radiance, Exposure exposure,
 struct StudioOptions {
   int environment_width = 1024, environment_height = 512;
   int view_width = 1280, view_height = 720;
-  Pose world_from_view;             // where the view camera stands
+  Pose world_from_view;  // where the view camera stands
   double view_focal_px = 1100;
   double environment_fps = 30, view_fps = 30;
-  std::vector<Exposure> schedule;   // of the environment camera; empty: chosen from the light
-  std::optional<Exposure> view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
+  std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
+  std::optional<Exposure>
+      view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
   Sensor sensor;
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;
-  int drop_every = 0;               // every n-th frame of each camera never arrives; 0 = none
+  int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none
   int view_frames = 120;
   std::uint64_t seed = 1;
-  /// Distinct noise patterns of the static view camera, filmed before the first frame; 0 = each frame new.
+  /// Distinct noise patterns of the static view camera, filmed before the first frame; 0 = each
+  /// frame new.
   int view_clip = 0;
 };
 

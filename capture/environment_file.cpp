@@ -29,8 +29,9 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
   const int w = out.radiance.width(), h = out.radiance.height();
   std::optional<calib::ProjectionKind> kind = asked;
   if (image->environment)
-    kind = *image->environment == codec::EnvironmentAttribute::kCube ? calib::ProjectionKind::kExrCube
-                                                                      : calib::ProjectionKind::kExrLatLong;
+    kind = *image->environment == codec::EnvironmentAttribute::kCube
+               ? calib::ProjectionKind::kExrCube
+               : calib::ProjectionKind::kExrLatLong;
   if (!kind) kind = kind_from_shape(w, h);
   if (!kind)
     return fail(ErrorCode::kInvalid, path.string(),
@@ -53,22 +54,24 @@ Result<Image<Rgb>> to_latlong(const EnvironmentFile& file) {
   // As many rows as the source has over half a turn.
   int height = file.projection.height;
   if (file.projection.kind == calib::ProjectionKind::kExrCube) height = 2 * file.projection.width;
-  if (file.projection.kind == calib::ProjectionKind::kVerticalCross) height = 2 * file.projection.width / 3;
+  if (file.projection.kind == calib::ProjectionKind::kVerticalCross)
+    height = 2 * file.projection.width / 3;
   height = std::max(4, height / 2 * 2);
   Image<Rgb> out(2 * height, height);
   const int w = file.radiance.width(), h = file.radiance.height();
   for (int y = 0; y < height; ++y)
     for (int x = 0; x < 2 * height; ++x) {
-      const auto p = calib::pixel_from_direction(file.projection,
-                                                 latlong_direction(x + .5, y + .5, 2 * height, height));
+      const auto p = calib::pixel_from_direction(
+          file.projection, latlong_direction(x + .5, y + .5, 2 * height, height));
       if (!p) continue;
       const double px = std::clamp(p->x - .5, 0., w - 1.), py = std::clamp(p->y - .5, 0., h - 1.);
       const int ix = std::min(static_cast<int>(px), std::max(0, w - 2));
       const int iy = std::min(static_cast<int>(py), std::max(0, h - 2));
       const auto fx = static_cast<float>(px - ix), fy = static_cast<float>(py - iy);
       const int jx = std::min(ix + 1, w - 1), jy = std::min(iy + 1, h - 1);
-      out.at(x, y) = (file.radiance.at(ix, iy) * (1 - fx) + file.radiance.at(jx, iy) * fx) * (1 - fy) +
-                     (file.radiance.at(ix, jy) * (1 - fx) + file.radiance.at(jx, jy) * fx) * fy;
+      out.at(x, y) =
+          (file.radiance.at(ix, iy) * (1 - fx) + file.radiance.at(jx, iy) * fx) * (1 - fy) +
+          (file.radiance.at(ix, jy) * (1 - fx) + file.radiance.at(jx, jy) * fx) * fy;
     }
   return out;
 }

@@ -12,7 +12,8 @@ namespace {
 
 using glm::dvec3;
 
-constexpr dvec3 kRoomLow(-3.4, -.8, -3.0), kRoomHigh(3.6, 2.1, 3.2);  // metres from the capture point
+constexpr dvec3 kRoomLow(-3.4, -.8, -3.0),
+    kRoomHigh(3.6, 2.1, 3.2);  // metres from the capture point
 
 bool inside(double a, double a0, double a1, double b, double b0, double b1) {
   return a > a0 && a < a1 && b > b0 && b < b1;
@@ -40,7 +41,8 @@ Rgb window_wall(const dvec3& p) {  // z low: the window looks out in front
                                  std::abs(p.y), std::abs(p.y - .95), std::abs(p.y - 1.7)});
     if (bar < .035) return {.5f, .49f, .47f};
     const auto height = static_cast<float>(p.y / 1.7);
-    if (p.y < .33 + .12 * std::sin(3.1 * p.x) + .05 * std::sin(11 * p.x)) return {2.2f, 2.9f, 1.5f};  // trees
+    if (p.y < .33 + .12 * std::sin(3.1 * p.x) + .05 * std::sin(11 * p.x))
+      return {2.2f, 2.9f, 1.5f};  // trees
     return Rgb{8, 10, 13.5f} * (.75f + .35f * height);
   }
   return {.78f, .76f, .72f};
@@ -53,15 +55,18 @@ Rgb side_wall(const dvec3& p, bool left) {
       if (inside(p.z, z - .42, z + .42, p.y, .35, 1.2)) {
         const bool frame = !inside(p.z, z - .37, z + .37, p.y, .4, 1.15);
         return frame ? Rgb{.09f, .07f, .06f}
-                     : Rgb{.35f + .25f * float(std::sin(9 * p.z)), .4f, .3f + .3f * float(std::cos(7 * p.y))};
+                     : Rgb{.35f + .25f * float(std::sin(9 * p.z)), .4f,
+                           .3f + .3f * float(std::cos(7 * p.y))};
       }
   } else if (inside(p.z, -1.6, .9, p.y, kRoomLow.y, 1.3)) {  // shelf with books
     const double cell = std::fmod(p.y - kRoomLow.y, .43);
     if (cell < .04 || std::abs(std::fmod(p.z + 1.6, .85)) < .03) return {.42f, .30f, .2f};
     const double book = std::floor(p.z * 21);
-    const auto hue = static_cast<float>(std::abs(std::sin(book * 12.9898 + std::floor((p.y - kRoomLow.y) / .43) * 78.233)));
-    return cell < .34 ? Rgb{.12f + .4f * hue, .14f + .25f * (1 - hue), .16f + .2f * std::abs(.5f - hue)}
-                      : Rgb{.06f, .05f, .05f};
+    const auto hue = static_cast<float>(
+        std::abs(std::sin(book * 12.9898 + std::floor((p.y - kRoomLow.y) / .43) * 78.233)));
+    return cell < .34
+               ? Rgb{.12f + .4f * hue, .14f + .25f * (1 - hue), .16f + .2f * std::abs(.5f - hue)}
+               : Rgb{.06f, .05f, .05f};
   }
   return paint;
 }
@@ -84,7 +89,8 @@ Rgb room(const dvec3& d) {
   } else if (axis == 2 && d.z < 0) {
     colour = window_wall(p);
   } else if (axis == 2) {
-    colour = inside(p.x, -.5, .5, p.y, kRoomLow.y, 1.3) ? Rgb{.36f, .25f, .17f} : Rgb{.78f, .76f, .72f};
+    colour =
+        inside(p.x, -.5, .5, p.y, kRoomLow.y, 1.3) ? Rgb{.36f, .25f, .17f} : Rgb{.78f, .76f, .72f};
   } else {
     colour = side_wall(p, d.x < 0);
   }
@@ -102,7 +108,8 @@ Image<Rgb> paint(int width, int height, int samples, Radiance radiance) {
       Rgb sum;
       for (int j = 0; j < samples; ++j)
         for (int i = 0; i < samples; ++i)
-          sum += radiance(latlong_direction(x + (i + .5) / samples, y + (j + .5) / samples, width, height));
+          sum += radiance(
+              latlong_direction(x + (i + .5) / samples, y + (j + .5) / samples, width, height));
       map.at(x, y) = sum * (1.f / static_cast<float>(samples * samples));
     }
   });
@@ -111,33 +118,41 @@ Image<Rgb> paint(int width, int height, int samples, Radiance radiance) {
 
 }  // namespace
 
-Image<Rgb> make_room_environment(int width, int height) { return paint(width, height, 2, room); }
+Image<Rgb> make_room_environment(int width, int height) {
+  return paint(width, height, 2, room);
+}
 
 Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad) {
   constexpr double kSunRadius = .2666 * kPi / 180;
-  const dvec3 sun = glm::normalize(dvec3(.55 * std::cos(sun_elevation_rad), std::sin(sun_elevation_rad),
-                                         -.83 * std::cos(sun_elevation_rad)));
+  const dvec3 sun =
+      glm::normalize(dvec3(.55 * std::cos(sun_elevation_rad), std::sin(sun_elevation_rad),
+                           -.83 * std::cos(sun_elevation_rad)));
   Image<Rgb> map = paint(width, height, 2, [&](const dvec3& d) {
     if (d.y < 0) return Rgb{.16f, .15f, .13f};
     const auto gamma = static_cast<float>(std::max(0., glm::dot(d, sun)));
     const auto low = static_cast<float>(std::pow(1 - d.y, 3));
-    return Rgb{.11f, .21f, .46f} + Rgb{.35f, .33f, .26f} * low + Rgb{.5f, .45f, .35f} * std::pow(gamma, 60.f);
+    return Rgb{.11f, .21f, .46f} + Rgb{.35f, .33f, .26f} * low +
+           Rgb{.5f, .45f, .35f} * std::pow(gamma, 60.f);
   });
-  // The disc is spread over the pixels by its share of each, so its energy does not depend on the grid.
+  // The disc is spread over the pixels by its share of each, so its energy does not depend on the
+  // grid.
   const glm::dvec2 centre = latlong_pixel(sun, width, height);
   constexpr int kSamples = 24;
   const Rgb radiance{46000, 43000, 38000};
   const int reach = 2 + static_cast<int>(kSunRadius / kPi * height);
   const int wide = 2 + static_cast<int>(reach / std::max(.05, std::cos(sun_elevation_rad)));
-  for (int y = std::max(0, int(centre.y) - reach); y <= std::min(height - 1, int(centre.y) + reach); ++y)
+  for (int y = std::max(0, int(centre.y) - reach); y <= std::min(height - 1, int(centre.y) + reach);
+       ++y)
     for (int x = int(centre.x) - wide; x <= int(centre.x) + wide; ++x) {
       int hits = 0;
       for (int k = 0; k < kSamples * kSamples; ++k) {
-        const dvec3 d = latlong_direction(x + (k % kSamples + .5) / kSamples,
-                                          y + (double(k / kSamples) + .5) / kSamples, width, height);
+        const dvec3 d =
+            latlong_direction(x + (k % kSamples + .5) / kSamples,
+                              y + (double(k / kSamples) + .5) / kSamples, width, height);
         hits += glm::dot(d, sun) > std::cos(kSunRadius);
       }
-      map.at(((x % width) + width) % width, y) += radiance * (static_cast<float>(hits) / (kSamples * kSamples));
+      map.at(((x % width) + width) % width, y) +=
+          radiance * (static_cast<float>(hits) / (kSamples * kSamples));
     }
   return map;
 }

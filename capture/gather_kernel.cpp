@@ -10,7 +10,6 @@ namespace penumbra::capture {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-
 #if HWY_TARGET == HWY_SCALAR
 
 // Machines without four-lane vectors.
@@ -22,20 +21,29 @@ HWY_INLINE Four Load(const std::uint16_t* p) {
   const hn::CappedTag<float, 1> d;
   const hn::Rebind<hwy::float16_t, decltype(d)> dh;
   for (int c = 0; c < 4; ++c)
-    out.v[c] = hn::GetLane(hn::PromoteTo(d, hn::LoadU(dh, reinterpret_cast<const hwy::float16_t*>(p + c))));
+    out.v[c] = hn::GetLane(
+        hn::PromoteTo(d, hn::LoadU(dh, reinterpret_cast<const hwy::float16_t*>(p + c))));
   return out;
 }
 HWY_INLINE Four Mix(Four a, Four b, float t) {
   for (int c = 0; c < 4; ++c) a.v[c] += t * (b.v[c] - a.v[c]);
   return a;
 }
-HWY_INLINE Four Sum(Four a, Four b) { return {{a.v[0] + b.v[0], a.v[1] + b.v[1], a.v[2] + b.v[2], a.v[3] + b.v[3]}}; }
-HWY_INLINE Four Black() { return {}; }
+HWY_INLINE Four Sum(Four a, Four b) {
+  return {{a.v[0] + b.v[0], a.v[1] + b.v[1], a.v[2] + b.v[2], a.v[3] + b.v[3]}};
+}
+HWY_INLINE Four Black() {
+  return {};
+}
 HWY_INLINE void StorePixel(Four a, float scale, float* out) {
   for (int c = 0; c < 3; ++c) out[c] = scale * a.v[c];
 }
-HWY_INLINE void StoreLastPixel(Four a, float scale, float* out) { StorePixel(a, scale, out); }
-HWY_INLINE float Fourth(Four a) { return a.v[3]; }
+HWY_INLINE void StoreLastPixel(Four a, float scale, float* out) {
+  StorePixel(a, scale, out);
+}
+HWY_INLINE float Fourth(Four a) {
+  return a.v[3];
+}
 
 #else
 
@@ -47,9 +55,15 @@ HWY_INLINE Four Load(const std::uint16_t* p) {
   const hn::Rebind<hwy::float16_t, Lanes> dh;
   return hn::PromoteTo(d, hn::LoadU(dh, reinterpret_cast<const hwy::float16_t*>(p)));
 }
-HWY_INLINE Four Mix(Four a, Four b, float t) { return hn::MulAdd(hn::Set(Lanes(), t), hn::Sub(b, a), a); }
-HWY_INLINE Four Sum(Four a, Four b) { return hn::Add(a, b); }
-HWY_INLINE Four Black() { return hn::Zero(Lanes()); }
+HWY_INLINE Four Mix(Four a, Four b, float t) {
+  return hn::MulAdd(hn::Set(Lanes(), t), hn::Sub(b, a), a);
+}
+HWY_INLINE Four Sum(Four a, Four b) {
+  return hn::Add(a, b);
+}
+HWY_INLINE Four Black() {
+  return hn::Zero(Lanes());
+}
 
 // The fourth lane lands in the next pixel, which is written afterwards.
 HWY_INLINE void StorePixel(Four a, float scale, float* out) {
@@ -92,8 +106,8 @@ HWY_INLINE Four Sample(const std::uint16_t* rgba, int source_width, const Gather
   return Bilinear(p, p + 4 * static_cast<std::ptrdiff_t>(source_width), tap.right, tap.down);
 }
 
-HWY_ATTR float GatherRow(const std::uint16_t* rgba, int source_width, const GatherTap* taps, int count,
-                         float scale, float* out) {
+HWY_ATTR float GatherRow(const std::uint16_t* rgba, int source_width, const GatherTap* taps,
+                         int count, float scale, float* out) {
   Four sum = Black();
   for (int i = 0; i + 1 < count; ++i) {
     const Four v = Sample(rgba, source_width, taps[i]);
@@ -126,8 +140,8 @@ namespace penumbra::capture {
 HWY_EXPORT(GatherRow);
 HWY_EXPORT(ConvertRow);
 
-float gather_row(const std::uint16_t* rgba, int source_width, const GatherTap* taps, int count, float scale,
-                 float* out) {
+float gather_row(const std::uint16_t* rgba, int source_width, const GatherTap* taps, int count,
+                 float scale, float* out) {
   return HWY_DYNAMIC_DISPATCH(GatherRow)(rgba, source_width, taps, count, scale, out);
 }
 float convert_row(const std::uint16_t* rgba, int count, float scale, float* out) {

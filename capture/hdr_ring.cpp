@@ -39,12 +39,15 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   PENUMBRA_TRY(check_exposures({&frame.exposure, 1}));
   const int w = camera_.projection.width, h = camera_.projection.height;
   if (width(*frame.pixels) != w || height(*frame.pixels) != h)
-    return fail(ErrorCode::kInvalid, fmt::format("{} frame {}", camera_.name, frame.sequence),
-                fmt::format("{}x{}, expected {}x{}", width(*frame.pixels), height(*frame.pixels), w, h));
+    return fail(
+        ErrorCode::kInvalid, fmt::format("{} frame {}", camera_.name, frame.sequence),
+        fmt::format("{}x{}, expected {}x{}", width(*frame.pixels), height(*frame.pixels), w, h));
   const auto old = std::ranges::find_if(
       frames_, [&](const Frame& f) { return same_exposure(f.exposure, frame.exposure); });
-  if (old != frames_.end()) frames_.erase(old);
-  else if (frames_.size() >= slots_) frames_.erase(frames_.begin());
+  if (old != frames_.end())
+    frames_.erase(old);
+  else if (frames_.size() >= slots_)
+    frames_.erase(frames_.begin());
   frames_.push_back(frame);
   PENUMBRA_TRY(merge_now());
   if (merged_.clipped_fraction == 1)

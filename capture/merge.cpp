@@ -11,7 +11,8 @@
 namespace penumbra::capture {
 
 CodeCurve make_code_curve(const calib::Response& response, int bits, double black_level) {
-  return CodeCurve({response.decode_table(bits, 0), response.decode_table(bits, 1), response.decode_table(bits, 2)},
+  return CodeCurve({response.decode_table(bits, 0), response.decode_table(bits, 1),
+                    response.decode_table(bits, 2)},
                    static_cast<float>(black_level));
 }
 
@@ -94,8 +95,10 @@ MergedFloat merge_pixels(const ExposureStack& in, const CodeCurve* curve) {
   std::atomic<std::size_t> clipped = 0, black = 0;
   tbb::parallel_for(tbb::blocked_range<int>(0, stack.height(), 8), [&](const auto& rows) {
     std::size_t clipped_here = 0, black_here = 0;
-    const auto first = static_cast<std::size_t>(rows.begin()) * static_cast<std::size_t>(stack.width());
-    const auto last = static_cast<std::size_t>(rows.end()) * static_cast<std::size_t>(stack.width());
+    const auto first =
+        static_cast<std::size_t>(rows.begin()) * static_cast<std::size_t>(stack.width());
+    const auto last =
+        static_cast<std::size_t>(rows.end()) * static_cast<std::size_t>(stack.width());
     for (std::size_t i = first; i < last; ++i) {
       bool any_clipped = false, all_black = true;
       for (int c = 0; c < 3; ++c) {
@@ -120,18 +123,20 @@ MergedFloat merge_pixels(const ExposureStack& in, const CodeCurve* curve) {
 Result<void> check_stack(const ExposureStack& stack) {
   if (stack.frames.empty()) return fail(ErrorCode::kInvalid, "exposure stack", "has no frames");
   if (stack.frames.size() != stack.exposures.size())
-    return fail(ErrorCode::kInvalid, "exposure stack",
-                fmt::format("{} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
+    return fail(
+        ErrorCode::kInvalid, "exposure stack",
+        fmt::format("{} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
   PENUMBRA_TRY(check_exposures(stack.exposures));
   const FramePixels& first = *stack.frames[0];
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {
     const FramePixels& f = *stack.frames[k];
     if (f.index() != first.index())
-      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1), "another bit depth than the first");
+      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
+                  "another bit depth than the first");
     if (width(f) != width(first) || height(f) != height(first))
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
-                  fmt::format("{}x{}, expected {}x{} as the first", width(f), height(f), width(first),
-                              height(first)));
+                  fmt::format("{}x{}, expected {}x{} as the first", width(f), height(f),
+                              width(first), height(first)));
     if (width(f) == 0 || height(f) == 0)
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1), "has no pixels");
   }

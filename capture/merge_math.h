@@ -10,7 +10,8 @@ namespace penumbra::capture {
 /// Codes from here on count as clipped: 95 % of full scale.
 inline constexpr double kClipLevel = .95;
 
-/// Signal step of one code around a signal value, for the variance of quantisation; 0 for float frames.
+/// Signal step of one code around a signal value, for the variance of quantisation; 0 for float
+/// frames.
 class QuantisationStep {
  public:
   QuantisationStep() = default;
@@ -20,7 +21,8 @@ class QuantisationStep {
     const unsigned code = curve_->encode(channel, static_cast<float>(signal));
     const unsigned last = curve_->largest_code();
     const unsigned low = code > 0 ? code - 1 : 0, high = code < last ? code + 1 : last;
-    const double step = (curve_->decode(channel, high) - curve_->decode(channel, low)) / (high - low);
+    const double step =
+        (curve_->decode(channel, high) - curve_->decode(channel, low)) / (high - low);
     return step * step / 12;
   }
 
@@ -36,8 +38,9 @@ struct Measurement {
 };
 
 /// Radiance by iterated maximum likelihood; at least one measurement.
-inline double estimate_radiance(std::span<const Measurement> measured, const calib::NoiseModel& noise,
-                                const QuantisationStep& step, int channel) {
+inline double estimate_radiance(std::span<const Measurement> measured,
+                                const calib::NoiseModel& noise, const QuantisationStep& step,
+                                int channel) {
   double signal = 0, product = 0;
   for (const Measurement& m : measured) signal += m.signal, product += m.product;
   double x = signal / product;
@@ -46,7 +49,8 @@ inline double estimate_radiance(std::span<const Measurement> measured, const cal
     double weighted = 0, weights = 0;
     for (const Measurement& m : measured) {
       const double expected = std::max(0., m.product * x);
-      const double variance = noise.variance(expected, m.gain) + step.variance(channel, expected) + 1e-12;
+      const double variance =
+          noise.variance(expected, m.gain) + step.variance(channel, expected) + 1e-12;
       weighted += m.signal * m.product / variance;  // w x_k with w = e^2/var, x_k = y/e
       weights += m.product * m.product / variance;
     }

@@ -19,7 +19,8 @@ std::uint64_t mix(std::uint64_t z) {  // SplitMix64, Steele et al. 2014
   return z ^ (z >> 31);
 }
 
-// Quantiles of the normal distribution at the middles of 65536 equal shares, scaled to unit variance.
+// Quantiles of the normal distribution at the middles of 65536 equal shares, scaled to unit
+// variance.
 const std::vector<float>& normal_quantiles() {
   static const std::vector<float> table = [] {
     std::vector<double> q(65536);
@@ -70,9 +71,11 @@ struct Exposer {
     const float read = normal[bits & 0xffff];
     const float photons = signal * electrons;
     if (photons > 30)
-      return signal + normal[bits >> 16 & 0xffff] * std::sqrt(shot_variance * signal + read_variance);
+      return signal +
+             normal[bits >> 16 & 0xffff] * std::sqrt(shot_variance * signal + read_variance);
     if (photons <= 0) return signal + read * std::sqrt(read_variance);
-    return static_cast<float>(small_poisson(photons, bits)) / electrons + read * std::sqrt(read_variance);
+    return static_cast<float>(small_poisson(photons, bits)) / electrons +
+           read * std::sqrt(read_variance);
   }
 };
 
@@ -96,7 +99,8 @@ void expose_rows(const Exposer& e, const Image<Rgb>& radiance, Image<Pixel>& out
         for (int c = 0; c < 3; ++c) {
           // Far above full scale the noise cannot matter and floats would lose it anyway.
           const float clipped = std::clamp(signal[c], 0.f, 4.f);
-          const float v = e.sensor.noisy ? e.noisy(clipped, index + static_cast<std::uint64_t>(c)) : clipped;
+          const float v =
+              e.sensor.noisy ? e.noisy(clipped, index + static_cast<std::uint64_t>(c)) : clipped;
           codes[c] = static_cast<Code>(e.curve.encode(c, v));
         }
         out.at(x, y) = {codes[0], codes[1], codes[2]};
@@ -122,8 +126,10 @@ void expose(const Sensor& sensor, const Image<Rgb>& radiance, Exposure exposure,
       image = &out.template emplace<Image<Pixel>>(radiance.width(), radiance.height());
     expose_rows(e, radiance, *image);
   };
-  if (sensor.bits > 8) into(static_cast<Image<Rgb16>*>(nullptr));
-  else into(static_cast<Image<Rgb8>*>(nullptr));
+  if (sensor.bits > 8)
+    into(static_cast<Image<Rgb16>*>(nullptr));
+  else
+    into(static_cast<Image<Rgb8>*>(nullptr));
 }
 
 }  // namespace penumbra::capture

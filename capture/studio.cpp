@@ -12,10 +12,12 @@ namespace {
 
 constexpr int kEnvironmentCamera = 0, kViewCamera = 1;
 
-// Average over the pixel of what the world shows; a map of the same size is copied by its pixel centres.
+// Average over the pixel of what the world shows; a map of the same size is copied by its pixel
+// centres.
 Image<Rgb> film_environment(const World& world, int width, int height) {
   const auto* floor_world = dynamic_cast<const FloorWorld*>(&world);
-  if (floor_world && floor_world->environment().width() == width && floor_world->environment().height() == height)
+  if (floor_world && floor_world->environment().width() == width &&
+      floor_world->environment().height() == height)
     return floor_world->environment();
   constexpr int kSamples = 6;
   Image<Rgb> out(width, height);
@@ -24,7 +26,8 @@ Image<Rgb> film_environment(const World& world, int width, int height) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k)
         sum += world.far_radiance(latlong_direction(x + (k % kSamples + .5) / kSamples,
-                                                    y + (double(k / kSamples) + .5) / kSamples, width, height));
+                                                    y + (double(k / kSamples) + .5) / kSamples,
+                                                    width, height));
       out.at(x, y) = sum * (1.f / (kSamples * kSamples));
     }
   });
@@ -39,8 +42,10 @@ Image<Rgb> film_view(const World& world, const CameraInfo& camera) {
     for (int x = 0; x < p.width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k) {
-        const double px = x + (k % kSamples + .5) / kSamples, py = y + (double(k / kSamples) + .5) / kSamples;
-        const glm::dvec3 d((px - p.principal_px.x) / p.focal_px.x, -(py - p.principal_px.y) / p.focal_px.y, -1);
+        const double px = x + (k % kSamples + .5) / kSamples,
+                     py = y + (double(k / kSamples) + .5) / kSamples;
+        const glm::dvec3 d((px - p.principal_px.x) / p.focal_px.x,
+                           -(py - p.principal_px.y) / p.focal_px.y, -1);
         sum += world.radiance(camera.world_from_camera.translation,
                               glm::normalize(camera.world_from_camera.rotation * d));
       }
@@ -61,7 +66,8 @@ std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
   CameraInfo environment;
   environment.name = "environment";
   environment.role = Role::kEnvironment;
-  environment.projection = {calib::ProjectionKind::kLatLong, o.environment_width, o.environment_height, {}, {}};
+  environment.projection = {
+      calib::ProjectionKind::kLatLong, o.environment_width, o.environment_height, {}, {}};
   environment.world_from_camera.translation = {0, 1, 0};
   environment.response = o.sensor.response;
   environment.noise = o.sensor.noise;
@@ -69,8 +75,11 @@ std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
   CameraInfo view = environment;
   view.name = "view";
   view.role = Role::kView;
-  view.projection = {calib::ProjectionKind::kPinhole, o.view_width, o.view_height,
-                     {o.view_focal_px, o.view_focal_px}, {o.view_width / 2., o.view_height / 2.}};
+  view.projection = {calib::ProjectionKind::kPinhole,
+                     o.view_width,
+                     o.view_height,
+                     {o.view_focal_px, o.view_focal_px},
+                     {o.view_width / 2., o.view_height / 2.}};
   view.world_from_camera = o.world_from_view;
   return {environment, view};
 }
@@ -95,12 +104,14 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
     }
   }
   mean /= area;
-  // Darkest radiance that matters for lighting: a hundredth of the mean, at SNR 3 with quantisation.
+  // Darkest radiance that matters for lighting: a hundredth of the mean, at SNR 3 with
+  // quantisation.
   const double darkest = .01 * mean;
   const CodeCurve curve = make_code_curve(sensor.response, sensor.bits, sensor.black_level);
   double low = 1;
   for (unsigned code = 1; code < curve.largest_code(); ++code) {
-    const double y = curve.decode(1, code), step = curve.decode(1, code + 1) - curve.decode(1, code);
+    const double y = curve.decode(1, code),
+                 step = curve.decode(1, code + 1) - curve.decode(1, code);
     if (y > 3 * std::sqrt(sensor.noise.variance(y, 1) + step * step / 12)) {
       low = y;
       break;
@@ -109,22 +120,28 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
   const double shortest = std::clamp(kFull / brightest, kShortest, kLongest);
   const double longest = std::clamp(low / darkest, shortest, kLongest);
   // Each exposure covers the range from `low` to full scale; they share the range evenly.
-  const int count = 1 + static_cast<int>(std::ceil(std::log(longest / shortest) / std::log(kFull / low) - 1e-9));
+  const int count =
+      1 + static_cast<int>(std::ceil(std::log(longest / shortest) / std::log(kFull / low) - 1e-9));
   std::vector<Exposure> out;
   for (int k = 0; k < count; ++k)
-    out.push_back({Seconds(longest * std::pow(shortest / longest, count > 1 ? double(k) / (count - 1) : 0.)), Gain(1)});
+    out.push_back(
+        {Seconds(longest * std::pow(shortest / longest, count > 1 ? double(k) / (count - 1) : 0.)),
+         Gain(1)});
   return out;
 }
 
 Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
     : options_(std::move(options)), world_(std::move(world)), cameras_(make_cameras(options_)) {
-  environment_radiance_ = film_environment(*world_, options_.environment_width, options_.environment_height);
+  environment_radiance_ =
+      film_environment(*world_, options_.environment_width, options_.environment_height);
   view_radiance_ = film_view(*world_, cameras_[kViewCamera]);
-  if (options_.schedule.empty()) options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
+  if (options_.schedule.empty())
+    options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
   if (!options_.view_exposure) {
     // The lower third shows the floor.
     const int h = view_radiance_.height();
-    options_.view_exposure = Exposure{Seconds(.3 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
+    options_.view_exposure =
+        Exposure{Seconds(.3 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
   }
   for (int i = 0; i < options_.view_clip; ++i) {
     FramePixels pixels;
@@ -145,7 +162,8 @@ Frame Studio::environment_frame(std::uint64_t index) {
   frame.exposure = options_.schedule[request % options_.schedule.size()];
   frame.world_from_camera = cameras_[kEnvironmentCamera].world_from_camera;
   FramePixels pixels;
-  expose(options_.sensor, environment_radiance_, frame.exposure, options_.seed * 7919 + 2 * index, pixels);
+  expose(options_.sensor, environment_radiance_, frame.exposure, options_.seed * 7919 + 2 * index,
+         pixels);
   frame.pixels = std::make_shared<const FramePixels>(std::move(pixels));
   return frame;
 }
@@ -162,7 +180,8 @@ Frame Studio::view_frame(std::uint64_t index) {
     frame.pixels = clip_[index % clip_.size()];
   } else {
     FramePixels pixels;
-    expose(options_.sensor, view_radiance_, frame.exposure, options_.seed * 104729 + 2 * index + 1, pixels);
+    expose(options_.sensor, view_radiance_, frame.exposure, options_.seed * 104729 + 2 * index + 1,
+           pixels);
     frame.pixels = std::make_shared<const FramePixels>(std::move(pixels));
   }
   return frame;
@@ -170,7 +189,8 @@ Frame Studio::view_frame(std::uint64_t index) {
 
 Result<std::optional<Frame>> Studio::next() {
   const auto dropped = [&](std::uint64_t index) {
-    return options_.drop_every > 0 && (index + 1) % static_cast<std::uint64_t>(options_.drop_every) == 0;
+    return options_.drop_every > 0 &&
+           (index + 1) % static_cast<std::uint64_t>(options_.drop_every) == 0;
   };
   while (dropped(next_environment_)) ++next_environment_;
   while (dropped(next_view_)) ++next_view_;

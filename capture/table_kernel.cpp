@@ -14,14 +14,16 @@ constexpr int kSamples = 3 * kMergeBlock;
 
 // From the shortest exposure up, each unclipped longer one takes over the decision. An index is
 // step << 16 | next << 8 | code.
-HWY_INLINE std::size_t Select(const TableView& t, const std::uint8_t* const* codes, std::uint32_t* index) {
+HWY_INLINE std::size_t Select(const TableView& t, const std::uint8_t* const* codes,
+                              std::uint32_t* index) {
   HWY_ALIGN std::uint8_t low[kSamples], high[kSamples], step[kSamples];
   const hn::ScalableTag<std::uint8_t> d;
   const int lanes = static_cast<int>(hn::Lanes(d));
   std::size_t black = 0;
   for (int i = 0; i < kSamples; i += lanes) {
     const auto clip = hn::LoadU(d, t.clip + i);
-    auto next = hn::Zero(d), code = hn::LoadU(d, codes[t.steps - 1] + i), number = hn::Set(d, static_cast<std::uint8_t>(t.steps));
+    auto next = hn::Zero(d), code = hn::LoadU(d, codes[t.steps - 1] + i),
+         number = hn::Set(d, static_cast<std::uint8_t>(t.steps));
     auto chosen_next = hn::Zero(d), here = code;
     for (int k = t.steps - 1; k >= 0; --k) {
       here = hn::LoadU(d, codes[k] + i);
@@ -47,8 +49,10 @@ HWY_INLINE std::size_t Select(const TableView& t, const std::uint8_t* const* cod
   for (int i = 0; i < kSamples; i += 16) {
     const auto l = hn::Load(d8, low + i), h = hn::Load(d8, high + i), s = hn::Load(d8, step + i);
     const auto zero = hn::Zero(d8);
-    const auto pair0 = hn::BitCast(d16, hn::InterleaveLower(d8, l, h)), pair1 = hn::BitCast(d16, hn::InterleaveUpper(d8, l, h));
-    const auto step0 = hn::BitCast(d16, hn::InterleaveLower(d8, s, zero)), step1 = hn::BitCast(d16, hn::InterleaveUpper(d8, s, zero));
+    const auto pair0 = hn::BitCast(d16, hn::InterleaveLower(d8, l, h)),
+               pair1 = hn::BitCast(d16, hn::InterleaveUpper(d8, l, h));
+    const auto step0 = hn::BitCast(d16, hn::InterleaveLower(d8, s, zero)),
+               step1 = hn::BitCast(d16, hn::InterleaveUpper(d8, s, zero));
     hn::Store(hn::BitCast(d32, hn::InterleaveLower(d16, pair0, step0)), d32, index + i);
     hn::Store(hn::BitCast(d32, hn::InterleaveUpper(d16, pair0, step0)), d32, index + i + 4);
     hn::Store(hn::BitCast(d32, hn::InterleaveLower(d16, pair1, step1)), d32, index + i + 8);
@@ -58,7 +62,8 @@ HWY_INLINE std::size_t Select(const TableView& t, const std::uint8_t* const* cod
   return black;
 }
 
-HWY_ATTR BlockCounts MergeBlock(const TableView& t, const std::uint8_t* const* codes, HalfRgba* out) {
+HWY_ATTR BlockCounts MergeBlock(const TableView& t, const std::uint8_t* const* codes,
+                                HalfRgba* out) {
   HWY_ALIGN std::uint32_t index[kSamples];
   BlockCounts counts;
   counts.black = Select(t, codes, index);

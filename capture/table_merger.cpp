@@ -18,7 +18,8 @@ constexpr std::size_t kPairs = 65536;
 // Information about the radiance grows with the exposure (shot noise): a pair must hold most of it.
 bool two_suffice(std::span<const double> products) {
   for (std::size_t k = 0; k < products.size(); ++k) {
-    const double all = std::accumulate(products.begin() + static_cast<std::ptrdiff_t>(k), products.end(), 0.);
+    const double all =
+        std::accumulate(products.begin() + static_cast<std::ptrdiff_t>(k), products.end(), 0.);
     const double pair = products[k] + (k + 1 < products.size() ? products[k + 1] : 0);
     if (pair < .9 * all) return false;
   }
@@ -33,7 +34,8 @@ unsigned first_clipped(const CodeCurve& curve, int channel, double black_level) 
 
 }  // namespace
 
-std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures, const calib::Response& response,
+std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures,
+                                             const calib::Response& response,
                                              const calib::NoiseModel& noise, double black_level) {
   TableMerger out;
   out.order_.resize(exposures.size());
@@ -47,14 +49,17 @@ std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures
   const CodeCurve curve = make_code_curve(response, 8, black_level);
   const QuantisationStep step(curve);
   out.channel_sets_ = response.same_for_all_channels() ? 1 : 3;
-  out.scale_ = static_cast<float>(1 / products.back() / 4096);  // the brightest code fits half floats
+  out.scale_ =
+      static_cast<float>(1 / products.back() / 4096);  // the brightest code fits half floats
   const std::size_t steps = products.size();
   out.tables_.resize(static_cast<std::size_t>(out.channel_sets_) * (steps + 1) * kPairs);
   for (int c = 0; c < 3; ++c) {
-    out.clip_code_[static_cast<std::size_t>(c)] = static_cast<std::uint8_t>(first_clipped(curve, c, black_level));
-    const double floor = std::sqrt(noise.variance(0, at(out.order_[0]).gain.value()) + step.variance(c, 0));
-    out.black_code_[static_cast<std::size_t>(c)] =
-        static_cast<std::uint8_t>(1 + std::min(254u, curve.encode(c, static_cast<float>(2 * floor))));
+    out.clip_code_[static_cast<std::size_t>(c)] =
+        static_cast<std::uint8_t>(first_clipped(curve, c, black_level));
+    const double floor =
+        std::sqrt(noise.variance(0, at(out.order_[0]).gain.value()) + step.variance(c, 0));
+    out.black_code_[static_cast<std::size_t>(c)] = static_cast<std::uint8_t>(
+        1 + std::min(254u, curve.encode(c, static_cast<float>(2 * floor))));
   }
   for (int c = 0; c < out.channel_sets_; ++c)
     tbb::parallel_for(std::size_t{0}, (steps + 1) * 256, [&](std::size_t row) {
@@ -80,13 +85,17 @@ std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures
 void TableMerger::merge(std::span<const Image<Rgb8>* const> frames, MergedImage& out) const {
   assert(frames.size() == order_.size());
   const int width = frames[0]->width(), height = frames[0]->height();
-  if (out.pixels.width() != width || out.pixels.height() != height) out.pixels = Image<HalfRgba>(width, height);
+  if (out.pixels.width() != width || out.pixels.height() != height)
+    out.pixels = Image<HalfRgba>(width, height);
   out.scale = scale_;
   const std::size_t set = channel_sets_ == 3 ? (order_.size() + 1) * kPairs : 0;
   std::uint8_t clip[3 * kMergeBlock], black_codes[3 * kMergeBlock];
-  for (std::size_t i = 0; i < 3 * kMergeBlock; ++i) clip[i] = clip_code_[i % 3], black_codes[i] = black_code_[i % 3];
+  for (std::size_t i = 0; i < 3 * kMergeBlock; ++i)
+    clip[i] = clip_code_[i % 3], black_codes[i] = black_code_[i % 3];
   const TableView tables{{tables_.data(), tables_.data() + set, tables_.data() + 2 * set},
-                         clip, black_codes, static_cast<int>(order_.size())};
+                         clip,
+                         black_codes,
+                         static_cast<int>(order_.size())};
   const std::size_t area = out.pixels.area(), whole = area / kMergeBlock;
   std::atomic<std::size_t> clipped = 0, black = 0;
   const auto codes_at = [&](std::size_t k, std::size_t pixel) {
@@ -97,7 +106,8 @@ void TableMerger::merge(std::span<const Image<Rgb8>* const> frames, MergedImage&
     for (std::size_t block = range.begin(); block < range.end(); ++block) {
       const std::uint8_t* codes[16];
       for (std::size_t k = 0; k < order_.size(); ++k) codes[k] = codes_at(k, block * kMergeBlock);
-      const BlockCounts counts = merge_block(tables, codes, &out.pixels.pixels()[block * kMergeBlock]);
+      const BlockCounts counts =
+          merge_block(tables, codes, &out.pixels.pixels()[block * kMergeBlock]);
       sum.clipped += counts.clipped;
       sum.black += counts.black;
     }
@@ -105,7 +115,8 @@ void TableMerger::merge(std::span<const Image<Rgb8>* const> frames, MergedImage&
     black += sum.black;
   });
   if (const std::size_t rest = area % kMergeBlock) {
-    // The last pixels in a block of their own, repeated so that the counts stay right in proportion.
+    // The last pixels in a block of their own, repeated so that the counts stay right in
+    // proportion.
     std::uint8_t padded[16][3 * kMergeBlock];
     const std::uint8_t* codes[16];
     for (std::size_t k = 0; k < order_.size(); ++k) {

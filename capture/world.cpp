@@ -23,7 +23,8 @@ Rgb lookup(const Image<Rgb>& map, const glm::dvec3& direction) {
 }
 
 float lattice(int x, int y) {
-  auto h = static_cast<std::uint32_t>(x) * 0x9e3779b1u ^ static_cast<std::uint32_t>(y) * 0x85ebca6bu;
+  auto h =
+      static_cast<std::uint32_t>(x) * 0x9e3779b1u ^ static_cast<std::uint32_t>(y) * 0x85ebca6bu;
   h = (h ^ (h >> 15)) * 0x2c1b3c6du;
   h = (h ^ (h >> 12)) * 0x297a2d39u;
   return static_cast<float>((h ^ (h >> 15)) >> 8) * 0x1p-24f;
@@ -34,20 +35,24 @@ float value_noise(double x, double y) {
   const auto smooth = [](double t) { return static_cast<float>(t * t * (3 - 2 * t)); };
   const float u = smooth(x - fx), v = smooth(y - fy);
   const int ix = static_cast<int>(fx), iy = static_cast<int>(fy);
-  const float a = lattice(ix, iy), b = lattice(ix + 1, iy), c = lattice(ix, iy + 1), d = lattice(ix + 1, iy + 1);
+  const float a = lattice(ix, iy), b = lattice(ix + 1, iy), c = lattice(ix, iy + 1),
+              d = lattice(ix + 1, iy + 1);
   return (a + (b - a) * u) + ((c + (d - c) * u) - (a + (b - a) * u)) * v;
 }
 
-// Stone slabs with joints: mean near 1. Fades out with distance, where a camera could not resolve it.
+// Stone slabs with joints: mean near 1. Fades out with distance, where a camera could not resolve
+// it.
 float floor_detail(double x, double z) {
   constexpr double kSlab = .6, kJoint = .006;
   const double fade = 1 / (1 + std::pow(std::hypot(x, z) / 2.4, 8));
   const double gx = x / kSlab - std::floor(x / kSlab), gz = z / kSlab - std::floor(z / kSlab);
   const double edge = std::min({gx, 1 - gx, gz, 1 - gz}) * kSlab;
   const double joint = edge < kJoint ? .8 : 1;
-  const int slab_x = static_cast<int>(std::floor(x / kSlab)), slab_z = static_cast<int>(std::floor(z / kSlab));
+  const int slab_x = static_cast<int>(std::floor(x / kSlab)),
+            slab_z = static_cast<int>(std::floor(z / kSlab));
   const double tone = 1 + .08 * (lattice(slab_x * 7 + 3, slab_z * 13 + 5) - .5);
-  const double grain = 1 + .16 * (value_noise(x * 90, z * 90) - .5) + .10 * (value_noise(x * 23, z * 23) - .5) +
+  const double grain = 1 + .16 * (value_noise(x * 90, z * 90) - .5) +
+                       .10 * (value_noise(x * 23, z * 23) - .5) +
                        .07 * (value_noise(x * 310, z * 310) - .5);
   return static_cast<float>(1 + fade * (joint * tone * grain - 1));
 }
@@ -64,11 +69,13 @@ Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map) {
     const double w = latlong_solid_angle(y, map.width(), map.height());
     // Exact over the row: Int cos th sin th dth per pixel.
     const double c0 = std::cos(kPi * y / map.height()), c1 = std::cos(kPi * (y + 1) / map.height());
-    const double up = kPi / map.width() * (std::max(0., c0) * std::max(0., c0) - std::max(0., c1) * std::max(0., c1));
+    const double up = kPi / map.width() *
+                      (std::max(0., c0) * std::max(0., c0) - std::max(0., c1) * std::max(0., c1));
     for (int x = 0; x < map.width(); ++x) {
       const Rgb& c = map.at(x, y);
       if (!is_finite(c))
-        return fail(ErrorCode::kNonFinite, "environment", fmt::format("pixel {},{} is not finite", x, y));
+        return fail(ErrorCode::kNonFinite, "environment",
+                    fmt::format("pixel {},{} is not finite", x, y));
       mean += w * luminance(c) / (4 * kPi);
       for (int k = 0; k < 3; ++k) irradiance[k] += up * c[k];
     }
@@ -80,11 +87,13 @@ Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map) {
   world->map_ = std::move(map);
   for (int k = 0; k < 3; ++k) world->irradiance_[k] = static_cast<float>(irradiance[k]) * scale;
 
-  // A floor far too dark or too bright for its own light (a tripod, a painted ground) is brought in range.
+  // A floor far too dark or too bright for its own light (a tripod, a painted ground) is brought in
+  // range.
   const auto mean_near = [&] {
     Rgb sum;
     for (int i = 0; i < 400; ++i) {
-      const double r = 1.5 * std::sqrt((i + .5) / 400), a = i * 2.39996322972865332;  // golden angle
+      const double r = 1.5 * std::sqrt((i + .5) / 400),
+                   a = i * 2.39996322972865332;  // golden angle
       sum += world->floor_albedo({r * std::cos(a), 0, r * std::sin(a)});
     }
     return sum * (1.f / 400);
@@ -97,11 +106,14 @@ Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map) {
 
 Rgb FloorWorld::floor_albedo(const glm::dvec3& p) const {
   const Rgb ground = lookup(map_, glm::normalize(glm::dvec3(p.x, -kCaptureHeight, p.z)));
-  // The correction fades out towards the horizon, where the floor meets the environment's own picture.
+  // The correction fades out towards the horizon, where the floor meets the environment's own
+  // picture.
   const double far = std::clamp((std::hypot(p.x, p.z) - 2) / 8, 0., 1.);
-  const auto scale = static_cast<float>(albedo_scale_ + (1 - albedo_scale_) * far * far * (3 - 2 * far));
+  const auto scale =
+      static_cast<float>(albedo_scale_ + (1 - albedo_scale_) * far * far * (3 - 2 * far));
   const float detail = scale * floor_detail(p.x, p.z);
-  // Far out the plane stands for walls and lamps of the picture, which may be brighter than any floor.
+  // Far out the plane stands for walls and lamps of the picture, which may be brighter than any
+  // floor.
   const float whitest = far < 1 ? kWhitest / static_cast<float>(1 - far) : 1e6f;
   Rgb albedo;
   for (int c = 0; c < 3; ++c) {
@@ -111,7 +123,9 @@ Rgb FloorWorld::floor_albedo(const glm::dvec3& p) const {
   return albedo;
 }
 
-Rgb FloorWorld::far_radiance(const glm::dvec3& direction) const { return lookup(map_, direction); }
+Rgb FloorWorld::far_radiance(const glm::dvec3& direction) const {
+  return lookup(map_, direction);
+}
 
 Rgb FloorWorld::radiance(const glm::dvec3& origin, const glm::dvec3& direction) const {
   if (direction.y >= 0 || origin.y <= 0) return far_radiance(direction);

@@ -28,9 +28,10 @@ struct HdrImage {
   std::optional<EnvironmentAttribute> environment;  // OpenEXR only
 };
 
-/// Reads .exr (RGB, grey, luminance/chroma; scan lines or tiles, level 0; first part) or Radiance .hdr
-/// (RGBE or XYZE, old or new run lengths, any orientation, lines before the magic). Kind by content.
-/// errors:  kNotFound, kUnreadable (truncated, damaged, no colour channels), kInvalid (too large)
+/// Reads .exr (RGB, grey, luminance/chroma; scan lines or tiles, level 0; first part) or Radiance
+/// .hdr (RGBE or XYZE, old or new run lengths, any orientation, lines before the magic). Kind by
+/// content. errors:  kNotFound, kUnreadable (truncated, damaged, no colour channels), kInvalid (too
+/// large)
 Result<HdrImage> read_hdr(const std::filesystem::path& path);
 
 /// Radiance HDR from memory; `name` stands in errors. For fuzzing and for tests.
@@ -38,8 +39,8 @@ Result<HdrImage> decode_radiance(std::span<const unsigned char> bytes, const std
 
 enum class Depth { kHalf, kFloat };
 
-/// Writes .exr (ZIP) or .hdr by extension, atomically. .hdr cannot hold negative values: they are 0.
-/// errors:  kInvalid (empty, unknown extension), kUnwritable
+/// Writes .exr (ZIP) or .hdr by extension, atomically. .hdr cannot hold negative values: they are
+/// 0. errors:  kInvalid (empty, unknown extension), kUnwritable
 Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixels,
                        Depth depth = Depth::kHalf,
                        std::optional<EnvironmentAttribute> environment = std::nullopt);

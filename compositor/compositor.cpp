@@ -22,8 +22,10 @@ struct Coded {
   const CodeCurve& curve;
   float decode(int c, Code code) const { return curve.decode(c, code); }
   Code encode(int c, float v) const {
-    if constexpr (sizeof(Code) == 1) return curve.encode8(c, v);
-    else return static_cast<Code>(curve.encode(c, v));
+    if constexpr (sizeof(Code) == 1)
+      return curve.encode8(c, v);
+    else
+      return static_cast<Code>(curve.encode(c, v));
   }
 };
 struct Linear {
@@ -40,7 +42,9 @@ struct RowBuffers {
   }
 };
 
-bool has_row(const Layer& layer, int y) { return y >= layer.rect.y0 && y < layer.rect.y1; }
+bool has_row(const Layer& layer, int y) {
+  return y >= layer.rect.y0 && y < layer.rect.y1;
+}
 
 void load_row(const Layer& layer, int y, std::vector<float>& out) {
   floats_from_halves(layer.row(y), std::span(out).first(layer.row(y).size()));
@@ -56,7 +60,8 @@ struct Layered {
 bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
   const auto width = static_cast<std::size_t>(in.area.width());
   for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
-  if (!in.receivers.multiply_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data())) return false;
+  if (!in.receivers.multiply_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data()))
+    return false;
   if (!has_row(in.hidden, y)) return true;
   load_row(in.hidden, y, rows.hidden);
   for (int x = in.hidden.rect.x0; x < in.hidden.rect.x1; ++x) {
@@ -69,7 +74,8 @@ bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
 
 // The fused pass over one row of the touched rectangle.
 template <class Pixel, class Codec>
-std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& in, RowBuffers& rows) {
+std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& in,
+                          RowBuffers& rows) {
   const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
   if (!has_objects && !has_shadows) return 0;
   if (has_objects) load_row(in.objects, y, rows.object);
@@ -78,7 +84,8 @@ std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& 
   for (int x = in.area.x0; x < in.area.x1; ++x) {
     const auto i = static_cast<std::size_t>(x - in.area.x0);
     const bool in_objects = has_objects && x >= in.objects.rect.x0 && x < in.objects.rect.x1;
-    const float* const v = in_objects ? &rows.object[static_cast<std::size_t>(x - in.objects.rect.x0) * 4] : kNoObject;
+    const float* const v =
+        in_objects ? &rows.object[static_cast<std::size_t>(x - in.objects.rect.x0) * 4] : kNoObject;
     if (v[3] == 0 && rows.r[i] == 1 && rows.g[i] == 1 && rows.b[i] == 1) continue;
     ++touched;
     const float behind = 1 - v[3];
@@ -93,14 +100,15 @@ std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& 
 template <class Pixel, class Codec>
 std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Layered& in) {
   std::atomic<std::size_t> touched = 0;
-  tbb::parallel_for(tbb::blocked_range<int>(in.area.y0, in.area.y0 + in.area.height(), 8), [&](const auto& range) {
-    thread_local RowBuffers rows;  // grow once per thread
-    rows.resize(static_cast<std::size_t>(frame.width()));
-    std::size_t count = 0;
-    for (int y = range.begin(); y < range.end(); ++y)
-      count += composite_row(codec, frame.row(y).data(), y, in, rows);
-    touched += count;
-  });
+  tbb::parallel_for(tbb::blocked_range<int>(in.area.y0, in.area.y0 + in.area.height(), 8),
+                    [&](const auto& range) {
+                      thread_local RowBuffers rows;  // grow once per thread
+                      rows.resize(static_cast<std::size_t>(frame.width()));
+                      std::size_t count = 0;
+                      for (int y = range.begin(); y < range.end(); ++y)
+                        count += composite_row(codec, frame.row(y).data(), y, in, rows);
+                      touched += count;
+                    });
   return touched;
 }
 
@@ -137,8 +145,8 @@ Compositor::~Compositor() {
   if (impl_ && impl_->context) impl_->context->make_current();
 }
 
-Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Surface surface, int oversampling,
-                                                       const std::string& title) {
+Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Surface surface,
+                                                       int oversampling, const std::string& title) {
   if (width < 1 || height < 1) return fail(ErrorCode::kInvalid, "compositor", "empty frame size");
   if (oversampling != 2 && oversampling != 4)
     return fail(ErrorCode::kInvalid, "compositor", "oversampling is 2 or 4");
@@ -175,27 +183,33 @@ void Compositor::set_pose(int object, const Pose& world_from_bake) {
     impl_->receivers.set_pose(r, world_from_bake);
 }
 
-void Compositor::set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow) {
+void Compositor::set_light(int object, std::span<const float> relit,
+                           const shadows::PlanarShadow& shadow) {
   impl_->layers->set_light(object, relit);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
     impl_->receivers.set_shadow(r, shadow);
 }
 
-void Compositor::add_occluder(const prt::Mesh& mesh) { impl_->layers->add_occluder(mesh); }
+void Compositor::add_occluder(const prt::Mesh& mesh) {
+  impl_->layers->add_occluder(mesh);
+}
 
 Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
   const auto [width, height] =
       std::visit([](const auto& f) { return std::pair(f.width(), f.height()); }, frame);
   if (width != impl_->width || height != impl_->height)
-    return fail(ErrorCode::kInvalid, "frame",
-                fmt::format("{}x{} pixels, expected {}x{}", width, height, impl_->width, impl_->height));
+    return fail(
+        ErrorCode::kInvalid, "frame",
+        fmt::format("{}x{} pixels, expected {}x{}", width, height, impl_->width, impl_->height));
   const unsigned needed = std::holds_alternative<Image<Rgb8>>(frame)    ? 255u
-                          : std::holds_alternative<Image<Rgb16>>(frame) ? 65535u : 0u;
+                          : std::holds_alternative<Image<Rgb16>>(frame) ? 65535u
+                                                                        : 0u;
   if (needed && (view.curve == nullptr || view.curve->largest_code() != needed))
     return fail(ErrorCode::kInvalid, "frame", "no response curve of its bit depth");
   const Rect receiver_area = impl_->receivers.prepare(view.camera);
   PENUMBRA_TRY(impl_->layers->draw(view, receiver_area, impl_->objects, impl_->hidden));
-  const Layered in{impl_->objects, impl_->hidden, impl_->receivers, united(impl_->objects.rect, receiver_area)};
+  const Layered in{impl_->objects, impl_->hidden, impl_->receivers,
+                   united(impl_->objects.rect, receiver_area)};
   Touched touched;
   if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
     touched.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, in);
@@ -216,8 +230,8 @@ bool Compositor::present(const Image<Rgb8>& picture) {
   glViewport(0, 0, width, height);
   glBindTexture(GL_TEXTURE_2D, impl_->picture->get());
   glPixelStorei(GL_UNPACK_ALIGNMENT, 1);
-  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, picture.width(), picture.height(), GL_RGB, GL_UNSIGNED_BYTE,
-                  picture.pixels().data());
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, picture.width(), picture.height(), GL_RGB,
+                  GL_UNSIGNED_BYTE, picture.pixels().data());
   glPixelStorei(GL_UNPACK_ALIGNMENT, 4);
   glUseProgram(impl_->show->get());
   glDrawArrays(GL_TRIANGLES, 0, 3);

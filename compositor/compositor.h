@@ -1,8 +1,8 @@
-// Draws virtual objects and their shadows into camera frames by differential rendering, and writes the
-// result: video files, a window. GL draws the objects (radiance and coverage) into the rectangle that they
-// can reach; the shadow ratio and the fused pass over the touched pixels run on the CPU, where the frame is
-// anyway. Pixels outside are not read, converted or written.
-// threads: a Compositor belongs to the thread that made it; VideoWriter thread-bound
+// Draws virtual objects and their shadows into camera frames by differential rendering, and writes
+// the result: video files, a window. GL draws the objects (radiance and coverage) into the
+// rectangle that they can reach; the shadow ratio and the fused pass over the touched pixels run on
+// the CPU, where the frame is anyway. Pixels outside are not read, converted or written. threads: a
+// Compositor belongs to the thread that made it; VideoWriter thread-bound
 #pragma once
 
 #include <cstdint>
@@ -30,8 +30,8 @@ struct View {
 };
 
 struct Touched {
-  std::size_t pixels = 0;   // written
-  double fraction = 0;      // of the frame
+  std::size_t pixels = 0;  // written
+  double fraction = 0;     // of the frame
 };
 
 class Compositor {
@@ -40,7 +40,8 @@ class Compositor {
 
   /// oversampling: samples a pixel along each axis, 2 for video or 4 for stills
   /// errors: kUnavailable (no EGL, no OpenGL ES 3.1, no display)
-  static Result<std::unique_ptr<Compositor>> create(int width, int height, Surface surface, int oversampling = 2,
+  static Result<std::unique_ptr<Compositor>> create(int width, int height, Surface surface,
+                                                    int oversampling = 2,
                                                     const std::string& title = "Penumbra");
   ~Compositor();
 
@@ -48,7 +49,8 @@ class Compositor {
   int add_object(const prt::BakedObject& object);
   /// Rigid placement of the bake frame in the world.
   void set_pose(int object, const Pose& world_from_bake);
-  /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty shadow.
+  /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
+  /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
   /// Real geometry (world frame): hides objects and shadows behind it.
   void add_occluder(const prt::Mesh& world_mesh);
@@ -71,8 +73,8 @@ class Compositor {
   std::unique_ptr<Impl> impl_;
 };
 
-/// H.264 in MP4, written under a temporary name until finish(). Odd sizes lose their last row or column.
-/// errors: kUnwritable, kUnavailable (no encoder)
+/// H.264 in MP4, written under a temporary name until finish(). Odd sizes lose their last row or
+/// column. errors: kUnwritable, kUnavailable (no encoder)
 class VideoWriter {
  public:
   static Result<VideoWriter> create(const std::filesystem::path& path, int width, int height,

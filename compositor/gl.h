@@ -32,18 +32,42 @@ class GlName {
 };
 
 namespace gl {
-inline void make_buffer(GLuint& n) { glGenBuffers(1, &n); }
-inline void delete_buffer(GLuint n) { glDeleteBuffers(1, &n); }
-inline void make_texture(GLuint& n) { glGenTextures(1, &n); }
-inline void delete_texture(GLuint n) { glDeleteTextures(1, &n); }
-inline void make_vertex_array(GLuint& n) { glGenVertexArrays(1, &n); }
-inline void delete_vertex_array(GLuint n) { glDeleteVertexArrays(1, &n); }
-inline void make_framebuffer(GLuint& n) { glGenFramebuffers(1, &n); }
-inline void delete_framebuffer(GLuint n) { glDeleteFramebuffers(1, &n); }
-inline void make_renderbuffer(GLuint& n) { glGenRenderbuffers(1, &n); }
-inline void delete_renderbuffer(GLuint n) { glDeleteRenderbuffers(1, &n); }
-inline void make_program(GLuint& n) { n = glCreateProgram(); }
-inline void delete_program(GLuint n) { glDeleteProgram(n); }
+inline void make_buffer(GLuint& n) {
+  glGenBuffers(1, &n);
+}
+inline void delete_buffer(GLuint n) {
+  glDeleteBuffers(1, &n);
+}
+inline void make_texture(GLuint& n) {
+  glGenTextures(1, &n);
+}
+inline void delete_texture(GLuint n) {
+  glDeleteTextures(1, &n);
+}
+inline void make_vertex_array(GLuint& n) {
+  glGenVertexArrays(1, &n);
+}
+inline void delete_vertex_array(GLuint n) {
+  glDeleteVertexArrays(1, &n);
+}
+inline void make_framebuffer(GLuint& n) {
+  glGenFramebuffers(1, &n);
+}
+inline void delete_framebuffer(GLuint n) {
+  glDeleteFramebuffers(1, &n);
+}
+inline void make_renderbuffer(GLuint& n) {
+  glGenRenderbuffers(1, &n);
+}
+inline void delete_renderbuffer(GLuint n) {
+  glDeleteRenderbuffers(1, &n);
+}
+inline void make_program(GLuint& n) {
+  n = glCreateProgram();
+}
+inline void delete_program(GLuint n) {
+  glDeleteProgram(n);
+}
 }  // namespace gl
 
 using GlBuffer = GlName<gl::make_buffer, gl::delete_buffer>;
@@ -69,6 +93,7 @@ class GlContext {
 };
 
 Result<std::unique_ptr<GlContext>> make_offscreen_context();
-Result<std::unique_ptr<GlContext>> make_window_context(int width, int height, const std::string& title);
+Result<std::unique_ptr<GlContext>> make_window_context(int width, int height,
+                                                       const std::string& title);
 
 }  // namespace penumbra::compositor

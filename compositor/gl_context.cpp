@@ -21,7 +21,9 @@ class OffscreenContext final : public GlContext {
     // The display is shared by the whole process and stays.
   }
   bool has_window() const override { return false; }
-  void make_current() override { eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, context_); }
+  void make_current() override {
+    eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, context_);
+  }
   bool show() override { return true; }
   std::pair<int, int> size() const override { return {0, 0}; }
 
@@ -34,7 +36,8 @@ bool has(const char* extensions, const char* name) {
   return extensions != nullptr && std::strstr(extensions, name) != nullptr;
 }
 
-// A device (a GPU, or Mesa's software device) before Mesa's surfaceless platform: both need no display.
+// A device (a GPU, or Mesa's software device) before Mesa's surfaceless platform: both need no
+// display.
 EGLDisplay open_display() {
   const char* client = eglQueryString(EGL_NO_DISPLAY, EGL_EXTENSIONS);
   const auto get_display = reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(
@@ -45,7 +48,8 @@ EGLDisplay open_display() {
     const EGLDisplay d = get_display(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
     if (d != EGL_NO_DISPLAY && eglInitialize(d, &major, &minor)) return d;
   }
-  const auto query = reinterpret_cast<PFNEGLQUERYDEVICESEXTPROC>(eglGetProcAddress("eglQueryDevicesEXT"));
+  const auto query =
+      reinterpret_cast<PFNEGLQUERYDEVICESEXTPROC>(eglGetProcAddress("eglQueryDevicesEXT"));
   if (has(client, "EGL_EXT_platform_device") && query != nullptr) {
     EGLDeviceEXT devices[16];
     EGLint count = 0;
@@ -68,12 +72,14 @@ Result<std::unique_ptr<GlContext>> make_offscreen_context() {
   if (!has(eglQueryString(display, EGL_EXTENSIONS), "EGL_KHR_surfaceless_context"))
     return fail(ErrorCode::kUnavailable, "EGL", "has no surfaceless contexts");
   eglBindAPI(EGL_OPENGL_ES_API);
-  const EGLint config_attributes[] = {EGL_SURFACE_TYPE, 0, EGL_RENDERABLE_TYPE, EGL_OPENGL_ES3_BIT, EGL_NONE};
+  const EGLint config_attributes[] = {EGL_SURFACE_TYPE, 0, EGL_RENDERABLE_TYPE, EGL_OPENGL_ES3_BIT,
+                                      EGL_NONE};
   EGLConfig config = nullptr;
   EGLint count = 0;
   if (!eglChooseConfig(display, config_attributes, &config, 1, &count) || count < 1)
     return fail(ErrorCode::kUnavailable, "EGL", "has no OpenGL ES 3 configuration");
-  const EGLint context_attributes[] = {EGL_CONTEXT_MAJOR_VERSION, 3, EGL_CONTEXT_MINOR_VERSION, 1, EGL_NONE};
+  const EGLint context_attributes[] = {EGL_CONTEXT_MAJOR_VERSION, 3, EGL_CONTEXT_MINOR_VERSION, 1,
+                                       EGL_NONE};
   const EGLContext context = eglCreateContext(display, config, EGL_NO_CONTEXT, context_attributes);
   if (context == EGL_NO_CONTEXT)
     return fail(ErrorCode::kUnavailable, "EGL", "cannot make an OpenGL ES 3.1 context");

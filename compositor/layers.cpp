@@ -44,7 +44,8 @@ void main() { colour = vec4(1); }
 
 void set_matrix(GLuint program, const glm::dmat4& m) {
   const glm::mat4 single(m);
-  glUniformMatrix4fv(glGetUniformLocation(program, "clip_from_object"), 1, GL_FALSE, glm::value_ptr(single));
+  glUniformMatrix4fv(glGetUniformLocation(program, "clip_from_object"), 1, GL_FALSE,
+                     glm::value_ptr(single));
 }
 
 void attribute(GLuint location, int components, std::size_t offset_bytes) {
@@ -53,7 +54,9 @@ void attribute(GLuint location, int components, std::size_t offset_bytes) {
                         reinterpret_cast<const void*>(offset_bytes));
 }
 
-GLsizeiptr bytes_of(const auto& v) { return static_cast<GLsizeiptr>(v.size() * sizeof(v[0])); }
+GLsizeiptr bytes_of(const auto& v) {
+  return static_cast<GLsizeiptr>(v.size() * sizeof(v[0]));
+}
 
 }  // namespace
 
@@ -79,7 +82,8 @@ Result<void> Layers::make_targets() {
     if (scale == oversampling_) {
       glBindRenderbuffer(GL_RENDERBUFFER, fine_depth_.get());
       glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, scale * width_, scale * height_);
-      glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER, fine_depth_.get());
+      glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER,
+                                fine_depth_.get());
     }
     if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE)
       return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures of this size");
@@ -96,9 +100,11 @@ int Layers::add_object(const prt::BakedObject& baked) {
   o.index_count = static_cast<GLsizei>(mesh.triangles.size() * 3);
   glBindVertexArray(o.geometry.get());
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
-  glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions) + bytes_of(mesh.albedo), nullptr, GL_STATIC_DRAW);
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions) + bytes_of(mesh.albedo), nullptr,
+               GL_STATIC_DRAW);
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(mesh.positions), mesh.positions.data());
-  glBufferSubData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), bytes_of(mesh.albedo), mesh.albedo.data());
+  glBufferSubData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), bytes_of(mesh.albedo),
+                  mesh.albedo.data());
   attribute(0, 3, 0);
   attribute(1, 3, mesh.positions.size() * sizeof(glm::vec3));
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
@@ -106,7 +112,8 @@ int Layers::add_object(const prt::BakedObject& baked) {
   glBufferData(GL_ARRAY_BUFFER, bytes_of(dark), dark.data(), GL_DYNAMIC_DRAW);
   for (GLuint c = 0; c < 3; ++c) attribute(2 + c, 1, c * o.stride * sizeof(float));
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(), GL_STATIC_DRAW);
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
+               GL_STATIC_DRAW);
   glBindVertexArray(0);
   objects_.push_back(std::move(o));
   drawn_.reset();
@@ -123,7 +130,8 @@ void Layers::set_pose(int object, const Pose& world_from_bake) {
 void Layers::set_light(int object, std::span<const float> relit) {
   const Object& o = objects_[static_cast<std::size_t>(object)];
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
-  glBufferSubData(GL_ARRAY_BUFFER, 0, static_cast<GLsizeiptr>(3 * o.stride * sizeof(float)), relit.data());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, static_cast<GLsizeiptr>(3 * o.stride * sizeof(float)),
+                  relit.data());
   drawn_.reset();
 }
 
@@ -135,7 +143,8 @@ void Layers::add_occluder(const prt::Mesh& mesh) {
   glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
   attribute(0, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(), GL_STATIC_DRAW);
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
+               GL_STATIC_DRAW);
   glBindVertexArray(0);
   occluders_.push_back(std::move(o));
   drawn_.reset();
@@ -144,7 +153,8 @@ void Layers::add_occluder(const prt::Mesh& mesh) {
 // The viewport is moved so that the rectangle lies in the framebuffer's corner.
 void Layers::begin(const Rect& rect) {
   glBindFramebuffer(GL_FRAMEBUFFER, targets_.front().framebuffer.get());
-  glViewport(-oversampling_ * rect.x0, -oversampling_ * rect.y0, oversampling_ * width_, oversampling_ * height_);
+  glViewport(-oversampling_ * rect.x0, -oversampling_ * rect.y0, oversampling_ * width_,
+             oversampling_ * height_);
   glEnable(GL_SCISSOR_TEST);
   glScissor(0, 0, oversampling_ * rect.width(), oversampling_ * rect.height());
   glEnable(GL_DEPTH_TEST);
@@ -168,7 +178,8 @@ void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
 
 void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
   glUseProgram(object_program_.get());
-  glUniform1f(glGetUniformLocation(object_program_.get(), "signal_per_radiance"), view.signal_per_radiance);
+  glUniform1f(glGetUniformLocation(object_program_.get(), "signal_per_radiance"),
+              view.signal_per_radiance);
   for (const Object& o : objects_) {
     set_matrix(object_program_.get(), clip_from_world * o.world_from_bake.matrix());
     glBindVertexArray(o.geometry.get());
@@ -184,14 +195,16 @@ void Layers::finish(Layer& out) {
     const int from = targets_[i - 1].scale, to = targets_[i].scale;
     glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
     glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
-    glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT, GL_LINEAR);
+    glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT,
+                      GL_LINEAR);
   }
   out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());
   glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
 }
 
-Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& objects, Layer& hidden) {
+Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& objects,
+                          Layer& hidden) {
   // A camera on a tripod before unchanged objects in unchanged light: the layers still hold.
   if (drawn_ && drawn_->view.camera == view.camera && drawn_->receiver_area == receiver_area &&
       drawn_->view.signal_per_radiance == view.signal_per_radiance)
@@ -202,9 +215,11 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& ob
   objects.rect = {};
   for (const Object& o : objects_) {
     const glm::vec3 &a = o.bounds.low, &b = o.bounds.high;
-    const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z}, {b.x, b.y, a.z},
-                                   {a.x, a.y, b.z}, {b.x, a.y, b.z}, {a.x, b.y, b.z}, {b.x, b.y, b.z}};
-    objects.rect = united(objects.rect, reach(clip_from_world * o.world_from_bake.matrix(), corners, width_, height_));
+    const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z},
+                                   {b.x, b.y, a.z}, {a.x, a.y, b.z}, {b.x, a.y, b.z},
+                                   {a.x, b.y, b.z}, {b.x, b.y, b.z}};
+    objects.rect = united(objects.rect, reach(clip_from_world * o.world_from_bake.matrix(), corners,
+                                              width_, height_));
   }
   if (!objects.rect.empty()) {
     begin(objects.rect);

@@ -30,9 +30,10 @@ class Layers {
   void set_light(int object, std::span<const float> relit);
   void add_occluder(const prt::Mesh& mesh);
 
-  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples a pixel.
-  /// hidden: coverage of real geometry inside `receiver_area`, in every channel; empty without any.
-  /// Both are left as they are when nothing changed since the last call; the caller keeps them.
+  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples
+  /// a pixel. hidden: coverage of real geometry inside `receiver_area`, in every channel; empty
+  /// without any. Both are left as they are when nothing changed since the last call; the caller
+  /// keeps them.
   Result<void> draw(const View& view, const Rect& receiver_area, Layer& objects, Layer& hidden);
 
  private:
@@ -61,7 +62,10 @@ class Layers {
   };
 
   Layers(int width, int height, int oversampling, GlProgram object, GlProgram occluder)
-      : width_(width), height_(height), oversampling_(oversampling), object_program_(std::move(object)),
+      : width_(width),
+        height_(height),
+        oversampling_(oversampling),
+        object_program_(std::move(object)),
         occluder_program_(std::move(occluder)) {}
   Result<void> make_targets();
   void begin(const Rect& rect);

@@ -17,13 +17,14 @@ using DI = hn::RebindToSigned<D>;
 HWY_INLINE hn::Vec<D> Texel(hn::Vec<D> p, float size) {
   const D d;
   constexpr float k = prt::GroundGrid::kStretch;
-  const auto w = hn::Div(hn::Mul(p, hn::Set(d, 1 + k)), hn::MulAdd(hn::Abs(p), hn::Set(d, k), hn::Set(d, 1.f)));
+  const auto w = hn::Div(hn::Mul(p, hn::Set(d, 1 + k)),
+                         hn::MulAdd(hn::Abs(p), hn::Set(d, k), hn::Set(d, 1.f)));
   const auto texel = hn::MulAdd(w, hn::Set(d, .5f * size), hn::Set(d, .5f * size - .5f));
   return hn::Min(hn::Max(texel, hn::Zero(d)), hn::Set(d, size - 1));
 }
 
-HWY_INLINE void MultiplyChannel(const PlaneLookup& t, int channel, hn::Vec<DI> at, hn::Vec<D> fx, hn::Vec<D> fy,
-                                hn::Mask<D> inside, std::size_t count, float* out) {
+HWY_INLINE void MultiplyChannel(const PlaneLookup& t, int channel, hn::Vec<DI> at, hn::Vec<D> fx,
+                                hn::Vec<D> fy, hn::Mask<D> inside, std::size_t count, float* out) {
   const D d;
   const float* const upper = t.ratio + channel;
   const float* const lower = upper + 3 * t.size;
@@ -40,7 +41,8 @@ HWY_INLINE void MultiplyChannel(const PlaneLookup& t, int channel, hn::Vec<DI> a
   for (std::size_t i = 0; i < count; ++i) out[i] *= lanes[i];
 }
 
-HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, float* r, float* g, float* b) {
+HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, float* r, float* g,
+                                  float* b) {
   const D d;
   const DI di;
   const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
@@ -49,16 +51,19 @@ HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, f
   float start[3];
   for (int k = 0; k < 3; ++k) start[k] = t.h[k][1] * py + t.h[k][2];
   for (std::size_t i = 0; i < total; i += lanes) {
-    const auto px = hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i)) + .5f));
+    const auto px =
+        hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i)) + .5f));
     const auto w = hn::MulAdd(px, hn::Set(d, t.h[2][0]), hn::Set(d, start[2]));
     const auto inverse = hn::Div(hn::Set(d, 1.f), w);
     const auto x = hn::Mul(hn::MulAdd(px, hn::Set(d, t.h[0][0]), hn::Set(d, start[0])), inverse);
     const auto z = hn::Mul(hn::MulAdd(px, hn::Set(d, t.h[1][0]), hn::Set(d, start[1])), inverse);
     const auto one = hn::Set(d, 1.f);
-    const auto inside = hn::And(hn::Gt(w, hn::Zero(d)), hn::And(hn::Lt(hn::Abs(x), one), hn::Lt(hn::Abs(z), one)));
+    const auto inside =
+        hn::And(hn::Gt(w, hn::Zero(d)), hn::And(hn::Lt(hn::Abs(x), one), hn::Lt(hn::Abs(z), one)));
     if (hn::AllFalse(d, inside)) continue;
     // Lanes outside may hold anything, NaN too: they read texel 0 and are not used.
-    const auto u = hn::IfThenElseZero(inside, Texel(x, size)), v = hn::IfThenElseZero(inside, Texel(z, size));
+    const auto u = hn::IfThenElseZero(inside, Texel(x, size)),
+               v = hn::IfThenElseZero(inside, Texel(z, size));
     const auto last = hn::Set(di, t.size - 2);
     const auto iu = hn::Min(hn::ConvertTo(di, u), last), iv = hn::Min(hn::ConvertTo(di, v), last);
     const auto fx = hn::Sub(u, hn::ConvertTo(d, iu)), fy = hn::Sub(v, hn::ConvertTo(d, iv));
@@ -78,7 +83,8 @@ HWY_AFTER_NAMESPACE();
 namespace penumbra::compositor {
 HWY_EXPORT(MultiplyPlaneRatios);
 
-void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g, float* b) {
+void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
+                           float* b) {
   HWY_DYNAMIC_DISPATCH(MultiplyPlaneRatios)(plane, y, x0, x1, r, g, b);
 }
 }  // namespace penumbra::compositor

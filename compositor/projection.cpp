@@ -14,7 +14,8 @@ glm::dmat4 clip_from_camera(const prt::PinholeView& v) {
   return m;
 }
 
-Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width, int height) {
+Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width,
+           int height) {
   double x0 = width, y0 = height, x1 = 0, y1 = 0;
   int behind = 0;
   for (const glm::dvec3& p : points) {

@@ -31,6 +31,7 @@ inline Rect united(const Rect& a, const Rect& b) {
 glm::dmat4 clip_from_camera(const prt::PinholeView& view);
 
 /// Pixels that a convex set of points can reach; the whole frame when the near plane cuts it.
-Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width, int height);
+Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width,
+           int height);
 
 }  // namespace penumbra::compositor

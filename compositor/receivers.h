@@ -1,6 +1,6 @@
-// Shadow ratios on receiving planes, evaluated pixel by pixel on the CPU: a plane seen by a pinhole is one
-// homography, so a row costs a division, a lookup and no drawing. Without a GPU this takes a fifth of the
-// time of a textured quad; with one it takes the same.
+// Shadow ratios on receiving planes, evaluated pixel by pixel on the CPU: a plane seen by a pinhole
+// is one homography, so a row costs a division, a lookup and no drawing. Without a GPU this takes a
+// fifth of the time of a textured quad; with one it takes the same.
 #pragma once
 
 #include <span>
@@ -14,11 +14,12 @@ namespace penumbra::compositor {
 
 /// The homography of one plane and its ratios, as the kernel wants them.
 struct PlaneLookup {
-  // Homogeneous plane position in half extents from the centre: (x, z, w) = h * (px, py, 1), w > 0 in front.
+  // Homogeneous plane position in half extents from the centre: (x, z, w) = h * (px, py, 1), w > 0
+  // in front.
   float h[3][3];
   const float* ratio;  // RGB, size x size
   int size;
-  Rect area;           // pixels that the visible part can reach
+  Rect area;  // pixels that the visible part can reach
 };
 
 class Receivers {
@@ -29,8 +30,8 @@ class Receivers {
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
-  /// Multiplies the ratios of row y, pixels [area.x0, area.x1) of prepare()'s rectangle, into r, g, b,
-  /// which hold 1 on entry. False when no shadow reaches the row.
+  /// Multiplies the ratios of row y, pixels [area.x0, area.x1) of prepare()'s rectangle, into r, g,
+  /// b, which hold 1 on entry. False when no shadow reaches the row.
   bool multiply_row(int y, const Rect& area, float* r, float* g, float* b) const;
 
  private:
@@ -46,6 +47,7 @@ class Receivers {
 };
 
 /// Multiplies ratios of pixels [x0, x1) of row y into r[0 .. x1-x0) and so on.
-void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g, float* b);
+void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
+                           float* b);
 
 }  // namespace penumbra::compositor

@@ -54,7 +54,8 @@ struct VideoWriter::Impl {
 
 Result<void> VideoWriter::Impl::open_encoder(double fps) {
   const AVCodec* encoder = avcodec_find_encoder_by_name("libx264");
-  if (!encoder) return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg has no H.264 encoder");
+  if (!encoder)
+    return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg has no H.264 encoder");
   codec = avcodec_alloc_context3(encoder);
   codec->width = source_width / 2 * 2;
   codec->height = source_height / 2 * 2;
@@ -74,7 +75,8 @@ Result<void> VideoWriter::Impl::open_encoder(double fps) {
 }
 
 Result<void> VideoWriter::Impl::open(double fps) {
-  if (const int e = avformat_alloc_output_context2(&container, nullptr, "mp4", temporary.c_str()); e < 0)
+  if (const int e = avformat_alloc_output_context2(&container, nullptr, "mp4", temporary.c_str());
+      e < 0)
     return std::unexpected(error(e));
   container->flags |= AVFMT_FLAG_BITEXACT;
   PENUMBRA_TRY(open_encoder(fps));
@@ -83,18 +85,20 @@ Result<void> VideoWriter::Impl::open(double fps) {
   avcodec_parameters_from_context(stream->codecpar, codec);
   if (const int e = avio_open(&container->pb, temporary.c_str(), AVIO_FLAG_WRITE); e < 0)
     return std::unexpected(error(e));
-  if (const int e = avformat_write_header(container, nullptr); e < 0) return std::unexpected(error(e));
+  if (const int e = avformat_write_header(container, nullptr); e < 0)
+    return std::unexpected(error(e));
   frame = av_frame_alloc();
   frame->format = codec->pix_fmt;
   frame->width = codec->width;
   frame->height = codec->height;
   if (const int e = av_frame_get_buffer(frame, 0); e < 0) return std::unexpected(error(e));
   packet = av_packet_alloc();
-  scaler = sws_getContext(codec->width, codec->height, AV_PIX_FMT_RGB24, codec->width, codec->height,
-                          codec->pix_fmt, SWS_POINT, nullptr, nullptr, nullptr);
-  if (!scaler) return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg cannot convert to YUV 4:2:0");
-  sws_setColorspaceDetails(scaler, sws_getCoefficients(SWS_CS_ITU709), 1, sws_getCoefficients(SWS_CS_ITU709),
-                           0, 0, 1 << 16, 1 << 16);
+  scaler = sws_getContext(codec->width, codec->height, AV_PIX_FMT_RGB24, codec->width,
+                          codec->height, codec->pix_fmt, SWS_POINT, nullptr, nullptr, nullptr);
+  if (!scaler)
+    return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg cannot convert to YUV 4:2:0");
+  sws_setColorspaceDetails(scaler, sws_getCoefficients(SWS_CS_ITU709), 1,
+                           sws_getCoefficients(SWS_CS_ITU709), 0, 0, 1 << 16, 1 << 16);
   return {};
 }
 
@@ -105,7 +109,8 @@ Result<void> VideoWriter::Impl::drain() {
     if (e < 0) return std::unexpected(error(e));
     av_packet_rescale_ts(packet, codec->time_base, stream->time_base);
     packet->stream_index = stream->index;
-    if (const int w = av_interleaved_write_frame(container, packet); w < 0) return std::unexpected(error(w));
+    if (const int w = av_interleaved_write_frame(container, packet); w < 0)
+      return std::unexpected(error(w));
   }
 }
 

@@ -33,7 +33,8 @@ class WindowContext final : public GlContext {
 
 }  // namespace
 
-Result<std::unique_ptr<GlContext>> make_window_context(int width, int height, const std::string& title) {
+Result<std::unique_ptr<GlContext>> make_window_context(int width, int height,
+                                                       const std::string& title) {
   if (!glfwInit()) return fail(ErrorCode::kUnavailable, "window", "no display");
   glfwWindowHint(GLFW_CLIENT_API, GLFW_OPENGL_ES_API);
   glfwWindowHint(GLFW_CONTEXT_CREATION_API, GLFW_EGL_CONTEXT_API);

@@ -35,8 +35,10 @@ CodeCurve::CodeCurve(const std::array<std::vector<float>, 3>& decode, float blac
       const std::uint32_t last = std::bit_cast<std::uint32_t>(1.f) >> kShift8;
       for (std::uint32_t bits = kFirst8; bits < last; ++bits)
         encode8_[c].push_back(static_cast<std::uint8_t>(
-            invert(decode[c], std::bit_cast<float>((bits << kShift8) | (1u << (kShift8 - 1)))) + .5f));
-      encode8_[c].front() = static_cast<std::uint8_t>(invert(decode[c], 0) + .5f);  // black stays black
+            invert(decode[c], std::bit_cast<float>((bits << kShift8) | (1u << (kShift8 - 1)))) +
+            .5f));
+      encode8_[c].front() =
+          static_cast<std::uint8_t>(invert(decode[c], 0) + .5f);  // black stays black
     }
     for (float& v : decode_[c]) v -= black_level;
   }

@@ -1,4 +1,5 @@
-// Sensor codes and linear signal, tabulated: what the merge decodes and the compositor encodes with.
+// Sensor codes and linear signal, tabulated: what the merge decodes and the compositor encodes
+// with.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +15,9 @@ namespace penumbra {
 /// source: the camera's inverse response, sampled at every code
 class CodeCurve {
  public:
-  /// decode[c][code] = linear signal of that code, 2^bits values each, non-decreasing; `black_level` in
-  /// fractions of full scale is taken off after decoding and put back before encoding.
+  /// decode[c][code] = linear signal of that code, 2^bits values each, non-decreasing;
+  /// `black_level` in fractions of full scale is taken off after decoding and put back before
+  /// encoding.
   CodeCurve(const std::array<std::vector<float>, 3>& decode, float black_level);
 
   float decode(int channel, unsigned code) const {
@@ -25,8 +27,10 @@ class CodeCurve {
   unsigned encode(int channel, float linear) const;
   /// Nearest 8-bit code within a tenth of a code by one lookup; for curves of 8 bits alone.
   std::uint8_t encode8(int channel, float linear) const {
-    const float x = std::min(std::max(linear + black_, kSmallest), kLargest);  // NaN becomes the smallest
-    return encode8_[static_cast<std::size_t>(channel)][(std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8];
+    const float x =
+        std::min(std::max(linear + black_, kSmallest), kLargest);  // NaN becomes the smallest
+    return encode8_[static_cast<std::size_t>(channel)]
+                   [(std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8];
   }
   unsigned largest_code() const { return static_cast<unsigned>(decode_[0].size()) - 1; }
 
@@ -36,7 +40,7 @@ class CodeCurve {
   static constexpr std::uint32_t kFirst8 = std::bit_cast<std::uint32_t>(kSmallest) >> kShift8;
   float black_;
   std::array<std::vector<float>, 3> decode_;
-  std::array<std::vector<float>, 3> encode_;  // code at the edges of logarithmic buckets
+  std::array<std::vector<float>, 3> encode_;          // code at the edges of logarithmic buckets
   std::array<std::vector<std::uint8_t>, 3> encode8_;  // nearest code in the middle of finer buckets
 };
 

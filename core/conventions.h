@@ -5,14 +5,15 @@
 // Radiance   linear Rec.709 RGB float, relative units. Luminance Y = .2126 R + .7152 G + .0722 B.
 // Pixels     continuous coordinates: the image's top-left corner is (0, 0), the centre of the first
 //            pixel (.5, .5). A camera looks along its -z with +y up in the picture.
-// Lat-long   w x h: u = (i + .5)/w, polar angle th = pi (j + .5)/h from +y, azimuth p = 2 pi (u - .5),
+// Lat-long   w x h: u = (i + .5)/w, polar angle th = pi (j + .5)/h from +y, azimuth p = 2 pi (u -
+// .5),
 //            d = (sin th sin p, cos th, -sin th cos p): the centre column looks along -z, +x to its
 //            right. Exact solid angle of row j: w_j = (2 pi/w)(cos(pi j/h) - cos(pi (j+1)/h)).
 // SH         real, orthonormal, NO Condon-Shortley phase, evaluated on world x, y, z with z as the
 //            mathematical pole (c = z, p = atan2(y, x)); Y_1,-1..1 = .488603 (y, z, x).
 //            Index n = l*l + l + m. "bands" B means l < B, so B*B coefficients; never "order".
-//            Light l_n = sum_i w_i L_i Y_n(d_i). Transfer t_n = (1/pi) Int V max(n.d, 0) Y_n dw with
-//            the receiving albedo left out: exit radiance rho sum l_n t_n, E = pi sum l_n t_n.
+//            Light l_n = sum_i w_i L_i Y_n(d_i). Transfer t_n = (1/pi) Int V max(n.d, 0) Y_n dw
+//            with the receiving albedo left out: exit radiance rho sum l_n t_n, E = pi sum l_n t_n.
 #pragma once
 
 #include <cmath>
@@ -29,10 +30,16 @@ inline constexpr double kPi = std::numbers::pi;
 inline constexpr int kMaxBands = 9;
 inline constexpr int kMaxCoefficients = kMaxBands * kMaxBands;
 
-constexpr int coefficient_count(int bands) { return bands * bands; }
-constexpr int sh_index(int l, int m) { return l * l + l + m; }
+constexpr int coefficient_count(int bands) {
+  return bands * bands;
+}
+constexpr int sh_index(int l, int m) {
+  return l * l + l + m;
+}
 
-constexpr float luminance(const Rgb& c) { return .2126f * c.r + .7152f * c.g + .0722f * c.b; }
+constexpr float luminance(const Rgb& c) {
+  return .2126f * c.r + .7152f * c.g + .0722f * c.b;
+}
 
 inline bool is_finite(const Rgb& c) {
   return std::isfinite(c.r) && std::isfinite(c.g) && std::isfinite(c.b);

@@ -7,9 +7,9 @@
 namespace penumbra {
 
 struct Environment {
-  Image<Rgb> radiance;       // lat-long (conventions.h), linear relative radiance; 0 where not seen
-  Image<float> confidence;   // 0 = not seen, 1 = measured; empty when every pixel is measured
-  TimestampNs time;          // capture time of the newest frame in it
+  Image<Rgb> radiance;      // lat-long (conventions.h), linear relative radiance; 0 where not seen
+  Image<float> confidence;  // 0 = not seen, 1 = measured; empty when every pixel is measured
+  TimestampNs time;         // capture time of the newest frame in it
   double clipped_fraction = 0;  // of the solid angle: saturated in every exposure
   double black_fraction = 0;    // of the solid angle: below the noise in every exposure
 };

@@ -69,8 +69,9 @@ Result<std::vector<unsigned char>> read_bytes(const fs::path& path, std::size_t 
   const auto size = fs::file_size(path, error);
   if (error) return fail(ErrorCode::kUnreadable, path.string(), error.message());
   if (size > limit_bytes)
-    return fail(ErrorCode::kInvalid, path.string(),
-                std::to_string(size) + " bytes, more than the limit of " + std::to_string(limit_bytes));
+    return fail(
+        ErrorCode::kInvalid, path.string(),
+        std::to_string(size) + " bytes, more than the limit of " + std::to_string(limit_bytes));
   std::vector<unsigned char> bytes(size);
   std::ifstream in(path, std::ios::binary);
   in.read(reinterpret_cast<char*>(bytes.data()), static_cast<std::streamsize>(size));

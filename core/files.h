@@ -12,9 +12,9 @@
 
 namespace penumbra {
 
-/// Lets `write` make a file under a temporary name beside `target` (same extension), then renames it.
-/// On any error, or an exception from `write`, the temporary file is removed and `target` untouched.
-/// errors:  kUnwritable, or what `write` returned
+/// Lets `write` make a file under a temporary name beside `target` (same extension), then renames
+/// it. On any error, or an exception from `write`, the temporary file is removed and `target`
+/// untouched. errors:  kUnwritable, or what `write` returned
 Result<void> replace_file(const std::filesystem::path& target,
                           const std::function<Result<void>(const std::filesystem::path&)>& write);
 

@@ -7,8 +7,12 @@
 
 namespace penumbra {
 
-inline float float_from_half(std::uint16_t bits) { return imath_half_to_float(bits); }
-inline std::uint16_t half_from_float(float value) { return imath_float_to_half(value); }
+inline float float_from_half(std::uint16_t bits) {
+  return imath_half_to_float(bits);
+}
+inline std::uint16_t half_from_float(float value) {
+  return imath_float_to_half(value);
+}
 inline constexpr std::uint16_t kHalfOne = 0x3c00;
 
 }  // namespace penumbra

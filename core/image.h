@@ -75,7 +75,8 @@ class Image {
   }
   std::size_t index(int x, int y) const {
     assert(x >= 0 && x < width_ && y >= 0 && y < height_);
-    return static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x);
+    return static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) +
+           static_cast<std::size_t>(x);
   }
 
   int width_ = 0, height_ = 0;

@@ -1,4 +1,5 @@
-// Errors as values: every edge of the program (file, device, GL, socket, configuration) returns one.
+// Errors as values: every edge of the program (file, device, GL, socket, configuration) returns
+// one.
 #pragma once
 
 #include <expected>
@@ -8,17 +9,18 @@
 namespace penumbra {
 
 enum class ErrorCode {
-  kNotFound,       // a file, device or name that is not there
-  kUnreadable,     // there, but damaged, truncated or of an unknown kind
-  kUnwritable,     // the output cannot be made
-  kInvalid,        // a value outside its range, an unknown key, inconsistent sizes
-  kNonFinite,      // NaN or infinity where a number is needed
-  kUndetermined,   // the data cannot determine the answer (all black, all clipped, degenerate)
-  kUnavailable,    // the machine lacks the thing (no EGL, no display, no codec)
-  kClosed,         // the other end has gone
+  kNotFound,      // a file, device or name that is not there
+  kUnreadable,    // there, but damaged, truncated or of an unknown kind
+  kUnwritable,    // the output cannot be made
+  kInvalid,       // a value outside its range, an unknown key, inconsistent sizes
+  kNonFinite,     // NaN or infinity where a number is needed
+  kUndetermined,  // the data cannot determine the answer (all black, all clipped, degenerate)
+  kUnavailable,   // the machine lacks the thing (no EGL, no display, no codec)
+  kClosed,        // the other end has gone
 };
 
-/// where: the thing (a path, a device, a key); detail: the reason. Printed as "penumbra: WHERE: DETAIL".
+/// where: the thing (a path, a device, a key); detail: the reason. Printed as "penumbra: WHERE:
+/// DETAIL".
 struct Error {
   ErrorCode code;
   std::string where;
@@ -35,14 +37,14 @@ inline std::unexpected<Error> fail(ErrorCode code, std::string where, std::strin
 }  // namespace penumbra
 
 // Returns the error of a Result from the calling function, or goes on.
-#define PENUMBRA_TRY(expression)                                          \
-  do {                                                                    \
-    if (auto&& try_result = (expression); !try_result)                    \
-      return std::unexpected(std::move(try_result).error());              \
+#define PENUMBRA_TRY(expression)                             \
+  do {                                                       \
+    if (auto&& try_result = (expression); !try_result)       \
+      return std::unexpected(std::move(try_result).error()); \
   } while (false)
 
 // Declares `name` as the value of a Result, or returns its error from the calling function.
-#define PENUMBRA_ASSIGN(name, expression)                                 \
-  auto name##_result = (expression);                                      \
+#define PENUMBRA_ASSIGN(name, expression)                                       \
+  auto name##_result = (expression);                                            \
   if (!name##_result) return std::unexpected(std::move(name##_result).error()); \
   auto& name = *name##_result

@@ -1,4 +1,5 @@
-// Spherical-harmonic vectors that do not mix: radiance, irradiance and transfer are different types.
+// Spherical-harmonic vectors that do not mix: radiance, irradiance and transfer are different
+// types.
 #pragma once
 
 #include <array>

@@ -1,5 +1,5 @@
-// TOML tables read strictly: unknown keys, wrong kinds and values out of range are errors that name the
-// file, the line and the key. Included by the few files that read TOML.
+// TOML tables read strictly: unknown keys, wrong kinds and values out of range are errors that name
+// the file, the line and the key. Included by the few files that read TOML.
 #pragma once
 
 #include <fmt/format.h>
@@ -21,7 +21,8 @@ namespace penumbra {
 /// One table of the file; every error names file, line and key.
 class TomlKeys {
  public:
-  TomlKeys(const std::filesystem::path& path, const toml::table& table) : path_(path), table_(table) {}
+  TomlKeys(const std::filesystem::path& path, const toml::table& table)
+      : path_(path), table_(table) {}
 
   std::unexpected<Error> invalid(const toml::node& at, std::string_view key,
                                  const std::string& detail,
@@ -95,7 +96,8 @@ class TomlKeys {
     std::vector<const toml::table*> out;
     const toml::node* node = table_.get(key);
     if (!node) return out;
-    if (!node->is_array()) return invalid(key, fmt::format("no [[{}]], but another kind of value", key));
+    if (!node->is_array())
+      return invalid(key, fmt::format("no [[{}]], but another kind of value", key));
     for (const toml::node& element : *node->as_array()) {
       if (!element.is_table()) return invalid(element, key, "not a [[" + std::string(key) + "]]");
       out.push_back(element.as_table());

@@ -1,5 +1,6 @@
 // Units that do not mix: a time passed where a radiance is wanted does not compile
-// (tests/compile_fail proves it). Construction is explicit; arithmetic exists only where units allow.
+// (tests/compile_fail proves it). Construction is explicit; arithmetic exists only where units
+// allow.
 #pragma once
 
 #include <chrono>
@@ -16,8 +17,12 @@ class Quantity {
   constexpr Rep value() const { return value_; }
 
   friend constexpr auto operator<=>(Quantity, Quantity) = default;
-  friend constexpr Quantity operator+(Quantity a, Quantity b) { return Quantity(a.value_ + b.value_); }
-  friend constexpr Quantity operator-(Quantity a, Quantity b) { return Quantity(a.value_ - b.value_); }
+  friend constexpr Quantity operator+(Quantity a, Quantity b) {
+    return Quantity(a.value_ + b.value_);
+  }
+  friend constexpr Quantity operator-(Quantity a, Quantity b) {
+    return Quantity(a.value_ - b.value_);
+  }
   friend constexpr Quantity operator*(Quantity a, Rep k) { return Quantity(a.value_ * k); }
   friend constexpr Quantity operator*(Rep k, Quantity a) { return Quantity(a.value_ * k); }
   friend constexpr Rep operator/(Quantity a, Quantity b) { return a.value_ / b.value_; }
@@ -46,7 +51,8 @@ constexpr Seconds operator-(TimestampNs later, TimestampNs earlier) {
   return Seconds(static_cast<double>(later.value - earlier.value) * 1e-9);
 }
 constexpr TimestampNs operator+(TimestampNs start, Seconds step) {
-  return {start.value + static_cast<std::int64_t>(step.count() * 1e9 + (step.count() < 0 ? -.5 : .5))};
+  return {start.value +
+          static_cast<std::int64_t>(step.count() * 1e9 + (step.count() < 0 ? -.5 : .5))};
 }
 
 /// The exposure APPLIED to a frame, never the one requested.

@@ -19,7 +19,8 @@ Result<Projection> project_with_holes(const Environment& environment, int bands)
       direction.emplace_back(latlong_direction(x + .5, y + .5, map.width(), map.height()));
       solid_angle.push_back(static_cast<float>(latlong_solid_angle(y, map.width(), map.height())));
     }
-  return project_samples({direction, solid_angle, environment.confidence.pixels(), map.pixels()}, bands);
+  return project_samples({direction, solid_angle, environment.confidence.pixels(), map.pixels()},
+                         bands);
 }
 
 }  // namespace
@@ -60,7 +61,8 @@ LightEstimate make_estimate(const RadianceSh& nine_bands, int bands) {
   estimate.valid = true;
   estimate.coverage = 1;
   estimate.mean_radiance = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
-  // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2 |l_l|^2.
+  // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2
+  // |l_l|^2.
   double left_out = 0;
   for (int l = bands; l < nine_bands.bands(); ++l)
     for (int m = -l; m <= l; ++m) {

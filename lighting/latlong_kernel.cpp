@@ -12,17 +12,16 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 using Lanes = hn::ScalableTag<float>;
 
-// The four pixels at p, -p, pi - p and p - pi share |cos mp| and |sin mp|. Their sums with the signs of
-// even cosine, odd cosine, even sine and odd sine:
+// The four pixels at p, -p, pi - p and p - pi share |cos mp| and |sin mp|. Their sums with the
+// signs of even cosine, odd cosine, even sine and odd sine:
 //   ce = a + b + c + d    co = a + b - c - d    se = a - b - c + d    so = a - b + c - d
 HWY_ATTR void Fold(const RowTables& t, const float* rgb) {
   const Lanes d;
   const int lanes = static_cast<int>(hn::Lanes(d));
   const int quarter = t.width / 4, half = t.width / 2;
   float* const buffer = t.scratch;
-  const auto plane = [&](int which, int channel) HWY_ATTR {
-    return buffer + (which * 3 + channel) * t.stride;
-  };
+  const auto plane = [&](int which, int channel)
+                         HWY_ATTR { return buffer + (which * 3 + channel) * t.stride; };
   int k = 0;
   for (; k + lanes <= quarter; k += lanes) {
     hn::Vec<Lanes> a[3], b[3], c[3], e[3];
@@ -51,8 +50,8 @@ HWY_ATTR void Fold(const RowTables& t, const float* rgb) {
     }
 }
 
-// Dot products of one folded plane triple with `Count` tables at once: the tables and the planes are
-// zero beyond the quarter row, so whole vectors suffice.
+// Dot products of one folded plane triple with `Count` tables at once: the tables and the planes
+// are zero beyond the quarter row, so whole vectors suffice.
 template <int Count>
 HWY_ATTR void Dots(int n, const float* const* table, const float* r, const float* g, const float* b,
                    double (*const* out)[3]) {
@@ -92,12 +91,23 @@ HWY_ATTR void RowFourierSums(const RowTables& t, const float* rgb, double (*out_
     }
     const float *r = plane, *g = plane + t.stride, *b = plane + 2 * t.stride;
     switch (count) {
-      case 1: Dots<1>(n, table, r, g, b, out); break;
-      case 2: Dots<2>(n, table, r, g, b, out); break;
-      case 3: Dots<3>(n, table, r, g, b, out); break;
-      case 4: Dots<4>(n, table, r, g, b, out); break;
-      case 5: Dots<5>(n, table, r, g, b, out); break;
-      default: break;
+      case 1:
+        Dots<1>(n, table, r, g, b, out);
+        break;
+      case 2:
+        Dots<2>(n, table, r, g, b, out);
+        break;
+      case 3:
+        Dots<3>(n, table, r, g, b, out);
+        break;
+      case 4:
+        Dots<4>(n, table, r, g, b, out);
+        break;
+      case 5:
+        Dots<5>(n, table, r, g, b, out);
+        break;
+      default:
+        break;
     }
   }
 }

@@ -69,8 +69,8 @@ Rgb evaluate(const IrradianceSh& irradiance, const glm::dvec3& normal);
 
 /// Projects lat-long maps of one size; all tables are made at construction.
 /// Each row is reduced to its Fourier sums about +y (quarter-period symmetries folded), weighted by
-/// the exact row solid angle and the Legendre functions, and the result is turned from the y to the z
-/// pole; the work per pixel is 2 bands - 1 products a channel divided by four.
+/// the exact row solid angle and the Legendre functions, and the result is turned from the y to the
+/// z pole; the work per pixel is 2 bands - 1 products a channel divided by four.
 class LatLongProjector {
  public:
   /// width a multiple of 4, both at least 4; 1 <= bands <= 9
@@ -100,10 +100,10 @@ struct LightSamples {
   std::span<const Rgb> radiance;
 };
 
-/// Projection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes: weighted
-/// least squares with the smoothness penalty mu l^2 (l+1)^2 (methods: hole filling), so a constant
-/// environment stays exactly constant under any hole.
-/// errors:  kInvalid (lengths), kNonFinite, kUndetermined (coverage below 2 %)
+/// Projection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes:
+/// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (methods: hole filling), so a
+/// constant environment stays exactly constant under any hole. errors:  kInvalid (lengths),
+/// kNonFinite, kUndetermined (coverage below 2 %)
 struct Projection {
   RadianceSh light;
   double coverage = 1;  // seen part of the sphere's solid angle
@@ -145,8 +145,9 @@ class LightEstimator {
 /// A light estimate from nine-band coefficients: truncates and predicts what truncation costs.
 LightEstimate make_estimate(const RadianceSh& nine_bands, int bands);
 
-/// Largest possible change of any diffuse surface's exit radiance between two lights, relative to the
-/// mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3 pi)).
+/// Largest possible change of any diffuse surface's exit radiance between two lights, relative to
+/// the mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3
+/// pi)).
 double largest_visible_change(const RadianceSh& before, const RadianceSh& after);
 
 }  // namespace penumbra::lighting

@@ -1,8 +1,8 @@
+#include <fmt/format.h>
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <fmt/format.h>
 
 #include "lighting/latlong_kernel.h"
 #include "lighting/lighting.h"
@@ -11,17 +11,21 @@ namespace penumbra::lighting {
 
 namespace {
 
-// The rows are summed about +y; this turns the result to the z pole. Local x, y, z are world -z, -x, +y,
-// so that a lat-long azimuth p is the local azimuth -p.
-const glm::dmat3 kWorldFromRowFrame(glm::dvec3(0, 0, -1), glm::dvec3(-1, 0, 0), glm::dvec3(0, 1, 0));
+// The rows are summed about +y; this turns the result to the z pole. Local x, y, z are world -z,
+// -x, +y, so that a lat-long azimuth p is the local azimuth -p.
+const glm::dmat3 kWorldFromRowFrame(glm::dvec3(0, 0, -1), glm::dvec3(-1, 0, 0),
+                                    glm::dvec3(0, 1, 0));
 
-constexpr int rounded_up(int n, int multiple) { return (n + multiple - 1) / multiple * multiple; }
+constexpr int rounded_up(int n, int multiple) {
+  return (n + multiple - 1) / multiple * multiple;
+}
 
 Error first_non_finite(const Image<Rgb>& map) {
   for (int y = 0; y < map.height(); ++y)
     for (int x = 0; x < map.width(); ++x)
       if (!is_finite(map.at(x, y)))
-        return {ErrorCode::kNonFinite, "environment", fmt::format("pixel {},{} is not finite", x, y)};
+        return {ErrorCode::kNonFinite, "environment",
+                fmt::format("pixel {},{} is not finite", x, y)};
   return {ErrorCode::kNonFinite, "environment", "its sum is not finite"};
 }
 
@@ -69,8 +73,9 @@ LatLongProjector& LatLongProjector::operator=(LatLongProjector&&) noexcept = def
 Result<RadianceSh> LatLongProjector::project(const Image<Rgb>& map) {
   const Tables& t = *tables_;
   if (map.width() != t.width || map.height() != t.height)
-    return fail(ErrorCode::kInvalid, "environment",
-                fmt::format("{}x{} pixels, expected {}x{}", map.width(), map.height(), t.width, t.height));
+    return fail(
+        ErrorCode::kInvalid, "environment",
+        fmt::format("{}x{} pixels, expected {}x{}", map.width(), map.height(), t.width, t.height));
   double sum[kMaxCoefficients][3] = {};
   double row_cos[kMaxBands][3] = {}, row_sin[kMaxBands][3] = {};
   const double* legendre = t.legendre.data();
@@ -110,7 +115,7 @@ Result<RadianceSh> project_latlong(const Image<Rgb>& map, int bands) {
 
 namespace {
 
-constexpr double kSmoothness = 1e-3;   // mu of the penalty; small against covered energy (order 1)
+constexpr double kSmoothness = 1e-3;    // mu of the penalty; small against covered energy (order 1)
 constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
 constexpr double kLeastCoverage = .02;
 
@@ -154,7 +159,8 @@ Result<Projection> project_samples(const LightSamples& s, int bands) {
   const std::size_t n = s.radiance.size();
   if (s.direction.size() != n || s.solid_angle_sr.size() != n ||
       (!s.confidence.empty() && s.confidence.size() != n))
-    return fail(ErrorCode::kInvalid, "environment", "directions, weights and pixels differ in number");
+    return fail(ErrorCode::kInvalid, "environment",
+                "directions, weights and pixels differ in number");
   double seen = 0;
   for (std::size_t i = 0; i < n; ++i)
     seen += s.solid_angle_sr[i] * (s.confidence.empty() ? 1. : double(s.confidence[i]));

@@ -6,7 +6,9 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr int matrices_before(int l) { return l * (2 * l - 1) * (2 * l + 1) / 3; }
+constexpr int matrices_before(int l) {
+  return l * (2 * l - 1) * (2 * l + 1) / 3;
+}
 
 // Index of D^l_{mn} in the packed storage: the matrices of all lower bands stand before it.
 constexpr int entry_index(int l, int m, int n) {

@@ -33,7 +33,8 @@ inline const RecursionTable& recursion_table() {
 
 /// emit(n, value) is called once for every n < bands^2. V needs V + V, V - V, V * V and V * Scalar.
 template <class V, class Scalar, class Emit>
-inline void evaluate_recursion(int bands, const V& x, const V& y, const V& z, const V& one, Emit emit) {
+inline void evaluate_recursion(int bands, const V& x, const V& y, const V& z, const V& one,
+                               Emit emit) {
   const RecursionTable& t = recursion_table();
   const auto sqrt2 = static_cast<Scalar>(std::numbers::sqrt2);
   V re = one, im = one - one;  // (x + iy)^m

@@ -31,8 +31,8 @@ struct Point {
 struct BounceHit {
   static constexpr std::uint32_t kGround = 0xfffffffeu;
   std::uint32_t triangle;
-  float u, v;     // barycentric, or the receiver's texture coordinates
-  float weight;   // share of this ray in the point's transfer
+  float u, v;    // barycentric, or the receiver's texture coordinates
+  float weight;  // share of this ray in the point's transfer
 };
 
 struct PointResult {
@@ -41,8 +41,8 @@ struct PointResult {
   std::vector<BounceHit> hits;
 };
 
-// The bake works on a copy moved to the origin and scaled to radius one, so that neither the size nor the
-// place of the model changes a float operation.
+// The bake works on a copy moved to the origin and scaled to radius one, so that neither the size
+// nor the place of the model changes a float operation.
 class Baker {
  public:
   Baker(const Mesh& mesh, const BakeOptions& options) : options_(options), mesh_(mesh) {
@@ -78,7 +78,8 @@ class Baker {
   Transfer packed_deficit() const;
 
   const float* transfer_at(std::size_t point, int channel) const {
-    return &current_[(point * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(channel)) *
+    return &current_[(point * static_cast<std::size_t>(channels_) +
+                      static_cast<std::size_t>(channel)) *
                      coefficients_];
   }
 
@@ -98,8 +99,9 @@ class Baker {
 void Baker::add_receiver_points(const GroundGrid& grid) {
   for (int j = 0; j < grid.size; ++j)
     for (int i = 0; i < grid.size; ++i) {
-      const glm::vec2 p = grid.position({(static_cast<float>(i) + .5f) / static_cast<float>(grid.size),
-                                         (static_cast<float>(j) + .5f) / static_cast<float>(grid.size)});
+      const glm::vec2 p =
+          grid.position({(static_cast<float>(i) + .5f) / static_cast<float>(grid.size),
+                         (static_cast<float>(j) + .5f) / static_cast<float>(grid.size)});
       const glm::vec3 world(p.x, grid.height, p.y);
       points_.push_back({(world - centre_) * scale_, {0, 1, 0}, options_.ground_rays});
     }
@@ -121,15 +123,18 @@ std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
 }
 
 void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
-                      bool ground_point, std::uint32_t blocked, std::vector<BounceHit>& hits) const {
+                      bool ground_point, std::uint32_t blocked,
+                      std::vector<BounceHit>& hits) const {
   for (; blocked; blocked &= blocked - 1) {
     const int i = std::countr_zero(blocked);
     if (packet.triangle[i] != RayScene::kMiss) {
-      if (packet.front[i]) hits.push_back({packet.triangle[i], packet.u[i], packet.v[i], weight[i]});
+      if (packet.front[i])
+        hits.push_back({packet.triangle[i], packet.u[i], packet.v[i], weight[i]});
     } else if (!ground_point) {
       const float t = std::max(0.f, (plane_height() - origin.y) / packet.y[i]);
       const glm::vec2 here(origin.x + t * packet.x[i], origin.z + t * packet.z[i]);
-      const glm::vec2 uv = options_.receiver->grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
+      const glm::vec2 uv =
+          options_.receiver->grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
       hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
     }
   }
@@ -193,14 +198,16 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
 // What is blocked is taken from the closed form, so nothing blocked means an exact result.
 void Baker::start_transfer(std::size_t index, const PointResult& result) {
   double basis[kMaxCoefficients];
-  lighting::evaluate_basis(options_.bands, glm::normalize(glm::dvec3(points_[index].normal)), basis);
+  lighting::evaluate_basis(options_.bands, glm::normalize(glm::dvec3(points_[index].normal)),
+                           basis);
   for (int l = 0; l < options_.bands; ++l)
     for (int m = -l; m <= l; ++m) {
       const auto n = static_cast<std::size_t>(sh_index(l, m));
       const double open = lighting::cosine_coefficient(l) / kPi * basis[n];
       for (int c = 0; c < channels_; ++c)
         shadowed_[(index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) *
-                      coefficients_ + n] = static_cast<float>(open) - result.blocked[n];
+                      coefficients_ +
+                  n] = static_cast<float>(open) - result.blocked[n];
     }
 }
 
@@ -212,16 +219,20 @@ void Baker::add_ground_bounce(const BounceHit& hit, int channel, float* sum) con
     for (std::size_t n = 0; n < coefficients_; ++n) sum[n] += k * ground_far_[n];
     return;
   }
-  const float x = std::clamp(hit.u * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
-  const float y = std::clamp(hit.v * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
-  const int x0 = std::min(static_cast<int>(x), size - 2), y0 = std::min(static_cast<int>(y), size - 2);
+  const float x =
+      std::clamp(hit.u * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
+  const float y =
+      std::clamp(hit.v * static_cast<float>(size) - .5f, 0.f, static_cast<float>(size - 1));
+  const int x0 = std::min(static_cast<int>(x), size - 2),
+            y0 = std::min(static_cast<int>(y), size - 2);
   const float fx = x - static_cast<float>(x0), fy = y - static_cast<float>(y0);
   const std::size_t base = mesh_.positions.size() + static_cast<std::size_t>(y0 * size + x0);
   const float* const t00 = transfer_at(base, channel);
   const float* const t10 = transfer_at(base + 1, channel);
   const float* const t01 = transfer_at(base + static_cast<std::size_t>(size), channel);
   const float* const t11 = transfer_at(base + static_cast<std::size_t>(size) + 1, channel);
-  const float w00 = k * (1 - fx) * (1 - fy), w10 = k * fx * (1 - fy), w01 = k * (1 - fx) * fy, w11 = k * fx * fy;
+  const float w00 = k * (1 - fx) * (1 - fy), w10 = k * fx * (1 - fy), w01 = k * (1 - fx) * fy,
+              w11 = k * fx * fy;
   for (std::size_t n = 0; n < coefficients_; ++n)
     sum[n] += w00 * t00[n] + w10 * t10[n] + w01 * t01[n] + w11 * t11[n];
 }
@@ -258,7 +269,8 @@ void Baker::report_progress(double share) {
 }
 
 double Baker::standard_error(const std::vector<PointResult>& results) const {
-  // t_0 of each group is (1 - its blocked share) times a constant; the mean of four has variance s^2/4.
+  // t_0 of each group is (1 - its blocked share) times a constant; the mean of four has variance
+  // s^2/4.
   double variance = 0, mean = 0;
   const std::size_t count = mesh_.positions.size();
   for (std::size_t i = 0; i < count; ++i) {
@@ -287,7 +299,8 @@ Transfer Baker::packed_deficit() const {
   for (std::size_t p = 0; p < out.points; ++p)
     for (int c = 0; c < channels_; ++c)
       for (std::size_t n = 0; n < coefficients_; ++n)
-        out.set(c, static_cast<int>(n), p, ground_far_[n] - transfer_at(mesh_.positions.size() + p, c)[n]);
+        out.set(c, static_cast<int>(n), p,
+                ground_far_[n] - transfer_at(mesh_.positions.size() + p, c)[n]);
   return out;
 }
 
@@ -302,7 +315,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   lighting::evaluate_basis(options_.bands, {0, 1, 0}, up);
   for (int l = 0; l < options_.bands; ++l)
     for (int m = -l; m <= l; ++m)
-      ground_far_.push_back(static_cast<float>(lighting::cosine_coefficient(l) / kPi * up[sh_index(l, m)]));
+      ground_far_.push_back(
+          static_cast<float>(lighting::cosine_coefficient(l) / kPi * up[sh_index(l, m)]));
 
   const RayPatterns patterns(options_.rays), ground_patterns(options_.ground_rays);
   std::vector<PointResult> results(points_.size());
@@ -356,10 +370,12 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
     const GroundGrid& g = o.receiver->grid;
     if (g.size < 2 || g.size > 4096 || !(g.half_extent > 0) ||
         !std::isfinite(g.half_extent + g.height + g.centre.x + g.centre.y))
-      return fail(ErrorCode::kInvalid, "receiver", "size not within 2..4096, or extent not positive and finite");
+      return fail(ErrorCode::kInvalid, "receiver",
+                  "size not within 2..4096, or extent not positive and finite");
   }
   if (o.bands < 1 || o.bands > kMaxBands)
-    return fail(ErrorCode::kInvalid, "bands", fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
+    return fail(ErrorCode::kInvalid, "bands",
+                fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
   if (o.bounces < 0) return fail(ErrorCode::kInvalid, "bounces", "must not be negative");

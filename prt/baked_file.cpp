@@ -8,9 +8,10 @@
 #include "core/half.h"
 #include "prt/prt.h"
 
-// Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of four:
-// value number channel * bands^2 + n stands in component (number % 4) of attribute (number / 4).
-// asset.extras.penumbra holds the rest; the receiver's texels are an accessor of half-float bits.
+// Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
+// four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
+// 4). asset.extras.penumbra holds the rest; the receiver's texels are an accessor of half-float
+// bits.
 
 namespace penumbra::prt {
 namespace {
@@ -23,7 +24,8 @@ class Writer {
  public:
   explicit Writer(Model& model) : model_(model) { model_.buffers.emplace_back(); }
 
-  int add(const void* data, std::size_t bytes, std::size_t count, int component, int type, int target) {
+  int add(const void* data, std::size_t bytes, std::size_t count, int component, int type,
+          int target) {
     auto& buffer = model_.buffers[0].data;
     buffer.resize((buffer.size() + 3) / 4 * 4);
     tinygltf::BufferView view;
@@ -44,15 +46,17 @@ class Writer {
   }
   template <class T>
   int add_vertices(const std::vector<T>& data, int type) {
-    return add(data.data(), data.size() * sizeof(T), data.size(), TINYGLTF_COMPONENT_TYPE_FLOAT, type,
-               TINYGLTF_TARGET_ARRAY_BUFFER);
+    return add(data.data(), data.size() * sizeof(T), data.size(), TINYGLTF_COMPONENT_TYPE_FLOAT,
+               type, TINYGLTF_TARGET_ARRAY_BUFFER);
   }
 
  private:
   Model& model_;
 };
 
-Value number(double v) { return Value(v); }
+Value number(double v) {
+  return Value(v);
+}
 
 Value::Object describe(const BakedObject& o, int ground_accessor) {
   Value::Object d;
@@ -88,7 +92,8 @@ Model to_model(const BakedObject& o) {
   model.accessors.back().maxValues = {b.high.x, b.high.y, b.high.z};
   primitive.attributes["NORMAL"] = writer.add_vertices(o.mesh.normals, TINYGLTF_TYPE_VEC3);
   primitive.attributes["COLOR_0"] = writer.add_vertices(o.mesh.albedo, TINYGLTF_TYPE_VEC3);
-  const int per_channel = coefficient_count(o.transfer.bands), values = o.transfer.channels * per_channel;
+  const int per_channel = coefficient_count(o.transfer.bands),
+            values = o.transfer.channels * per_channel;
   for (int first = 0; first < values; first += 4) {
     std::vector<std::array<float, 4>> quad(o.transfer.points);
     for (std::size_t p = 0; p < o.transfer.points; ++p)
@@ -102,7 +107,8 @@ Model to_model(const BakedObject& o) {
                                  o.mesh.triangles.size() * 3, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
                                  TINYGLTF_TYPE_SCALAR, TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
   const int ground =
-      o.receiver ? writer.add(o.ground_deficit.values.data(), o.ground_deficit.values.size() * 2, o.ground_deficit.values.size(),
+      o.receiver ? writer.add(o.ground_deficit.values.data(), o.ground_deficit.values.size() * 2,
+                              o.ground_deficit.values.size(),
                               TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0)
                  : -1;
   model.meshes.emplace_back().primitives.push_back(primitive);
@@ -118,8 +124,9 @@ Model to_model(const BakedObject& o) {
 }
 
 // Bytes of an accessor, checked against view and buffer; nothing when anything is off.
-std::optional<std::span<const unsigned char>> accessor_bytes(const Model& m, int index, int component,
-                                                             int type, std::size_t element_bytes) {
+std::optional<std::span<const unsigned char>> accessor_bytes(const Model& m, int index,
+                                                             int component, int type,
+                                                             std::size_t element_bytes) {
   if (index < 0 || static_cast<std::size_t>(index) >= m.accessors.size()) return std::nullopt;
   const auto& a = m.accessors[static_cast<std::size_t>(index)];
   if (a.componentType != component || a.type != type || a.bufferView < 0 || a.byteOffset != 0 ||
@@ -140,7 +147,8 @@ bool read_attribute(const Model& m, const tinygltf::Primitive& p, const std::str
                     std::vector<T>& out) {
   const auto found = p.attributes.find(name);
   if (found == p.attributes.end()) return false;
-  const auto bytes = accessor_bytes(m, found->second, TINYGLTF_COMPONENT_TYPE_FLOAT, type, sizeof(T));
+  const auto bytes =
+      accessor_bytes(m, found->second, TINYGLTF_COMPONENT_TYPE_FLOAT, type, sizeof(T));
   if (!bytes) return false;
   out.resize(bytes->size() / sizeof(T));
   if (!out.empty()) std::memcpy(out.data(), bytes->data(), bytes->size());
@@ -157,20 +165,21 @@ bool read_mesh(const Model& m, const tinygltf::Primitive& p, Mesh& mesh) {
       !read_attribute(m, p, "COLOR_0", TINYGLTF_TYPE_VEC3, mesh.albedo))
     return false;
   const std::size_t n = mesh.positions.size();
-  const auto indices = accessor_bytes(m, p.indices, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
-                                      TINYGLTF_TYPE_SCALAR, 4);
-  if (n == 0 || mesh.normals.size() != n || mesh.albedo.size() != n || !indices || indices->size() % 12 != 0)
+  const auto indices =
+      accessor_bytes(m, p.indices, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
+  if (n == 0 || mesh.normals.size() != n || mesh.albedo.size() != n || !indices ||
+      indices->size() % 12 != 0)
     return false;
   mesh.triangles.resize(indices->size() / 12);
   std::memcpy(mesh.triangles.data(), indices->data(), indices->size());
   return !mesh.triangles.empty() && finite({&mesh.positions[0].x, 3 * n}) &&
          finite({&mesh.normals[0].x, 3 * n}) && finite({&mesh.albedo[0].r, 3 * n}) &&
-         std::ranges::all_of(mesh.triangles, [&](const auto& t) {
-           return t[0] < n && t[1] < n && t[2] < n;
-         });
+         std::ranges::all_of(mesh.triangles,
+                             [&](const auto& t) { return t[0] < n && t[1] < n && t[2] < n; });
 }
 
-bool read_transfer(const Model& m, const tinygltf::Primitive& p, int bands, int channels, BakedObject& o) {
+bool read_transfer(const Model& m, const tinygltf::Primitive& p, int bands, int channels,
+                   BakedObject& o) {
   o.transfer = Transfer(bands, channels, o.mesh.positions.size());
   const int per_channel = coefficient_count(bands), values = channels * per_channel;
   for (int first = 0; first < values; first += 4) {
@@ -207,33 +216,39 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   g.height = static_cast<float>(get(r, "height_m"));
   const Rgb albedo{static_cast<float>(get(r, "albedo", 0)), static_cast<float>(get(r, "albedo", 1)),
                    static_cast<float>(get(r, "albedo", 2))};
-  const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height, albedo.r, albedo.g, albedo.b};
+  const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height,
+                       albedo.r,   albedo.g,   albedo.b};
   if (!finite(all) || g.half_extent <= 0) return false;
   const double accessor = get(r, "accessor");
   if (!(accessor >= 0 && accessor < static_cast<double>(m.accessors.size()))) return false;
-  const auto bytes = accessor_bytes(m, static_cast<int>(accessor), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT,
-                                    TINYGLTF_TYPE_SCALAR, 2);
+  const auto bytes =
+      accessor_bytes(m, static_cast<int>(accessor), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT,
+                     TINYGLTF_TYPE_SCALAR, 2);
   // The file must hold the texels before any room is made for them.
   const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
-  const std::size_t values = (texels + 63) / 64 * 64 * static_cast<std::size_t>(o.transfer.channels) *
+  const std::size_t values = (texels + 63) / 64 * 64 *
+                             static_cast<std::size_t>(o.transfer.channels) *
                              static_cast<std::size_t>(coefficient_count(o.transfer.bands));
   if (!bytes || bytes->size() != values * 2) return false;
   o.ground_deficit = Transfer(o.transfer.bands, o.transfer.channels, texels);
   std::memcpy(o.ground_deficit.values.data(), bytes->data(), bytes->size());
   o.receiver = Receiver{g, albedo};
-  return std::ranges::all_of(o.ground_deficit.values, [](auto h) { return std::isfinite(float_from_half(h)); });
+  return std::ranges::all_of(o.ground_deficit.values,
+                             [](auto h) { return std::isfinite(float_from_half(h)); });
 }
 
 const Value* own_extras(const Model& m) {
-  return m.asset.extras.IsObject() && m.asset.extras.Has("penumbra") ? &m.asset.extras.Get("penumbra")
-                                                                     : nullptr;
+  return m.asset.extras.IsObject() && m.asset.extras.Has("penumbra")
+             ? &m.asset.extras.Get("penumbra")
+             : nullptr;
 }
 
 Result<BakedObject> from_model(const Model& m, const std::string& file) {
   const Value* extras = own_extras(m);
   if (!extras) return fail(ErrorCode::kInvalid, file, "glTF without baked transfer; bake it first");
   if (get(*extras, "version") != kVersion)
-    return fail(ErrorCode::kInvalid, file, fmt::format("baked by another version, expected {}", kVersion));
+    return fail(ErrorCode::kInvalid, file,
+                fmt::format("baked by another version, expected {}", kVersion));
   const double bands = get(*extras, "bands"), channels = get(*extras, "channels");
   if (!(bands >= 1 && bands <= kMaxBands) || !(channels == 1 || channels == 3))
     return fail(ErrorCode::kUnreadable, file, "damaged: bands or channels out of range");
@@ -250,7 +265,8 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
     const double v = get(*extras, key);
     return v >= 0 && v < 1e18 ? v : 0;
   };
-  o.report = {static_cast<std::uint64_t>(figure("rays")), figure("seconds"), figure("standard_error")};
+  o.report = {static_cast<std::uint64_t>(figure("rays")), figure("seconds"),
+              figure("standard_error")};
   return o;
 }
 
@@ -259,7 +275,8 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
 Result<void> write_baked(const std::filesystem::path& path, const BakedObject& object) {
   return replace_file(path, [&](const std::filesystem::path& temporary) -> Result<void> {
     Model model = to_model(object);
-    if (!tinygltf::TinyGLTF().WriteGltfSceneToFile(&model, temporary.string(), true, true, false, true))
+    if (!tinygltf::TinyGLTF().WriteGltfSceneToFile(&model, temporary.string(), true, true, false,
+                                                   true))
       return fail(ErrorCode::kUnwritable, path.string(), "cannot write the file");
     return {};
   });
@@ -274,7 +291,8 @@ Result<BakedObject> read_baked(const std::filesystem::path& path) {
     if (!tinygltf::TinyGLTF().LoadBinaryFromMemory(&model, &error, &warning, bytes->data(),
                                                    static_cast<unsigned>(bytes->size()))) {
       std::ranges::replace(error, '\n', ' ');
-      return fail(ErrorCode::kUnreadable, path.string(), error.empty() ? "not a binary glTF" : error);
+      return fail(ErrorCode::kUnreadable, path.string(),
+                  error.empty() ? "not a binary glTF" : error);
     }
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, path.string(), e.what());

@@ -1,6 +1,6 @@
+#include <fmt/format.h>
 #include <algorithm>
 #include <cmath>
-#include <fmt/format.h>
 
 #include "core/conventions.h"
 #include "lighting/lighting.h"
@@ -19,14 +19,16 @@ Result<EnvironmentLight> EnvironmentLight::from_map(const Image<Rgb>& map) {
     for (int x = 0; x < map.width(); ++x) {
       const Rgb& c = map.at(x, y);
       if (!is_finite(c))
-        return fail(ErrorCode::kNonFinite, "environment", fmt::format("pixel {},{} is not finite", x, y));
+        return fail(ErrorCode::kNonFinite, "environment",
+                    fmt::format("pixel {},{} is not finite", x, y));
       row += w * std::max(0.f, luminance(c));
       light.cumulative_columns_.push_back(static_cast<float>(row));
     }
     // Each row's own distribution, normalised; an all-black row is uniform and never chosen.
     for (int x = 0; x < map.width(); ++x) {
       float& c = light.cumulative_columns_[static_cast<std::size_t>(y * map.width() + x)];
-      c = row > 0 ? static_cast<float>(c / row) : static_cast<float>(x + 1) / static_cast<float>(map.width());
+      c = row > 0 ? static_cast<float>(c / row)
+                  : static_cast<float>(x + 1) / static_cast<float>(map.width());
     }
     total += row;
     light.cumulative_rows_.push_back(static_cast<float>(total));

@@ -2,8 +2,8 @@
 #include <assimp/scene.h>
 #include <fmt/format.h>
 
-#include <assimp/Importer.hpp>
 #include <algorithm>
+#include <assimp/Importer.hpp>
 #include <cctype>
 #include <cmath>
 #include <fstream>
@@ -17,14 +17,16 @@ namespace penumbra::prt {
 
 namespace {
 
-// Assimp invents materials for files that have none: by a name of its own, or nameless in white or .6 grey.
+// Assimp invents materials for files that have none: by a name of its own, or nameless in white or
+// .6 grey.
 bool is_own_material(const aiMaterial* material) {
   if (material == nullptr) return false;
   aiString name;
   if (material->Get(AI_MATKEY_NAME, name) == AI_SUCCESS && name.length > 0)
     return std::string_view(name.C_Str()) != AI_DEFAULT_MATERIAL_NAME;
   aiColor4D c;
-  if (material->Get(AI_MATKEY_BASE_COLOR, c) != AI_SUCCESS && material->Get(AI_MATKEY_COLOR_DIFFUSE, c) != AI_SUCCESS)
+  if (material->Get(AI_MATKEY_BASE_COLOR, c) != AI_SUCCESS &&
+      material->Get(AI_MATKEY_COLOR_DIFFUSE, c) != AI_SUCCESS)
     return false;
   const bool grey = c.r == c.g && c.g == c.b;
   return !(grey && (c.r == 1 || std::abs(c.r - .6f) < 1e-3f));
@@ -52,8 +54,8 @@ Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb alb
     const aiVector3D p = to_world * in.mVertices[i];
     aiVector3D n = in.mNormals ? normal_matrix * in.mNormals[i] : aiVector3D(0, 1, 0);
     if (!std::isfinite(p.x) || !std::isfinite(p.y) || !std::isfinite(p.z))
-      return fail(ErrorCode::kNonFinite, file, fmt::format("vertex {} of mesh \"{}\" is not finite", i,
-                                                           in.mName.C_Str()));
+      return fail(ErrorCode::kNonFinite, file,
+                  fmt::format("vertex {} of mesh \"{}\" is not finite", i, in.mName.C_Str()));
     if (!std::isfinite(n.x + n.y + n.z) || n.SquareLength() < 1e-20f) n = aiVector3D(0, 1, 0);
     n.Normalize();
     out.positions.emplace_back(p.x, p.y, p.z);
@@ -100,8 +102,8 @@ Result<void> add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x
   return {};
 }
 
-// Equal vertices become one, to the bit (Assimp's own joining merges what lies within 1e-5 of a unit, which
-// destroys small models); vertices that no triangle uses would be baked for nothing.
+// Equal vertices become one, to the bit (Assimp's own joining merges what lies within 1e-5 of a
+// unit, which destroys small models); vertices that no triangle uses would be baked for nothing.
 void weld(Mesh& mesh) {
   using Key = std::array<float, 9>;
   std::map<Key, std::uint32_t> known;
@@ -110,8 +112,9 @@ void weld(Mesh& mesh) {
     for (auto& i : t) {
       const glm::vec3 &p = mesh.positions[i], &n = mesh.normals[i];
       const Rgb& a = mesh.albedo[i];
-      const auto [found, fresh] = known.try_emplace(Key{p.x, p.y, p.z, n.x, n.y, n.z, a.r, a.g, a.b},
-                                                    static_cast<std::uint32_t>(out.positions.size()));
+      const auto [found, fresh] =
+          known.try_emplace(Key{p.x, p.y, p.z, n.x, n.y, n.z, a.r, a.g, a.b},
+                            static_cast<std::uint32_t>(out.positions.size()));
       if (fresh) {
         out.positions.push_back(p);
         out.normals.push_back(n);
@@ -132,7 +135,8 @@ bool is_endless_ply(const std::filesystem::path& path) {
   return head.starts_with("ply") && head.find("end_header") == std::string::npos;
 }
 
-// Other kinds that Assimp knows end the process on a damaged file: Debian builds it with assertions on.
+// Other kinds that Assimp knows end the process on a damaged file: Debian builds it with assertions
+// on.
 constexpr std::string_view kKinds[] = {".gltf", ".glb", ".obj", ".ply", ".stl", ".fbx", ".dae"};
 
 }  // namespace
@@ -144,9 +148,11 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
     return fail(ErrorCode::kNotFound, file, "no such file");
   if (is_endless_ply(path)) return fail(ErrorCode::kUnreadable, file, "its PLY header has no end");
   std::string kind = path.extension().string();
-  std::ranges::transform(kind, kind.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  std::ranges::transform(kind, kind.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (std::ranges::find(kKinds, kind) == std::end(kKinds))
-    return fail(ErrorCode::kInvalid, file, "not a kind that is read: glTF, OBJ, PLY, STL, FBX or COLLADA");
+    return fail(ErrorCode::kInvalid, file,
+                "not a kind that is read: glTF, OBJ, PLY, STL, FBX or COLLADA");
   try {
     Assimp::Importer importer;
     // Wide smoothing angle: scanned meshes come without normals and are smooth.
@@ -158,8 +164,9 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
     Import out;
     PENUMBRA_TRY(add_node(*scene, *scene->mRootNode, aiMatrix4x4(), default_albedo, file, out));
     if (out.mesh.triangles.empty())
-      return fail(ErrorCode::kInvalid, file,
-                  out.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
+      return fail(
+          ErrorCode::kInvalid, file,
+          out.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
     weld(out.mesh);
     return out;
   } catch (const std::exception& e) {

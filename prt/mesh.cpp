@@ -38,7 +38,8 @@ void append(Mesh& mesh, const Mesh& other) {
   mesh.positions.insert(mesh.positions.end(), other.positions.begin(), other.positions.end());
   mesh.normals.insert(mesh.normals.end(), other.normals.begin(), other.normals.end());
   mesh.albedo.insert(mesh.albedo.end(), other.albedo.begin(), other.albedo.end());
-  for (const auto& t : other.triangles) mesh.triangles.push_back({t[0] + first, t[1] + first, t[2] + first});
+  for (const auto& t : other.triangles)
+    mesh.triangles.push_back({t[0] + first, t[1] + first, t[2] + first});
 }
 
 namespace {
@@ -47,7 +48,8 @@ class Subdivider {
  public:
   Subdivider(Mesh& mesh, float longest) : mesh_(mesh), longest_(longest) {}
 
-  // One round: every edge that is too long gets its midpoint; each triangle is cut by how many it has.
+  // One round: every edge that is too long gets its midpoint; each triangle is cut by how many it
+  // has.
   bool round() {
     midpoints_.clear();
     std::vector<std::array<std::uint32_t, 3>> out;
@@ -73,12 +75,15 @@ class Subdivider {
     return found->second = index;
   }
 
-  void split(const std::array<std::uint32_t, 3>& t, std::vector<std::array<std::uint32_t, 3>>& out) {
-    std::array<std::uint32_t, 3> m{midpoint(t[0], t[1]), midpoint(t[1], t[2]), midpoint(t[2], t[0])};
+  void split(const std::array<std::uint32_t, 3>& t,
+             std::vector<std::array<std::uint32_t, 3>>& out) {
+    std::array<std::uint32_t, 3> m{midpoint(t[0], t[1]), midpoint(t[1], t[2]),
+                                   midpoint(t[2], t[0])};
     const auto cuts = std::ranges::count_if(m, [](auto i) { return i != kNone; });
     if (cuts == 0) return out.push_back(t);
     if (cuts == 3) {
-      out.insert(out.end(), {{t[0], m[0], m[2]}, {m[0], t[1], m[1]}, {m[2], m[1], t[2]}, {m[0], m[1], m[2]}});
+      out.insert(out.end(),
+                 {{t[0], m[0], m[2]}, {m[0], t[1], m[1]}, {m[2], m[1], t[2]}, {m[0], m[1], m[2]}});
       return;
     }
     // Turn the triangle so that its first edge is cut and, with two cuts, its third is not.
@@ -109,11 +114,12 @@ void subdivide(Mesh& mesh, float longest_edge, std::size_t triangle_limit) {
 Mesh make_sphere(const glm::vec3& centre, float radius, int subdivisions, Rgb albedo) {
   constexpr float g = std::numbers::phi_v<float>;
   Mesh mesh;
-  mesh.positions = {{-1, g, 0}, {1, g, 0}, {-1, -g, 0}, {1, -g, 0}, {0, -1, g}, {0, 1, g},
-                    {0, -1, -g}, {0, 1, -g}, {g, 0, -1}, {g, 0, 1}, {-g, 0, -1}, {-g, 0, 1}};
-  mesh.triangles = {{0, 11, 5}, {0, 5, 1}, {0, 1, 7}, {0, 7, 10}, {0, 10, 11}, {1, 5, 9}, {5, 11, 4},
-                    {11, 10, 2}, {10, 7, 6}, {7, 1, 8}, {3, 9, 4}, {3, 4, 2}, {3, 2, 6}, {3, 6, 8},
-                    {3, 8, 9}, {4, 9, 5}, {2, 4, 11}, {6, 2, 10}, {8, 6, 7}, {9, 8, 1}};
+  mesh.positions = {{-1, g, 0},  {1, g, 0},  {-1, -g, 0}, {1, -g, 0}, {0, -1, g},  {0, 1, g},
+                    {0, -1, -g}, {0, 1, -g}, {g, 0, -1},  {g, 0, 1},  {-g, 0, -1}, {-g, 0, 1}};
+  mesh.triangles = {{0, 11, 5}, {0, 5, 1},  {0, 1, 7},   {0, 7, 10}, {0, 10, 11},
+                    {1, 5, 9},  {5, 11, 4}, {11, 10, 2}, {10, 7, 6}, {7, 1, 8},
+                    {3, 9, 4},  {3, 4, 2},  {3, 2, 6},   {3, 6, 8},  {3, 8, 9},
+                    {4, 9, 5},  {2, 4, 11}, {6, 2, 10},  {8, 6, 7},  {9, 8, 1}};
   for (glm::vec3& p : mesh.positions) p = glm::normalize(p);
   mesh.normals = mesh.positions;
   mesh.albedo.assign(mesh.positions.size(), albedo);
@@ -159,8 +165,8 @@ Mesh make_box(const glm::vec3& low, const glm::vec3& high, int n, Rgb albedo) {
 }
 
 Mesh make_knot(float height, int segments, int sides, Rgb albedo) {
-  // Centre line of the (2, 3) torus knot, standing upright. The torus' own normal frames the tube: it is
-  // periodic, so the last ring meets the first.
+  // Centre line of the (2, 3) torus knot, standing upright. The torus' own normal frames the tube:
+  // it is periodic, so the last ring meets the first.
   const auto line = [](double t) {
     const double r = 2 + std::cos(3 * t);
     return glm::dvec3(r * std::cos(2 * t), r * std::sin(2 * t), std::sin(3 * t));
@@ -171,7 +177,8 @@ Mesh make_knot(float height, int segments, int sides, Rgb albedo) {
   for (int i = 0; i < segments; ++i) {
     const double t = i * step;
     const glm::dvec3 c = line(t), tangent = glm::normalize(line(t + 1e-4) - line(t - 1e-4));
-    const glm::dvec3 outward(std::cos(3 * t) * std::cos(2 * t), std::cos(3 * t) * std::sin(2 * t), std::sin(3 * t));
+    const glm::dvec3 outward(std::cos(3 * t) * std::cos(2 * t), std::cos(3 * t) * std::sin(2 * t),
+                             std::sin(3 * t));
     const glm::dvec3 side = glm::normalize(outward - tangent * glm::dot(outward, tangent));
     const glm::dvec3 up = glm::cross(tangent, side);
     for (int j = 0; j < sides; ++j) {

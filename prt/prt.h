@@ -1,7 +1,7 @@
 // Geometry, ray queries, precomputed radiance transfer, relighting, and the path-traced reference.
-// Frames: a mesh lives in its bake frame (y up = the receiver's normal, metres); the light is rotated
-// into that frame. Back faces are black, in the bake and in the reference alike.
-// threads: free functions reentrant and internally parallel (TBB); RayScene queries reentrant
+// Frames: a mesh lives in its bake frame (y up = the receiver's normal, metres); the light is
+// rotated into that frame. Back faces are black, in the bake and in the reference alike. threads:
+// free functions reentrant and internally parallel (TBB); RayScene queries reentrant
 #pragma once
 
 #include <array>
@@ -60,7 +60,8 @@ struct Import {
 };
 /// glTF (.gltf, .glb), OBJ, PLY, STL, FBX or COLLADA, at rest pose; normals are made where absent.
 /// Materials give the albedo, `default_albedo` where there is none.
-/// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate), kNonFinite (vertex named)
+/// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate), kNonFinite (vertex
+/// named)
 Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo);
 
 // ---------------------------------------------------------------------------------- rays
@@ -82,7 +83,8 @@ class RayScene {
 
   std::optional<Hit> intersect(const glm::vec3& origin, const glm::vec3& direction, float near,
                                float far = 1e30f) const;
-  bool occluded(const glm::vec3& origin, const glm::vec3& direction, float near, float far = 1e30f) const;
+  bool occluded(const glm::vec3& origin, const glm::vec3& direction, float near,
+                float far = 1e30f) const;
 
   static constexpr int kPacket = 16;
   struct Packet {
@@ -105,16 +107,17 @@ class RayScene {
 
 // ---------------------------------------------------------------------------------- bake
 
-/// Sample points of a receiving plane around an object: size x size texels, dense near the centre. Along
-/// each axis, with p in -1..1 the position in half extents and w in -1..1 the texture coordinate 2u - 1:
+/// Sample points of a receiving plane around an object: size x size texels, dense near the centre.
+/// Along each axis, with p in -1..1 the position in half extents and w in -1..1 the texture
+/// coordinate 2u - 1:
 ///   w = (1 + k) p / (1 + k |p|),  p = w / (1 + k - k |w|),  k = 3
 /// so the centre is sampled 1 + k times as densely as an even grid and the rim 1/(1 + k) times.
 struct GroundGrid {
   static constexpr float kStretch = 3;
   int size = 128;
-  glm::vec2 centre{0, 0};    // x, z in the bake frame, metres
-  float half_extent = 1;     // metres from the centre to the rim
-  float height = 0;          // y of the plane in the bake frame
+  glm::vec2 centre{0, 0};  // x, z in the bake frame, metres
+  float half_extent = 1;   // metres from the centre to the rim
+  float height = 0;        // y of the plane in the bake frame
 
   glm::vec2 position(glm::vec2 uv) const;  // x, z
   glm::vec2 uv(glm::vec2 position) const;  // outside 0..1 beyond the rim
@@ -130,16 +133,16 @@ struct Receiver {
 
 struct BakeOptions {
   int bands = 5;
-  int bounces = 4;     // of light between the object's parts, and between object and receiver
-  int rays = 1024;     // per vertex, a multiple of 64
+  int bounces = 4;         // of light between the object's parts, and between object and receiver
+  int rays = 1024;         // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
   std::optional<Receiver> receiver;
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
 };
 
 /// Transfer t_n of conventions.h at points, as half floats in structure-of-arrays order:
-/// value(channel, n, point) stands at ((channel * bands^2) + n) * stride + point. One channel serves all
-/// three colours when every albedo is grey.
+/// value(channel, n, point) stands at ((channel * bands^2) + n) * stride + point. One channel
+/// serves all three colours when every albedo is grey.
 struct Transfer {
   int bands = 0;
   int channels = 1;
@@ -151,7 +154,9 @@ struct Transfer {
   Transfer(int bands_, int channels_, std::size_t points_);
   std::size_t index(int channel, int n, std::size_t point) const {
     return (static_cast<std::size_t>(channel) * static_cast<std::size_t>(coefficient_count(bands)) +
-            static_cast<std::size_t>(n)) * stride + point;
+            static_cast<std::size_t>(n)) *
+               stride +
+           point;
   }
   float value(int channel, int n, std::size_t point) const;
   void set(int channel, int n, std::size_t point, float v);
@@ -160,8 +165,8 @@ struct Transfer {
 struct BakeReport {
   std::uint64_t rays = 0;
   double seconds = 0;
-  /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of four
-  /// quarters of the rays; an upper bound, since together they are stratified finer.
+  /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of
+  /// four quarters of the rays; an upper bound, since together they are stratified finer.
   double standard_error = 0;
 };
 
@@ -175,9 +180,9 @@ struct BakedObject {
   BakeReport report;
 };
 
-/// Precomputes transfer at every vertex, and at the texels of the receiver with the object in place.
-/// errors:  kInvalid (options), kUnavailable (Embree)
-/// source:  Sloan, Kautz & Snyder 2002; t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine
+/// Precomputes transfer at every vertex, and at the texels of the receiver with the object in
+/// place. errors:  kInvalid (options), kUnavailable (Embree) source:  Sloan, Kautz & Snyder 2002; t
+/// = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine
 ///          (convex shapes come out exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
 
@@ -245,18 +250,18 @@ struct PinholeView {
 };
 
 struct ReferenceOptions {
-  double error = .01;          // stop when the estimated relative RMS error is below
-  int longest_path = 12;       // diffuse bounces; Russian roulette from the fourth on
-  int most_samples = 4096;     // per pixel
+  double error = .01;       // stop when the estimated relative RMS error is below
+  int longest_path = 12;    // diffuse bounces; Russian roulette from the fourth on
+  int most_samples = 4096;  // per pixel
   std::uint64_t seed = 1;
   std::function<void(double done)> progress;
 };
 
 struct Reference {
-  Image<Rgb> radiance;   // mean of the two halves
+  Image<Rgb> radiance;  // mean of the two halves
   Image<Rgb> half_a, half_b;
-  double error = 0;      // RMS(a - b)/2 over the mean, by luminance
-  int samples = 0;       // per pixel, both halves
+  double error = 0;  // RMS(a - b)/2 over the mean, by luminance
+  int samples = 0;   // per pixel, both halves
 };
 
 /// Path tracer with next-event estimation and balance-heuristic weights (Veach & Guibas 1995).
@@ -268,7 +273,8 @@ Result<Reference> render_reference(const World& world, const PinholeView& view,
 struct IrradiancePoint {
   glm::dvec3 position, normal;
 };
-Result<std::vector<Rgb>> reference_irradiance(const World& world, std::span<const IrradiancePoint> points,
-                                              int samples, std::uint64_t seed);
+Result<std::vector<Rgb>> reference_irradiance(const World& world,
+                                              std::span<const IrradiancePoint> points, int samples,
+                                              std::uint64_t seed);
 
 }  // namespace penumbra::prt

@@ -67,9 +67,9 @@ struct Sample {
   std::uint8_t group;
 };
 
-// Owen-scrambled Sobol points: a (0, m, 2)-net as a whole, and each quarter is one of its own, so the
-// quarters' spread bounds the error of the whole from above. In Morton order, so that sixteen neighbours
-// make a coherent packet.
+// Owen-scrambled Sobol points: a (0, m, 2)-net as a whole, and each quarter is one of its own, so
+// the quarters' spread bounds the error of the whole from above. In Morton order, so that sixteen
+// neighbours make a coherent packet.
 std::vector<Sample> make_samples(int rays, std::mt19937& rng) {
   std::vector<Sample> samples;
   const auto seed_u = static_cast<std::uint32_t>(rng()), seed_v = static_cast<std::uint32_t>(rng());
@@ -117,8 +117,8 @@ const std::uint8_t* RayPatterns::groups(Turn turn, int block) const {
 
 namespace {
 
-void rotate_lane(RayScene::Packet& p, int lane, RayPatterns::Turn turn, const glm::mat3& f, float lx,
-                 float ly, float lz) {
+void rotate_lane(RayScene::Packet& p, int lane, RayPatterns::Turn turn, const glm::mat3& f,
+                 float lx, float ly, float lz) {
   const float x = turn.cosine * lx - turn.sine * ly, y = turn.sine * lx + turn.cosine * ly;
   p.x[lane] = f[0].x * x + f[1].x * y + f[2].x * lz;
   p.y[lane] = f[0].y * x + f[1].y * y + f[2].y * lz;

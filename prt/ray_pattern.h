@@ -9,8 +9,9 @@
 
 namespace penumbra::prt {
 
-/// One of several fixed patterns of N points on the unit square. A point keeps the pattern and the turn
-/// that its index gives it, in every frame and on every machine, so errors stay coherent in time.
+/// One of several fixed patterns of N points on the unit square. A point keeps the pattern and the
+/// turn that its index gives it, in every frame and on every machine, so errors stay coherent in
+/// time.
 class RayPatterns {
  public:
   explicit RayPatterns(int rays);
@@ -34,7 +35,7 @@ class RayPatterns {
 
  private:
   struct Variant {
-    std::vector<float> disk_x, disk_y, disk_z;  // cosine-distributed about +z
+    std::vector<float> disk_x, disk_y, disk_z;    // cosine-distributed about +z
     std::vector<float> height, cos_phi, sin_phi;  // cylinder coordinates for cones
     std::vector<std::uint8_t> group;
   };

@@ -30,8 +30,9 @@ Result<RayScene> RayScene::build(const Mesh& mesh) {
   rtcSetSceneFlags(impl->scene, RTC_SCENE_FLAG_ROBUST);
   rtcSetSceneBuildQuality(impl->scene, RTC_BUILD_QUALITY_HIGH);
   RTCGeometry geometry = rtcNewGeometry(impl->device, RTC_GEOMETRY_TYPE_TRIANGLE);
-  auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(
-      geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 3 * sizeof(float), mesh.positions.size()));
+  auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
+                                                               RTC_FORMAT_FLOAT3, 3 * sizeof(float),
+                                                               mesh.positions.size()));
   auto* indices = static_cast<std::uint32_t*>(
       rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
                               3 * sizeof(std::uint32_t), mesh.triangles.size()));
@@ -59,8 +60,8 @@ RTCRay make_ray(const glm::vec3& o, const glm::vec3& d, float near, float far) {
 }
 
 constexpr int kPacket = RayScene::kPacket;
-alignas(64) const int kAllActive[kPacket] = {-1, -1, -1, -1, -1, -1, -1, -1,
-                                             -1, -1, -1, -1, -1, -1, -1, -1};
+alignas(64) const
+    int kAllActive[kPacket] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
 
 void fill(RTCRay16& ray, const glm::vec3& o, float near, const RayScene::Packet& p) {
   std::fill_n(ray.org_x, kPacket, o.x);
@@ -119,7 +120,8 @@ void RayScene::intersect(const glm::vec3& origin, float near, Packet& p) const {
     p.distance[i] = query.ray.tfar[i];
     p.u[i] = query.hit.u[i];
     p.v[i] = query.hit.v[i];
-    p.front[i] = query.hit.Ng_x[i] * p.x[i] + query.hit.Ng_y[i] * p.y[i] + query.hit.Ng_z[i] * p.z[i] < 0;
+    p.front[i] =
+        query.hit.Ng_x[i] * p.x[i] + query.hit.Ng_y[i] * p.y[i] + query.hit.Ng_z[i] * p.z[i] < 0;
   }
 }
 

@@ -76,7 +76,8 @@ class Tracer {
 
  private:
   Tracer(const World& world, int longest_path) : world_(world), longest_path_(longest_path) {}
-  const Plane* nearest_plane(const glm::vec3& o, const glm::vec3& d, float near, float& distance) const;
+  const Plane* nearest_plane(const glm::vec3& o, const glm::vec3& d, float near,
+                             float& distance) const;
   Rgb direct(const SurfacePoint& at, PathNumbers& numbers) const;
 
   const World& world_;
@@ -143,7 +144,8 @@ Rgb Tracer::gather(const SurfacePoint& start, PathNumbers& numbers) const {
     if (sampled) sum += throughput * direct(at, numbers);
     const float phi = 2 * static_cast<float>(kPi) * numbers.next(), u = numbers.next();
     const float r = std::sqrt(u), z = std::sqrt(1 - u);
-    const glm::vec3 d = frame_around(at.normal) * glm::vec3(r * std::cos(phi), r * std::sin(phi), z);
+    const glm::vec3 d =
+        frame_around(at.normal) * glm::vec3(r * std::cos(phi), r * std::sin(phi), z);
     SurfacePoint next;
     const Meeting met = trace(at.position + near_ * at.normal, d, near_, next);
     if (met == Meeting::kBack) break;
@@ -167,22 +169,26 @@ Rgb Tracer::gather(const SurfacePoint& start, PathNumbers& numbers) const {
 Rgb Tracer::seen_from_camera(const glm::vec3& o, const glm::vec3& d, PathNumbers& numbers) const {
   SurfacePoint point;
   switch (trace(o, d, 1e-4f, point)) {
-    case Meeting::kNothing: return world_.background ? world_.background(d) : world_.light->radiance(d);
-    case Meeting::kBack: return {};
-    case Meeting::kSurface: break;
+    case Meeting::kNothing:
+      return world_.background ? world_.background(d) : world_.light->radiance(d);
+    case Meeting::kBack:
+      return {};
+    case Meeting::kSurface:
+      break;
   }
   return point.albedo * gather(point, numbers);
 }
 
-void render_half(const Tracer& tracer, const PinholeView& view, std::uint64_t seed, int first, int count,
-                 Image<Rgb>& sum) {
+void render_half(const Tracer& tracer, const PinholeView& view, std::uint64_t seed, int first,
+                 int count, Image<Rgb>& sum) {
   const glm::vec3 origin(view.world_from_camera.translation);
   tbb::parallel_for(tbb::blocked_range<int>(0, view.height, 4), [&](const auto& rows) {
     for (int y = rows.begin(); y < rows.end(); ++y)
       for (int x = 0; x < view.width; ++x)
         for (int s = first; s < first + count; ++s) {
-          const auto pixel = static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(view.width) +
-                             static_cast<std::uint64_t>(x);
+          const auto pixel =
+              static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(view.width) +
+              static_cast<std::uint64_t>(x);
           PathNumbers numbers(seed * 0x100000001b3ull + pixel, s);
           const double px = x + double(numbers.next()), py = y + double(numbers.next());
           const glm::dvec3 in_camera((px - view.principal_px.x) / view.focal_px.x,
@@ -212,7 +218,8 @@ Result<Reference> render_reference(const World& world, const PinholeView& view,
   if (view.width < 1 || view.height < 1 || !(view.focal_px.x > 0) || !(view.focal_px.y > 0) ||
       !std::isfinite(view.focal_px.x + view.focal_px.y + view.principal_px.x + view.principal_px.y))
     return fail(ErrorCode::kInvalid, "camera", "size and focal length must be positive and finite");
-  if (options.most_samples < 2) return fail(ErrorCode::kInvalid, "samples", "two at least, one for each half");
+  if (options.most_samples < 2)
+    return fail(ErrorCode::kInvalid, "samples", "two at least, one for each half");
   if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
   auto tracer = Tracer::make(world, options.longest_path);
   if (!tracer) return std::unexpected(tracer.error());
@@ -244,8 +251,9 @@ Result<Reference> render_reference(const World& world, const PinholeView& view,
   return out;
 }
 
-Result<std::vector<Rgb>> reference_irradiance(const World& world, std::span<const IrradiancePoint> points,
-                                              int samples, std::uint64_t seed) {
+Result<std::vector<Rgb>> reference_irradiance(const World& world,
+                                              std::span<const IrradiancePoint> points, int samples,
+                                              std::uint64_t seed) {
   if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
   auto tracer = Tracer::make(world, ReferenceOptions{}.longest_path);
   if (!tracer) return std::unexpected(tracer.error());

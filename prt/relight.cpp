@@ -12,8 +12,8 @@ namespace penumbra::prt {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// One grey transfer under three colours of light: each half is read once for three products. Two vectors
-// at a time keep enough sums in flight to hide the latency of the multiply-add.
+// One grey transfer under three colours of light: each half is read once for three products. Two
+// vectors at a time keep enough sums in flight to hide the latency of the multiply-add.
 HWY_ATTR void RelightGrey(const std::uint16_t* values, std::size_t stride, int coefficients,
                           const float* light, float* out) {
   const hn::ScalableTag<float> d;
@@ -76,12 +76,14 @@ void relight(const Transfer& transfer, const RadianceSh& light, std::span<float>
   const int count = coefficient_count(transfer.bands);
   const float* const l = &terms[0].r;
   if (transfer.channels == 1) {
-    HWY_DYNAMIC_DISPATCH(RelightGrey)(transfer.values.data(), transfer.stride, count, l, out.data());
+    HWY_DYNAMIC_DISPATCH(RelightGrey)
+    (transfer.values.data(), transfer.stride, count, l, out.data());
     return;
   }
   for (int c = 0; c < 3; ++c)
-    HWY_DYNAMIC_DISPATCH(RelightChannel)(transfer.values.data() + transfer.index(c, 0, 0), transfer.stride,
-                                         count, l + c, out.data() + static_cast<std::size_t>(c) * transfer.stride);
+    HWY_DYNAMIC_DISPATCH(RelightChannel)
+    (transfer.values.data() + transfer.index(c, 0, 0), transfer.stride, count, l + c,
+     out.data() + static_cast<std::size_t>(c) * transfer.stride);
 }
 
 }  // namespace penumbra::prt

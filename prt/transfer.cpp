@@ -6,7 +6,10 @@
 namespace penumbra::prt {
 
 Transfer::Transfer(int bands_, int channels_, std::size_t points_)
-    : bands(bands_), channels(channels_), points(points_), stride((points_ + 63) / 64 * 64),
+    : bands(bands_),
+      channels(channels_),
+      points(points_),
+      stride((points_ + 63) / 64 * 64),
       values(static_cast<std::size_t>(channels_) *
                  static_cast<std::size_t>(coefficient_count(bands_)) * stride,
              0) {}

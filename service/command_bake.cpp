@@ -12,7 +12,8 @@ namespace penumbra::service {
 
 Result<void> bake(const BakeCommandOptions& o) {
   if (o.samples < 64 || o.samples % 64 != 0)
-    return fail(ErrorCode::kInvalid, "--samples", fmt::format("{} is not a positive multiple of 64", o.samples));
+    return fail(ErrorCode::kInvalid, "--samples",
+                fmt::format("{} is not a positive multiple of 64", o.samples));
   if (std::filesystem::path(o.output).extension() != ".glb")
     return fail(ErrorCode::kInvalid, o.output, "a baked file ends in .glb");
   auto mesh = load_asset(o.asset, {.7f, .7f, .7f}, .04f);
@@ -24,7 +25,8 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.ground_rays = 4 * o.samples;
   const auto a = static_cast<float>(o.receiver_albedo);
   // The receiver is the plane that the asset stands on.
-  options.receiver = prt::Receiver{prt::fit_ground_grid(*mesh, prt::bounds_of(*mesh).low.y), {a, a, a}};
+  options.receiver =
+      prt::Receiver{prt::fit_ground_grid(*mesh, prt::bounds_of(*mesh).low.y), {a, a, a}};
   options.progress = progress_bar("bake " + std::filesystem::path(o.asset).filename().string());
   auto baked = prt::bake(std::move(*mesh), options);
   if (!baked) return fail(baked.error().code, o.asset, baked.error().detail);
@@ -42,12 +44,14 @@ Result<void> bake(const BakeCommandOptions& o) {
                 {"standard_error", r.standard_error},
                 {"bytes", bytes}});
   } else {
-    fmt::print("{}: {} vertices and {} receiver texels, {} coefficients, {:.1f} M rays in {:.2f} s ({:.2f} M/s), "
-               "standard error {:.2f} % of t_0, {:.2f} MB\n",
-               o.output, baked->mesh.positions.size(), baked->ground_deficit.points,
-               coefficient_count(baked->transfer.bands), static_cast<double>(r.rays) * 1e-6, r.seconds,
-               static_cast<double>(r.rays) * 1e-6 / r.seconds, 100 * r.standard_error,
-               static_cast<double>(bytes) * 1e-6);
+    fmt::print(
+        "{}: {} vertices and {} receiver texels, {} coefficients, {:.1f} M rays in {:.2f} s "
+        "({:.2f} M/s), "
+        "standard error {:.2f} % of t_0, {:.2f} MB\n",
+        o.output, baked->mesh.positions.size(), baked->ground_deficit.points,
+        coefficient_count(baked->transfer.bands), static_cast<double>(r.rays) * 1e-6, r.seconds,
+        static_cast<double>(r.rays) * 1e-6 / r.seconds, 100 * r.standard_error,
+        static_cast<double>(bytes) * 1e-6);
   }
   return {};
 }

@@ -24,7 +24,8 @@ struct Row {
   double object_rel_rmse = 0, shadow_rmse = 0, object_bias = 0, reference_error = 0;
 };
 
-// One scene for all environments: the object stands on a 40 % grey floor before a camera that sees both.
+// One scene for all environments: the object stands on a 40 % grey floor before a camera that sees
+// both.
 struct Bench {
   Scene scene;
   PreparedScene prepared, reference_scene;
@@ -33,7 +34,10 @@ struct Bench {
 
 prt::PinholeView make_view() {
   constexpr int kWidth = 192, kHeight = 144;
-  return {kWidth, kHeight, {210, 210}, {kWidth / 2., kHeight / 2.},
+  return {kWidth,
+          kHeight,
+          {210, 210},
+          {kWidth / 2., kHeight / 2.},
           capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
 }
 
@@ -74,7 +78,8 @@ Result<Masks> make_masks(const Bench& bench) {
   auto lit = render_composite(in, light, backdrop);
   if (!lit) return std::unexpected(lit.error());
   // Over white, an object pixel of full coverage shows nothing of the backdrop.
-  Still white_backdrop{Image<Rgb>(bench.view.width, bench.view.height, {100, 100, 100}), 0, 0, {}, {}};
+  Still white_backdrop{
+      Image<Rgb>(bench.view.width, bench.view.height, {100, 100, 100}), 0, 0, {}, {}};
   auto over_white = render_composite(in, light, white_backdrop);
   if (!over_white) return std::unexpected(over_white.error());
   Masks masks;
@@ -84,25 +89,29 @@ Result<Masks> make_masks(const Bench& bench) {
       const Rgb &a = lit->radiance.at(x, y), &b = over_white->radiance.at(x, y);
       masks.object.push_back(a.g > 0 && std::abs(b.g - a.g) < 1e-3f);
       const double dy = -(y + .5 - bench.view.principal_px.y) / bench.view.focal_px.y;
-      const glm::dvec3 d = bench.view.world_from_camera.rotation *
-                           glm::dvec3((x + .5 - bench.view.principal_px.x) / bench.view.focal_px.x, dy, -1);
+      const glm::dvec3 d =
+          bench.view.world_from_camera.rotation *
+          glm::dvec3((x + .5 - bench.view.principal_px.x) / bench.view.focal_px.x, dy, -1);
       masks.floor.push_back(a.g == 0 && d.y < 0);
     }
   return masks;
 }
 
 // Object error relative to its mean; shadow error of s = L/L_0 where the reference is below .95.
-Row compare_pictures(const Still& ours, const Still& truth, const Still& empty, const Still& our_empty,
-                     const Masks& masks) {
+Row compare_pictures(const Still& ours, const Still& truth, const Still& empty,
+                     const Still& our_empty, const Masks& masks) {
   Row row;
   double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
-    const double a = luminance(ours.radiance.pixels()[i]), t = luminance(truth.radiance.pixels()[i]);
+    const double a = luminance(ours.radiance.pixels()[i]),
+                 t = luminance(truth.radiance.pixels()[i]);
     if (masks.object[i]) {
       square += (a - t) * (a - t);
       mean += t;
       bias += a - t;
-      noise += std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) / 4;
+      noise +=
+          std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) /
+          4;
       ++objects;
     } else if (masks.floor[i]) {
       const double s_true = t / luminance(empty.radiance.pixels()[i]);
@@ -156,8 +165,9 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
     const RadianceSh light = environment.light.with_bands(bands);
     Still truncated_empty = *empty;
     if (o.truncated || !truth) {
-      auto reference = render_reference(in, true, o.error, o.truncated ? std::optional(light) : std::nullopt,
-                                        progress_bar(fmt::format("{} {}", environment.name, bands)));
+      auto reference =
+          render_reference(in, true, o.error, o.truncated ? std::optional(light) : std::nullopt,
+                           progress_bar(fmt::format("{} {}", environment.name, bands)));
       if (!reference) return std::unexpected(reference.error());
       truth = std::move(*reference);
     }
@@ -174,8 +184,9 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
     row.environment = environment.name;
     row.bands = bands;
     if (!o.json)
-      fmt::print("{:<44} {:>3} {:>12.2f} {:>12.2f} {:>12.4f} {:>12.2f}\n", row.environment, bands * bands,
-                 100 * row.object_rel_rmse, 100 * row.object_bias, row.shadow_rmse, 100 * row.reference_error);
+      fmt::print("{:<44} {:>3} {:>12.2f} {:>12.2f} {:>12.4f} {:>12.2f}\n", row.environment,
+                 bands * bands, 100 * row.object_rel_rmse, 100 * row.object_bias, row.shadow_rmse,
+                 100 * row.reference_error);
     rows.push_back(row);
   }
   return {};
@@ -187,7 +198,8 @@ Result<void> chart(const ChartOptions& options) {
   ChartOptions o = options;
   if (o.bands.empty()) o.bands = {1, 2, 3, 4, 5, 6, 9};
   for (int b : o.bands)
-    if (b < 1 || b > kMaxBands) return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
+    if (b < 1 || b > kMaxBands)
+      return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
   if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
   PENUMBRA_TRY(make_folder(o.output));
   auto environments = read_environments(o);
@@ -197,18 +209,23 @@ Result<void> chart(const ChartOptions& options) {
   auto masks = make_masks(*bench);
   if (!masks) return std::unexpected(masks.error());
   if (!o.json)
-    fmt::print("{:<44} {:>3} {:>12} {:>12} {:>12} {:>12}\n", "environment", "n", "object %", "bias %", "shadow s",
-               "ref error %");
+    fmt::print("{:<44} {:>3} {:>12} {:>12} {:>12} {:>12}\n", "environment", "n", "object %",
+               "bias %", "shadow s", "ref error %");
   std::vector<Row> rows;
-  for (const Environment& e : *environments) PENUMBRA_TRY(chart_environment(o, *bench, *masks, e, rows));
-  std::string csv = "environment,coefficients,object_rel_rmse,object_bias,shadow_rmse,reference_error\n";
+  for (const Environment& e : *environments)
+    PENUMBRA_TRY(chart_environment(o, *bench, *masks, e, rows));
+  std::string csv =
+      "environment,coefficients,object_rel_rmse,object_bias,shadow_rmse,reference_error\n";
   nlohmann::json json = nlohmann::json::array();
   for (const Row& r : rows) {
-    csv += fmt::format("{},{},{:.6f},{:.6f},{:.6f},{:.6f}\n", r.environment, r.bands * r.bands, r.object_rel_rmse,
-                       r.object_bias, r.shadow_rmse, r.reference_error);
-    json.push_back({{"environment", r.environment}, {"coefficients", r.bands * r.bands},
-                    {"object_rel_rmse", r.object_rel_rmse}, {"object_bias", r.object_bias},
-                    {"shadow_rmse", r.shadow_rmse}, {"reference_error", r.reference_error}});
+    csv += fmt::format("{},{},{:.6f},{:.6f},{:.6f},{:.6f}\n", r.environment, r.bands * r.bands,
+                       r.object_rel_rmse, r.object_bias, r.shadow_rmse, r.reference_error);
+    json.push_back({{"environment", r.environment},
+                    {"coefficients", r.bands * r.bands},
+                    {"object_rel_rmse", r.object_rel_rmse},
+                    {"object_bias", r.object_bias},
+                    {"shadow_rmse", r.shadow_rmse},
+                    {"reference_error", r.reference_error}});
   }
   PENUMBRA_TRY(write_bytes(std::filesystem::path(o.output) / "accuracy.csv", csv));
   if (o.json) print_json({{"rows", json}});

@@ -46,7 +46,8 @@ double log_scale(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<boo
   return count > 0 ? std::exp(sum / count) : 1;
 }
 
-Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool>& use, bool scale) {
+Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool>& use,
+                bool scale) {
   Figures f;
   if (scale) f.scale = log_scale(a, b, use);
   double square = 0, mean = 0, log_square = 0, logs = 0, peak = 0;
@@ -68,7 +69,8 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
     mean += yb;
     if (ya > 0 && yb > 0) log_square += std::pow(std::log10(ya / yb), 2), ++logs;
   }
-  const double n = static_cast<double>(std::max<std::size_t>(1, f.compared)), rmse = std::sqrt(square / n);
+  const double n = static_cast<double>(std::max<std::size_t>(1, f.compared)),
+               rmse = std::sqrt(square / n);
   f.rel_rmse = mean > 0 ? rmse / (mean / n) : (rmse > 0 ? HUGE_VAL : 0);
   f.log10_rmse = logs > 0 ? std::sqrt(log_square / logs) : 0;
   f.psnr_db = rmse > 0 ? 20 * std::log10(peak / rmse) : HUGE_VAL;
@@ -84,12 +86,14 @@ Result<void> compare(const CompareOptions& o) {
   if (!b) return std::unexpected(b.error());
   if (!a->same_size(*b))
     return fail(ErrorCode::kInvalid, o.a,
-                fmt::format("{}x{} pixels, but {} has {}x{}", a->width(), a->height(), o.b, b->width(), b->height()));
+                fmt::format("{}x{} pixels, but {} has {}x{}", a->width(), a->height(), o.b,
+                            b->width(), b->height()));
   std::vector<bool> use(a->area(), true);
   if (o.mask) {
     auto mask = read_any(*o.mask);
     if (!mask) return std::unexpected(mask.error());
-    if (!mask->same_size(*a)) return fail(ErrorCode::kInvalid, *o.mask, "has another size than the pictures");
+    if (!mask->same_size(*a))
+      return fail(ErrorCode::kInvalid, *o.mask, "has another size than the pictures");
     for (std::size_t i = 0; i < use.size(); ++i) {
       const Rgb& p = mask->pixels()[i];
       use[i] = !(p.r == 0 && p.g == 0 && p.b == 1);
@@ -98,13 +102,19 @@ Result<void> compare(const CompareOptions& o) {
   const Figures f = measure(*a, *b, use, o.scale);
   if (f.compared == 0) return fail(ErrorCode::kUndetermined, o.a, "no pixel is left to compare");
   if (o.json) {
-    print_json({{"rel_rmse", f.rel_rmse}, {"log10_rmse", f.log10_rmse}, {"psnr_db", f.psnr_db},
-                {"max_abs", f.max_abs}, {"scale", f.scale}, {"compared_pixels", f.compared},
+    print_json({{"rel_rmse", f.rel_rmse},
+                {"log10_rmse", f.log10_rmse},
+                {"psnr_db", f.psnr_db},
+                {"max_abs", f.max_abs},
+                {"scale", f.scale},
+                {"compared_pixels", f.compared},
                 {"non_finite", f.non_finite}});
   } else {
-    fmt::print("relative RMSE {:.5g}, log10 luminance RMSE {:.5g}, PSNR {:.2f} dB, largest difference {:.5g}\n"
-               "{} pixels compared, {} not finite, {} scaled by {:.5g}\n",
-               f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, f.compared, f.non_finite, o.a, f.scale);
+    fmt::print(
+        "relative RMSE {:.5g}, log10 luminance RMSE {:.5g}, PSNR {:.2f} dB, largest difference "
+        "{:.5g}\n"
+        "{} pixels compared, {} not finite, {} scaled by {:.5g}\n",
+        f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, f.compared, f.non_finite, o.a, f.scale);
   }
   return {};
 }

@@ -16,13 +16,15 @@ namespace {
 // The first view camera's frames are frame_000000.png; a second eye carries its name.
 std::string still_name(const capture::CameraInfo& camera, bool first, std::uint64_t number) {
   return first ? fmt::format("frame_{:06}.png", number)
-               : fmt::format("frame_{}_{:06}.png", camera.eye.empty() ? camera.name : camera.eye, number);
+               : fmt::format("frame_{}_{:06}.png", camera.eye.empty() ? camera.name : camera.eye,
+                             number);
 }
 
 }  // namespace
 
 Result<void> composite(const CompositeOptions& o) {
-  if (o.bands < 1 || o.bands > kMaxBands) return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  if (o.bands < 1 || o.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
   auto source = capture::open_capture_folder(o.capture);
   if (!source) return std::unexpected(source.error());
   auto scene = read_scene(o.scene);
@@ -38,7 +40,8 @@ Result<void> composite(const CompositeOptions& o) {
   settings.bands = o.bands;
   auto prepared = prepare(*scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
-  auto compose = ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
+  auto compose =
+      ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
   auto writer = FrameWriter::create(writer_options, times);
   if (!writer) return std::unexpected(writer.error());
@@ -51,7 +54,8 @@ Result<void> composite(const CompositeOptions& o) {
         if (first_view < 0) first_view = out.source.camera;
         const bool first = out.source.camera == first_view;
         const auto camera = static_cast<std::size_t>(out.source.camera);
-        return (*writer)->write(still_name(cameras[camera], first, written[camera]++), out.pixels, first);
+        return (*writer)->write(still_name(cameras[camera], first, written[camera]++), out.pixels,
+                                first);
       },
       times);
   if (!counts) return std::unexpected(counts.error());
@@ -61,9 +65,12 @@ Result<void> composite(const CompositeOptions& o) {
       summarise(*counts, times,
                 {o.bands, view->projection.width, view->projection.height,
                  static_cast<int>(prepared->objects.size()), (*compose)->output().renderer()});
-  PENUMBRA_TRY(write_bytes(std::filesystem::path(o.output) / "summary.json", summary.dump(2) + "\n"));
-  if (o.json) print_json(summary);
-  else print_summary(summary);
+  PENUMBRA_TRY(
+      write_bytes(std::filesystem::path(o.output) / "summary.json", summary.dump(2) + "\n"));
+  if (o.json)
+    print_json(summary);
+  else
+    print_summary(summary);
   return {};
 }
 

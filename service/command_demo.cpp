@@ -49,18 +49,23 @@ Result<void> check(const DemoOptions& o) {
   if (o.frames < 1) return fail(ErrorCode::kInvalid, "--frames", "must be positive");
   if (o.width < 64 || o.height < 64 || o.width > 8192 || o.height > 8192)
     return fail(ErrorCode::kInvalid, "--size", "each side must be within 64..8192");
-  if (!(o.fps > 0 && o.fps <= 1000)) return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
-  if (o.bands < 1 || o.bands > kMaxBands) return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
-  if (o.live && o.record) return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
+  if (!(o.fps > 0 && o.fps <= 1000))
+    return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
+  if (o.bands < 1 || o.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  if (o.live && o.record)
+    return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
   return {};
 }
 
 Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::CameraInfo>& cameras,
-                                                   const PreparedScene& scene, bool headless, StageTimes& times) {
+                                                   const PreparedScene& scene, bool headless,
+                                                   StageTimes& times) {
   if (!headless && has_display()) {
     auto windowed = ComposeStage::create(cameras, scene, Compositor::Surface::kWindow, times);
     if (windowed) return windowed;
-    spdlog::warn("{}: {}; going on without a window", windowed.error().where, windowed.error().detail);
+    spdlog::warn("{}: {}; going on without a window", windowed.error().where,
+                 windowed.error().detail);
   }
   return ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
 }
@@ -100,7 +105,8 @@ Result<void> demo(const DemoOptions& o) {
   if (!ready) return std::unexpected(ready.error());
   capture::Studio studio(ready->setup.world, ready->setup.options);
   for (const Exposure& e : studio.schedule())
-    spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(), e.gain.value());
+    spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
+                 e.gain.value());
   StageTimes times;
   auto light = LightStage::create(studio.cameras(), o.bands, times);
   if (!light) return std::unexpected(light.error());
@@ -122,7 +128,8 @@ Result<void> demo(const DemoOptions& o) {
     return (*writer)->write("", out.pixels, true);
   };
   const std::atomic<bool> never = false;
-  capture::FrameSource& source = recording ? static_cast<capture::FrameSource&>(*recording) : studio;
+  capture::FrameSource& source =
+      recording ? static_cast<capture::FrameSource&>(*recording) : studio;
   auto counts = o.live ? run_live(source, *light, **compose, sink, times, never)
                        : run_replay(source, *light, **compose, sink, times);
   if (!counts) return std::unexpected(counts.error());
@@ -133,15 +140,17 @@ Result<void> demo(const DemoOptions& o) {
   }
   PENUMBRA_TRY(codec::write_frame(folder / "still.png", to_display(*last)));
   PENUMBRA_TRY(codec::write_frame(folder / "camera.png", to_display(*last_source)));
-  const nlohmann::json summary = summarise(
-      *counts, times,
-      {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()), (*compose)->output().renderer()});
+  const nlohmann::json summary =
+      summarise(*counts, times,
+                {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()),
+                 (*compose)->output().renderer()});
   PENUMBRA_TRY(write_bytes(folder / "summary.json", summary.dump(2) + "\n"));
   if (o.json) {
     print_json(summary);
   } else {
     print_summary(summary);
-    fmt::print("{0}/video.mp4  {0}/still.png  {0}/camera.png (before)  {0}/summary.json\n", folder.string());
+    fmt::print("{0}/video.mp4  {0}/still.png  {0}/camera.png (before)  {0}/summary.json\n",
+               folder.string());
   }
   return {};
 }

@@ -26,9 +26,11 @@ Result<std::vector<double>> parse_times(const std::string& text) {
       value /= std::strtod(below.c_str(), &rest);
     }
     if (item.empty() || rest == item.c_str() || *rest != 0)
-      return fail(ErrorCode::kInvalid, "--times", fmt::format("\"{}\" is not a number of seconds", item));
+      return fail(ErrorCode::kInvalid, "--times",
+                  fmt::format("\"{}\" is not a number of seconds", item));
     if (!std::isfinite(value) || value <= 0)
-      return fail(ErrorCode::kInvalid, "--times", fmt::format("exposure time {} s is not positive and finite", item));
+      return fail(ErrorCode::kInvalid, "--times",
+                  fmt::format("exposure time {} s is not positive and finite", item));
     out.push_back(value);
     start = end + 1;
   }
@@ -39,7 +41,8 @@ Result<capture::ExposureStack> read_stack(const HdrMergeOptions& o) {
   auto times = parse_times(o.times);
   if (!times) return std::unexpected(times.error());
   if (times->size() != o.images.size())
-    return fail(ErrorCode::kInvalid, "--times", fmt::format("{} times for {} images", times->size(), o.images.size()));
+    return fail(ErrorCode::kInvalid, "--times",
+                fmt::format("{} times for {} images", times->size(), o.images.size()));
   capture::ExposureStack stack;
   for (std::size_t k = 0; k < o.images.size(); ++k) {
     auto frame = codec::read_frame(o.images[k]);
@@ -49,8 +52,8 @@ Result<capture::ExposureStack> read_stack(const HdrMergeOptions& o) {
       const int w = capture::width(first), h = capture::height(first);
       if (capture::width(*frame) != w || capture::height(*frame) != h)
         return fail(ErrorCode::kInvalid, o.images[k],
-                    fmt::format("{}x{} pixels, but {} has {}x{}", capture::width(*frame), capture::height(*frame),
-                                o.images[0], w, h));
+                    fmt::format("{}x{} pixels, but {} has {}x{}", capture::width(*frame),
+                                capture::height(*frame), o.images[0], w, h));
       if (frame->index() != first.index())
         return fail(ErrorCode::kInvalid, o.images[k], "has another bit depth than " + o.images[0]);
     }
@@ -60,11 +63,13 @@ Result<capture::ExposureStack> read_stack(const HdrMergeOptions& o) {
   return stack;
 }
 
-Result<calib::Response> find_response(const HdrMergeOptions& o, const capture::ExposureStack& stack) {
+Result<calib::Response> find_response(const HdrMergeOptions& o,
+                                      const capture::ExposureStack& stack) {
   if (o.response) return calib::parse_response(*o.response);
   if (std::holds_alternative<Image<Rgb>>(*stack.frames[0])) return calib::Response::linear();
   if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
-    return fail(ErrorCode::kUndetermined, o.images[0], "the response of 16-bit images is not estimated; give --response");
+    return fail(ErrorCode::kUndetermined, o.images[0],
+                "the response of 16-bit images is not estimated; give --response");
   std::vector<const Image<Rgb8>*> pictures;
   std::vector<Seconds> times;
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {
@@ -85,7 +90,8 @@ Result<void> hdr_merge(const HdrMergeOptions& o) {
   if (!response) return std::unexpected(response.error());
   stack->response = *response;
   auto merged = capture::merge(*stack);
-  if (!merged) return fail(merged.error().code, o.images[0] + " and its bracket", merged.error().detail);
+  if (!merged)
+    return fail(merged.error().code, o.images[0] + " and its bracket", merged.error().detail);
   PENUMBRA_TRY(codec::write_hdr(o.output, merged->radiance, codec::Depth::kFloat));
   if (o.json) {
     print_json({{"width", merged->radiance.width()},
@@ -94,8 +100,8 @@ Result<void> hdr_merge(const HdrMergeOptions& o) {
                 {"clipped_fraction", merged->clipped_fraction},
                 {"black_fraction", merged->black_fraction}});
   } else {
-    fmt::print("{}: {}x{} from {} exposures, {:.3f} % clipped in all, {:.3f} % black in all\n", o.output,
-               merged->radiance.width(), merged->radiance.height(), stack->frames.size(),
+    fmt::print("{}: {}x{} from {} exposures, {:.3f} % clipped in all, {:.3f} % black in all\n",
+               o.output, merged->radiance.width(), merged->radiance.height(), stack->frames.size(),
                100 * merged->clipped_fraction, 100 * merged->black_fraction);
   }
   return {};

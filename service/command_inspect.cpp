@@ -52,7 +52,9 @@ Result<json> inspect_baked(const std::string& file) {
               {"standard_error", baked->report.standard_error}};
   if (baked->receiver) {
     const prt::GroundGrid& g = baked->receiver->grid;
-    out["receiver"] = {{"texels", g.size * g.size}, {"half_extent_m", g.half_extent}, {"height_m", g.height},
+    out["receiver"] = {{"texels", g.size * g.size},
+                       {"half_extent_m", g.half_extent},
+                       {"height_m", g.height},
                        {"albedo", to_json(baked->receiver->albedo)}};
   }
   return out;
@@ -100,12 +102,15 @@ Result<json> inspect_picture(const std::string& file) {
 Result<json> inspect_toml(const std::string& file) {
   if (auto scene = read_scene(file)) {
     json names = json::array();
-    for (const SceneObject& o : scene->objects) names.push_back({{"name", o.name}, {"asset", o.asset}});
+    for (const SceneObject& o : scene->objects)
+      names.push_back({{"name", o.name}, {"asset", o.asset}});
     return json{{"kind", "scene"}, {"objects", names}, {"real", scene->real.size()}};
   }
   auto camera = capture::read_camera_file(file);
   if (!camera) return std::unexpected(camera.error());
-  return json{{"kind", "camera"}, {"name", camera->name}, {"width", camera->projection.width},
+  return json{{"kind", "camera"},
+              {"name", camera->name},
+              {"width", camera->projection.width},
               {"height", camera->projection.height},
               {"projection", calib::projection_name(camera->projection.kind)}};
 }

@@ -20,10 +20,12 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
     print_json(out);
     return {};
   }
-  fmt::print("{}: {}, {} bands, mean radiance {:.4g} {:.4g} {:.4g}, coverage {:.1f} %, truncation error {:.2f} %\n",
-             o.environment, calib::projection_name(light->file.projection.kind), *bands, estimate.mean_radiance.r,
-             estimate.mean_radiance.g, estimate.mean_radiance.b, 100 * estimate.coverage,
-             100 * estimate.truncation_error);
+  fmt::print(
+      "{}: {}, {} bands, mean radiance {:.4g} {:.4g} {:.4g}, coverage {:.1f} %, truncation error "
+      "{:.2f} %\n",
+      o.environment, calib::projection_name(light->file.projection.kind), *bands,
+      estimate.mean_radiance.r, estimate.mean_radiance.g, estimate.mean_radiance.b,
+      100 * estimate.coverage, 100 * estimate.truncation_error);
   for (int l = 0; l < *bands; ++l)
     for (int m = -l; m <= l; ++m) {
       const Rgb& c = estimate.light[sh_index(l, m)];

@@ -19,15 +19,17 @@ Result<prt::PinholeView> read_view(const std::string& path) {
   if (!camera) return std::unexpected(camera.error());
   if (camera->projection.kind != calib::ProjectionKind::kPinhole)
     return fail(ErrorCode::kInvalid, path, "render needs a pinhole camera");
-  return prt::PinholeView{camera->projection.width, camera->projection.height, camera->projection.focal_px,
-                          camera->projection.principal_px, camera->world_from_camera};
+  return prt::PinholeView{camera->projection.width, camera->projection.height,
+                          camera->projection.focal_px, camera->projection.principal_px,
+                          camera->world_from_camera};
 }
 
 }  // namespace
 
 Result<void> render(const RenderOptions& o) {
   if (o.discs != "auto" && o.discs != "0")
-    return fail(ErrorCode::kInvalid, "--discs", "\"" + o.discs + "\": this version lights by bands alone; give 0 or auto");
+    return fail(ErrorCode::kInvalid, "--discs",
+                "\"" + o.discs + "\": this version lights by bands alone; give 0 or auto");
   if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
   const std::string extension = std::filesystem::path(o.output).extension().string();
   if (extension != ".exr" && extension != ".hdr")
@@ -46,7 +48,8 @@ Result<void> render(const RenderOptions& o) {
   if (!scene) return std::unexpected(scene.error());
   BakeSettings settings;
   settings.bands = *bands;
-  if (o.reference || o.without_objects) settings.rays = settings.ground_rays = 64, settings.bounces = 0;
+  if (o.reference || o.without_objects)
+    settings.rays = settings.ground_rays = 64, settings.bounces = 0;
   auto prepared = prepare(*scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
 
@@ -55,7 +58,8 @@ Result<void> render(const RenderOptions& o) {
     if (o.reference) {
       std::optional<RadianceSh> truncated;
       if (o.truncated_to) truncated = light->nine_bands.with_bands(*o.truncated_to);
-      return render_reference(in, !o.without_objects, o.error, truncated, progress_bar("reference"));
+      return render_reference(in, !o.without_objects, o.error, truncated,
+                              progress_bar("reference"));
     }
     auto real = render_real(in, o.error, progress_bar("real world"));
     if (!real || o.without_objects) return real;
@@ -64,11 +68,15 @@ Result<void> render(const RenderOptions& o) {
   if (!still) return std::unexpected(still.error());
   PENUMBRA_TRY(codec::write_hdr(o.output, still->radiance, codec::Depth::kFloat));
   if (o.json) {
-    print_json({{"width", view->width}, {"height", view->height}, {"bands", *bands},
-                {"reference", o.reference}, {"error", still->error}, {"samples_per_pixel", still->samples}});
+    print_json({{"width", view->width},
+                {"height", view->height},
+                {"bands", *bands},
+                {"reference", o.reference},
+                {"error", still->error},
+                {"samples_per_pixel", still->samples}});
   } else if (still->samples > 0) {
-    fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output, view->width,
-               view->height, still->samples, 100 * still->error);
+    fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output,
+               view->width, view->height, still->samples, 100 * still->error);
   } else {
     fmt::print("{}: {}x{}, {} bands\n", o.output, view->width, view->height, *bands);
   }

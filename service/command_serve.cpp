@@ -17,7 +17,9 @@ namespace {
 std::atomic<bool> g_stop = false;  // set by the signal handler alone
 static_assert(std::atomic<bool>::is_always_lock_free);
 
-extern "C" void on_signal(int) { g_stop = true; }
+extern "C" void on_signal(int) {
+  g_stop = true;
+}
 
 // A capture folder played again and again, its times running on.
 class LoopingFolder : public capture::FrameSource {
@@ -97,7 +99,8 @@ Result<void> serve(const ServeOptions& o) {
   const auto& cameras = rig->source->cameras();
   auto light = LightStage::create(cameras, config->bands, times);
   if (!light) return std::unexpected(light.error());
-  auto compose = ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
+  auto compose =
+      ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
 
   g_stop = false;
@@ -115,7 +118,8 @@ Result<void> serve(const ServeOptions& o) {
       },
       times, g_stop);
   if (!counts) return std::unexpected(counts.error());
-  spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts->frames, counts->seconds, counts->dropped);
+  spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts->frames, counts->seconds,
+               counts->dropped);
   return {};
 }
 

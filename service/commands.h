@@ -1,5 +1,6 @@
-// The subcommands of `penumbra` as functions. main.cpp parses arguments and prints errors; a command
-// prints its result on standard output (with json: one object and nothing else) and logs elsewhere.
+// The subcommands of `penumbra` as functions. main.cpp parses arguments and prints errors; a
+// command prints its result on standard output (with json: one object and nothing else) and logs
+// elsewhere.
 #pragma once
 
 #include <optional>
@@ -71,8 +72,9 @@ Result<void> serve(const ServeOptions& options);
 
 struct CompareOptions {
   std::string a, b;
-  std::optional<std::string> mask;  // "blue": pixels that are pure blue in this picture are left out
-  bool scale = false;               // allow one scale factor
+  std::optional<std::string>
+      mask;            // "blue": pixels that are pure blue in this picture are left out
+  bool scale = false;  // allow one scale factor
   bool json = false;
 };
 Result<void> compare(const CompareOptions& options);

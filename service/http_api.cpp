@@ -49,11 +49,13 @@ struct HttpApi::Impl {
   int port = 0;
 
   void routes(const PublishedState& state, const StageTimes& times, double stale_after_s) {
-    server.Get("/healthz", [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
-      const auto s = state.snapshot();
-      const std::string status = status_of(s, stale_after_s);
-      reply(r, {{"status", status}, {"frames", s.frames}, {"stages", to_json(times)}}, status == "ok" ? 200 : 503);
-    });
+    server.Get("/healthz",
+               [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
+                 const auto s = state.snapshot();
+                 const std::string status = status_of(s, stale_after_s);
+                 reply(r, {{"status", status}, {"frames", s.frames}, {"stages", to_json(times)}},
+                       status == "ok" ? 200 : 503);
+               });
     server.Get("/v1/light", [&state, stale_after_s](const httplib::Request&, httplib::Response& r) {
       const auto s = state.snapshot();
       if (!s.light.valid) return reply(r, {{"error", "no light has been measured yet"}}, 503);
@@ -62,8 +64,10 @@ struct HttpApi::Impl {
       body["age_s"] = s.light.age(s.now).count() + s.idle_s;
       body["valid"] = s.light.valid;
       body["status"] = status_of(s, stale_after_s);
-      body["units"] = "linear Rec.709, relative radiance; basis and index: real SH without Condon-Shortley phase, "
-                      "l*l+l+m, z the pole of a y-up world";
+      body["units"] =
+          "linear Rec.709, relative radiance; basis and index: real SH without Condon-Shortley "
+          "phase, "
+          "l*l+l+m, z the pole of a y-up world";
       reply(r, body);
     });
     server.Get("/v1/frame.jpg", [&state](const httplib::Request&, httplib::Response& r) {
@@ -74,7 +78,8 @@ struct HttpApi::Impl {
       r.set_content(std::string(jpeg->begin(), jpeg->end()), "image/jpeg");
     });
     server.set_error_handler([](const httplib::Request& q, httplib::Response& r) {
-      if (r.body.empty()) reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, r.status);
+      if (r.body.empty())
+        reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, r.status);
     });
     server.set_payload_max_length(1 << 16);
     server.set_read_timeout(5);
@@ -86,16 +91,20 @@ HttpApi::HttpApi(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 HttpApi::~HttpApi() {
   if (impl_) impl_->server.stop();
 }
-int HttpApi::port() const { return impl_->port; }
+int HttpApi::port() const {
+  return impl_->port;
+}
 
-Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int port, const PublishedState& state,
+Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int port,
+                                                const PublishedState& state,
                                                 const StageTimes& times, double stale_after_s) {
   auto impl = std::make_unique<Impl>();
   impl->routes(state, times, stale_after_s);
   impl->port = port == 0 ? impl->server.bind_to_any_port(address) : port;
   const bool bound = port == 0 ? impl->port > 0 : impl->server.bind_to_port(address, port);
   if (!bound)
-    return fail(ErrorCode::kUnavailable, fmt::format("{}:{}", address, port), "cannot listen there; is it in use?");
+    return fail(ErrorCode::kUnavailable, fmt::format("{}:{}", address, port),
+                "cannot listen there; is it in use?");
   impl->thread = std::jthread([server = &impl->server] { server->listen_after_bind(); });
   return std::unique_ptr<HttpApi>(new HttpApi(std::move(impl)));
 }

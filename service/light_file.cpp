@@ -6,7 +6,8 @@
 
 namespace penumbra::service {
 
-Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection) {
+Result<FileLight> read_light(const std::string& path,
+                             const std::optional<std::string>& projection) {
   std::optional<calib::ProjectionKind> kind;
   if (projection) {
     auto parsed = calib::projection_kind(*projection);
@@ -17,14 +18,16 @@ Result<FileLight> read_light(const std::string& path, const std::optional<std::s
   if (!file) return std::unexpected(file.error());
   FileLight out;
   if (file->non_finite > 0)
-    spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path, file->non_finite);
+    spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path,
+                 file->non_finite);
   if (file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0) {
     auto light = lighting::project_latlong(file->radiance, kMaxBands);
     if (!light) return fail(light.error().code, path, light.error().detail);
     out.nine_bands = *light;
   } else {
     const calib::ProjectionTable& t = file->table;
-    auto light = lighting::project_samples({t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
+    auto light = lighting::project_samples(
+        {t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
     if (!light) return fail(light.error().code, path, light.error().detail);
     out.nine_bands = light->light;
     out.coverage = light->coverage;

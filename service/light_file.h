@@ -15,8 +15,8 @@ struct FileLight {
   double coverage = 1;
 };
 
-/// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are reported
-/// in the log and left out.
+/// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are
+/// reported in the log and left out.
 Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection);
 
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.

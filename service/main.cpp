@@ -25,10 +25,13 @@ void add_image_commands(CLI::App& app, Action& action) {
   hdr->require_subcommand(1);
   static HdrMergeOptions merge;
   auto* c = hdr->add_subcommand("merge", "One HDR image from a registered bracket");
-  c->add_option("images", merge.images, "8 or 16 bit PNG, JPEG, TIFF, or linear EXR/HDR")->required();
-  c->add_option("--times", merge.times, "Exposure times in seconds: t1,t2,... (1/60 works)")->required();
+  c->add_option("images", merge.images, "8 or 16 bit PNG, JPEG, TIFF, or linear EXR/HDR")
+      ->required();
+  c->add_option("--times", merge.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
+      ->required();
   c->add_option("--response", merge.response,
-                "linear, srgb, gamma:2.2 or a response file; without it the curve is estimated from the bracket");
+                "linear, srgb, gamma:2.2 or a response file; without it the curve is estimated "
+                "from the bracket");
   c->add_option("-o,--output", merge.output, "Output .exr or .hdr")->required();
   add_json(c, merge.json);
   c->callback([&] { action = [] { return hdr_merge(merge); }; });
@@ -37,13 +40,15 @@ void add_image_commands(CLI::App& app, Action& action) {
   c = app.add_subcommand("compare", "Error figures between two pictures of the same size");
   c->add_option("a", compare_options.a, "Picture")->required();
   c->add_option("b", compare_options.b, "Reference")->required();
-  c->add_option("--mask", compare_options.mask, "Leave out the pixels that are pure blue in this picture");
+  c->add_option("--mask", compare_options.mask,
+                "Leave out the pixels that are pure blue in this picture");
   c->add_flag("--scale", compare_options.scale, "Allow one scale factor, fitted in the logarithm");
   add_json(c, compare_options.json);
   c->callback([&] { action = [] { return compare(compare_options); }; });
 
   static InspectOptions inspect_options;
-  c = app.add_subcommand("inspect", "What is in a file: picture, mesh, baked object, scene, camera, capture folder");
+  c = app.add_subcommand(
+      "inspect", "What is in a file: picture, mesh, baked object, scene, camera, capture folder");
   c->add_option("file", inspect_options.file, "File or capture folder")->required();
   add_json(c, inspect_options.json);
   c->callback([&] { action = [] { return inspect(inspect_options); }; });
@@ -56,20 +61,26 @@ void add_light_commands(CLI::App& app, Action& action) {
   auto* c = light->add_subcommand("estimate", "Spherical-harmonic light of an environment map");
   c->add_option("environment", estimate.environment, "HDR environment (.exr or .hdr)")->required();
   c->add_option("--projection", estimate.projection,
-                "latlong, angular, mirror-ball, equidistant, pinhole, vertical-cross, exr-latlong or exr-cube; "
+                "latlong, angular, mirror-ball, equidistant, pinhole, vertical-cross, exr-latlong "
+                "or exr-cube; "
                 "by default from the file's attribute, else from its shape");
   c->add_option("--bands", estimate.bands, "1 to 9, or auto")->capture_default_str();
   add_json(c, estimate.json);
   c->callback([&] { action = [] { return light_estimate(estimate); }; });
 
   static BakeCommandOptions bake_options;
-  c = app.add_subcommand("bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
-  c->add_option("asset", bake_options.asset, "glTF, OBJ or PLY (or builtin:knot, builtin:twist)")->required();
+  c = app.add_subcommand(
+      "bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
+  c->add_option("asset", bake_options.asset, "glTF, OBJ or PLY (or builtin:knot, builtin:twist)")
+      ->required();
   c->add_option("-o,--output", bake_options.output, "Baked .glb")->required();
   c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
-  c->add_option("--bounces", bake_options.bounces, "Bounces of light between the parts")->capture_default_str();
-  c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")->capture_default_str();
-  c->add_option("--receiver-albedo", bake_options.receiver_albedo, "Of the plane under it; 0 reflects nothing")
+  c->add_option("--bounces", bake_options.bounces, "Bounces of light between the parts")
+      ->capture_default_str();
+  c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")
+      ->capture_default_str();
+  c->add_option("--receiver-albedo", bake_options.receiver_albedo,
+                "Of the plane under it; 0 reflects nothing")
       ->check(CLI::Range(0., 1.))
       ->capture_default_str();
   add_json(c, bake_options.json);
@@ -86,8 +97,10 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_option("-o,--output", render_options.output, "Output .exr or .hdr")->required();
   c->add_option("--bands", render_options.bands, "1 to 9, or auto")->capture_default_str();
   c->add_option("--discs", render_options.discs, "0 or auto")->capture_default_str();
-  c->add_flag("--reference", render_options.reference, "Path-trace the picture with the objects really there");
-  c->add_option("--error", render_options.error, "Relative error at which the reference stops")->capture_default_str();
+  c->add_flag("--reference", render_options.reference,
+              "Path-trace the picture with the objects really there");
+  c->add_option("--error", render_options.error, "Relative error at which the reference stops")
+      ->capture_default_str();
   c->add_option("--truncated-to", render_options.truncated_to,
                 "Path-trace under the light cut to so many bands instead of the whole environment");
   c->add_flag("--without-objects", render_options.without_objects, "The real world alone");
@@ -95,7 +108,8 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->callback([&] { action = [] { return render(render_options); }; });
 
   static CompositeOptions composite_options;
-  c = app.add_subcommand("composite", "Replay a recording through the whole pipeline; the same bytes each time");
+  c = app.add_subcommand("composite",
+                         "Replay a recording through the whole pipeline; the same bytes each time");
   c->add_option("--capture", composite_options.capture, "Capture folder")->required();
   c->add_option("--scene", composite_options.scene, "scene.toml")->required();
   c->add_option("--out", composite_options.output, "Output folder")->required();
@@ -105,14 +119,19 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->callback([&] { action = [] { return composite(composite_options); }; });
 
   static ChartOptions chart_options;
-  c = app.add_subcommand("chart", "Error against the path-traced reference by number of coefficients");
+  c = app.add_subcommand("chart",
+                         "Error against the path-traced reference by number of coefficients");
   c->add_option("--out", chart_options.output, "Output folder")->capture_default_str();
-  c->add_option("--environment", chart_options.environments, "HDR environments; built-in ones by default");
+  c->add_option("--environment", chart_options.environments,
+                "HDR environments; built-in ones by default");
   c->add_option("--asset", chart_options.asset, "Object; the built-in knot by default");
-  c->add_option("--bands", chart_options.bands, "Numbers of bands; 1 2 3 4 5 6 9 by default")->delimiter(',');
-  c->add_option("--error", chart_options.error, "Relative error of the reference")->capture_default_str();
-  c->add_flag("--truncated", chart_options.truncated,
-              "Against the reference under the same truncated light: what bake, shadow and composite cost");
+  c->add_option("--bands", chart_options.bands, "Numbers of bands; 1 2 3 4 5 6 9 by default")
+      ->delimiter(',');
+  c->add_option("--error", chart_options.error, "Relative error of the reference")
+      ->capture_default_str();
+  c->add_flag(
+      "--truncated", chart_options.truncated,
+      "Against the reference under the same truncated light: what bake, shadow and composite cost");
   add_json(c, chart_options.json);
   c->callback([&] { action = [] { return chart(chart_options); }; });
 }
@@ -123,11 +142,14 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_flag("--headless", demo_options.headless, "No window even with a display");
   c->add_option("--frames", demo_options.frames, "View frames")->capture_default_str();
   c->add_option("--out", demo_options.output, "Output folder")->capture_default_str();
-  c->add_option("--environment", demo_options.environment, "HDR environment; the built-in room by default");
+  c->add_option("--environment", demo_options.environment,
+                "HDR environment; the built-in room by default");
   c->add_option("--asset", demo_options.asset, "Object; the built-in knot by default");
   c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");
-  c->add_option("--record", demo_options.record, "Also record a capture folder with its scene.toml");
-  c->add_flag("--live", demo_options.live, "Cameras, light and composite on threads, paced by the clock");
+  c->add_option("--record", demo_options.record,
+                "Also record a capture folder with its scene.toml");
+  c->add_flag("--live", demo_options.live,
+              "Cameras, light and composite on threads, paced by the clock");
   c->add_option("--width", demo_options.width, "View camera, pixels")->capture_default_str();
   c->add_option("--height", demo_options.height, "View camera, pixels")->capture_default_str();
   c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
@@ -154,7 +176,8 @@ int report(const Error& e) {
 int main(int argc, char** argv) {
   spdlog::set_default_logger(spdlog::stderr_color_mt("penumbra"));
   spdlog::set_pattern("%^%l%$: %v");
-  CLI::App app("Mixed reality with measured light: HDR capture, precomputed transfer, differential shadows");
+  CLI::App app(
+      "Mixed reality with measured light: HDR capture, precomputed transfer, differential shadows");
   app.require_subcommand(1);
   app.set_version_flag("--version", std::string("penumbra ") + PENUMBRA_VERSION);
   Action action;

@@ -8,16 +8,20 @@
 
 namespace penumbra::service {
 
-Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options, StageTimes& times) {
+Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options,
+                                                         StageTimes& times) {
   PENUMBRA_TRY(make_folder(options.folder));
   auto writer = std::unique_ptr<FrameWriter>(new FrameWriter(options, times));
   writer->worker_ = std::jthread([w = writer.get()] { w->work(); });
   return writer;
 }
 
-FrameWriter::~FrameWriter() { queue_.close(); }
+FrameWriter::~FrameWriter() {
+  queue_.close();
+}
 
-bool FrameWriter::write(const std::string& name, std::shared_ptr<const FramePixels> pixels, bool in_video) {
+bool FrameWriter::write(const std::string& name, std::shared_ptr<const FramePixels> pixels,
+                        bool in_video) {
   return queue_.push({name, std::move(pixels), in_video});
 }
 
@@ -52,7 +56,8 @@ Result<void> FrameWriter::handle(const Job& job) {
       PENUMBRA_TRY(codec::write_frame(path, *f16));
     } else {
       auto exr = path;
-      PENUMBRA_TRY(codec::write_hdr(exr.replace_extension(".exr"), std::get<Image<Rgb>>(*job.pixels)));
+      PENUMBRA_TRY(
+          codec::write_hdr(exr.replace_extension(".exr"), std::get<Image<Rgb>>(*job.pixels)));
     }
   }
   if (!options_.video || !job.in_video) return {};
@@ -61,8 +66,8 @@ Result<void> FrameWriter::handle(const Job& job) {
   const Image<Rgb8> converted = bytes ? Image<Rgb8>() : to_display(*job.pixels);
   const Image<Rgb8>& picture = bytes ? *bytes : converted;
   if (!video_) {
-    auto video = compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(), picture.height(),
-                                                 options_.fps);
+    auto video = compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(),
+                                                 picture.height(), options_.fps);
     if (!video) return std::unexpected(video.error());
     video_ = std::move(*video);
   }

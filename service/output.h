@@ -49,8 +49,8 @@ class FrameWriter {
   std::jthread worker_;
 };
 
-/// Eight-bit picture of any frame, for video, JPEG and windows: 16 bit loses its low byte, float frames
-/// go through sRGB with `exposure`.
+/// Eight-bit picture of any frame, for video, JPEG and windows: 16 bit loses its low byte, float
+/// frames go through sRGB with `exposure`.
 Image<Rgb8> to_display(const FramePixels& pixels, float exposure = 1);
 
 }  // namespace penumbra::service

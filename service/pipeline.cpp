@@ -21,17 +21,22 @@ int environment_rows(const calib::Projection& p) {
 
 }  // namespace
 
-Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras, int bands, StageTimes& times) {
-  const auto found = std::ranges::find(cameras, capture::Role::kEnvironment, &capture::CameraInfo::role);
-  if (found == cameras.end()) return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras, int bands,
+                                      StageTimes& times) {
+  const auto found =
+      std::ranges::find(cameras, capture::Role::kEnvironment, &capture::CameraInfo::role);
+  if (found == cameras.end())
+    return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
   return LightStage(static_cast<int>(found - cameras.begin()), *found, bands, times);
 }
 
 LightStage::LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times)
-    : camera_(camera), ring_(info, kRingSlots),
+    : camera_(camera),
+      ring_(info, kRingSlots),
       assembler_(info.projection, info.world_from_camera, 2 * environment_rows(info.projection),
                  environment_rows(info.projection)),
-      estimator_(bands), times_(times) {}
+      estimator_(bands),
+      times_(times) {}
 
 Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame) {
   Result<const capture::MergedImage*> merged = nullptr;
@@ -49,29 +54,31 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
   return estimator_.estimate(environment_);
 }
 
-Result<std::unique_ptr<ComposeStage>> ComposeStage::create(const std::vector<capture::CameraInfo>& cameras,
-                                                           const PreparedScene& scene,
-                                                           compositor::Compositor::Surface surface,
-                                                           StageTimes& times, int oversampling) {
+Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
+    const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
+    compositor::Compositor::Surface surface, StageTimes& times, int oversampling) {
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
     if (c.projection.kind != calib::ProjectionKind::kPinhole)
       return fail(ErrorCode::kInvalid, c.name, "a view camera must be a pinhole");
-    if (first && (c.projection.width != first->projection.width || c.projection.height != first->projection.height))
+    if (first && (c.projection.width != first->projection.width ||
+                  c.projection.height != first->projection.height))
       return fail(ErrorCode::kInvalid, c.name, "all view cameras must have the same size");
     if (!first) first = &c;
   }
   if (!first) return fail(ErrorCode::kInvalid, "capture", "has no view camera");
-  auto compositor = compositor::Compositor::create(first->projection.width, first->projection.height, surface,
-                                                   oversampling);
+  auto compositor = compositor::Compositor::create(first->projection.width,
+                                                   first->projection.height, surface, oversampling);
   if (!compositor) return std::unexpected(compositor.error());
   auto stage = std::unique_ptr<ComposeStage>(new ComposeStage(std::move(*compositor), times));
-  for (const capture::CameraInfo& c : cameras) stage->views_.push_back({c, std::nullopt, std::nullopt});
+  for (const capture::CameraInfo& c : cameras)
+    stage->views_.push_back({c, std::nullopt, std::nullopt});
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
   for (const PreparedObject& o : scene.objects) {
     const int handle = stage->compositor_->add_object(o.baked);
-    stage->objects_.push_back({&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}});
+    stage->objects_.push_back(
+        {&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}});
   }
   return stage;
 }
@@ -81,7 +88,8 @@ bool ComposeStage::update_light(Object& o, const RadianceSh& world_light, double
   compositor_->set_pose(o.handle, pose);
   const glm::dmat3 bake_from_world = glm::transpose(pose.rotation_matrix());
   const RadianceSh light = lighting::ShRotation(bake_from_world, world_light.bands()) * world_light;
-  if (o.light_used && lighting::largest_visible_change(*o.light_used, light) < kVisibleChange) return false;
+  if (o.light_used && lighting::largest_visible_change(*o.light_used, light) < kVisibleChange)
+    return false;
   {
     const StageTimer timer(times_, "relight");
     prt::relight(o.prepared->baked.transfer, light, o.relit);
@@ -100,7 +108,8 @@ bool ComposeStage::update_light(Object& o, const RadianceSh& world_light, double
 
 const CodeCurve* ComposeStage::curve_for(ViewCamera& camera, const FramePixels& pixels) {
   const auto make = [&](std::optional<CodeCurve>& curve, int bits) {
-    if (!curve) curve = capture::make_code_curve(camera.info.response, bits, camera.info.black_level);
+    if (!curve)
+      curve = capture::make_code_curve(camera.info.response, bits, camera.info.black_level);
     return &*curve;
   };
   if (std::holds_alternative<Image<Rgb8>>(pixels)) return make(camera.curve8, 8);
@@ -108,7 +117,8 @@ const CodeCurve* ComposeStage::curve_for(ViewCamera& camera, const FramePixels& 
   return nullptr;
 }
 
-Result<Composited> ComposeStage::process(const capture::Frame& frame, const lighting::LightEstimate& light) {
+Result<Composited> ComposeStage::process(const capture::Frame& frame,
+                                         const lighting::LightEstimate& light) {
   Composited out;
   const double seconds = (frame.time - TimestampNs{0}).count();
   for (Object& o : objects_) out.relit |= update_light(o, light.light, seconds);
@@ -116,9 +126,10 @@ Result<Composited> ComposeStage::process(const capture::Frame& frame, const ligh
   const StageTimer timer(times_, "composite");
   out.pixels = *frame.pixels;
   const calib::Projection& p = camera.info.projection;
-  const compositor::View view{{p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
-                              curve_for(camera, out.pixels),
-                              static_cast<float>(frame.exposure.product())};
+  const compositor::View view{
+      {p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
+      curve_for(camera, out.pixels),
+      static_cast<float>(frame.exposure.product())};
   auto touched = compositor_->composite(view, out.pixels);
   if (!touched) return std::unexpected(touched.error());
   out.touched = *touched;

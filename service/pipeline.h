@@ -1,6 +1,6 @@
-// The way of one frame, in two stages that meet in a LightEstimate: the light at environment-camera rate,
-// the composite at view-camera rate. Live and replay call the same two functions.
-// threads: each stage is thread-bound; ComposeStage owns the GL context of its thread
+// The way of one frame, in two stages that meet in a LightEstimate: the light at environment-camera
+// rate, the composite at view-camera rate. Live and replay call the same two functions. threads:
+// each stage is thread-bound; ComposeStage owns the GL context of its thread
 #pragma once
 
 #include <memory>
@@ -20,7 +20,8 @@ namespace penumbra::service {
 class LightStage {
  public:
   /// errors: kInvalid (no environment camera)
-  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras, int bands, StageTimes& times);
+  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras, int bands,
+                                   StageTimes& times);
 
   int camera() const { return camera_; }
   /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
@@ -48,11 +49,11 @@ class ComposeStage {
   /// Light that changed less than this share of the mean cannot be seen in 8 bits.
   static constexpr double kVisibleChange = .005;
 
-  /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole), kUnavailable
-  static Result<std::unique_ptr<ComposeStage>> create(const std::vector<capture::CameraInfo>& cameras,
-                                                      const PreparedScene& scene,
-                                                      compositor::Compositor::Surface surface, StageTimes& times,
-                                                      int oversampling = 2);
+  /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
+  /// kUnavailable
+  static Result<std::unique_ptr<ComposeStage>> create(
+      const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
+      compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2);
 
   /// Composites one view frame under `light`. errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);

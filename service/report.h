@@ -11,7 +11,9 @@
 
 namespace penumbra::service {
 
-inline nlohmann::json to_json(const Rgb& c) { return nlohmann::json::array({c.r, c.g, c.b}); }
+inline nlohmann::json to_json(const Rgb& c) {
+  return nlohmann::json::array({c.r, c.g, c.b});
+}
 
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
   nlohmann::json coefficients = nlohmann::json::array();
@@ -32,6 +34,8 @@ inline nlohmann::json to_json(const StageTimes& times) {
   return stages;
 }
 
-inline void print_json(const nlohmann::json& value) { std::printf("%s\n", value.dump(2).c_str()); }
+inline void print_json(const nlohmann::json& value) {
+  std::printf("%s\n", value.dump(2).c_str());
+}
 
 }  // namespace penumbra::service

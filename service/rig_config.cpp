@@ -10,7 +10,8 @@ namespace {
 // One optional table of the file, with its known keys checked.
 class Section {
  public:
-  Section(const fs::path& path, const toml::table& root, const TomlKeys& root_keys, std::string_view name)
+  Section(const fs::path& path, const toml::table& root, const TomlKeys& root_keys,
+          std::string_view name)
       : path_(path), root_keys_(root_keys), name_(name), node_(root.get(name)) {}
 
   template <class Read>
@@ -30,7 +31,8 @@ class Section {
 };
 
 std::string resolve(const std::string& file, const fs::path& folder) {
-  return fs::path(file).is_absolute() || file.starts_with("builtin:") ? file : (folder / file).string();
+  return fs::path(file).is_absolute() || file.starts_with("builtin:") ? file
+                                                                      : (folder / file).string();
 }
 
 Result<void> read_path(const TomlKeys& keys, std::string_view key, const fs::path& folder,
@@ -41,10 +43,12 @@ Result<void> read_path(const TomlKeys& keys, std::string_view key, const fs::pat
   return {};
 }
 
-Result<void> read_number(const TomlKeys& keys, std::string_view key, double low, double high, double& out) {
+Result<void> read_number(const TomlKeys& keys, std::string_view key, double low, double high,
+                         double& out) {
   if (!keys.has(key)) return {};
   PENUMBRA_ASSIGN(value, keys.number(key));
-  if (value <= low || value > high) return keys.invalid(key, fmt::format("not within {}..{}", low, high));
+  if (value <= low || value > high)
+    return keys.invalid(key, fmt::format("not within {}..{}", low, high));
   out = value;
   return {};
 }
@@ -87,8 +91,10 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   PENUMBRA_TRY(keys.version(1));
   const fs::path folder = path.parent_path();
   RigConfig c;
-  if (!keys.has("capture")) return keys.invalid("capture", "missing: say source = \"studio\" or a capture folder");
-  constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "fps", "width", "height"};
+  if (!keys.has("capture"))
+    return keys.invalid("capture", "missing: say source = \"studio\" or a capture folder");
+  constexpr std::string_view capture_keys[] = {"source", "environment", "asset",
+                                               "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
   constexpr std::string_view light_keys[] = {"bands", "stale_after_s"};
   constexpr std::string_view http_keys[] = {"address", "port"};
@@ -104,7 +110,8 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, light));
   PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, http));
   if (c.source != "studio" && !c.scene)
-    return fail(ErrorCode::kInvalid, path.string(), "a capture folder needs [scene] file = \"scene.toml\"");
+    return fail(ErrorCode::kInvalid, path.string(),
+                "a capture folder needs [scene] file = \"scene.toml\"");
   return c;
 }
 

@@ -10,16 +10,16 @@
 namespace penumbra::service {
 
 struct RigConfig {
-  std::string source;                       // "studio", or the path of a capture folder, played in a loop
-  std::optional<std::string> environment;   // of the studio
-  std::optional<std::string> asset;         // of the studio's own scene
-  std::optional<std::string> scene;         // scene.toml; needed for a capture folder
-  double fps = 30;                          // of the studio's view camera
-  int width = 1280, height = 720;           // of the studio's view camera
+  std::string source;  // "studio", or the path of a capture folder, played in a loop
+  std::optional<std::string> environment;  // of the studio
+  std::optional<std::string> asset;        // of the studio's own scene
+  std::optional<std::string> scene;        // scene.toml; needed for a capture folder
+  double fps = 30;                         // of the studio's view camera
+  int width = 1280, height = 720;          // of the studio's view camera
   int bands = 5;
-  double stale_after_s = 1;                 // light older than this is reported as stale
+  double stale_after_s = 1;  // light older than this is reported as stale
   std::string address = "127.0.0.1";
-  int port = 8787;                          // 0: any free one
+  int port = 8787;  // 0: any free one
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback)

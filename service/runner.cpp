@@ -13,13 +13,17 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-double since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+double since(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
 
 // All black and all clipped are states of the scene, not failures of the program.
-bool is_ordinary(const Error& e) { return e.code == ErrorCode::kUndetermined; }
+bool is_ordinary(const Error& e) {
+  return e.code == ErrorCode::kUndetermined;
+}
 
-Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light, ComposeStage& compose,
-                         const Sink& sink, RunCounts& counts, bool& go_on) {
+Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light,
+                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on) {
   ++counts.frames;
   if (!light.valid) {
     ++counts.without_light;
@@ -36,7 +40,9 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
 Result<void> never_any_light(const RunCounts& counts, const std::optional<Error>& last) {
   if (counts.frames == 0) return fail(ErrorCode::kInvalid, "capture", "has no view frame");
   if (counts.without_light < counts.frames) return {};
-  return std::unexpected(last.value_or(Error{ErrorCode::kUndetermined, "capture", "no environment frame came before the last view frame"}));
+  return std::unexpected(
+      last.value_or(Error{ErrorCode::kUndetermined, "capture",
+                          "no environment frame came before the last view frame"}));
 }
 
 }  // namespace
@@ -66,7 +72,8 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
       } else {
         return std::unexpected(estimated.error());
       }
-    } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView) {
+    } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role ==
+               capture::Role::kView) {
       PENUMBRA_TRY(compose_one(**frame, estimate, compose, sink, counts, go_on));
     }
   }
@@ -114,10 +121,14 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
       if (!frame) return live.stop_with(frame.error());
       if (!*frame) break;
       if (!origin) origin = Clock::now(), first = (*frame)->time;
-      std::this_thread::sleep_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first));
-      const bool is_view = source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;
-      if ((*frame)->camera == environment_camera) live.environment.put(std::move(**frame));
-      else if (is_view) live.view.put(std::move(**frame));
+      std::this_thread::sleep_until(
+          *origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first));
+      const bool is_view =
+          source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;
+      if ((*frame)->camera == environment_camera)
+        live.environment.put(std::move(**frame));
+      else if (is_view)
+        live.view.put(std::move(**frame));
     }
     live.environment.close();
     live.view.close();

@@ -17,7 +17,7 @@ struct RunCounts {
   std::uint64_t unusable = 0;       // environment frames that were all black or all clipped
   double touched = 0;               // sum of the touched fractions
   double seconds = 0;
-  int exposures = 0;                // distinct exposures of the environment camera
+  int exposures = 0;  // distinct exposures of the environment camera
 };
 
 /// One composited view frame with the frame that it came from and the light that it was drawn with.
@@ -30,12 +30,14 @@ struct Output {
 using Sink = std::function<bool(const Output&)>;
 
 /// Every frame in order of time on this thread: the same input gives the same bytes.
-/// errors: what the source and the stages say; kUndetermined when no environment frame ever gave light
+/// errors: what the source and the stages say; kUndetermined when no environment frame ever gave
+/// light
 Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
                              const Sink& sink, StageTimes& times);
 
-/// The source on one thread (paced to its timestamps), the light on another, compositing on this one;
-/// they meet in one-slot mailboxes. Stops when the source ends, the sink says so, or `stop` is set.
+/// The source on one thread (paced to its timestamps), the light on another, compositing on this
+/// one; they meet in one-slot mailboxes. Stops when the source ends, the sink says so, or `stop` is
+/// set.
 Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
                            const Sink& sink, StageTimes& times, const std::atomic<bool>& stop);
 

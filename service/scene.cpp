@@ -65,12 +65,14 @@ std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
   h = hash(h, mesh.normals.data(), mesh.normals.size() * sizeof(glm::vec3));
   h = hash(h, mesh.albedo.data(), mesh.albedo.size() * sizeof(Rgb));
   h = hash(h, mesh.triangles.data(), mesh.triangles.size() * sizeof(mesh.triangles[0]));
-  const int numbers[] = {o.bands, o.bounces, o.rays, o.ground_rays, o.receiver ? o.receiver->grid.size : 0};
+  const int numbers[] = {o.bands, o.bounces, o.rays, o.ground_rays,
+                         o.receiver ? o.receiver->grid.size : 0};
   h = hash(h, numbers, sizeof numbers);
   if (o.receiver) {
     const prt::GroundGrid& g = o.receiver->grid;
-    const float floats[] = {g.centre.x, g.centre.y, g.half_extent, g.height, o.receiver->albedo.r,
-                            o.receiver->albedo.g, o.receiver->albedo.b};
+    const float floats[] = {
+        g.centre.x,           g.centre.y,           g.half_extent,       g.height,
+        o.receiver->albedo.r, o.receiver->albedo.g, o.receiver->albedo.b};
     h = hash(h, floats, sizeof floats);
   }
   return fmt::format("{:016x}.glb", h);
@@ -84,16 +86,16 @@ std::optional<fs::path> cache_folder() {
   return std::nullopt;
 }
 
-Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh, const prt::BakeOptions& options,
-                                        bool use_cache) {
+Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
+                                        const prt::BakeOptions& options, bool use_cache) {
   const auto folder = use_cache ? cache_folder() : std::nullopt;
   const fs::path file = folder ? *folder / cache_name(mesh, options) : fs::path();
   if (folder)
     if (auto recalled = prt::read_baked(file)) return recalled;
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, name, baked.error().detail);
-  spdlog::info("{}: baked {} vertices, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of t_0", name,
-               baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
+  spdlog::info("{}: baked {} vertices, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of t_0",
+               name, baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
                baked->report.seconds, 100 * baked->report.standard_error);
   if (folder && make_folder(*folder)) {
     // A cache that cannot be written costs time, not the result.
@@ -115,10 +117,12 @@ glm::dmat4 placement(const SceneObject& o, const prt::Mesh& mesh) {
     shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
   }
   return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
-         glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0), glm::dvec4(shift, 1));
+         glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0),
+                    glm::dvec4(shift, 1));
 }
 
-// A file that is baked already: its frame is placed upright; scale moves lengths, transfer has none.
+// A file that is baked already: its frame is placed upright; scale moves lengths, transfer has
+// none.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
   auto baked = prt::read_baked(o.asset);
   if (!baked) return std::unexpected(baked.error());
@@ -132,11 +136,13 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
   if (plane && up.y < .9999)
-    return fail(ErrorCode::kInvalid, o.name, "is baked for standing upright and cannot be tilted; use the asset itself");
+    return fail(ErrorCode::kInvalid, o.name,
+                "is baked for standing upright and cannot be tilted; use the asset itself");
   return PreparedObject{o.name, std::move(*baked), Pose{o.rotation, frame.translation}, o.spin_rpm};
 }
 
-Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene, const BakeSettings& settings,
+Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
+                                      const BakeSettings& settings,
                                       const std::function<void(double)>& progress) {
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o, plane_under(scene.planes, o.position));
@@ -179,7 +185,8 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
   } else if (asset == "builtin:twist") {
     mesh = make_twist(albedo);
   } else if (asset.starts_with("builtin:")) {
-    return fail(ErrorCode::kNotFound, asset, "no such built-in asset; there are builtin:knot and builtin:twist");
+    return fail(ErrorCode::kNotFound, asset,
+                "no such built-in asset; there are builtin:knot and builtin:twist");
   } else {
     auto imported = prt::import_mesh(asset, albedo);
     if (!imported) return std::unexpected(imported.error());
@@ -192,13 +199,15 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
   return mesh;
 }
 
-Result<PreparedScene> prepare(const Scene& scene, const BakeSettings& settings,
-                              const std::function<std::function<void(double)>(const std::string&)>& progress) {
+Result<PreparedScene> prepare(
+    const Scene& scene, const BakeSettings& settings,
+    const std::function<std::function<void(double)>(const std::string&)>& progress) {
   PreparedScene out;
   for (const RealGeometry& real : scene.real) {
     if (real.plane) {
       // Without a known albedo the floor's reflection on the object is unknown and left out.
-      out.planes.push_back({real.plane->point, real.plane->normal, real.albedo.value_or(Rgb{}), {}});
+      out.planes.push_back(
+          {real.plane->point, real.plane->normal, real.albedo.value_or(Rgb{}), {}});
       continue;
     }
     auto mesh = load_asset(real.mesh, real.albedo.value_or(Rgb{.5f, .5f, .5f}), 0);

@@ -19,9 +19,9 @@ struct SceneObject {
   glm::dvec3 position{0, 0, 0};
   glm::dquat rotation{1, 0, 0, 0};
   double scale = 1;
-  double spin_rpm = 0;          // turntable about the receiver's normal
-  bool stand = false;           // set on the floor at `stand_size_m`, centred on `position`
-  double stand_size_m = .5;     // largest extent
+  double spin_rpm = 0;       // turntable about the receiver's normal
+  bool stand = false;        // set on the floor at `stand_size_m`, centred on `position`
+  double stand_size_m = .5;  // largest extent
 };
 
 struct RealPlane {
@@ -65,11 +65,12 @@ struct PreparedScene {
 
 /// Loads, places and bakes. Log lines (what is baked, dropped triangles) go to spdlog.
 /// errors: what the assets say
-Result<PreparedScene> prepare(const Scene& scene, const BakeSettings& settings,
-                              const std::function<std::function<void(double)>(const std::string&)>& progress);
+Result<PreparedScene> prepare(
+    const Scene& scene, const BakeSettings& settings,
+    const std::function<std::function<void(double)>(const std::string&)>& progress);
 
-/// An asset in its own frame, or a built-in one. `edge_share`: longest edge after subdivision, as a share
-/// of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
+/// An asset in its own frame, or a built-in one. `edge_share`: longest edge after subdivision, as a
+/// share of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share);
 
 /// All meshes of a scene in the world frame at time 0, for the reference.

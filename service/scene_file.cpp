@@ -8,8 +8,9 @@ namespace penumbra::service {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kObjectKeys[] = {"name",  "asset",    "albedo",    "position",     "rotation",
-                                            "scale", "spin_rpm", "animation", "stand_size_m"};
+constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",
+                                            "position", "rotation",  "scale",
+                                            "spin_rpm", "animation", "stand_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane", "mesh", "albedo"};
 
 Result<Rgb> read_albedo(const TomlKeys& keys) {
@@ -33,7 +34,8 @@ Result<void> read_placement(const TomlKeys& keys, SceneObject& o) {
   if (keys.has("rotation")) {
     PENUMBRA_ASSIGN(q, keys.numbers("rotation", 4));
     const glm::dquat r(q[3], q[0], q[1], q[2]);
-    if (std::abs(glm::length(r) - 1) > 1e-3) return keys.invalid("rotation", "not a unit quaternion x, y, z, w");
+    if (std::abs(glm::length(r) - 1) > 1e-3)
+      return keys.invalid("rotation", "not a unit quaternion x, y, z, w");
     o.rotation = glm::normalize(r);
   }
   if (keys.has("scale")) {
@@ -75,11 +77,13 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   return o;
 }
 
-Result<RealGeometry> read_real(const fs::path& path, const toml::table& table, const fs::path& folder) {
+Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
+                               const fs::path& folder) {
   const TomlKeys keys(path, table);
   PENUMBRA_TRY(keys.only(kRealKeys));
   RealGeometry real;
-  if (keys.has("plane") == keys.has("mesh")) return keys.invalid("plane", "give a plane or a mesh, one of them");
+  if (keys.has("plane") == keys.has("mesh"))
+    return keys.invalid("plane", "give a plane or a mesh, one of them");
   if (keys.has("albedo")) {
     PENUMBRA_ASSIGN(albedo, read_albedo(keys));
     real.albedo = albedo;
@@ -127,22 +131,28 @@ Result<Scene> read_scene(const fs::path& path) {
 
 Result<void> write_scene(const fs::path& path, const Scene& scene) {
   std::string text = "version = 1\n";
-  const auto list = [](const auto&... v) { return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", ")); };
+  const auto list = [](const auto&... v) {
+    return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", "));
+  };
   for (const SceneObject& o : scene.objects) {
-    const std::string asset =
-        o.asset.starts_with("builtin:") ? o.asset : fs::absolute(o.asset).lexically_normal().string();
+    const std::string asset = o.asset.starts_with("builtin:")
+                                  ? o.asset
+                                  : fs::absolute(o.asset).lexically_normal().string();
     text += fmt::format("\n[[object]]\nname = \"{}\"\nasset = \"{}\"\nalbedo = {}\n", o.name, asset,
                         list(o.albedo.r, o.albedo.g, o.albedo.b));
-    text += fmt::format("position = {}\nrotation = {}\n", list(o.position.x, o.position.y, o.position.z),
+    text += fmt::format("position = {}\nrotation = {}\n",
+                        list(o.position.x, o.position.y, o.position.z),
                         list(o.rotation.x, o.rotation.y, o.rotation.z, o.rotation.w));
-    text += o.stand ? fmt::format("stand_size_m = {}\n", o.stand_size_m) : fmt::format("scale = {}\n", o.scale);
+    text += o.stand ? fmt::format("stand_size_m = {}\n", o.stand_size_m)
+                    : fmt::format("scale = {}\n", o.scale);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
   }
   for (const RealGeometry& r : scene.real) {
     text += "\n[[real]]\n";
     if (r.plane) {
       const auto &p = r.plane->point, &n = r.plane->normal;
-      text += fmt::format("plane = {{ point = {}, normal = {} }}\n", list(p.x, p.y, p.z), list(n.x, n.y, n.z));
+      text += fmt::format("plane = {{ point = {}, normal = {} }}\n", list(p.x, p.y, p.z),
+                          list(n.x, n.y, n.z));
     } else {
       text += fmt::format("mesh = \"{}\"\n", fs::absolute(r.mesh).lexically_normal().string());
     }

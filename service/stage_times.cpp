@@ -23,7 +23,8 @@ std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary
     std::vector<float> sorted = stage.ms;
     std::ranges::sort(sorted);
     const auto at = [&](double share) {
-      const auto rank = static_cast<std::size_t>(std::ceil(share * static_cast<double>(sorted.size())));
+      const auto rank =
+          static_cast<std::size_t>(std::ceil(share * static_cast<double>(sorted.size())));
       return static_cast<double>(sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1]);
     };
     out.emplace_back(stage.name, Percentiles{at(.5), at(.99), sorted.size()});

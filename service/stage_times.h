@@ -22,7 +22,8 @@ class StageTimes {
   std::vector<std::pair<std::string, Percentiles>> summary() const;
 
  private:
-  static constexpr std::size_t kMostSamples = 1 << 16;  // a stage that runs for days keeps its last ones
+  static constexpr std::size_t kMostSamples =
+      1 << 16;  // a stage that runs for days keeps its last ones
   struct Stage {
     std::string name;
     std::vector<float> ms;

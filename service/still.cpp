@@ -17,7 +17,8 @@ Rgb plane_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
   for (int y = 0; y < map.height(); ++y) {
     const double w = latlong_solid_angle(y, map.width(), map.height());
     for (int x = 0; x < map.width(); ++x) {
-      const double c = glm::dot(latlong_direction(x + .5, y + .5, map.width(), map.height()), normal);
+      const double c =
+          glm::dot(latlong_direction(x + .5, y + .5, map.width(), map.height()), normal);
       if (c <= 0) continue;
       for (int k = 0; k < 3; ++k) sum[k] += w * c * map.at(x, y)[k];
     }
@@ -27,7 +28,8 @@ Rgb plane_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
 
 glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
   return glm::normalize(v.world_from_camera.rotation *
-                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x, -(py - v.principal_px.y) / v.focal_px.y, -1));
+                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
+                                   -(py - v.principal_px.y) / v.focal_px.y, -1));
 }
 
 }  // namespace
@@ -39,7 +41,8 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   if (!light) return std::unexpected(light.error());
   std::vector<Rgb> exit_radiance;
   for (const prt::Plane& p : in.scene->planes)
-    exit_radiance.push_back(p.albedo * plane_irradiance(*in.environment, p.normal) * static_cast<float>(1 / kPi));
+    exit_radiance.push_back(p.albedo * plane_irradiance(*in.environment, p.normal) *
+                            static_cast<float>(1 / kPi));
   constexpr int kSamples = 4;
   Still out;
   out.radiance = Image<Rgb>(in.view.width, in.view.height);
@@ -48,8 +51,8 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
     for (int x = 0; x < in.view.width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k) {
-        const glm::dvec3 d =
-            ray_through(in.view, x + (k % kSamples + .5) / kSamples, y + (double(k / kSamples) + .5) / kSamples);
+        const glm::dvec3 d = ray_through(in.view, x + (k % kSamples + .5) / kSamples,
+                                         y + (double(k / kSamples) + .5) / kSamples);
         double nearest = 1e30;
         std::size_t hit = exit_radiance.size();
         for (std::size_t i = 0; i < exit_radiance.size(); ++i) {
@@ -69,11 +72,12 @@ Result<Still> render_composite(const StillScene& in, const RadianceSh& light, co
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
-  camera.projection = {calib::ProjectionKind::kPinhole, in.view.width, in.view.height, in.view.focal_px,
-                       in.view.principal_px};
+  camera.projection = {calib::ProjectionKind::kPinhole, in.view.width, in.view.height,
+                       in.view.focal_px, in.view.principal_px};
   camera.world_from_camera = in.view.world_from_camera;
   StageTimes times;
-  auto stage = ComposeStage::create({camera}, *in.scene, compositor::Compositor::Surface::kOffscreen, times, 4);
+  auto stage = ComposeStage::create({camera}, *in.scene,
+                                    compositor::Compositor::Surface::kOffscreen, times, 4);
   if (!stage) return std::unexpected(stage.error());
   capture::Frame frame;
   frame.exposure = {Seconds(1), Gain(1)};
@@ -84,11 +88,13 @@ Result<Still> render_composite(const StillScene& in, const RadianceSh& light, co
   estimate.valid = true;
   auto composited = (*stage)->process(frame, estimate);
   if (!composited) return std::unexpected(composited.error());
-  return Still{std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
+  return Still{
+      std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
 }
 
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
-                               const std::optional<RadianceSh>& truncated, const Progress& progress) {
+                               const std::optional<RadianceSh>& truncated,
+                               const Progress& progress) {
   auto map_light = prt::EnvironmentLight::from_map(*in.environment);
   if (!map_light) return std::unexpected(map_light.error());
   const prt::EnvironmentLight light =

@@ -1,4 +1,5 @@
-// Stills in linear radiance: the real world alone, our composite over it, and the path-traced truth.
+// Stills in linear radiance: the real world alone, our composite over it, and the path-traced
+// truth.
 #pragma once
 
 #include <functional>
@@ -26,15 +27,17 @@ struct StillScene {
 
 using Progress = std::function<void(double)>;
 
-/// The world without virtual objects: environment and planes in closed form (irradiance exact from every
-/// pixel), path traced when there are real meshes.
+/// The world without virtual objects: environment and planes in closed form (irradiance exact from
+/// every pixel), path traced when there are real meshes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
 
 /// Our method over the real picture, under `light`.
 Result<Still> render_composite(const StillScene& in, const RadianceSh& light, const Still& real);
 
-/// The truth: the object really stands there. Under the whole environment, or under `truncated` light.
+/// The truth: the object really stands there. Under the whole environment, or under `truncated`
+/// light.
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
-                               const std::optional<RadianceSh>& truncated, const Progress& progress);
+                               const std::optional<RadianceSh>& truncated,
+                               const Progress& progress);
 
 }  // namespace penumbra::service

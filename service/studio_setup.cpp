@@ -19,14 +19,16 @@ Result<StudioSetup> set_up_studio(const StudioRequest& r) {
     map = capture::make_room_environment(4096, 2048);
   }
   auto world = capture::FloorWorld::make(std::move(map));
-  if (!world) return fail(world.error().code, r.environment.value_or("environment"), world.error().detail);
+  if (!world)
+    return fail(world.error().code, r.environment.value_or("environment"), world.error().detail);
   out.world = std::move(*world);
 
   capture::StudioOptions& o = out.options;
   o.view_width = r.width;
   o.view_height = r.height;
   o.view_focal_px = 1.15 * r.height * 16 / 9 / 1.4;  // 60 degrees across at 16:9
-  o.world_from_view = capture::look_at({.25, capture::FloorWorld::kCaptureHeight, 1.75}, {.02, .3, 0});
+  o.world_from_view =
+      capture::look_at({.25, capture::FloorWorld::kCaptureHeight, 1.75}, {.02, .3, 0});
   o.view_fps = r.fps;
   o.view_frames = r.frames;
   o.view_clip = r.view_clip;

@@ -25,8 +25,8 @@ struct StudioRequest {
   int view_clip = 0;
 };
 
-/// Environment (the built-in room without one), cameras and the scene: a static object (the knot, or the
-/// asset stood on the floor half a metre large) and a turning one.
+/// Environment (the built-in room without one), cameras and the scene: a static object (the knot,
+/// or the asset stood on the floor half a metre large) and a turning one.
 Result<StudioSetup> set_up_studio(const StudioRequest& request);
 
 }  // namespace penumbra::service

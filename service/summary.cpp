@@ -28,15 +28,17 @@ nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const
 
 void print_summary(const nlohmann::json& s) {
   const auto& c = s["configuration"];
-  fmt::print("{} frames of {}x{} in {:.2f} s: {:.1f} fps, {} dropped, {:.1f} % of the pixels touched\n",
-             s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(), s["seconds"].get<double>(),
-             s["fps"].get<double>(), s["dropped"].get<int>(), 100 * s["touched_fraction"].get<double>());
-  fmt::print("{} objects, {} bands, {} exposures, {}\n", c["objects"].get<int>(), c["bands"].get<int>(),
-             c["exposures"].get<int>(), c["renderer"].get<std::string>());
+  fmt::print(
+      "{} frames of {}x{} in {:.2f} s: {:.1f} fps, {} dropped, {:.1f} % of the pixels touched\n",
+      s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
+      s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
+      100 * s["touched_fraction"].get<double>());
+  fmt::print("{} objects, {} bands, {} exposures, {}\n", c["objects"].get<int>(),
+             c["bands"].get<int>(), c["exposures"].get<int>(), c["renderer"].get<std::string>());
   fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
-    fmt::print("{:<14} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(), stage["p50_ms"].get<double>(),
-               stage["p99_ms"].get<double>());
+    fmt::print("{:<14} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
+               stage["p50_ms"].get<double>(), stage["p99_ms"].get<double>());
 }
 
 }  // namespace penumbra::service

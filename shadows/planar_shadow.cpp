@@ -33,7 +33,8 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Radianc
 
   // Both in units of irradiance/pi, like the deficit.
   const RadianceSh used = light.with_bands(object.ground_deficit.bands);
-  const Rgb open = lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) * static_cast<float>(1 / kPi);
+  const Rgb open =
+      lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) * static_cast<float>(1 / kPi);
   const Rgb mean = used[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
   Rgb inverse;
   for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;
@@ -42,11 +43,13 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Radianc
   out.x1 = out.y1 = 0;
   for (int y = 0; y < size; ++y)
     for (int x = 0; x < size; ++x) {
-      const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) + static_cast<std::size_t>(x);
+      const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) +
+                     static_cast<std::size_t>(x);
       const float fade = rim_fade(x, y, size);
       float d[3], largest = 0;
       for (int c = 0; c < 3; ++c) {
-        d[c] = fade * inverse[c] * deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
+        d[c] = fade * inverse[c] *
+               deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
         largest = std::max(largest, std::abs(d[c]));
       }
       const bool visible = largest > kInvisibleRatio && std::isfinite(d[0] + d[1] + d[2]);

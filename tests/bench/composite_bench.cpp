@@ -34,38 +34,55 @@ void composite(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   const int width = static_cast<int>(state.range(1)), height = width * 9 / 16;
   static const Setup setup;
-  auto compositor = compositor::Compositor::create(width, height, compositor::Compositor::Surface::kOffscreen);
+  auto compositor =
+      compositor::Compositor::create(width, height, compositor::Compositor::Surface::kOffscreen);
   if (!compositor) return state.SkipWithError(compositor.error().detail.c_str());
   const int handle = (*compositor)->add_object(setup.object);
   (*compositor)->set_light(handle, setup.relit, setup.shadow);
   std::vector<float> decode(256);
-  for (std::size_t z = 0; z < 256; ++z) decode[z] = static_cast<float>(std::pow(static_cast<double>(z) / 255, 2.2));
+  for (std::size_t z = 0; z < 256; ++z)
+    decode[z] = static_cast<float>(std::pow(static_cast<double>(z) / 255, 2.2));
   const CodeCurve curve({decode, decode, decode}, 0);
   const glm::dvec3 eye(.25, .62, 1.8);
-  const glm::dvec3 back = glm::normalize(eye - glm::dvec3(0, .2, 0)), right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
-  compositor::View view{{width, height, {width * .82, width * .82}, {width / 2., height / 2.},
-                         {glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back)), eye}}, &curve, .2f};
+  const glm::dvec3 back = glm::normalize(eye - glm::dvec3(0, .2, 0)),
+                   right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
+  compositor::View view{{width,
+                         height,
+                         {width * .82, width * .82},
+                         {width / 2., height / 2.},
+                         {glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back)), eye}},
+                        &curve,
+                        .2f};
   const FramePixels frame = Image<Rgb8>(width, height, {120, 110, 100});
   FramePixels work = frame;
   Image<Rgb8> copy(width, height);
   double touched = 0;
   const bool moving = state.range(2) != 0;
-  compare(state, [&] {
-            if (moving) view.camera.world_from_camera.translation.x += 1e-4;  // or the layers are kept
-            work = frame;
-            touched = (*compositor)->composite(view, work)->fraction;
-          },
-          [&] {
-            std::memcpy(copy.pixels().data(), std::get<Image<Rgb8>>(frame).pixels().data(), copy.area() * 3);
-            benchmark::DoNotOptimize(copy.pixels().data());
-          });
+  compare(
+      state,
+      [&] {
+        if (moving) view.camera.world_from_camera.translation.x += 1e-4;  // or the layers are kept
+        work = frame;
+        touched = (*compositor)->composite(view, work)->fraction;
+      },
+      [&] {
+        std::memcpy(copy.pixels().data(), std::get<Image<Rgb8>>(frame).pixels().data(),
+                    copy.area() * 3);
+        benchmark::DoNotOptimize(copy.pixels().data());
+      });
   state.counters["touched"] = touched;
 }
 BENCHMARK(composite)
     ->Name("compositor/composite_vs_frame_copy")
     ->ArgNames({"threads", "width", "moving"})
-    ->Args({1, 1280, 1})->Args({2, 1280, 1})->Args({2, 1920, 1})->Args({1, 1920, 0})->Args({2, 1280, 0})
-    ->Iterations(21)->UseManualTime()->Unit(benchmark::kMillisecond);
+    ->Args({1, 1280, 1})
+    ->Args({2, 1280, 1})
+    ->Args({2, 1920, 1})
+    ->Args({1, 1920, 0})
+    ->Args({2, 1280, 0})
+    ->Iterations(21)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
 
 }  // namespace
 }  // namespace penumbra::bench

@@ -27,7 +27,8 @@ template <class F>
 double time_ms(F&& run) {
   const auto start = std::chrono::steady_clock::now();
   run();
-  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
+      .count();
 }
 
 inline double median(std::vector<double> v) {
@@ -55,7 +56,8 @@ void compare(benchmark::State& state, Ours&& ours, Peer&& peer) {
 
 /// Registration with one and two threads, as every figure is wanted.
 inline void one_and_two_threads(benchmark::internal::Benchmark* b) {
-  b->Arg(1)->Arg(2)->ArgName("threads")->Iterations(kRepeats)->UseManualTime()->Unit(benchmark::kMillisecond);
+  b->Arg(1)->Arg(2)->ArgName("threads")->Iterations(kRepeats)->UseManualTime()->Unit(
+      benchmark::kMillisecond);
 }
 
 }  // namespace penumbra::bench

@@ -21,21 +21,27 @@ void sh_projection(benchmark::State& state) {
   const auto* words = reinterpret_cast<const std::uint64_t*>(map.pixels().data());
   const std::size_t count = map.area() * sizeof(Rgb) / 64;
   std::uint64_t sink = 0;
-  compare(state, [&] { benchmark::DoNotOptimize(projector.project(map)); },
-          [&] {
-            std::uint64_t s[8] = {};
-            for (std::size_t i = 0; i < count; ++i)
-              for (int k = 0; k < 8; ++k) s[k] += words[8 * i + static_cast<std::size_t>(k)];
-            for (std::uint64_t v : s) sink += v;
-            benchmark::DoNotOptimize(sink);
-          });
+  compare(
+      state, [&] { benchmark::DoNotOptimize(projector.project(map)); },
+      [&] {
+        std::uint64_t s[8] = {};
+        for (std::size_t i = 0; i < count; ++i)
+          for (int k = 0; k < 8; ++k) s[k] += words[8 * i + static_cast<std::size_t>(k)];
+        for (std::uint64_t v : s) sink += v;
+        benchmark::DoNotOptimize(sink);
+      });
   state.counters["times_of_streaming"] = 1 / state.counters["ratio"];
   state.counters["stream_GB_s"] = static_cast<double>(count) * 64e-6 / state.counters["peer_ms"];
 }
 BENCHMARK(sh_projection)
     ->Name("lighting/project_2048x1024_vs_streaming")
-    ->ArgName("bands")->Arg(3)->Arg(5)->Arg(9)
-    ->Iterations(kRepeats)->UseManualTime()->Unit(benchmark::kMillisecond);
+    ->ArgName("bands")
+    ->Arg(3)
+    ->Arg(5)
+    ->Arg(9)
+    ->Iterations(kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
 
 // Peer: Eigen's product of a 100k x 25 float matrix with a 25 x 3 one.
 void relight(benchmark::State& state) {
@@ -57,12 +63,22 @@ void relight(benchmark::State& state) {
     for (int c = 0; c < 3; ++c) columns(n, c) = light[n][c] = gauss(rng);
   std::vector<float> out(3 * transfer.stride);
   Eigen::Matrix<float, Eigen::Dynamic, 3> product(kVertices, 3);
-  compare(state, [&] { prt::relight(transfer, light, out); benchmark::DoNotOptimize(out.data()); },
-          [&] { product.noalias() = matrix * columns; benchmark::DoNotOptimize(product.data()); });
+  compare(
+      state,
+      [&] {
+        prt::relight(transfer, light, out);
+        benchmark::DoNotOptimize(out.data());
+      },
+      [&] {
+        product.noalias() = matrix * columns;
+        benchmark::DoNotOptimize(product.data());
+      });
 }
 BENCHMARK(relight)
     ->Name("prt/relight_100k_25_rgb_vs_eigen")
-    ->Iterations(31)->UseManualTime()->Unit(benchmark::kMillisecond);
+    ->Iterations(31)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
 
 }  // namespace
 }  // namespace penumbra::bench

@@ -33,7 +33,8 @@ double project_brute_force(const Image<Rgb>& map, int n, int channel) {
   double sum = 0, basis[kMaxCoefficients];
   for (int y = 0; y < map.height(); ++y)
     for (int x = 0; x < map.width(); ++x) {
-      evaluate_basis(kMaxBands, latlong_direction(x + .5, y + .5, map.width(), map.height()), basis);
+      evaluate_basis(kMaxBands, latlong_direction(x + .5, y + .5, map.width(), map.height()),
+                     basis);
       sum += latlong_solid_angle(y, map.width(), map.height()) * basis[n] * map.at(x, y)[channel];
     }
   return sum;
@@ -122,7 +123,8 @@ TEST(Projection, FoldedRowsEqualBruteForce) {
     const double scale = (*light)[0].r;
     for (int n = 0; n < 81; ++n)
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR((*light)[n][c], project_brute_force(map, n, c), 1e-6 * scale) << width << ' ' << n;
+        ASSERT_NEAR((*light)[n][c], project_brute_force(map, n, c), 1e-6 * scale)
+            << width << ' ' << n;
   }
 }
 
@@ -232,7 +234,8 @@ TEST(Irradiance, DeltaLightWithThreeBandsRingsByTheClosedForm) {
   EXPECT_NEAR(evaluate(e, {0, 0, 1}).r, 1.0625, 1e-5);
   double least = 1, where = 0;
   for (double c = -1; c <= 1; c += 1e-4)
-    if (const double v = evaluate(e, {std::sqrt(1 - c * c), 0, c}).r; v < least) least = v, where = c;
+    if (const double v = evaluate(e, {std::sqrt(1 - c * c), 0, c}).r; v < least)
+      least = v, where = c;
   EXPECT_NEAR(least, -.0396, 1e-4);
   EXPECT_NEAR(where, -8. / 15, 2e-3);
 }

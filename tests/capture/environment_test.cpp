@@ -1,0 +1,193 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "capture/capture.h"
+#include "codec/codec.h"
+#include "core/conventions.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::capture {
+namespace {
+
+using calib::ProjectionKind;
+
+Image<Rgb> random_map(int width, int height, unsigned seed) {
+  std::mt19937 rng(seed);
+  std::uniform_real_distribution<float> value(.1f, 3);
+  Image<Rgb> map(width, height);
+  for (Rgb& p : map.pixels()) p = {value(rng), value(rng), value(rng)};
+  return map;
+}
+
+// ------------------------------------------------------------------------------------- floor
+
+TEST(FloorWorld, IrradianceOfTheFloorIsTheIntegralOverTheSky) {
+  const auto world = FloorWorld::make(random_map(32, 17, 1));  // odd: a row crosses the horizon
+  ASSERT_TRUE(world);
+  const Image<Rgb>& map = (*world)->environment();
+  constexpr int kFine = 12;
+  double irradiance[3] = {}, mean = 0;
+  for (int y = 0; y < 17 * kFine; ++y)
+    for (int x = 0; x < 32; ++x) {
+      const double w = latlong_solid_angle(y, 32, 17 * kFine);
+      const double cosine = latlong_direction(x + .5, y + .5, 32, 17 * kFine).y;
+      for (int c = 0; c < 3; ++c) irradiance[c] += w * std::max(0., cosine) * double(map.at(x, y / kFine)[c]);
+      mean += w * double(luminance(map.at(x, y / kFine))) / (4 * kPi);
+    }
+  for (int c = 0; c < 3; ++c) EXPECT_NEAR((*world)->floor_irradiance()[c] / irradiance[c], 1, 1e-3);
+  EXPECT_NEAR(mean, FloorWorld::kMeanLuminance, 1e-3 * FloorWorld::kMeanLuminance);
+}
+
+TEST(FloorWorld, FloorReflectsItsAlbedoOfItsIrradiance) {
+  const auto world = FloorWorld::make(make_room_environment(128, 64));
+  ASSERT_TRUE(world);
+  std::mt19937 rng(2);
+  std::uniform_real_distribution<double> place(-1.5, 1.5);
+  for (int i = 0; i < 100; ++i) {
+    const glm::dvec3 eye(place(rng), 1.2, place(rng)), foot(place(rng), 0, place(rng));
+    const Rgb seen = (*world)->radiance(eye, glm::normalize(foot - eye)), albedo = (*world)->floor_albedo(foot);
+    for (int c = 0; c < 3; ++c) {
+      EXPECT_NEAR(double(seen[c]) * kPi, double(albedo[c]) * double((*world)->floor_irradiance()[c]),
+                  1e-3 * double((*world)->floor_irradiance()[c]));
+      EXPECT_TRUE(albedo[c] >= .02f && albedo[c] <= .92f) << albedo[c];
+    }
+    const glm::dvec3 up = glm::normalize(glm::dvec3(place(rng), .4, place(rng)));
+    EXPECT_EQ((*world)->radiance(eye, up), (*world)->far_radiance(up));
+  }
+}
+
+TEST(FloorWorld, RefusesMapsThatCannotLight) {
+  const auto code = [](Image<Rgb> map) {
+    const auto world = FloorWorld::make(std::move(map));
+    return world ? std::optional<ErrorCode>() : world.error().code;
+  };
+  EXPECT_EQ(code({}), ErrorCode::kInvalid);
+  EXPECT_EQ(code(Image<Rgb>(8, 4)), ErrorCode::kUndetermined);
+  for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+    Image<Rgb> map(8, 4, {1, 1, 1});
+    map.at(5, 2).g = bad;
+    EXPECT_EQ(code(map), ErrorCode::kNonFinite);
+  }
+}
+
+TEST(SkyEnvironment, SunHasItsIrradianceOnAnyGrid) {
+  const double elevation = .8, disc = 2 * kPi * (1 - std::cos(.2666 * kPi / 180));
+  const double sun = 46000 * disc * std::sin(elevation);
+  std::vector<double> found;
+  for (const int height : {64, 128, 512}) {
+    const Image<Rgb> map = make_sky_environment(2 * height, height, elevation);
+    double e = 0;
+    for (int y = 0; y < height / 2; ++y)
+      for (const Rgb& p : map.row(y))
+        e += latlong_solid_angle(y, 2 * height, height) * latlong_direction(0, y + .5, 2 * height, height).y * double(p.r);
+    found.push_back(e);
+  }
+  for (const double e : found) EXPECT_NEAR(e / found.back(), 1, .03);
+  EXPECT_GT(found.back(), sun);
+  EXPECT_LT(found.back(), sun + 3) << "the sky adds its own";
+}
+
+// ------------------------------------------------------------------------------------- files
+
+class EnvironmentFileTest : public testing::Test {
+ protected:
+  std::filesystem::path write(const std::string& name, int width, int height,
+                              std::optional<codec::EnvironmentAttribute> attribute = std::nullopt) {
+    const auto path = folder_.path() / name;
+    const auto written = codec::write_hdr(path, random_map(width, height, 3), codec::Depth::kFloat, attribute);
+    EXPECT_TRUE(written) << name;
+    return path;
+  }
+  test::TempFolder folder_;
+};
+
+double solid_angle(const EnvironmentFile& file) {
+  double sum = 0;
+  for (const float w : file.table.solid_angle_sr) sum += double(w);
+  return sum;
+}
+
+TEST_F(EnvironmentFileTest, ShapeTellsTheProjection) {
+  const std::tuple<int, int, ProjectionKind> shapes[] = {{64, 32, ProjectionKind::kLatLong},
+                                                         {48, 64, ProjectionKind::kVerticalCross},
+                                                         {64, 64, ProjectionKind::kAngular}};
+  for (const auto& [width, height, kind] : shapes)
+    for (const char* name : {"map.exr", "map.hdr"}) {
+      const auto file = read_environment(write(name, width, height), std::nullopt);
+      ASSERT_TRUE(file) << file.error().detail;
+      EXPECT_EQ(file->projection.kind, kind) << width << 'x' << height;
+      EXPECT_NEAR(solid_angle(*file), 4 * kPi, 1e-4);
+      EXPECT_EQ(file->non_finite, 0U);
+    }
+  const auto odd = read_environment(write("odd.exr", 50, 32), std::nullopt);
+  ASSERT_FALSE(odd);
+  EXPECT_EQ(odd.error().code, ErrorCode::kInvalid);
+  EXPECT_NE(odd.error().where.find("odd.exr"), std::string::npos);
+}
+
+TEST_F(EnvironmentFileTest, AttributeOfTheFileTellsMoreThanItsShapeOrTheCaller) {
+  using codec::EnvironmentAttribute;
+  const auto cube = write("cube.exr", 16, 96, EnvironmentAttribute::kCube);
+  const auto latlong = write("latlong.exr", 64, 32, EnvironmentAttribute::kLatLong);
+  for (const std::optional<ProjectionKind> asked : {std::optional<ProjectionKind>(), std::optional(ProjectionKind::kAngular)}) {
+    const auto a = read_environment(cube, asked), b = read_environment(latlong, asked);
+    ASSERT_TRUE(a) << a.error().detail;
+    ASSERT_TRUE(b) << b.error().detail;
+    EXPECT_EQ(a->projection.kind, ProjectionKind::kExrCube);
+    EXPECT_EQ(b->projection.kind, ProjectionKind::kExrLatLong);
+    EXPECT_NEAR(solid_angle(*a), 4 * kPi, 1e-4);
+    EXPECT_NEAR(solid_angle(*b), 4 * kPi, 1e-4);
+  }
+}
+
+TEST_F(EnvironmentFileTest, CallerTellsMoreThanTheShape) {
+  const auto file = read_environment(write("ball.exr", 64, 64), ProjectionKind::kMirrorBall);
+  ASSERT_TRUE(file);
+  EXPECT_EQ(file->projection.kind, ProjectionKind::kMirrorBall);
+}
+
+TEST_F(EnvironmentFileTest, NonFinitePixelsAreCountedAndGetNoSolidAngle) {
+  Image<Rgb> map = random_map(64, 32, 4);
+  map.at(10, 7).r = std::numeric_limits<float>::quiet_NaN();
+  map.at(11, 20).b = std::numeric_limits<float>::infinity();
+  const auto path = folder_.path() / "holes.exr";
+  ASSERT_TRUE(codec::write_hdr(path, map, codec::Depth::kFloat));
+  const auto file = read_environment(path, std::nullopt);
+  ASSERT_TRUE(file);
+  EXPECT_EQ(file->non_finite, 2U);
+  for (const auto& [x, y] : {std::pair{10, 7}, {11, 20}}) {
+    const auto i = static_cast<std::size_t>(y * 64 + x);
+    EXPECT_EQ(file->table.solid_angle_sr[i], 0);
+    EXPECT_EQ(file->table.confidence[i], 0);
+  }
+  for (const Rgb& p : file->radiance.pixels()) ASSERT_TRUE(is_finite(p));
+  EXPECT_NEAR(solid_angle(*file), 4 * kPi - latlong_solid_angle(7, 64, 32) - latlong_solid_angle(20, 64, 32), 1e-4);
+}
+
+TEST_F(EnvironmentFileTest, ResampledConstantStaysConstant) {
+  for (const auto& [kind, width, height] : {std::tuple{ProjectionKind::kVerticalCross, 48, 64},
+                                            {ProjectionKind::kAngular, 64, 64}, {ProjectionKind::kMirrorBall, 64, 64},
+                                            {ProjectionKind::kExrLatLong, 64, 32}, {ProjectionKind::kExrCube, 16, 96}}) {
+    EnvironmentFile file;
+    file.projection = *calib::make_projection(kind, width, height);
+    file.radiance = Image<Rgb>(width, height, {2, 3, 4});
+    const auto map = to_latlong(file);
+    ASSERT_TRUE(map);
+    EXPECT_EQ(map->width(), 2 * map->height());
+    for (const Rgb& p : map->pixels())
+      for (int c = 0; c < 3; ++c) ASSERT_NEAR(p[c], float(2 + c), 1e-5f) << calib::projection_name(kind);
+  }
+}
+
+TEST_F(EnvironmentFileTest, AbsentFileIsNotFound) {
+  const auto file = read_environment(folder_.path() / "nowhere.exr", std::nullopt);
+  ASSERT_FALSE(file);
+  EXPECT_EQ(file.error().code, ErrorCode::kNotFound);
+}
+
+}  // namespace
+}  // namespace penumbra::capture

@@ -1,0 +1,142 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "core/half.h"
+#include "tests/support/brackets.h"
+
+namespace penumbra::capture {
+namespace {
+
+constexpr int kWidth = 40, kHeight = 20;
+constexpr double kTimes[] = {1, 1. / 4, 1. / 16, 1. / 64};
+
+CameraInfo camera(const Sensor& sensor) {
+  CameraInfo c;
+  c.name = "fisheye";
+  c.projection = {calib::ProjectionKind::kLatLong, kWidth, kHeight, {}, {}};
+  c.response = sensor.response;
+  c.noise = sensor.noise;
+  c.black_level = sensor.black_level;
+  return c;
+}
+
+Sensor sensor_of(int bits) {
+  Sensor s;
+  s.response = calib::Response::srgb();
+  s.bits = bits;
+  s.noisy = false;
+  return s;
+}
+
+Frame frame(const Sensor& sensor, float radiance, double time, std::uint64_t sequence) {
+  Frame f;
+  f.sequence = sequence;
+  f.exposure = {Seconds(time), Gain(1)};
+  f.pixels = test::shot(sensor, Image<Rgb>(kWidth, kHeight, {radiance, radiance, radiance}), f.exposure, sequence);
+  return f;
+}
+
+/// Largest relative distance of a pixel from `expected`; NaN counts as infinitely far.
+double farthest(const MergedImage& image, double expected) {
+  double worst = 0;
+  for (const HalfRgba& p : image.pixels.pixels())
+    for (const std::uint16_t bits : {p.r, p.g, p.b}) {
+      const double d = std::abs(double(image.scale) * double(float_from_half(bits)) / expected - 1);
+      if (!(d <= worst)) worst = std::isnan(d) ? std::numeric_limits<double>::infinity() : d;
+    }
+  return worst;
+}
+
+TEST(HdrRing, FirstFrameAloneIsAnImage) {
+  for (const int bits : {8, 16}) {
+    HdrRing ring(camera(sensor_of(bits)), 4);
+    const auto image = ring.add(frame(sensor_of(bits), .4f, 1, 0));
+    ASSERT_TRUE(image) << image.error().detail;
+    EXPECT_EQ((*image)->pixels.width(), kWidth);
+    EXPECT_EQ((*image)->pixels.height(), kHeight);
+    EXPECT_LT(farthest(**image, .4), .02) << bits;
+  }
+}
+
+TEST(HdrRing, PublishesAfterEveryFrame) {
+  for (const int bits : {8, 16}) {
+    HdrRing ring(camera(sensor_of(bits)), 4);
+    for (std::uint64_t i = 0; i < 12; ++i) {
+      const auto image = ring.add(frame(sensor_of(bits), .7f, kTimes[i % 4], i));
+      ASSERT_TRUE(image) << i;
+      EXPECT_LT(farthest(**image, .7), .02) << bits << " bit, frame " << i;
+      EXPECT_EQ((*image)->clipped_fraction, 0);
+    }
+  }
+}
+
+TEST(HdrRing, LampSwitchedOffOrOnLeavesNoGhostAfterOneRound) {
+  for (const int bits : {8, 16})
+    for (const auto& [before, after] : {std::pair{30.f, .6f}, {.6f, 30.f}, {5.f, 4.f}}) {
+      HdrRing ring(camera(sensor_of(bits)), 8);  // more slots than exposures: forgetting goes by exposure
+      std::uint64_t sequence = 0;
+      for (; sequence < 9; ++sequence)
+        ASSERT_TRUE(ring.add(frame(sensor_of(bits), before, kTimes[sequence % 4], sequence)) || sequence < 4);
+      Result<const MergedImage*> last = nullptr;
+      for (int k = 0; k < 4; ++k, ++sequence)
+        last = ring.add(frame(sensor_of(bits), after, kTimes[sequence % 4], sequence));
+      ASSERT_TRUE(last);
+      EXPECT_LT(farthest(**last, after), .02) << bits << " bit, " << before << " to " << after;
+    }
+}
+
+TEST(HdrRing, OldestFrameLeavesWhenTheSlotsAreFull) {
+  const Sensor sensor = sensor_of(16);
+  HdrRing ring(camera(sensor), 2);
+  ASSERT_TRUE(ring.add(frame(sensor, .9f, 1, 0)));
+  ASSERT_TRUE(ring.add(frame(sensor, .3f, 1. / 4, 1)));
+  const auto image = ring.add(frame(sensor, .3f, 1. / 16, 2));
+  ASSERT_TRUE(image);
+  EXPECT_LT(farthest(**image, .3), .02);
+}
+
+TEST(HdrRing, FrameOfTheWrongSizeIsRefusedByNameAndChangesNothing) {
+  const Sensor sensor = sensor_of(8);
+  HdrRing ring(camera(sensor), 4);
+  ASSERT_TRUE(ring.add(frame(sensor, .5f, 1, 0)));
+  Frame wrong = frame(sensor, .5f, 1. / 4, 17);
+  wrong.pixels = std::make_shared<const FramePixels>(Image<Rgb8>(kHeight, kWidth));
+  const auto image = ring.add(wrong);
+  ASSERT_FALSE(image);
+  EXPECT_EQ(image.error().code, ErrorCode::kInvalid);
+  EXPECT_NE(image.error().where.find("fisheye"), std::string::npos) << image.error().where;
+  EXPECT_NE(image.error().where.find("17"), std::string::npos) << image.error().where;
+  const auto next = ring.add(frame(sensor, .5f, 1. / 4, 18));
+  ASSERT_TRUE(next);
+  EXPECT_LT(farthest(**next, .5), .02);
+}
+
+TEST(HdrRing, BadExposureIsRefused) {
+  const Sensor sensor = sensor_of(8);
+  HdrRing ring(camera(sensor), 4);
+  for (const double bad : {0., -1., std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+    Frame f = frame(sensor, .5f, 1, 0);
+    f.exposure.time = Seconds(bad);
+    const auto image = ring.add(f);
+    ASSERT_FALSE(image);
+    EXPECT_EQ(image.error().code, ErrorCode::kInvalid);
+  }
+}
+
+TEST(HdrRing, AllBlackAndAllClippedAreStatesThatPass) {
+  for (const int bits : {8, 16}) {
+    const Sensor sensor = sensor_of(bits);
+    HdrRing ring(camera(sensor), 4);
+    for (const float useless : {0.f, 1e4f}) {
+      const auto image = ring.add(frame(sensor, useless, 1, 0));
+      ASSERT_FALSE(image) << bits << ' ' << useless;
+      EXPECT_EQ(image.error().code, ErrorCode::kUndetermined);
+    }
+    EXPECT_TRUE(ring.add(frame(sensor, .5f, 1, 1))) << "the ring goes on";
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::capture

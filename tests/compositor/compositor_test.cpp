@@ -1,0 +1,356 @@
+#include "compositor/compositor.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "tests/support/scenes.h"
+
+namespace penumbra::compositor {
+namespace {
+
+using glm::dvec3;
+using test::kSceneHeight, test::kSceneWidth;
+
+class CompositorTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
+    if (!made && made.error().code == ErrorCode::kUnavailable) GTEST_SKIP() << "no OpenGL ES 3.1: " << made.error().detail;
+    ASSERT_TRUE(made) << made.error().detail;
+    compositor_ = std::move(*made);
+  }
+  View view(const CodeCurve* curve = nullptr, float signal = .5f) const { return {test::scene_camera(), curve, signal}; }
+  FramePixels composited(FramePixels frame, const View& v, Touched* touched = nullptr) {
+    const auto done = compositor_->composite(v, frame);
+    EXPECT_TRUE(done) << done.error().detail;
+    if (done && touched) *touched = *done;
+    return frame;
+  }
+  Image<Rgb> composited_floats(const Image<Rgb>& frame, const View& v) {
+    return std::get<Image<Rgb>>(composited(frame, v));
+  }
+
+  std::unique_ptr<Compositor> compositor_;
+  const CodeCurve curve8_ = test::srgb_curve(8), curve16_ = test::srgb_curve(16);
+};
+
+RadianceSh side_light() { return test::sloped_light(1, {.5, .6, .1}, 3); }
+
+// ------------------------------------------------------------------------------------- what is touched
+
+/// Whether the sphere of test::baked_sphere at `at`, or the visible part of its shadow, can reach a pixel.
+bool can_reach(const View& v, int x, int y, const dvec3& at, const prt::BakedObject& object,
+               const shadows::PlanarShadow& shadow) {
+  const dvec3 centre = at + dvec3(0, .4, 0);
+  const double pixel = 1.5 * glm::length(centre - v.camera.world_from_camera.translation) / v.camera.focal_px.x;
+  if (test::distance_to_ray(v.camera, x + .5, y + .5, centre) < .4 + pixel) return true;
+  const auto foot = test::floor_hit(v.camera, x + .5, y + .5);
+  if (!foot || shadow.empty()) return false;
+  const glm::vec2 texel = object.receiver->grid.uv(glm::vec2(*foot - glm::dvec2(at.x, at.z))) * float(object.receiver->grid.size);
+  return texel.x > float(shadow.x0 - 1) && texel.x < float(shadow.x1 + 1) && texel.y > float(shadow.y0 - 1) &&
+         texel.y < float(shadow.y1 + 1);
+}
+
+template <class Pixel>
+void expect_rest_untouched(const Image<Pixel>& before, const Image<Pixel>& after, const Touched& touched, const View& v,
+                           const dvec3& at, const prt::BakedObject& object, const shadows::PlanarShadow& shadow) {
+  std::size_t changed = 0, outside = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      if (before.at(x, y) == after.at(x, y)) continue;
+      ++changed;
+      outside += !can_reach(v, x, y, at, object, shadow);
+    }
+  EXPECT_EQ(outside, 0U) << "pixels changed that neither the object nor its shadow reaches";
+  EXPECT_LE(changed, touched.pixels);
+  EXPECT_GT(changed, 1000U);
+  EXPECT_DOUBLE_EQ(touched.fraction, double(touched.pixels) / (kSceneWidth * kSceneHeight));
+}
+
+TEST_F(CompositorTest, EveryPixelOutsideObjectAndShadowComesOutBitForBit) {
+  const auto object = test::baked_sphere(true);
+  const auto shadow = test::lit(object, side_light()).shadow;
+  const int handle = test::add_lit(*compositor_, object, side_light());
+  for (const dvec3& at : {dvec3(0), dvec3(.5, 0, -.4), dvec3(-.8, 0, .3)}) {
+    compositor_->set_pose(handle, {{1, 0, 0, 0}, at});
+    Touched touched;
+    const auto f8 = test::noise_frame<Rgb8>(1);
+    const auto out8 = composited(f8, view(&curve8_), &touched);
+    expect_rest_untouched(f8, std::get<Image<Rgb8>>(out8), touched, view(), at, object, shadow);
+    const auto f16 = test::noise_frame<Rgb16>(2);
+    const auto out16 = composited(f16, view(&curve16_), &touched);
+    expect_rest_untouched(f16, std::get<Image<Rgb16>>(out16), touched, view(), at, object, shadow);
+    const auto f32 = test::noise_frame<Rgb>(3);
+    const auto out32 = composited(f32, view(), &touched);
+    expect_rest_untouched(f32, std::get<Image<Rgb>>(out32), touched, view(), at, object, shadow);
+  }
+}
+
+TEST_F(CompositorTest, NoVirtualObjectLeavesTheFrameBitForBit) {
+  Touched touched;
+  const FramePixels f8 = test::noise_frame<Rgb8>(1), f32 = test::noise_frame<Rgb>(2);
+  EXPECT_EQ(composited(f8, view(&curve8_), &touched), f8);
+  EXPECT_EQ(touched.pixels, 0U);
+  EXPECT_EQ(composited(f32, view()), f32);
+}
+
+TEST_F(CompositorTest, ObjectBehindTheCameraLeavesTheFrameBitForBit) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light(), {{1, 0, 0, 0}, {.6, 0, 9}});
+  Touched touched;
+  const FramePixels frame = test::noise_frame<Rgb8>(1);
+  EXPECT_EQ(composited(frame, view(&curve8_), &touched), frame);
+  EXPECT_EQ(touched.pixels, 0U);
+}
+
+TEST_F(CompositorTest, ObjectBesideThePictureLeavesTheFrameBitForBit) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light(), {{1, 0, 0, 0}, {30, 0, -2}});
+  const FramePixels frame = test::noise_frame<Rgb8>(1);
+  EXPECT_EQ(composited(frame, view(&curve8_)), frame);
+}
+
+// ------------------------------------------------------------------------------------- object
+
+TEST_F(CompositorTest, WhiteObjectUnderWhiteSkyShowsTheRadianceOfTheSky) {
+  const Rgb sky{.9f, .5f, .2f};
+  test::add_lit(*compositor_, test::baked_sphere(false), test::constant_light(sky, 3));
+  const View v8 = view(&curve8_, .8f), v16 = view(&curve16_, .8f), v32 = view(nullptr, .8f);
+  const auto f8 = std::get<Image<Rgb8>>(composited(Image<Rgb8>(kSceneWidth, kSceneHeight), v8));
+  const auto f16 = std::get<Image<Rgb16>>(composited(Image<Rgb16>(kSceneWidth, kSceneHeight), v16));
+  const auto f32 = composited_floats(Image<Rgb>(kSceneWidth, kSceneHeight), v32);
+  int inside = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      if (test::distance_to_ray(v8.camera, x + .5, y + .5, {0, .4, 0}) > .36) continue;
+      ++inside;
+      for (int c = 0; c < 3; ++c) {
+        const float expected = .8f * sky[c];
+        ASSERT_NEAR(f32.at(x, y)[c] / expected, 1, .01) << x << ' ' << y;
+        const std::uint16_t code16[3] = {f16.at(x, y).r, f16.at(x, y).g, f16.at(x, y).b};
+        ASSERT_NEAR(curve16_.decode(c, code16[c]) / expected, 1, .01) << x << ' ' << y;
+        const std::uint8_t code8[3] = {f8.at(x, y).r, f8.at(x, y).g, f8.at(x, y).b};
+        ASSERT_NEAR(code8[c], curve8_.encode(c, expected), 1) << x << ' ' << y;
+      }
+    }
+  EXPECT_GT(inside, 1000);
+}
+
+TEST_F(CompositorTest, SilhouetteIsWhereThePinholePutsIt) {
+  test::add_lit(*compositor_, test::baked_sphere(false), test::constant_light({1, 1, 1}, 3), {{1, 0, 0, 0}, {.2, .1, -.3}});
+  const auto out = composited_floats(Image<Rgb>(kSceneWidth, kSceneHeight), view(nullptr, 1));
+  double seen = 0, expected = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      const double d = test::distance_to_ray(view().camera, x + .5, y + .5, {.2, .5, -.3});
+      seen += double(out.at(x, y).g), expected += d < .4;
+      if (d < .36) { ASSERT_NEAR(out.at(x, y).g, 1, .01); }
+      if (d > .43) { ASSERT_EQ(out.at(x, y).g, 0); }
+    }
+  EXPECT_NEAR(seen / expected, 1, .02) << "coverage of the rim";
+}
+
+TEST_F(CompositorTest, NewLightReplacesTheOld) {
+  const auto object = test::baked_sphere(true);
+  const int handle = test::add_lit(*compositor_, object, side_light());
+  const Image<Rgb> frame = test::noise_frame<Rgb>(5);
+  const auto first = composited_floats(frame, view());
+  const auto other = test::lit(object, test::constant_light({.2f, .3f, .9f}, 3));
+  compositor_->set_light(handle, other.relit, other.shadow);
+  const auto second = composited_floats(frame, view());
+  EXPECT_NE(second, first);
+  const auto back = test::lit(object, side_light());
+  compositor_->set_light(handle, back.relit, back.shadow);
+  EXPECT_EQ(composited_floats(frame, view()), first);
+}
+
+// ------------------------------------------------------------------------------------- shadow
+
+/// Bilinear ratio at a point of the floor, as the receiver's grid defines it.
+Rgb ratio_at(const prt::GroundGrid& grid, const shadows::PlanarShadow& shadow, const glm::dvec2& p) {
+  const glm::vec2 at = glm::clamp(grid.uv(glm::vec2(p)) * float(grid.size) - .5f, 0.f, float(grid.size - 1));
+  const int x = std::min(int(at.x), grid.size - 2), y = std::min(int(at.y), grid.size - 2);
+  const float fx = at.x - float(x), fy = at.y - float(y);
+  const auto s = [&](int i, int j) { return shadow.ratio.at(x + i, y + j); };
+  return (1 - fy) * ((1 - fx) * s(0, 0) + fx * s(1, 0)) + fy * ((1 - fx) * s(0, 1) + fx * s(1, 1));
+}
+
+TEST_F(CompositorTest, FloorIsMultipliedByTheShadowRatioOfItsPlace) {
+  const auto object = test::baked_sphere(true);
+  const dvec3 at(.3, 0, -.2);
+  const Pose pose{glm::angleAxis(.7, dvec3(0, 1, 0)), at};
+  test::add_lit(*compositor_, object, side_light(), pose);
+  const auto shadow = test::lit(object, side_light()).shadow;
+  const Image<Rgb> frame = test::noise_frame<Rgb>(6);
+  const View v = view();
+  const auto out = composited_floats(frame, v);
+  int shaded = 0;
+  float deepest = 1;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      const auto foot = test::floor_hit(v.camera, x + .5, y + .5);
+      if (!foot || test::distance_to_ray(v.camera, x + .5, y + .5, at + dvec3(0, .4, 0)) < .43) continue;
+      const dvec3 in_bake = pose.inverse() * dvec3(foot->x, 0, foot->y);
+      const glm::vec2 uv = object.receiver->grid.uv({in_bake.x, in_bake.z});
+      const bool in_grid = std::max(std::abs(2 * uv.x - 1), std::abs(2 * uv.y - 1)) < 1;
+      const Rgb s = in_grid ? ratio_at(object.receiver->grid, shadow, {in_bake.x, in_bake.z}) : Rgb{1, 1, 1};
+      for (int c = 0; c < 3; ++c)
+        ASSERT_NEAR(out.at(x, y)[c], frame.at(x, y)[c] * s[c], .005 * frame.at(x, y)[c]) << x << ' ' << y << " s " << s[c];
+      shaded += s.g < .98f;
+      deepest = std::min(deepest, s.g);
+    }
+  EXPECT_GT(shaded, 300);
+  EXPECT_LT(deepest, .6f);
+}
+
+TEST_F(CompositorTest, CoincidentObjectsMultiplyTheirRatiosAndStayInTheBounds) {
+  const auto object = test::baked_sphere(true);
+  const Image<Rgb> white(kSceneWidth, kSceneHeight, {1, 1, 1});
+  test::add_lit(*compositor_, object, side_light());
+  const auto one = composited_floats(white, view());
+  test::add_lit(*compositor_, object, side_light());
+  const auto two = composited_floats(white, view());
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      if (test::distance_to_ray(view().camera, x + .5, y + .5, {0, .4, 0}) < .43) continue;
+      const float s = one.at(x, y).g, both = two.at(x, y).g, deficit = 1 - s;
+      ASSERT_NEAR(both, s * s, 1e-4f) << x << ' ' << y;
+      ASSERT_GE(1 - both, deficit - 1e-5f);
+      ASSERT_LE(1 - both, std::min(1.f, 2 * deficit) + 1e-5f);
+    }
+}
+
+// ------------------------------------------------------------------------------------- occluders
+
+/// A vertical wall at z, from x0 on to the right, that faces the camera.
+prt::Mesh wall(float z, float x0) {
+  prt::Mesh m;
+  m.positions = {{x0, -5, z}, {9, -5, z}, {9, 5, z}, {x0, 5, z}};
+  m.normals.assign(4, {0, 0, 1});
+  m.albedo.assign(4, {.5f, .5f, .5f});
+  m.triangles = {{0, 1, 2}, {0, 2, 3}};
+  return m;
+}
+
+/// Equal but for the last digit: a pixel that nothing hides is multiplied by 1 - 0.
+bool same(const Rgb& a, const Rgb& b) {
+  for (int c = 0; c < 3; ++c)
+    if (!(std::abs(a[c] - b[c]) <= 1e-6f)) return false;
+  return true;
+}
+
+TEST_F(CompositorTest, RealGeometryInFrontHidesObjectAndShadow) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  compositor_->add_occluder(wall(1.8f, -9));
+  const FramePixels frame = test::noise_frame<Rgb8>(7);
+  EXPECT_EQ(composited(frame, view(&curve8_)), frame);
+}
+
+TEST_F(CompositorTest, RealGeometryBehindHidesNothing) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  const Image<Rgb> frame = test::noise_frame<Rgb>(7);
+  const auto without = composited_floats(frame, view());
+  compositor_->add_occluder(wall(-30, -90));
+  const auto with = composited_floats(frame, view());
+  for (std::size_t i = 0; i < frame.area(); ++i) ASSERT_TRUE(same(with.pixels()[i], without.pixels()[i])) << i;
+}
+
+TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  const Image<Rgb> frame = test::noise_frame<Rgb>(8);
+  const auto without = composited_floats(frame, view());
+  const double edge = .2, z = 1.8;
+  compositor_->add_occluder(wall(float(z), float(edge)));
+  const auto with = composited_floats(frame, view());
+  int hidden = 0, kept = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      const dvec3 o = view().camera.world_from_camera.translation, d = test::pixel_ray(view().camera, x + .5, y + .5);
+      const double at_wall = o.x + d.x * (z - o.z) / d.z, pixel = .01;
+      if (at_wall > edge + pixel) { ASSERT_EQ(with.at(x, y), frame.at(x, y)) << x << ' ' << y; }
+      if (at_wall < edge - pixel) { ASSERT_TRUE(same(with.at(x, y), without.at(x, y))) << x << ' ' << y; }
+      hidden += at_wall > edge && without.at(x, y) != frame.at(x, y);
+      kept += at_wall < edge && without.at(x, y) != frame.at(x, y);
+    }
+  EXPECT_GT(hidden, 300);
+  EXPECT_GT(kept, 300);
+}
+
+// ------------------------------------------------------------------------------------- codes, errors
+
+TEST_F(CompositorTest, FloatEightAndSixteenBitFramesAgree) {
+  test::add_lit(*compositor_, test::baked_sphere(true, {.8f, .4f, .3f}), side_light());
+  const auto f8 = test::noise_frame<Rgb8>(9);
+  Image<Rgb16> f16(kSceneWidth, kSceneHeight);
+  Image<Rgb> f32(kSceneWidth, kSceneHeight);
+  for (std::size_t i = 0; i < f8.area(); ++i) {
+    const Rgb8 p = f8.pixels()[i];
+    f16.pixels()[i] = {std::uint16_t(257 * p.r), std::uint16_t(257 * p.g), std::uint16_t(257 * p.b)};
+    f32.pixels()[i] = {curve8_.decode(0, p.r), curve8_.decode(1, p.g), curve8_.decode(2, p.b)};
+  }
+  const auto out8 = std::get<Image<Rgb8>>(composited(f8, view(&curve8_)));
+  const auto out16 = std::get<Image<Rgb16>>(composited(f16, view(&curve16_)));
+  const auto out32 = composited_floats(f32, view());
+  for (std::size_t i = 0; i < f8.area(); ++i) {
+    const Rgb linear = out32.pixels()[i];
+    const Rgb8 a = out8.pixels()[i];
+    const Rgb16 b = out16.pixels()[i];
+    ASSERT_NEAR(a.r, curve8_.encode(0, linear.r), 1) << i;
+    ASSERT_NEAR(a.g, curve8_.encode(1, linear.g), 1) << i;
+    ASSERT_NEAR(a.b, curve8_.encode(2, linear.b), 1) << i;
+    ASSERT_NEAR(b.r, curve16_.encode(0, linear.r), 4) << i;
+    ASSERT_NEAR(b.g, curve16_.encode(1, linear.g), 4) << i;
+    ASSERT_NEAR(b.b, curve16_.encode(2, linear.b), 4) << i;
+  }
+}
+
+TEST_F(CompositorTest, WrongSizeAndMissingCurveAreRefusedAndTheFrameIsLeftAlone) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  const auto refused = [&](FramePixels frame, const CodeCurve* curve) {
+    const FramePixels before = frame;
+    const auto done = compositor_->composite(view(curve), frame);
+    EXPECT_EQ(frame, before);
+    return !done && done.error().code == ErrorCode::kInvalid;
+  };
+  EXPECT_TRUE(refused(Image<Rgb8>(kSceneWidth, kSceneHeight + 1), &curve8_));
+  EXPECT_TRUE(refused(Image<Rgb8>(), &curve8_));
+  EXPECT_TRUE(refused(test::noise_frame<Rgb8>(1), nullptr));
+  EXPECT_TRUE(refused(test::noise_frame<Rgb16>(1), nullptr));
+  EXPECT_TRUE(refused(test::noise_frame<Rgb8>(1), &curve16_));
+  EXPECT_TRUE(refused(test::noise_frame<Rgb16>(1), &curve8_));
+  EXPECT_FALSE(Compositor::create(0, 5, Compositor::Surface::kOffscreen));
+}
+
+// ------------------------------------------------------------------------------------- repetition
+
+TEST_F(CompositorTest, StaticViewGivesTheSameBytesEveryTime) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  compositor_->add_occluder(wall(1.8f, .2f));
+  const FramePixels a = test::noise_frame<Rgb8>(10), b = test::noise_frame<Rgb8>(11);
+  const auto first_a = composited(a, view(&curve8_)), first_b = composited(b, view(&curve8_));
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_EQ(composited(a, view(&curve8_)), first_a) << i;
+    EXPECT_EQ(composited(b, view(&curve8_)), first_b) << i;
+  }
+}
+
+TEST_F(CompositorTest, ThereAndBackGivesTheSameBytes) {
+  const int handle = test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  compositor_->add_occluder(wall(1.8f, .2f));
+  const FramePixels frame = test::noise_frame<Rgb8>(12);
+  const auto first = composited(frame, view(&curve8_));
+  compositor_->set_pose(handle, {{1, 0, 0, 0}, {-.7, 0, .2}});
+  EXPECT_NE(composited(frame, view(&curve8_)), first) << "the object moved";
+  compositor_->set_pose(handle, {});
+  EXPECT_EQ(composited(frame, view(&curve8_)), first);
+  View moved = view(&curve8_);
+  moved.camera = test::scene_camera({-.4, 1, 2.2});
+  EXPECT_NE(composited(frame, moved), first) << "the camera moved";
+  EXPECT_EQ(composited(frame, view(&curve8_)), first);
+  EXPECT_NE(composited(frame, view(&curve8_, .1f)), first) << "the exposure changed";
+  EXPECT_EQ(composited(frame, view(&curve8_)), first);
+  compositor_->set_pose(handle, {{1, 0, 0, 0}, {.6, 0, 9}});
+  EXPECT_EQ(composited(frame, view(&curve8_)), frame) << "behind the camera: nothing of before remains";
+}
+
+}  // namespace
+}  // namespace penumbra::compositor

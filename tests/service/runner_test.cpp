@@ -1,0 +1,171 @@
+#include "service/runner.h"
+
+#include <gtest/gtest.h>
+
+#include <thread>
+
+#include "service/studio_setup.h"
+#include "shadows/shadows.h"
+
+namespace penumbra::service {
+namespace {
+
+// A small studio with a coarse object, fast enough to start again and again.
+struct Bench {
+  std::shared_ptr<capture::FloorWorld> world;
+  PreparedScene scene;
+  capture::StudioOptions options;
+
+  Bench() {
+    world = *capture::FloorWorld::make(capture::make_room_environment(128, 64));
+    prt::Mesh mesh = prt::make_sphere({0, .2f, 0}, .2f, 3, {.5f, .5f, .5f});
+    prt::BakeOptions bake;
+    bake.rays = bake.ground_rays = 64;
+    bake.bounces = 1;
+    bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
+    scene.objects.push_back({"sphere", *prt::bake(std::move(mesh), bake), {}, 0});
+    options.environment_width = 128;
+    options.environment_height = 64;
+    options.view_width = 96;
+    options.view_height = 64;
+    options.view_focal_px = 80;
+    options.view_fps = options.environment_fps = 200;
+    options.view_frames = 24;
+    options.world_from_view = capture::look_at({.2, .6, 1.4}, {0, .2, 0});
+    options.sensor.response = calib::Response::srgb();
+  }
+};
+Bench& bench() {
+  static Bench b;
+  return b;
+}
+
+struct Stages {
+  StageTimes times;
+  capture::Studio studio;
+  Result<LightStage> light;
+  Result<std::unique_ptr<ComposeStage>> compose;
+  Stages()
+      : studio(bench().world, bench().options),
+        light(LightStage::create(studio.cameras(), 4, times)),
+        compose(ComposeStage::create(studio.cameras(), bench().scene,
+                                     compositor::Compositor::Surface::kOffscreen, times)) {}
+};
+
+#define NEED_GL(stages)                                                              \
+  if (!(stages).compose && (stages).compose.error().code == ErrorCode::kUnavailable) \
+  GTEST_SKIP() << "no OpenGL ES 3.1 here: " << (stages).compose.error().detail
+
+TEST(Replay, SameInputGivesTheSameBytes) {
+  std::vector<FramePixels> first;
+  for (int run = 0; run < 2; ++run) {
+    Stages s;
+    NEED_GL(s);
+    std::size_t i = 0;
+    const auto counts = run_replay(
+        s.studio, *s.light, **s.compose,
+        [&](const Output& out) {
+          if (run == 0)
+            first.push_back(*out.pixels);
+          else
+            EXPECT_TRUE(*out.pixels == first[i]);
+          ++i;
+          return true;
+        },
+        s.times);
+    ASSERT_TRUE(counts) << counts.error().detail;
+    EXPECT_EQ(counts->frames, 24u);
+    EXPECT_EQ(i, 24u);
+    EXPECT_EQ(counts->without_light, 0u)
+        << "the environment's first frame comes before the first view frame";
+  }
+}
+
+TEST(Replay, SinkStopsTheRun) {
+  Stages s;
+  NEED_GL(s);
+  int seen = 0;
+  const auto counts = run_replay(
+      s.studio, *s.light, **s.compose, [&](const Output&) { return ++seen < 5; }, s.times);
+  ASSERT_TRUE(counts);
+  EXPECT_EQ(counts->frames, 5u);
+}
+
+TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
+  Stages s;
+  NEED_GL(s);
+  const std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      s.studio, *s.light, **s.compose, [](const Output&) { return true; }, s.times, stop);
+  ASSERT_TRUE(counts) << counts.error().detail;
+  EXPECT_GT(counts->frames, 0u);
+  EXPECT_LE(counts->frames, 24u);
+  EXPECT_GE(counts->frames + counts->dropped, 24u);
+}
+
+TEST(Live, StopsAtAnyMomentAndJoinsItsThreads) {
+  Stages s;
+  NEED_GL(s);
+  for (int round = 0; round < 100; ++round) {
+    capture::Studio studio(bench().world, [&] {
+      capture::StudioOptions endless = bench().options;
+      endless.view_frames = 1 << 30;
+      endless.view_clip = 2;
+      return endless;
+    }());
+    std::atomic<bool> stop = false;
+    int seen = 0;
+    const auto counts = run_live(
+        studio, *s.light, **s.compose,
+        [&](const Output&) {
+          if (++seen > round % 4) stop = true;
+          return true;
+        },
+        s.times, stop);
+    ASSERT_TRUE(counts) << counts.error().detail;
+  }
+}
+
+// A source that fails after some frames.
+class FailingSource : public capture::FrameSource {
+ public:
+  explicit FailingSource(capture::FrameSource& source) : source_(source) {}
+  const std::vector<capture::CameraInfo>& cameras() const override { return source_.cameras(); }
+  Result<std::optional<capture::Frame>> next() override {
+    if (++count_ > 6) return fail(ErrorCode::kUnreadable, "camera", "pulled out");
+    return source_.next();
+  }
+
+ private:
+  capture::FrameSource& source_;
+  int count_ = 0;
+};
+
+TEST(Live, ErrorOfTheSourceReachesTheCaller) {
+  Stages s;
+  NEED_GL(s);
+  FailingSource source(s.studio);
+  const std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      source, *s.light, **s.compose, [](const Output&) { return true; }, s.times, stop);
+  ASSERT_FALSE(counts);
+  EXPECT_EQ(counts.error().where, "camera");
+}
+
+TEST(Replay, DarkWorldIsAnErrorOnlyWhenNoLightEverCame) {
+  Stages s;
+  NEED_GL(s);
+  // Every environment frame is exposed so briefly that it is black.
+  capture::StudioOptions dark = bench().options;
+  dark.schedule = {{Seconds(1e-9), Gain(1)}};
+  dark.sensor.noisy = false;
+  capture::Studio studio(bench().world, dark);
+  const auto counts = run_replay(
+      studio, *s.light, **s.compose, [](const Output&) { return true; }, s.times);
+  ASSERT_FALSE(counts);
+  EXPECT_EQ(counts.error().code, ErrorCode::kUndetermined);
+  EXPECT_NE(counts.error().detail.find("black"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace penumbra::service
