@@ -30,36 +30,33 @@ Result<Projection> LightEstimator::project(const Environment& environment) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   if (!environment.confidence.empty()) return project_with_holes(environment, kMaxBands);
   if (map.width() % 4 != 0) {
-    auto light = project_latlong(map, kMaxBands);
-    if (!light) return std::unexpected(light.error());
-    return Projection{*light, 1.};
+    return project_latlong(map, kMaxBands);
   }
   if (!projector_ || width_ != map.width() || height_ != map.height()) {
     projector_ = std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands);
     width_ = map.width();
     height_ = map.height();
   }
-  auto light = projector_->project(map);
-  if (!light) return std::unexpected(light.error());
-  return Projection{*light, 1.};
+  return projector_->project(map);
 }
 
 Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
   auto projection = project(environment);
   if (!projection) return std::unexpected(projection.error());
-  LightEstimate estimate = make_estimate(projection->light, bands_);
+  LightEstimate estimate = make_estimate(*projection, bands_);
   estimate.time = environment.time;
-  estimate.coverage = projection->coverage;
   estimate.clipped_fraction = environment.clipped_fraction;
   return estimate;
 }
 
-LightEstimate make_estimate(const RadianceSh& nine_bands, int bands) {
+LightEstimate make_estimate(const Projection& projection, int bands) {
+  const RadianceSh& nine_bands = projection.light;
   LightEstimate estimate;
   estimate.light = nine_bands.with_bands(bands);
+  estimate.floor_light = floor_light(projection.above, bands);
   estimate.valid = true;
-  estimate.coverage = 1;
+  estimate.coverage = projection.coverage;
   estimate.mean_radiance = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
   // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2
   // |l_l|^2.

@@ -67,6 +67,21 @@ Rgb evaluate(const IrradianceSh& irradiance, const glm::dvec3& normal);
 
 // ---------------------------------------------------------------------------------- projection
 
+/// Light in spherical harmonics: of the whole sphere, and of the hemisphere above the horizon alone.
+struct Projection {
+  RadianceSh light;
+  RadianceSh above;     // sum over directions with y > 0 only: moments, not a function to evaluate
+  double coverage = 1;  // seen part of the sphere's solid angle
+};
+
+/// The light for what stands on a horizontal floor. Such a thing gets nothing from below but the floor's own
+/// reflection, which the bake accounts for, so the lower hemisphere is free. The coefficients are the
+/// least-squares fit of the upper hemisphere, with the weight kBelowWeight on its mirror image below, which
+/// is continuous at the horizon. It leaves a half to a tenth of the truncation error of the whole-sphere
+/// projection and hardly any bias (docs/accuracy.md), for one small matrix product.
+inline constexpr double kBelowWeight = .03;  // lower weights win little and blow the coefficients up
+RadianceSh floor_light(const RadianceSh& above, int bands);
+
 /// Projects lat-long maps of one size; all tables are made at construction.
 /// Each row is reduced to its Fourier sums about +y (quarter-period symmetries folded), weighted by
 /// the exact row solid angle and the Legendre functions, and the result is turned from the y to the
@@ -82,7 +97,7 @@ class LatLongProjector {
   /// in:      linear relative radiance, lat-long, the size given at construction
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
   /// threads: no allocation
-  Result<RadianceSh> project(const Image<Rgb>& map);
+  Result<Projection> project(const Image<Rgb>& map);
 
  private:
   struct Tables;
@@ -90,7 +105,7 @@ class LatLongProjector {
 };
 
 /// One call for one map; any width. errors: as LatLongProjector::project, kInvalid (empty)
-Result<RadianceSh> project_latlong(const Image<Rgb>& map, int bands);
+Result<Projection> project_latlong(const Image<Rgb>& map, int bands);
 
 /// Any camera's pixels: unit directions, solid angles (steradian), confidence 0..1, radiance.
 struct LightSamples {
@@ -104,17 +119,14 @@ struct LightSamples {
 /// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (methods: hole filling), so a
 /// constant environment stays exactly constant under any hole. errors:  kInvalid (lengths),
 /// kNonFinite, kUndetermined (coverage below 2 %)
-struct Projection {
-  RadianceSh light;
-  double coverage = 1;  // seen part of the sphere's solid angle
-};
 Result<Projection> project_samples(const LightSamples& samples, int bands);
 
 // ---------------------------------------------------------------------------------- estimate
 
 /// What an engine asks for.
 struct LightEstimate {
-  RadianceSh light{1};
+  RadianceSh light{1};          // of the whole sphere
+  RadianceSh floor_light{1};    // for what stands on a horizontal floor, see floor_light()
   TimestampNs time;             // capture time of the newest frame in it
   bool valid = false;           // false until a first environment has been measured
   double coverage = 0;          // of the sphere
@@ -142,8 +154,8 @@ class LightEstimator {
   std::unique_ptr<LatLongProjector> projector_;
 };
 
-/// A light estimate from nine-band coefficients: truncates and predicts what truncation costs.
-LightEstimate make_estimate(const RadianceSh& nine_bands, int bands);
+/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs.
+LightEstimate make_estimate(const Projection& nine_bands, int bands);
 
 /// Largest possible change of any diffuse surface's exit radiance between two lights, relative to
 /// the mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3

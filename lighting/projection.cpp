@@ -70,35 +70,56 @@ LatLongProjector::~LatLongProjector() = default;
 LatLongProjector::LatLongProjector(LatLongProjector&&) noexcept = default;
 LatLongProjector& LatLongProjector::operator=(LatLongProjector&&) noexcept = default;
 
-Result<RadianceSh> LatLongProjector::project(const Image<Rgb>& map) {
+namespace {
+
+// Sums of products in double; index by coefficient, then colour.
+struct Sums {
+  double term[kMaxCoefficients][3] = {};
+
+  RadianceSh to_light(int bands) const {
+    RadianceSh light(bands);
+    for (int n = 0; n < light.size(); ++n)
+      light[n] = {static_cast<float>(term[n][0]), static_cast<float>(term[n][1]),
+                  static_cast<float>(term[n][2])};
+    return light;
+  }
+};
+
+}  // namespace
+
+Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
   const Tables& t = *tables_;
   if (map.width() != t.width || map.height() != t.height)
     return fail(
         ErrorCode::kInvalid, "environment",
         fmt::format("{}x{} pixels, expected {}x{}", map.width(), map.height(), t.width, t.height));
-  double sum[kMaxCoefficients][3] = {};
+  Sums all, above;
   double row_cos[kMaxBands][3] = {}, row_sin[kMaxBands][3] = {};
   const double* legendre = t.legendre.data();
   for (int j = 0; j < t.height; ++j) {
+    // Rows are summed from the zenith; at the horizon the sum so far is the upper hemisphere's. The middle
+    // row of an odd number lies half above.
+    if (t.height % 2 == 0 && j == t.height / 2) above = all;
+    const Sums before = t.height % 2 == 1 && j == t.height / 2 ? all : Sums{};
     row_fourier_sums(t.row, &map.row(j)[0].r, row_cos, row_sin);
     for (int m = 0; m < t.bands; ++m)
       for (int l = m; l < t.bands; ++l) {
         const double w = *legendre++;
-        for (int c = 0; c < 3; ++c) sum[sh_index(l, m)][c] += w * row_cos[m][c];
+        for (int c = 0; c < 3; ++c) all.term[sh_index(l, m)][c] += w * row_cos[m][c];
         if (m > 0)  // local azimuth is -p, hence the minus
-          for (int c = 0; c < 3; ++c) sum[sh_index(l, -m)][c] -= w * row_sin[m][c];
+          for (int c = 0; c < 3; ++c) all.term[sh_index(l, -m)][c] -= w * row_sin[m][c];
       }
+    if (t.height % 2 == 1 && j == t.height / 2)
+      for (int n = 0; n < kMaxCoefficients; ++n)
+        for (int c = 0; c < 3; ++c) above.term[n][c] = .5 * (before.term[n][c] + all.term[n][c]);
   }
-  RadianceSh local(t.bands);
-  for (int n = 0; n < local.size(); ++n) {
-    local[n] = {static_cast<float>(sum[n][0]), static_cast<float>(sum[n][1]),
-                static_cast<float>(sum[n][2])};
-    if (!is_finite(local[n])) return std::unexpected(first_non_finite(map));
-  }
-  return t.to_world * local;
+  const RadianceSh local = all.to_light(t.bands);
+  for (const Rgb& term : local.terms())
+    if (!is_finite(term)) return std::unexpected(first_non_finite(map));
+  return Projection{t.to_world * local, t.to_world * above.to_light(t.bands), 1};
 }
 
-Result<RadianceSh> project_latlong(const Image<Rgb>& map, int bands) {
+Result<Projection> project_latlong(const Image<Rgb>& map, int bands) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   if (map.width() % 4 == 0) return LatLongProjector(map.width(), map.height(), bands).project(map);
   std::vector<glm::vec3> direction;
@@ -108,14 +129,12 @@ Result<RadianceSh> project_latlong(const Image<Rgb>& map, int bands) {
       direction.emplace_back(latlong_direction(x + .5, y + .5, map.width(), map.height()));
       solid_angle.push_back(static_cast<float>(latlong_solid_angle(y, map.width(), map.height())));
     }
-  auto projection = project_samples({direction, solid_angle, {}, map.pixels()}, bands);
-  if (!projection) return std::unexpected(projection.error());
-  return projection->light;
+  return project_samples({direction, solid_angle, {}, map.pixels()}, bands);
 }
 
 namespace {
 
-constexpr double kSmoothness = 1e-3;    // mu of the penalty; small against covered energy (order 1)
+constexpr double kSmoothness = 1e-3;    // mu of the penalty at full loss; in proportion to what is unseen
 constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
 constexpr double kLeastCoverage = .02;
 
@@ -125,11 +144,39 @@ using Matrix = Eigen::MatrixXd;
 struct NormalEquations {
   Matrix gram, moments;
   double seen_sr = 0;
+
+  explicit NormalEquations(int count) : gram(Matrix::Zero(count, count)), moments(Matrix::Zero(count, 3)) {}
+
+  void add(const Eigen::VectorXd& basis, const Eigen::RowVector3d& radiance, double w, bool need_gram) {
+    moments.noalias() += (w * basis) * radiance;
+    if (need_gram) gram.selfadjointView<Eigen::Lower>().rankUpdate(basis, w);
+    seen_sr += w;
+  }
 };
 
-Result<NormalEquations> accumulate(const LightSamples& s, int bands, bool need_gram) {
+RadianceSh to_light(const Matrix& coefficients, int bands) {
+  RadianceSh light(bands);
+  for (int n = 0; n < light.size(); ++n)
+    for (int c = 0; c < 3; ++c) light[n][c] = static_cast<float>(coefficients(n, c));
+  return light;
+}
+
+// Weighted least squares with the smoothness penalty.
+Matrix solve(const NormalEquations& sums, int bands, double unseen) {
+  Matrix system = sums.gram.selfadjointView<Eigen::Lower>();
+  for (int l = 0; l < bands; ++l)
+    for (int m = -l; m <= l; ++m)
+      system(sh_index(l, m), sh_index(l, m)) += kSmoothness * unseen * l * l * (l + 1.) * (l + 1.) + 1e-9;
+  return system.ldlt().solve(sums.moments);
+}
+
+struct BothSums {
+  NormalEquations whole, above;
+};
+
+Result<BothSums> accumulate(const LightSamples& s, int bands, bool need_gram) {
   const int count = coefficient_count(bands);
-  NormalEquations sums{Matrix::Zero(count, count), Matrix::Zero(count, 3), 0};
+  BothSums sums{NormalEquations(count), NormalEquations(count)};
   Eigen::VectorXd basis(count);
   for (std::size_t i = 0; i < s.radiance.size(); ++i) {
     const double w = s.solid_angle_sr[i] * (s.confidence.empty() ? 1. : double(s.confidence[i]));
@@ -139,21 +186,49 @@ Result<NormalEquations> accumulate(const LightSamples& s, int bands, bool need_g
     evaluate_basis(bands, glm::normalize(glm::dvec3(s.direction[i])),
                    {basis.data(), static_cast<std::size_t>(count)});
     const Eigen::RowVector3d radiance(s.radiance[i].r, s.radiance[i].g, s.radiance[i].b);
-    sums.moments.noalias() += (w * basis) * radiance;
-    if (need_gram) sums.gram.selfadjointView<Eigen::Lower>().rankUpdate(basis, w);
-    sums.seen_sr += w;
+    sums.whole.add(basis, radiance, w, need_gram);
+    if (s.direction[i].y > 0) sums.above.add(basis, radiance, w, false);
   }
   return sums;
 }
 
-RadianceSh to_light(const Matrix& coefficients, int bands) {
-  RadianceSh light(bands);
-  for (int n = 0; n < light.size(); ++n)
-    for (int c = 0; c < 3; ++c) light[n][c] = static_cast<float>(coefficients(n, c));
-  return light;
+// Int over the upper hemisphere of Y_i Y_j on nine bands, by a grid whose rows end at the horizon.
+const Matrix& upper_gram() {
+  static const Matrix gram = [] {
+    constexpr int kWidth = 64, kHeight = 256;
+    NormalEquations sums(kMaxCoefficients);
+    Eigen::VectorXd basis(kMaxCoefficients);
+    for (int y = 0; y < kHeight / 2; ++y)
+      for (int x = 0; x < kWidth; ++x) {
+        evaluate_basis(kMaxBands, latlong_direction(x + .5, y + .5, kWidth, kHeight),
+                       {basis.data(), static_cast<std::size_t>(kMaxCoefficients)});
+        sums.add(basis, Eigen::RowVector3d::Zero(), latlong_solid_angle(y, kWidth, kHeight), true);
+      }
+    return Matrix(sums.gram.selfadjointView<Eigen::Lower>());
+  }();
+  return gram;
 }
 
+// +1 where the basis is even in y, -1 where it is odd.
+double parity(int m) { return m < 0 ? -1 : 1; }
+
 }  // namespace
+
+RadianceSh floor_light(const RadianceSh& above, int bands) {
+  // (G_up + e G_low) c = b_up + e b_mirror with G_low = P G_up P and b_mirror = P b_up.
+  const int count = coefficient_count(bands);
+  const RadianceSh used = above.with_bands(bands);
+  Matrix system(count, count), moments(count, 3);
+  for (int l = 0; l < bands; ++l)
+    for (int m = -l; m <= l; ++m) {
+      const int i = sh_index(l, m);
+      for (int c = 0; c < 3; ++c) moments(i, c) = used[i][c] * (1 + kBelowWeight * parity(m));
+      for (int k = 0; k < bands; ++k)
+        for (int n = -k; n <= k; ++n)
+          system(i, sh_index(k, n)) = upper_gram()(i, sh_index(k, n)) * (1 + kBelowWeight * parity(m) * parity(n));
+    }
+  return to_light(system.ldlt().solve(moments), bands);
+}
 
 Result<Projection> project_samples(const LightSamples& s, int bands) {
   const std::size_t n = s.radiance.size();
@@ -171,13 +246,18 @@ Result<Projection> project_samples(const LightSamples& s, int bands) {
   const bool complete = coverage > kFullCoverage;
   auto sums = accumulate(s, bands, !complete);
   if (!sums) return std::unexpected(sums.error());
-  if (complete) return Projection{to_light(sums->moments, bands), coverage};
-
-  Matrix system = sums->gram.selfadjointView<Eigen::Lower>();
-  for (int l = 0; l < bands; ++l)
-    for (int m = -l; m <= l; ++m)
-      system(sh_index(l, m), sh_index(l, m)) += kSmoothness * l * l * (l + 1.) * (l + 1.);
-  return Projection{to_light(system.ldlt().solve(sums->moments), bands), coverage};
+  if (complete)
+    return Projection{to_light(sums->whole.moments, bands), to_light(sums->above.moments, bands), coverage};
+  Projection out{to_light(solve(sums->whole, bands, 1 - coverage), bands), RadianceSh(bands), coverage};
+  // Moments of the fitted light over the upper hemisphere: its holes are filled already.
+  const RadianceSh full = out.light.with_bands(kMaxBands);
+  for (int i = 0; i < out.above.size(); ++i)
+    for (int c = 0; c < 3; ++c) {
+      double sum = 0;
+      for (int k = 0; k < full.size(); ++k) sum += upper_gram()(i, k) * full[k][c];
+      out.above[i][c] = static_cast<float>(sum);
+    }
+  return out;
 }
 
 }  // namespace penumbra::lighting

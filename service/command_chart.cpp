@@ -73,8 +73,9 @@ Result<Masks> make_masks(const Bench& bench) {
   const Image<Rgb> white(64, 32, {1, 1, 1});
   StillScene in{&bench.prepared, &white, bench.view};
   Still backdrop{Image<Rgb>(bench.view.width, bench.view.height, {0, 0, 0}), 0, 0, {}, {}};
-  RadianceSh light(1);
-  light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
+  lighting::LightEstimate light;
+  light.light[0] = light.floor_light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
+  light.valid = true;
   auto lit = render_composite(in, light, backdrop);
   if (!lit) return std::unexpected(lit.error());
   // Over white, an object pixel of full coverage shows nothing of the backdrop.
@@ -131,7 +132,7 @@ Row compare_pictures(const Still& ours, const Still& truth, const Still& empty,
 struct Environment {
   std::string name;
   Image<Rgb> map;
-  RadianceSh light{kMaxBands};
+  lighting::Projection light;
 };
 
 Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
@@ -162,7 +163,7 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
   if (!empty) return std::unexpected(empty.error());
   std::optional<Still> truth;
   for (const int bands : o.bands) {
-    const RadianceSh light = environment.light.with_bands(bands);
+    const lighting::LightEstimate light = lighting::make_estimate(environment.light, bands);
     Still truncated_empty = *empty;
     if (o.truncated || !truth) {
       auto reference =
@@ -173,7 +174,7 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
     }
     if (o.truncated) {
       // The floor under truncated light, in closed form.
-      const Rgb e = lighting::evaluate(lighting::irradiance(light), {0, 1, 0});
+      const Rgb e = lighting::evaluate(lighting::irradiance(light_on(bench.prepared.planes, light)), {0, 1, 0});
       const Rgb exit = e * (.4f / static_cast<float>(kPi));
       for (std::size_t i = 0; i < masks.floor.size(); ++i)
         if (masks.floor[i]) truncated_empty.radiance.pixels()[i] = exit;

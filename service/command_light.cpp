@@ -9,10 +9,9 @@ namespace penumbra::service {
 Result<void> light_estimate(const LightEstimateOptions& o) {
   auto light = read_light(o.environment, o.projection);
   if (!light) return std::unexpected(light.error());
-  auto bands = choose_bands(o.bands, light->nine_bands);
+  auto bands = choose_bands(o.bands, light->light);
   if (!bands) return std::unexpected(bands.error());
-  lighting::LightEstimate estimate = lighting::make_estimate(light->nine_bands, *bands);
-  estimate.coverage = light->coverage;
+  const lighting::LightEstimate estimate = lighting::make_estimate(light->light, *bands);
   if (o.json) {
     nlohmann::json out = to_json(estimate);
     out["projection"] = calib::projection_name(light->file.projection.kind);

@@ -40,7 +40,7 @@ Result<void> render(const RenderOptions& o) {
   if (!map) return std::unexpected(map.error());
   auto view = read_view(o.camera);
   if (!view) return std::unexpected(view.error());
-  auto bands = choose_bands(o.bands, light->nine_bands);
+  auto bands = choose_bands(o.bands, light->light);
   if (!bands) return std::unexpected(bands.error());
   if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
     return fail(ErrorCode::kInvalid, "--truncated-to", "not within 1..9");
@@ -56,14 +56,14 @@ Result<void> render(const RenderOptions& o) {
   const StillScene in{&*prepared, &*map, *view};
   const auto still = [&]() -> Result<Still> {
     if (o.reference) {
-      std::optional<RadianceSh> truncated;
-      if (o.truncated_to) truncated = light->nine_bands.with_bands(*o.truncated_to);
+      std::optional<lighting::LightEstimate> truncated;
+      if (o.truncated_to) truncated = lighting::make_estimate(light->light, *o.truncated_to);
       return render_reference(in, !o.without_objects, o.error, truncated,
                               progress_bar("reference"));
     }
     auto real = render_real(in, o.error, progress_bar("real world"));
     if (!real || o.without_objects) return real;
-    return render_composite(in, light->nine_bands.with_bands(*bands), *real);
+    return render_composite(in, lighting::make_estimate(light->light, *bands), *real);
   }();
   if (!still) return std::unexpected(still.error());
   PENUMBRA_TRY(codec::write_hdr(o.output, still->radiance, codec::Depth::kFloat));

@@ -20,23 +20,17 @@ Result<FileLight> read_light(const std::string& path,
   if (file->non_finite > 0)
     spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path,
                  file->non_finite);
-  if (file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0) {
-    auto light = lighting::project_latlong(file->radiance, kMaxBands);
-    if (!light) return fail(light.error().code, path, light.error().detail);
-    out.nine_bands = *light;
-  } else {
-    const calib::ProjectionTable& t = file->table;
-    auto light = lighting::project_samples(
-        {t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
-    if (!light) return fail(light.error().code, path, light.error().detail);
-    out.nine_bands = light->light;
-    out.coverage = light->coverage;
-  }
+  const calib::ProjectionTable& t = file->table;
+  const bool plain = file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0;
+  auto light = plain ? lighting::project_latlong(file->radiance, kMaxBands)
+                     : lighting::project_samples({t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
+  if (!light) return fail(light.error().code, path, light.error().detail);
+  out.light = *light;
   out.file = std::move(*file);
   return out;
 }
 
-Result<int> choose_bands(const std::string& text, const RadianceSh& nine_bands) {
+Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands) {
   if (text == "auto") {
     for (int bands = 1; bands < kMaxBands; ++bands)
       if (lighting::make_estimate(nine_bands, bands).truncation_error <= .005) return bands;

@@ -11,8 +11,7 @@ namespace penumbra::service {
 
 struct FileLight {
   capture::EnvironmentFile file;
-  RadianceSh nine_bands{kMaxBands};
-  double coverage = 1;
+  lighting::Projection light{RadianceSh(kMaxBands), RadianceSh(kMaxBands), 1};
 };
 
 /// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are
@@ -21,6 +20,6 @@ Result<FileLight> read_light(const std::string& path, const std::optional<std::s
 
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid
-Result<int> choose_bands(const std::string& text, const RadianceSh& nine_bands);
+Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands);
 
 }  // namespace penumbra::service

@@ -83,11 +83,14 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   return stage;
 }
 
-bool ComposeStage::update_light(Object& o, const RadianceSh& world_light, double seconds) {
+bool ComposeStage::update_light(Object& o, const lighting::LightEstimate& estimate, double seconds) {
   const Pose pose = o.prepared->pose_at(seconds);
   compositor_->set_pose(o.handle, pose);
-  const glm::dmat3 bake_from_world = glm::transpose(pose.rotation_matrix());
-  const RadianceSh light = lighting::ShRotation(bake_from_world, world_light.bands()) * world_light;
+  const glm::dmat3 world_from_bake = pose.rotation_matrix();
+  const bool on_level_floor = o.prepared->baked.receiver && world_from_bake[1].y > kLevel;
+  const RadianceSh& world_light = on_level_floor ? estimate.floor_light : estimate.light;
+  const RadianceSh light =
+      lighting::ShRotation(glm::transpose(world_from_bake), world_light.bands()) * world_light;
   if (o.light_used && lighting::largest_visible_change(*o.light_used, light) < kVisibleChange)
     return false;
   {
@@ -121,7 +124,7 @@ Result<Composited> ComposeStage::process(const capture::Frame& frame,
                                          const lighting::LightEstimate& light) {
   Composited out;
   const double seconds = (frame.time - TimestampNs{0}).count();
-  for (Object& o : objects_) out.relit |= update_light(o, light.light, seconds);
+  for (Object& o : objects_) out.relit |= update_light(o, light, seconds);
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const StageTimer timer(times_, "composite");
   out.pixels = *frame.pixels;

@@ -43,6 +43,9 @@ struct Composited {
   bool relit = false;
 };
 
+/// A plane counts as level when its normal's y is larger: within a quarter of a degree.
+inline constexpr double kLevel = .99999;
+
 /// View frames and light in, composited frames out.
 class ComposeStage {
  public:
@@ -74,7 +77,7 @@ class ComposeStage {
 
   ComposeStage(std::unique_ptr<compositor::Compositor> compositor, StageTimes& times)
       : compositor_(std::move(compositor)), times_(times) {}
-  bool update_light(Object& object, const RadianceSh& world_light, double seconds);
+  bool update_light(Object& object, const lighting::LightEstimate& light, double seconds);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
 
   std::unique_ptr<compositor::Compositor> compositor_;

@@ -16,10 +16,12 @@ inline nlohmann::json to_json(const Rgb& c) {
 }
 
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
-  nlohmann::json coefficients = nlohmann::json::array();
+  nlohmann::json coefficients = nlohmann::json::array(), floor = nlohmann::json::array();
   for (const Rgb& c : e.light.terms()) coefficients.push_back(to_json(c));
+  for (const Rgb& c : e.floor_light.terms()) floor.push_back(to_json(c));
   return {{"bands", e.light.bands()},
           {"coefficients", coefficients},
+          {"floor_coefficients", floor},
           {"discs", nlohmann::json::array()},
           {"mean_radiance", to_json(e.mean_radiance)},
           {"coverage", e.coverage},

@@ -68,7 +68,7 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   return out;
 }
 
-Result<Still> render_composite(const StillScene& in, const RadianceSh& light, const Still& real) {
+Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light, const Still& real) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
@@ -83,22 +83,26 @@ Result<Still> render_composite(const StillScene& in, const RadianceSh& light, co
   frame.exposure = {Seconds(1), Gain(1)};
   frame.world_from_camera = in.view.world_from_camera;
   frame.pixels = std::make_shared<const FramePixels>(real.radiance);
-  lighting::LightEstimate estimate;
-  estimate.light = light;
-  estimate.valid = true;
-  auto composited = (*stage)->process(frame, estimate);
+  auto composited = (*stage)->process(frame, light);
   if (!composited) return std::unexpected(composited.error());
   return Still{
       std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
 }
 
+const RadianceSh& light_on(const std::vector<prt::Plane>& planes, const lighting::LightEstimate& light) {
+  const bool level = !planes.empty() && std::ranges::all_of(planes, [](const prt::Plane& p) {
+    return p.normal.y > kLevel;
+  });
+  return level ? light.floor_light : light.light;
+}
+
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
-                               const std::optional<RadianceSh>& truncated,
+                               const std::optional<lighting::LightEstimate>& truncated,
                                const Progress& progress) {
   auto map_light = prt::EnvironmentLight::from_map(*in.environment);
   if (!map_light) return std::unexpected(map_light.error());
   const prt::EnvironmentLight light =
-      truncated ? prt::EnvironmentLight::from_sh(*truncated) : *map_light;
+      truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated)) : *map_light;
   prt::World world;
   world.mesh = world_mesh(*in.scene, with_objects);
   world.planes = in.scene->planes;

@@ -30,29 +30,38 @@ MergedImage constant(int width, int height, float scale) {
   return m;
 }
 
-float confidence_at(const Environment& e, int x, int y) { return e.confidence.empty() ? 1.f : e.confidence.at(x, y); }
+float confidence_at(const Environment& e, int x, int y) {
+  return e.confidence.empty() ? 1.f : e.confidence.at(x, y);
+}
 
 TEST(EnvironmentAssembler, ConstantRadianceStaysConstantWhereSeenAndIsZeroElsewhere) {
   std::mt19937 rng(1);
   std::normal_distribution<double> g;
-  for (const ProjectionKind kind : {ProjectionKind::kEquidistant, ProjectionKind::kPinhole, ProjectionKind::kAngular,
-                                    ProjectionKind::kMirrorBall, ProjectionKind::kLatLong}) {
-    const int width = kind == ProjectionKind::kLatLong ? 128 : 96, height = kind == ProjectionKind::kLatLong ? 64 : 90;
+  for (const ProjectionKind kind :
+       {ProjectionKind::kEquidistant, ProjectionKind::kPinhole, ProjectionKind::kAngular,
+        ProjectionKind::kMirrorBall, ProjectionKind::kLatLong}) {
+    const int width = kind == ProjectionKind::kLatLong ? 128 : 96,
+              height = kind == ProjectionKind::kLatLong ? 64 : 90;
     const auto p = projection(kind, width, height);
     for (int turn = 0; turn < 3; ++turn) {
-      const Pose pose{turn == 0 ? glm::dquat(1, 0, 0, 0) : glm::normalize(glm::dquat(g(rng), g(rng), g(rng), g(rng))), {}};
+      const Pose pose{turn == 0 ? glm::dquat(1, 0, 0, 0)
+                                : glm::normalize(glm::dquat(g(rng), g(rng), g(rng), g(rng))),
+                      {}};
       EnvironmentAssembler assembler(p, pose, 100, 50);
       Environment out;
       assembler.assemble(constant(width, height, 3.5f), out);
       int seen = 0;
       for (int y = 0; y < 50; ++y)
         for (int x = 0; x < 100; ++x) {
-          const dvec3 d = glm::conjugate(pose.rotation) * latlong_direction(x + .5, y + .5, 100, 50);
+          const dvec3 d =
+              glm::conjugate(pose.rotation) * latlong_direction(x + .5, y + .5, 100, 50);
           const bool looks = calib::pixel_from_direction(p, d).has_value();
           seen += looks;
-          ASSERT_EQ(confidence_at(out, x, y), looks ? 1.f : 0.f) << calib::projection_name(kind) << x << ' ' << y;
+          ASSERT_EQ(confidence_at(out, x, y), looks ? 1.f : 0.f)
+              << calib::projection_name(kind) << x << ' ' << y;
           for (int c = 0; c < 3; ++c)
-            ASSERT_NEAR(out.radiance.at(x, y)[c], looks ? 3.5f : 0.f, 1e-5f) << calib::projection_name(kind);
+            ASSERT_NEAR(out.radiance.at(x, y)[c], looks ? 3.5f : 0.f, 1e-5f)
+                << calib::projection_name(kind);
         }
       EXPECT_GT(seen, 100);
       EXPECT_NEAR(out.clipped_fraction, 0, 1e-6);
@@ -68,10 +77,13 @@ TEST(EnvironmentAssembler, LatLongOfTheSameSizeIsCopied) {
     Image<Rgb> expected(width, height);
     for (std::size_t i = 0; i < expected.area(); ++i) {
       HalfRgba& p = merged.pixels.pixels()[i];
-      p.r = half_from_float(value(rng)), p.g = half_from_float(value(rng)), p.b = half_from_float(value(rng));
-      expected.pixels()[i] = .25f * Rgb{float_from_half(p.r), float_from_half(p.g), float_from_half(p.b)};
+      p.r = half_from_float(value(rng)), p.g = half_from_float(value(rng)),
+      p.b = half_from_float(value(rng));
+      expected.pixels()[i] =
+          .25f * Rgb{float_from_half(p.r), float_from_half(p.g), float_from_half(p.b)};
     }
-    EnvironmentAssembler assembler(projection(ProjectionKind::kLatLong, width, height), {}, width, height);
+    EnvironmentAssembler assembler(projection(ProjectionKind::kLatLong, width, height), {}, width,
+                                   height);
     Environment out;
     assembler.assemble(merged, out);
     EXPECT_EQ(out.radiance, expected) << width << 'x' << height;
@@ -101,9 +113,11 @@ MergedImage patch(const calib::Projection& p, const dvec3& axis) {
 
 TEST(EnvironmentAssembler, PoseOfTheCameraMovesAPatchToItsWorldDirection) {
   const dvec3 axes[] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
-  for (const ProjectionKind kind : {ProjectionKind::kLatLong, ProjectionKind::kEquidistant, ProjectionKind::kPinhole,
-                                    ProjectionKind::kAngular, ProjectionKind::kMirrorBall}) {
-    const auto p = projection(kind, kind == ProjectionKind::kLatLong ? 256 : 160, kind == ProjectionKind::kLatLong ? 128 : 160);
+  for (const ProjectionKind kind :
+       {ProjectionKind::kLatLong, ProjectionKind::kEquidistant, ProjectionKind::kPinhole,
+        ProjectionKind::kAngular, ProjectionKind::kMirrorBall}) {
+    const auto p = projection(kind, kind == ProjectionKind::kLatLong ? 256 : 160,
+                              kind == ProjectionKind::kLatLong ? 128 : 160);
     // Off the optical axis, so that a mirrored picture would be seen.
     const dvec3 in_camera = glm::normalize(dvec3(.15, .1, -1));
     const MergedImage picture = patch(p, in_camera);

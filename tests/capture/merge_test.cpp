@@ -34,8 +34,8 @@ struct Decade {
   double rmse_over_bound() const { return std::sqrt(square / count); }
 };
 
-std::vector<Decade> errors_by_decade(const Sensor& sensor, std::span<const Exposure> exposures, double low,
-                                     int decades, unsigned seed) {
+std::vector<Decade> errors_by_decade(const Sensor& sensor, std::span<const Exposure> exposures,
+                                     double low, int decades, unsigned seed) {
   const auto truth = test::log_uniform_radiance(768, 512, low, low * std::pow(10, decades), seed);
   const auto merged = merge(test::bracket(sensor, truth, exposures, seed));
   EXPECT_TRUE(merged);
@@ -66,7 +66,8 @@ void expect_optimal(const std::vector<Decade>& decades, const char* name) {
 // ------------------------------------------------------------------------------------- estimate
 
 TEST(Merge, ReachesTheCramerRaoBoundWithoutBiasOverFiveDecades) {
-  expect_optimal(errors_by_decade(linear16(), test::exposures_of(kTwoStops), 4e-3, 5, 1), "linear 16 bit");
+  expect_optimal(errors_by_decade(linear16(), test::exposures_of(kTwoStops), 4e-3, 5, 1),
+                 "linear 16 bit");
 }
 
 TEST(Merge, ReachesTheCramerRaoBoundWithoutBiasOfEightBitCodes) {
@@ -74,8 +75,11 @@ TEST(Merge, ReachesTheCramerRaoBoundWithoutBiasOfEightBitCodes) {
 }
 
 TEST(Merge, ReachesTheCramerRaoBoundWithGainInTheBracket) {
-  const Exposure mixed[] = {{Seconds(1), Gain(4)}, {Seconds(1), Gain(1)}, {Seconds(.1), Gain(1)},
-                            {Seconds(.01), Gain(1)}, {Seconds(.001), Gain(1)}};
+  const Exposure mixed[] = {{Seconds(1), Gain(4)},
+                            {Seconds(1), Gain(1)},
+                            {Seconds(.1), Gain(1)},
+                            {Seconds(.01), Gain(1)},
+                            {Seconds(.001), Gain(1)}};
   expect_optimal(errors_by_decade(linear16(), mixed, 4e-3, 4, 3), "linear 16 bit, gains 4 and 1");
 }
 
@@ -102,13 +106,15 @@ TEST(Merge, HasNoBiasInTheDarkWhereTheHatAndLogAverageHas) {
     for (std::size_t i = 1; i < truth.area(); ++i) {
       double signals[4];
       for (std::size_t k = 0; k < 4; ++k)
-        signals[k] = std::get<Image<Rgb16>>(*stack.frames[k]).pixels()[i].g / 65535. - stack.black_level;
+        signals[k] =
+            std::get<Image<Rgb16>>(*stack.frames[k]).pixels()[i].g / 65535. - stack.black_level;
       ours += merged->radiance.pixels()[i].g / x - 1;
       naive += hat_log_average(signals, exposures) / x - 1;
     }
     ours /= double(truth.area() - 1), naive /= double(truth.area() - 1);
     const double snr = x / std::sqrt(test::signal_variance(linear16(), x, 1));
-    std::printf("SNR %.1f: bias %+.3f %%, hat and logarithm %+.1f %%\n", snr, 100 * ours, 100 * naive);
+    std::printf("SNR %.1f: bias %+.3f %%, hat and logarithm %+.1f %%\n", snr, 100 * ours,
+                100 * naive);
     EXPECT_LE(std::abs(ours), .005) << x;
     EXPECT_GT(std::abs(naive), .05) << "the naive average should fail here";
   }
@@ -195,7 +201,8 @@ TEST(Merge, OfFloatFramesNeedsNoResponseAndClipsNothing) {
       ASSERT_NEAR(merged->radiance.pixels()[i][c] / truth.pixels()[i][c], 1, 1e-5);
 }
 
-// ------------------------------------------------------------------------------------- ends of the range
+// ------------------------------------------------------------------------------------- ends of the
+// range
 
 TEST(Merge, PixelClippedEverywhereGetsTheLowerBoundAndTheFlag) {
   Image<Rgb> truth(8, 4, {.1f, .1f, .1f});
@@ -235,13 +242,16 @@ void expect_undetermined(float radiance, const std::string& word) {
   }
 }
 
-TEST(Merge, AllClippedIsUndetermined) { expect_undetermined(1e5f, "clipped"); }
+TEST(Merge, AllClippedIsUndetermined) {
+  expect_undetermined(1e5f, "clipped");
+}
 
 TEST(Merge, AllBlackIsUndetermined) {
   // Without noise: chance lifts a few of many pixels above any threshold.
   for (Sensor sensor : {linear16(), srgb8()}) {
     sensor.noisy = false;
-    const auto merged = merge(test::bracket(sensor, Image<Rgb>(16, 9), test::exposures_of(kTwoStops), 13));
+    const auto merged =
+        merge(test::bracket(sensor, Image<Rgb>(16, 9), test::exposures_of(kTwoStops), 13));
     ASSERT_FALSE(merged);
     EXPECT_EQ(merged.error().code, ErrorCode::kUndetermined);
     EXPECT_NE(merged.error().detail.find("black"), std::string::npos) << merged.error().detail;
@@ -252,7 +262,8 @@ TEST(Merge, AllBlackIsUndetermined) {
 
 ExposureStack good_stack() {
   const double times[] = {1, .25};
-  return test::bracket(srgb8(), test::log_uniform_radiance(16, 9, .1, 1, 14), test::exposures_of(times), 14);
+  return test::bracket(srgb8(), test::log_uniform_radiance(16, 9, .1, 1, 14),
+                       test::exposures_of(times), 14);
 }
 
 void expect_invalid(const ExposureStack& stack, const std::string& where) {

@@ -34,7 +34,8 @@ Frame frame(const Sensor& sensor, float radiance, double time, std::uint64_t seq
   Frame f;
   f.sequence = sequence;
   f.exposure = {Seconds(time), Gain(1)};
-  f.pixels = test::shot(sensor, Image<Rgb>(kWidth, kHeight, {radiance, radiance, radiance}), f.exposure, sequence);
+  f.pixels = test::shot(sensor, Image<Rgb>(kWidth, kHeight, {radiance, radiance, radiance}),
+                        f.exposure, sequence);
   return f;
 }
 
@@ -75,10 +76,12 @@ TEST(HdrRing, PublishesAfterEveryFrame) {
 TEST(HdrRing, LampSwitchedOffOrOnLeavesNoGhostAfterOneRound) {
   for (const int bits : {8, 16})
     for (const auto& [before, after] : {std::pair{30.f, .6f}, {.6f, 30.f}, {5.f, 4.f}}) {
-      HdrRing ring(camera(sensor_of(bits)), 8);  // more slots than exposures: forgetting goes by exposure
+      HdrRing ring(camera(sensor_of(bits)),
+                   8);  // more slots than exposures: forgetting goes by exposure
       std::uint64_t sequence = 0;
       for (; sequence < 9; ++sequence)
-        ASSERT_TRUE(ring.add(frame(sensor_of(bits), before, kTimes[sequence % 4], sequence)) || sequence < 4);
+        ASSERT_TRUE(ring.add(frame(sensor_of(bits), before, kTimes[sequence % 4], sequence)) ||
+                    sequence < 4);
       Result<const MergedImage*> last = nullptr;
       for (int k = 0; k < 4; ++k, ++sequence)
         last = ring.add(frame(sensor_of(bits), after, kTimes[sequence % 4], sequence));
@@ -116,7 +119,8 @@ TEST(HdrRing, FrameOfTheWrongSizeIsRefusedByNameAndChangesNothing) {
 TEST(HdrRing, BadExposureIsRefused) {
   const Sensor sensor = sensor_of(8);
   HdrRing ring(camera(sensor), 4);
-  for (const double bad : {0., -1., std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+  for (const double bad : {0., -1., std::numeric_limits<double>::quiet_NaN(),
+                           std::numeric_limits<double>::infinity()}) {
     Frame f = frame(sensor, .5f, 1, 0);
     f.exposure.time = Seconds(bad);
     const auto image = ring.add(f);

@@ -31,7 +31,8 @@ Sensor sensor_with(calib::Response response, double black_level) {
 
 MergedImage by_table(const ExposureStack& stack) {
   MergedImage out;
-  const auto merger = TableMerger::make(stack.exposures, stack.response, stack.noise, stack.black_level);
+  const auto merger =
+      TableMerger::make(stack.exposures, stack.response, stack.noise, stack.black_level);
   EXPECT_TRUE(merger);
   std::vector<const Image<Rgb8>*> images;
   for (const auto& f : stack.frames) images.push_back(&std::get<Image<Rgb8>>(*f));
@@ -44,9 +45,10 @@ Rgb radiance_of(const MergedImage& image, std::size_t i) {
   return image.scale * Rgb{float_from_half(p.r), float_from_half(p.g), float_from_half(p.b)};
 }
 
-/// RMSE of the tables over RMSE of the full estimate, relative errors; the worst decade of the worst channel.
-double cost_of_tables(const Sensor& sensor, std::span<const Exposure> exposures, int width, int height,
-                      unsigned seed) {
+/// RMSE of the tables over RMSE of the full estimate, relative errors; the worst decade of the
+/// worst channel.
+double cost_of_tables(const Sensor& sensor, std::span<const Exposure> exposures, int width,
+                      int height, unsigned seed) {
   const auto truth = test::log_uniform_radiance(width, height, kDarkest, kBrightest, seed);
   const auto stack = test::bracket(sensor, truth, exposures, seed);
   const auto full = merge(stack);
@@ -61,7 +63,8 @@ double cost_of_tables(const Sensor& sensor, std::span<const Exposure> exposures,
       const double x = truth.pixels()[i][c];
       const auto decade = static_cast<std::size_t>(std::log10(x / double(kDarkest)));
       ours[c][std::min<std::size_t>(3, decade)] += std::pow(radiance_of(table, i)[c] / x - 1, 2);
-      best[c][std::min<std::size_t>(3, decade)] += std::pow(full->radiance.pixels()[i][c] / x - 1, 2);
+      best[c][std::min<std::size_t>(3, decade)] +=
+          std::pow(full->radiance.pixels()[i][c] / x - 1, 2);
     }
   }
   for (int c = 0; c < 3; ++c)
@@ -75,11 +78,16 @@ double cost_of_tables(const Sensor& sensor, std::span<const Exposure> exposures,
 TEST(TableMerger, CostsAtMostFivePerCentOfTheFullEstimate) {
   const auto exposures = test::exposures_of(kTwoStops);
   for (const double black : {0., .02}) {
-    const double srgb = cost_of_tables(sensor_with(calib::Response::srgb(), black), exposures, 521, 303, 1);
-    const double linear = cost_of_tables(sensor_with(calib::Response::linear(), black), exposures, 521, 303, 2);
-    const double gammas = cost_of_tables(sensor_with(three_gammas(), black), exposures, 521, 303, 3);
-    std::printf("black %.2f: RMSE of the tables over the full estimate: sRGB %.4f, linear %.4f, three gammas %.4f\n",
-                black, srgb, linear, gammas);
+    const double srgb =
+        cost_of_tables(sensor_with(calib::Response::srgb(), black), exposures, 521, 303, 1);
+    const double linear =
+        cost_of_tables(sensor_with(calib::Response::linear(), black), exposures, 521, 303, 2);
+    const double gammas =
+        cost_of_tables(sensor_with(three_gammas(), black), exposures, 521, 303, 3);
+    std::printf(
+        "black %.2f: RMSE of the tables over the full estimate: sRGB %.4f, linear %.4f, three "
+        "gammas %.4f\n",
+        black, srgb, linear, gammas);
     for (const double ratio : {srgb, linear, gammas}) EXPECT_LE(ratio, 1.05) << black;
   }
 }
@@ -87,7 +95,8 @@ TEST(TableMerger, CostsAtMostFivePerCentOfTheFullEstimate) {
 TEST(TableMerger, CountsClippedPixelsLikeTheFullEstimate) {
   Image<Rgb> truth(37, 29, {1, 1, 1});
   for (int y = 0; y < 7; ++y) truth.at(3, y).b = 1e4f;
-  const auto stack = test::bracket(sensor_with(calib::Response::srgb(), 0), truth, test::exposures_of(kTwoStops), 4);
+  const auto stack = test::bracket(sensor_with(calib::Response::srgb(), 0), truth,
+                                   test::exposures_of(kTwoStops), 4);
   const auto full = merge(stack);
   ASSERT_TRUE(full);
   EXPECT_NEAR(full->clipped_fraction, 7. / (37 * 29), 1e-9);
@@ -95,16 +104,20 @@ TEST(TableMerger, CountsClippedPixelsLikeTheFullEstimate) {
 }
 
 TEST(TableMerger, AnySizeComesOutWhole) {
-  // Neither a multiple of the vector width nor of the block; the last pixels as right as the first ones.
-  for (const auto& [width, height] : {std::pair{1, 1}, {7, 1}, {255, 1}, {256, 1}, {257, 3}, {37, 29}}) {
+  // Neither a multiple of the vector width nor of the block; the last pixels as right as the first
+  // ones.
+  for (const auto& [width, height] :
+       {std::pair{1, 1}, {7, 1}, {255, 1}, {256, 1}, {257, 3}, {37, 29}}) {
     Sensor sensor = sensor_with(calib::Response::srgb(), 0);
     sensor.noisy = false;
     const auto truth = test::log_uniform_radiance(width, height, .1, 30, 5);
-    const MergedImage table = by_table(test::bracket(sensor, truth, test::exposures_of(kTwoStops), 5));
+    const MergedImage table =
+        by_table(test::bracket(sensor, truth, test::exposures_of(kTwoStops), 5));
     ASSERT_EQ(table.pixels.area(), truth.area());
     for (std::size_t i = 0; i < truth.area(); ++i)
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR(radiance_of(table, i)[c] / truth.pixels()[i][c], 1, .03) << width << 'x' << height << ' ' << i;
+        ASSERT_NEAR(radiance_of(table, i)[c] / truth.pixels()[i][c], 1, .03)
+            << width << 'x' << height << ' ' << i;
   }
 }
 
@@ -112,7 +125,8 @@ TEST(TableMerger, ChannelsOfDifferentResponseDoNotMix) {
   Sensor sensor = sensor_with(three_gammas(), 0);
   sensor.noisy = false;
   const Image<Rgb> truth(300, 3, {.3f, 3, 12});
-  const MergedImage table = by_table(test::bracket(sensor, truth, test::exposures_of(kTwoStops), 6));
+  const MergedImage table =
+      by_table(test::bracket(sensor, truth, test::exposures_of(kTwoStops), 6));
   for (std::size_t i = 0; i < truth.area(); ++i) {
     ASSERT_NEAR(radiance_of(table, i).r / .3, 1, .01) << i;
     ASSERT_NEAR(radiance_of(table, i).g / 3, 1, .01) << i;

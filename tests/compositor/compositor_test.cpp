@@ -16,11 +16,14 @@ class CompositorTest : public testing::Test {
  protected:
   void SetUp() override {
     auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
-    if (!made && made.error().code == ErrorCode::kUnavailable) GTEST_SKIP() << "no OpenGL ES 3.1: " << made.error().detail;
+    if (!made && made.error().code == ErrorCode::kUnavailable)
+      GTEST_SKIP() << "no OpenGL ES 3.1: " << made.error().detail;
     ASSERT_TRUE(made) << made.error().detail;
     compositor_ = std::move(*made);
   }
-  View view(const CodeCurve* curve = nullptr, float signal = .5f) const { return {test::scene_camera(), curve, signal}; }
+  View view(const CodeCurve* curve = nullptr, float signal = .5f) const {
+    return {test::scene_camera(), curve, signal};
+  }
   FramePixels composited(FramePixels frame, const View& v, Touched* touched = nullptr) {
     const auto done = compositor_->composite(v, frame);
     EXPECT_TRUE(done) << done.error().detail;
@@ -35,26 +38,33 @@ class CompositorTest : public testing::Test {
   const CodeCurve curve8_ = test::srgb_curve(8), curve16_ = test::srgb_curve(16);
 };
 
-RadianceSh side_light() { return test::sloped_light(1, {.5, .6, .1}, 3); }
+RadianceSh side_light() {
+  return test::sloped_light(1, {.5, .6, .1}, 3);
+}
 
-// ------------------------------------------------------------------------------------- what is touched
+// ------------------------------------------------------------------------------------- what is
+// touched
 
-/// Whether the sphere of test::baked_sphere at `at`, or the visible part of its shadow, can reach a pixel.
+/// Whether the sphere of test::baked_sphere at `at`, or the visible part of its shadow, can reach a
+/// pixel.
 bool can_reach(const View& v, int x, int y, const dvec3& at, const prt::BakedObject& object,
                const shadows::PlanarShadow& shadow) {
   const dvec3 centre = at + dvec3(0, .4, 0);
-  const double pixel = 1.5 * glm::length(centre - v.camera.world_from_camera.translation) / v.camera.focal_px.x;
+  const double pixel =
+      1.5 * glm::length(centre - v.camera.world_from_camera.translation) / v.camera.focal_px.x;
   if (test::distance_to_ray(v.camera, x + .5, y + .5, centre) < .4 + pixel) return true;
   const auto foot = test::floor_hit(v.camera, x + .5, y + .5);
   if (!foot || shadow.empty()) return false;
-  const glm::vec2 texel = object.receiver->grid.uv(glm::vec2(*foot - glm::dvec2(at.x, at.z))) * float(object.receiver->grid.size);
-  return texel.x > float(shadow.x0 - 1) && texel.x < float(shadow.x1 + 1) && texel.y > float(shadow.y0 - 1) &&
-         texel.y < float(shadow.y1 + 1);
+  const glm::vec2 texel = object.receiver->grid.uv(glm::vec2(*foot - glm::dvec2(at.x, at.z))) *
+                          float(object.receiver->grid.size);
+  return texel.x > float(shadow.x0 - 1) && texel.x < float(shadow.x1 + 1) &&
+         texel.y > float(shadow.y0 - 1) && texel.y < float(shadow.y1 + 1);
 }
 
 template <class Pixel>
-void expect_rest_untouched(const Image<Pixel>& before, const Image<Pixel>& after, const Touched& touched, const View& v,
-                           const dvec3& at, const prt::BakedObject& object, const shadows::PlanarShadow& shadow) {
+void expect_rest_untouched(const Image<Pixel>& before, const Image<Pixel>& after,
+                           const Touched& touched, const View& v, const dvec3& at,
+                           const prt::BakedObject& object, const shadows::PlanarShadow& shadow) {
   std::size_t changed = 0, outside = 0;
   for (int y = 0; y < kSceneHeight; ++y)
     for (int x = 0; x < kSceneWidth; ++x) {
@@ -136,15 +146,20 @@ TEST_F(CompositorTest, WhiteObjectUnderWhiteSkyShowsTheRadianceOfTheSky) {
 }
 
 TEST_F(CompositorTest, SilhouetteIsWhereThePinholePutsIt) {
-  test::add_lit(*compositor_, test::baked_sphere(false), test::constant_light({1, 1, 1}, 3), {{1, 0, 0, 0}, {.2, .1, -.3}});
+  test::add_lit(*compositor_, test::baked_sphere(false), test::constant_light({1, 1, 1}, 3),
+                {{1, 0, 0, 0}, {.2, .1, -.3}});
   const auto out = composited_floats(Image<Rgb>(kSceneWidth, kSceneHeight), view(nullptr, 1));
   double seen = 0, expected = 0;
   for (int y = 0; y < kSceneHeight; ++y)
     for (int x = 0; x < kSceneWidth; ++x) {
       const double d = test::distance_to_ray(view().camera, x + .5, y + .5, {.2, .5, -.3});
       seen += double(out.at(x, y).g), expected += d < .4;
-      if (d < .36) { ASSERT_NEAR(out.at(x, y).g, 1, .01); }
-      if (d > .43) { ASSERT_EQ(out.at(x, y).g, 0); }
+      if (d < .36) {
+        ASSERT_NEAR(out.at(x, y).g, 1, .01);
+      }
+      if (d > .43) {
+        ASSERT_EQ(out.at(x, y).g, 0);
+      }
     }
   EXPECT_NEAR(seen / expected, 1, .02) << "coverage of the rim";
 }
@@ -166,8 +181,10 @@ TEST_F(CompositorTest, NewLightReplacesTheOld) {
 // ------------------------------------------------------------------------------------- shadow
 
 /// Bilinear ratio at a point of the floor, as the receiver's grid defines it.
-Rgb ratio_at(const prt::GroundGrid& grid, const shadows::PlanarShadow& shadow, const glm::dvec2& p) {
-  const glm::vec2 at = glm::clamp(grid.uv(glm::vec2(p)) * float(grid.size) - .5f, 0.f, float(grid.size - 1));
+Rgb ratio_at(const prt::GroundGrid& grid, const shadows::PlanarShadow& shadow,
+             const glm::dvec2& p) {
+  const glm::vec2 at =
+      glm::clamp(grid.uv(glm::vec2(p)) * float(grid.size) - .5f, 0.f, float(grid.size - 1));
   const int x = std::min(int(at.x), grid.size - 2), y = std::min(int(at.y), grid.size - 2);
   const float fx = at.x - float(x), fy = at.y - float(y);
   const auto s = [&](int i, int j) { return shadow.ratio.at(x + i, y + j); };
@@ -188,13 +205,16 @@ TEST_F(CompositorTest, FloorIsMultipliedByTheShadowRatioOfItsPlace) {
   for (int y = 0; y < kSceneHeight; ++y)
     for (int x = 0; x < kSceneWidth; ++x) {
       const auto foot = test::floor_hit(v.camera, x + .5, y + .5);
-      if (!foot || test::distance_to_ray(v.camera, x + .5, y + .5, at + dvec3(0, .4, 0)) < .43) continue;
+      if (!foot || test::distance_to_ray(v.camera, x + .5, y + .5, at + dvec3(0, .4, 0)) < .43)
+        continue;
       const dvec3 in_bake = pose.inverse() * dvec3(foot->x, 0, foot->y);
       const glm::vec2 uv = object.receiver->grid.uv({in_bake.x, in_bake.z});
       const bool in_grid = std::max(std::abs(2 * uv.x - 1), std::abs(2 * uv.y - 1)) < 1;
-      const Rgb s = in_grid ? ratio_at(object.receiver->grid, shadow, {in_bake.x, in_bake.z}) : Rgb{1, 1, 1};
+      const Rgb s =
+          in_grid ? ratio_at(object.receiver->grid, shadow, {in_bake.x, in_bake.z}) : Rgb{1, 1, 1};
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR(out.at(x, y)[c], frame.at(x, y)[c] * s[c], .005 * frame.at(x, y)[c]) << x << ' ' << y << " s " << s[c];
+        ASSERT_NEAR(out.at(x, y)[c], frame.at(x, y)[c] * s[c], .005 * frame.at(x, y)[c])
+            << x << ' ' << y << " s " << s[c];
       shaded += s.g < .98f;
       deepest = std::min(deepest, s.g);
     }
@@ -251,7 +271,8 @@ TEST_F(CompositorTest, RealGeometryBehindHidesNothing) {
   const auto without = composited_floats(frame, view());
   compositor_->add_occluder(wall(-30, -90));
   const auto with = composited_floats(frame, view());
-  for (std::size_t i = 0; i < frame.area(); ++i) ASSERT_TRUE(same(with.pixels()[i], without.pixels()[i])) << i;
+  for (std::size_t i = 0; i < frame.area(); ++i)
+    ASSERT_TRUE(same(with.pixels()[i], without.pixels()[i])) << i;
 }
 
 TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
@@ -264,10 +285,15 @@ TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
   int hidden = 0, kept = 0;
   for (int y = 0; y < kSceneHeight; ++y)
     for (int x = 0; x < kSceneWidth; ++x) {
-      const dvec3 o = view().camera.world_from_camera.translation, d = test::pixel_ray(view().camera, x + .5, y + .5);
+      const dvec3 o = view().camera.world_from_camera.translation,
+                  d = test::pixel_ray(view().camera, x + .5, y + .5);
       const double at_wall = o.x + d.x * (z - o.z) / d.z, pixel = .01;
-      if (at_wall > edge + pixel) { ASSERT_EQ(with.at(x, y), frame.at(x, y)) << x << ' ' << y; }
-      if (at_wall < edge - pixel) { ASSERT_TRUE(same(with.at(x, y), without.at(x, y))) << x << ' ' << y; }
+      if (at_wall > edge + pixel) {
+        ASSERT_EQ(with.at(x, y), frame.at(x, y)) << x << ' ' << y;
+      }
+      if (at_wall < edge - pixel) {
+        ASSERT_TRUE(same(with.at(x, y), without.at(x, y))) << x << ' ' << y;
+      }
       hidden += at_wall > edge && without.at(x, y) != frame.at(x, y);
       kept += at_wall < edge && without.at(x, y) != frame.at(x, y);
     }
@@ -275,7 +301,8 @@ TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
   EXPECT_GT(kept, 300);
 }
 
-// ------------------------------------------------------------------------------------- codes, errors
+// ------------------------------------------------------------------------------------- codes,
+// errors
 
 TEST_F(CompositorTest, FloatEightAndSixteenBitFramesAgree) {
   test::add_lit(*compositor_, test::baked_sphere(true, {.8f, .4f, .3f}), side_light());
@@ -284,7 +311,8 @@ TEST_F(CompositorTest, FloatEightAndSixteenBitFramesAgree) {
   Image<Rgb> f32(kSceneWidth, kSceneHeight);
   for (std::size_t i = 0; i < f8.area(); ++i) {
     const Rgb8 p = f8.pixels()[i];
-    f16.pixels()[i] = {std::uint16_t(257 * p.r), std::uint16_t(257 * p.g), std::uint16_t(257 * p.b)};
+    f16.pixels()[i] = {std::uint16_t(257 * p.r), std::uint16_t(257 * p.g),
+                       std::uint16_t(257 * p.b)};
     f32.pixels()[i] = {curve8_.decode(0, p.r), curve8_.decode(1, p.g), curve8_.decode(2, p.b)};
   }
   const auto out8 = std::get<Image<Rgb8>>(composited(f8, view(&curve8_)));
@@ -349,7 +377,8 @@ TEST_F(CompositorTest, ThereAndBackGivesTheSameBytes) {
   EXPECT_NE(composited(frame, view(&curve8_, .1f)), first) << "the exposure changed";
   EXPECT_EQ(composited(frame, view(&curve8_)), first);
   compositor_->set_pose(handle, {{1, 0, 0, 0}, {.6, 0, 9}});
-  EXPECT_EQ(composited(frame, view(&curve8_)), frame) << "behind the camera: nothing of before remains";
+  EXPECT_EQ(composited(frame, view(&curve8_)), frame)
+      << "behind the camera: nothing of before remains";
 }
 
 }  // namespace

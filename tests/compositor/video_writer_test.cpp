@@ -31,7 +31,8 @@ unsigned samples_in(const std::string& file) {
   const auto at = file.find("stsz");
   if (at == std::string::npos || at + 16 > file.size()) return 0;
   unsigned count = 0;
-  for (std::size_t i = at + 12; i < at + 16; ++i) count = count << 8 | static_cast<unsigned char>(file[i]);
+  for (std::size_t i = at + 12; i < at + 16; ++i)
+    count = count << 8 | static_cast<unsigned char>(file[i]);
   return count;
 }
 
@@ -43,7 +44,8 @@ class VideoWriterTest : public testing::Test {
   fs::path path() const { return folder_.path() / "video.mp4"; }
   void write_all(const fs::path& to, int width = 64, int height = 48) {
     auto writer = open(to, width, height);
-    if (!writer && writer.error().code == ErrorCode::kUnavailable) GTEST_SKIP() << writer.error().detail;
+    if (!writer && writer.error().code == ErrorCode::kUnavailable)
+      GTEST_SKIP() << writer.error().detail;
     ASSERT_TRUE(writer) << writer.error().detail;
     for (int i = 0; i < 10; ++i) {
       ASSERT_TRUE(writer->write(picture(width, height, i)));
@@ -77,7 +79,8 @@ TEST_F(VideoWriterTest, OddSizesLoseTheirLastRowAndColumn) {
 TEST_F(VideoWriterTest, UnfinishedLeavesNothing) {
   {
     auto writer = open(path());
-    if (!writer && writer.error().code == ErrorCode::kUnavailable) GTEST_SKIP() << writer.error().detail;
+    if (!writer && writer.error().code == ErrorCode::kUnavailable)
+      GTEST_SKIP() << writer.error().detail;
     ASSERT_TRUE(writer);
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(writer->write(picture(64, 48, i)));
   }
@@ -96,7 +99,8 @@ TEST_F(VideoWriterTest, UnfinishedLeavesAnOlderFileAlone) {
 
 TEST_F(VideoWriterTest, FolderThatCannotBeWrittenIsAnErrorNamingTheFile) {
   std::ofstream(folder_.path() / "plain") << "a file, not a folder";
-  for (const fs::path& bad : {folder_.path() / "plain" / "video.mp4", folder_.path() / "nowhere" / "video.mp4"}) {
+  for (const fs::path& bad :
+       {folder_.path() / "plain" / "video.mp4", folder_.path() / "nowhere" / "video.mp4"}) {
     const auto writer = open(bad);
     ASSERT_FALSE(writer);
     EXPECT_EQ(writer.error().code, ErrorCode::kUnwritable) << writer.error().detail;
@@ -105,7 +109,8 @@ TEST_F(VideoWriterTest, FolderThatCannotBeWrittenIsAnErrorNamingTheFile) {
 }
 
 TEST_F(VideoWriterTest, RefusesEmptySizesRatesAndChangedFrames) {
-  for (const auto& [width, height, fps] : {std::tuple{0, 48, 30.}, {64, 1, 30.}, {64, 48, 0.}, {64, 48, -1.}, {64, 48, NAN}}) {
+  for (const auto& [width, height, fps] :
+       {std::tuple{0, 48, 30.}, {64, 1, 30.}, {64, 48, 0.}, {64, 48, -1.}, {64, 48, NAN}}) {
     const auto writer = VideoWriter::create(path(), width, height, fps);
     ASSERT_FALSE(writer) << width << 'x' << height << ' ' << fps;
     EXPECT_EQ(writer.error().code, ErrorCode::kInvalid);

@@ -22,7 +22,8 @@ double decode_exactly(Curve curve, double z) {
 std::array<std::vector<float>, 3> table(Curve curve, int bits) {
   const int last = (1 << bits) - 1;
   std::vector<float> decode;
-  for (int code = 0; code <= last; ++code) decode.push_back(static_cast<float>(decode_exactly(curve, double(code) / last)));
+  for (int code = 0; code <= last; ++code)
+    decode.push_back(static_cast<float>(decode_exactly(curve, double(code) / last)));
   return {decode, decode, decode};
 }
 
@@ -45,8 +46,10 @@ TEST(CodeCurve, EveryEightBitCodeComesBack) {
       ASSERT_EQ(curve.largest_code(), 255U);
       for (unsigned code = 0; code < 256; ++code)
         for (int c = 0; c < 3; ++c) {
-          EXPECT_EQ(curve.encode(c, curve.decode(c, code)), code) << "curve " << int(kind) << " black " << black;
-          EXPECT_EQ(curve.encode8(c, curve.decode(c, code)), code) << "curve " << int(kind) << " black " << black;
+          EXPECT_EQ(curve.encode(c, curve.decode(c, code)), code)
+              << "curve " << int(kind) << " black " << black;
+          EXPECT_EQ(curve.encode8(c, curve.decode(c, code)), code)
+              << "curve " << int(kind) << " black " << black;
         }
     }
 }
@@ -62,7 +65,8 @@ TEST(CodeCurve, EverySixteenBitCodeComesBack) {
         const unsigned off = back > code ? back - code : code - back;
         wrong += off > 0, farthest = std::max(farthest, off);
       }
-      EXPECT_EQ(wrong, 0U) << "curve " << int(kind) << " black " << black << ": the farthest is " << farthest << " codes off";
+      EXPECT_EQ(wrong, 0U) << "curve " << int(kind) << " black " << black << ": the farthest is "
+                           << farthest << " codes off";
     }
 }
 
@@ -101,7 +105,8 @@ TEST(CodeCurve, ClampsWhatIsOutOfRange) {
   for (const Curve kind : kCurves)
     for (const int bits : {8, 16}) {
       const CodeCurve curve(table(kind, bits), .01f);
-      for (const float high : {1.f, 2.f, 1e30f, kInfinity}) EXPECT_EQ(curve.encode(0, high), curve.largest_code());
+      for (const float high : {1.f, 2.f, 1e30f, kInfinity})
+        EXPECT_EQ(curve.encode(0, high), curve.largest_code());
       for (const float low : {-.02f, -1e30f, -kInfinity}) EXPECT_EQ(curve.encode(0, low), 0U);
       if (bits != 8) continue;
       for (const float high : {1.f, 2.f, 1e30f, kInfinity}) EXPECT_EQ(curve.encode8(0, high), 255);
@@ -110,7 +115,8 @@ TEST(CodeCurve, ClampsWhatIsOutOfRange) {
 }
 
 TEST(CodeCurve, NanIsCodeZero) {
-  for (const float nan : {std::numeric_limits<float>::quiet_NaN(), -std::numeric_limits<float>::quiet_NaN()}) {
+  for (const float nan :
+       {std::numeric_limits<float>::quiet_NaN(), -std::numeric_limits<float>::quiet_NaN()}) {
     EXPECT_EQ(CodeCurve(table(Curve::kSrgb, 16), 0).encode(0, nan), 0U);
     const CodeCurve curve(table(Curve::kSrgb, 8), 0);
     EXPECT_EQ(curve.encode(0, nan), 0U);

@@ -92,10 +92,10 @@ TEST(Projection, ConstantRadianceGivesOnlyTermZero) {
   const auto map = make_map(128, 64, [](const dvec3&) { return Rgb{2, 1, .5f}; });
   const auto light = project_latlong(map, 9);
   ASSERT_TRUE(light);
-  EXPECT_NEAR((*light)[0].r, 2 * std::sqrt(4 * kPi), 1e-5);
-  EXPECT_NEAR((*light)[0].b, .5 * std::sqrt(4 * kPi), 1e-5);
-  for (int n = 1; n < 81; ++n) ASSERT_NEAR((*light)[n].r, 0, 2e-3) << n;
-  EXPECT_NEAR(evaluate(irradiance(light->with_bands(1)), {0, 1, 0}).r, 2 * kPi, 1e-5);
+  EXPECT_NEAR(light->light[0].r, 2 * std::sqrt(4 * kPi), 1e-5);
+  EXPECT_NEAR(light->light[0].b, .5 * std::sqrt(4 * kPi), 1e-5);
+  for (int n = 1; n < 81; ++n) ASSERT_NEAR(light->light[n].r, 0, 2e-3) << n;
+  EXPECT_NEAR(evaluate(irradiance(light->light.with_bands(1)), {0, 1, 0}).r, 2 * kPi, 1e-5);
 }
 
 TEST(Projection, BasisImageGivesUnitVector) {
@@ -108,7 +108,7 @@ TEST(Projection, BasisImageGivesUnitVector) {
     });
     const auto light = project_latlong(map, 9);
     ASSERT_TRUE(light);
-    for (int n = 0; n < 81; ++n) ASSERT_NEAR((*light)[n].b, n == target ? 2 : 0, 2e-3) << target;
+    for (int n = 0; n < 81; ++n) ASSERT_NEAR(light->light[n].b, n == target ? 2 : 0, 2e-3) << target;
   }
 }
 
@@ -120,10 +120,10 @@ TEST(Projection, FoldedRowsEqualBruteForce) {
     for (Rgb& p : map.pixels()) p = {heavy(rng), heavy(rng), heavy(rng)};
     const auto light = project_latlong(map, 9);
     ASSERT_TRUE(light);
-    const double scale = (*light)[0].r;
+    const double scale = light->light[0].r;
     for (int n = 0; n < 81; ++n)
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR((*light)[n][c], project_brute_force(map, n, c), 1e-6 * scale)
+        ASSERT_NEAR(light->light[n][c], project_brute_force(map, n, c), 1e-6 * scale)
             << width << ' ' << n;
   }
 }
@@ -132,7 +132,7 @@ TEST(Projection, WidthNotDivisibleByFourWorks) {
   const auto map = make_map(30, 15, [](const dvec3& d) { return Rgb{float(1 + d.x), 1, 1}; });
   const auto light = project_latlong(map, 2);
   ASSERT_TRUE(light);
-  EXPECT_NEAR((*light)[3].r, 4 * kPi / 3 * .4886025, 2e-2);
+  EXPECT_NEAR(light->light[3].r, 4 * kPi / 3 * .4886025, 2e-2);
 }
 
 TEST(Projection, NonFinitePixelIsNamedAndNeverReachesTheLight) {
@@ -156,7 +156,7 @@ TEST(Projection, AxisPatchesLandOnTheirAxis) {
       });
       const auto light = project_latlong(map, 2);
       ASSERT_TRUE(light);
-      const dvec3 mean((*light)[3].r, (*light)[1].r, (*light)[2].r);
+      const dvec3 mean(light->light[3].r, light->light[1].r, light->light[2].r);
       EXPECT_GT(glm::dot(glm::normalize(mean), a), .999);
     }
 }
@@ -176,7 +176,7 @@ TEST(Holes, NadirHoleLeavesConstantEnvironmentConstant) {
   // The naive sum loses the hole's share.
   const auto naive = project_latlong(environment.radiance, 3);
   ASSERT_TRUE(naive);
-  EXPECT_LT((*naive)[0].r, .975 * std::sqrt(4 * kPi));
+  EXPECT_LT(naive->light[0].r, .975 * std::sqrt(4 * kPi));
 }
 
 TEST(Holes, AlmostNothingSeenIsUndetermined) {
@@ -187,6 +187,71 @@ TEST(Holes, AlmostNothingSeenIsUndetermined) {
   const auto estimate = LightEstimator(3).estimate(environment);
   ASSERT_FALSE(estimate);
   EXPECT_EQ(estimate.error().code, ErrorCode::kUndetermined);
+}
+
+// RMS error of what upright and tilted surfaces get from above the horizon, relative to the mean.
+double error_above_horizon(const Image<Rgb>& map, const RadianceSh& light) {
+  std::mt19937 rng(23);
+  double square = 0, mean = 0;
+  for (int i = 0; i < 40; ++i) {
+    dvec3 normal = random_direction(rng);
+    normal.y = std::abs(normal.y);
+    double truth = 0, approximate = 0;
+    for (int y = 0; y < map.height() / 2; ++y)
+      for (int x = 0; x < map.width(); ++x) {
+        const dvec3 d = latlong_direction(x + .5, y + .5, map.width(), map.height());
+        const double w = latlong_solid_angle(y, map.width(), map.height()) * std::max(0., glm::dot(d, normal));
+        truth += w * map.at(x, y).g;
+        approximate += w * evaluate(light, d).g;
+      }
+    square += (approximate - truth) * (approximate - truth) / 40;
+    mean += truth / 40;
+  }
+  return std::sqrt(square) / mean;
+}
+
+TEST(FloorLight, ConstantSkyOverAnyGroundIsConstant) {
+  for (const float ground : {0.f, 1.f, 7.f}) {
+    const auto map = make_map(256, 128, [&](const dvec3& d) { return d.y > 0 ? Rgb{1, 1, 1} : Rgb{ground, ground, ground}; });
+    const auto p = project_latlong(map, 9);
+    ASSERT_TRUE(p);
+    for (const int bands : {1, 3, 5, 9}) {
+      const RadianceSh light = floor_light(p->above, bands);
+      EXPECT_NEAR(light[0].r, std::sqrt(4 * kPi), .02) << bands;
+      EXPECT_NEAR(evaluate(light, glm::normalize(dvec3(.3, .4, -.2))).r, 1, .02) << bands;
+    }
+  }
+}
+
+TEST(FloorLight, DarkGroundCostsTheWholeSphereProjectionPercentsAndThisNone) {
+  const auto map = make_map(64, 32, [](const dvec3& d) {
+    const auto v = static_cast<float>(d.y > 0 ? 1 + .5 * d.x + .3 * d.z * d.y : 0);
+    return Rgb{v, v, v};
+  });
+  const auto p = project_latlong(map, 9);
+  ASSERT_TRUE(p);
+  EXPECT_GT(error_above_horizon(map, p->light.with_bands(5)), .03);
+  EXPECT_LT(error_above_horizon(map, floor_light(p->above, 5)), .005);
+}
+
+TEST(FloorLight, OddRowsShareTheHorizonRow) {
+  const auto even = make_map(64, 64, [](const dvec3& d) { return Rgb{float(2 + d.x), 1, float(1 + d.y)}; });
+  const auto odd = make_map(64, 65, [](const dvec3& d) { return Rgb{float(2 + d.x), 1, float(1 + d.y)}; });
+  const auto a = project_latlong(even, 4), b = project_latlong(odd, 4);
+  ASSERT_TRUE(a && b);
+  for (int n = 0; n < 16; ++n) EXPECT_NEAR(a->above[n].b, b->above[n].b, 2e-3);
+}
+
+TEST(FloorLight, HolesAreFilledLikeTheWholeSphere) {
+  Environment environment;
+  environment.radiance = Image<Rgb>(128, 64, {1, 1, 1});
+  environment.confidence = Image<float>(128, 64, 1);
+  for (int y = 0; y < 12; ++y)
+    for (int x = 0; x < 128; ++x) environment.radiance.at(x, y) = {}, environment.confidence.at(x, y) = 0;
+  const auto estimate = LightEstimator(5).estimate(environment);
+  ASSERT_TRUE(estimate);
+  EXPECT_NEAR(estimate->floor_light[0].r, std::sqrt(4 * kPi), .02);
+  EXPECT_NEAR(evaluate(estimate->floor_light, {0, 1, 0}).r, 1, .02);
 }
 
 TEST(Rotation, ComposesAndIsOrthogonal) {
@@ -252,8 +317,8 @@ TEST(Estimate, TruncationErrorFallsWithBandsAndIsZeroForConstantLight) {
     EXPECT_LE(e, last);
     last = e;
   }
-  RadianceSh constant(9);
-  constant[0] = {1, 1, 1};
+  Projection constant{RadianceSh(9), RadianceSh(9), 1};
+  constant.light[0] = {1, 1, 1};
   EXPECT_EQ(make_estimate(constant, 1).truncation_error, 0);
 }
 

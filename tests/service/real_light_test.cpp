@@ -90,7 +90,7 @@ TEST(RealLight, GraceInFourContainersGivesThePublishedCoefficients) {
                            "grace_latlong_pbrt.exr", "grace_cross.hdr"}) {
     const auto light = read_light((angular.parent_path() / name).string(), std::nullopt);
     ASSERT_TRUE(light) << light.error().detail;
-    const RadianceSh upright = nearest_axes(light->nine_bands.with_bands(3), published);
+    const RadianceSh upright = nearest_axes(light->light.light.with_bands(3), published);
     // Published with pixel corners where we use centres: a tenth of a degree.
     const auto [fitted, degrees] = nearest_rotation(upright, published);
     std::printf("%-30s residual %.5f, after turning by %.2f degrees %.5f\n", name,
@@ -110,8 +110,8 @@ TEST(RealLight, KernerLatLongAndCubeAgree) {
   double largest = 0, worst = 0;
   for (int n = 0; n < 25; ++n)
     for (int c = 0; c < 3; ++c) {
-      largest = std::max(largest, std::abs(double(a->nine_bands[n][c])));
-      worst = std::max(worst, std::abs(double(a->nine_bands[n][c]) - b->nine_bands[n][c]));
+      largest = std::max(largest, std::abs(double(a->light.light[n][c])));
+      worst = std::max(worst, std::abs(double(a->light.light[n][c]) - b->light.light[n][c]));
     }
   EXPECT_LE(worst / largest, .002);
 }
@@ -121,7 +121,7 @@ TEST(RealLight, NonFinitePixelsAreReportedAndNeverReachTheLight) {
   const auto light = read_light(rings.string(), "angular");
   ASSERT_TRUE(light) << light.error().detail;
   EXPECT_EQ(light->file.non_finite, 12u);
-  for (const Rgb& c : light->nine_bands.terms()) EXPECT_TRUE(is_finite(c));
+  for (const Rgb& c : light->light.light.terms()) EXPECT_TRUE(is_finite(c));
 }
 
 }  // namespace

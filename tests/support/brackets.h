@@ -12,7 +12,8 @@
 namespace penumbra::test {
 
 /// Every channel of every pixel at random, evenly spread in the logarithm.
-inline Image<Rgb> log_uniform_radiance(int width, int height, double low, double high, unsigned seed) {
+inline Image<Rgb> log_uniform_radiance(int width, int height, double low, double high,
+                                       unsigned seed) {
   std::mt19937 rng(seed);
   std::uniform_real_distribution<double> exponent(std::log(low), std::log(high));
   Image<Rgb> out(width, height);
@@ -27,8 +28,9 @@ inline std::vector<Exposure> exposures_of(std::span<const double> times, double 
   return out;
 }
 
-inline std::shared_ptr<const FramePixels> shot(const capture::Sensor& sensor, const Image<Rgb>& radiance,
-                                               Exposure exposure, std::uint64_t seed) {
+inline std::shared_ptr<const FramePixels> shot(const capture::Sensor& sensor,
+                                               const Image<Rgb>& radiance, Exposure exposure,
+                                               std::uint64_t seed) {
   FramePixels pixels;
   capture::expose(sensor, radiance, exposure, seed, pixels);
   return std::make_shared<const FramePixels>(std::move(pixels));
@@ -51,13 +53,15 @@ inline capture::ExposureStack bracket(const capture::Sensor& sensor, const Image
 inline double signal_variance(const capture::Sensor& s, double y, double gain) {
   const double codes = std::pow(2, s.bits) - 1, at = y + s.black_level, h = .5 / codes;
   const double code = s.response.encode(at, 1);
-  const double step = s.response.decode(std::min(1., code + h), 1) - s.response.decode(std::max(0., code - h), 1);
+  const double step =
+      s.response.decode(std::min(1., code + h), 1) - s.response.decode(std::max(0., code - h), 1);
   return s.noise.variance(y, gain) + step * step / 12;
 }
 
-/// The Cramer-Rao bound of a radiance from every exposure that does not clip it: 1/var = sum e^2/var_k.
-/// 0 where an exposure is so near its clip level that chance decides.
-inline double radiance_bound(const capture::Sensor& s, std::span<const Exposure> exposures, double x) {
+/// The Cramer-Rao bound of a radiance from every exposure that does not clip it: 1/var = sum
+/// e^2/var_k. 0 where an exposure is so near its clip level that chance decides.
+inline double radiance_bound(const capture::Sensor& s, std::span<const Exposure> exposures,
+                             double x) {
   double information = 0;
   for (const Exposure& e : exposures) {
     const double y = e.product() * x, variance = signal_variance(s, y, e.gain.value());

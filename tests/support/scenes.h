@@ -18,15 +18,18 @@ namespace penumbra::test {
 inline constexpr int kSceneWidth = 160, kSceneHeight = 120;
 
 inline Pose looking_at(const glm::dvec3& eye, const glm::dvec3& target) {
-  const glm::dvec3 back = glm::normalize(eye - target), right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
+  const glm::dvec3 back = glm::normalize(eye - target),
+                   right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
   return {glm::normalize(glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back))), eye};
 }
 
-inline prt::PinholeView scene_camera(const glm::dvec3& eye = {.3, 1.3, 2.6}, const glm::dvec3& target = {0, .3, 0}) {
+inline prt::PinholeView scene_camera(const glm::dvec3& eye = {.3, 1.3, 2.6},
+                                     const glm::dvec3& target = {0, .3, 0}) {
   return {kSceneWidth, kSceneHeight, {150, 150}, {80.5, 59.25}, looking_at(eye, target)};
 }
 
-inline prt::BakedObject baked_sphere(bool with_receiver, Rgb albedo = {1, 1, 1}, float centre_height = .4f) {
+inline prt::BakedObject baked_sphere(bool with_receiver, Rgb albedo = {1, 1, 1},
+                                     float centre_height = .4f) {
   const prt::Mesh mesh = prt::make_sphere({0, centre_height, 0}, .4f, 3, albedo);
   prt::BakeOptions options;
   options.bands = 3;
@@ -47,12 +50,14 @@ struct Lit {
 inline Lit lit(const prt::BakedObject& object, const RadianceSh& light) {
   Lit out{std::vector<float>(3 * object.transfer.stride), {}};
   prt::relight(object.transfer, light, out.relit);
-  if (object.receiver) { EXPECT_TRUE(shadows::compose_planar_shadow(object, light, out.shadow)); }
+  if (object.receiver) {
+    EXPECT_TRUE(shadows::compose_planar_shadow(object, light, out.shadow));
+  }
   return out;
 }
 
-inline int add_lit(compositor::Compositor& c, const prt::BakedObject& object, const RadianceSh& light,
-                   const Pose& pose = {}) {
+inline int add_lit(compositor::Compositor& c, const prt::BakedObject& object,
+                   const RadianceSh& light, const Pose& pose = {}) {
   const int handle = c.add_object(object);
   c.set_pose(handle, pose);
   const Lit l = lit(object, light);
@@ -63,7 +68,8 @@ inline int add_lit(compositor::Compositor& c, const prt::BakedObject& object, co
 /// Unit direction through a continuous pixel, world frame.
 inline glm::dvec3 pixel_ray(const prt::PinholeView& v, double px, double py) {
   return glm::normalize(v.world_from_camera.rotation *
-                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x, -(py - v.principal_px.y) / v.focal_px.y, -1));
+                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
+                                   -(py - v.principal_px.y) / v.focal_px.y, -1));
 }
 
 /// Where a ray from the camera meets the floor y = 0.
@@ -74,7 +80,8 @@ inline std::optional<glm::dvec2> floor_hit(const prt::PinholeView& v, double px,
   return glm::dvec2(p.x, p.z);
 }
 
-inline double distance_to_ray(const prt::PinholeView& v, double px, double py, const glm::dvec3& point) {
+inline double distance_to_ray(const prt::PinholeView& v, double px, double py,
+                              const glm::dvec3& point) {
   const glm::dvec3 d = pixel_ray(v, px, py), to = point - v.world_from_camera.translation;
   const double along = std::max(0., glm::dot(to, d));
   return glm::length(to - along * d);
@@ -87,8 +94,10 @@ Image<Pixel> noise_frame(unsigned seed, int width = kSceneWidth, int height = kS
   for (Pixel& p : frame.pixels()) {
     using Code = decltype(p.r);
     const auto value = [&] {
-      if constexpr (std::is_same_v<Code, float>) return static_cast<float>(rng()) * 0x1p-32f;
-      else return static_cast<Code>(rng());
+      if constexpr (std::is_same_v<Code, float>)
+        return static_cast<float>(rng()) * 0x1p-32f;
+      else
+        return static_cast<Code>(rng());
     };
     p.r = value(), p.g = value(), p.b = value();
   }
@@ -101,7 +110,8 @@ inline CodeCurve srgb_curve(int bits, float black_level = 0) {
   std::vector<float> decode;
   for (int code = 0; code <= last; ++code) {
     const double z = double(code) / last;
-    decode.push_back(static_cast<float>(z <= .04045 ? z / 12.92 : std::pow((z + .055) / 1.055, 2.4)));
+    decode.push_back(
+        static_cast<float>(z <= .04045 ? z / 12.92 : std::pow((z + .055) / 1.055, 2.4)));
   }
   return CodeCurve({decode, decode, decode}, black_level);
 }

@@ -1,0 +1,226 @@
+#!/usr/bin/env python3
+"""Every bad input is one line that names the thing, status 2, and leaves nothing behind.
+cli_bad_input_test.py PROGRAM [CLASS...]"""
+
+import shutil
+import sys
+
+import cli_files as files
+from cli_case import CliTest, main
+
+
+class BadImages(CliTest):
+    @classmethod
+    def make_files(cls):
+        for name, code in (("a", 30), ("b", 120), ("black", 0), ("black2", 0), ("white", 255), ("white2", 255)):
+            files.write_png(cls.root / f"{name}.png", 40, 20, lambda x, y, c=code: (c and min(255, c + x),) * 3)
+        files.write_png(cls.root / "narrow.png", 39, 20, lambda x, y: (60, 60, 60))
+        whole = (cls.root / "a.png").read_bytes()
+        (cls.root / "cut.png").write_bytes(whole[:len(whole) // 2])
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        (cls.root / "cut.hdr").write_bytes((cls.root / "even.hdr").read_bytes()[:3000])
+        (cls.root / "text.hdr").write_text("not a picture")
+        (cls.root / "nothing.hdr").write_bytes(b"")
+
+    def refuse(self, words, images, times, response="linear"):
+        self.expect_refusal(words, "hdr", "merge", *[self.root / i for i in images], f"--times={times}", "--response",
+                            response, "-o", self.root / "out" / "merged.exr")
+
+    def test_missing_and_truncated_images(self):
+        self.refuse(["nowhere.png"], ["a.png", "nowhere.png"], "0.1,0.4")
+        self.refuse(["cut.png"], ["a.png", "cut.png"], "0.1,0.4")
+        self.refuse(["nowhere.toml"], ["a.png", "b.png"], "0.1,0.4", "nowhere.toml")
+        for name in ("nowhere.hdr", "cut.hdr", "text.hdr", "nothing.hdr"):
+            self.expect_refusal([name], "light", "estimate", self.root / name)
+            self.expect_refusal([name], "inspect", self.root / name)
+            self.expect_refusal([name], "demo", "--headless", "--environment", self.root / name, "--out",
+                                self.root / "out" / "demo")
+
+    def test_images_of_different_sizes(self):
+        self.refuse(["narrow.png", "39x20"], ["a.png", "narrow.png"], "0.1,0.4")
+
+    def test_times_that_are_no_exposures(self):
+        for times in ("0,0.4", "0.1,-0.4", "-0.1,0.4", "nan,0.4", "0.1,inf", "0.1,", "0.1", "0.1,0.2,0.3", "a,b", "1/0,1"):
+            self.refuse(["times"], ["a.png", "b.png"], times)
+
+    def test_all_black_and_all_clipped(self):
+        for response in ("linear", "srgb"):
+            self.refuse(["black"], ["black.png", "black2.png"], "0.1,0.4", response)
+            self.refuse(["clipped"], ["white.png", "white2.png"], "0.1,0.4", response)
+        for pair in (["black.png", "black2.png"], ["white.png", "white2.png"]):  # response to be estimated
+            self.expect_refusal([], "hdr", "merge", *[self.root / i for i in pair], "--times", "0.1,0.4", "-o",
+                                self.root / "out" / "merged.exr")
+
+
+class BadMeshes(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+        meshes = {"empty.obj": "", "faceless.obj": vertices, "degenerate.obj": vertices + "f 1 1 2\nf 3 3 3\n",
+                  "flat.obj": "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "nan.obj": "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+                  "infinite.obj": "v 0 inf 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"}
+        for name, text in meshes.items():
+            (cls.root / name).write_text(text)
+        header = ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\n"
+                  "element face 0\nproperty list uchar int vertex_indices\nend_header\n")
+        (cls.root / "empty.ply").write_text(header)
+        (cls.root / "cut.glb").write_bytes(b"glTF\2\0\0\0\xff\0\0\0")
+        cls.names = [*meshes, "empty.ply", "cut.glb", "nowhere.obj"]
+
+    def test_bake_refuses_meshes_without_a_surface(self):
+        for name in self.names:
+            self.expect_refusal([name], "bake", self.root / name, "-o", self.root / "out" / "baked.glb", "--samples", 64)
+        self.expect_refusal(["builtin:cow"], "bake", "builtin:cow", "-o", self.root / "out" / "baked.glb")
+
+    def test_render_refuses_them_in_a_scene(self):
+        for name in self.names:
+            for section in ("object", "real"):
+                key = "asset" if section == "object" else "mesh"
+                (self.root / "bad.toml").write_text(f'version = 1\n[[{section}]]\n{key} = "{name}"\n')
+                self.expect_refusal([name], "render", "--scene", self.root / "bad.toml", "--environment",
+                                    self.root / "even.hdr", "--camera", self.root / "camera.toml", "-o",
+                                    self.root / "out" / "picture.exr")
+
+    def test_demo_refuses_them_as_its_asset(self):
+        for name in ("empty.obj", "nan.obj", "nowhere.obj"):
+            self.expect_refusal([name], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
+                                self.root / "even.hdr", "--asset", self.root / name, "--out", self.root / "out" / "demo")
+
+
+class BadConfiguration(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_capture(cls.root / "capture")
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+
+    def spoiled(self, name, text):
+        (self.root / name).write_text(text)
+        return self.root / name
+
+    def test_unknown_keys_are_named_with_file_and_line(self):
+        rig = self.spoiled("rig.toml", 'version = 1\n[capture]\nsource = "studio"\ncolour = 3\n')
+        self.expect_refusal(["rig.toml:4", "colour"], "serve", "--config", rig)
+        scene = self.spoiled("odd.toml", files.SCENE + "colour = 3\n")
+        line = f"odd.toml:{files.SCENE.count(chr(10)) + 1}"
+        self.expect_refusal([line, "colour"], "composite", "--capture", self.root / "capture", "--scene", scene, "--out",
+                            self.root / "out" / "run")
+        render = ["render", "--environment", self.root / "even.hdr", "-o", self.root / "out" / "picture.exr"]
+        self.expect_refusal([line, "colour"], *render, "--scene", scene, "--camera", self.root / "camera.toml")
+        camera = self.spoiled("odd-camera.toml", files.CAMERA + "colour = 3\n")
+        self.expect_refusal(["odd-camera.toml:", "colour"], *render, "--scene", self.root / "scene.toml", "--camera", camera)
+        self.expect_refusal(["odd.toml:", "colour"], "inspect", scene)
+
+    def test_missing_and_damaged_files(self):
+        self.expect_refusal(["nowhere.toml"], "serve", "--config", self.root / "nowhere.toml")
+        broken = self.spoiled("broken.toml", "version = 1\n[capture\n")
+        self.expect_refusal(["broken.toml:2"], "serve", "--config", broken)
+        self.expect_refusal(["broken.toml:2"], "composite", "--capture", self.root / "capture", "--scene", broken, "--out",
+                            self.root / "out" / "run")
+
+    def test_addresses_that_are_not_loopback(self):
+        rig = self.spoiled("open.toml", 'version = 1\n[capture]\nsource = "studio"\n[http]\naddress = "0.0.0.0"\n')
+        self.expect_refusal(["open.toml:5", "loopback"], "serve", "--config", rig)
+
+    def test_arguments_that_do_not_exist(self):
+        self.expect_refusal(["arguments"], "demo", "--headles")
+        self.expect_refusal(["arguments"], "dance")
+        self.expect_refusal(["arguments"])
+
+
+class BadCaptures(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+
+    def capture(self, **made):
+        folder = self.root / "capture"
+        shutil.rmtree(folder, ignore_errors=True)
+        files.write_capture(folder, **made)
+        return folder
+
+    def refuse(self, words, folder):
+        self.expect_refusal(words, "composite", "--capture", folder, "--scene", self.root / "scene.toml", "--out",
+                            self.root / "out" / "run", "--bands", 2)
+
+    def edit(self, path, before, after):
+        text = path.read_text()
+        self.assertIn(before, text)
+        path.write_text(text.replace(before, after, 1))
+
+    def test_good_capture_is_composited(self):
+        self.run_well("composite", "--capture", self.capture(), "--scene", self.root / "scene.toml", "--out",
+                      self.root / "good", "--bands", 2)
+        self.assertEqual(len(list((self.root / "good").glob("frame_*.png"))), 3)
+
+    def test_missing_folder_and_files(self):
+        self.refuse(["nowhere"], self.root / "nowhere")
+        folder = self.capture()
+        (folder / "view" / "1.png").unlink()
+        self.refuse(["view/1.png"], folder)
+
+    def test_truncated_and_resized_pictures(self):
+        for camera in ("environment", "view"):
+            folder = self.capture()
+            whole = (folder / camera / "1.png").read_bytes()
+            (folder / camera / "1.png").write_bytes(whole[:len(whole) // 2])
+            self.refuse([f"{camera}/1.png"], folder)
+            files.write_png(folder / camera / "1.png", 30, 20, lambda x, y: (50, 50, 50))
+            self.refuse([f"{camera}/1.png", "30x20"], folder)
+
+    def test_exposures_that_are_none(self):
+        for bad in ("0", "-0.01", "nan", "inf", "abc", ""):
+            self.refuse(["environment.csv:2"], self.capture(exposures=(bad, "0.04")))
+
+    def test_unknown_keys_and_columns(self):
+        folder = self.capture()
+        self.edit(folder / "capture.toml", 'name = "view"', 'colour = 3\nname = "view"')
+        self.refuse(["capture.toml:13", "colour"], folder)
+        folder = self.capture()
+        self.edit(folder / "view.csv", "gain", "gain,iso")
+        self.refuse(["view.csv", "iso"], folder)
+
+    def test_environment_that_is_all_black_or_all_clipped(self):
+        self.refuse(["black"], self.capture(codes=(0, 0)))
+        self.refuse(["clipped"], self.capture(codes=(255, 255)))
+
+
+class BadOutputs(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_capture(cls.root / "capture")
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        (cls.root / "plain").write_text("a file")
+        cls.below = cls.root / "plain" / "below"
+
+    def test_output_below_a_regular_file(self):
+        pictures = [self.root / "capture" / "environment" / f"{i}.png" for i in range(2)]
+        self.expect_refusal(["plain"], "hdr", "merge", *pictures, "--times", "0.01,0.04", "--response", "srgb", "-o",
+                            self.below / "merged.exr")
+        self.expect_refusal(["plain"], "bake", self.root / "cube.obj", "-o", self.below / "cube.glb", "--samples", 64)
+        self.expect_refusal(["plain"], "render", "--scene", self.root / "scene.toml", "--environment",
+                            self.root / "even.hdr", "--camera", self.root / "camera.toml", "--without-objects", "-o",
+                            self.below / "picture.exr")
+        self.expect_refusal(["plain"], "composite", "--capture", self.root / "capture", "--scene",
+                            self.root / "scene.toml", "--out", self.below)
+        self.expect_refusal(["plain"], "demo", "--headless", "--out", self.below)
+        self.expect_refusal(["plain"], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
+                            self.root / "even.hdr", "--asset", self.root / "cube.obj", "--still-only", "--bands", 1,
+                            "--out", self.root / "out" / "demo", "--record", self.below)
+        self.assertEqual((self.root / "plain").read_text(), "a file")
+
+    def test_output_of_an_unknown_kind(self):
+        pictures = [self.root / "capture" / "environment" / f"{i}.png" for i in range(2)]
+        self.expect_refusal(["merged.txt"], "hdr", "merge", *pictures, "--times", "0.01,0.04", "--response", "srgb", "-o",
+                            self.root / "out" / "merged.txt")
+        self.expect_refusal(["cube.obj"], "bake", self.root / "cube.obj", "-o", self.root / "out" / "cube.obj")
+        self.expect_refusal(["picture.png"], "render", "--scene", self.root / "scene.toml", "--environment",
+                            self.root / "even.hdr", "--camera", self.root / "camera.toml", "-o",
+                            self.root / "out" / "picture.png")
+
+
+if __name__ == "__main__":
+    sys.exit(main(__name__))

@@ -1,0 +1,89 @@
+"""What the tests of the program share: a folder of their own, running it, and what a refusal is."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+PROGRAM = ""
+
+
+def program():
+    return PROGRAM
+
+
+class CliTest(unittest.TestCase):
+    """A folder of its own, with its own empty bake cache, for every class."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.root = Path(tempfile.mkdtemp(prefix="penumbra-cli-"))
+        cls.environment = dict(os.environ, XDG_CACHE_HOME=str(cls.root / "cache"))
+        for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+            cls.environment.pop(name, None)
+        cls.make_files()
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.root, ignore_errors=True)
+
+    @classmethod
+    def make_files(cls):
+        pass
+
+    @classmethod
+    def run_program(cls, *arguments):
+        return subprocess.run([PROGRAM, *map(str, arguments)], env=cls.environment, capture_output=True, text=True,
+                              errors="replace", timeout=300, cwd=cls.root, check=False)
+
+    def run_well(self, *arguments):
+        done = self.run_program(*arguments)
+        if done.returncode == 2 and re.search(r"EGL|OpenGL ES", done.stderr):
+            self.skipTest("no OpenGL ES 3.1: " + done.stderr.strip())
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertNotIn("penumbra:", done.stderr)
+        return done.stdout
+
+    def run_json(self, *arguments):
+        out = self.run_well(*arguments, "--json")
+        value = json.loads(out)  # one object and nothing else
+        self.assertIsInstance(value, dict)
+        return value
+
+    def expect_refusal(self, words, *arguments):
+        """Exit status 2, one line that names the thing, nothing left in the folder out/."""
+        out = self.root / "out"
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        done = self.run_program(*arguments)
+        what = f"{' '.join(map(str, arguments))}\n{done.stderr}"
+        self.assertEqual(done.returncode, 2, what)
+        lines = done.stderr.splitlines()
+        self.assertTrue(lines, what)
+        self.assertRegex(lines[-1], r"^penumbra: [^:].*: .", what)
+        for line in lines[:-1]:
+            self.assertRegex(line, r"^(info|warning): ", what)
+        for word in ["terminate called", "what()", "Assertion", "Sanitizer"]:
+            self.assertNotIn(word, done.stderr)
+        for word in words:
+            self.assertIn(word, lines[-1], what)
+        self.assertEqual(done.stdout, "", what)
+        self.assertEqual([str(p) for p in out.rglob("*") if p.is_file()], [], "left behind by " + what)
+
+    def assert_close(self, found, expected, tolerance):
+        self.assertLessEqual(abs(found - expected), tolerance, f"{found} is not {expected}")  # NaN fails
+
+
+def main(module):
+    global PROGRAM
+    PROGRAM = str(Path(sys.argv[1]).resolve())
+    program = unittest.main(module=module, argv=[sys.argv[0], *sys.argv[2:]], exit=False)
+    result = program.result
+    if result.wasSuccessful() and result.skipped and len(result.skipped) == result.testsRun:
+        return 77
+    return 0 if result.wasSuccessful() else 1

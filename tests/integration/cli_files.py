@@ -1,0 +1,164 @@
+"""Small input files, written by hand, and a PNG reader. Standard library only."""
+
+import math
+import struct
+import zlib
+from pathlib import Path
+
+
+def write_png(path, width, height, pixel, bits=8):
+    """pixel(x, y) -> (r, g, b) codes."""
+    rows = b""
+    for y in range(height):
+        codes = [c for x in range(width) for c in pixel(x, y)]
+        rows += b"\0" + struct.pack(f">{len(codes)}{'B' if bits == 8 else 'H'}", *codes)
+
+    def chunk(kind, body):
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0)
+    Path(path).write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) +
+                           chunk(b"IEND", b""))
+
+
+def read_png(path):
+    """(width, height, bytes of RGB) of an 8-bit RGB PNG."""
+    data, at, packed, header = Path(path).read_bytes(), 8, b"", None
+    while at < len(data):
+        length, kind = struct.unpack(">I4s", data[at:at + 8])
+        body = data[at + 8:at + 8 + length]
+        at += 12 + length
+        if kind == b"IHDR":
+            header = struct.unpack(">IIBBBBB", body)
+        if kind == b"IDAT":
+            packed += body
+    width, height, bits, colour = header[:4]
+    assert (bits, colour) == (8, 2), header
+    raw, stride = zlib.decompress(packed), 3 * width
+    above, out = bytearray(stride), bytearray()
+    for y in range(height):
+        start = y * (stride + 1)
+        above = unfilter(raw[start], bytearray(raw[start + 1:start + 1 + stride]), above)
+        out += above
+    return width, height, bytes(out)
+
+
+def unfilter(kind, row, above):
+    """PNG specification, section 9."""
+    for i in range(len(row)):
+        a, b, c = (row[i - 3] if i >= 3 else 0), above[i], (above[i - 3] if i >= 3 else 0)
+        if kind == 1:
+            guess = a
+        elif kind == 2:
+            guess = b
+        elif kind == 3:
+            guess = (a + b) // 2
+        elif kind == 4:
+            p = a + b - c
+            guess = min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
+        else:
+            guess = 0
+        row[i] = (row[i] + guess) & 255
+    return row
+
+
+def write_hdr(path, width, height, rgb):
+    """A constant picture as flat RGBE."""
+    mantissa, exponent = math.frexp(max(rgb))
+    scale = mantissa * 256 / max(rgb)
+    pixel = bytes([int(c * scale) for c in rgb] + [exponent + 128])
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    Path(path).write_bytes(head + pixel * (width * height))
+
+
+CUBE = """v -0.2 0 -0.2
+v 0.2 0 -0.2
+v 0.2 0 0.2
+v -0.2 0 0.2
+v -0.2 0.4 -0.2
+v 0.2 0.4 -0.2
+v 0.2 0.4 0.2
+v -0.2 0.4 0.2
+f 1 2 3
+f 1 3 4
+f 5 7 6
+f 5 8 7
+f 1 6 2
+f 1 5 6
+f 2 7 3
+f 2 6 7
+f 3 8 4
+f 3 7 8
+f 4 5 1
+f 4 8 5
+"""
+
+SCENE = """version = 1
+[[object]]
+name = "cube"
+asset = "cube.obj"
+albedo = [0.6, 0.6, 0.6]
+[[real]]
+plane = { point = [0, 0, 0], normal = [0, 1, 0] }
+albedo = [0.4, 0.4, 0.4]
+"""
+
+# 1.2 m high, 2 m away, looking down by half a radian.
+CAMERA = """version = 1
+[[camera]]
+name = "view"
+role = "view"
+width = 64
+height = 48
+projection = "pinhole"
+focal_px = [60, 60]
+world_from_camera = [1,0,0,0, 0,0.87758256,-0.47942554,0, 0,0.47942554,0.87758256,0, 0,1.2,2,1]
+"""
+
+
+def write_scene(folder):
+    (folder / "cube.obj").write_text(CUBE)
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "camera.toml").write_text(CAMERA)
+
+
+CAPTURE = """version = 1
+[[camera]]
+name = "environment"
+role = "environment"
+width = 32
+height = 16
+projection = "latlong"
+response = "srgb"
+black_level = 0.0
+world_from_camera = [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,1,0,1]
+frames = "environment.csv"
+[[camera]]
+name = "view"
+role = "view"
+width = 64
+height = 48
+projection = "pinhole"
+focal_px = [60, 60]
+response = "srgb"
+black_level = 0.0
+world_from_camera = [1,0,0,0, 0,0.87758256,-0.47942554,0, 0,0.47942554,0.87758256,0, 0,1.2,2,1]
+frames = "view.csv"
+"""
+
+
+def write_capture(folder, codes=(60, 160), exposures=("0.01", "0.04")):
+    """Two environment exposures of a grey room and three view frames."""
+    for name in ("environment", "view"):
+        (folder / name).mkdir(parents=True)
+    (folder / "capture.toml").write_text(CAPTURE)
+    rows = "file,time_s,exposure_s,gain\n"
+    for i, (code, exposure) in enumerate(zip(codes, exposures)):
+        write_png(folder / "environment" / f"{i}.png", 32, 16, lambda x, y, c=code: (c, c, c))
+        rows += f"environment/{i}.png,{i * 0.03},{exposure},1\n"
+    (folder / "environment.csv").write_text(rows)
+    rows = "file,time_s,exposure_s,gain\n"
+    for i in range(3):
+        write_png(folder / "view" / f"{i}.png", 64, 48, lambda x, y, i=i: ((7 * x + i) % 256, 5 * y, (x * y) % 256))
+        rows += f"view/{i}.png,{0.04 + i * 0.03},0.02,1\n"
+    (folder / "view.csv").write_text(rows)

@@ -1,0 +1,263 @@
+#!/usr/bin/env python3
+"""Runs the program as a user does: cli_test.py PROGRAM [CLASS...]"""
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import cli_files as files
+from cli_case import CliTest, main, program
+
+SUMMARY_KEYS = {"frames", "dropped", "seconds", "fps", "stages", "configuration", "touched_fraction"}
+
+
+class DemoAndComposite(CliTest):
+    def check_summary(self, summary):
+        self.assertLessEqual(SUMMARY_KEYS, set(summary))
+        self.assertEqual(summary["frames"], 12)
+        self.assertEqual(summary["dropped"], 0)
+        self.assertTrue(0 < summary["touched_fraction"] < 1)
+        self.assertTrue(summary["stages"])
+        for stage in summary["stages"].values():
+            self.assertLessEqual({"p50_ms", "p99_ms"}, set(stage))
+            self.assertLessEqual(stage["p50_ms"], stage["p99_ms"])
+        self.assertLessEqual({"bands", "discs", "exposures"}, set(summary["configuration"]))
+
+    def test_recorded_demo_replays_to_the_same_pictures_and_bytes(self):
+        demo, record = self.root / "demo", self.root / "record"
+        printed = self.run_json("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out", demo,
+                                "--record", record)
+        self.check_summary(printed)
+        self.check_summary(json.loads((demo / "summary.json").read_text()))
+        runs = [self.root / "first", self.root / "second"]
+        for run in runs:
+            self.check_summary(self.run_json("composite", "--capture", record, "--scene", record / "scene.toml",
+                                             "--out", run))
+            self.check_summary(json.loads((run / "summary.json").read_text()))
+        names = sorted(p.name for p in runs[0].iterdir())
+        frames = [f"frame_{i:06}.png" for i in range(12)]
+        self.assertEqual(names, sorted(frames + ["summary.json", "video.mp4"]))
+        self.assertEqual(names, sorted(p.name for p in runs[1].iterdir()))
+        for name in frames + ["video.mp4"]:
+            self.assertEqual((runs[0] / name).read_bytes(), (runs[1] / name).read_bytes(), name)
+        self.assertEqual((demo / "video.mp4").read_bytes(), (runs[0] / "video.mp4").read_bytes())
+        self.assertEqual(files.read_png(demo / "still.png"), files.read_png(runs[0] / frames[-1]))
+        self.assertNotEqual(files.read_png(demo / "still.png"), files.read_png(demo / "camera.png"), "nothing drawn")
+
+
+class LightEstimate(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+
+    def test_constant_environment_has_its_mean_alone(self):
+        for bands in (1, 3, 9):
+            light = self.run_json("light", "estimate", self.root / "even.hdr", "--bands", bands)
+            self.assertEqual(light["bands"], bands)
+            self.assertEqual(len(light["coefficients"]), bands * bands)
+            for n, triple in enumerate(light["coefficients"]):
+                for value, radiance in zip(triple, (1.0, 0.5, 0.25)):
+                    self.assert_close(value, radiance * math.sqrt(4 * math.pi) if n == 0 else 0, 0.01 * radiance)
+            self.assertEqual(light["discs"], [])
+            for value, radiance in zip(light["mean_radiance"], (1.0, 0.5, 0.25)):
+                self.assert_close(value, radiance, 0.01 * radiance)
+            self.assert_close(light["coverage"], 1, 1e-6)
+            self.assertEqual(light["clipped_fraction"], 0)
+            self.assert_close(light["truncation_error"], 0, 1e-3)
+
+    def test_auto_takes_the_fewest_bands(self):
+        self.assertEqual(self.run_json("light", "estimate", self.root / "even.hdr")["bands"], 1)
+
+    def test_bad_bands_and_projections_are_refused(self):
+        for bands in ("0", "10", "two", "2.5", ""):
+            self.expect_refusal(["bands"], "light", "estimate", self.root / "even.hdr", "--bands", bands)
+        self.expect_refusal(["projection"], "light", "estimate", self.root / "even.hdr", "--projection", "flat")
+
+
+class HdrMerge(CliTest):
+    @classmethod
+    def make_files(cls):
+        # Linear codes of radiance 40 at 1/400, 1/100 and 1/25 s: .1, .4, clipped; in part a tenth of it.
+        for name, code in (("a", 25.5), ("b", 102), ("c", 408)):
+            files.write_png(cls.root / f"{name}.png", 20, 10,
+                            lambda x, y, c=code: (min(255, round(c * (1 if x < 10 else 0.1))),) * 3)
+
+    def test_bracket_gives_its_radiance(self):
+        images = [self.root / f"{n}.png" for n in "abc"]
+        out = self.root / "merged.hdr"
+        report = self.run_json("hdr", "merge", *images, "--times", "1/400,0.01,0.04", "--response", "linear", "-o", out)
+        self.assertLessEqual({"width", "height", "exposures_used", "clipped_fraction", "black_fraction"}, set(report))
+        self.assertEqual((report["width"], report["height"], report["exposures_used"]), (20, 10, 3))
+        self.assertEqual(report["clipped_fraction"], 0)
+        picture = self.run_json("inspect", out)
+        self.assert_close(picture["largest_luminance"], 40, 0.8)
+        self.assert_close(picture["smallest_positive_luminance"], 4, 0.12)
+
+    def test_order_of_the_images_does_not_matter(self):
+        outs = [self.root / "one.hdr", self.root / "two.hdr"]
+        for out, names, times in zip(outs, ("abc", "cab"), ("1/400,0.01,0.04", "0.04,1/400,0.01")):
+            self.run_well("hdr", "merge", *[self.root / f"{n}.png" for n in names], "--times", times, "--response",
+                          "linear", "-o", out)
+        self.assert_close(self.run_json("compare", *outs)["rel_rmse"], 0, 1e-3)
+
+
+class Bake(CliTest):
+    def test_built_in_object_gives_a_file_that_inspect_knows(self):
+        out = self.root / "knot.glb"
+        report = self.run_json("bake", "builtin:knot", "-o", out, "--bands", 2, "--bounces", 1, "--samples", 64)
+        keys = {"vertices", "texels", "coefficients", "rays", "seconds", "rays_per_second", "standard_error", "bytes"}
+        self.assertLessEqual(keys, set(report))
+        self.assertEqual(report["coefficients"], 4)
+        self.assertEqual(report["bytes"], out.stat().st_size)
+        self.assertGreater(report["rays"], report["vertices"])
+        self.assertTrue(0 < report["standard_error"] < 0.2)
+        known = self.run_json("inspect", out)
+        self.assertEqual((known["kind"], known["bands"], known["vertices"]), ("baked object", 2, report["vertices"]))
+
+
+class Render(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+
+    def render(self, name, *more):
+        out = self.root / name
+        self.run_json("render", "--scene", self.root / "scene.toml", "--environment", self.root / "even.hdr",
+                      "--camera", self.root / "camera.toml", "-o", out, *more)
+        return out
+
+    def test_composite_agrees_with_the_path_traced_reference(self):
+        empty, truth_empty = self.render("e.exr", "--without-objects"), self.render("te.exr", "--without-objects",
+                                                                                   "--reference", "--error", 0.02)
+        self.assert_close(self.run_json("compare", empty, truth_empty)["rel_rmse"], 0, 0.03)
+        ours, truth = self.render("o.exr"), self.render("t.exr", "--reference", "--error", 0.02)
+        wrong = self.run_json("compare", ours, truth)["rel_rmse"]
+        drawn = self.run_json("compare", truth, empty)["rel_rmse"]
+        self.assertGreater(drawn, 0.05, "nothing drawn")
+        self.assertLess(wrong, 0.3 * drawn)
+
+
+class Files(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_capture(cls.root / "capture")
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        files.write_png(cls.root / "a.png", 9, 7, lambda x, y: (x, y, 200))
+        files.write_png(cls.root / "b.png", 9, 7, lambda x, y: (x, y, 201))
+        files.write_png(cls.root / "wide.png", 9, 7, lambda x, y: (1000 * x, y, 2), bits=16)
+
+    def test_inspect_knows_every_kind(self):
+        for name, kind in (("a.png", "8-bit picture"), ("wide.png", "16-bit picture"), ("even.hdr", "HDR picture"),
+                           ("cube.obj", "mesh"), ("scene.toml", "scene"), ("camera.toml", "camera"),
+                           ("capture", "capture folder")):
+            self.assertEqual(self.run_json("inspect", self.root / name)["kind"], kind, name)
+        self.assertEqual([c["frames"] for c in self.run_json("inspect", self.root / "capture")["cameras"]], [2, 3])
+
+    def test_compare_measures_the_difference(self):
+        keys = {"rel_rmse", "log10_rmse", "psnr_db", "max_abs"}
+        same = self.run_json("compare", self.root / "a.png", self.root / "a.png")
+        self.assertLessEqual(keys, set(same))
+        self.assertEqual((same["rel_rmse"], same["log10_rmse"], same["max_abs"]), (0, 0, 0))
+        other = self.run_json("compare", self.root / "a.png", self.root / "b.png")
+        self.assert_close(other["max_abs"], 1 / 255, 1e-6)
+        self.assertGreater(other["rel_rmse"], 0)
+
+    def test_compare_refuses_pictures_of_different_sizes(self):
+        self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")
+
+
+class Serve(CliTest):
+    @classmethod
+    def make_files(cls):
+        files.write_scene(cls.root)
+        files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
+        (cls.root / "rig.toml").write_text(
+            'version = 1\n[capture]\nsource = "studio"\nenvironment = "even.hdr"\nwidth = 128\nheight = 96\n'
+            '[scene]\nfile = "scene.toml"\n[light]\nbands = 2\nstale_after_s = 5\n[http]\nport = 0\n')
+
+    def setUp(self):
+        self.lines = []
+        self.process = subprocess.Popen([program(), "serve", "--config", str(self.root / "rig.toml")],
+                                        env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(self.finish)
+        listening = threading.Event()
+
+        def read():
+            for line in self.process.stderr:
+                self.lines.append(line)
+                if "listening on" in line:
+                    listening.set()
+            listening.set()
+
+        self.reader = threading.Thread(target=read)
+        self.reader.start()
+        listening.wait(120)
+        said = "".join(self.lines)
+        found = re.search(r"listening on http://127\.0\.0\.1:(\d+)", said)
+        if not found and re.search(r"EGL|OpenGL ES", said):
+            self.skipTest("no OpenGL ES 3.1: " + said.strip())
+        self.assertTrue(found, said)
+        self.base = f"http://127.0.0.1:{found.group(1)}"
+
+    def finish(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self.reader.join()
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+    def get(self, path, method="GET"):
+        """(status, kind, body)"""
+        request = urllib.request.Request(self.base + path, method=method)
+        try:
+            with urllib.request.urlopen(request, timeout=20) as reply:
+                return reply.status, reply.headers.get("Content-Type", ""), reply.read()
+        except urllib.error.HTTPError as e:
+            with e:
+                return e.code, e.headers.get("Content-Type", ""), e.read()
+
+    def wait_until_ok(self):
+        for _ in range(300):
+            status, _, body = self.get("/healthz")
+            health = json.loads(body)
+            if health["status"] == "ok":
+                self.assertEqual(status, 200)
+                return health
+            self.assertEqual(status, 503)
+            time.sleep(0.1)
+        self.fail(f"never ok: {health}\n{''.join(self.lines)}")
+
+    def test_service_answers_and_ends_when_told(self):
+        self.assertGreater(self.wait_until_ok()["frames"], 0)
+        status, kind, body = self.get("/v1/light")
+        self.assertEqual((status, kind), (200, "application/json"))
+        light = json.loads(body)
+        self.assertLessEqual({"bands", "coefficients", "discs", "mean_radiance", "coverage", "clipped_fraction",
+                              "truncation_error", "time_ns", "age_s", "valid"}, set(light))
+        self.assertEqual((light["bands"], len(light["coefficients"]), light["valid"]), (2, 4, True))
+        red, green, blue = light["coefficients"][0]
+        self.assert_close(green / red, 0.5, 0.02)
+        self.assert_close(blue / red, 0.25, 0.02)
+        status, kind, body = self.get("/v1/frame.jpg")
+        self.assertEqual((status, kind, body[:3]), (200, "image/jpeg", b"\xff\xd8\xff"))
+        for path in ("/v1/nothing", "/", "/v1/light/..%2f..%2fetc", "/" + "x" * 3000):
+            status, kind, body = self.get(path)
+            self.assertEqual((status, kind), (404, "application/json"), path)
+            self.assertIn("error", json.loads(body))
+        self.assertGreaterEqual(self.get("/healthz", "DELETE")[0], 400)
+        self.process.send_signal(signal.SIGTERM)
+        self.assertEqual(self.process.wait(timeout=60), 0, "".join(self.lines))
+
+
+if __name__ == "__main__":
+    sys.exit(main(__name__))

@@ -1,0 +1,56 @@
+#include "service/http_api.h"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cstdlib>
+
+namespace penumbra::service {
+namespace {
+
+TEST(HttpApi, TakesAnyFreePortAndRefusesOneInUse) {
+  const PublishedState state;
+  const StageTimes times;
+  const auto first = HttpApi::start("127.0.0.1", 0, state, times, 1);
+  ASSERT_TRUE(first) << first.error().detail;
+  EXPECT_GT((*first)->port(), 0);
+  const auto second = HttpApi::start("127.0.0.1", 0, state, times, 1);
+  ASSERT_TRUE(second);
+  EXPECT_NE((*second)->port(), (*first)->port());
+  ::usleep(200'000);  // both threads listen; see the next test
+}
+
+void start_and_stop_often() {
+  ::alarm(60);  // ends a process that hangs; no measure of speed
+  const PublishedState state;
+  const StageTimes times;
+  for (int i = 0; i < 300; ++i)
+    if (!HttpApi::start("127.0.0.1", 0, state, times, 1)) std::exit(1);
+  std::exit(0);
+}
+
+TEST(HttpApiDeathTest, StopsEvenBeforeItsThreadListens) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(start_and_stop_often(), testing::ExitedWithCode(0), "");
+}
+
+TEST(PublishedState, HandsOutTheNewest) {
+  PublishedState state;
+  EXPECT_FALSE(state.snapshot().light.valid);
+  EXPECT_FALSE(state.snapshot().frame);
+  lighting::LightEstimate light;
+  light.valid = true;
+  for (std::int64_t i = 1; i <= 3; ++i) {
+    const auto frame = std::make_shared<const FramePixels>(Image<Rgb8>(int(i), 1));
+    state.publish(light, {i}, frame);
+    const auto s = state.snapshot();
+    EXPECT_EQ(s.now.value, i);
+    EXPECT_EQ(s.frame, frame);
+    EXPECT_EQ(s.frames, std::uint64_t(i));
+    EXPECT_TRUE(s.light.valid);
+    EXPECT_GE(s.idle_s, 0);
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::service

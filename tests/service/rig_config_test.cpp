@@ -1,0 +1,125 @@
+#include "service/rig_config.h"
+
+#include <gtest/gtest.h>
+
+#include <fstream>
+
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::service {
+namespace {
+
+class RigConfigFile : public testing::Test {
+ protected:
+  std::filesystem::path path() const { return folder_.path() / "rig.toml"; }
+  Result<RigConfig> read(const std::string& text) {
+    std::ofstream(path(), std::ios::binary) << text;
+    return read_rig_config(path());
+  }
+  void expect_invalid(const std::string& text, int line, const std::string& word) {
+    const auto config = read(text);
+    ASSERT_FALSE(config) << text;
+    EXPECT_EQ(config.error().code, ErrorCode::kInvalid) << config.error().detail;
+    EXPECT_EQ(config.error().where, path().string() + ":" + std::to_string(line))
+        << config.error().detail;
+    EXPECT_NE(config.error().detail.find(word), std::string::npos) << config.error().detail;
+  }
+  test::TempFolder folder_;
+};
+
+const std::string kStudio = "version = 1\n[capture]\nsource = \"studio\"\n";
+
+TEST_F(RigConfigFile, StudioNeedsOneLineAndHasSafeDefaults) {
+  const auto c = read(kStudio);
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_EQ(c->source, "studio");
+  EXPECT_EQ(c->address, "127.0.0.1");
+  EXPECT_EQ(c->bands, RigConfig{}.bands);
+  EXPECT_FALSE(c->scene || c->environment || c->asset);
+}
+
+TEST_F(RigConfigFile, EveryKeyIsRead) {
+  const auto c = read(
+      "version = 1\n[capture]\nsource = \"rec\"\nenvironment = \"sky.hdr\"\nasset = "
+      "\"builtin:knot\"\n"
+      "fps = 59.94\nwidth = 320\nheight = 180\n[scene]\nfile = \"/abs/scene.toml\"\n"
+      "[light]\nbands = 3\nstale_after_s = 0.25\n[http]\naddress = \"::1\"\nport = 0\n");
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_EQ(c->source, (folder_.path() / "rec").string())
+      << "paths are meant from the file's folder";
+  EXPECT_EQ(c->environment, (folder_.path() / "sky.hdr").string());
+  EXPECT_EQ(c->asset, "builtin:knot");
+  EXPECT_EQ(c->scene, "/abs/scene.toml");
+  EXPECT_DOUBLE_EQ(c->fps, 59.94);
+  EXPECT_EQ(c->width, 320);
+  EXPECT_EQ(c->height, 180);
+  EXPECT_EQ(c->bands, 3);
+  EXPECT_DOUBLE_EQ(c->stale_after_s, .25);
+  EXPECT_EQ(c->address, "::1");
+  EXPECT_EQ(c->port, 0);
+}
+
+TEST_F(RigConfigFile, UnknownKeysAreNamedWithFileAndLine) {
+  expect_invalid(kStudio + "colour = 3\n", 4, "colour");
+  expect_invalid("version = 1\nlights = 1\n[capture]\nsource = \"studio\"\n", 2, "lights");
+  expect_invalid(kStudio + "[scene]\npath = \"a\"\n", 5, "path");
+  expect_invalid(kStudio + "[light]\nband = 3\n", 5, "band");
+  expect_invalid(kStudio + "[http]\nhost = \"a\"\n", 5, "host");
+}
+
+TEST_F(RigConfigFile, BadValuesAreNamedWithFileAndLine) {
+  for (const auto& [line, word] : {std::pair{"fps = 0", "fps"},
+                                   {"fps = -1", "fps"},
+                                   {"fps = nan", "fps"},
+                                   {"fps = inf", "fps"},
+                                   {"fps = \"30\"", "fps"},
+                                   {"width = 0", "width"},
+                                   {"width = 63", "width"},
+                                   {"width = 1e9", "width"},
+                                   {"height = 100000", "height"},
+                                   {"environment = 3", "environment"}})
+    expect_invalid(kStudio + line + "\n", 4, word);
+  for (const auto& [line, word] : {std::pair{"[light]\nbands = 0", "bands"},
+                                   {"[light]\nbands = 10", "bands"},
+                                   {"[light]\nbands = 2.5", "bands"},
+                                   {"[light]\nstale_after_s = 0", "stale_after_s"},
+                                   {"[http]\nport = -1", "port"},
+                                   {"[http]\nport = 65536", "port"},
+                                   {"[http]\nport = \"80\"", "port"}})
+    expect_invalid(kStudio + line + "\n", 5, word);
+  expect_invalid("version = 1\ncapture = 3\n", 2, "capture");
+  expect_invalid("version = 3\n[capture]\nsource = \"studio\"\n", 1, "version");
+}
+
+TEST_F(RigConfigFile, AddressesThatAreNotLoopbackAreRefused) {
+  for (const char* address :
+       {"0.0.0.0", "192.168.1.10", "::", "example.com", "", "128.0.0.1", "127.0.0.1.example.com",
+        "127.example.com", "localhost.example.com", "::ffff:192.168.1.10"})
+    expect_invalid(kStudio + "[http]\naddress = \"" + address + "\"\n", 5, "loopback");
+  for (const char* address : {"127.0.0.1", "127.1.2.3", "localhost", "::1"})
+    EXPECT_TRUE(read(kStudio + "[http]\naddress = \"" + address + "\"\n")) << address;
+}
+
+TEST_F(RigConfigFile, CaptureFolderNeedsAScene) {
+  const auto c = read("version = 1\n[capture]\nsource = \"recording\"\n");
+  ASSERT_FALSE(c);
+  EXPECT_EQ(c.error().code, ErrorCode::kInvalid);
+  EXPECT_NE(c.error().detail.find("scene"), std::string::npos);
+}
+
+TEST_F(RigConfigFile, MissingAndDamagedFilesAreErrors) {
+  const auto absent = read_rig_config(folder_.path() / "nowhere.toml");
+  ASSERT_FALSE(absent);
+  EXPECT_EQ(absent.error().code, ErrorCode::kNotFound);
+  for (const char* text : {"", "version = 1\n", "version = 1\n[capture]\n"}) {
+    const auto c = read(text);
+    ASSERT_FALSE(c) << text;
+    EXPECT_EQ(c.error().code, ErrorCode::kInvalid);
+  }
+  const auto damaged = read("version = 1\n[capture\n");
+  ASSERT_FALSE(damaged);
+  EXPECT_EQ(damaged.error().code, ErrorCode::kUnreadable);
+}
+
+}  // namespace
+}  // namespace penumbra::service
