@@ -41,7 +41,7 @@ TEST(PublishedState, HandsOutTheNewest) {
   lighting::LightEstimate light;
   light.valid = true;
   for (std::int64_t i = 1; i <= 3; ++i) {
-    const auto frame = std::make_shared<const FramePixels>(Image<Rgb8>(int(i), 1));
+    const auto frame = std::make_shared<const FramePixels>(Image<Rgb>(4, 2));
     state.publish(light, {i}, frame);
     const auto s = state.snapshot();
     EXPECT_EQ(s.now.value, i);
