@@ -34,7 +34,8 @@ enum class ProjectionKind {
 };
 
 /// Names as in files and options: latlong, angular, mirror-ball, equidistant, pinhole,
-/// vertical-cross, exr-latlong, exr-cube. errors: kInvalid naming the known ones
+/// vertical-cross, exr-latlong, exr-cube.
+/// errors: kInvalid naming the known ones
 Result<ProjectionKind> projection_kind(std::string_view name);
 std::string_view projection_name(ProjectionKind kind);
 
@@ -47,7 +48,8 @@ struct Projection {
 };
 
 /// A projection with defaults filled in: principal point in the middle; equidistant: 180 degrees
-/// across the shorter side; pinhole: 60 degrees across the height. errors: kInvalid (size, aspect
+/// across the shorter side; pinhole: 60 degrees across the height.
+/// errors: kInvalid (size, aspect
 /// of a cross)
 Result<Projection> make_projection(ProjectionKind kind, int width, int height);
 
@@ -80,7 +82,8 @@ class Response {
   static Response srgb();  // IEC 61966-2-1
   static Response gamma(double exponent);
   /// Inverse response sampled at `decode.size()` equidistant codes, per channel; must be monotone
-  /// non-decreasing, 2 samples or more. errors: kInvalid
+  /// non-decreasing, 2 samples or more.
+  /// errors: kInvalid
   static Result<Response> from_table(std::array<std::vector<float>, 3> decode);
 
   double decode(double code, int channel) const;    // code 0..1 -> linear 0..1
@@ -114,7 +117,8 @@ Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
 
 /// Signal y in fractions of full scale at gain g: var(y) = g y / full_well + (g read)^2, where
 /// `full_well` is in electrons at gain 1 and `read` in fractions of full scale at gain 1.
-/// Quantisation is added by whoever knows the bit depth. source: Hasinoff et al. 2010, eq. 1-3
+/// Quantisation is added by whoever knows the bit depth.
+/// source: Hasinoff et al. 2010, eq. 1-3
 struct NoiseModel {
   double full_well_electrons = 20000;
   double read_fraction = 5e-4;

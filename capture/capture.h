@@ -1,5 +1,6 @@
 // Cameras and what becomes of their frames: capture folders, the synthetic studio, HDR merge, and
-// the assembly of a lat-long environment. Nothing here knows spherical harmonics. threads: classes
+// the assembly of a lat-long environment. Nothing here knows spherical harmonics.
+// threads: classes
 // are thread-bound (one thread at a time), free functions reentrant
 #pragma once
 
@@ -55,13 +56,16 @@ class FrameSource {
   virtual const std::vector<CameraInfo>& cameras() const = 0;
   /// The next frame, or nothing at the end.
   virtual Result<std::optional<Frame>> next() = 0;
+  /// Mean rate of the first view camera, frames a second; 0 when it has fewer than two frames.
+  virtual double view_rate() const = 0;
 };
 
 // ------------------------------------------------------------------------------ capture folder
 
 /// Opens a folder with capture.toml (design in docs/capture-folder.md). Everything that can be
 /// checked without decoding a picture is checked here: keys, sizes, exposures (positive, finite),
-/// times (non-decreasing), files present. errors: kNotFound, kInvalid (unknown key, bad value: file
+/// times (non-decreasing), files present.
+/// errors: kNotFound, kInvalid (unknown key, bad value: file
 /// and line), kUnreadable
 Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder);
 
@@ -110,7 +114,8 @@ struct MergedImage {
 /// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from
 /// the Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count. Negative
 /// results are kept; a pixel that is clipped everywhere gets the lower bound of its shortest
-/// exposure. errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and
+/// exposure.
+/// errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and
 /// finite),
 ///          kUndetermined (all black, all clipped)
 /// source:  Granados et al. 2010; start Hanji et al. 2020; weights Hasinoff et al. 2010
@@ -123,7 +128,8 @@ Result<MergedFloat> merge(const ExposureStack& stack);
 
 /// The same estimate for 8-bit frames of a fixed set of exposures, from tables: the longest
 /// unclipped exposure and the next one decide, which costs at most 3 % of RMSE at two stops between
-/// exposures. threads: merge() reentrant, internally parallel, no allocation once `out` has its
+/// exposures.
+/// threads: merge() reentrant, internally parallel, no allocation once `out` has its
 /// size
 class TableMerger {
  public:
@@ -209,7 +215,8 @@ Result<Image<Rgb>> to_latlong(const EnvironmentFile& file);
 
 // ------------------------------------------------------------------------------ synthetic studio
 
-/// What the studio's cameras look at. threads: reentrant
+/// What the studio's cameras look at.
+/// threads: reentrant
 class World {
  public:
   virtual ~World() = default;
@@ -291,6 +298,7 @@ class Studio : public FrameSource {
   Studio(std::shared_ptr<const World> world, StudioOptions options);
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
   Result<std::optional<Frame>> next() override;
+  double view_rate() const override { return options_.view_fps; }
 
   std::span<const Exposure> schedule() const { return options_.schedule; }
   Exposure view_exposure() const { return *options_.view_exposure; }
@@ -309,7 +317,7 @@ class Studio : public FrameSource {
 };
 
 /// The fewest exposures that cover the light's range (methods: schedule), longest first, times in
-/// seconds within [1/20000, 1/30] at gain 1.
+/// seconds within [1/64000, 1/30] at gain 1.
 std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor);
 
 /// A camera at `eye` that looks at `target`, +y up.

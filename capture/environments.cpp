@@ -134,26 +134,19 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
     return Rgb{.11f, .21f, .46f} + Rgb{.35f, .33f, .26f} * low +
            Rgb{.5f, .45f, .35f} * std::pow(gamma, 60.f);
   });
-  // The disc is spread over the pixels by its share of each, so its energy does not depend on the
-  // grid.
-  const glm::dvec2 centre = latlong_pixel(sun, width, height);
-  constexpr int kSamples = 24;
+  // Points of equal area on the disc, each giving its energy to the pixel that it falls on: the energy does
+  // not depend on the grid.
+  constexpr int kPoints = 20000;
   const Rgb radiance{46000, 43000, 38000};
-  const int reach = 2 + static_cast<int>(kSunRadius / kPi * height);
-  const int wide = 2 + static_cast<int>(reach / std::max(.05, std::cos(sun_elevation_rad)));
-  for (int y = std::max(0, int(centre.y) - reach); y <= std::min(height - 1, int(centre.y) + reach);
-       ++y)
-    for (int x = int(centre.x) - wide; x <= int(centre.x) + wide; ++x) {
-      int hits = 0;
-      for (int k = 0; k < kSamples * kSamples; ++k) {
-        const dvec3 d =
-            latlong_direction(x + (k % kSamples + .5) / kSamples,
-                              y + (double(k / kSamples) + .5) / kSamples, width, height);
-        hits += glm::dot(d, sun) > std::cos(kSunRadius);
-      }
-      map.at(((x % width) + width) % width, y) +=
-          radiance * (static_cast<float>(hits) / (kSamples * kSamples));
-    }
+  const double cap = 1 - std::cos(kSunRadius);
+  const dvec3 side = glm::normalize(glm::cross(sun, dvec3(0, 1, .1))), up = glm::cross(side, sun);
+  for (int i = 0; i < kPoints; ++i) {
+    const double c = 1 - cap * (i + .5) / kPoints, s = std::sqrt(1 - c * c), a = i * 2.39996322972865332;
+    const glm::dvec2 p = latlong_pixel(c * sun + s * (std::cos(a) * side + std::sin(a) * up), width, height);
+    const int x = std::min(static_cast<int>(p.x), width - 1), y = std::min(static_cast<int>(p.y), height - 1);
+    const double share = 2 * kPi * cap / kPoints / latlong_solid_angle(y, width, height);
+    map.at(x, y) += radiance * static_cast<float>(share);
+  }
   return map;
 }
 

@@ -33,6 +33,14 @@ class FolderSource final : public FrameSource {
 
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
 
+  double view_rate() const override {
+    const auto view = std::ranges::find(cameras_, Role::kView, &CameraInfo::role);
+    if (view == cameras_.end()) return 0;
+    const auto& rows = rows_[static_cast<std::size_t>(view - cameras_.begin())];
+    const double span = rows.size() > 1 ? (rows.back().time - rows.front().time).count() : 0;
+    return span > 0 ? static_cast<double>(rows.size() - 1) / span : 0;
+  }
+
   Result<std::optional<Frame>> next() override {
     if (position_ == order_.size()) return std::nullopt;
     const Entry entry = order_[position_++];  // a bad picture does not stop the rest

@@ -28,18 +28,21 @@ inline constexpr std::string_view kManifestName = "capture.toml";
 inline constexpr std::string_view kListHeader = "file,time_s,exposure_s,gain";
 inline constexpr std::string_view kPoseHeader = ",tx,ty,tz,qx,qy,qz,qw";
 
-/// Reads capture.toml and every camera's frame list. errors: as open_capture_folder
+/// Reads capture.toml and every camera's frame list.
+/// errors: as open_capture_folder
 Result<std::vector<FolderCamera>> read_manifest(const std::filesystem::path& folder);
 
 /// capture.toml's text. `responses`: what each camera's response key says.
 std::string print_manifest(const std::vector<CameraInfo>& cameras,
                            const std::vector<std::string>& responses);
 
-/// Reads NAME.csv. errors: kNotFound, kInvalid (file and line)
+/// Reads NAME.csv.
+/// errors: kNotFound, kInvalid (file and line)
 Result<std::vector<FrameRow>> read_frame_list(const std::filesystem::path& folder,
                                               const std::string& list);
 
-/// One line without its header; `with_pose` as the header says. errors: kInvalid, `where` is given
+/// One line without its header; `with_pose` as the header says.
+/// errors: kInvalid, `where` is given
 Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::string& where);
 std::string print_row(const FrameRow& row);
 

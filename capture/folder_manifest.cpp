@@ -209,7 +209,7 @@ std::string print_manifest(const std::vector<CameraInfo>& cameras,
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const CameraInfo& c = cameras[i];
     const auto& p = c.projection;
-    text += fmt::format("\n[[camera]]\nname = \"{}\"\nrole = \"{}\"\n", c.name,
+    text += fmt::format("\n[[camera]]\nname = {}\nrole = \"{}\"\n", toml_quoted(c.name),
                         c.role == Role::kView ? "view" : "environment");
     if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
     text += fmt::format("width = {}\nheight = {}\nprojection = \"{}\"\n", p.width, p.height,
@@ -217,12 +217,12 @@ std::string print_manifest(const std::vector<CameraInfo>& cameras,
     if (has_intrinsics(p.kind))
       text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
                           p.focal_px.y, p.principal_px.x, p.principal_px.y);
-    text += fmt::format("response = \"{}\"\nblack_level = {}\n", responses[i], c.black_level);
+    text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(responses[i]), c.black_level);
     text += fmt::format("full_well_electrons = {}\nread_fraction = {}\n",
                         c.noise.full_well_electrons, c.noise.read_fraction);
     const glm::dmat4 m = c.world_from_camera.matrix();
     text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
-    text += fmt::format("frames = \"{}.csv\"\n", c.name);
+    text += fmt::format("frames = {}\n", toml_quoted(c.name + ".csv"));
   }
   return text;
 }

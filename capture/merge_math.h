@@ -59,7 +59,8 @@ inline double estimate_radiance(std::span<const Measurement> measured,
   return x;
 }
 
-/// Whether exposures are positive and finite. errors: kInvalid naming the number
+/// Whether exposures are positive and finite.
+/// errors: kInvalid naming the number
 Result<void> check_exposures(std::span<const Exposure> exposures);
 
 }  // namespace penumbra::capture

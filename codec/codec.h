@@ -30,7 +30,8 @@ struct HdrImage {
 
 /// Reads .exr (RGB, grey, luminance/chroma; scan lines or tiles, level 0; first part) or Radiance
 /// .hdr (RGBE or XYZE, old or new run lengths, any orientation, lines before the magic). Kind by
-/// content. errors:  kNotFound, kUnreadable (truncated, damaged, no colour channels), kInvalid (too
+/// content.
+/// errors:  kNotFound, kUnreadable (truncated, damaged, no colour channels), kInvalid (too
 /// large)
 Result<HdrImage> read_hdr(const std::filesystem::path& path);
 
@@ -40,7 +41,8 @@ Result<HdrImage> decode_radiance(std::span<const unsigned char> bytes, const std
 enum class Depth { kHalf, kFloat };
 
 /// Writes .exr (ZIP) or .hdr by extension, atomically. .hdr cannot hold negative values: they are
-/// 0. errors:  kInvalid (empty, unknown extension), kUnwritable
+/// 0.
+/// errors:  kInvalid (empty, unknown extension), kUnwritable
 Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixels,
                        Depth depth = Depth::kHalf,
                        std::optional<EnvironmentAttribute> environment = std::nullopt);
@@ -55,7 +57,8 @@ Result<FramePixels> read_frame(const std::filesystem::path& path);
 Result<void> write_frame(const std::filesystem::path& path, const Image<Rgb8>& pixels);
 Result<void> write_frame(const std::filesystem::path& path, const Image<Rgb16>& pixels);
 
-/// JPEG bytes of a picture; quality 1..100. errors: kInvalid (empty)
+/// JPEG bytes of a picture; quality 1..100.
+/// errors: kInvalid (empty)
 Result<std::vector<unsigned char>> encode_jpeg(const Image<Rgb8>& pixels, int quality = 90);
 
 }  // namespace penumbra::codec

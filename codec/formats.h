@@ -18,14 +18,16 @@ using Bytes = std::span<const unsigned char>;
 bool is_exr(Bytes bytes);
 bool is_radiance(Bytes bytes);
 
-/// OpenEXR or Radiance by content; `name` stands in errors. errors: as read_hdr
+/// OpenEXR or Radiance by content; `name` stands in errors.
+/// errors: as read_hdr
 Result<HdrImage> decode_hdr(Bytes bytes, const std::string& name);
 Result<HdrImage> decode_exr(Bytes bytes, const std::string& name);
 
 /// Radiance file; the picture must not be empty.
 std::string encode_radiance(const Image<Rgb>& pixels);
 
-/// The one place where the limits of codec.h are applied. errors: kInvalid, kUnreadable (no area)
+/// The one place where the limits of codec.h are applied.
+/// errors: kInvalid, kUnreadable (no area)
 inline Result<void> check_size(std::int64_t width, std::int64_t height, const std::string& name) {
   if (width <= 0 || height <= 0) return fail(ErrorCode::kUnreadable, name, "picture without area");
   if (width > kMaxSide || height > kMaxSide || static_cast<std::size_t>(width * height) > kMaxArea)

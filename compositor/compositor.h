@@ -1,7 +1,8 @@
 // Draws virtual objects and their shadows into camera frames by differential rendering, and writes
 // the result: video files, a window. GL draws the objects (radiance and coverage) into the
 // rectangle that they can reach; the shadow ratio and the fused pass over the touched pixels run on
-// the CPU, where the frame is anyway. Pixels outside are not read, converted or written. threads: a
+// the CPU, where the frame is anyway. Pixels outside are not read, converted or written.
+// threads: a
 // Compositor belongs to the thread that made it; VideoWriter thread-bound
 #pragma once
 
@@ -74,7 +75,8 @@ class Compositor {
 };
 
 /// H.264 in MP4, written under a temporary name until finish(). Odd sizes lose their last row or
-/// column. errors: kUnwritable, kUnavailable (no encoder)
+/// column.
+/// errors: kUnwritable, kUnavailable (no encoder)
 class VideoWriter {
  public:
   static Result<VideoWriter> create(const std::filesystem::path& path, int width, int height,

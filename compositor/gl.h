@@ -77,7 +77,8 @@ using GlFramebuffer = GlName<gl::make_framebuffer, gl::delete_framebuffer>;
 using GlRenderbuffer = GlName<gl::make_renderbuffer, gl::delete_renderbuffer>;
 using GlProgram = GlName<gl::make_program, gl::delete_program>;
 
-/// Compiles and links. errors: kUnavailable with GL's log
+/// Compiles and links.
+/// errors: kUnavailable with GL's log
 Result<GlProgram> make_program(const char* vertex, const char* fragment);
 
 /// A current OpenGL ES 3.1 context: surfaceless EGL, or a GLFW window.

@@ -9,9 +9,10 @@ namespace penumbra {
 
 namespace {
 
-// Buckets of equal relative width from 2^-16 to 1: the upper bits of the float are the index.
-constexpr int kShift = 23 - 7;  // 128 buckets an octave
-const std::uint32_t kFirstBits = std::bit_cast<std::uint32_t>(0x1p-16f) >> kShift;
+// Buckets of equal relative width from 2^-40 to 1: the upper bits of the float are the index.
+constexpr int kShift = 23 - 9;  // 512 buckets an octave
+constexpr float kFaintest = 0x1p-40f;
+const std::uint32_t kFirstBits = std::bit_cast<std::uint32_t>(kFaintest) >> kShift;
 const std::uint32_t kLastBits = std::bit_cast<std::uint32_t>(1.f) >> kShift;
 
 // Fractional code of a linear value by inverting the table with linear interpolation.
@@ -37,8 +38,6 @@ CodeCurve::CodeCurve(const std::array<std::vector<float>, 3>& decode, float blac
         encode8_[c].push_back(static_cast<std::uint8_t>(
             invert(decode[c], std::bit_cast<float>((bits << kShift8) | (1u << (kShift8 - 1)))) +
             .5f));
-      encode8_[c].front() =
-          static_cast<std::uint8_t>(invert(decode[c], 0) + .5f);  // black stays black
     }
     for (float& v : decode_[c]) v -= black_level;
   }
@@ -49,7 +48,7 @@ unsigned CodeCurve::encode(int channel, float linear) const {
   const float x = linear + black_;
   if (!(x > 0)) return 0;  // NaN too
   if (x >= 1) return largest_code();
-  if (x < kSmallest) return static_cast<unsigned>(codes[0] * (x / kSmallest) + .5f);
+  if (x < kFaintest) return static_cast<unsigned>(codes[0] * (x / kFaintest) + .5f);
   const std::uint32_t bits = std::bit_cast<std::uint32_t>(x);
   const std::size_t bucket = (bits >> kShift) - kFirstBits;
   const float within = static_cast<float>(bits & ((1u << kShift) - 1)) * (1.f / (1u << kShift));

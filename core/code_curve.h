@@ -23,19 +23,18 @@ class CodeCurve {
   float decode(int channel, unsigned code) const {
     return decode_[static_cast<std::size_t>(channel)][code];
   }
-  /// Nearest code, within a hundredth of a code; clamps, and NaN is 0.
+  /// Nearest code, within a hundredth of a code of the exact rounding point; clamps, and NaN is 0.
   unsigned encode(int channel, float linear) const;
   /// Nearest 8-bit code within a tenth of a code by one lookup; for curves of 8 bits alone.
   std::uint8_t encode8(int channel, float linear) const {
-    const float x =
-        std::min(std::max(linear + black_, kSmallest), kLargest);  // NaN becomes the smallest
+    const float x = std::min(std::max(kSmallest, linear + black_), kLargest);  // NaN becomes the smallest
     return encode8_[static_cast<std::size_t>(channel)]
                    [(std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8];
   }
   unsigned largest_code() const { return static_cast<unsigned>(decode_[0].size()) - 1; }
 
  private:
-  static constexpr float kSmallest = 0x1p-16f, kLargest = 1 - 0x1p-11f;
+  static constexpr float kSmallest = 0x1p-24f, kLargest = 1 - 0x1p-11f;
   static constexpr int kShift8 = 23 - 10;  // 1024 buckets an octave
   static constexpr std::uint32_t kFirst8 = std::bit_cast<std::uint32_t>(kSmallest) >> kShift8;
   float black_;

@@ -14,7 +14,8 @@ namespace penumbra {
 
 /// Lets `write` make a file under a temporary name beside `target` (same extension), then renames
 /// it. On any error, or an exception from `write`, the temporary file is removed and `target`
-/// untouched. errors:  kUnwritable, or what `write` returned
+/// untouched.
+/// errors:  kUnwritable, or what `write` returned
 Result<void> replace_file(const std::filesystem::path& target,
                           const std::function<Result<void>(const std::filesystem::path&)>& write);
 
@@ -26,7 +27,8 @@ Result<void> write_bytes(const std::filesystem::path& target, std::string_view b
 Result<std::vector<unsigned char>> read_bytes(const std::filesystem::path& path,
                                               std::size_t limit_bytes = std::size_t{1} << 31);
 
-/// Makes the folder (and its parents) if it is not there. errors: kUnwritable
+/// Makes the folder (and its parents) if it is not there.
+/// errors: kUnwritable
 Result<void> make_folder(const std::filesystem::path& folder);
 
 }  // namespace penumbra

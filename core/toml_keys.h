@@ -123,6 +123,17 @@ class TomlKeys {
   const toml::table& table_;
 };
 
+/// A text as a TOML basic string, with its quotes.
+inline std::string toml_quoted(std::string_view text) {
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') out += '\\';
+    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) out += fmt::format("\\u{:04x}", static_cast<unsigned>(c));
+    else out += c;
+  }
+  return out + '"';
+}
+
 inline Result<toml::table> parse_toml(const std::filesystem::path& path) {
   PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 24));
   try {

@@ -104,7 +104,8 @@ class LatLongProjector {
   std::unique_ptr<Tables> tables_;
 };
 
-/// One call for one map; any width. errors: as LatLongProjector::project, kInvalid (empty)
+/// One call for one map; any width.
+/// errors: as LatLongProjector::project, kInvalid (empty)
 Result<Projection> project_latlong(const Image<Rgb>& map, int bands);
 
 /// Any camera's pixels: unit directions, solid angles (steradian), confidence 0..1, radiance.
@@ -117,7 +118,8 @@ struct LightSamples {
 
 /// Projection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes:
 /// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (methods: hole filling), so a
-/// constant environment stays exactly constant under any hole. errors:  kInvalid (lengths),
+/// constant environment stays exactly constant under any hole.
+/// errors:  kInvalid (lengths),
 /// kNonFinite, kUndetermined (coverage below 2 %)
 Result<Projection> project_samples(const LightSamples& samples, int bands);
 

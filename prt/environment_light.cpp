@@ -40,13 +40,31 @@ Result<EnvironmentLight> EnvironmentLight::from_map(const Image<Rgb>& map) {
 }
 
 EnvironmentLight EnvironmentLight::from_sh(const RadianceSh& sh) {
-  EnvironmentLight light;
+  // Sampled by its magnitude on a coarse grid, over a floor that leaves no direction out.
+  constexpr int kWidth = 128, kHeight = 64;
+  Image<Rgb> magnitude(kWidth, kHeight);
+  double mean = 0;
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      const Rgb c = lighting::evaluate(sh, latlong_direction(x + .5, y + .5, kWidth, kHeight));
+      const float m = std::max({std::abs(c.r), std::abs(c.g), std::abs(c.b)});
+      magnitude.at(x, y) = {m, m, m};
+      mean += double(m) / (kWidth * kHeight);
+    }
+  const auto least = static_cast<float>(.05 * mean);
+  for (Rgb& m : magnitude.pixels()) m += Rgb{least, least, least};
+  auto sampled = from_map(magnitude);
+  EnvironmentLight light = sampled ? std::move(*sampled) : EnvironmentLight();  // no light at all: no sampler
   light.sh_ = sh;
   return light;
 }
 
 Rgb EnvironmentLight::radiance(const glm::vec3& direction) const {
   if (sh_) return lighting::evaluate(*sh_, glm::normalize(glm::dvec3(direction)));
+  return map_value(direction);
+}
+
+Rgb EnvironmentLight::map_value(const glm::vec3& direction) const {
   const glm::dvec2 p = latlong_pixel(glm::dvec3(direction), map_.width(), map_.height());
   return map_.at(std::clamp(static_cast<int>(p.x), 0, map_.width() - 1),
                  std::clamp(static_cast<int>(p.y), 0, map_.height() - 1));
@@ -72,12 +90,11 @@ EnvironmentLight::Sample EnvironmentLight::sample(float u1, float u2) const {
   const double c = c0 + (c1 - c0) * v, s = std::sqrt(std::max(0., 1 - c * c));
   const double phi = 2 * kPi * ((x + double(u)) / w - .5);
   const glm::vec3 d(s * std::sin(phi), c, -s * std::cos(phi));
-  const Rgb& radiance = map_.at(x, y);
-  return {d, radiance, static_cast<float>(std::max(0.f, luminance(radiance)) / total_)};
+  return {d, radiance(d), static_cast<float>(std::max(0.f, luminance(map_.at(x, y))) / total_)};
 }
 
 float EnvironmentLight::density(const glm::vec3& direction) const {
-  return static_cast<float>(std::max(0.f, luminance(radiance(direction))) / total_);
+  return static_cast<float>(std::max(0.f, luminance(map_value(direction))) / total_);
 }
 
 }  // namespace penumbra::prt

@@ -181,7 +181,9 @@ struct BakedObject {
 };
 
 /// Precomputes transfer at every vertex, and at the texels of the receiver with the object in
-/// place. errors:  kInvalid (options), kUnavailable (Embree) source:  Sloan, Kautz & Snyder 2002; t
+/// place.
+/// errors:  kInvalid (options), kUnavailable (Embree)
+/// source:  Sloan, Kautz & Snyder 2002; t
 /// = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine
 ///          (convex shapes come out exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
@@ -205,9 +207,10 @@ void relight(const Transfer& transfer, const RadianceSh& light, std::span<float>
 /// Radiance arriving from a direction, with a sampler when it is peaky.
 class EnvironmentLight {
  public:
-  /// A lat-long map, sampled by importance. errors: kInvalid, kNonFinite, kUndetermined (all black)
+  /// A lat-long map, sampled by importance.
+  /// errors: kInvalid, kNonFinite, kUndetermined (all black)
   static Result<EnvironmentLight> from_map(const Image<Rgb>& map);
-  /// Truncated spherical harmonics, negative lobes kept; sampled by the cosine alone.
+  /// Truncated spherical harmonics, negative lobes kept; sampled by their magnitude.
   static EnvironmentLight from_sh(const RadianceSh& light);
 
   Rgb radiance(const glm::vec3& direction) const;
@@ -221,7 +224,8 @@ class EnvironmentLight {
   float density(const glm::vec3& direction) const;
 
  private:
-  Image<Rgb> map_;
+  Rgb map_value(const glm::vec3& direction) const;
+  Image<Rgb> map_;  // radiance, or with sh_ what it is sampled by
   std::optional<RadianceSh> sh_;
   std::vector<float> cumulative_rows_, cumulative_columns_;
   double total_ = 0;  // of luminance times solid angle

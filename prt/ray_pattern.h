@@ -43,7 +43,8 @@ class RayPatterns {
   std::vector<Variant> variants_;
 };
 
-/// Columns x, y, z with z along the axis. source: Duff et al. 2017
+/// Columns x, y, z with z along the axis.
+/// source: Duff et al. 2017
 glm::mat3 frame_around(const glm::vec3& axis);
 
 }  // namespace penumbra::prt

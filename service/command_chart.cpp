@@ -10,6 +10,7 @@
 #include "core/files.h"
 #include "service/commands.h"
 #include "service/light_file.h"
+#include "service/output.h"
 #include "service/progress.h"
 #include "service/report.h"
 #include "service/still.h"
@@ -55,8 +56,9 @@ Result<Bench> make_bench(const ChartOptions& o) {
   bench.view = make_view();
   BakeSettings settings;
   settings.bands = kMaxBands;  // fewer bands are the same coefficients, left out
-  settings.rays = 1024;
-  settings.ground_rays = 2048;
+  // Truncated light isolates what our own steps cost: the bake must not be the noise of that figure.
+  settings.rays = o.truncated ? 8192 : 1024;
+  settings.ground_rays = o.truncated ? 8192 : 2048;
   auto prepared = prepare(bench.scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
   bench.prepared = std::move(*prepared);
@@ -202,7 +204,8 @@ Result<void> chart(const ChartOptions& options) {
     if (b < 1 || b > kMaxBands)
       return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
   if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
-  PENUMBRA_TRY(make_folder(o.output));
+  auto output = OutputFolder::create(o.output);
+  if (!output) return std::unexpected(output.error());
   auto environments = read_environments(o);
   if (!environments) return std::unexpected(environments.error());
   auto bench = make_bench(o);
@@ -228,7 +231,8 @@ Result<void> chart(const ChartOptions& options) {
                     {"shadow_rmse", r.shadow_rmse},
                     {"reference_error", r.reference_error}});
   }
-  PENUMBRA_TRY(write_bytes(std::filesystem::path(o.output) / "accuracy.csv", csv));
+  PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), csv));
+  output->keep();
   if (o.json) print_json({{"rows", json}});
   return {};
 }

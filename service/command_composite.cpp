@@ -34,8 +34,10 @@ Result<void> composite(const CompositeOptions& o) {
   auto light = LightStage::create(cameras, o.bands, times);
   if (!light) return fail(light.error().code, o.capture, light.error().detail);
   // The output is tried before the long work.
-  FrameWriter::Options writer_options{o.output, true, o.video, 30};
-  PENUMBRA_TRY(make_folder(o.output));
+  const double rate = (*source)->view_rate();
+  FrameWriter::Options writer_options{o.output, true, o.video, rate > 0 ? rate : 30};
+  auto folder = OutputFolder::create(o.output);
+  if (!folder) return std::unexpected(folder.error());
   BakeSettings settings;
   settings.bands = o.bands;
   auto prepared = prepare(*scene, settings, progress_bar);
@@ -46,6 +48,7 @@ Result<void> composite(const CompositeOptions& o) {
   auto writer = FrameWriter::create(writer_options, times);
   if (!writer) return std::unexpected(writer.error());
 
+  folder->file("video.mp4");
   int first_view = -1;
   std::vector<std::uint64_t> written(cameras.size());
   auto counts = run_replay(
@@ -58,15 +61,16 @@ Result<void> composite(const CompositeOptions& o) {
                                 first);
       },
       times);
+  const auto written_out = (*writer)->finish();
   if (!counts) return std::unexpected(counts.error());
-  PENUMBRA_TRY((*writer)->finish());
+  PENUMBRA_TRY(written_out);
   const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
   const nlohmann::json summary =
       summarise(*counts, times,
                 {o.bands, view->projection.width, view->projection.height,
                  static_cast<int>(prepared->objects.size()), (*compose)->output().renderer()});
-  PENUMBRA_TRY(
-      write_bytes(std::filesystem::path(o.output) / "summary.json", summary.dump(2) + "\n"));
+  PENUMBRA_TRY(write_bytes(folder->file("summary.json"), summary.dump(2) + "\n"));
+  folder->keep();
   if (o.json)
     print_json(summary);
   else

@@ -38,6 +38,7 @@ class RecordingSource : public capture::FrameSource {
     if (frame && *frame) PENUMBRA_TRY(writer_.write(**frame));
     return frame;
   }
+  double view_rate() const override { return source_.view_rate(); }
   Result<void> finish() { return writer_.finish(); }
 
  private:
@@ -99,8 +100,9 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
 
 Result<void> demo(const DemoOptions& o) {
   PENUMBRA_TRY(check(o));
-  const std::filesystem::path folder = o.output;
-  PENUMBRA_TRY(make_folder(folder));
+  auto output = OutputFolder::create(o.output);
+  if (!output) return std::unexpected(output.error());
+  const std::filesystem::path& folder = output->path();
   auto ready = prepare_demo(o);
   if (!ready) return std::unexpected(ready.error());
   capture::Studio studio(ready->setup.world, ready->setup.options);
@@ -120,6 +122,7 @@ Result<void> demo(const DemoOptions& o) {
     if (!recorder) return std::unexpected(recorder.error());
     recording.emplace(studio, std::move(*recorder));
   }
+  output->file("video.mp4");
   std::shared_ptr<const FramePixels> last, last_source;
   const Sink sink = [&](const Output& out) {
     last = out.pixels;
@@ -138,13 +141,14 @@ Result<void> demo(const DemoOptions& o) {
     PENUMBRA_TRY(recording->finish());
     PENUMBRA_TRY(write_scene(std::filesystem::path(*o.record) / "scene.toml", ready->setup.scene));
   }
-  PENUMBRA_TRY(codec::write_frame(folder / "still.png", to_display(*last)));
-  PENUMBRA_TRY(codec::write_frame(folder / "camera.png", to_display(*last_source)));
+  PENUMBRA_TRY(codec::write_frame(output->file("still.png"), to_display(*last)));
+  PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), to_display(*last_source)));
   const nlohmann::json summary =
       summarise(*counts, times,
                 {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()),
                  (*compose)->output().renderer()});
-  PENUMBRA_TRY(write_bytes(folder / "summary.json", summary.dump(2) + "\n"));
+  PENUMBRA_TRY(write_bytes(output->file("summary.json"), summary.dump(2) + "\n"));
+  output->keep();
   if (o.json) {
     print_json(summary);
   } else {

@@ -6,8 +6,10 @@
 #include "capture/capture.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
+#include "core/toml_keys.h"
 #include "service/commands.h"
 #include "service/report.h"
+#include "service/rig_config.h"
 #include "service/scene.h"
 
 namespace penumbra::service {
@@ -100,19 +102,28 @@ Result<json> inspect_picture(const std::string& file) {
 }
 
 Result<json> inspect_toml(const std::string& file) {
-  if (auto scene = read_scene(file)) {
-    json names = json::array();
-    for (const SceneObject& o : scene->objects)
-      names.push_back({{"name", o.name}, {"asset", o.asset}});
-    return json{{"kind", "scene"}, {"objects", names}, {"real", scene->real.size()}};
+  auto root = parse_toml(file);
+  if (!root) return std::unexpected(root.error());
+  if (root->contains("capture")) {
+    auto rig = read_rig_config(file);
+    if (!rig) return std::unexpected(rig.error());
+    return json{{"kind", "service configuration"}, {"source", rig->source}, {"bands", rig->bands}};
   }
-  auto camera = capture::read_camera_file(file);
-  if (!camera) return std::unexpected(camera.error());
-  return json{{"kind", "camera"},
-              {"name", camera->name},
-              {"width", camera->projection.width},
-              {"height", camera->projection.height},
-              {"projection", calib::projection_name(camera->projection.kind)}};
+  if (root->contains("camera")) {
+    auto camera = capture::read_camera_file(file);
+    if (!camera) return std::unexpected(camera.error());
+    return json{{"kind", "camera"},
+                {"name", camera->name},
+                {"width", camera->projection.width},
+                {"height", camera->projection.height},
+                {"projection", calib::projection_name(camera->projection.kind)}};
+  }
+  auto scene = read_scene(file);
+  if (!scene) return std::unexpected(scene.error());
+  json names = json::array();
+  for (const SceneObject& o : scene->objects)
+    names.push_back({{"name", o.name}, {"asset", o.asset}});
+  return json{{"kind", "scene"}, {"objects", names}, {"real", scene->real.size()}};
 }
 
 Result<json> describe(const std::string& file) {

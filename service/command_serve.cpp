@@ -34,6 +34,7 @@ class LoopingFolder : public capture::FrameSource {
     return out;
   }
   const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
+  double view_rate() const override { return source_->view_rate(); }
   Result<std::optional<capture::Frame>> next() override {
     auto frame = source_->next();
     if (!frame) return frame;

@@ -106,6 +106,9 @@ Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int 
     return fail(ErrorCode::kUnavailable, fmt::format("{}:{}", address, port),
                 "cannot listen there; is it in use?");
   impl->thread = std::jthread([server = &impl->server] { server->listen_after_bind(); });
+  // A stop before the server runs would be lost, and the destructor would wait for ever.
+  for (int i = 0; i < 5000 && !impl->server.is_running(); ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
   return std::unique_ptr<HttpApi>(new HttpApi(std::move(impl)));
 }
 

@@ -13,7 +13,8 @@
 
 namespace penumbra::service {
 
-/// The newest of everything that a client may ask for. threads: thread-safe
+/// The newest of everything that a client may ask for.
+/// threads: thread-safe
 class PublishedState {
  public:
   void publish(const lighting::LightEstimate& light, TimestampNs now,
@@ -37,7 +38,8 @@ class PublishedState {
 /// Serves on a thread of its own until destroyed.
 class HttpApi {
  public:
-  /// port 0 takes any free one. errors: kUnavailable (address in use)
+  /// port 0 takes any free one.
+  /// errors: kUnavailable (address in use)
   static Result<std::unique_ptr<HttpApi>> start(const std::string& address, int port,
                                                 const PublishedState& state,
                                                 const StageTimes& times, double stale_after_s);

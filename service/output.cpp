@@ -8,6 +8,34 @@
 
 namespace penumbra::service {
 
+Result<OutputFolder> OutputFolder::create(const std::filesystem::path& folder) {
+  OutputFolder out;
+  std::error_code error;
+  out.made_ = !std::filesystem::exists(folder, error);
+  out.path_ = folder;
+  if (auto made = make_folder(folder); !made) {
+    out.kept_ = true;  // nothing to take back
+    return std::unexpected(made.error());
+  }
+  return out;
+}
+
+OutputFolder::OutputFolder(OutputFolder&& other) noexcept
+    : path_(std::move(other.path_)), made_(other.made_), kept_(std::exchange(other.kept_, true)),
+      files_(std::move(other.files_)) {}
+
+OutputFolder::~OutputFolder() {
+  if (kept_) return;
+  std::error_code ignored;
+  for (const auto& file : files_) std::filesystem::remove(file, ignored);
+  if (made_) std::filesystem::remove(path_, ignored);  // only when it is empty
+}
+
+std::filesystem::path OutputFolder::file(const std::string& name) {
+  files_.push_back(path_ / name);
+  return files_.back();
+}
+
 Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options,
                                                          StageTimes& times) {
   PENUMBRA_TRY(make_folder(options.folder));

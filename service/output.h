@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "compositor/compositor.h"
 #include "core/queues.h"
@@ -13,6 +14,29 @@
 #include "service/stage_times.h"
 
 namespace penumbra::service {
+
+/// An output folder that goes again, with everything listed in it, unless keep() is called: a run that fails
+/// leaves nothing half-written.
+/// threads: thread-bound
+class OutputFolder {
+ public:
+  /// errors: kUnwritable
+  static Result<OutputFolder> create(const std::filesystem::path& folder);
+  ~OutputFolder();
+  OutputFolder(OutputFolder&& other) noexcept;
+  OutputFolder& operator=(OutputFolder&&) = delete;
+
+  const std::filesystem::path& path() const { return path_; }
+  /// A file in it that this run makes.
+  std::filesystem::path file(const std::string& name);
+  void keep() { kept_ = true; }
+
+ private:
+  OutputFolder() = default;
+  std::filesystem::path path_;
+  bool made_ = false, kept_ = false;
+  std::vector<std::filesystem::path> files_;
+};
 
 /// threads: thread-bound; owns one worker thread
 class FrameWriter {

@@ -58,7 +58,8 @@ class ComposeStage {
       const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
       compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2);
 
-  /// Composites one view frame under `light`. errors: as Compositor::composite
+  /// Composites one view frame under `light`.
+  /// errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);
   compositor::Compositor& output() { return *compositor_; }
 

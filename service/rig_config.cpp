@@ -1,5 +1,7 @@
 #include "service/rig_config.h"
 
+#include <arpa/inet.h>
+
 #include "core/conventions.h"
 #include "core/toml_keys.h"
 
@@ -70,11 +72,18 @@ Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfi
   return read_integer(keys, "height", 64, 8192, c.height);
 }
 
+// By number, since a name like 127.example may lead anywhere.
+bool is_loopback(const std::string& address) {
+  in_addr numbers{};
+  if (address == "localhost" || address == "::1") return true;
+  return inet_pton(AF_INET, address.c_str(), &numbers) == 1 && (ntohl(numbers.s_addr) >> 24) == 127;
+}
+
 Result<void> read_http(const TomlKeys& keys, RigConfig& c) {
   if (keys.has("address")) {
     PENUMBRA_ASSIGN(address, keys.text("address"));
     // Strangers must not see through the user's cameras.
-    if (!address.starts_with("127.") && address != "localhost" && address != "::1")
+    if (!is_loopback(address))
       return keys.invalid("address", "\"" + address + "\" is not a loopback address");
     c.address = address;
   }

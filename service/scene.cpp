@@ -123,15 +123,26 @@ glm::dmat4 placement(const SceneObject& o, const prt::Mesh& mesh) {
 
 // A file that is baked already: its frame is placed upright; scale moves lengths, transfer has
 // none.
+// A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
+// and shifting its frame is all.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
   auto baked = prt::read_baked(o.asset);
   if (!baked) return std::unexpected(baked.error());
-  const double scale = placement(o, baked->mesh)[1][1] / (Pose{o.rotation, {}}).matrix()[1][1];
-  prt::transform(baked->mesh, glm::dmat4(glm::dmat3(scale)));
+  const prt::Bounds b = bounds_of(baked->mesh);
+  const glm::vec3 size = b.high - b.low;
+  const double scale = o.stand ? o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
+  glm::dvec3 shift(0);
+  if (o.stand) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+  if (baked->receiver) shift.y = -double(baked->receiver->grid.height);
+  glm::dmat4 place{glm::dmat3(scale)};
+  place[3] = glm::dvec4(scale * shift, 1);
+  prt::transform(baked->mesh, place);
   if (baked->receiver) {
     prt::GroundGrid& g = baked->receiver->grid;
     const auto k = static_cast<float>(scale);
-    g.centre *= k, g.half_extent *= k, g.height *= k;
+    g.centre = k * (g.centre + glm::vec2(shift.x, shift.z));
+    g.half_extent *= k;
+    g.height = 0;
   }
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));

@@ -27,7 +27,8 @@ inline constexpr float kLeastIrradiance = .05f;
 
 /// s = 1 - sum l_n S_n / E0 from the baked deficit basis S_n, clamped to 0..1.5, faded to 1 over
 /// the outer tenth of the grid. `light` in the bake frame: a yaw of the object is a rotation of the
-/// light. in:     object with a receiver errors: kInvalid (no receiver)
+/// light. in:     object with a receiver
+/// errors: kInvalid (no receiver)
 Result<void> compose_planar_shadow(const prt::BakedObject& object, const RadianceSh& light,
                                    PlanarShadow& out);
 

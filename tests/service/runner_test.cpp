@@ -131,6 +131,7 @@ class FailingSource : public capture::FrameSource {
  public:
   explicit FailingSource(capture::FrameSource& source) : source_(source) {}
   const std::vector<capture::CameraInfo>& cameras() const override { return source_.cameras(); }
+  double view_rate() const override { return source_.view_rate(); }
   Result<std::optional<capture::Frame>> next() override {
     if (++count_ > 6) return fail(ErrorCode::kUnreadable, "camera", "pulled out");
     return source_.next();

@@ -252,7 +252,7 @@ TEST(PlanarShadow, LightFromBelowOnlyCastsNone) {
   ASSERT_TRUE(below);
   for (const int bands : {2, 3, 5}) {
     const auto object = baked(knot(), bands, 16);
-    expect_all_one(composed(object, *below));
+    expect_all_one(composed(object, below->light));
     // A linear light that leaves a surface facing up exactly dark.
     expect_all_one(composed(object, test::sloped_light(1, {0, -1.5, 0})));
   }
