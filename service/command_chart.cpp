@@ -106,8 +106,9 @@ Row compare_pictures(const Still& ours, const Still& truth, const Still& empty,
   Row row;
   double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
-    const double a = luminance(ours.radiance.pixels()[i]),
-                 t = luminance(truth.radiance.pixels()[i]);
+    // Truncated light may be negative; no camera sees that, and the compositor cuts it off.
+    const double a = luminance(ours.radiance.pixels()[i]);
+    const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));
     if (masks.object[i]) {
       square += (a - t) * (a - t);
       mean += t;

@@ -57,8 +57,9 @@ Result<void> composite(const CompositeOptions& o) {
         if (first_view < 0) first_view = out.source.camera;
         const bool first = out.source.camera == first_view;
         const auto camera = static_cast<std::size_t>(out.source.camera);
-        return (*writer)->write(still_name(cameras[camera], first, written[camera]++), out.pixels,
-                                first);
+        const std::string name = still_name(cameras[camera], first, written[camera]++);
+        folder->file(name);
+        return (*writer)->write(name, out.pixels, first);
       },
       times);
   const auto written_out = (*writer)->finish();

@@ -32,8 +32,11 @@ OutputFolder::~OutputFolder() {
 }
 
 std::filesystem::path OutputFolder::file(const std::string& name) {
-  files_.push_back(path_ / name);
-  return files_.back();
+  std::filesystem::path file = path_ / name;
+  std::error_code error;
+  // What an earlier run left there is not this one's to take away.
+  if (!std::filesystem::exists(file, error)) files_.push_back(file);
+  return file;
 }
 
 Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options,

@@ -226,7 +226,7 @@ TEST(Sensor, VignettingTakesItsShareInTheCornersAndNothingInTheMiddle) {
 
 // ------------------------------------------------------------------------------------- schedule
 
-constexpr double kShortestTime = 1. / 20000;  // capture.h: times within [1/20000, 1/30] at gain 1
+constexpr double kShortestTime = 1. / 64000;  // capture.h: times within [1/64000, 1/30] at gain 1
 
 /// Signal from which on a sample has a signal-to-noise ratio of 3, and the largest that counts.
 std::pair<double, double> usable_range(const Sensor& s) {

@@ -88,7 +88,7 @@ TEST(Reference, BackgroundReplacesTheEnvironmentForTheCameraOnly) {
   const auto light = EnvironmentLight::from_sh(test::constant_light({2, 2, 2}));
   World world = world_of(make_sphere({0, 0, -3}, 1, 4, {.5f, .5f, .5f}), light);
   world.background = [](const glm::vec3&) { return Rgb{0, 7, 0}; };
-  const Reference picture = rendered(world, view_of(31, {}), 64);
+  const Reference picture = rendered(world, view_of(31, {}), 1024);
   EXPECT_EQ(picture.radiance.at(0, 0), (Rgb{0, 7, 0}));
   EXPECT_NEAR(picture.radiance.at(15, 15).r, .5 * 2, .01);
   EXPECT_NEAR(picture.radiance.at(15, 15).g, .5 * 2, .01);
