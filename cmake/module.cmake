@@ -9,6 +9,7 @@ if(PENUMBRA_SANITIZE)
   target_compile_options(penumbra_options INTERFACE -fsanitize=${PENUMBRA_SANITIZE}
                          -fno-omit-frame-pointer -fno-sanitize-recover=all)
   target_link_options(penumbra_options INTERFACE -fsanitize=${PENUMBRA_SANITIZE})
+  add_library(penumbra_sanitizers OBJECT ${CMAKE_SOURCE_DIR}/tests/support/sanitizers.cpp)
 endif()
 
 # penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ...): one folder, one library penumbra::NAME.

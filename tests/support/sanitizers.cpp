@@ -1,0 +1,22 @@
+// What the sanitizers' run times need to know about libraries that are not built with them. Linked into every
+// program of a sanitizer preset.
+
+extern "C" {
+
+// The GL stack and the libraries below it keep some memory for the life of the process.
+const char* __lsan_default_suppressions() {
+  return "leak:swrast_dri.so\nleak:libEGL\nleak:libLLVM\nleak:libgallium\nleak:libembree3.so\n"
+         "leak:libtbb.so\nleak:libglapi\nleak:libdrm\n";
+}
+
+// Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work.
+const char* __tsan_default_suppressions() {
+  return "called_from_lib:libtbb.so\ncalled_from_lib:libembree3.so\ncalled_from_lib:swrast_dri.so\n"
+         "called_from_lib:libEGL_mesa.so\ncalled_from_lib:libopencv_core\n"
+         "race:tbb::\nrace:libtbb.so\nrace:libembree3.so\nrace:swrast_dri.so\nrace:libopencv\n"
+         "mutex:swrast_dri.so\ndeadlock:swrast_dri.so\nthread:libtbb.so\n";
+}
+const char* __tsan_default_options() { return "ignore_noninstrumented_modules=1"; }
+
+const char* __ubsan_default_options() { return "print_stacktrace=1"; }
+}
