@@ -8,6 +8,7 @@
 #include "codec/codec.h"
 #include "core/conventions.h"
 #include "core/files.h"
+#include "service/accuracy.h"
 #include "service/commands.h"
 #include "service/light_file.h"
 #include "service/output.h"
@@ -19,17 +20,16 @@ namespace penumbra::service {
 
 namespace {
 
-struct Row {
+struct Row : Accuracy {
   std::string environment;
   int bands = 0;
-  double object_rel_rmse = 0, shadow_rmse = 0, object_bias = 0, reference_error = 0;
 };
 
 // One scene for all environments: the object stands on a 40 % grey floor before a camera that sees
 // both.
 struct Bench {
   Scene scene;
-  PreparedScene prepared, reference_scene;
+  PreparedScene prepared;
   prt::PinholeView view;
 };
 
@@ -63,73 +63,6 @@ Result<Bench> make_bench(const ChartOptions& o) {
   if (!prepared) return std::unexpected(prepared.error());
   bench.prepared = std::move(*prepared);
   return bench;
-}
-
-// Which pixels show the object alone (coverage 1), and which the floor alone.
-struct Masks {
-  std::vector<bool> object, floor;
-};
-
-// Black object on white background, and white floor: read from two composites under constant light.
-Result<Masks> make_masks(const Bench& bench) {
-  const Image<Rgb> white(64, 32, {1, 1, 1});
-  StillScene in{&bench.prepared, &white, bench.view};
-  Still backdrop{Image<Rgb>(bench.view.width, bench.view.height, {0, 0, 0}), 0, 0, {}, {}};
-  lighting::LightEstimate light;
-  light.light[0] = light.floor_light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
-  light.valid = true;
-  auto lit = render_composite(in, light, backdrop);
-  if (!lit) return std::unexpected(lit.error());
-  // Over white, an object pixel of full coverage shows nothing of the backdrop.
-  Still white_backdrop{
-      Image<Rgb>(bench.view.width, bench.view.height, {100, 100, 100}), 0, 0, {}, {}};
-  auto over_white = render_composite(in, light, white_backdrop);
-  if (!over_white) return std::unexpected(over_white.error());
-  Masks masks;
-  auto sky = prt::EnvironmentLight::from_map(white);
-  for (int y = 0; y < bench.view.height; ++y)
-    for (int x = 0; x < bench.view.width; ++x) {
-      const Rgb &a = lit->radiance.at(x, y), &b = over_white->radiance.at(x, y);
-      masks.object.push_back(a.g > 0 && std::abs(b.g - a.g) < 1e-3f);
-      const double dy = -(y + .5 - bench.view.principal_px.y) / bench.view.focal_px.y;
-      const glm::dvec3 d =
-          bench.view.world_from_camera.rotation *
-          glm::dvec3((x + .5 - bench.view.principal_px.x) / bench.view.focal_px.x, dy, -1);
-      masks.floor.push_back(a.g == 0 && d.y < 0);
-    }
-  return masks;
-}
-
-// Object error relative to its mean; shadow error of s = L/L_0 where the reference is below .95.
-Row compare_pictures(const Still& ours, const Still& truth, const Still& empty,
-                     const Still& our_empty, const Masks& masks) {
-  Row row;
-  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
-  for (std::size_t i = 0; i < masks.object.size(); ++i) {
-    // Truncated light may be negative; no camera sees that, and the compositor cuts it off.
-    const double a = luminance(ours.radiance.pixels()[i]);
-    const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));
-    if (masks.object[i]) {
-      square += (a - t) * (a - t);
-      mean += t;
-      bias += a - t;
-      noise +=
-          std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) /
-          4;
-      ++objects;
-    } else if (masks.floor[i]) {
-      const double s_true = t / luminance(empty.radiance.pixels()[i]);
-      const double s_ours = a / luminance(our_empty.radiance.pixels()[i]);
-      if (s_true >= .95) continue;
-      shadow_square += (s_ours - s_true) * (s_ours - s_true);
-      ++shadows;
-    }
-  }
-  row.object_rel_rmse = std::sqrt(square / objects) / (mean / objects);
-  row.object_bias = bias / mean;
-  row.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;
-  row.reference_error = std::sqrt(noise / objects) / (mean / objects);
-  return row;
 }
 
 struct Environment {
@@ -175,18 +108,10 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
       if (!reference) return std::unexpected(reference.error());
       truth = std::move(*reference);
     }
-    if (o.truncated) {
-      // The floor under truncated light, in closed form.
-      const Rgb e = lighting::evaluate(lighting::irradiance(light_on(bench.prepared.planes, light)), {0, 1, 0});
-      const Rgb exit = e * (.4f / static_cast<float>(kPi));
-      for (std::size_t i = 0; i < masks.floor.size(); ++i)
-        if (masks.floor[i]) truncated_empty.radiance.pixels()[i] = exit;
-    }
+    if (o.truncated) light_floor(in, light, masks, truncated_empty);
     auto ours = render_composite(in, light, truncated_empty);
     if (!ours) return std::unexpected(ours.error());
-    Row row = compare_pictures(*ours, *truth, truncated_empty, truncated_empty, masks);
-    row.environment = environment.name;
-    row.bands = bands;
+    Row row{compare_pictures(*ours, *truth, truncated_empty, masks), environment.name, bands};
     if (!o.json)
       fmt::print("{:<44} {:>3} {:>12.2f} {:>12.2f} {:>12.4f} {:>12.2f}\n", row.environment,
                  bands * bands, 100 * row.object_rel_rmse, 100 * row.object_bias, row.shadow_rmse,
@@ -211,7 +136,7 @@ Result<void> chart(const ChartOptions& options) {
   if (!environments) return std::unexpected(environments.error());
   auto bench = make_bench(o);
   if (!bench) return std::unexpected(bench.error());
-  auto masks = make_masks(*bench);
+  auto masks = make_masks(bench->prepared, bench->view);
   if (!masks) return std::unexpected(masks.error());
   if (!o.json)
     fmt::print("{:<44} {:>3} {:>12} {:>12} {:>12} {:>12}\n", "environment", "n", "object %",

@@ -1,0 +1,76 @@
+#include "service/accuracy.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/conventions.h"
+
+namespace penumbra::service {
+
+Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view) {
+  const Image<Rgb> white(64, 32, {1, 1, 1});
+  const StillScene in{&scene, &white, view};
+  lighting::LightEstimate light;
+  light.light[0] = light.floor_light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
+  light.valid = true;
+  const auto over = [&](float backdrop) {
+    const Image<Rgb> picture(view.width, view.height, {backdrop, backdrop, backdrop});
+    return render_composite(in, light, Still{picture, 0, 0, {}, {}});
+  };
+  // A pixel that the object covers fully shows nothing of the backdrop.
+  auto dark = over(0), bright = over(100);
+  if (!dark) return std::unexpected(dark.error());
+  if (!bright) return std::unexpected(bright.error());
+  Masks masks;
+  for (int y = 0; y < view.height; ++y)
+    for (int x = 0; x < view.width; ++x) {
+      const float a = dark->radiance.at(x, y).g, b = bright->radiance.at(x, y).g;
+      masks.object.push_back(a > 0 && std::abs(b - a) < 1e-3f);
+      const glm::dvec3 d = view.world_from_camera.rotation *
+                           glm::dvec3((x + .5 - view.principal_px.x) / view.focal_px.x,
+                                      -(y + .5 - view.principal_px.y) / view.focal_px.y, -1);
+      masks.floor.push_back(a == 0 && d.y < 0);
+    }
+  return masks;
+}
+
+double Accuracy::object_without_noise() const {
+  return std::sqrt(std::max(0., object_rel_rmse * object_rel_rmse - reference_error * reference_error));
+}
+
+Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty, const Masks& masks) {
+  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
+  for (std::size_t i = 0; i < masks.object.size(); ++i) {
+    const double a = luminance(ours.radiance.pixels()[i]);
+    const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));
+    if (masks.object[i]) {
+      square += (a - t) * (a - t);
+      mean += t;
+      bias += a - t;
+      noise += std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) / 4;
+      ++objects;
+    } else if (masks.floor[i]) {
+      const double open = luminance(empty.radiance.pixels()[i]);
+      if (t / open >= .95) continue;
+      shadow_square += std::pow((a - t) / open, 2);
+      ++shadows;
+    }
+  }
+  Accuracy out;
+  out.object_rel_rmse = std::sqrt(square / objects) / (mean / objects);
+  out.object_bias = bias / mean;
+  out.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;
+  out.reference_error = std::sqrt(noise / objects) / (mean / objects);
+  return out;
+}
+
+void light_floor(const StillScene& in, const lighting::LightEstimate& light, const Masks& masks, Still& empty) {
+  const std::vector<prt::Plane>& planes = in.scene->planes;
+  if (planes.empty()) return;
+  const Rgb e = lighting::evaluate(lighting::irradiance(light_on(planes, light)), planes[0].normal);
+  const Rgb exit = planes[0].albedo * e * static_cast<float>(1 / kPi);
+  for (std::size_t i = 0; i < masks.floor.size(); ++i)
+    if (masks.floor[i]) empty.radiance.pixels()[i] = exit;
+}
+
+}  // namespace penumbra::service
