@@ -19,10 +19,13 @@ bool same_exposure(const Exposure& a, const Exposure& b) {
 void to_half(const MergedFloat& in, double shortest, MergedImage& out) {
   if (!out.pixels.same_size(in.radiance))
     out.pixels = Image<HalfRgba>(in.radiance.width(), in.radiance.height());
-  out.scale = static_cast<float>(1 / shortest / 4096);
+  double brightest = 1 / shortest;
+  for (const Rgb& c : in.radiance.pixels())
+    brightest = std::max({brightest, double(c.r), double(c.g), double(c.b)});
+  out.scale = static_cast<float>(brightest / 60000);
   for (std::size_t i = 0; i < in.radiance.area(); ++i) {
     const Rgb v = in.radiance.pixels()[i] * (1 / out.scale);
-    const auto half = [](float x) { return half_from_float(std::clamp(x, -65504.f, 65504.f)); };
+    const auto half = [](float x) { return half_from_float(std::max(x, -65504.f)); };
     out.pixels.pixels()[i] = {half(v.r), half(v.g), half(v.b),
                               in.clipped.pixels()[i] ? std::uint16_t{0} : kHalfOne};
   }
@@ -49,6 +52,8 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   else if (frames_.size() >= slots_)
     frames_.erase(frames_.begin());
   frames_.push_back(frame);
+  // An exposure that the schedule has left behind must not go on lighting the scene.
+  std::erase_if(frames_, [&](const Frame& f) { return f.sequence + 3 * frames_.size() < frame.sequence; });
   PENUMBRA_TRY(merge_now());
   if (merged_.clipped_fraction == 1)
     return fail(ErrorCode::kUndetermined, camera_.name, "every pixel is clipped in every exposure");

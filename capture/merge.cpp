@@ -48,7 +48,8 @@ class Stack {
     const Pixel& p = images_[k]->pixels()[i];
     const auto code = c == 0 ? p.r : c == 1 ? p.g : p.b;
     if constexpr (std::is_same_v<Pixel, Rgb>) {
-      return {static_cast<double>(code) - in_.black_level, false};
+      const bool finite = std::isfinite(code);
+      return {finite ? static_cast<double>(code) - in_.black_level : 0, !finite};
     } else {
       const double signal = static_cast<double>(curve_->decode(c, code));
       return {signal, signal + in_.black_level >= kClipLevel};

@@ -1,37 +1,29 @@
 #include <algorithm>
 #include <cmath>
 
+#include "lighting/hole_fit.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {
 
-namespace {
-
-// Directions and weights of a lat-long map, for the case with holes.
-Result<Projection> project_with_holes(const Environment& environment, int bands) {
-  const Image<Rgb>& map = environment.radiance;
-  std::vector<glm::vec3> direction;
-  std::vector<float> solid_angle;
-  direction.reserve(map.area());
-  solid_angle.reserve(map.area());
-  for (int y = 0; y < map.height(); ++y)
-    for (int x = 0; x < map.width(); ++x) {
-      direction.emplace_back(latlong_direction(x + .5, y + .5, map.width(), map.height()));
-      solid_angle.push_back(static_cast<float>(latlong_solid_angle(y, map.width(), map.height())));
-    }
-  return project_samples({direction, solid_angle, environment.confidence.pixels(), map.pixels()},
-                         bands);
-}
-
-}  // namespace
+LightEstimator::LightEstimator(int bands) : bands_(bands) {}
+LightEstimator::~LightEstimator() = default;
+LightEstimator::LightEstimator(LightEstimator&&) noexcept = default;
+LightEstimator& LightEstimator::operator=(LightEstimator&&) noexcept = default;
 
 Result<Projection> LightEstimator::project(const Environment& environment) {
   const Image<Rgb>& map = environment.radiance;
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
-  if (!environment.confidence.empty()) return project_with_holes(environment, kMaxBands);
-  if (map.width() % 4 != 0) {
-    return project_latlong(map, kMaxBands);
-  }
+  if (environment.confidence.empty()) return project_whole(map);
+  if (!hole_fit_ || !(hole_fit_->confidence() == environment.confidence))
+    hole_fit_ = std::make_unique<HoleFit>(environment.confidence);
+  auto moments = project_whole(map);
+  if (!moments) return moments;
+  return hole_fit_->fill(moments->light);
+}
+
+Result<Projection> LightEstimator::project_whole(const Image<Rgb>& map) {
+  if (map.width() % 4 != 0) return project_latlong(map, kMaxBands);
   if (!projector_ || width_ != map.width() || height_ != map.height()) {
     projector_ = std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands);
     width_ = map.width();

@@ -145,12 +145,18 @@ struct LightEstimate {
 /// threads: thread-bound; no allocation after the first environment of a size without holes
 class LightEstimator {
  public:
-  explicit LightEstimator(int bands) : bands_(bands) {}
+  explicit LightEstimator(int bands);
+  ~LightEstimator();
+  LightEstimator(LightEstimator&&) noexcept;
+  LightEstimator& operator=(LightEstimator&&) noexcept;
+  /// in: radiance 0 where the confidence is 0
   Result<LightEstimate> estimate(const Environment& environment);
 
  private:
   Result<Projection> project(const Environment& environment);
+  Result<Projection> project_whole(const Image<Rgb>& map);
 
+  std::unique_ptr<class HoleFit> hole_fit_;
   int bands_;
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "lighting/hole_fit.h"
 #include "lighting/latlong_kernel.h"
 #include "lighting/lighting.h"
 
@@ -161,13 +162,14 @@ RadianceSh to_light(const Matrix& coefficients, int bands) {
   return light;
 }
 
-// Weighted least squares with the smoothness penalty.
-Matrix solve(const NormalEquations& sums, int bands, double unseen) {
-  Matrix system = sums.gram.selfadjointView<Eigen::Lower>();
+// Weighted least squares with the smoothness penalty in proportion to what is unseen.
+Matrix penalised(const Matrix& lower_gram, int bands, double unseen) {
+  Matrix system = lower_gram.selfadjointView<Eigen::Lower>();
   for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m)
-      system(sh_index(l, m), sh_index(l, m)) += kSmoothness * unseen * l * l * (l + 1.) * (l + 1.) + 1e-9;
-  return system.ldlt().solve(sums.moments);
+      system(sh_index(l, m), sh_index(l, m)) +=
+          kSmoothness * unseen * l * l * (l + 1.) * (l + 1.) + 1e-9;
+  return system;
 }
 
 struct BothSums {
@@ -209,6 +211,18 @@ const Matrix& upper_gram() {
   return gram;
 }
 
+// Moments of a light over the upper hemisphere alone.
+RadianceSh moments_above(const RadianceSh& light) {
+  RadianceSh above(light.bands());
+  for (int i = 0; i < above.size(); ++i)
+    for (int c = 0; c < 3; ++c) {
+      double sum = 0;
+      for (int k = 0; k < light.size(); ++k) sum += upper_gram()(i, k) * light[k][c];
+      above[i][c] = static_cast<float>(sum);
+    }
+  return above;
+}
+
 // +1 where the basis is even in y, -1 where it is odd.
 double parity(int m) { return m < 0 ? -1 : 1; }
 
@@ -248,16 +262,42 @@ Result<Projection> project_samples(const LightSamples& s, int bands) {
   if (!sums) return std::unexpected(sums.error());
   if (complete)
     return Projection{to_light(sums->whole.moments, bands), to_light(sums->above.moments, bands), coverage};
-  Projection out{to_light(solve(sums->whole, bands, 1 - coverage), bands), RadianceSh(bands), coverage};
-  // Moments of the fitted light over the upper hemisphere: its holes are filled already.
-  const RadianceSh full = out.light.with_bands(kMaxBands);
-  for (int i = 0; i < out.above.size(); ++i)
-    for (int c = 0; c < 3; ++c) {
-      double sum = 0;
-      for (int k = 0; k < full.size(); ++k) sum += upper_gram()(i, k) * full[k][c];
-      out.above[i][c] = static_cast<float>(sum);
+  const Matrix fit = penalised(sums->whole.gram, bands, 1 - coverage).ldlt().solve(sums->whole.moments);
+  const RadianceSh light = to_light(fit, bands);
+  return Projection{light, moments_above(light), coverage};
+}
+
+HoleFit::HoleFit(const Image<float>& confidence) : confidence_(confidence) {
+  // The gram is smooth in its directions: blocks of at most 256 x 128 stand for their pixels.
+  const int width = confidence.width(), height = confidence.height();
+  const int block = std::max(1, (width + 255) / 256);
+  NormalEquations sums(kMaxCoefficients);
+  Eigen::VectorXd basis(kMaxCoefficients);
+  for (int y = 0; y < height; y += block)
+    for (int x = 0; x < width; x += block) {
+      const int x1 = std::min(x + block, width), y1 = std::min(y + block, height);
+      double w = 0;
+      for (int j = y; j < y1; ++j)
+        for (int i = x; i < x1; ++i)
+          w += latlong_solid_angle(j, width, height) * double(confidence.at(i, j));
+      if (w <= 0) continue;
+      evaluate_basis(kMaxBands, latlong_direction((x + x1) / 2., (y + y1) / 2., width, height),
+                     {basis.data(), static_cast<std::size_t>(kMaxCoefficients)});
+      sums.add(basis, Eigen::RowVector3d::Zero(), w, true);
     }
-  return out;
+  coverage_ = std::min(1., sums.seen_sr / (4 * kPi));
+  system_.compute(penalised(sums.gram, kMaxBands, 1 - coverage_));
+}
+
+Result<Projection> HoleFit::fill(const RadianceSh& moments) const {
+  if (coverage_ < kLeastCoverage)
+    return fail(ErrorCode::kUndetermined, "environment",
+                fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage_));
+  Matrix right(kMaxCoefficients, 3);
+  for (int n = 0; n < kMaxCoefficients; ++n)
+    for (int c = 0; c < 3; ++c) right(n, c) = moments[n][c];
+  const RadianceSh light = to_light(system_.solve(right), kMaxBands);
+  return Projection{light, moments_above(light), coverage_};
 }
 
 }  // namespace penumbra::lighting

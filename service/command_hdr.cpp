@@ -21,9 +21,9 @@ Result<std::vector<double>> parse_times(const std::string& text) {
     const std::string item = text.substr(start, end - start);
     char* rest = nullptr;
     double value = std::strtod(item.c_str(), &rest);
-    if (rest && *rest == '/') {  // 1/60
-      const std::string below = rest + 1;
-      value /= std::strtod(below.c_str(), &rest);
+    if (*rest == '/') {  // 1/60
+      const char* const below = rest + 1;
+      value /= std::strtod(below, &rest);
     }
     if (item.empty() || rest == item.c_str() || *rest != 0)
       return fail(ErrorCode::kInvalid, "--times",

@@ -42,9 +42,9 @@ class LoopingFolder : public capture::FrameSource {
       auto again = capture::open_capture_folder(folder_);
       if (!again) return std::unexpected(again.error());
       source_ = std::move(*again);
-      offset_ns_ = last_ns_ + 33'000'000;
       frame = source_->next();
       if (!frame || !*frame) return frame;
+      offset_ns_ = last_ns_ + 33'000'000 - (*frame)->time.value;
     }
     (*frame)->time.value += offset_ns_;
     last_ns_ = (*frame)->time.value;
@@ -90,13 +90,17 @@ Result<Rig> open_rig(const RigConfig& c) {
 Result<void> serve(const ServeOptions& o) {
   auto config = read_rig_config(o.config);
   if (!config) return std::unexpected(config.error());
+  // The port first: whether it is free should not be learnt after the bake, and clients see "starting".
+  StageTimes times;
+  PublishedState state;
+  auto api = HttpApi::start(config->address, config->port, state, times, config->stale_after_s);
+  if (!api) return std::unexpected(api.error());
   auto rig = open_rig(*config);
   if (!rig) return std::unexpected(rig.error());
   BakeSettings settings;
   settings.bands = config->bands;
   auto prepared = prepare(rig->scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
-  StageTimes times;
   const auto& cameras = rig->source->cameras();
   auto light = LightStage::create(cameras, config->bands, times);
   if (!light) return std::unexpected(light.error());
@@ -107,9 +111,6 @@ Result<void> serve(const ServeOptions& o) {
   g_stop = false;
   std::signal(SIGINT, on_signal);
   std::signal(SIGTERM, on_signal);
-  PublishedState state;
-  auto api = HttpApi::start(config->address, config->port, state, times, config->stale_after_s);
-  if (!api) return std::unexpected(api.error());
   spdlog::info("listening on http://{}:{}", config->address, (*api)->port());
   auto counts = run_live(
       *rig->source, *light, **compose,

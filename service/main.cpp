@@ -63,7 +63,7 @@ void add_light_commands(CLI::App& app, Action& action) {
   c->add_option("--projection", estimate.projection,
                 "latlong, angular, mirror-ball, equidistant, pinhole, vertical-cross, exr-latlong "
                 "or exr-cube; "
-                "by default from the file's attribute, else from its shape");
+                "an OpenEXR file that says what it is wins; without both, from its shape");
   c->add_option("--bands", estimate.bands, "1 to 9, or auto")->capture_default_str();
   add_json(c, estimate.json);
   c->callback([&] { action = [] { return light_estimate(estimate); }; });

@@ -88,7 +88,7 @@ Result<void> FrameWriter::handle(const Job& job) {
     } else {
       auto exr = path;
       PENUMBRA_TRY(
-          codec::write_hdr(exr.replace_extension(".exr"), std::get<Image<Rgb>>(*job.pixels)));
+          codec::write_hdr(exr.replace_extension(".exr"), std::get<Image<Rgb>>(*job.pixels), codec::Depth::kFloat));
     }
   }
   if (!options_.video || !job.in_video) return {};

@@ -19,6 +19,13 @@ int environment_rows(const calib::Projection& p) {
   return std::clamp(rows / 2 * 2, 16, kLongestSide);
 }
 
+capture::EnvironmentAssembler make_assembler(const capture::CameraInfo& info) {
+  const int rows = environment_rows(info.projection);
+  return {info.projection, info.world_from_camera, 2 * rows, rows};
+}
+
+constexpr double kSamePose = 1 - 1e-7;  // cosine of half the angle: within .05 degrees
+
 }  // namespace
 
 Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras, int bands,
@@ -27,18 +34,22 @@ Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& ca
       std::ranges::find(cameras, capture::Role::kEnvironment, &capture::CameraInfo::role);
   if (found == cameras.end())
     return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+  if (found->projection.width < 2 || found->projection.height < 2)
+    return fail(ErrorCode::kInvalid, found->name, "an environment camera needs two pixels a side at least");
   return LightStage(static_cast<int>(found - cameras.begin()), *found, bands, times);
 }
 
 LightStage::LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times)
-    : camera_(camera),
-      ring_(info, kRingSlots),
-      assembler_(info.projection, info.world_from_camera, 2 * environment_rows(info.projection),
-                 environment_rows(info.projection)),
-      estimator_(bands),
-      times_(times) {}
+    : camera_(camera), info_(info), ring_(info, kRingSlots), assembler_(make_assembler(info)),
+      estimator_(bands), times_(times) {}
 
 Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame) {
+  // A camera that turned sees the same light elsewhere; its position does not matter to far light.
+  if (std::abs(glm::dot(frame.world_from_camera.rotation, info_.world_from_camera.rotation)) < kSamePose) {
+    info_.world_from_camera = frame.world_from_camera;
+    assembler_ = make_assembler(info_);
+    environment_ = {};  // other pixels are seen now
+  }
   Result<const capture::MergedImage*> merged = nullptr;
   {
     const StageTimer timer(times_, "merge");

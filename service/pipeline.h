@@ -30,6 +30,7 @@ class LightStage {
  private:
   LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times);
   int camera_;
+  capture::CameraInfo info_;  // with the newest pose
   capture::HdrRing ring_;
   capture::EnvironmentAssembler assembler_;
   Environment environment_;

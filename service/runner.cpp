@@ -108,6 +108,16 @@ struct Live {
   }
 };
 
+// False when the run ends before: a gap between frames must not hold up a stop.
+bool wait_until(Clock::time_point due, const Live& live, const std::atomic<bool>& stop) {
+  constexpr auto kSlice = std::chrono::milliseconds(50);
+  while (Clock::now() < due) {
+    if (stop || live.view.closed()) return false;
+    std::this_thread::sleep_until(std::min(due, Clock::now() + kSlice));
+  }
+  return true;
+}
+
 void produce(Live& live, capture::FrameSource& source, int environment_camera, StageTimes& times,
              const std::atomic<bool>& stop) noexcept {
   try {
@@ -121,8 +131,8 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
       if (!frame) return live.stop_with(frame.error());
       if (!*frame) break;
       if (!origin) origin = Clock::now(), first = (*frame)->time;
-      std::this_thread::sleep_until(
-          *origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first));
+      if (!wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first), live, stop))
+        break;
       const bool is_view =
           source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;
       if ((*frame)->camera == environment_camera)
@@ -173,6 +183,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
   {
     const std::jthread producer([&] { produce(live, source, light.camera(), times, stop); });
     const std::jthread measurer([&] { measure(live, light); });
+    // Also when something throws here: the threads are released before they are joined.
+    const std::unique_ptr<Live, void (*)(Live*)> release(&live, [](Live* l) { l->close(); });
     lighting::LightEstimate estimate;
     bool go_on = true;
     while (go_on && !stop) {
@@ -185,7 +197,6 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
       composed = compose_one(*frame, estimate, compose, sink, counts, go_on);
       if (!composed) break;
     }
-    live.close();  // first release everyone, then join
   }
   counts.seconds = since(start);
   counts.dropped = live.view.dropped() + live.environment.dropped();

@@ -144,6 +144,7 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
     g.half_extent *= k;
     g.height = 0;
   }
+  if (!plane) baked->receiver.reset();  // nothing there to take the shadow
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
   if (plane && up.y < .9999)

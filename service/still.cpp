@@ -35,7 +35,7 @@ glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
 }  // namespace
 
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress) {
-  if (!in.scene->real_mesh.triangles.empty())
+  if (!in.scene->real_mesh.triangles.empty() || in.scene->planes.size() > 1)
     return render_reference(in, false, error, std::nullopt, progress);
   auto light = prt::EnvironmentLight::from_map(*in.environment);
   if (!light) return std::unexpected(light.error());

@@ -28,7 +28,7 @@ struct StillScene {
 using Progress = std::function<void(double)>;
 
 /// The world without virtual objects: environment and planes in closed form (irradiance exact from
-/// every pixel), path traced when there are real meshes.
+/// every pixel), path traced when there are real meshes or several planes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
 
 /// Our method over the real picture, under `light`.
