@@ -50,8 +50,9 @@ inline constexpr double kLevel = .99999;
 /// View frames and light in, composited frames out.
 class ComposeStage {
  public:
-  /// Light that changed less than this share of the mean cannot be seen in 8 bits.
-  static constexpr double kVisibleChange = .005;
+  /// Light whose largest possible effect, by a bound that is loose two to ten times, is below this share of the
+  /// mean cannot be seen in 8 bits.
+  static constexpr double kVisibleChange = .01;
 
   /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
   /// kUnavailable
