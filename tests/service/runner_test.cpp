@@ -153,6 +153,42 @@ TEST(Live, ErrorOfTheSourceReachesTheCaller) {
   EXPECT_EQ(counts.error().where, "camera");
 }
 
+TEST(Live, ThrowingSinkEndsTheRunInsteadOfHangingIt) {
+  Stages s;
+  NEED_GL(s);
+  const std::atomic<bool> stop = false;
+  EXPECT_THROW((void)run_live(
+                   s.studio, *s.light, **s.compose, [](const Output&) -> bool { throw std::runtime_error("full"); },
+                   s.times, stop),
+               std::runtime_error);
+}
+
+// One frame, then one that is due in an hour.
+class GapSource : public FailingSource {
+ public:
+  using FailingSource::FailingSource;
+  Result<std::optional<capture::Frame>> next() override {
+    auto frame = FailingSource::next();
+    if (frame && *frame && (*frame)->sequence > 0) (*frame)->time.value += 3'600'000'000'000;
+    return frame;
+  }
+};
+
+TEST(Live, StopDoesNotWaitForAFrameThatIsDueMuchLater) {
+  Stages s;
+  NEED_GL(s);
+  GapSource source(s.studio);
+  std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      source, *s.light, **s.compose,
+      [&](const Output&) {
+        stop = true;
+        return true;
+      },
+      s.times, stop);
+  EXPECT_TRUE(counts);
+}
+
 TEST(Replay, DarkWorldIsAnErrorOnlyWhenNoLightEverCame) {
   Stages s;
   NEED_GL(s);
