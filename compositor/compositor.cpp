@@ -190,6 +190,10 @@ void Compositor::set_light(int object, std::span<const float> relit,
     impl_->receivers.set_shadow(r, shadow);
 }
 
+void Compositor::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
+  impl_->layers->add_plane(point, normal);
+}
+
 void Compositor::add_occluder(const prt::Mesh& mesh) {
   impl_->layers->add_occluder(mesh);
 }

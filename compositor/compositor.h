@@ -55,6 +55,8 @@ class Compositor {
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
   /// Real geometry (world frame): hides objects and shadows behind it.
   void add_occluder(const prt::Mesh& world_mesh);
+  /// A real plane: hides objects behind it. Shadows fall on it, so it hides none.
+  void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
   /// Composites in place, in linear camera radiance:
   ///   B = f^-1(z), z' = f(a e L_v + (1 - a) B s)

@@ -135,7 +135,7 @@ void Layers::set_light(int object, std::span<const float> relit) {
   drawn_.reset();
 }
 
-void Layers::add_occluder(const prt::Mesh& mesh) {
+Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
   Occluder o;
   o.index_count = static_cast<GLsizei>(mesh.triangles.size() * 3);
   glBindVertexArray(o.geometry.get());
@@ -143,10 +143,26 @@ void Layers::add_occluder(const prt::Mesh& mesh) {
   glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
   attribute(0, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
-               GL_STATIC_DRAW);
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(), GL_STATIC_DRAW);
   glBindVertexArray(0);
-  occluders_.push_back(std::move(o));
+  return o;
+}
+
+void Layers::add_occluder(const prt::Mesh& mesh) {
+  occluders_.push_back(upload(mesh));
+  drawn_.reset();
+}
+
+void Layers::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
+  constexpr double kHalfSide = 300;  // metres; beyond, nothing of an object could be told apart
+  const glm::dvec3 u = glm::normalize(
+      glm::cross(normal, std::abs(normal.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
+  const glm::dvec3 v = glm::cross(normal, u);
+  prt::Mesh quad;
+  for (const auto& [a, b] : {std::pair{-1., -1.}, {1., -1.}, {1., 1.}, {-1., 1.}})
+    quad.positions.emplace_back(point + kHalfSide * (a * u + b * v));
+  quad.triangles = {{0, 1, 2}, {0, 2, 3}};
+  planes_.push_back(upload(quad));
   drawn_.reset();
 }
 
@@ -163,13 +179,13 @@ void Layers::begin(const Rect& rect) {
   glFrontFace(GL_CW);  // clip y points down
 }
 
-void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
+void Layers::draw_occluders(const std::vector<Occluder>& occluders, const glm::dmat4& clip_from_world) {
   glUseProgram(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
   // Away from the camera, so that real geometry never hides what rests on it.
   glEnable(GL_POLYGON_OFFSET_FILL);
   glPolygonOffset(1, 4);
-  for (const Occluder& o : occluders_) {
+  for (const Occluder& o : occluders) {
     glBindVertexArray(o.geometry.get());
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
   }
@@ -223,18 +239,17 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& ob
   }
   if (!objects.rect.empty()) {
     begin(objects.rect);
-    if (!occluders_.empty()) {
-      glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
-      draw_occluders(clip_from_world);
-      glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-    }
+    glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
+    draw_occluders(occluders_, clip_from_world);
+    draw_occluders(planes_, clip_from_world);
+    glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
     draw_objects(view, clip_from_world);
     finish(objects);
   }
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
   if (!hidden.rect.empty()) {
     begin(hidden.rect);
-    draw_occluders(clip_from_world);
+    draw_occluders(occluders_, clip_from_world);
     finish(hidden);
   }
   if (const GLenum error = glGetError(); error != GL_NO_ERROR)

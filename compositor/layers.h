@@ -29,6 +29,7 @@ class Layers {
   void set_pose(int object, const Pose& world_from_bake);
   void set_light(int object, std::span<const float> relit);
   void add_occluder(const prt::Mesh& mesh);
+  void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
   /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples
   /// a pixel. hidden: coverage of real geometry inside `receiver_area`, in every channel; empty
@@ -69,7 +70,8 @@ class Layers {
         occluder_program_(std::move(occluder)) {}
   Result<void> make_targets();
   void begin(const Rect& rect);
-  void draw_occluders(const glm::dmat4& clip_from_world);
+  void draw_occluders(const std::vector<Occluder>& occluders, const glm::dmat4& clip_from_world);
+  static Occluder upload(const prt::Mesh& mesh);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world);
   void finish(Layer& out);
 
@@ -78,7 +80,7 @@ class Layers {
   std::vector<Target> targets_;
   GlRenderbuffer fine_depth_;
   std::vector<Object> objects_;
-  std::vector<Occluder> occluders_;
+  std::vector<Occluder> occluders_, planes_;
   std::optional<Drawn> drawn_;  // what the caller's layers show
 };
 

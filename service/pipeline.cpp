@@ -86,6 +86,8 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   for (const capture::CameraInfo& c : cameras)
     stage->views_.push_back({c, std::nullopt, std::nullopt});
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
+  for (const prt::Plane& plane : scene.planes)
+    stage->compositor_->add_plane(plane.point, plane.normal);
   for (const PreparedObject& o : scene.objects) {
     const int handle = stage->compositor_->add_object(o.baked);
     stage->objects_.push_back(

@@ -275,6 +275,27 @@ TEST_F(CompositorTest, RealGeometryBehindHidesNothing) {
     ASSERT_TRUE(same(with.pixels()[i], without.pixels()[i])) << i;
 }
 
+TEST_F(CompositorTest, FloorHidesNothingThatRestsOnIt) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  const Image<Rgb> frame = test::noise_frame<Rgb>(9);
+  const auto without = composited_floats(frame, view());
+  compositor_->add_plane({0, 0, 0}, {0, 1, 0});
+  const auto with = composited_floats(frame, view());
+  int changed = 0;
+  for (std::size_t i = 0; i < frame.area(); ++i) changed += !same(with.pixels()[i], without.pixels()[i]);
+  EXPECT_LE(changed, 5) << "samples at the point of contact alone";
+}
+
+TEST_F(CompositorTest, FloorHidesWhatIsBuried) {
+  Pose buried;
+  buried.translation = {0, -.85, -.5};
+  test::add_lit(*compositor_, test::baked_sphere(false), side_light(), buried);
+  const Image<Rgb> frame = test::noise_frame<Rgb>(9);
+  EXPECT_NE(composited_floats(frame, view()), frame) << "seen through a floor that nobody told of";
+  compositor_->add_plane({0, 0, 0}, {0, 1, 0});
+  EXPECT_EQ(composited_floats(frame, view()), frame);
+}
+
 TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   const Image<Rgb> frame = test::noise_frame<Rgb>(8);
