@@ -5,6 +5,7 @@ import json
 import math
 import re
 import signal
+import shutil
 import subprocess
 import sys
 import threading
@@ -173,6 +174,21 @@ class Files(CliTest):
 
     def test_compare_refuses_pictures_of_different_sizes(self):
         self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")
+
+
+class Window(CliTest):
+    """A real window, under Xvfb."""
+
+    def test_live_demo_opens_a_window_and_ends(self):
+        xvfb = shutil.which("xvfb-run")
+        if not xvfb:
+            self.skipTest("xvfb-run is not installed")
+        done = subprocess.run([xvfb, "-a", program(), "demo", "--live", "--still-only", "--frames", "12", "--width", "320",
+                               "--height", "180", "--out", str(self.root / "out")],
+                              env=self.environment, capture_output=True, text=True, timeout=300, check=False)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertNotIn("without a window", done.stderr)
+        self.assertTrue((self.root / "out" / "still.png").is_file())
 
 
 class Serve(CliTest):
