@@ -141,9 +141,12 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
   const double cap = 1 - std::cos(kSunRadius);
   const dvec3 side = glm::normalize(glm::cross(sun, dvec3(0, 1, .1))), up = glm::cross(side, sun);
   for (int i = 0; i < kPoints; ++i) {
-    const double c = 1 - cap * (i + .5) / kPoints, s = std::sqrt(1 - c * c), a = i * 2.39996322972865332;
-    const glm::dvec2 p = latlong_pixel(c * sun + s * (std::cos(a) * side + std::sin(a) * up), width, height);
-    const int x = std::min(static_cast<int>(p.x), width - 1), y = std::min(static_cast<int>(p.y), height - 1);
+    const double c = 1 - cap * (i + .5) / kPoints, s = std::sqrt(1 - c * c),
+                 a = i * 2.39996322972865332;
+    const glm::dvec2 p =
+        latlong_pixel(c * sun + s * (std::cos(a) * side + std::sin(a) * up), width, height);
+    const int x = std::min(static_cast<int>(p.x), width - 1),
+              y = std::min(static_cast<int>(p.y), height - 1);
     const double share = 2 * kPi * cap / kPoints / latlong_solid_angle(y, width, height);
     map.at(x, y) += radiance * static_cast<float>(share);
   }

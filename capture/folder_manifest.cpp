@@ -217,7 +217,8 @@ std::string print_manifest(const std::vector<CameraInfo>& cameras,
     if (has_intrinsics(p.kind))
       text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
                           p.focal_px.y, p.principal_px.x, p.principal_px.y);
-    text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(responses[i]), c.black_level);
+    text +=
+        fmt::format("response = {}\nblack_level = {}\n", toml_quoted(responses[i]), c.black_level);
     text += fmt::format("full_well_electrons = {}\nread_fraction = {}\n",
                         c.noise.full_well_electrons, c.noise.read_fraction);
     const glm::dmat4 m = c.world_from_camera.matrix();

@@ -53,7 +53,8 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
     frames_.erase(frames_.begin());
   frames_.push_back(frame);
   // An exposure that the schedule has left behind must not go on lighting the scene.
-  std::erase_if(frames_, [&](const Frame& f) { return f.sequence + 3 * frames_.size() < frame.sequence; });
+  std::erase_if(frames_,
+                [&](const Frame& f) { return f.sequence + 3 * frames_.size() < frame.sequence; });
   PENUMBRA_TRY(merge_now());
   if (merged_.clipped_fraction == 1)
     return fail(ErrorCode::kUndetermined, camera_.name, "every pixel is clipped in every exposure");

@@ -143,7 +143,8 @@ Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
   glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
   attribute(0, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(), GL_STATIC_DRAW);
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
+               GL_STATIC_DRAW);
   glBindVertexArray(0);
   return o;
 }
@@ -179,7 +180,8 @@ void Layers::begin(const Rect& rect) {
   glFrontFace(GL_CW);  // clip y points down
 }
 
-void Layers::draw_occluders(const std::vector<Occluder>& occluders, const glm::dmat4& clip_from_world) {
+void Layers::draw_occluders(const std::vector<Occluder>& occluders,
+                            const glm::dmat4& clip_from_world) {
   glUseProgram(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
   // Away from the camera, so that real geometry never hides what rests on it.

@@ -27,7 +27,8 @@ class CodeCurve {
   unsigned encode(int channel, float linear) const;
   /// Nearest 8-bit code within a tenth of a code by one lookup; for curves of 8 bits alone.
   std::uint8_t encode8(int channel, float linear) const {
-    const float x = std::min(std::max(kSmallest, linear + black_), kLargest);  // NaN becomes the smallest
+    const float x =
+        std::min(std::max(kSmallest, linear + black_), kLargest);  // NaN becomes the smallest
     return encode8_[static_cast<std::size_t>(channel)]
                    [(std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8];
   }

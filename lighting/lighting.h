@@ -79,7 +79,8 @@ struct Projection {
 /// least-squares fit of the upper hemisphere, with the weight kBelowWeight on its mirror image below, which
 /// is continuous at the horizon. It leaves a half to a tenth of the truncation error of the whole-sphere
 /// projection and hardly any bias (docs/accuracy.md), for one small matrix product.
-inline constexpr double kBelowWeight = .03;  // lower weights win little and blow the coefficients up
+inline constexpr double kBelowWeight =
+    .03;  // lower weights win little and blow the coefficients up
 RadianceSh floor_light(const RadianceSh& above, int bands);
 
 /// Projects lat-long maps of one size; all tables are made at construction.

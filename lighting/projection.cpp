@@ -135,7 +135,8 @@ Result<Projection> project_latlong(const Image<Rgb>& map, int bands) {
 
 namespace {
 
-constexpr double kSmoothness = 1e-3;    // mu of the penalty at full loss; in proportion to what is unseen
+constexpr double kSmoothness =
+    1e-3;  // mu of the penalty at full loss; in proportion to what is unseen
 constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
 constexpr double kLeastCoverage = .02;
 
@@ -146,9 +147,11 @@ struct NormalEquations {
   Matrix gram, moments;
   double seen_sr = 0;
 
-  explicit NormalEquations(int count) : gram(Matrix::Zero(count, count)), moments(Matrix::Zero(count, 3)) {}
+  explicit NormalEquations(int count)
+      : gram(Matrix::Zero(count, count)), moments(Matrix::Zero(count, 3)) {}
 
-  void add(const Eigen::VectorXd& basis, const Eigen::RowVector3d& radiance, double w, bool need_gram) {
+  void add(const Eigen::VectorXd& basis, const Eigen::RowVector3d& radiance, double w,
+           bool need_gram) {
     moments.noalias() += (w * basis) * radiance;
     if (need_gram) gram.selfadjointView<Eigen::Lower>().rankUpdate(basis, w);
     seen_sr += w;
@@ -224,7 +227,9 @@ RadianceSh moments_above(const RadianceSh& light) {
 }
 
 // +1 where the basis is even in y, -1 where it is odd.
-double parity(int m) { return m < 0 ? -1 : 1; }
+double parity(int m) {
+  return m < 0 ? -1 : 1;
+}
 
 }  // namespace
 
@@ -239,7 +244,8 @@ RadianceSh floor_light(const RadianceSh& above, int bands) {
       for (int c = 0; c < 3; ++c) moments(i, c) = used[i][c] * (1 + kBelowWeight * parity(m));
       for (int k = 0; k < bands; ++k)
         for (int n = -k; n <= k; ++n)
-          system(i, sh_index(k, n)) = upper_gram()(i, sh_index(k, n)) * (1 + kBelowWeight * parity(m) * parity(n));
+          system(i, sh_index(k, n)) =
+              upper_gram()(i, sh_index(k, n)) * (1 + kBelowWeight * parity(m) * parity(n));
     }
   return to_light(system.ldlt().solve(moments), bands);
 }
@@ -261,8 +267,10 @@ Result<Projection> project_samples(const LightSamples& s, int bands) {
   auto sums = accumulate(s, bands, !complete);
   if (!sums) return std::unexpected(sums.error());
   if (complete)
-    return Projection{to_light(sums->whole.moments, bands), to_light(sums->above.moments, bands), coverage};
-  const Matrix fit = penalised(sums->whole.gram, bands, 1 - coverage).ldlt().solve(sums->whole.moments);
+    return Projection{to_light(sums->whole.moments, bands), to_light(sums->above.moments, bands),
+                      coverage};
+  const Matrix fit =
+      penalised(sums->whole.gram, bands, 1 - coverage).ldlt().solve(sums->whole.moments);
   const RadianceSh light = to_light(fit, bands);
   return Projection{light, moments_above(light), coverage};
 }

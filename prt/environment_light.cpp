@@ -54,7 +54,8 @@ EnvironmentLight EnvironmentLight::from_sh(const RadianceSh& sh) {
   const auto least = static_cast<float>(.05 * mean);
   for (Rgb& m : magnitude.pixels()) m += Rgb{least, least, least};
   auto sampled = from_map(magnitude);
-  EnvironmentLight light = sampled ? std::move(*sampled) : EnvironmentLight();  // no light at all: no sampler
+  EnvironmentLight light =
+      sampled ? std::move(*sampled) : EnvironmentLight();  // no light at all: no sampler
   light.sh_ = sh;
   return light;
 }

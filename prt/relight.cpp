@@ -80,10 +80,9 @@ void relight(const Transfer& transfer, const RadianceSh& light, std::span<float>
     (transfer.values.data(), transfer.stride, count, l, out.data());
     return;
   }
-  for (int c = 0; c < 3; ++c)
-    HWY_DYNAMIC_DISPATCH(RelightChannel)
-    (transfer.values.data() + transfer.index(c, 0, 0), transfer.stride, count, l + c,
-     out.data() + static_cast<std::size_t>(c) * transfer.stride);
+  for (int c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(RelightChannel)
+  (transfer.values.data() + transfer.index(c, 0, 0), transfer.stride, count, l + c,
+   out.data() + static_cast<std::size_t>(c) * transfer.stride);
 }
 
 }  // namespace penumbra::prt

@@ -35,10 +35,12 @@ Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& vie
 }
 
 double Accuracy::object_without_noise() const {
-  return std::sqrt(std::max(0., object_rel_rmse * object_rel_rmse - reference_error * reference_error));
+  return std::sqrt(
+      std::max(0., object_rel_rmse * object_rel_rmse - reference_error * reference_error));
 }
 
-Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty, const Masks& masks) {
+Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
+                          const Masks& masks) {
   double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
     const double a = luminance(ours.radiance.pixels()[i]);
@@ -47,7 +49,9 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
       square += (a - t) * (a - t);
       mean += t;
       bias += a - t;
-      noise += std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) / 4;
+      noise +=
+          std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) /
+          4;
       ++objects;
     } else if (masks.floor[i]) {
       const double open = luminance(empty.radiance.pixels()[i]);
@@ -64,7 +68,8 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
   return out;
 }
 
-void light_floor(const StillScene& in, const lighting::LightEstimate& light, const Masks& masks, Still& empty) {
+void light_floor(const StillScene& in, const lighting::LightEstimate& light, const Masks& masks,
+                 Still& empty) {
   const std::vector<prt::Plane>& planes = in.scene->planes;
   if (planes.empty()) return;
   const Rgb e = lighting::evaluate(lighting::irradiance(light_on(planes, light)), planes[0].normal);

@@ -19,16 +19,19 @@ struct Accuracy {
   double object_rel_rmse = 0;  // luminance, relative to the object's mean
   double object_bias = 0;      // signed, likewise
   double shadow_rmse = 0;      // of s = L/L_0 on the floor where the reference is below .95
-  double reference_error = 0;  // noise of the reference on the object, in the unit of object_rel_rmse
+  double reference_error =
+      0;  // noise of the reference on the object, in the unit of object_rel_rmse
   /// object_rel_rmse with the reference's noise taken out in quadrature.
   double object_without_noise() const;
 };
 
 /// `empty`: the floor without the object under the same light. Negative radiance of a truncated reference
 /// counts as 0: no camera sees it, and the compositor cuts it off.
-Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty, const Masks& masks);
+Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
+                          const Masks& masks);
 
 /// The floor's own picture under truncated light, in closed form: Lambert under light_on(planes).
-void light_floor(const StillScene& in, const lighting::LightEstimate& light, const Masks& masks, Still& empty);
+void light_floor(const StillScene& in, const lighting::LightEstimate& light, const Masks& masks,
+                 Still& empty);
 
 }  // namespace penumbra::service

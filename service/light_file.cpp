@@ -21,9 +21,11 @@ Result<FileLight> read_light(const std::string& path,
     spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path,
                  file->non_finite);
   const calib::ProjectionTable& t = file->table;
-  const bool plain = file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0;
+  const bool plain =
+      file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0;
   auto light = plain ? lighting::project_latlong(file->radiance, kMaxBands)
-                     : lighting::project_samples({t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
+                     : lighting::project_samples(
+                           {t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
   if (!light) return fail(light.error().code, path, light.error().detail);
   out.light = *light;
   out.file = std::move(*file);

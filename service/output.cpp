@@ -21,7 +21,9 @@ Result<OutputFolder> OutputFolder::create(const std::filesystem::path& folder) {
 }
 
 OutputFolder::OutputFolder(OutputFolder&& other) noexcept
-    : path_(std::move(other.path_)), made_(other.made_), kept_(std::exchange(other.kept_, true)),
+    : path_(std::move(other.path_)),
+      made_(other.made_),
+      kept_(std::exchange(other.kept_, true)),
       files_(std::move(other.files_)) {}
 
 OutputFolder::~OutputFolder() {
@@ -87,8 +89,8 @@ Result<void> FrameWriter::handle(const Job& job) {
       PENUMBRA_TRY(codec::write_frame(path, *f16));
     } else {
       auto exr = path;
-      PENUMBRA_TRY(
-          codec::write_hdr(exr.replace_extension(".exr"), std::get<Image<Rgb>>(*job.pixels), codec::Depth::kFloat));
+      PENUMBRA_TRY(codec::write_hdr(exr.replace_extension(".exr"),
+                                    std::get<Image<Rgb>>(*job.pixels), codec::Depth::kFloat));
     }
   }
   if (!options_.video || !job.in_video) return {};

@@ -35,17 +35,23 @@ Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& ca
   if (found == cameras.end())
     return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
   if (found->projection.width < 2 || found->projection.height < 2)
-    return fail(ErrorCode::kInvalid, found->name, "an environment camera needs two pixels a side at least");
+    return fail(ErrorCode::kInvalid, found->name,
+                "an environment camera needs two pixels a side at least");
   return LightStage(static_cast<int>(found - cameras.begin()), *found, bands, times);
 }
 
 LightStage::LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times)
-    : camera_(camera), info_(info), ring_(info, kRingSlots), assembler_(make_assembler(info)),
-      estimator_(bands), times_(times) {}
+    : camera_(camera),
+      info_(info),
+      ring_(info, kRingSlots),
+      assembler_(make_assembler(info)),
+      estimator_(bands),
+      times_(times) {}
 
 Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame) {
   // A camera that turned sees the same light elsewhere; its position does not matter to far light.
-  if (std::abs(glm::dot(frame.world_from_camera.rotation, info_.world_from_camera.rotation)) < kSamePose) {
+  if (std::abs(glm::dot(frame.world_from_camera.rotation, info_.world_from_camera.rotation)) <
+      kSamePose) {
     info_.world_from_camera = frame.world_from_camera;
     assembler_ = make_assembler(info_);
     environment_ = {};  // other pixels are seen now
@@ -96,7 +102,8 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   return stage;
 }
 
-bool ComposeStage::update_light(Object& o, const lighting::LightEstimate& estimate, double seconds) {
+bool ComposeStage::update_light(Object& o, const lighting::LightEstimate& estimate,
+                                double seconds) {
   const Pose pose = o.prepared->pose_at(seconds);
   compositor_->set_pose(o.handle, pose);
   const glm::dmat3 world_from_bake = pose.rotation_matrix();

@@ -131,7 +131,8 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
       if (!frame) return live.stop_with(frame.error());
       if (!*frame) break;
       if (!origin) origin = Clock::now(), first = (*frame)->time;
-      if (!wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first), live, stop))
+      if (!wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
+                      live, stop))
         break;
       const bool is_view =
           source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;

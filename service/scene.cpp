@@ -130,7 +130,8 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
   if (!baked) return std::unexpected(baked.error());
   const prt::Bounds b = bounds_of(baked->mesh);
   const glm::vec3 size = b.high - b.low;
-  const double scale = o.stand ? o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
+  const double scale =
+      o.stand ? o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
   glm::dvec3 shift(0);
   if (o.stand) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
   if (baked->receiver) shift.y = -double(baked->receiver->grid.height);

@@ -138,8 +138,8 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     const std::string asset = o.asset.starts_with("builtin:")
                                   ? o.asset
                                   : fs::absolute(o.asset).lexically_normal().string();
-    text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name), toml_quoted(asset),
-                        list(o.albedo.r, o.albedo.g, o.albedo.b));
+    text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name),
+                        toml_quoted(asset), list(o.albedo.r, o.albedo.g, o.albedo.b));
     text += fmt::format("position = {}\nrotation = {}\n",
                         list(o.position.x, o.position.y, o.position.z),
                         list(o.rotation.x, o.rotation.y, o.rotation.z, o.rotation.w));
@@ -154,7 +154,8 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
       text += fmt::format("plane = {{ point = {}, normal = {} }}\n", list(p.x, p.y, p.z),
                           list(n.x, n.y, n.z));
     } else {
-      text += fmt::format("mesh = {}\n", toml_quoted(fs::absolute(r.mesh).lexically_normal().string()));
+      text +=
+          fmt::format("mesh = {}\n", toml_quoted(fs::absolute(r.mesh).lexically_normal().string()));
     }
     if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
   }

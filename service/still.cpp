@@ -68,7 +68,8 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   return out;
 }
 
-Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light, const Still& real) {
+Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
+                               const Still& real) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
@@ -89,7 +90,8 @@ Result<Still> render_composite(const StillScene& in, const lighting::LightEstima
       std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
 }
 
-const RadianceSh& light_on(const std::vector<prt::Plane>& planes, const lighting::LightEstimate& light) {
+const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
+                           const lighting::LightEstimate& light) {
   const bool level = !planes.empty() && std::ranges::all_of(planes, [](const prt::Plane& p) {
     return p.normal.y > kLevel;
   });
@@ -102,7 +104,8 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
   auto map_light = prt::EnvironmentLight::from_map(*in.environment);
   if (!map_light) return std::unexpected(map_light.error());
   const prt::EnvironmentLight light =
-      truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated)) : *map_light;
+      truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated))
+                : *map_light;
   prt::World world;
   world.mesh = world_mesh(*in.scene, with_objects);
   world.planes = in.scene->planes;

@@ -32,10 +32,12 @@ using Progress = std::function<void(double)>;
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
 
 /// Our method over the real picture, under `light`.
-Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light, const Still& real);
+Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
+                               const Still& real);
 
 /// The light that the compositor uses for what stands on these planes: the floor's when all are level.
-const RadianceSh& light_on(const std::vector<prt::Plane>& planes, const lighting::LightEstimate& light);
+const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
+                           const lighting::LightEstimate& light);
 
 /// The truth: the object really stands there. Under the whole environment, or under `truncated`
 /// light.

@@ -282,7 +282,8 @@ TEST_F(CompositorTest, FloorHidesNothingThatRestsOnIt) {
   compositor_->add_plane({0, 0, 0}, {0, 1, 0});
   const auto with = composited_floats(frame, view());
   int changed = 0;
-  for (std::size_t i = 0; i < frame.area(); ++i) changed += !same(with.pixels()[i], without.pixels()[i]);
+  for (std::size_t i = 0; i < frame.area(); ++i)
+    changed += !same(with.pixels()[i], without.pixels()[i]);
   EXPECT_LE(changed, 5) << "samples at the point of contact alone";
 }
 

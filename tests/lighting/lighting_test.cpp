@@ -108,7 +108,8 @@ TEST(Projection, BasisImageGivesUnitVector) {
     });
     const auto light = project_latlong(map, 9);
     ASSERT_TRUE(light);
-    for (int n = 0; n < 81; ++n) ASSERT_NEAR(light->light[n].b, n == target ? 2 : 0, 2e-3) << target;
+    for (int n = 0; n < 81; ++n)
+      ASSERT_NEAR(light->light[n].b, n == target ? 2 : 0, 2e-3) << target;
   }
 }
 
@@ -200,7 +201,8 @@ double error_above_horizon(const Image<Rgb>& map, const RadianceSh& light) {
     for (int y = 0; y < map.height() / 2; ++y)
       for (int x = 0; x < map.width(); ++x) {
         const dvec3 d = latlong_direction(x + .5, y + .5, map.width(), map.height());
-        const double w = latlong_solid_angle(y, map.width(), map.height()) * std::max(0., glm::dot(d, normal));
+        const double w =
+            latlong_solid_angle(y, map.width(), map.height()) * std::max(0., glm::dot(d, normal));
         truth += w * map.at(x, y).g;
         approximate += w * evaluate(light, d).g;
       }
@@ -212,7 +214,9 @@ double error_above_horizon(const Image<Rgb>& map, const RadianceSh& light) {
 
 TEST(FloorLight, ConstantSkyOverAnyGroundIsConstant) {
   for (const float ground : {0.f, 1.f, 7.f}) {
-    const auto map = make_map(256, 128, [&](const dvec3& d) { return d.y > 0 ? Rgb{1, 1, 1} : Rgb{ground, ground, ground}; });
+    const auto map = make_map(256, 128, [&](const dvec3& d) {
+      return d.y > 0 ? Rgb{1, 1, 1} : Rgb{ground, ground, ground};
+    });
     const auto p = project_latlong(map, 9);
     ASSERT_TRUE(p);
     for (const int bands : {1, 3, 5, 9}) {
@@ -235,8 +239,12 @@ TEST(FloorLight, DarkGroundCostsTheWholeSphereProjectionPercentsAndThisNone) {
 }
 
 TEST(FloorLight, OddRowsShareTheHorizonRow) {
-  const auto even = make_map(64, 64, [](const dvec3& d) { return Rgb{float(2 + d.x), 1, float(1 + d.y)}; });
-  const auto odd = make_map(64, 65, [](const dvec3& d) { return Rgb{float(2 + d.x), 1, float(1 + d.y)}; });
+  const auto even = make_map(64, 64, [](const dvec3& d) {
+    return Rgb{float(2 + d.x), 1, float(1 + d.y)};
+  });
+  const auto odd = make_map(64, 65, [](const dvec3& d) {
+    return Rgb{float(2 + d.x), 1, float(1 + d.y)};
+  });
   const auto a = project_latlong(even, 4), b = project_latlong(odd, 4);
   ASSERT_TRUE(a && b);
   for (int n = 0; n < 16; ++n) EXPECT_NEAR(a->above[n].b, b->above[n].b, 2e-3);
@@ -247,7 +255,8 @@ TEST(FloorLight, HolesAreFilledLikeTheWholeSphere) {
   environment.radiance = Image<Rgb>(128, 64, {1, 1, 1});
   environment.confidence = Image<float>(128, 64, 1);
   for (int y = 0; y < 12; ++y)
-    for (int x = 0; x < 128; ++x) environment.radiance.at(x, y) = {}, environment.confidence.at(x, y) = 0;
+    for (int x = 0; x < 128; ++x)
+      environment.radiance.at(x, y) = {}, environment.confidence.at(x, y) = 0;
   const auto estimate = LightEstimator(5).estimate(environment);
   ASSERT_TRUE(estimate);
   EXPECT_NEAR(estimate->floor_light[0].r, std::sqrt(4 * kPi), .02);

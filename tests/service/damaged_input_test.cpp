@@ -27,7 +27,8 @@ class DamagedInput : public testing::Test {
     std::memcpy(seed.data(), good.data(), good.size());
     int errors = 0;
     test::mutate_and_run(seed, iterations, 20260101, [&](std::span<const unsigned char> bytes) {
-      ASSERT_TRUE(write_bytes(path(name), {reinterpret_cast<const char*>(bytes.data()), bytes.size()}));
+      ASSERT_TRUE(
+          write_bytes(path(name), {reinterpret_cast<const char*>(bytes.data()), bytes.size()}));
       const auto result = read();
       if (result) return;
       ++errors;

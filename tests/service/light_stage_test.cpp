@@ -29,7 +29,8 @@ capture::Frame frame_of(Image<Rgb> pixels, std::uint64_t sequence = 0, double ex
 struct Stage {
   StageTimes times;
   Result<LightStage> light;
-  explicit Stage(const capture::CameraInfo& camera) : light(LightStage::create({camera}, 3, times)) {}
+  explicit Stage(const capture::CameraInfo& camera)
+      : light(LightStage::create({camera}, 3, times)) {}
 };
 
 TEST(LightStage, FloatFramesKeepTheirBrightPixels) {
@@ -73,7 +74,8 @@ TEST(LightStage, ExposureThatTheScheduleLeftBehindIsForgotten) {
   Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
   ASSERT_TRUE(s.light->process(frame_of(Image<Rgb>(64, 32, {1, 1, 1}), 0, 1)));  // the lamp is on
   Result<lighting::LightEstimate> last = fail(ErrorCode::kClosed, "", "");
-  for (std::uint64_t i = 1; i < 20; ++i) last = s.light->process(frame_of(Image<Rgb>(64, 32, {.01f, .01f, .01f}), i, .1));
+  for (std::uint64_t i = 1; i < 20; ++i)
+    last = s.light->process(frame_of(Image<Rgb>(64, 32, {.01f, .01f, .01f}), i, .1));
   ASSERT_TRUE(last);
   EXPECT_NEAR(last->mean_radiance.g, .1, .002);
 }

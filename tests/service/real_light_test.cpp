@@ -49,7 +49,9 @@ double residual(const RadianceSh& ours, const RadianceSh& published) {
 // The one container with other axes: half a turn about x, which also undoes the mirror.
 RadianceSh upright_axes(const RadianceSh& light, bool half_turn) {
   if (!half_turn) return mirrored_z(light);
-  return lighting::ShRotation(glm::dmat3(glm::dvec3(1, 0, 0), glm::dvec3(0, -1, 0), glm::dvec3(0, 0, -1)), 3) * light;
+  return lighting::ShRotation(
+             glm::dmat3(glm::dvec3(1, 0, 0), glm::dvec3(0, -1, 0), glm::dvec3(0, 0, -1)), 3) *
+         light;
 }
 
 // Coordinate descent over small rotations; returns the light and the angle it took.
@@ -78,7 +80,8 @@ TEST(RealLight, GraceInFourContainersGivesThePublishedCoefficients) {
                            "grace_latlong_pbrt.exr", "grace_cross.hdr"}) {
     const auto light = read_light((angular.parent_path() / name).string(), std::nullopt);
     ASSERT_TRUE(light) << light.error().detail;
-    const RadianceSh upright = upright_axes(light->light.light.with_bands(3), std::string_view(name) == "grace_latlong_pbrt.exr");
+    const RadianceSh upright = upright_axes(light->light.light.with_bands(3),
+                                            std::string_view(name) == "grace_latlong_pbrt.exr");
     // Published with pixel corners where we use centres: a tenth of a degree.
     const auto [fitted, degrees] = nearest_rotation(upright, published);
     std::printf("%-30s residual %.5f, after turning by %.2f degrees %.5f\n", name,

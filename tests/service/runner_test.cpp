@@ -158,8 +158,8 @@ TEST(Live, ThrowingSinkEndsTheRunInsteadOfHangingIt) {
   NEED_GL(s);
   const std::atomic<bool> stop = false;
   EXPECT_THROW((void)run_live(
-                   s.studio, *s.light, **s.compose, [](const Output&) -> bool { throw std::runtime_error("full"); },
-                   s.times, stop),
+                   s.studio, *s.light, **s.compose,
+                   [](const Output&) -> bool { throw std::runtime_error("full"); }, s.times, stop),
                std::runtime_error);
 }
 
