@@ -121,6 +121,8 @@ bool wait_until(Clock::time_point due, const Live& live, const std::atomic<bool>
 void produce(Live& live, capture::FrameSource& source, int environment_camera, StageTimes& times,
              const std::atomic<bool>& stop) noexcept {
   try {
+    constexpr int kMostFailures = 8;
+    int failures_in_a_row = 0;
     std::optional<Clock::time_point> origin;
     TimestampNs first{};
     while (!stop && !live.view.closed()) {
@@ -128,7 +130,15 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
         const StageTimer timer(times, "source");
         return source.next();
       }();
-      if (!frame) return live.stop_with(frame.error());
+      if (!frame) {
+        // One damaged frame is not the end of a live run; a source that gives nothing else is.
+        if (++failures_in_a_row > kMostFailures) return live.stop_with(frame.error());
+        const std::scoped_lock lock(live.mutex);
+        ++live.unusable;
+        live.last_unusable = frame.error();
+        continue;
+      }
+      failures_in_a_row = 0;
       if (!*frame) break;
       if (!origin) origin = Clock::now(), first = (*frame)->time;
       if (!wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),

@@ -14,8 +14,9 @@ struct RunCounts {
   std::uint64_t frames = 0;         // view frames handed out
   std::uint64_t without_light = 0;  // of them passed through, since no light was measured yet
   std::uint64_t dropped = 0;        // view and environment frames that were overtaken
-  std::uint64_t unusable = 0;       // environment frames that were all black or all clipped
-  double touched = 0;               // sum of the touched fractions
+  std::uint64_t unusable =
+      0;               // environment frames all black or all clipped; live also damaged frames
+  double touched = 0;  // sum of the touched fractions
   double seconds = 0;
   int exposures = 0;  // distinct exposures of the environment camera
 };

@@ -17,9 +17,14 @@ void StageTimes::add(const std::string& stage, double ms) {
 }
 
 std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary() const {
-  const std::scoped_lock lock(mutex_);
+  // Sorted outside the lock: whoever asks must not hold up the stages.
+  std::vector<Stage> stages;
+  {
+    const std::scoped_lock lock(mutex_);
+    stages = stages_;
+  }
   std::vector<std::pair<std::string, Percentiles>> out;
-  for (const Stage& stage : stages_) {
+  for (const Stage& stage : stages) {
     std::vector<float> sorted = stage.ms;
     std::ranges::sort(sorted);
     const auto at = [&](double share) {

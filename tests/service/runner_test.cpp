@@ -137,6 +137,9 @@ class FailingSource : public capture::FrameSource {
     return source_.next();
   }
 
+ protected:
+  capture::FrameSource& inner() { return source_; }
+
  private:
   capture::FrameSource& source_;
   int count_ = 0;
@@ -161,6 +164,31 @@ TEST(Live, ThrowingSinkEndsTheRunInsteadOfHangingIt) {
                    s.studio, *s.light, **s.compose,
                    [](const Output&) -> bool { throw std::runtime_error("full"); }, s.times, stop),
                std::runtime_error);
+}
+
+// Every third frame cannot be read.
+class FlakySource : public FailingSource {
+ public:
+  using FailingSource::FailingSource;
+  Result<std::optional<capture::Frame>> next() override {
+    if (++calls_ % 3 == 0) return fail(ErrorCode::kUnreadable, "frame", "damaged");
+    return inner().next();
+  }
+
+ private:
+  int calls_ = 0;
+};
+
+TEST(Live, DamagedFramesAreCountedAndDoNotEndTheRun) {
+  Stages s;
+  NEED_GL(s);
+  FlakySource source(s.studio);
+  const std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      source, *s.light, **s.compose, [](const Output&) { return true; }, s.times, stop);
+  ASSERT_TRUE(counts) << counts.error().detail;
+  EXPECT_GT(counts->frames, 5u);
+  EXPECT_GT(counts->unusable, 5u);
 }
 
 // One frame, then one that is due in an hour.
