@@ -3,8 +3,8 @@
 #include <EGL/eglext.h>
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <cstring>
+#include <vector>
 
 #include "compositor/gl.h"
 
@@ -36,36 +36,33 @@ bool has(const char* extensions, const char* name) {
   return extensions != nullptr && std::strstr(extensions, name) != nullptr;
 }
 
-// A device (a GPU, or Mesa's software device) before Mesa's surfaceless platform: both need no
-// display.
-EGLDisplay open_display() {
+// GPUs first, whoever drives them; then Mesa's surfaceless platform; then software devices.
+std::vector<EGLDisplay> candidate_displays() {
   const char* client = eglQueryString(EGL_NO_DISPLAY, EGL_EXTENSIONS);
   const auto get_display = reinterpret_cast<PFNEGLGETPLATFORMDISPLAYEXTPROC>(
       eglGetProcAddress("eglGetPlatformDisplayEXT"));
-  if (get_display == nullptr) return eglGetDisplay(EGL_DEFAULT_DISPLAY);
-  EGLint major = 0, minor = 0;
-  if (has(client, "EGL_MESA_platform_surfaceless")) {
-    const EGLDisplay d = get_display(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
-    if (d != EGL_NO_DISPLAY && eglInitialize(d, &major, &minor)) return d;
-  }
+  if (get_display == nullptr) return {eglGetDisplay(EGL_DEFAULT_DISPLAY)};
+  std::vector<EGLDisplay> hardware, software;
   const auto query =
       reinterpret_cast<PFNEGLQUERYDEVICESEXTPROC>(eglGetProcAddress("eglQueryDevicesEXT"));
-  if (has(client, "EGL_EXT_platform_device") && query != nullptr) {
-    EGLDeviceEXT devices[16];
-    EGLint count = 0;
-    if (query(16, devices, &count))
-      for (EGLint i = 0; i < count; ++i) {
-        const EGLDisplay d = get_display(EGL_PLATFORM_DEVICE_EXT, devices[i], nullptr);
-        if (d != EGL_NO_DISPLAY && eglInitialize(d, &major, &minor)) return d;
-      }
-  }
-  return EGL_NO_DISPLAY;
+  const auto describe = reinterpret_cast<PFNEGLQUERYDEVICESTRINGEXTPROC>(
+      eglGetProcAddress("eglQueryDeviceStringEXT"));
+  EGLDeviceEXT devices[16];
+  EGLint count = 0;
+  if (has(client, "EGL_EXT_platform_device") && query && describe && query(16, devices, &count))
+    for (EGLint i = 0; i < count; ++i) {
+      const bool soft = has(describe(devices[i], EGL_EXTENSIONS), "EGL_MESA_device_software");
+      (soft ? software : hardware)
+          .push_back(get_display(EGL_PLATFORM_DEVICE_EXT, devices[i], nullptr));
+    }
+  if (has(client, "EGL_MESA_platform_surfaceless"))
+    hardware.push_back(get_display(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr));
+  hardware.insert(hardware.end(), software.begin(), software.end());
+  return hardware;
 }
 
-}  // namespace
-
-Result<std::unique_ptr<GlContext>> make_offscreen_context() {
-  const EGLDisplay display = open_display();
+// An OpenGL ES 3.1 context without a surface. errors: kUnavailable
+Result<std::unique_ptr<GlContext>> make_context(EGLDisplay display) {
   EGLint major = 0, minor = 0;
   if (display == EGL_NO_DISPLAY || !eglInitialize(display, &major, &minor))
     return fail(ErrorCode::kUnavailable, "EGL", "no display, neither surfaceless nor a device");
@@ -86,6 +83,17 @@ Result<std::unique_ptr<GlContext>> make_offscreen_context() {
   auto out = std::make_unique<OffscreenContext>(display, context);
   out->make_current();
   return out;
+}
+
+}  // namespace
+
+Result<std::unique_ptr<GlContext>> make_offscreen_context() {
+  Result<std::unique_ptr<GlContext>> last = fail(ErrorCode::kUnavailable, "EGL", "no display");
+  for (const EGLDisplay display : candidate_displays()) {
+    last = make_context(display);
+    if (last) return last;
+  }
+  return last;
 }
 
 namespace {
