@@ -60,7 +60,7 @@ struct Layered {
 bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
   const auto width = static_cast<std::size_t>(in.area.width());
   for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
-  if (!in.receivers.multiply_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data()))
+  if (!in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data()))
     return false;
   if (!has_row(in.hidden, y)) return true;
   load_row(in.hidden, y, rows.hidden);
@@ -130,6 +130,7 @@ void main() { colour = vec4(texture(picture, uv).rgb, 1); }
 }  // namespace
 
 struct Compositor::Impl {
+  explicit Impl(int oversampling) : receivers(oversampling) {}
   int width = 0, height = 0;
   std::unique_ptr<GlContext> context;  // destroyed last: the names below live in it
   std::unique_ptr<Layers> layers;
@@ -153,7 +154,7 @@ Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Su
   auto context = surface == Surface::kWindow ? make_window_context(width, height, title)
                                              : make_offscreen_context();
   if (!context) return std::unexpected(context.error());
-  auto impl = std::make_unique<Impl>();
+  auto impl = std::make_unique<Impl>(oversampling);
   impl->width = width;
   impl->height = height;
   impl->context = std::move(*context);
@@ -188,6 +189,10 @@ void Compositor::set_light(int object, std::span<const float> relit,
   impl_->layers->set_light(object, relit);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
     impl_->receivers.set_shadow(r, shadow);
+}
+
+void Compositor::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
+  impl_->receivers.set_disc_shadows(discs);
 }
 
 void Compositor::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {

@@ -35,6 +35,12 @@ struct Touched {
   double fraction = 0;     // of the frame
 };
 
+/// A disc's shadow and what it is a part of.
+struct DiscShadowOnPlane {
+  const shadows::DiscShadow* shadow;
+  Rgb share;  // E_disc/E_0 on the open plane, 0..1
+};
+
 class Compositor {
  public:
   enum class Surface { kOffscreen, kWindow };
@@ -53,6 +59,8 @@ class Compositor {
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
+  /// The discs' shadows on real planes, all at once; none after creation. Copies the maps.
+  void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
   /// Real geometry (world frame): hides objects and shadows behind it.
   void add_occluder(const prt::Mesh& world_mesh);
   /// A real plane: hides objects behind it. Shadows fall on it, so it hides none.

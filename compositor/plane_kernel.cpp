@@ -49,14 +49,14 @@ HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, f
   const float py = static_cast<float>(y) + .5f;
   const auto size = static_cast<float>(t.size);
   float start[3];
-  for (int k = 0; k < 3; ++k) start[k] = t.h[k][1] * py + t.h[k][2];
+  for (int k = 0; k < 3; ++k) start[k] = t.at.h[k][1] * py + t.at.h[k][2];
   for (std::size_t i = 0; i < total; i += lanes) {
     const auto px =
         hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i)) + .5f));
-    const auto w = hn::MulAdd(px, hn::Set(d, t.h[2][0]), hn::Set(d, start[2]));
+    const auto w = hn::MulAdd(px, hn::Set(d, t.at.h[2][0]), hn::Set(d, start[2]));
     const auto inverse = hn::Div(hn::Set(d, 1.f), w);
-    const auto x = hn::Mul(hn::MulAdd(px, hn::Set(d, t.h[0][0]), hn::Set(d, start[0])), inverse);
-    const auto z = hn::Mul(hn::MulAdd(px, hn::Set(d, t.h[1][0]), hn::Set(d, start[1])), inverse);
+    const auto x = hn::Mul(hn::MulAdd(px, hn::Set(d, t.at.h[0][0]), hn::Set(d, start[0])), inverse);
+    const auto z = hn::Mul(hn::MulAdd(px, hn::Set(d, t.at.h[1][0]), hn::Set(d, start[1])), inverse);
     const auto one = hn::Set(d, 1.f);
     const auto inside =
         hn::And(hn::Gt(w, hn::Zero(d)), hn::And(hn::Lt(hn::Abs(x), one), hn::Lt(hn::Abs(z), one)));
@@ -75,6 +75,68 @@ HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, f
   }
 }
 
+HWY_INLINE void SubtractShare(hn::Vec<D> value, float share, std::size_t count, float* out) {
+  const D d;
+  const auto product = hn::Mul(value, hn::Set(d, share));
+  if (count == hn::Lanes(d)) {
+    hn::StoreU(hn::Sub(hn::LoadU(d, out), product), d, out);
+    return;
+  }
+  HWY_ALIGN float lanes[HWY_MAX_BYTES / sizeof(float)];
+  hn::Store(product, d, lanes);
+  for (std::size_t i = 0; i < count; ++i) out[i] -= lanes[i];
+}
+
+// The map's value at picture positions (px, py): 0 outside.
+HWY_INLINE hn::Vec<D> DiscValue(const DiscLookup& t, hn::Vec<D> px, float py) {
+  const D d;
+  const DI di;
+  const auto at = [&](int k) HWY_ATTR {
+    return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
+  };
+  const auto zero = hn::Zero(d), w = at(2);
+  const auto inverse = hn::Div(hn::Set(d, 1.f), w);
+  const auto x = hn::Mul(at(0), inverse), z = hn::Mul(at(1), inverse);
+  const auto last_x = hn::Set(d, static_cast<float>(t.width - 1)),
+             last_y = hn::Set(d, static_cast<float>(t.height - 1));
+  const auto inside = hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
+                                                       hn::And(hn::Ge(z, zero), hn::Lt(z, last_y))));
+  if (hn::AllFalse(d, inside)) return zero;
+  const auto u = hn::IfThenElseZero(inside, x), v = hn::IfThenElseZero(inside, z);
+  const auto iu = hn::Min(hn::ConvertTo(di, u), hn::Set(di, t.width - 2)),
+             iv = hn::Min(hn::ConvertTo(di, v), hn::Set(di, t.height - 2));
+  const auto fx = hn::Sub(u, hn::ConvertTo(d, iu)), fy = hn::Sub(v, hn::ConvertTo(d, iv));
+  const auto first = hn::Add(hn::Mul(iv, hn::Set(di, t.width)), iu);
+  const auto a = hn::GatherIndex(d, t.nodes, first), c = hn::GatherIndex(d, t.nodes + 1, first);
+  const auto e = hn::GatherIndex(d, t.nodes + t.width, first),
+             f = hn::GatherIndex(d, t.nodes + t.width + 1, first);
+  const auto top = hn::MulAdd(fx, hn::Sub(c, a), a), bottom = hn::MulAdd(fx, hn::Sub(f, e), e);
+  return hn::IfThenElseZero(inside, hn::MulAdd(fy, hn::Sub(bottom, top), top));
+}
+
+HWY_ATTR void SubtractDiscShares(const DiscLookup& t, int y, int x0, int x1, float* r, float* g,
+                                 float* b) {
+  const D d;
+  const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
+  const int n = t.samples;
+  const float step = 1 / static_cast<float>(n);
+  const auto share = hn::Set(d, step * step);
+  for (std::size_t i = 0; i < total; i += lanes) {
+    const auto left =
+        hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i))));
+    auto sum = hn::Zero(d);
+    for (int k = 0; k < n * n; ++k)
+      sum = hn::Add(sum, DiscValue(t, hn::Add(left, hn::Set(d, step * (float(k % n) + .5f))),
+                                   float(y) + step * (float(k / n) + .5f)));
+    if (hn::AllTrue(d, hn::Eq(sum, hn::Zero(d)))) continue;
+    const auto value = hn::Mul(sum, share);
+    const std::size_t count = total - i < lanes ? total - i : lanes;
+    SubtractShare(value, t.share.r, count, r + i);
+    SubtractShare(value, t.share.g, count, g + i);
+    SubtractShare(value, t.share.b, count, b + i);
+  }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace penumbra::compositor
 HWY_AFTER_NAMESPACE();
@@ -82,10 +144,16 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace penumbra::compositor {
 HWY_EXPORT(MultiplyPlaneRatios);
+HWY_EXPORT(SubtractDiscShares);
 
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b) {
   HWY_DYNAMIC_DISPATCH(MultiplyPlaneRatios)(plane, y, x0, x1, r, g, b);
+}
+
+void subtract_disc_shares(const DiscLookup& disc, int y, int x0, int x1, float* r, float* g,
+                          float* b) {
+  HWY_DYNAMIC_DISPATCH(SubtractDiscShares)(disc, y, x0, x1, r, g, b);
 }
 }  // namespace penumbra::compositor
 #endif

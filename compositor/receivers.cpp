@@ -4,6 +4,11 @@
 
 namespace penumbra::compositor {
 
+namespace {
+// Where real things take more than 95 % of the light the ratio has no footing.
+constexpr float kLeastLeft = .05f;
+}  // namespace
+
 int Receivers::add(const prt::GroundGrid& grid) {
   receivers_.push_back({grid, {}, {}, {}, {}, false});
   return static_cast<int>(receivers_.size()) - 1;
@@ -28,33 +33,51 @@ void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow) {
   r.high = at(shadow.x1 + 1, shadow.y1 + 1);
 }
 
+void Receivers::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
+  discs_.resize(discs.size());
+  for (std::size_t i = 0; i < discs.size(); ++i) {
+    discs_[i].shadow = *discs[i].shadow;
+    discs_[i].share = discs[i].share;
+  }
+}
+
 namespace {
 
-// Ray through pixel (px, py): d = R (a px + b, c py + e, -1) in the bake frame, all linear in the
-// pixel. It meets the plane y = height at o + d (height - o.y)/d.y, hence x = (o.x d.y + (height -
-// o.y) d.x)/d.y.
-void set_homography(const prt::PinholeView& v, const Pose& bake_from_camera,
-                    const prt::GroundGrid& g, PlaneLookup& out) {
-  const glm::dmat3 r = bake_from_camera.rotation_matrix();
-  const glm::dvec3 o = bake_from_camera.translation;
+// Ray through pixel (px, py): d = R (a px + b, c py + e, -1) in the map's frame, all linear in the pixel. It
+// meets the plane y = height at o + d (height - o.y)/d.y, hence x = (o.x d.y + (height - o.y) d.x)/d.y. In
+// units of `unit_m` from (x0, z0).
+Homography homography(const prt::PinholeView& v, const Pose& map_from_camera, double height,
+                      glm::dvec2 origin, double unit_m) {
+  const glm::dmat3 r = map_from_camera.rotation_matrix();
+  const glm::dvec3 o = map_from_camera.translation;
   const glm::dvec3 ray[3] = {
       r[0] / v.focal_px.x, r[1] * (-1 / v.focal_px.y),
       -r[0] * (v.principal_px.x / v.focal_px.x) + r[1] * (v.principal_px.y / v.focal_px.y) - r[2]};
-  const double drop = g.height - o.y, sign = drop < 0 ? -1 : 1;
+  const double drop = height - o.y, sign = drop < 0 ? -1 : 1;
+  Homography out;
   for (int k = 0; k < 3; ++k) {
     const double w = sign * ray[k].y;  // positive in front of the camera
-    out.h[0][k] =
-        static_cast<float>(((o.x - g.centre.x) * w + sign * drop * ray[k].x) / g.half_extent);
-    out.h[1][k] =
-        static_cast<float>(((o.z - g.centre.y) * w + sign * drop * ray[k].z) / g.half_extent);
+    out.h[0][k] = static_cast<float>(((o.x - origin.x) * w + sign * drop * ray[k].x) / unit_m);
+    out.h[1][k] = static_cast<float>(((o.z - origin.y) * w + sign * drop * ray[k].z) / unit_m);
     out.h[2][k] = static_cast<float>(w);
   }
+  return out;
+}
+
+DiscLookup disc_lookup(const prt::PinholeView& view, const shadows::DiscShadow& shadow,
+                       const Image<float>& nodes, int samples, const Rgb& share,
+                       const Rect& area) {
+  return {homography(view, shadow.world_from_map.inverse() * view.world_from_camera, 0, {0, 0},
+                     shadow.cell_m),
+          nodes.pixels().data(), nodes.width(), nodes.height(), samples, share, area};
 }
 
 }  // namespace
 
 Rect Receivers::prepare(const prt::PinholeView& view) {
   lookups_.clear();
+  taken_.clear();
+  missing_.clear();
   Rect all;
   const glm::dmat4 clip_from_world =
       clip_from_camera(view) * view.world_from_camera.inverse().matrix();
@@ -71,14 +94,28 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     if (lookup.area.empty()) continue;
     lookup.ratio = &r.ratio.pixels()[0].r;
     lookup.size = r.grid.size;
-    set_homography(view, r.world_from_bake.inverse() * view.world_from_camera, r.grid, lookup);
+    lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
+                           {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
     lookups_.push_back(lookup);
     all = united(all, lookup.area);
+  }
+  for (const OnPlane& d : discs_) {
+    const shadows::DiscShadow& s = d.shadow;
+    if (s.empty()) continue;
+    const double x = (s.taken.width() - 1) * double(s.cell_m),
+                 z = (s.taken.height() - 1) * double(s.cell_m);
+    const glm::dvec3 corners[4] = {{0, 0, 0}, {x, 0, 0}, {0, 0, z}, {x, 0, z}};
+    const Rect area =
+        reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
+    if (area.empty()) continue;
+    taken_.push_back(disc_lookup(view, s, s.taken, samples_, d.share, area));
+    if (!s.missing.empty()) missing_.push_back(disc_lookup(view, s, s.missing, samples_, d.share, area));
+    all = united(all, area);
   }
   return all;
 }
 
-bool Receivers::multiply_row(int y, const Rect& area, float* r, float* g, float* b) const {
+bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) const {
   bool any = false;
   for (const PlaneLookup& plane : lookups_) {
     if (y < plane.area.y0 || y >= plane.area.y1) continue;
@@ -86,7 +123,34 @@ bool Receivers::multiply_row(int y, const Rect& area, float* r, float* g, float*
     multiply_plane_ratios(plane, y, plane.area.x0, plane.area.x1, r + skip, g + skip, b + skip);
     any = true;
   }
-  return any;
+  const auto in_row = [&](const DiscLookup& d) { return y >= d.area.y0 && y < d.area.y1; };
+  if (std::ranges::none_of(taken_, in_row)) return any;
+  subtract_discs(y, area, r, g, b);
+  return true;
+}
+
+void Receivers::subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const {
+  const auto subtract = [&](const std::vector<DiscLookup>& discs, float* r0, float* g0, float* b0) {
+    for (const DiscLookup& d : discs) {
+      if (y < d.area.y0 || y >= d.area.y1) continue;
+      const int skip = d.area.x0 - area.x0;
+      subtract_disc_shares(d, y, d.area.x0, d.area.x1, r0 + skip, g0 + skip, b0 + skip);
+    }
+  };
+  const auto width = static_cast<std::size_t>(area.width());
+  subtract(taken_, r, g, b);
+  if (!missing_.empty()) {
+    thread_local std::vector<float> open;  // light that is really left; grows once per thread
+    open.assign(3 * width, 1.f);
+    subtract(missing_, &open[0], &open[width], &open[2 * width]);
+    float* const rows[] = {r, g, b};
+    for (std::size_t c = 0; c < 3; ++c)
+      for (std::size_t x = 0; x < width; ++x)
+        if (const float left = open[c * width + x]; left != 1)
+          rows[c][x] = 1 - (1 - rows[c][x]) / std::max(left, kLeastLeft);
+  }
+  for (float* row : {r, g, b})
+    for (std::size_t x = 0; x < width; ++x) row[x] = std::max(row[x], 0.f);
 }
 
 }  // namespace penumbra::compositor

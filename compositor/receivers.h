@@ -6,33 +6,54 @@
 #include <span>
 #include <vector>
 
+#include "compositor/compositor.h"
 #include "compositor/projection.h"
 #include "core/pose.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::compositor {
 
-/// The homography of one plane and its ratios, as the kernel wants them.
-struct PlaneLookup {
-  // Homogeneous plane position in half extents from the centre: (x, z, w) = h * (px, py, 1), w > 0
-  // in front.
+/// Homogeneous position on a plane of a pixel: (x, z, w) = h * (px, py, 1), w > 0 in front.
+struct Homography {
   float h[3][3];
+};
+
+/// The ratios of one object on its plane, as the kernel wants them.
+struct PlaneLookup {
+  Homography at;  // in half extents from the grid's centre
   const float* ratio;  // RGB, size x size
   int size;
   Rect area;  // pixels that the visible part can reach
 };
 
+/// The shadow of one disc on a plane, likewise.
+struct DiscLookup {
+  Homography at;         // in cells from node (0, 0)
+  const float* nodes;    // width x height
+  int width, height;
+  int samples;           // a pixel along each axis: a hard edge must not show its pixels
+  Rgb share;             // of the disc in the light of the open plane
+  Rect area;
+};
+
 class Receivers {
  public:
+  /// samples: of a disc's shadow, a pixel along each axis
+  explicit Receivers(int samples) : samples_(samples) {}
+
   int add(const prt::GroundGrid& grid);
   void set_pose(int receiver, const Pose& world_from_bake);
   void set_shadow(int receiver, const shadows::PlanarShadow& shadow);
+  /// All of them at once; copies the maps.
+  void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
-  /// Multiplies the ratios of row y, pixels [area.x0, area.x1) of prepare()'s rectangle, into r, g,
-  /// b, which hold 1 on entry. False when no shadow reaches the row.
-  bool multiply_row(int y, const Rect& area, float* r, float* g, float* b) const;
+  /// The ratios s of row y, pixels [area.x0, area.x1) of prepare()'s rectangle, into r, g, b, which hold 1
+  /// on entry: s = 1 - (1 - product of the objects' ratios + sum_j F_j q_j)/(1 - sum_j F_j m_j), q_j what
+  /// virtual things take of disc j and m_j what real things take of it anyway. False when no shadow reaches
+  /// the row.
+  bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
 
  private:
   struct Receiver {
@@ -42,12 +63,25 @@ class Receivers {
     glm::dvec2 low{0, 0}, high{0, 0};  // visible part, metres
     bool visible = false;
   };
+  struct OnPlane {
+    shadows::DiscShadow shadow;
+    Rgb share;
+  };
+  void subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const;
+
+  int samples_;
   std::vector<Receiver> receivers_;
+  std::vector<OnPlane> discs_;
   std::vector<PlaneLookup> lookups_;
+  std::vector<DiscLookup> taken_, missing_;
 };
 
 /// Multiplies ratios of pixels [x0, x1) of row y into r[0 .. x1-x0) and so on.
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b);
+
+/// Subtracts share * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.
+void subtract_disc_shares(const DiscLookup& disc, int y, int x0, int x1, float* r, float* g,
+                          float* b);
 
 }  // namespace penumbra::compositor

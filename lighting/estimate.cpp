@@ -6,17 +6,15 @@
 
 namespace penumbra::lighting {
 
-LightEstimator::LightEstimator(int bands) : bands_(bands) {}
+LightEstimator::LightEstimator(const EstimateOptions& options) : options_(options) {}
 LightEstimator::~LightEstimator() = default;
 LightEstimator::LightEstimator(LightEstimator&&) noexcept = default;
 LightEstimator& LightEstimator::operator=(LightEstimator&&) noexcept = default;
 
-Result<Projection> LightEstimator::project(const Environment& environment) {
-  const Image<Rgb>& map = environment.radiance;
-  if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
-  if (environment.confidence.empty()) return project_whole(map);
-  if (!hole_fit_ || !(hole_fit_->confidence() == environment.confidence))
-    hole_fit_ = std::make_unique<HoleFit>(environment.confidence);
+Result<Projection> LightEstimator::project(const Image<Rgb>& map, const Image<float>& confidence) {
+  if (confidence.empty()) return project_whole(map);
+  if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
+    hole_fit_ = std::make_unique<HoleFit>(confidence);
   auto moments = project_whole(map);
   if (!moments) return moments;
   return hole_fit_->fill(moments->light);
@@ -33,23 +31,46 @@ Result<Projection> LightEstimator::project_whole(const Image<Rgb>& map) {
 }
 
 Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
+  if (environment.radiance.empty())
+    return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  std::vector<Disc> left_over;
+  const Image<Rgb>* map = &environment.radiance;
+  if (options_.discs.most > 0) {
+    DiscOptions found = options_.discs;
+    found.least_share /= 2;
+    PENUMBRA_TRY(split_discs(environment.radiance, found, split_));
+    left_over = tracker_.update(environment.time, options_.discs.least_share,
+                                kPi * split_.mean_luminance, split_.discs);
+    map = &split_.rest;
+  }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  auto projection = project(environment);
+  auto projection = project(*map, environment.confidence);
   if (!projection) return std::unexpected(projection.error());
-  LightEstimate estimate = make_estimate(*projection, bands_);
+  for (const Disc& disc : left_over) {
+    const RadianceSh whole = project_disc(disc, kMaxBands),
+                     above = project_disc_above(disc, kMaxBands);
+    for (int n = 0; n < kMaxCoefficients; ++n) {
+      projection->light[n] += whole[n];
+      projection->above[n] += above[n];
+    }
+  }
+  LightEstimate estimate = make_estimate(*projection, options_.bands, split_.discs);
   estimate.time = environment.time;
   estimate.clipped_fraction = environment.clipped_fraction;
   return estimate;
 }
 
-LightEstimate make_estimate(const Projection& projection, int bands) {
+LightEstimate make_estimate(const Projection& projection, int bands, std::vector<Disc> discs) {
   const RadianceSh& nine_bands = projection.light;
   LightEstimate estimate;
   estimate.light = nine_bands.with_bands(bands);
   estimate.floor_light = floor_light(projection.above, bands);
+  estimate.discs = std::move(discs);
   estimate.valid = true;
   estimate.coverage = projection.coverage;
   estimate.mean_radiance = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
+  for (const Disc& d : estimate.discs)
+    estimate.mean_radiance += d.radiance * static_cast<float>(d.solid_angle_sr() / (4 * kPi));
   // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2
   // |l_l|^2.
   double left_out = 0;
@@ -62,6 +83,10 @@ LightEstimate make_estimate(const Projection& projection, int bands) {
   if (mean_irradiance > 0)
     estimate.truncation_error = std::sqrt(left_out / (4 * kPi)) / mean_irradiance;
   return estimate;
+}
+
+Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options) {
+  return LightEstimator(options).estimate({map, {}, {}, 0, 0});
 }
 
 double largest_visible_change(const RadianceSh& before, const RadianceSh& after) {

@@ -124,12 +124,89 @@ struct LightSamples {
 /// kNonFinite, kUndetermined (coverage below 2 %)
 Result<Projection> project_samples(const LightSamples& samples, int bands);
 
+// ---------------------------------------------------------------------------------- discs
+
+/// A source above the low-frequency rest: uniform radiance over a spherical cap, or over another form of the same
+/// solid angle.
+struct Disc {
+  static constexpr int kShapePoints = 64;
+
+  int id = 0;               // the same source keeps its number over time (DiscTracker)
+  glm::dvec3 direction{0, 1, 0};  // to the centre of its energy, unit
+  Radians radius{0};        // half angle
+  Rgb radiance;             // mean over the cap, on top of the rest
+  /// Where a round disc would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
+  /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
+  std::vector<glm::dvec3> shape;
+  bool clipped = false;     // saturated in every exposure: its radiance is a lower bound, or completed
+
+  double solid_angle_sr() const;
+  /// Of a surface that faces the round disc: L pi sin^2 a.
+  Rgb irradiance() const;
+};
+
+struct DiscOptions {
+  int most = 8;
+  /// A source matters when it sends a surface that faces it this share of the mean irradiance.
+  double least_share = .02;
+};
+
+/// A map in which every source has been cut down to its surroundings, and the sources.
+struct DiscSplit {
+  Image<Rgb> rest;
+  std::vector<Disc> discs;     // by falling irradiance; ids are not set
+  double mean_luminance = 0;   // of the whole map
+};
+
+/// Blob peeling: connected regions brighter than six times the mean of what is not one (8-neighbours, across
+/// the seam, and around the poles), each cut down to a level below its own mean. A region of a
+/// thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of rest and discs
+/// together is the map's, channel by channel. Works on the full map: reduced to 64 rows a sun would move by up to 1.4
+/// degrees.
+/// out:     split.rest keeps its memory between calls
+/// errors:  kInvalid (empty), kNonFinite
+/// source:  after Nowrouzezahrai, Geiger, Mitchell, Sumner, Jarosz & Gross 2011, section 4
+Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split);
+
+/// The disc's own coefficients.
+/// source: zonal harmonics of a cap, z_l = sqrt(pi/(2l+1)) (P_{l-1}(cos a) - P_{l+1}(cos a))
+RadianceSh project_disc(const Disc& disc, int bands);
+/// Moments over directions with y > 0 alone, as Projection::above.
+RadianceSh project_disc_above(const Disc& disc, int bands);
+/// Of an open surface; the part of the disc behind it is left out.
+Rgb irradiance(const Disc& disc, const glm::dvec3& normal);
+
+/// Gives the same source the same number from map to map, and lets a source enter the list over kFade: what it
+/// does not carry yet stays in the harmonics, so energy never jumps, only sharpness fades in. A source
+/// enters at `DiscOptions::least_share` and leaves below half of it.
+/// threads: thread-bound
+class DiscTracker {
+ public:
+  static constexpr Seconds kFade{.2};
+
+  /// in:  what split_discs found at half the least share, mean_irradiance = pi times the mean radiance
+  /// out: `discs` holds what is used, its radiance times its weight; returns what is left over as discs
+  std::vector<Disc> update(TimestampNs time, double least_share, double mean_irradiance,
+                           std::vector<Disc>& discs);
+
+ private:
+  struct Known {
+    Disc disc;
+    float weight;
+  };
+  std::vector<Known> known_;
+  TimestampNs time_;
+  int next_id_ = 1;
+  bool first_ = true;
+};
+
 // ---------------------------------------------------------------------------------- estimate
 
 /// What an engine asks for.
 struct LightEstimate {
-  RadianceSh light{1};          // of the whole sphere
-  RadianceSh floor_light{1};    // for what stands on a horizontal floor, see floor_light()
+  RadianceSh light{1};          // of the whole sphere without the discs
+  RadianceSh floor_light{1};    // likewise, for what stands on a horizontal floor, see floor_light()
+  std::vector<Disc> discs;      // compact sources, by falling irradiance
   TimestampNs time;             // capture time of the newest frame in it
   bool valid = false;           // false until a first environment has been measured
   double coverage = 0;          // of the sphere
@@ -142,11 +219,16 @@ struct LightEstimate {
   Seconds age(TimestampNs now) const { return now - time; }
 };
 
+struct EstimateOptions {
+  int bands = 5;
+  DiscOptions discs{};  // most = 0: harmonics alone
+};
+
 /// Keeps tables between environments of one size.
 /// threads: thread-bound; no allocation after the first environment of a size without holes
 class LightEstimator {
  public:
-  explicit LightEstimator(int bands);
+  explicit LightEstimator(const EstimateOptions& options);
   ~LightEstimator();
   LightEstimator(LightEstimator&&) noexcept;
   LightEstimator& operator=(LightEstimator&&) noexcept;
@@ -154,17 +236,24 @@ class LightEstimator {
   Result<LightEstimate> estimate(const Environment& environment);
 
  private:
-  Result<Projection> project(const Environment& environment);
+  Result<Projection> project(const Image<Rgb>& map, const Image<float>& confidence);
   Result<Projection> project_whole(const Image<Rgb>& map);
 
   std::unique_ptr<class HoleFit> hole_fit_;
-  int bands_;
+  EstimateOptions options_;
+  DiscSplit split_;
+  DiscTracker tracker_;
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;
 };
 
-/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs.
-LightEstimate make_estimate(const Projection& nine_bands, int bands);
+/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `discs` come
+/// on top of the projection.
+LightEstimate make_estimate(const Projection& nine_bands, int bands, std::vector<Disc> discs = {});
+
+/// Of a still map: LightEstimator's first estimate.
+/// errors: as LightEstimator::estimate
+Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options);
 
 /// Largest possible change of any diffuse surface's exit radiance between two lights, relative to
 /// the mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3

@@ -45,7 +45,8 @@ struct PointResult {
 // nor the place of the model changes a float operation.
 class Baker {
  public:
-  Baker(const Mesh& mesh, const BakeOptions& options) : options_(options), mesh_(mesh) {
+  Baker(const Mesh& mesh, const BakeOptions& options)
+      : options_(options), bands_(options.bands), mesh_(mesh) {
     const Bounds b = bounds_of(mesh);
     centre_ = b.centre();
     scale_ = 1 / std::max(radius_around(mesh, centre_), 1e-30f);
@@ -53,7 +54,8 @@ class Baker {
     for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
     if (options.receiver) add_receiver_points(options.receiver->grid);
-    coefficients_ = static_cast<std::size_t>(coefficient_count(options.bands));
+    if (options.bounces > 0) bands_ = std::max(bands_, kIndirectBands);
+    coefficients_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
 
   Result<BakedObject> run(Mesh mesh);
@@ -76,6 +78,7 @@ class Baker {
   double standard_error(const std::vector<PointResult>& results) const;
   Transfer packed_vertices() const;
   Transfer packed_deficit() const;
+  Transfer packed_indirect(std::size_t first, std::size_t count) const;
 
   const float* transfer_at(std::size_t point, int channel) const {
     return &current_[(point * static_cast<std::size_t>(channels_) +
@@ -84,6 +87,7 @@ class Baker {
   }
 
   const BakeOptions& options_;
+  int bands_;  // traced: as many as the transfer or its reflected part needs
   Mesh mesh_;
   glm::vec3 centre_{};
   float scale_ = 1;
@@ -182,7 +186,7 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
     if (plane_blocks) blocked |= ground_mask(packet);
     if (blocked == 0) continue;
     if (options_.bounces > 0) keep_hits(packet, origin, weight, ground_point, blocked, out.hits);
-    lighting::evaluate_basis_block(options_.bands, packet.x, packet.y, packet.z, basis);
+    lighting::evaluate_basis_block(bands_, packet.x, packet.y, packet.z, basis);
     const std::uint8_t* const groups = patterns.groups(turn, block);
     for (int i = 0; i < kLanes; ++i) {
       weight[i] = blocked >> i & 1 ? weight[i] : 0;
@@ -198,9 +202,8 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
 // What is blocked is taken from the closed form, so nothing blocked means an exact result.
 void Baker::start_transfer(std::size_t index, const PointResult& result) {
   double basis[kMaxCoefficients];
-  lighting::evaluate_basis(options_.bands, glm::normalize(glm::dvec3(points_[index].normal)),
-                           basis);
-  for (int l = 0; l < options_.bands; ++l)
+  lighting::evaluate_basis(bands_, glm::normalize(glm::dvec3(points_[index].normal)), basis);
+  for (int l = 0; l < bands_; ++l)
     for (int m = -l; m <= l; ++m) {
       const auto n = static_cast<std::size_t>(sh_index(l, m));
       const double open = lighting::cosine_coefficient(l) / kPi * basis[n];
@@ -288,8 +291,8 @@ Transfer Baker::packed_vertices() const {
   Transfer out(options_.bands, channels_, mesh_.positions.size());
   for (std::size_t p = 0; p < out.points; ++p)
     for (int c = 0; c < channels_; ++c)
-      for (std::size_t n = 0; n < coefficients_; ++n)
-        out.set(c, static_cast<int>(n), p, transfer_at(p, c)[n]);
+      for (int n = 0; n < coefficient_count(options_.bands); ++n)
+        out.set(c, n, p, transfer_at(p, c)[n]);
   return out;
 }
 
@@ -298,9 +301,23 @@ Transfer Baker::packed_deficit() const {
   Transfer out(options_.bands, channels_, points_.size() - mesh_.positions.size());
   for (std::size_t p = 0; p < out.points; ++p)
     for (int c = 0; c < channels_; ++c)
-      for (std::size_t n = 0; n < coefficients_; ++n)
-        out.set(c, static_cast<int>(n), p,
-                ground_far_[n] - transfer_at(mesh_.positions.size() + p, c)[n]);
+      for (int n = 0; n < coefficient_count(options_.bands); ++n)
+        out.set(c, n, p,
+                ground_far_[static_cast<std::size_t>(n)] -
+                    transfer_at(mesh_.positions.size() + p, c)[n]);
+  return out;
+}
+
+// What the bounces added.
+Transfer Baker::packed_indirect(std::size_t first, std::size_t count) const {
+  const int bands = options_.bounces > 0 ? kIndirectBands : 1;
+  Transfer out(bands, channels_, count);
+  for (std::size_t p = 0; p < count; ++p)
+    for (int c = 0; c < channels_; ++c) {
+      const float* const all = transfer_at(first + p, c);
+      const float* const direct = &shadowed_[static_cast<std::size_t>(all - current_.data())];
+      for (int n = 0; n < coefficient_count(bands); ++n) out.set(c, n, p, all[n] - direct[n]);
+    }
   return out;
 }
 
@@ -312,8 +329,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   const std::size_t floats = points_.size() * static_cast<std::size_t>(channels_) * coefficients_;
   shadowed_.resize(floats);
   double up[kMaxCoefficients];
-  lighting::evaluate_basis(options_.bands, {0, 1, 0}, up);
-  for (int l = 0; l < options_.bands; ++l)
+  lighting::evaluate_basis(bands_, {0, 1, 0}, up);
+  for (int l = 0; l < bands_; ++l)
     for (int m = -l; m <= l; ++m)
       ground_far_.push_back(
           static_cast<float>(lighting::cosine_coefficient(l) / kPi * up[sh_index(l, m)]));
@@ -344,10 +361,13 @@ Result<BakedObject> Baker::run(Mesh mesh) {
     report_progress(.1 / options_.bounces);
   }
   BakedObject out;
+  const std::size_t vertices = mesh_.positions.size();
   out.transfer = packed_vertices();
+  out.indirect = packed_indirect(0, vertices);
   if (options_.receiver) {
     out.receiver = options_.receiver;
     out.ground_deficit = packed_deficit();
+    out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
   }
   out.mesh = std::move(mesh);
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;

@@ -10,13 +10,13 @@
 
 // Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
 // four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
-// 4). asset.extras.penumbra holds the rest; the receiver's texels are an accessor of half-float
-// bits.
+// 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are accessors of
+// half-float bits in the order of prt::Transfer.
 
 namespace penumbra::prt {
 namespace {
 
-constexpr int kVersion = 2;
+constexpr int kVersion = 3;
 using tinygltf::Model;
 using tinygltf::Value;
 
@@ -58,11 +58,18 @@ Value number(double v) {
   return Value(v);
 }
 
-Value::Object describe(const BakedObject& o, int ground_accessor) {
+// Accessors of the transfers that no viewer needs.
+struct HalfAccessors {
+  int indirect = -1, ground_deficit = -1, ground_indirect = -1;
+};
+
+Value::Object describe(const BakedObject& o, const HalfAccessors& halves) {
   Value::Object d;
   d["version"] = Value(kVersion);
   d["bands"] = Value(o.transfer.bands);
   d["channels"] = Value(o.transfer.channels);
+  d["indirect"] = Value(halves.indirect);
+  d["indirect_bands"] = Value(o.indirect.bands);
   d["rays"] = number(static_cast<double>(o.report.rays));
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
@@ -75,7 +82,8 @@ Value::Object describe(const BakedObject& o, int ground_accessor) {
     r["half_extent_m"] = number(g.half_extent);
     r["height_m"] = number(g.height);
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
-    r["accessor"] = Value(ground_accessor);
+    r["deficit"] = Value(halves.ground_deficit);
+    r["indirect"] = Value(halves.ground_indirect);
     d["receiver"] = Value(r);
   }
   return d;
@@ -106,11 +114,16 @@ Model to_model(const BakedObject& o) {
   primitive.indices = writer.add(o.mesh.triangles.data(), o.mesh.triangles.size() * 12,
                                  o.mesh.triangles.size() * 3, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
                                  TINYGLTF_TYPE_SCALAR, TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
-  const int ground =
-      o.receiver ? writer.add(o.ground_deficit.values.data(), o.ground_deficit.values.size() * 2,
-                              o.ground_deficit.values.size(),
-                              TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0)
-                 : -1;
+  const auto add_halves = [&](const Transfer& t) {
+    return writer.add(t.values.data(), t.values.size() * 2, t.values.size(),
+                      TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0);
+  };
+  HalfAccessors halves;
+  halves.indirect = add_halves(o.indirect);
+  if (o.receiver) {
+    halves.ground_deficit = add_halves(o.ground_deficit);
+    halves.ground_indirect = add_halves(o.ground_indirect);
+  }
   model.meshes.emplace_back().primitives.push_back(primitive);
   model.nodes.emplace_back().mesh = 0;
   model.scenes.emplace_back().nodes = {0};
@@ -118,7 +131,7 @@ Model to_model(const BakedObject& o) {
   model.asset.version = "2.0";
   model.asset.generator = "penumbra";
   Value::Object extras;
-  extras["penumbra"] = Value(describe(o, ground));
+  extras["penumbra"] = Value(describe(o, halves));
   model.asset.extras = Value(extras);
   return model;
 }
@@ -206,6 +219,21 @@ double get(const Value& v, const char* key, int i) {
   return item.IsNumber() ? item.GetNumberAsDouble() : NAN;
 }
 
+// `index` as the file gives it; the file must hold the values before any room is made for them.
+bool read_halves(const Model& m, double index, int bands, int channels, std::size_t points,
+                 Transfer& out) {
+  if (!(index >= 0 && index < static_cast<double>(m.accessors.size()))) return false;
+  const auto bytes =
+      accessor_bytes(m, static_cast<int>(index), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT,
+                     TINYGLTF_TYPE_SCALAR, 2);
+  const std::size_t values = (points + 63) / 64 * 64 * static_cast<std::size_t>(channels) *
+                             static_cast<std::size_t>(coefficient_count(bands));
+  if (!bytes || bytes->size() != values * 2) return false;
+  out = Transfer(bands, channels, points);
+  std::memcpy(out.values.data(), bytes->data(), bytes->size());
+  return std::ranges::all_of(out.values, [](auto h) { return std::isfinite(float_from_half(h)); });
+}
+
 bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   GroundGrid g;
   const double size = get(r, "size");
@@ -219,22 +247,12 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height,
                        albedo.r,   albedo.g,   albedo.b};
   if (!finite(all) || g.half_extent <= 0) return false;
-  const double accessor = get(r, "accessor");
-  if (!(accessor >= 0 && accessor < static_cast<double>(m.accessors.size()))) return false;
-  const auto bytes =
-      accessor_bytes(m, static_cast<int>(accessor), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT,
-                     TINYGLTF_TYPE_SCALAR, 2);
-  // The file must hold the texels before any room is made for them.
   const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
-  const std::size_t values = (texels + 63) / 64 * 64 *
-                             static_cast<std::size_t>(o.transfer.channels) *
-                             static_cast<std::size_t>(coefficient_count(o.transfer.bands));
-  if (!bytes || bytes->size() != values * 2) return false;
-  o.ground_deficit = Transfer(o.transfer.bands, o.transfer.channels, texels);
-  std::memcpy(o.ground_deficit.values.data(), bytes->data(), bytes->size());
   o.receiver = Receiver{g, albedo};
-  return std::ranges::all_of(o.ground_deficit.values,
-                             [](auto h) { return std::isfinite(float_from_half(h)); });
+  return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,
+                     o.ground_deficit) &&
+         read_halves(m, get(r, "indirect"), o.indirect.bands, o.transfer.channels, texels,
+                     o.ground_indirect);
 }
 
 const Value* own_extras(const Model& m) {
@@ -259,6 +277,11 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
   if (!read_mesh(m, primitive, o.mesh)) return fail(ErrorCode::kUnreadable, file, "damaged mesh");
   if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
     return fail(ErrorCode::kUnreadable, file, "damaged transfer");
+  const double indirect_bands = get(*extras, "indirect_bands");
+  if (!(indirect_bands >= 1 && indirect_bands <= kMaxBands) ||
+      !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
+                   o.transfer.channels, o.transfer.points, o.indirect))
+    return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "damaged receiver");
   const auto figure = [&](const char* key) {  // reports only: absent or damaged ones are 0

@@ -105,6 +105,36 @@ class RayScene {
   std::unique_ptr<Impl> impl_;
 };
 
+/// Meshes at rigid poses in one world, for shadow rays through all of them.
+/// threads: occluded() reentrant; everything else only while no ray is under way
+class RayWorld {
+ public:
+  /// errors: kUnavailable (Embree says why)
+  static Result<RayWorld> create();
+  ~RayWorld();
+  RayWorld(RayWorld&&) noexcept;
+  RayWorld& operator=(RayWorld&&) noexcept;
+
+  /// The number names the mesh from then on.
+  /// errors: kInvalid (no triangles), kUnavailable
+  Result<int> add(const Mesh& mesh);
+  void set_pose(int mesh, const Pose& world_from_mesh);
+  bool empty() const;
+
+  static constexpr int kPacket = 16;
+  struct Rays {
+    alignas(64) float ox[kPacket], oy[kPacket], oz[kPacket];  // origins, metres
+    alignas(64) float dx[kPacket], dy[kPacket], dz[kPacket];  // unit directions
+  };
+  /// Bit i is set when one of the first `count` rays, i, is blocked.
+  std::uint32_t occluded(const Rays& rays, int count = kPacket) const;
+
+ private:
+  struct Impl;
+  explicit RayWorld(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
 // ---------------------------------------------------------------------------------- bake
 
 /// Sample points of a receiving plane around an object: size x size texels, dense near the centre.
@@ -162,6 +192,8 @@ struct Transfer {
   void set(int channel, int n, std::size_t point, float v);
 };
 
+inline constexpr int kIndirectBands = 7;
+
 struct BakeReport {
   std::uint64_t rays = 0;
   double seconds = 0;
@@ -177,6 +209,9 @@ struct BakedObject {
   /// (E0_n - E_n)/pi at the receiver's texels, row by row: what the object takes of an unshadowed
   /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
   Transfer ground_deficit;
+  /// The share of `transfer`, and of the receiver's irradiance/pi, that came by reflection between object and
+  /// receiver: smooth, so at most kIndirectBands, and what a disc needs beside its direct light.
+  Transfer indirect, ground_indirect;
   BakeReport report;
 };
 

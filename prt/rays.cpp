@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "prt/embree_mesh.h"
 #include "prt/prt.h"
 
 namespace penumbra::prt {
@@ -20,16 +21,12 @@ RayScene::~RayScene() = default;
 RayScene::RayScene(RayScene&&) noexcept = default;
 RayScene& RayScene::operator=(RayScene&&) noexcept = default;
 
-Result<RayScene> RayScene::build(const Mesh& mesh) {
-  if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
-  auto impl = std::make_unique<Impl>();
-  impl->device = rtcNewDevice(nullptr);
-  if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot make a device");
-  impl->scene = rtcNewScene(impl->device);
+RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh) {
+  RTCScene scene = rtcNewScene(device);
   // Robust: no ray slips through the shared edge of two triangles.
-  rtcSetSceneFlags(impl->scene, RTC_SCENE_FLAG_ROBUST);
-  rtcSetSceneBuildQuality(impl->scene, RTC_BUILD_QUALITY_HIGH);
-  RTCGeometry geometry = rtcNewGeometry(impl->device, RTC_GEOMETRY_TYPE_TRIANGLE);
+  rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
   auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
                                                                RTC_FORMAT_FLOAT3, 3 * sizeof(float),
                                                                mesh.positions.size()));
@@ -40,12 +37,22 @@ Result<RayScene> RayScene::build(const Mesh& mesh) {
     std::copy_n(&mesh.positions[0].x, 3 * mesh.positions.size(), vertices);
     std::copy_n(mesh.triangles[0].data(), 3 * mesh.triangles.size(), indices);
     rtcCommitGeometry(geometry);
-    rtcAttachGeometry(impl->scene, geometry);
+    rtcAttachGeometry(scene, geometry);
   }
   rtcReleaseGeometry(geometry);
-  rtcCommitScene(impl->scene);
-  if (rtcGetDeviceError(impl->device) != RTC_ERROR_NONE || !vertices || !indices)
-    return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
+  rtcCommitScene(scene);
+  if (rtcGetDeviceError(device) == RTC_ERROR_NONE && vertices && indices) return scene;
+  rtcReleaseScene(scene);
+  return nullptr;
+}
+
+Result<RayScene> RayScene::build(const Mesh& mesh) {
+  if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
+  auto impl = std::make_unique<Impl>();
+  impl->device = rtcNewDevice(nullptr);
+  if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot make a device");
+  impl->scene = build_embree_scene(impl->device, mesh);
+  if (!impl->scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   return RayScene(std::move(impl));
 }
 

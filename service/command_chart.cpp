@@ -99,7 +99,14 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
   if (!empty) return std::unexpected(empty.error());
   std::optional<Still> truth;
   for (const int bands : o.bands) {
-    const lighting::LightEstimate light = lighting::make_estimate(environment.light, bands);
+    lighting::LightEstimate light = lighting::make_estimate(environment.light, bands);
+    if (o.discs > 0) {
+      auto split = lighting::estimate_map(environment.map, {bands, {o.discs, .02}});
+      if (!split) return std::unexpected(split.error());
+      light = *split;
+      for (const auto& d : light.discs)
+        fmt::print("  disc {} dir {:.2f} {:.2f} {:.2f} radius {:.2f} deg E {:.2f} share {:.3f}\n", d.id, d.direction.x, d.direction.y, d.direction.z, d.radius.value()*180/kPi, luminance(d.irradiance()), luminance(d.irradiance())/kPi/luminance(light.mean_radiance));
+    }
     Still truncated_empty = *empty;
     if (o.truncated || !truth) {
       auto reference =
@@ -109,7 +116,7 @@ Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const 
       truth = std::move(*reference);
     }
     if (o.truncated) light_floor(in, light, masks, truncated_empty);
-    auto ours = render_composite(in, light, truncated_empty);
+    auto ours = render_composite(in, light, truncated_empty, DiscTaps{o.object_taps, {o.taps, o.map}});
     if (!ours) return std::unexpected(ours.error());
     Row row{compare_pictures(*ours, *truth, truncated_empty, masks), environment.name, bands};
     if (!o.json)

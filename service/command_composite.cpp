@@ -31,7 +31,7 @@ Result<void> composite(const CompositeOptions& o) {
   if (!scene) return std::unexpected(scene.error());
   StageTimes times;
   const auto& cameras = (*source)->cameras();
-  auto light = LightStage::create(cameras, o.bands, times);
+  auto light = LightStage::create(cameras, {.bands = o.bands}, times);
   if (!light) return fail(light.error().code, o.capture, light.error().detail);
   // The output is tried before the long work.
   const double rate = (*source)->view_rate();

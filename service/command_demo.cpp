@@ -110,7 +110,7 @@ Result<void> demo(const DemoOptions& o) {
     spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
                  e.gain.value());
   StageTimes times;
-  auto light = LightStage::create(studio.cameras(), o.bands, times);
+  auto light = LightStage::create(studio.cameras(), {.bands = o.bands}, times);
   if (!light) return std::unexpected(light.error());
   auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
   if (!compose) return std::unexpected(compose.error());

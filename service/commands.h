@@ -90,6 +90,7 @@ struct ChartOptions {
   std::vector<std::string> environments;
   std::optional<std::string> asset;
   std::vector<int> bands;
+  int discs = 0, taps = 16, object_taps = 4, map = 256;
   double error = .004;
   bool truncated = false;  // compare under the same truncated light instead of the whole light
   bool json = false;

@@ -127,6 +127,11 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_option("--asset", chart_options.asset, "Object; the built-in knot by default");
   c->add_option("--bands", chart_options.bands, "Numbers of bands; 1 2 3 4 5 6 9 by default")
       ->delimiter(',');
+  c->add_option("--discs", chart_options.discs, "Most discs beside the bands")
+      ->capture_default_str();
+  c->add_option("--taps", chart_options.taps, "Rays a node")->capture_default_str();
+  c->add_option("--object-taps", chart_options.object_taps, "Rays a vertex")->capture_default_str();
+  c->add_option("--map", chart_options.map, "Cells a side")->capture_default_str();
   c->add_option("--error", chart_options.error, "Relative error of the reference")
       ->capture_default_str();
   c->add_flag(

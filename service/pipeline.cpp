@@ -28,7 +28,8 @@ constexpr double kSamePose = 1 - 1e-7;  // cosine of half the angle: within .05 
 
 }  // namespace
 
-Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras, int bands,
+Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras,
+                                      const lighting::EstimateOptions& options,
                                       StageTimes& times) {
   const auto found =
       std::ranges::find(cameras, capture::Role::kEnvironment, &capture::CameraInfo::role);
@@ -37,15 +38,16 @@ Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& ca
   if (found->projection.width < 2 || found->projection.height < 2)
     return fail(ErrorCode::kInvalid, found->name,
                 "an environment camera needs two pixels a side at least");
-  return LightStage(static_cast<int>(found - cameras.begin()), *found, bands, times);
+  return LightStage(static_cast<int>(found - cameras.begin()), *found, options, times);
 }
 
-LightStage::LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times)
+LightStage::LightStage(int camera, const capture::CameraInfo& info,
+                       const lighting::EstimateOptions& options, StageTimes& times)
     : camera_(camera),
       info_(info),
       ring_(info, kRingSlots),
       assembler_(make_assembler(info)),
-      estimator_(bands),
+      estimator_(options),
       times_(times) {}
 
 Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame) {
@@ -73,7 +75,8 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
     const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
-    compositor::Compositor::Surface surface, StageTimes& times, int oversampling) {
+    compositor::Compositor::Surface surface, StageTimes& times, int oversampling,
+    const DiscTaps& taps) {
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
@@ -88,7 +91,10 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   auto compositor = compositor::Compositor::create(first->projection.width,
                                                    first->projection.height, surface, oversampling);
   if (!compositor) return std::unexpected(compositor.error());
-  auto stage = std::unique_ptr<ComposeStage>(new ComposeStage(std::move(*compositor), times));
+  auto discs = DiscStage::create(scene, taps);
+  if (!discs) return std::unexpected(discs.error());
+  auto stage = std::unique_ptr<ComposeStage>(
+      new ComposeStage(std::move(*compositor), std::move(*discs), scene, times));
   for (const capture::CameraInfo& c : cameras)
     stage->views_.push_back({c, std::nullopt, std::nullopt});
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
@@ -97,32 +103,80 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   for (const PreparedObject& o : scene.objects) {
     const int handle = stage->compositor_->add_object(o.baked);
     stage->objects_.push_back(
-        {&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}});
+        {&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}, {}});
   }
   return stage;
 }
 
-bool ComposeStage::update_light(Object& o, const lighting::LightEstimate& estimate,
-                                double seconds) {
-  const Pose pose = o.prepared->pose_at(seconds);
-  compositor_->set_pose(o.handle, pose);
-  const glm::dmat3 world_from_bake = pose.rotation_matrix();
-  const bool on_level_floor = o.prepared->baked.receiver && world_from_bake[1].y > kLevel;
-  const RadianceSh& world_light = on_level_floor ? estimate.floor_light : estimate.light;
-  const RadianceSh light =
-      lighting::ShRotation(glm::transpose(world_from_bake), world_light.bands()) * world_light;
-  if (o.light_used && lighting::largest_visible_change(*o.light_used, light) < kVisibleChange)
-    return false;
+Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal) {
+  Rgb sum = lighting::evaluate(
+      lighting::irradiance(normal.y > kLevel ? light.floor_light : light.light), normal);
+  for (const lighting::Disc& d : light.discs) sum += lighting::irradiance(d, normal);
+  return sum;
+}
+
+bool ComposeStage::update_lights(const lighting::LightEstimate& light, double seconds) {
+  std::vector<Pose> poses;
+  for (std::size_t i = 0; i < objects_.size(); ++i) {
+    poses.push_back(objects_[i].prepared->pose_at(seconds));
+    compositor_->set_pose(objects_[i].handle, poses[i]);
+    discs_.set_pose(i, poses[i]);
+  }
+  bool discs_changed = false;
   {
-    const StageTimer timer(times_, "relight");
-    prt::relight(o.prepared->baked.transfer, light, o.relit);
+    const StageTimer timer(times_, "discs");
+    discs_changed = discs_.update(light.discs, kPi * luminance(light.mean_radiance));
+  }
+  bool relit = false;
+  for (std::size_t i = 0; i < objects_.size(); ++i)
+    relit |= update_light(i, poses[i], light, discs_changed);
+  if (!relit && !discs_changed) return false;
+  std::vector<Rgb> open;
+  for (const prt::Plane& plane : scene_.planes)
+    open.push_back(open_irradiance(light, plane.normal));
+  compositor_->set_disc_shadows(discs_.shadows(open));
+  return true;
+}
+
+bool ComposeStage::update_light(std::size_t index, const Pose& pose,
+                                const lighting::LightEstimate& estimate, bool discs_changed) {
+  Object& o = objects_[index];
+  const prt::BakedObject& baked = o.prepared->baked;
+  const glm::dmat3 world_from_bake = pose.rotation_matrix();
+  const bool on_level_floor = baked.receiver && world_from_bake[1].y > kLevel;
+  const RadianceSh& world_light = on_level_floor ? estimate.floor_light : estimate.light;
+  const lighting::ShRotation turn(glm::transpose(world_from_bake), world_light.bands());
+  const RadianceSh light = turn * world_light;
+  if (!discs_changed && o.light_used &&
+      lighting::largest_visible_change(*o.light_used, light) < kVisibleChange)
+    return false;
+  shadows::ReceiverLight on_receiver(light);
+  if (!estimate.discs.empty()) {
+    RadianceSh sum(prt::kIndirectBands);
+    for (const lighting::Disc& d : estimate.discs) {
+      const RadianceSh own = on_level_floor ? project_disc_above(d, prt::kIndirectBands)
+                                            : project_disc(d, prt::kIndirectBands);
+      for (int n = 0; n < sum.size(); ++n) sum[n] += own[n];
+      on_receiver.disc_irradiance += lighting::irradiance(d, world_from_bake[1]);
+    }
+    if (on_level_floor) sum = lighting::floor_light(sum, prt::kIndirectBands);
+    on_receiver.discs =
+        lighting::ShRotation(glm::transpose(world_from_bake), prt::kIndirectBands) * sum;
   }
   {
-    const StageTimer timer(times_, "shadow");
-    if (o.prepared->baked.receiver) {
-      // Cannot fail: the object has a receiver.
-      (void)shadows::compose_planar_shadow(o.prepared->baked, light, o.shadow);
+    const StageTimer timer(times_, "relight");
+    prt::relight(baked.transfer, light, o.relit);
+    if (!estimate.discs.empty()) {
+      o.reflected.resize(o.relit.size());
+      prt::relight(baked.indirect, on_receiver.discs, o.reflected);
+      for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.reflected[i];
+      discs_.add_light(index, o.relit);
     }
+  }
+  if (baked.receiver) {
+    const StageTimer timer(times_, "shadow");
+    // Cannot fail: the object has a receiver.
+    (void)shadows::compose_planar_shadow(baked, on_receiver, o.shadow);
   }
   compositor_->set_light(o.handle, o.relit, o.shadow);
   o.light_used = light;
@@ -144,7 +198,7 @@ Result<Composited> ComposeStage::process(const capture::Frame& frame,
                                          const lighting::LightEstimate& light) {
   Composited out;
   const double seconds = (frame.time - TimestampNs{0}).count();
-  for (Object& o : objects_) out.relit |= update_light(o, light, seconds);
+  out.relit = update_lights(light, seconds);
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const StageTimer timer(times_, "composite");
   out.pixels = *frame.pixels;

@@ -11,6 +11,7 @@
 #include "compositor/compositor.h"
 #include "core/result.h"
 #include "lighting/lighting.h"
+#include "service/disc_stage.h"
 #include "service/scene.h"
 #include "service/stage_times.h"
 
@@ -20,15 +21,16 @@ namespace penumbra::service {
 class LightStage {
  public:
   /// errors: kInvalid (no environment camera)
-  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras, int bands,
-                                   StageTimes& times);
+  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras,
+                                   const lighting::EstimateOptions& options, StageTimes& times);
 
   int camera() const { return camera_; }
   /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
   Result<lighting::LightEstimate> process(const capture::Frame& frame);
 
  private:
-  LightStage(int camera, const capture::CameraInfo& info, int bands, StageTimes& times);
+  LightStage(int camera, const capture::CameraInfo& info,
+             const lighting::EstimateOptions& options, StageTimes& times);
   int camera_;
   capture::CameraInfo info_;  // with the newest pose
   capture::HdrRing ring_;
@@ -46,6 +48,8 @@ struct Composited {
 
 /// A plane counts as level when its normal's y is larger: within a quarter of a degree.
 inline constexpr double kLevel = .99999;
+/// Irradiance of an open plane of this orientation, discs included.
+Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 
 /// View frames and light in, composited frames out.
 class ComposeStage {
@@ -58,7 +62,8 @@ class ComposeStage {
   /// kUnavailable
   static Result<std::unique_ptr<ComposeStage>> create(
       const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
-      compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2);
+      compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2,
+      const DiscTaps& taps = {});
 
   /// Composites one view frame under `light`.
   /// errors: as Compositor::composite
@@ -70,7 +75,7 @@ class ComposeStage {
     const PreparedObject* prepared;
     int handle;
     std::optional<RadianceSh> light_used;  // in the bake frame
-    std::vector<float> relit;
+    std::vector<float> relit, reflected;
     shadows::PlanarShadow shadow;
   };
   struct ViewCamera {
@@ -78,12 +83,20 @@ class ComposeStage {
     std::optional<CodeCurve> curve8, curve16;
   };
 
-  ComposeStage(std::unique_ptr<compositor::Compositor> compositor, StageTimes& times)
-      : compositor_(std::move(compositor)), times_(times) {}
-  bool update_light(Object& object, const lighting::LightEstimate& light, double seconds);
+  ComposeStage(std::unique_ptr<compositor::Compositor> compositor, DiscStage discs,
+               const PreparedScene& scene, StageTimes& times)
+      : compositor_(std::move(compositor)),
+        scene_(scene),
+        discs_(std::move(discs)),
+        times_(times) {}
+  bool update_lights(const lighting::LightEstimate& light, double seconds);
+  bool update_light(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
+                    bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
 
   std::unique_ptr<compositor::Compositor> compositor_;
+  const PreparedScene& scene_;
+  DiscStage discs_;
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;

@@ -69,7 +69,7 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
 }
 
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real) {
+                               const Still& real, const DiscTaps& taps) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
@@ -78,7 +78,7 @@ Result<Still> render_composite(const StillScene& in, const lighting::LightEstima
   camera.world_from_camera = in.view.world_from_camera;
   StageTimes times;
   auto stage = ComposeStage::create({camera}, *in.scene,
-                                    compositor::Compositor::Surface::kOffscreen, times, 4);
+                                    compositor::Compositor::Surface::kOffscreen, times, 4, taps);
   if (!stage) return std::unexpected(stage.error());
   capture::Frame frame;
   frame.exposure = {Seconds(1), Gain(1)};

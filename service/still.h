@@ -8,6 +8,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "service/disc_stage.h"
 #include "service/scene.h"
 
 namespace penumbra::service {
@@ -33,7 +34,7 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
 
 /// Our method over the real picture, under `light`.
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real);
+                               const Still& real, const DiscTaps& taps = {});
 
 /// The light that the compositor uses for what stands on these planes: the floor's when all are level.
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,

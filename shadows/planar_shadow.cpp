@@ -22,20 +22,27 @@ float rim_fade(int x, int y, int size) {
 
 }  // namespace
 
-Result<void> compose_planar_shadow(const prt::BakedObject& object, const RadianceSh& light,
+Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
                                    PlanarShadow& out) {
   if (!object.receiver) return fail(ErrorCode::kInvalid, "object", "was baked without a receiver");
   const int size = object.receiver->grid.size;
   if (out.ratio.width() != size || out.ratio.height() != size) out.ratio = Image<Rgb>(size, size);
-  thread_local std::vector<float> deficit;  // grows once per thread
-  deficit.resize(3 * object.ground_deficit.stride);
-  prt::relight(object.ground_deficit, light, deficit);
+  thread_local std::vector<float> deficit, reflected;  // grow once per thread
+  const std::size_t stride = object.ground_deficit.stride;
+  deficit.resize(3 * stride);
+  prt::relight(object.ground_deficit, light.rest, deficit);
+  if (luminance(light.disc_irradiance) > 0) {
+    reflected.resize(3 * stride);
+    prt::relight(object.ground_indirect, light.discs, reflected);
+    for (std::size_t i = 0; i < 3 * stride; ++i) deficit[i] -= reflected[i];
+  }
 
-  // Both in units of irradiance/pi, like the deficit.
-  const RadianceSh used = light.with_bands(object.ground_deficit.bands);
-  const Rgb open =
-      lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) * static_cast<float>(1 / kPi);
-  const Rgb mean = used[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
+  // All in units of irradiance/pi, like the deficit.
+  const RadianceSh used = light.rest.with_bands(object.ground_deficit.bands);
+  const Rgb open = (lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) +
+                    light.disc_irradiance) *
+                   static_cast<float>(1 / kPi);
+  const Rgb mean = (used[0] + light.discs[0]) * static_cast<float>(1 / std::sqrt(4 * kPi));
   Rgb inverse;
   for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;
 

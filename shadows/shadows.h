@@ -2,9 +2,13 @@
 // threads: reentrant; compose_planar_shadow does not allocate once `out` has its size
 #pragma once
 
+#include <span>
+
 #include "core/image.h"
+#include "core/pose.h"
 #include "core/result.h"
 #include "core/sh.h"
+#include "lighting/lighting.h"
 #include "prt/prt.h"
 
 namespace penumbra::shadows {
@@ -25,11 +29,67 @@ inline constexpr float kInvisibleRatio = .003f;
 /// = 1.
 inline constexpr float kLeastIrradiance = .05f;
 
-/// s = 1 - sum l_n S_n / E0 from the baked deficit basis S_n, clamped to 0..1.5, faded to 1 over
-/// the outer tenth of the grid. `light` in the bake frame: a yaw of the object is a rotation of the
-/// light. in:     object with a receiver
+/// Light on a receiver, in its bake frame.
+struct ReceiverLight {
+  ReceiverLight(const RadianceSh& rest_) : rest(rest_) {}  // NOLINT: light without discs is light
+  RadianceSh rest;      // without the discs
+  RadianceSh discs{1};  // the discs in spherical harmonics, for the light that the object reflects
+  Rgb disc_irradiance;  // E of all discs on the open receiver, W/m^2 relative
+};
+
+/// s = 1 - (sum l_n S_n - light reflected from discs)/E0 from the baked deficit basis S_n, clamped to 0..1.5,
+/// faded to 1 over the outer tenth of the grid. E0 counts the discs; what of them the object blocks is
+/// DiscShadow's. `light` in the bake frame: a yaw of the object is a rotation of the light.
+/// in:     object with a receiver
 /// errors: kInvalid (no receiver)
-Result<void> compose_planar_shadow(const prt::BakedObject& object, const RadianceSh& light,
+Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
                                    PlanarShadow& out);
+
+// ---------------------------------------------------------------------------------- discs
+
+/// What can stand between a point and a disc.
+struct Blockers {
+  const prt::RayWorld* virtual_things = nullptr;
+  const prt::RayWorld* real_things = nullptr;  // null or empty: none
+  float near_m = 1e-4f;                        // rays start so far off their surface
+};
+
+/// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
+/// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's.
+/// in: taps 1..64 rays a vertex; threads: reentrant, parallel inside
+/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex
+void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
+                      const prt::Plane* plane, const lighting::Disc& disc, int taps,
+                      std::span<float> out);
+
+struct Caster {
+  const prt::Mesh* mesh;
+  Pose world_from_mesh;
+};
+
+struct DiscShadowOptions {
+  int taps = 16;   // rays a node, 1..64
+  int size = 256;  // cells along the longer side, a multiple of 8
+};
+
+/// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole
+/// shadow. 0 at the rim, so that nothing ends abruptly.
+struct DiscShadow {
+  /// Plane frame: y the normal, x away from the light along the plane, origin at node (0, 0); node
+  /// (i, j) lies at (i, 0, j) * cell_m.
+  Pose world_from_map;
+  float cell_m = 0;
+  Image<float> taken;    // nodes: real visibility times the share blocked by virtual things, 0..1
+  Image<float> missing;  // nodes: share of the disc that real things block; empty without real things
+  bool empty() const { return taken.empty(); }
+  std::size_t rays = 0;  // that it took
+};
+
+/// Traces nodes eight cells apart and refines where they differ and a straight line does not fit: the cost follows
+/// the length of the shadow's edge. Shadows longer than ten radii of the caster are cut off softly.
+/// errors: none; an empty shadow when no light of the disc reaches the plane's front
+void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
+                       const prt::Plane& plane, const lighting::Disc& disc,
+                       const DiscShadowOptions& options, DiscShadow& out);
 
 }  // namespace penumbra::shadows

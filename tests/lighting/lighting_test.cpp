@@ -170,7 +170,7 @@ TEST(Holes, NadirHoleLeavesConstantEnvironmentConstant) {
   environment.confidence = Image<float>(128, 64, 1);
   for (std::size_t i = 0; i < environment.radiance.area(); ++i)
     if (environment.radiance.pixels()[i].r == 0) environment.confidence.pixels()[i] = 0;
-  const auto estimate = LightEstimator(3).estimate(environment);
+  const auto estimate = LightEstimator({.bands = 3}).estimate(environment);
   ASSERT_TRUE(estimate);
   EXPECT_NEAR(estimate->light[0].r, std::sqrt(4 * kPi), .005 * std::sqrt(4 * kPi));
   EXPECT_NEAR(estimate->coverage, 1 - (1 - std::cos(20 * kPi / 180)) / 2, .005);
@@ -185,7 +185,7 @@ TEST(Holes, AlmostNothingSeenIsUndetermined) {
   environment.radiance = Image<Rgb>(64, 32, {1, 1, 1});
   environment.confidence = Image<float>(64, 32, 0);
   environment.confidence.at(3, 16) = 1;
-  const auto estimate = LightEstimator(3).estimate(environment);
+  const auto estimate = LightEstimator({.bands = 3}).estimate(environment);
   ASSERT_FALSE(estimate);
   EXPECT_EQ(estimate.error().code, ErrorCode::kUndetermined);
 }
@@ -257,7 +257,7 @@ TEST(FloorLight, HolesAreFilledLikeTheWholeSphere) {
   for (int y = 0; y < 12; ++y)
     for (int x = 0; x < 128; ++x)
       environment.radiance.at(x, y) = {}, environment.confidence.at(x, y) = 0;
-  const auto estimate = LightEstimator(5).estimate(environment);
+  const auto estimate = LightEstimator({.bands = 5}).estimate(environment);
   ASSERT_TRUE(estimate);
   EXPECT_NEAR(estimate->floor_light[0].r, std::sqrt(4 * kPi), .02);
   EXPECT_NEAR(evaluate(estimate->floor_light, {0, 1, 0}).r, 1, .02);

@@ -196,8 +196,8 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"size\":9", "\"size\":8"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"size\":9", "\"size\":1"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"count\":60", "\"count\":0"), ErrorCode::kUnreadable) << "no vertices";
-  EXPECT_EQ(code("\"accessor\":", "\"accessed\":"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"version\":2", "\"version\":3"), ErrorCode::kInvalid) << "another version";
+  EXPECT_EQ(code("\"deficit\":", "\"surplus\":"), ErrorCode::kUnreadable);
+  EXPECT_EQ(code("\"version\":3", "\"version\":4"), ErrorCode::kInvalid) << "another version";
   EXPECT_EQ(code("\"_TRANSFER_1\"", "\"_TRANSFER_7\""), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"penumbra\":", "\"elsewhere\":"), ErrorCode::kInvalid) << "not ours";
 }

@@ -30,7 +30,7 @@ struct Stage {
   StageTimes times;
   Result<LightStage> light;
   explicit Stage(const capture::CameraInfo& camera)
-      : light(LightStage::create({camera}, 3, times)) {}
+      : light(LightStage::create({camera}, {.bands = 3}, times)) {}
 };
 
 TEST(LightStage, FloatFramesKeepTheirBrightPixels) {

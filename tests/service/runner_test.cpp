@@ -47,7 +47,7 @@ struct Stages {
   Result<std::unique_ptr<ComposeStage>> compose;
   Stages()
       : studio(bench().world, bench().options),
-        light(LightStage::create(studio.cameras(), 4, times)),
+        light(LightStage::create(studio.cameras(), {.bands = 4}, times)),
         compose(ComposeStage::create(studio.cameras(), bench().scene,
                                      compositor::Compositor::Surface::kOffscreen, times)) {}
 };

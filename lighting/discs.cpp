@@ -1,0 +1,443 @@
+#include <Eigen/Eigenvalues>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+
+namespace {
+
+constexpr float kAboveMean = 6;   // a source is brighter than this times the mean of the rest
+constexpr float kStep = 300;      // regions with a larger range than this are peeled core first
+constexpr double kRoundness = 1.2;  // of a 1.8:1 rectangle
+constexpr double kSmall = .01;      // radians: the form of smaller sources cannot be seen in a shadow
+constexpr int kShapeDepth = 6;      // 2^6 = Disc::kShapePoints
+constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
+
+// Pixels [x0, x1) of row y that are brighter than the level.
+struct Run {
+  int y, x0, x1;
+};
+
+class DisjointSets {
+ public:
+  explicit DisjointSets(std::size_t count) : parent_(count) {
+    std::iota(parent_.begin(), parent_.end(), std::size_t{0});
+  }
+  std::size_t find(std::size_t i) {
+    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+    return i;
+  }
+  void join(std::size_t a, std::size_t b) { parent_[find(a)] = find(b); }
+
+ private:
+  std::vector<std::size_t> parent_;
+};
+
+struct Region {
+  std::vector<Run> runs;
+  float peak = 0;
+};
+
+// What was cut off a pixel.
+struct Excess {
+  int x, y;
+  Rgb radiance;
+  glm::dvec3 direction;
+};
+
+struct Share {
+  double weight = 0;
+  glm::dvec3 direction{0};
+};
+
+struct Candidate {
+  std::vector<Excess> pixels;
+  glm::dvec3 centre;
+  double flux;         // luminance times solid angle
+  double solid_angle;  // of an even disc with the same second moment of radiance
+};
+
+class Peeler {
+ public:
+  Peeler(const DiscOptions& options, DiscSplit& split)
+      : options_(options), map_(split.rest), discs_(split.discs), split_(split) {
+    for (int y = 0; y < map_.height(); ++y)
+      weight_.push_back(latlong_solid_angle(y, map_.width(), map_.height()));
+  }
+
+  Result<void> run();
+
+ private:
+  Result<double> measure();
+  double mean_below(double level) const;
+  std::vector<Region> regions_above(float level) const;
+  std::vector<Region> regions_of(std::vector<Run> runs) const;
+  std::vector<Run> runs_above(float level, std::span<const Run> within) const;
+  void peel(const Region& region, float level);
+  void cut(const Region& region, float level);
+  void add_candidate(std::vector<Excess> pixels);
+  void put_back(std::span<const Excess> pixels);
+  std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
+  void choose();
+
+  const DiscOptions& options_;
+  Image<Rgb>& map_;
+  std::vector<Disc>& discs_;
+  DiscSplit& split_;
+  std::vector<double> weight_;     // solid angle of a pixel, by row
+  std::vector<float> row_peak_;
+  std::vector<Candidate> candidates_;
+  double least_flux_ = 0;
+};
+
+// Row by row: the brightest luminance. Returns the mean.
+Result<double> Peeler::measure() {
+  row_peak_.assign(static_cast<std::size_t>(map_.height()), 0);
+  double mean = 0;
+  for (int y = 0; y < map_.height(); ++y) {
+    float peak = 0;
+    double sum = 0;
+    for (const Rgb& c : map_.row(y)) {
+      const float l = luminance(c);
+      peak = std::max(peak, l);
+      sum += l;
+    }
+    if (!std::isfinite(sum))
+      return fail(ErrorCode::kNonFinite, "environment", "holds NaN or infinite radiance");
+    row_peak_[static_cast<std::size_t>(y)] = peak;
+    mean += weight_[static_cast<std::size_t>(y)] * sum / (4 * kPi);
+  }
+  return mean;
+}
+
+// Mean of the map with everything above the level cut down to it.
+double Peeler::mean_below(double level) const {
+  double mean = 0;
+  for (int y = 0; y < map_.height(); ++y) {
+    double sum = 0;
+    for (const Rgb& c : map_.row(y)) sum += std::min<double>(luminance(c), level);
+    mean += weight_[static_cast<std::size_t>(y)] * sum / (4 * kPi);
+  }
+  return mean;
+}
+
+std::vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
+  std::vector<Run> runs;
+  for (const Run& r : within) {
+    const auto row = map_.row(r.y);
+    for (int x = r.x0; x < r.x1;) {
+      if (!(luminance(row[static_cast<std::size_t>(x)]) > level)) {
+        ++x;
+        continue;
+      }
+      const int start = x;
+      while (x < r.x1 && luminance(row[static_cast<std::size_t>(x)]) > level) ++x;
+      runs.push_back({r.y, start, x});
+    }
+  }
+  return runs;
+}
+
+std::vector<Region> Peeler::regions_above(float level) const {
+  std::vector<Run> rows;
+  for (int y = 0; y < map_.height(); ++y)
+    if (row_peak_[static_cast<std::size_t>(y)] > level) rows.push_back({y, 0, map_.width()});
+  return regions_of(runs_above(level, rows));
+}
+
+// Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the seam; and
+// all pixels of the first row, or the last, meet at the pole.
+std::vector<Region> Peeler::regions_of(std::vector<Run> runs) const {
+  DisjointSets sets(runs.size());
+  const int width = map_.width();
+  const auto touch = [&](const Run& a, const Run& b) {
+    for (const int shift : {-width, 0, width})
+      if (a.x0 + shift <= b.x1 && b.x0 <= a.x1 + shift) return true;
+    return false;
+  };
+  std::size_t row_start = 0, previous_start = 0;
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    if (i > 0 && runs[i].y != runs[i - 1].y) previous_start = row_start, row_start = i;
+    const bool at_pole = runs[i].y == 0 || runs[i].y == map_.height() - 1;
+    for (std::size_t k = row_start; k < i; ++k)
+      if (at_pole || touch(runs[i], runs[k])) sets.join(i, k);
+    if (row_start == 0 || runs[previous_start].y != runs[i].y - 1) continue;
+    for (std::size_t k = previous_start; k < row_start; ++k)
+      if (touch(runs[i], runs[k])) sets.join(i, k);
+  }
+  std::vector<Region> regions(runs.size());
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    Region& region = regions[sets.find(i)];
+    region.runs.push_back(runs[i]);
+    for (int x = runs[i].x0; x < runs[i].x1; ++x)
+      region.peak = std::max(region.peak, luminance(map_.at(x, runs[i].y)));
+  }
+  std::erase_if(regions, [](const Region& r) { return r.runs.empty(); });
+  return regions;
+}
+
+void Peeler::peel(const Region& region, float level) {
+  if (region.peak > kStep * level) {
+    const float core = kCoreLevel * region.peak;
+    for (const Region& part : regions_of(runs_above(core, region.runs))) peel(part, core);
+    // What is left reaches up to the core's level at most.
+    for (Region& part : regions_of(runs_above(level, region.runs)))
+      part.peak < region.peak ? peel(part, level) : cut(part, level);
+    return;
+  }
+  cut(region, level);
+}
+
+// Cuts the region down to its surroundings and turns what was above into candidates.
+void Peeler::cut(const Region& region, float level) {
+  double energy = 0, solid_angle = 0;
+  for (const Run& r : region.runs) {
+    const double w = weight_[static_cast<std::size_t>(r.y)];
+    solid_angle += w * (r.x1 - r.x0);
+    for (int x = r.x0; x < r.x1; ++x) energy += w * luminance(map_.at(x, r.y));
+  }
+  const float base = std::min(level, static_cast<float>(.5 * energy / solid_angle));
+  std::vector<Excess> above;
+  for (const Run& r : region.runs)
+    for (int x = r.x0; x < r.x1; ++x) {
+      Rgb& c = map_.at(x, r.y);
+      const float l = luminance(c);
+      if (!(l > base)) continue;
+      above.push_back({x, r.y, c * (1 - base / l),
+                       latlong_direction(x + .5, r.y + .5, map_.width(), map_.height())});
+      c = c * (base / l);
+    }
+  add_candidate(std::move(above));
+}
+
+void Peeler::add_candidate(std::vector<Excess> pixels) {
+  double flux = 0, square = 0;
+  glm::dvec3 centre(0);
+  for (const Excess& p : pixels) {
+    const double w = weight_[static_cast<std::size_t>(p.y)], l = luminance(p.radiance);
+    flux += w * l;
+    square += w * l * l;
+    centre += w * l * p.direction;
+  }
+  if (!(flux > least_flux_)) {
+    put_back(pixels);
+    return;
+  }
+  const double cap = std::min(2 * kPi, flux * flux / square), length = glm::length(centre);
+  candidates_.push_back(
+      {std::move(pixels), length > 1e-9 * flux ? centre / length : glm::dvec3(0, 1, 0), flux, cap});
+}
+
+void Peeler::put_back(std::span<const Excess> pixels) {
+  for (const Excess& p : pixels) map_.at(p.x, p.y) += p.radiance;
+}
+
+// Equal shares of the energy, by halving across the longest axis six times.
+void halve(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out) {
+  double weight = 0;
+  glm::dvec3 mean(0);
+  for (const Share& s : shares) weight += s.weight, mean += s.weight * s.direction;
+  mean = mean / weight;
+  if (depth == 0 || shares.size() < 2) {
+    out.insert(out.end(), std::size_t{1} << depth, glm::normalize(mean));
+    return;
+  }
+  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
+  for (const Share& s : shares) {
+    const glm::dvec3 d = s.direction - mean;
+    const Eigen::Vector3d v(d.x, d.y, d.z);
+    spread += s.weight * v * v.transpose();
+  }
+  const Eigen::Vector3d axis = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvectors().col(2);
+  std::ranges::sort(shares, {}, [&](const Share& s) {
+    return axis.dot(Eigen::Vector3d(s.direction.x, s.direction.y, s.direction.z));
+  });
+  std::size_t middle = 0;
+  for (double sum = 0; sum + .5 * shares[middle].weight < .5 * weight; ++middle)
+    sum += shares[middle].weight;
+  middle = std::clamp<std::size_t>(middle, 1, shares.size() - 1);
+  halve(shares.first(middle), depth - 1, out);
+  halve(shares.subspan(middle), depth - 1, out);
+}
+
+// Where the energy lies when a round disc would misplace it.
+std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
+  double spread = 0;
+  for (const Excess& p : c.pixels)
+    spread += weight_[static_cast<std::size_t>(p.y)] * luminance(p.radiance) / c.flux *
+              (2 - 2 * glm::dot(p.direction, c.centre));
+  // Mean square distance of an even disc of that solid angle: a^2/2 with pi a^2 = the solid angle.
+  if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};
+  // A thousand shares are plenty for 64 points.
+  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 1000));
+  std::map<std::pair<int, int>, Share> blocks;
+  for (const Excess& p : c.pixels) {
+    Share& share = blocks[{p.y / block, p.x / block}];
+    const double w = weight_[static_cast<std::size_t>(p.y)] * luminance(p.radiance);
+    share.weight += w;
+    share.direction += w * p.direction;
+  }
+  std::vector<Share> shares;
+  for (const auto& [at, share] : blocks)
+    shares.push_back({share.weight, share.direction / share.weight});
+  std::vector<glm::dvec3> out;
+  halve(shares, kShapeDepth, out);
+  return out;
+}
+
+// The strongest become discs; the others go back into the map.
+void Peeler::choose() {
+  std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
+  for (const Candidate& c : candidates_) {
+    if (c.flux < least_flux_ || static_cast<int>(discs_.size()) >= options_.most) {
+      put_back(c.pixels);
+      continue;
+    }
+    double rgb[3] = {};
+    for (const Excess& p : c.pixels)
+      for (int k = 0; k < 3; ++k)
+        rgb[k] += weight_[static_cast<std::size_t>(p.y)] * p.radiance[k];
+    Disc disc;
+    disc.direction = c.centre;
+    disc.radius = Radians(std::acos(1 - c.solid_angle / (2 * kPi)));
+    for (int k = 0; k < 3; ++k) disc.radiance[k] = static_cast<float>(rgb[k] / c.solid_angle);
+    disc.shape = shape_of(c);
+    discs_.push_back(std::move(disc));
+  }
+}
+
+Result<void> Peeler::run() {
+  discs_.clear();
+  auto mean = measure();
+  if (!mean) return std::unexpected(mean.error());
+  split_.mean_luminance = *mean;
+  if (!(*mean > 0)) return {};
+  least_flux_ = options_.least_share * kPi * *mean;
+  // The mean of what is not a source: three steps bring it within a percent.
+  double rest = *mean;
+  for (int i = 0; i < 3; ++i) rest = mean_below(kAboveMean * rest);
+  const auto level = static_cast<float>(kAboveMean * rest);
+  auto regions = regions_above(level);
+  const auto flux = [&](const Region& region) {
+    double sum = 0;
+    for (const Run& r : region.runs)
+      for (int x = r.x0; x < r.x1; ++x)
+        sum += weight_[static_cast<std::size_t>(r.y)] * luminance(map_.at(x, r.y));
+    return sum;
+  };
+  std::vector<std::pair<double, const Region*>> order;
+  for (const Region& region : regions) order.emplace_back(-flux(region), &region);
+  std::ranges::sort(order, {}, &std::pair<double, const Region*>::first);
+  for (const auto& [negative_flux, region] : order) {
+    if (-negative_flux < least_flux_) break;
+    peel(*region, level);
+  }
+  choose();
+  return {};
+}
+
+}  // namespace
+
+double Disc::solid_angle_sr() const {
+  return 4 * kPi * std::pow(std::sin(.5 * radius.value()), 2);
+}
+
+Rgb Disc::irradiance() const {
+  return radiance * static_cast<float>(kPi * std::pow(std::sin(radius.value()), 2));
+}
+
+Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split) {
+  if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  split.rest = map;
+  return Peeler(options, split).run();
+}
+
+namespace {
+
+// Points of equal solid angle over the disc: f(direction, solid angle of the point).
+template <class F>
+void over_disc(const Disc& disc, F f) {
+  for (const glm::dvec3& d : disc.shape)
+    f(d, disc.solid_angle_sr() / static_cast<double>(disc.shape.size()));
+  if (!disc.shape.empty()) return;
+  constexpr int kPoints = 256;
+  const glm::dvec3 axis = disc.direction,
+                   side = glm::normalize(glm::cross(
+                       axis, std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0))),
+                   up = glm::cross(side, axis);
+  const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
+  for (int k = 0; k < kPoints; ++k) {
+    const double c = 1 - height * (k + .5) / kPoints, s = std::sqrt(1 - c * c),
+                 a = k * 2.399963229728653;
+    f(c * axis + s * (std::cos(a) * side + std::sin(a) * up), 2 * kPi * height / kPoints);
+  }
+}
+
+// A round disc is a zonal function.
+RadianceSh project_round(const Disc& disc, int bands) {
+  RadianceSh out(bands);
+  double basis[kMaxCoefficients];
+  evaluate_basis(bands, disc.direction, basis);
+  const double c = std::cos(disc.radius.value());
+  double before = 1, here = c;  // P_{l-1}, P_l at l = 1
+  for (int l = 0; l < bands; ++l) {
+    double zonal = std::sqrt(kPi) * 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
+    if (l > 0) {
+      const double after = ((2 * l + 1) * c * here - l * before) / (l + 1);
+      zonal = std::sqrt(kPi / (2 * l + 1)) * (before - after);
+      before = here, here = after;
+    }
+    const double k = zonal * std::sqrt(4 * kPi / (2 * l + 1));
+    for (int m = -l; m <= l; ++m) {
+      const int n = sh_index(l, m);
+      out[n] = disc.radiance * static_cast<float>(k * basis[n]);
+    }
+  }
+  return out;
+}
+
+RadianceSh project_points(const Disc& disc, int bands, bool above) {
+  double sum[kMaxCoefficients] = {}, basis[kMaxCoefficients];
+  over_disc(disc, [&](const glm::dvec3& d, double solid_angle) {
+    if (above && d.y <= 0) return;
+    evaluate_basis(bands, d, basis);
+    for (int n = 0; n < coefficient_count(bands); ++n) sum[n] += solid_angle * basis[n];
+  });
+  RadianceSh out(bands);
+  for (int n = 0; n < out.size(); ++n) out[n] = disc.radiance * static_cast<float>(sum[n]);
+  return out;
+}
+
+// In front of a surface with that normal, all of it.
+bool is_in_front(const Disc& disc, const glm::dvec3& normal) {
+  return disc.shape.empty() && disc.radius.value() < kPi / 2 &&
+         glm::dot(disc.direction, normal) >= std::sin(disc.radius.value());
+}
+
+}  // namespace
+
+RadianceSh project_disc(const Disc& disc, int bands) {
+  return disc.shape.empty() ? project_round(disc, bands) : project_points(disc, bands, false);
+}
+
+RadianceSh project_disc_above(const Disc& disc, int bands) {
+  return is_in_front(disc, {0, 1, 0}) ? project_round(disc, bands)
+                                      : project_points(disc, bands, true);
+}
+
+Rgb irradiance(const Disc& disc, const glm::dvec3& normal) {
+  if (is_in_front(disc, normal))
+    return disc.irradiance() * static_cast<float>(glm::dot(disc.direction, normal));
+  double sum = 0;
+  over_disc(disc, [&](const glm::dvec3& d, double solid_angle) {
+    sum += solid_angle * std::max(0., glm::dot(d, normal));
+  });
+  return disc.radiance * static_cast<float>(sum);
+}
+
+}  // namespace penumbra::lighting

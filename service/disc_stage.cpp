@@ -1,0 +1,124 @@
+#include "service/disc_stage.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace penumbra::service {
+
+namespace {
+
+// A disc is traced anew when it moved by a tenth of its radius and this much: half a millimetre of shadow from half a
+// metre's height.
+constexpr double kLeastMove = 1e-3;
+constexpr double kVisibleShare = .005;
+
+}  // namespace
+
+Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& taps) {
+  auto virtual_things = prt::RayWorld::create();
+  if (!virtual_things) return std::unexpected(virtual_things.error());
+  auto real_things = prt::RayWorld::create();
+  if (!real_things) return std::unexpected(real_things.error());
+  DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things));
+  float smallest = 1e30f;
+  for (const PreparedObject& o : scene.objects) {
+    auto index = stage.virtual_.add(o.baked.mesh);
+    if (!index) return fail(index.error().code, o.name, index.error().detail);
+    stage.poses_.push_back(o.world_from_bake);
+    stage.virtual_.set_pose(*index, o.world_from_bake);
+    smallest = std::min(smallest,
+                        prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
+  }
+  if (!scene.real_mesh.triangles.empty()) {
+    auto index = stage.real_.add(scene.real_mesh);
+    if (!index) return fail(index.error().code, "real geometry", index.error().detail);
+  }
+  if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
+  return stage;
+}
+
+void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
+  if (poses_[object] == world_from_bake) return;
+  poses_[object] = world_from_bake;
+  virtual_.set_pose(static_cast<int>(object), world_from_bake);
+  moved_ = true;
+}
+
+void DiscStage::trace(Traced& t) {
+  t.direction = t.disc.direction;
+  t.radius = t.disc.radius.value();
+  const shadows::Blockers blockers{&virtual_, &real_, near_m_};
+  std::vector<shadows::Caster> casters;
+  t.cosine.resize(scene_->objects.size());
+  for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
+    const PreparedObject& o = scene_->objects[i];
+    casters.push_back({&o.baked.mesh, poses_[i]});
+    t.cosine[i].resize(o.baked.mesh.positions.size());
+    const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
+    shadows::trace_disc_light(blockers, o.baked.mesh, poses_[i],
+                              o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
+  }
+  t.on_plane.resize(scene_->planes.size());
+  for (std::size_t p = 0; p < scene_->planes.size(); ++p)
+    shadows::trace_disc_shadow(blockers, casters, scene_->planes[p], t.disc, taps_.plane,
+                               t.on_plane[p]);
+}
+
+bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance) {
+  const bool poses_changed = std::exchange(moved_, false);
+  std::vector<Traced> now;
+  bool changed = false;
+  for (const lighting::Disc& disc : discs) {
+    const auto known = std::ranges::find(traced_, disc.id, [](const Traced& t) { return t.disc.id; });
+    Traced t = known == traced_.end() ? Traced{} : std::move(*known);
+    const double move = std::acos(std::clamp(glm::dot(t.direction, disc.direction), -1., 1.));
+    const double change = std::abs(luminance(disc.irradiance()) - luminance(t.disc.irradiance()));
+    changed |= known == traced_.end() || change > kVisibleShare * mean_irradiance;
+    const lighting::Disc before = t.disc;
+    t.disc = disc;
+    if (poses_changed || t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
+        std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value()) {
+      trace(t);
+      changed = true;
+    } else if (change <= kVisibleShare * mean_irradiance) {
+      t.disc.radiance = before.radiance;  // small changes add up until they are seen
+      t.disc.radius = before.radius;
+    }
+    now.push_back(std::move(t));
+  }
+  changed |= traced_.size() != now.size();
+  traced_ = std::move(now);
+  return changed;
+}
+
+void DiscStage::add_light(std::size_t object, std::span<float> relit) const {
+  const std::size_t stride = relit.size() / 3;
+  for (const Traced& t : traced_) {
+    const std::vector<float>& cosine = t.cosine[object];
+    const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr() / kPi);
+    for (std::size_t c = 0; c < 3; ++c) {
+      float* const out = &relit[c * stride];
+      const float k = scale[static_cast<int>(c)];
+      for (std::size_t v = 0; v < cosine.size(); ++v) out[v] += k * cosine[v];
+    }
+  }
+}
+
+std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(
+    std::span<const Rgb> open_irradiance) const {
+  std::vector<compositor::DiscShadowOnPlane> out;
+  for (const Traced& t : traced_)
+    for (std::size_t p = 0; p < t.on_plane.size(); ++p) {
+      if (t.on_plane[p].empty()) continue;
+      const Rgb e = lighting::irradiance(t.disc, scene_->planes[p].normal);
+      Rgb share;
+      for (int c = 0; c < 3; ++c)
+        share[c] = open_irradiance[p][c] > 0
+                       ? std::clamp(e[c] / open_irradiance[p][c], 0.f, 1.f)
+                       : 0;
+      out.push_back({&t.on_plane[p], share});
+    }
+  return out;
+}
+
+}  // namespace penumbra::service

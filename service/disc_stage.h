@@ -1,0 +1,61 @@
+// Direct light and shadows of discs in a scene: traced when a disc or an object moved, else kept.
+// threads: thread-bound, parallel inside
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "compositor/compositor.h"
+#include "core/result.h"
+#include "service/scene.h"
+#include "shadows/shadows.h"
+
+namespace penumbra::service {
+
+struct DiscTaps {
+  int object = 4;            // rays a vertex and disc
+  shadows::DiscShadowOptions plane;
+};
+
+class DiscStage {
+ public:
+  /// The scene must outlive the stage.
+  /// errors: kUnavailable (Embree)
+  static Result<DiscStage> create(const PreparedScene& scene, const DiscTaps& taps);
+
+  void set_pose(std::size_t object, const Pose& world_from_bake);
+  /// Brings everything up to date with the discs. True when anything was traced or a radiance changed
+  /// visibly, relative to `mean_irradiance`.
+  bool update(std::span<const lighting::Disc> discs, double mean_irradiance);
+
+  /// Adds the discs' direct light to exit radiance for a unit albedo, in prt::relight's layout.
+  void add_light(std::size_t object, std::span<float> relit) const;
+  /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, discs included.
+  std::vector<compositor::DiscShadowOnPlane> shadows(std::span<const Rgb> open_irradiance) const;
+
+ private:
+  struct Traced {
+    lighting::Disc disc;  // as it is now
+    glm::dvec3 direction{0};  // as it was traced
+    double radius = 0;
+    std::vector<std::vector<float>> cosine;  // by object, by vertex
+    std::vector<shadows::DiscShadow> on_plane;
+  };
+  DiscStage(const PreparedScene& scene, const DiscTaps& taps, prt::RayWorld virtual_things,
+            prt::RayWorld real_things)
+      : scene_(&scene),
+        taps_(taps),
+        virtual_(std::move(virtual_things)),
+        real_(std::move(real_things)) {}
+  void trace(Traced& traced);
+
+  const PreparedScene* scene_;
+  DiscTaps taps_;
+  prt::RayWorld virtual_, real_;
+  std::vector<Pose> poses_;
+  std::vector<Traced> traced_;
+  bool moved_ = true;
+  float near_m_ = 1e-4f;
+};
+
+}  // namespace penumbra::service

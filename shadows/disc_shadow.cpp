@@ -1,0 +1,495 @@
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <bit>
+#include <cassert>
+#include <cmath>
+#include <glm/gtx/quaternion.hpp>
+
+#include "shadows/shadows.h"
+
+namespace penumbra::shadows {
+
+namespace {
+
+using prt::RayWorld;
+
+constexpr int kTurns = 64;  // patterns for vertices, each turned about the disc's axis by another angle
+constexpr int kMostTaps = 64;
+constexpr int kOpenTaps = 16;  // of the whole disc, for the cosine of an open vertex
+constexpr int kScouts = 4;  // taps that decide whether a node needs the others
+constexpr int kCoarse = 8;     // cells between the first nodes
+constexpr float kSame = .03f;      // a cell whose corners differ by less is flat
+constexpr float kStraight = .09f;  // midpoints this close to the bilinear value need no refinement
+constexpr double kLongest = 10;    // radii of the caster: longest shadow
+constexpr double kLeastSine = .02; // of a tap's elevation: lower ones throw their shadow like this one
+constexpr double kNarrow = .05;    // radians: nothing hides between the scouts of a narrower round disc
+
+// Directions over the disc, in as many turned copies as there are kTurns. The first kScouts are far apart.
+class Taps {
+ public:
+  Taps(const lighting::Disc& disc, int taps, int turns) : taps_(taps), turns_(turns) {
+    assert(taps >= 1 && taps <= kMostTaps);
+    disc.shape.empty() ? spread_over_cap(disc) : spread_over_shape(disc);
+  }
+  int count() const { return taps_; }
+  const glm::vec3* at(std::size_t point) const {
+    return &directions_[point % static_cast<std::size_t>(turns_) * static_cast<std::size_t>(taps_)];
+  }
+
+ private:
+  void spread_over_cap(const lighting::Disc& disc) {
+    const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
+    const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
+    const std::vector<glm::dvec2> points = spread_points(taps_);
+    for (int turn = 0; turn < turns_; ++turn)
+      for (const glm::dvec2& p : points) {
+        const double c = 1 - height * p.x, s = std::sqrt(1 - c * c);
+        // The turns follow the golden ratio, so that neighbours differ most.
+        const double a = p.y + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);
+        directions_.emplace_back(frame * glm::dvec3(s * std::cos(a), c, s * std::sin(a)));
+      }
+  }
+
+  // One point of each group of neighbours: its middle for one turn, else another one in every turn.
+  void spread_over_shape(const lighting::Disc& disc) {
+    const int points = static_cast<int>(disc.shape.size()), group = std::max(1, points / taps_);
+    for (int turn = 0; turn < turns_; ++turn)
+      for (int k = 0; k < taps_; ++k) {
+        // Groups in bit-reversed order: the first few lie far apart.
+        const int first = static_cast<int>(reversed(static_cast<unsigned>(k)) *
+                                           static_cast<unsigned long long>(points) >> 32) /
+                          group * group;
+        glm::dvec3 sum(0);
+        for (int i = 0; i < group; ++i)
+          if (turns_ == 1 || i == (turn * 5 + k * 3) % group)
+            sum += disc.shape[static_cast<std::size_t>(first + i)];
+        directions_.emplace_back(glm::normalize(sum));
+      }
+  }
+  static std::uint32_t reversed(std::uint32_t v) {
+    std::uint32_t out = 0;
+    for (int bit = 0; bit < 32; ++bit) out |= (v >> bit & 1u) << (31 - bit);
+    return out;
+  }
+  // (share of the area inside, angle) of a Vogel spiral, each point the farthest from those before it.
+  static std::vector<glm::dvec2> spread_points(int count) {
+    constexpr double kGolden = 2.399963229728653;
+    std::vector<glm::dvec2> rest, out;
+    for (int k = count; k-- > 0;) rest.emplace_back((k + .5) / count, k * kGolden);
+    const auto place = [](const glm::dvec2& p) {
+      return std::sqrt(p.x) * glm::dvec2(std::cos(p.y), std::sin(p.y));
+    };
+    while (!rest.empty()) {
+      const auto clearance = [&](const glm::dvec2& p) {
+        double nearest = 4;
+        for (const glm::dvec2& q : out) nearest = std::min(nearest, glm::length(place(p) - place(q)));
+        return nearest;
+      };
+      const auto best = std::ranges::max_element(rest, {}, clearance);
+      out.push_back(*best);
+      rest.erase(best);
+    }
+    return out;
+  }
+
+  int taps_, turns_;
+  std::vector<glm::vec3> directions_;
+};
+
+// Gathers rays into packets of sixteen and hands each full packet's answers back.
+template <class Answer>
+class Packets {
+ public:
+  Packets(const Blockers& blockers, Answer answer) : blockers_(blockers), answer_(answer) {}
+  ~Packets() { flush(); }
+  Packets(const Packets&) = delete;
+  Packets& operator=(const Packets&) = delete;
+
+  void add(std::size_t point, float weight, const glm::vec3& o, const glm::vec3& d) {
+    rays_.ox[count_] = o.x, rays_.oy[count_] = o.y, rays_.oz[count_] = o.z;
+    rays_.dx[count_] = d.x, rays_.dy[count_] = d.y, rays_.dz[count_] = d.z;
+    point_[count_] = point;
+    weight_[count_] = weight;
+    if (++count_ == RayWorld::kPacket) flush();
+  }
+
+ private:
+  void flush() {
+    if (count_ == 0) return;
+    const auto blocked = [&](const RayWorld* world) {
+      return world && !world->empty() ? world->occluded(rays_, count_) : 0u;
+    };
+    const std::uint32_t by_virtual = blocked(blockers_.virtual_things),
+                        by_real = blocked(blockers_.real_things);
+    for (int i = 0; i < count_; ++i)
+      answer_(point_[i], weight_[i], (by_virtual >> i & 1) != 0, (by_real >> i & 1) != 0);
+    count_ = 0;
+  }
+
+  const Blockers& blockers_;
+  Answer answer_;
+  RayWorld::Rays rays_;
+  std::size_t point_[RayWorld::kPacket];
+  float weight_[RayWorld::kPacket];
+  int count_ = 0;
+};
+
+// An object on a plane gets nothing from behind it but what the bake knows.
+bool behind(const prt::Plane* plane, const glm::vec3& d) {
+  return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
+}
+
+// Bounds of the casters' shadow in the plane frame.
+struct Extent {
+  glm::dvec2 low{1e30}, high{-1e30};
+  bool cut = false;  // the shadow goes on beyond high.x
+  bool empty() const { return low.x >= high.x || low.y >= high.y; }
+};
+
+// Where the shadow of a point at height one lies, over all taps above the plane.
+Extent reach_of_taps(const Taps& taps, const glm::dmat3& plane_from_world) {
+  Extent reach;
+  for (int t = 0; t < taps.count(); ++t) {
+    const glm::dvec3 d = plane_from_world * glm::dvec3(taps.at(0)[t]);
+    if (d.y <= 0) continue;
+    const glm::dvec2 shift = -glm::dvec2(d.x, d.z) / std::max(d.y, kLeastSine);
+    reach.low = glm::min(reach.low, shift);
+    reach.high = glm::max(reach.high, shift);
+  }
+  return reach;
+}
+
+Extent shadow_extent(std::span<const Caster> casters, const Pose& plane_from_world,
+                     const Extent& reach) {
+  Extent all;
+  for (const Caster& caster : casters) {
+    const glm::dmat4 place = (plane_from_world * caster.world_from_mesh).matrix();
+    Extent body, e;
+    for (const glm::vec3& position : caster.mesh->positions) {
+      const glm::dvec3 p(place * glm::dvec4(position, 1));
+      if (p.y < 0) continue;
+      const glm::dvec2 foot(p.x, p.z);
+      body.low = glm::min(body.low, foot);
+      body.high = glm::max(body.high, foot);
+      e.low = glm::min(e.low, foot + p.y * reach.low);
+      e.high = glm::max(e.high, foot + p.y * reach.high);
+    }
+    if (e.empty()) continue;
+    const double longest =
+        kLongest * radius_around(*caster.mesh, prt::bounds_of(*caster.mesh).centre());
+    all.cut |= e.high.x > body.high.x + longest;
+    all.low = glm::min(all.low, glm::max(e.low, body.low - longest));
+    all.high = glm::max(all.high, glm::min(e.high, body.high + longest));
+  }
+  return all;
+}
+
+// One shadow map under construction. All nodes use the same taps: visibility is then smooth across nodes, and
+// refinement ends where it should.
+class Refiner {
+ public:
+  Refiner(const Blockers& blockers, const Taps& taps, bool narrow, DiscShadow& out)
+      : blockers_(blockers), out_(out), width_(out.taken.width()), narrow_(narrow) {
+    known_.assign(out.taken.area(), false);
+    const glm::mat3 axes(out.world_from_map.rotation_matrix());
+    frame_ = axes * out.cell_m;
+    origin_ = glm::vec3(out.world_from_map.translation) + blockers.near_m * axes[1];
+    float open = 0;
+    for (int t = 0; t < taps.count(); ++t) {
+      // Taps below the horizon bring no light and take none.
+      const float cosine = glm::dot(axes[1], taps.at(0)[t]);
+      if (cosine <= 0) continue;
+      taps_.push_back({taps.at(0)[t], cosine});
+      open += cosine;
+    }
+    for (Tap& tap : taps_) tap.weight /= open;
+  }
+  void run();
+
+ private:
+  struct Tap {
+    glm::vec3 direction;
+    float weight;  // of all light of the disc on the open plane
+  };
+  struct Cell {
+    int x, y;  // lower node
+  };
+  bool varies(const Cell& c, int step) const;
+  bool is_straight(const Cell& c, int step) const;
+  void want(int x, int y);
+  void trace_wanted();
+  void trace(std::span<const std::size_t> nodes, std::span<const Tap> taps);
+  bool settle(std::size_t node, float scouted);
+  void fill(const Cell& c, int step);
+  std::size_t index(int x, int y) const {
+    return static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) +
+           static_cast<std::size_t>(x);
+  }
+
+  const Blockers& blockers_;
+  DiscShadow& out_;
+  int width_;
+  bool narrow_;
+  glm::mat3 frame_;
+  glm::vec3 origin_;
+  std::vector<Tap> taps_;
+  std::vector<bool> known_;
+  std::vector<std::size_t> wanted_;
+};
+
+void Refiner::want(int x, int y) {
+  const std::size_t i = index(x, y);
+  if (known_[i]) return;
+  known_[i] = true;
+  out_.taken.pixels()[i] = 0;  // a neighbouring cell may have filled it in
+  if (!out_.missing.empty()) out_.missing.pixels()[i] = 0;
+  wanted_.push_back(i);
+}
+
+// Scouts around the disc's rim first: where they agree there is no penumbra.
+void Refiner::trace_wanted() {
+  const std::size_t scouts = narrow_ ? std::min<std::size_t>(kScouts, taps_.size()) : taps_.size();
+  trace(wanted_, std::span(taps_).first(scouts));
+  if (scouts < taps_.size()) {
+    float scouted = 0;
+    for (std::size_t t = 0; t < scouts; ++t) scouted += taps_[t].weight;
+    std::erase_if(wanted_, [&](std::size_t i) { return settle(i, scouted); });
+    trace(wanted_, std::span(taps_).subspan(scouts));
+  }
+  wanted_.clear();
+}
+
+// True when the scouts, which weigh `scouted` together, all saw the same.
+bool Refiner::settle(std::size_t node, float scouted) {
+  constexpr float kRounding = 1e-4f;
+  float& taken = out_.taken.pixels()[node];
+  float* const missing = out_.missing.empty() ? nullptr : &out_.missing.pixels()[node];
+  const float dark = taken + (missing ? *missing : 0);
+  if (dark < kRounding) return true;
+  if (taken > scouted - kRounding) return taken = 1, true;
+  if (missing && *missing > scouted - kRounding) return *missing = 1, true;
+  return false;
+}
+
+void Refiner::trace(std::span<const std::size_t> nodes, std::span<const Tap> taps) {
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, nodes.size(), 128), [&](const auto& part) {
+    Packets packets(blockers_, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
+      if (by_real)
+        out_.missing.pixels()[i] += weight;
+      else if (by_virtual)
+        out_.taken.pixels()[i] += weight;
+    });
+    for (std::size_t k = part.begin(); k < part.end(); ++k) {
+      const std::size_t i = nodes[k];
+      const auto x = static_cast<float>(i % static_cast<std::size_t>(width_)),
+                 y = static_cast<float>(i / static_cast<std::size_t>(width_));
+      const glm::vec3 o = origin_ + x * frame_[0] + y * frame_[2];
+      for (const Tap& tap : taps) packets.add(i, tap.weight, o, tap.direction);
+    }
+  });
+  out_.rays += nodes.size() * taps.size();
+}
+
+bool Refiner::varies(const Cell& c, int step) const {
+  const auto spread = [&](const Image<float>& map) {
+    if (map.empty()) return 0.f;
+    const auto [low, high] = std::minmax({map.at(c.x, c.y), map.at(c.x + step, c.y),
+                                          map.at(c.x, c.y + step), map.at(c.x + step, c.y + step)});
+    return high - low;
+  };
+  return std::max(spread(out_.taken), spread(out_.missing)) > kSame;
+}
+
+// The five nodes in the middle against the corners' bilinear values.
+bool Refiner::is_straight(const Cell& c, int step) const {
+  const int h = step / 2;
+  const auto straight = [&](const Image<float>& m) {
+    if (m.empty()) return true;
+    const float a = m.at(c.x, c.y), b = m.at(c.x + step, c.y), d = m.at(c.x, c.y + step),
+                e = m.at(c.x + step, c.y + step);
+    const auto near = [](float u, float v) { return std::abs(u - v) < kStraight; };
+    return near(m.at(c.x + h, c.y), (a + b) / 2) && near(m.at(c.x + h, c.y + step), (d + e) / 2) &&
+           near(m.at(c.x, c.y + h), (a + d) / 2) && near(m.at(c.x + step, c.y + h), (b + e) / 2) &&
+           near(m.at(c.x + h, c.y + h), (a + b + d + e) / 4);
+  };
+  return straight(out_.taken) && straight(out_.missing);
+}
+
+void Refiner::fill(const Cell& c, int step) {
+  for (Image<float>* map : {&out_.taken, &out_.missing}) {
+    if (map->empty()) continue;
+    const float a = map->at(c.x, c.y), b = map->at(c.x + step, c.y), d = map->at(c.x, c.y + step),
+                e = map->at(c.x + step, c.y + step);
+    if (a == 0 && b == 0 && d == 0 && e == 0) continue;  // as it was made
+    for (int y = 0; y <= step; ++y)
+      for (int x = 0; x <= step; ++x) {
+        if (known_[index(c.x + x, c.y + y)]) continue;
+        const float u = static_cast<float>(x) / static_cast<float>(step),
+                    v = static_cast<float>(y) / static_cast<float>(step);
+        map->at(c.x + x, c.y + y) = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * e);
+      }
+  }
+}
+
+void Refiner::run() {
+  const int columns = (out_.taken.width() - 1) / kCoarse,
+            rows = (out_.taken.height() - 1) / kCoarse;
+  for (int y = 0; y <= rows; ++y)
+    for (int x = 0; x <= columns; ++x) want(x * kCoarse, y * kCoarse);
+  trace_wanted();
+  // A cell next to one that varies may hold an edge that missed its corners.
+  std::vector<bool> vary(static_cast<std::size_t>(columns * rows), false);
+  const auto at = [&](int x, int y) { return static_cast<std::size_t>(y * columns + x); };
+  for (int y = 0; y < rows; ++y)
+    for (int x = 0; x < columns; ++x) vary[at(x, y)] = varies({x * kCoarse, y * kCoarse}, kCoarse);
+  std::vector<Cell> cells, next;
+  for (int y = 0; y < rows; ++y)
+    for (int x = 0; x < columns; ++x) {
+      bool near = false;
+      for (int j = std::max(0, y - 1); j <= std::min(rows - 1, y + 1); ++j)
+        for (int i = std::max(0, x - 1); i <= std::min(columns - 1, x + 1); ++i)
+          near |= vary[at(i, j)];
+      const Cell c{x * kCoarse, y * kCoarse};
+      near ? cells.push_back(c) : fill(c, kCoarse);
+    }
+  for (int step = kCoarse; step > 1; step /= 2, std::swap(cells, next)) {
+    const int h = step / 2;
+    for (const Cell& c : cells)
+      for (int k = 0; k < 9; ++k) want(c.x + k % 3 * h, c.y + k / 3 * h);
+    trace_wanted();
+    next.clear();
+    for (const Cell& c : cells) {
+      if (is_straight(c, step)) {
+        fill(c, step);
+        continue;
+      }
+      for (int k = 0; k < 4; ++k) {
+        const Cell part{c.x + k % 2 * h, c.y + k / 2 * h};
+        varies(part, h) ? next.push_back(part) : fill(part, h);
+      }
+    }
+  }
+}
+
+// Nothing may end abruptly: a shadow that is cut off runs out over the last fifth.
+void fade_end(Image<float>& map) {
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x) {
+      const float t = std::min(1.f, 5 * static_cast<float>(map.width() - 1 - x) /
+                                        static_cast<float>(map.width()));
+      map.at(x, y) *= t * t * (3 - 2 * t);
+    }
+}
+
+void clear_rim(Image<float>& map) {
+  for (int y = 0; y < map.height(); ++y) map.at(0, y) = map.at(map.width() - 1, y) = 0;
+  for (int x = 0; x < map.width(); ++x) map.at(x, 0) = map.at(x, map.height() - 1) = 0;
+}
+
+bool is_narrow(const lighting::Disc& disc) {
+  return disc.shape.empty() && disc.radius.value() < kNarrow;
+}
+
+// Each vertex with its neighbours: few rays a vertex, turned from one to the next, become many.
+void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
+  thread_local std::vector<float> sums;  // grows once per thread
+  sums = values;
+  for (const auto& [a, b, c] : mesh.triangles) {
+    const float all = values[a] + values[b] + values[c];
+    sums[a] += all - values[a];
+    sums[b] += all - values[b];
+    sums[c] += all - values[c];
+  }
+  std::swap(sums, values);
+}
+
+}  // namespace
+
+void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
+                      const prt::Plane* plane, const lighting::Disc& disc, int taps,
+                      std::span<float> out) {
+  // A penumbra narrower than the mesh's edges is not worth more than one ray.
+  const bool narrow = is_narrow(disc);
+  const Taps pattern(disc, narrow ? 1 : taps, narrow ? 1 : kTurns);
+  const glm::mat3 turn(world_from_mesh.rotation_matrix());
+  const glm::vec3 shift(world_from_mesh.translation);
+  const std::size_t count = mesh.positions.size();
+  thread_local std::vector<float> seen_memory, open_memory;  // sums of cosines; grow once per thread
+  std::vector<float>&seen = seen_memory, &open = open_memory;
+  seen.assign(count, 0);
+  open.assign(count, 0);
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
+    Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
+      if (!by_virtual && !by_real) seen[i] += weight;
+    });
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const glm::vec3 n = turn * mesh.normals[i];
+      const glm::vec3 o = turn * mesh.positions[i] + shift + blockers.near_m * n;
+      const glm::vec3* const directions = pattern.at(i);
+      for (int t = 0; t < pattern.count(); ++t) {
+        const float cosine = glm::dot(n, directions[t]);
+        if (cosine <= 0) continue;
+        open[i] += cosine;
+        if (!behind(plane, directions[t])) packets.add(i, cosine, o, directions[t]);
+      }
+    }
+  });
+  if (narrow) {
+    std::ranges::copy(seen, out.begin());
+    return;
+  }
+  average_neighbours(mesh, seen);
+  average_neighbours(mesh, open);
+  const Taps all(disc, std::max(taps, kOpenTaps), 1);
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      out[i] = 0;
+      if (open[i] <= 0) continue;
+      const glm::vec3 n = turn * mesh.normals[i];
+      float cosines = 0;
+      for (int t = 0; t < all.count(); ++t) cosines += std::max(0.f, glm::dot(n, all.at(0)[t]));
+      out[i] = seen[i] / open[i] * cosines / static_cast<float>(all.count());
+    }
+  });
+}
+
+void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
+                       const prt::Plane& plane, const lighting::Disc& disc,
+                       const DiscShadowOptions& options, DiscShadow& out) {
+  out.rays = 0;
+  out.taken = out.missing = {};
+  if (casters.empty()) return;
+  // x away from the light; any direction will do under a light at the zenith.
+  const double sine = glm::dot(plane.normal, disc.direction);
+  glm::dvec3 away = sine * plane.normal - disc.direction;
+  if (glm::length(away) < 1e-6)
+    away = glm::cross(plane.normal, std::abs(plane.normal.x) < .9 ? glm::dvec3(1, 0, 0)
+                                                                  : glm::dvec3(0, 0, 1));
+  away = glm::normalize(away);
+  const glm::dmat3 axes(away, plane.normal, glm::cross(away, plane.normal));
+  const Pose world_from_plane{glm::quat_cast(axes), plane.point};
+  const Taps taps(disc, options.taps, 1);
+  const Extent reach = reach_of_taps(taps, glm::transpose(axes));
+  if (reach.low.x > reach.high.x) return;  // no tap above the plane
+  const Extent e = shadow_extent(casters, world_from_plane.inverse(), reach);
+  if (e.empty()) return;
+  const glm::dvec2 size = e.high - e.low;
+  const double cell = std::max(size.x, size.y) / (options.size - 4);
+  const auto nodes = [&](double length) {
+    return (static_cast<int>(std::ceil(length / cell + 4)) + kCoarse - 1) / kCoarse * kCoarse + 1;
+  };
+  out.cell_m = static_cast<float>(cell);
+  out.world_from_map =
+      world_from_plane * Pose{{1, 0, 0, 0}, {e.low.x - 2 * cell, 0, e.low.y - 2 * cell}};
+  out.taken = Image<float>(nodes(size.x), nodes(size.y));
+  if (blockers.real_things && !blockers.real_things->empty())
+    out.missing = Image<float>(out.taken.width(), out.taken.height());
+  Refiner(blockers, taps, is_narrow(disc), out).run();
+  if (e.cut) fade_end(out.taken);
+  clear_rim(out.taken);
+}
+
+}  // namespace penumbra::shadows
