@@ -89,6 +89,27 @@ Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions&
   return LightEstimator(options).estimate({map, {}, {}, 0, 0});
 }
 
+RadianceSh whole_light(const LightEstimate& e) {
+  RadianceSh sum = e.light;
+  for (const Disc& d : e.discs) {
+    const RadianceSh own = project_disc(d, sum.bands());
+    for (int n = 0; n < sum.size(); ++n) sum[n] += own[n];
+  }
+  return sum;
+}
+
+RadianceSh whole_floor_light(const LightEstimate& e) {
+  RadianceSh above(e.floor_light.bands()), sum = e.floor_light;
+  for (const Disc& d : e.discs) {
+    const RadianceSh own = project_disc_above(d, above.bands());
+    for (int n = 0; n < above.size(); ++n) above[n] += own[n];
+  }
+  if (e.discs.empty()) return sum;
+  above = floor_light(above, above.bands());
+  for (int n = 0; n < sum.size(); ++n) sum[n] += above[n];
+  return sum;
+}
+
 double largest_visible_change(const RadianceSh& before, const RadianceSh& after) {
   // |sum dl_n t_n| <= |dl| |t| and |t|^2 <= (1/pi^2) Int cos+^2 = 2/(3 pi).
   double largest = 0;

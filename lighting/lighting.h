@@ -255,6 +255,10 @@ LightEstimate make_estimate(const Projection& nine_bands, int bands, std::vector
 /// errors: as LightEstimator::estimate
 Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options);
 
+/// Discs and rest together in harmonics, for who lights by harmonics alone.
+RadianceSh whole_light(const LightEstimate& estimate);
+RadianceSh whole_floor_light(const LightEstimate& estimate);
+
 /// Largest possible change of any diffuse surface's exit radiance between two lights, relative to
 /// the mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3
 /// pi)).

@@ -4,6 +4,7 @@
 
 #include "core/files.h"
 #include "service/commands.h"
+#include "service/light_file.h"
 #include "service/output.h"
 #include "service/progress.h"
 #include "service/report.h"
@@ -25,13 +26,15 @@ std::string still_name(const capture::CameraInfo& camera, bool first, std::uint6
 Result<void> composite(const CompositeOptions& o) {
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  auto discs = choose_discs(o.discs);
+  if (!discs) return std::unexpected(discs.error());
   auto source = capture::open_capture_folder(o.capture);
   if (!source) return std::unexpected(source.error());
   auto scene = read_scene(o.scene);
   if (!scene) return std::unexpected(scene.error());
   StageTimes times;
   const auto& cameras = (*source)->cameras();
-  auto light = LightStage::create(cameras, {.bands = o.bands}, times);
+  auto light = LightStage::create(cameras, {o.bands, *discs}, times);
   if (!light) return fail(light.error().code, o.capture, light.error().detail);
   // The output is tried before the long work.
   const double rate = (*source)->view_rate();

@@ -7,6 +7,7 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "service/commands.h"
+#include "service/light_file.h"
 #include "service/output.h"
 #include "service/progress.h"
 #include "service/report.h"
@@ -54,6 +55,7 @@ Result<void> check(const DemoOptions& o) {
     return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  PENUMBRA_TRY(choose_discs(o.discs));
   if (o.live && o.record)
     return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
   return {};
@@ -110,7 +112,8 @@ Result<void> demo(const DemoOptions& o) {
     spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
                  e.gain.value());
   StageTimes times;
-  auto light = LightStage::create(studio.cameras(), {.bands = o.bands}, times);
+  const auto discs = choose_discs(o.discs);  // checked before the bake
+  auto light = LightStage::create(studio.cameras(), {o.bands, *discs}, times);
   if (!light) return std::unexpected(light.error());
   auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
   if (!compose) return std::unexpected(compose.error());

@@ -27,9 +27,8 @@ Result<prt::PinholeView> read_view(const std::string& path) {
 }  // namespace
 
 Result<void> render(const RenderOptions& o) {
-  if (o.discs != "auto" && o.discs != "0")
-    return fail(ErrorCode::kInvalid, "--discs",
-                "\"" + o.discs + "\": this version lights by bands alone; give 0 or auto");
+  auto discs = choose_discs(o.discs);
+  if (!discs) return std::unexpected(discs.error());
   if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
   const std::string extension = std::filesystem::path(o.output).extension().string();
   if (extension != ".exr" && extension != ".hdr")
@@ -54,6 +53,7 @@ Result<void> render(const RenderOptions& o) {
   if (!prepared) return std::unexpected(prepared.error());
 
   const StillScene in{&*prepared, &*map, *view};
+  std::size_t used_discs = 0;
   const auto still = [&]() -> Result<Still> {
     if (o.reference) {
       std::optional<lighting::LightEstimate> truncated;
@@ -63,7 +63,10 @@ Result<void> render(const RenderOptions& o) {
     }
     auto real = render_real(in, o.error, progress_bar("real world"));
     if (!real || o.without_objects) return real;
-    return render_composite(in, lighting::make_estimate(light->light, *bands), *real);
+    auto estimate = lighting::estimate_map(*map, {*bands, *discs});
+    if (!estimate) return std::unexpected(estimate.error());
+    used_discs = estimate->discs.size();
+    return render_composite(in, *estimate, *real);
   }();
   if (!still) return std::unexpected(still.error());
   PENUMBRA_TRY(codec::write_hdr(o.output, still->radiance, codec::Depth::kFloat));
@@ -71,6 +74,7 @@ Result<void> render(const RenderOptions& o) {
     print_json({{"width", view->width},
                 {"height", view->height},
                 {"bands", *bands},
+                {"discs", used_discs},
                 {"reference", o.reference},
                 {"error", still->error},
                 {"samples_per_pixel", still->samples}});
@@ -78,7 +82,8 @@ Result<void> render(const RenderOptions& o) {
     fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output,
                view->width, view->height, still->samples, 100 * still->error);
   } else {
-    fmt::print("{}: {}x{}, {} bands\n", o.output, view->width, view->height, *bands);
+    fmt::print("{}: {}x{}, {} bands and {} discs\n", o.output, view->width, view->height, *bands,
+               used_discs);
   }
   return {};
 }

@@ -102,7 +102,7 @@ Result<void> serve(const ServeOptions& o) {
   auto prepared = prepare(rig->scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
   const auto& cameras = rig->source->cameras();
-  auto light = LightStage::create(cameras, {.bands = config->bands}, times);
+  auto light = LightStage::create(cameras, {config->bands, {config->discs, .02}}, times);
   if (!light) return std::unexpected(light.error());
   auto compose =
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);

@@ -23,7 +23,7 @@ Result<void> hdr_merge(const HdrMergeOptions& options);
 struct LightEstimateOptions {
   std::string environment;
   std::optional<std::string> projection;
-  std::string bands = "auto";
+  std::string bands = "auto", discs = "auto";
   bool json = false;
 };
 Result<void> light_estimate(const LightEstimateOptions& options);
@@ -50,6 +50,7 @@ Result<void> render(const RenderOptions& options);
 struct CompositeOptions {
   std::string capture, scene, output;
   int bands = 5;
+  std::string discs = "auto";
   bool json = false, video = true;
 };
 Result<void> composite(const CompositeOptions& options);
@@ -62,6 +63,7 @@ struct DemoOptions {
   int width = 1280, height = 720;
   double fps = 30;
   int bands = 5;
+  std::string discs = "auto";
 };
 Result<void> demo(const DemoOptions& options);
 

@@ -32,6 +32,18 @@ Result<FileLight> read_light(const std::string& path,
   return out;
 }
 
+Result<lighting::DiscOptions> choose_discs(const std::string& text) {
+  lighting::DiscOptions options;
+  if (text == "auto") return options;
+  const auto [end, error] =
+      std::from_chars(text.data(), text.data() + text.size(), options.most);
+  if (error != std::errc() || end != text.data() + text.size() || options.most < 0 ||
+      options.most > 64)
+    return fail(ErrorCode::kInvalid, "--discs",
+                "\"" + text + "\" is neither auto nor within 0..64");
+  return options;
+}
+
 Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands) {
   if (text == "auto") {
     for (int bands = 1; bands < kMaxBands; ++bands)

@@ -18,6 +18,10 @@ struct FileLight {
 /// reported in the log and left out.
 Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection);
 
+/// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the most discs.
+/// errors: kInvalid
+Result<lighting::DiscOptions> choose_discs(const std::string& text);
+
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid
 Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands);

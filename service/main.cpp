@@ -20,6 +20,9 @@ void add_json(CLI::App* app, bool& json) {
   app->add_flag("--json", json, "Print one JSON object on standard output and nothing else");
 }
 
+constexpr const char* kDiscsHelp =
+    "Most compact sources lit one by one beside the bands, or auto (8)";
+
 void add_image_commands(CLI::App& app, Action& action) {
   auto* hdr = app.add_subcommand("hdr", "High dynamic range images");
   hdr->require_subcommand(1);
@@ -65,6 +68,7 @@ void add_light_commands(CLI::App& app, Action& action) {
                 "or exr-cube; "
                 "an OpenEXR file that says what it is wins; without both, from its shape");
   c->add_option("--bands", estimate.bands, "1 to 9, or auto")->capture_default_str();
+  c->add_option("--discs", estimate.discs, kDiscsHelp)->capture_default_str();
   add_json(c, estimate.json);
   c->callback([&] { action = [] { return light_estimate(estimate); }; });
 
@@ -96,7 +100,7 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_option("--camera", render_options.camera, "camera.toml")->required();
   c->add_option("-o,--output", render_options.output, "Output .exr or .hdr")->required();
   c->add_option("--bands", render_options.bands, "1 to 9, or auto")->capture_default_str();
-  c->add_option("--discs", render_options.discs, "0 or auto")->capture_default_str();
+  c->add_option("--discs", render_options.discs, kDiscsHelp)->capture_default_str();
   c->add_flag("--reference", render_options.reference,
               "Path-trace the picture with the objects really there");
   c->add_option("--error", render_options.error, "Relative error at which the reference stops")
@@ -114,6 +118,7 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_option("--scene", composite_options.scene, "scene.toml")->required();
   c->add_option("--out", composite_options.output, "Output folder")->required();
   c->add_option("--bands", composite_options.bands, "1 to 9")->capture_default_str();
+  c->add_option("--discs", composite_options.discs, kDiscsHelp)->capture_default_str();
   c->add_flag("!--no-video", composite_options.video, "Stills alone");
   add_json(c, composite_options.json);
   c->callback([&] { action = [] { return composite(composite_options); }; });
@@ -159,6 +164,7 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_option("--height", demo_options.height, "View camera, pixels")->capture_default_str();
   c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
   c->add_option("--bands", demo_options.bands, "1 to 9")->capture_default_str();
+  c->add_option("--discs", demo_options.discs, kDiscsHelp)->capture_default_str();
   add_json(c, demo_options.json);
   c->callback([&] { action = [] { return demo(demo_options); }; });
 

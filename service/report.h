@@ -15,14 +15,31 @@ inline nlohmann::json to_json(const Rgb& c) {
   return nlohmann::json::array({c.r, c.g, c.b});
 }
 
+inline nlohmann::json to_json(const RadianceSh& light) {
+  nlohmann::json out = nlohmann::json::array();
+  for (const Rgb& c : light.terms()) out.push_back(to_json(c));
+  return out;
+}
+
+inline nlohmann::json to_json(const lighting::Disc& d) {
+  return {{"id", d.id},
+          {"direction", {d.direction.x, d.direction.y, d.direction.z}},
+          {"radius_rad", d.radius.value()},
+          {"solid_angle_sr", d.solid_angle_sr()},
+          {"radiance", to_json(d.radiance)},
+          {"clipped", d.clipped}};
+}
+
+/// The whole light in harmonics, and beside it the split for who lights by discs: `rest` plus `discs` is all.
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
-  nlohmann::json coefficients = nlohmann::json::array(), floor = nlohmann::json::array();
-  for (const Rgb& c : e.light.terms()) coefficients.push_back(to_json(c));
-  for (const Rgb& c : e.floor_light.terms()) floor.push_back(to_json(c));
+  nlohmann::json discs = nlohmann::json::array();
+  for (const lighting::Disc& d : e.discs) discs.push_back(to_json(d));
   return {{"bands", e.light.bands()},
-          {"coefficients", coefficients},
-          {"floor_coefficients", floor},
-          {"discs", nlohmann::json::array()},
+          {"coefficients", to_json(lighting::whole_light(e))},
+          {"floor_coefficients", to_json(lighting::whole_floor_light(e))},
+          {"discs", discs},
+          {"rest",
+           {{"coefficients", to_json(e.light)}, {"floor_coefficients", to_json(e.floor_light)}}},
           {"mean_radiance", to_json(e.mean_radiance)},
           {"coverage", e.coverage},
           {"clipped_fraction", e.clipped_fraction},

@@ -18,6 +18,7 @@ struct RunCounts {
       0;               // environment frames all black or all clipped; live also damaged frames
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
+  int discs = 0;      // most that lit a frame
   int exposures = 0;  // distinct exposures of the environment camera
 };
 

@@ -17,7 +17,7 @@ nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const
           {"stages", to_json(times)},
           {"configuration",
            {{"bands", c.bands},
-            {"discs", 0},
+            {"discs", counts.discs},
             {"exposures", counts.exposures},
             {"width", c.width},
             {"height", c.height},
@@ -33,8 +33,8 @@ void print_summary(const nlohmann::json& s) {
       s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
       s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
       100 * s["touched_fraction"].get<double>());
-  fmt::print("{} objects, {} bands, {} exposures, {}\n", c["objects"].get<int>(),
-             c["bands"].get<int>(), c["exposures"].get<int>(), c["renderer"].get<std::string>());
+  fmt::print("{} objects, {} bands, {} discs, {} exposures, {}\n", c["objects"].get<int>(),
+             c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(), c["renderer"].get<std::string>());
   fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
     fmt::print("{:<14} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
