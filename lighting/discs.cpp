@@ -100,13 +100,18 @@ Result<double> Peeler::measure() {
   row_peak_.assign(static_cast<std::size_t>(map_.height()), 0);
   double mean = 0;
   for (int y = 0; y < map_.height(); ++y) {
-    float peak = 0;
-    double sum = 0;
-    for (const Rgb& c : map_.row(y)) {
-      const float l = luminance(c);
-      peak = std::max(peak, l);
-      sum += l;
+    // Eight sums and peaks at a time, so that the compiler can use vectors.
+    constexpr std::size_t kLanes = 8;
+    float sums[kLanes] = {}, peaks[kLanes] = {};
+    const auto row = map_.row(y);
+    for (std::size_t x = 0; x < row.size(); ++x) {
+      const float l = luminance(row[x]);
+      sums[x % kLanes] += l;
+      peaks[x % kLanes] = std::max(peaks[x % kLanes], l);
     }
+    const float peak = *std::ranges::max_element(peaks);
+    double sum = 0;
+    for (const float s : sums) sum += double(s);
     if (!std::isfinite(sum))
       return fail(ErrorCode::kNonFinite, "environment", "holds NaN or infinite radiance");
     row_peak_[static_cast<std::size_t>(y)] = peak;
@@ -117,11 +122,12 @@ Result<double> Peeler::measure() {
 
 // Mean of the map with everything above the level cut down to it.
 double Peeler::mean_below(double level) const {
-  double mean = 0;
+  double mean = split_.mean_luminance;
   for (int y = 0; y < map_.height(); ++y) {
-    double sum = 0;
-    for (const Rgb& c : map_.row(y)) sum += std::min<double>(luminance(c), level);
-    mean += weight_[static_cast<std::size_t>(y)] * sum / (4 * kPi);
+    if (row_peak_[static_cast<std::size_t>(y)] <= level) continue;
+    double above = 0;
+    for (const Rgb& c : map_.row(y)) above += std::max(0., luminance(c) - level);
+    mean -= weight_[static_cast<std::size_t>(y)] * above / (4 * kPi);
   }
   return mean;
 }

@@ -19,6 +19,7 @@ namespace {
 
 constexpr int kLanes = RayScene::kPacket;
 static_assert(kLanes == lighting::kBasisLanes);
+constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
 constexpr std::size_t kChunk = 64;  // points a task takes at once
 constexpr float kNear = 1e-4f;      // in radii of the object: rays start clear of their own surface
 
@@ -39,6 +40,7 @@ struct PointResult {
   std::vector<float> blocked;  // sum over blocked rays of w Y_n
   float group_blocked[4] = {};
   std::vector<BounceHit> hits;
+  float all_hits = 0;  // weight of all hits, kept or not
 };
 
 // The bake works on a copy moved to the origin and scaled to radius one, so that neither the size
@@ -69,7 +71,8 @@ class Baker {
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
   void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
-                 bool ground_point, std::uint32_t blocked, std::vector<BounceHit>& hits) const;
+                 const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
+                 PointResult& out) const;
   std::uint32_t ground_mask(const RayScene::Packet& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
@@ -126,20 +129,25 @@ std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
   return mask;
 }
 
+// Of many rays one of the four groups stands for all (null: all are kept): reflected light is a small and smooth part, and every hit is read
+// again in every bounce.
 void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
-                      bool ground_point, std::uint32_t blocked,
-                      std::vector<BounceHit>& hits) const {
+                      const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
+                      PointResult& out) const {
   for (; blocked; blocked &= blocked - 1) {
     const int i = std::countr_zero(blocked);
-    if (packet.triangle[i] != RayScene::kMiss) {
-      if (packet.front[i])
-        hits.push_back({packet.triangle[i], packet.u[i], packet.v[i], weight[i]});
-    } else if (!ground_point) {
+    const bool on_object = packet.triangle[i] != RayScene::kMiss;
+    if (on_object ? !packet.front[i] : ground_point) continue;
+    out.all_hits += weight[i];
+    if (groups && groups[i] != 0) continue;
+    if (on_object) {
+      out.hits.push_back({packet.triangle[i], packet.u[i], packet.v[i], weight[i]});
+    } else {
       const float t = std::max(0.f, (plane_height() - origin.y) / packet.y[i]);
       const glm::vec2 here(origin.x + t * packet.x[i], origin.z + t * packet.z[i]);
       const glm::vec2 uv =
           options_.receiver->grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
-      hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
+      out.hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
     }
   }
 }
@@ -162,6 +170,7 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
 
   out.blocked.assign(coefficients_, 0);
   out.hits.clear();
+  out.all_hits = 0;
   std::fill_n(out.group_blocked, 4, 0.f);
   alignas(64) float sum[kMaxCoefficients * kLanes];
   std::fill_n(sum, coefficients_ * kLanes, 0.f);
@@ -185,9 +194,11 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
     }
     if (plane_blocks) blocked |= ground_mask(packet);
     if (blocked == 0) continue;
-    if (options_.bounces > 0) keep_hits(packet, origin, weight, ground_point, blocked, out.hits);
-    lighting::evaluate_basis_block(bands_, packet.x, packet.y, packet.z, basis);
     const std::uint8_t* const groups = patterns.groups(turn, block);
+    if (options_.bounces > 0)
+      keep_hits(packet, origin, weight, patterns.rays() >= kManyRays ? groups : nullptr,
+                ground_point, blocked, out);
+    lighting::evaluate_basis_block(bands_, packet.x, packet.y, packet.z, basis);
     for (int i = 0; i < kLanes; ++i) {
       weight[i] = blocked >> i & 1 ? weight[i] : 0;
       out.group_blocked[groups[i]] += weight[i];
@@ -197,6 +208,9 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   }
   for (std::size_t n = 0; n < coefficients_; ++n)
     for (int i = 0; i < kLanes; ++i) out.blocked[n] += sum[n * kLanes + i];
+  float kept = 0;
+  for (const BounceHit& hit : out.hits) kept += hit.weight;
+  for (BounceHit& hit : out.hits) hit.weight *= out.all_hits / kept;  // no energy lost
 }
 
 // What is blocked is taken from the closed form, so nothing blocked means an exact result.

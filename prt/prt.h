@@ -192,7 +192,7 @@ struct Transfer {
   void set(int channel, int n, std::size_t point, float v);
 };
 
-inline constexpr int kIndirectBands = 7;
+inline constexpr int kIndirectBands = 9;
 
 struct BakeReport {
   std::uint64_t rays = 0;

@@ -59,7 +59,7 @@ std::uint64_t hash(std::uint64_t h, const void* data, std::size_t bytes) {  // F
 
 // Everything that the bake's result depends on; the version changes with the bake's own code.
 std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
-  constexpr std::uint64_t kBakeVersion = 3;
+  constexpr std::uint64_t kBakeVersion = 5;
   std::uint64_t h = hash(0xcbf29ce484222325ull, &kBakeVersion, sizeof kBakeVersion);
   h = hash(h, mesh.positions.data(), mesh.positions.size() * sizeof(glm::vec3));
   h = hash(h, mesh.normals.data(), mesh.normals.size() * sizeof(glm::vec3));
@@ -159,7 +159,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
                                       const std::function<void(double)>& progress) {
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o, plane_under(scene.planes, o.position));
-  constexpr float kEdgeShare = .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
+  constexpr float kEdgeShare = .025f;  // a vertex every 2.5 % of the radius holds the edges of a sun's shadow
   auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
   if (!mesh) return std::unexpected(mesh.error());
   prt::transform(*mesh, placement(o, *mesh));

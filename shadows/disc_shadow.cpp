@@ -411,9 +411,8 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
 void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
                       const prt::Plane* plane, const lighting::Disc& disc, int taps,
                       std::span<float> out) {
-  // A penumbra narrower than the mesh's edges is not worth more than one ray.
   const bool narrow = is_narrow(disc);
-  const Taps pattern(disc, narrow ? 1 : taps, narrow ? 1 : kTurns);
+  const Taps pattern(disc, taps, kTurns);
   const glm::mat3 turn(world_from_mesh.rotation_matrix());
   const glm::vec3 shift(world_from_mesh.translation);
   const std::size_t count = mesh.positions.size();
@@ -438,7 +437,7 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
     }
   });
   if (narrow) {
-    std::ranges::copy(seen, out.begin());
+    for (std::size_t i = 0; i < count; ++i) out[i] = seen[i] / static_cast<float>(taps);
     return;
   }
   average_neighbours(mesh, seen);
