@@ -14,6 +14,7 @@ namespace {
 constexpr float kAboveMean = 6;   // a source is brighter than this times the mean of the rest
 constexpr float kStep = 300;      // regions with a larger range than this are peeled core first
 constexpr double kRoundness = 1.2;  // of a 1.8:1 rectangle
+constexpr double kOneSource = .02;  // radians
 constexpr double kSmall = .01;      // radians: the form of smaller sources cannot be seen in a shadow
 constexpr int kShapeDepth = 6;      // 2^6 = Disc::kShapePoints
 constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
@@ -83,6 +84,7 @@ class Peeler {
   void add_candidate(std::vector<Excess> pixels);
   void put_back(std::span<const Excess> pixels);
   std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
+  void join_concentric();
   void choose();
 
   const DiscOptions& options_;
@@ -296,8 +298,28 @@ std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
   return out;
 }
 
+// The steps of one small source (a sun and its glow within a degree) are one disc: its second moment is the
+// mean of theirs.
+void Peeler::join_concentric() {
+  for (std::size_t i = 0; i < candidates_.size(); ++i)
+    for (std::size_t k = candidates_.size(); k-- > i + 1;) {
+      Candidate &a = candidates_[i], &b = candidates_[k];
+      const double apart = std::acos(std::clamp(glm::dot(a.centre, b.centre), -1., 1.));
+      if (apart > kOneSource || std::max(a.solid_angle, b.solid_angle) > kPi * kOneSource * kOneSource)
+        continue;
+      const double flux = a.flux + b.flux;
+      a.solid_angle = (a.flux * a.solid_angle + b.flux * b.solid_angle) / flux;
+      a.centre = glm::normalize(a.flux * a.centre + b.flux * b.centre);
+      a.flux = flux;
+      a.pixels.insert(a.pixels.end(), b.pixels.begin(), b.pixels.end());
+      candidates_.erase(candidates_.begin() + static_cast<std::ptrdiff_t>(k));
+    }
+}
+
 // The strongest become discs; the others go back into the map.
 void Peeler::choose() {
+  std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
+  join_concentric();
   std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
   for (const Candidate& c : candidates_) {
     if (c.flux < least_flux_ || static_cast<int>(discs_.size()) >= options_.most) {

@@ -41,7 +41,8 @@ double Accuracy::object_without_noise() const {
 
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks) {
-  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadows = 0, noise = 0;
+  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadow_bias = 0, shadows = 0,
+         noise = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
     const double a = luminance(ours.radiance.pixels()[i]);
     const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));
@@ -57,12 +58,14 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
       const double open = luminance(empty.radiance.pixels()[i]);
       if (t / open >= .95) continue;
       shadow_square += std::pow((a - t) / open, 2);
+      shadow_bias += (a - t) / open;
       ++shadows;
     }
   }
   Accuracy out;
   out.object_rel_rmse = std::sqrt(square / objects) / (mean / objects);
   out.object_bias = bias / mean;
+  out.shadow_bias = shadows > 0 ? shadow_bias / shadows : 0;
   out.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;
   out.reference_error = std::sqrt(noise / objects) / (mean / objects);
   return out;

@@ -18,6 +18,7 @@ Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& vie
 struct Accuracy {
   double object_rel_rmse = 0;  // luminance, relative to the object's mean
   double object_bias = 0;      // signed, likewise
+  double shadow_bias = 0;      // mean error of s, where shadow_rmse is measured
   double shadow_rmse = 0;      // of s = L/L_0 on the floor where the reference is below .95
   double reference_error =
       0;  // noise of the reference on the object, in the unit of object_rel_rmse

@@ -67,7 +67,7 @@ std::vector<Mark> gather(std::span<const ChartPoint> points) {
   std::map<std::tuple<std::string, bool, int, int, int, int, int, int, double>, std::size_t> known;
   for (const ChartPoint& p : points) {
     const auto [entry, fresh] =
-        known.try_emplace({p.method, p.baseline, p.coefficients, p.discs, p.taps, p.map_size,
+        known.try_emplace({p.method, p.baseline, p.coefficients, p.most_discs, p.taps, p.map_size,
                            p.bake_rays, p.environment_rows, p.update_rate},
                           out.size());
     if (fresh) {
@@ -75,9 +75,9 @@ std::vector<Mark> gather(std::span<const ChartPoint> points) {
       mark.method = p.method;
       mark.baseline = p.baseline;
       mark.configuration = fmt::format("{} SH", p.coefficients);
-      if (p.discs > 0)
+      if (p.most_discs > 0)
         mark.configuration +=
-            fmt::format(", {} of {}", counted(p.discs, "disc"), counted(p.taps, "tap"));
+            fmt::format(", {} of {}", counted(p.most_discs, "disc"), counted(p.taps, "tap"));
     }
     Mark& mark = out[entry->second];
     mark.chosen |= p.chosen;
@@ -338,15 +338,15 @@ std::string chart_csv(std::span<const ChartPoint> points) {
       "environment,mesh,method,baseline,coefficients,discs,taps,map_size_px,bake_rays,"
       "environment_rows,updates_per_frame,object_rel_rmse,object_rel_bias,shadow_rmse,shadow_bias,"
       "penumbra_rel_error,hdr_flip_mean,flicker_rel,light_update_p50_ms,light_update_p99_ms,"
-      "memory_bytes,chosen\n";
+      "memory_bytes,chosen,discs_allowed,reference_rel_error\n";
   for (const ChartPoint& p : points)
-    out += fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
+    out += fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
                        quoted(p.environment), quoted(p.mesh), quoted(p.method), int{p.baseline},
                        p.coefficients, p.discs, p.taps, p.map_size, p.bake_rays, p.environment_rows,
                        number(p.update_rate), number(p.object_rel_rmse), number(p.object_bias),
                        number(p.shadow_rmse), number(p.shadow_bias), number(p.penumbra_error),
                        number(p.flip), number(p.flicker), number(p.ms_p50), number(p.ms_p99),
-                       p.bytes, int{p.chosen});
+                       p.bytes, int{p.chosen}, p.most_discs, number(p.reference_error));
   return out;
 }
 

@@ -1,138 +1,275 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 
 #include "capture/capture.h"
-#include "codec/codec.h"
 #include "core/conventions.h"
 #include "core/files.h"
-#include "service/accuracy.h"
+#include "service/baselines.h"
+#include "service/chart_bench.h"
 #include "service/commands.h"
 #include "service/light_file.h"
 #include "service/output.h"
 #include "service/progress.h"
 #include "service/report.h"
-#include "service/still.h"
 
 namespace penumbra::service {
 
 namespace {
 
-struct Row : Accuracy {
-  std::string environment;
-  int bands = 0;
-};
-
-// One scene for all environments: the object stands on a 40 % grey floor before a camera that sees
-// both.
-struct Bench {
-  Scene scene;
-  PreparedScene prepared;
-  prt::PinholeView view;
-};
-
-prt::PinholeView make_view() {
-  constexpr int kWidth = 192, kHeight = 144;
-  return {kWidth,
-          kHeight,
-          {210, 210},
-          {kWidth / 2., kHeight / 2.},
-          capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
-}
-
-Result<Bench> make_bench(const ChartOptions& o) {
-  Bench bench;
-  SceneObject object;
-  object.asset = o.asset.value_or("builtin:knot");
-  object.name = "object";
-  object.albedo = {.6f, .6f, .6f};
-  object.stand = true;
-  RealGeometry floor;
-  floor.plane = RealPlane{};
-  floor.albedo = Rgb{.4f, .4f, .4f};
-  bench.scene = {{object}, {floor}};
-  bench.view = make_view();
-  BakeSettings settings;
-  settings.bands = kMaxBands;  // fewer bands are the same coefficients, left out
-  // Truncated light isolates what our own steps cost: the bake must not be the noise of that figure.
-  settings.rays = o.truncated ? 8192 : 1024;
-  settings.ground_rays = o.truncated ? 8192 : 2048;
-  auto prepared = prepare(bench.scene, settings, progress_bar);
-  if (!prepared) return std::unexpected(prepared.error());
-  bench.prepared = std::move(*prepared);
-  return bench;
-}
+constexpr int kBakeRays = 1024, kTruncatedBakeRays = 8192;
 
 struct Environment {
   std::string name;
   Image<Rgb> map;
-  lighting::Projection light;
 };
 
 Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
   std::vector<Environment> out;
-  const auto add = [&](std::string name, Image<Rgb> map) -> Result<void> {
-    auto light = lighting::project_latlong(map, kMaxBands);
-    if (!light) return fail(light.error().code, name, light.error().detail);
-    out.push_back({std::move(name), std::move(map), *light});
-    return {};
-  };
   for (const std::string& path : o.environments) {
     auto light = read_light(path, std::nullopt);
     if (!light) return std::unexpected(light.error());
     auto map = capture::to_latlong(light->file);
     if (!map) return std::unexpected(map.error());
-    PENUMBRA_TRY(add(std::filesystem::path(path).stem().string(), std::move(*map)));
+    out.push_back({std::filesystem::path(path).stem().string(), std::move(*map)});
   }
-  if (!out.empty()) return out;
-  PENUMBRA_TRY(add("room", capture::make_room_environment(1024, 512)));
-  PENUMBRA_TRY(add("clear-sky", capture::make_sky_environment(1024, 512, .8)));
+  if (!o.environments.empty() && !o.with_procedural) return out;
+  out.push_back({"room", capture::make_room_environment(1024, 512)});
+  out.push_back({"clear-sky", capture::make_sky_environment(1024, 512, .8)});
   return out;
 }
 
-Result<void> chart_environment(const ChartOptions& o, const Bench& bench, const Masks& masks,
-                               const Environment& environment, std::vector<Row>& rows) {
-  const StillScene in{&bench.prepared, &environment.map, bench.view};
+// One way to light the scene, as the chart's columns describe it.
+struct Method {
+  std::string label = "discs and bands";
+  bool baseline = false;
+  int bands = 5, most_discs = 8, map_size = 256, rows = 0;
+  DiscTaps taps;
+  int age_columns = 0;  // how far the map has turned since the light was measured
+  double update_rate = 1;
+};
+
+Method with(const std::function<void(Method&)>& change) {
+  Method m;
+  change(m);
+  m.taps.plane.size = m.map_size;
+  return m;
+}
+
+// Around the default, one axis at a time, and bands against discs.
+std::vector<Method> sweep(const ChartOptions& o) {
+  std::vector<Method> out{Method{}};
+  if (!o.bands.empty()) {
+    out.clear();
+    for (const int b : o.bands)
+      out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = o.discs; }));
+    return out;
+  }
+  for (const int b : {1, 2, 3, 4, 5, 6, 9})
+    out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = 0; }));
+  for (const int b : {2, 3, 5})
+    for (const int k : {1, 2, 4})
+      out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = k; }));
+  for (const int b : {2, 3, 4, 6, 9}) out.push_back(with([&](Method& m) { m.bands = b; }));
+  for (const int t : {1, 4, 64})
+    out.push_back(with([&](Method& m) {
+      m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16);
+    }));
+  for (const int s : {32, 64, 128}) out.push_back(with([&](Method& m) { m.map_size = s; }));
+  for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
+  for (const int frames : {2, 4})
+    out.push_back(with([&](Method& m) {
+      // A head that turns by a degree a frame: the oldest light in use.
+      m.update_rate = 1. / frames, m.age_columns = 3 * (frames - 1);
+    }));
+  return out;
+}
+
+// Box filter to so many rows.
+Image<Rgb> reduced(const Image<Rgb>& map, int rows) {
+  const int block = std::max(1, map.height() / rows);
+  Image<Rgb> out(map.width() / block, map.height() / block);
+  for (int y = 0; y < out.height(); ++y) {
+    double weight = 0;
+    for (int j = 0; j < block; ++j)
+      weight += latlong_solid_angle(y * block + j, map.width(), map.height());
+    for (int x = 0; x < out.width(); ++x) {
+      Rgb sum;
+      for (int j = 0; j < block; ++j) {
+        const double w = latlong_solid_angle(y * block + j, map.width(), map.height());
+        for (int i = 0; i < block; ++i)
+          sum += map.at(x * block + i, y * block + j) * static_cast<float>(w / weight / block);
+      }
+      out.at(x, y) = sum;
+    }
+  }
+  return out;
+}
+
+Image<Rgb> turned(const Image<Rgb>& map, int columns) {
+  Image<Rgb> out(map.width(), map.height());
+  for (int y = 0; y < map.height(); ++y)
+    std::ranges::rotate_copy(map.row(y), map.row(y).begin() + columns, out.row(y).begin());
+  return out;
+}
+
+class Charter {
+ public:
+  Charter(const ChartOptions& o, const ChartScene& bench, std::vector<ChartPoint>& points)
+      : o_(o), bench_(bench), points_(points) {}
+
+  Result<void> run(const Environment& environment) {
+    auto truth = trace_truth(bench_, environment.map, o_.error);
+    if (!truth) return std::unexpected(truth.error());
+    for (const Method& m : sweep(o_)) PENUMBRA_TRY(ours(m, environment, *truth));
+    if (o_.bands.empty()) PENUMBRA_TRY(baselines(environment, *truth));
+    return {};
+  }
+
+ private:
+  Result<void> ours(const Method& m, const Environment& e, const Truth& truth) {
+    const lighting::EstimateOptions options{m.bands, {m.most_discs, .02}};
+    Image<Rgb> map = m.age_columns > 0 ? turned(e.map, m.age_columns) : e.map;
+    if (m.rows > 0) map = reduced(map, m.rows);
+    auto light = lighting::estimate_map(map, options);
+    if (!light) return fail(light.error().code, e.name, light.error().detail);
+    lighting::LightEstimator estimator(options);  // with its tables made
+    penumbra::Environment measured;
+    measured.radiance = std::move(map);
+    (void)estimator.estimate(measured);
+    const LightTime estimate =
+        time_single_threaded(5, [&](int) { (void)estimator.estimate(measured); });
+    return add(m, e, bench_.prepared(), *light, estimate, truth);
+  }
+
+  Result<void> baselines(const Environment& e, const Truth& truth) {
+    const auto plain = [&](const char* label, int bands) {
+      Method m;
+      m.label = label, m.baseline = true, m.bands = bands, m.most_discs = 0;
+      return m;
+    };
+    auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
+    if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
+    const PreparedScene& scene = bench_.prepared();
+    PENUMBRA_TRY(add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3, {}, truth));
+    PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, {}, truth));
+    PENUMBRA_TRY(
+        add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3, {}, truth));
+    PENUMBRA_TRY(
+        add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), {}, truth));
+    const auto points = [&](const std::string& label, lighting::LightEstimate light) {
+      Method m = plain("", 1);
+      m.label = label;
+      m.taps = {1, {1, 256}};
+      m.most_discs = static_cast<int>(light.discs.size());
+      return add(m, e, scene, light, {}, truth);
+    };
+    PENUMBRA_TRY(points("ambient and one hard light", phone_light(e.map)));
+    for (const int n : {16, 64, 256})
+      PENUMBRA_TRY(points(fmt::format("{} sampled lights", n), sampled_lights(e.map, n)));
+    return {};
+  }
+
+  Result<void> add(const Method& m, const Environment& e, const PreparedScene& scene,
+                   const lighting::LightEstimate& light, const LightTime& estimate,
+                   const Truth& truth) {
+    auto measured = measure(bench_, scene, light, m.taps, truth);
+    if (!measured) return std::unexpected(measured.error());
+    const Accuracy& a = measured->accuracy;
+    ChartPoint p;
+    p.environment = e.name;
+    p.mesh = bench_.name();
+    p.method = m.label;
+    p.baseline = m.baseline;
+    p.coefficients = coefficient_count(m.bands);
+    p.discs = static_cast<int>(light.discs.size());
+    p.most_discs = m.most_discs;
+    p.taps = m.taps.plane.taps;
+    p.map_size = m.taps.plane.size;
+    p.bake_rays = kBakeRays;
+    p.environment_rows = m.rows > 0 ? m.rows : e.map.height();
+    p.update_rate = m.update_rate;
+    p.object_rel_rmse = a.object_without_noise();
+    p.object_bias = a.object_bias;
+    p.shadow_rmse = a.shadow_rmse;
+    p.shadow_bias = a.shadow_bias;
+    p.flip = measured->flip;
+    p.ms_p50 = m.update_rate * (measured->time.p50_ms + estimate.p50_ms);
+    p.ms_p99 = measured->time.p99_ms + estimate.p99_ms;
+    p.bytes = memory_of(scene, m.bands, light.discs.size(), p.map_size);
+    p.reference_error = a.reference_error;
+    points_.push_back(p);
+    if (!o_.json)
+      fmt::print("{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5.2f} {:>9.2f} {:>7.2f} "
+                 "{:>8.4f} {:>8.4f} {:>7.4f} {:>8.2f}\n",
+                 p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
+                 p.environment_rows, p.update_rate, 100 * p.object_rel_rmse, 100 * p.object_bias,
+                 p.shadow_rmse, p.shadow_bias, p.flip, p.ms_p50);
+    return {};
+  }
+
+  const ChartOptions& o_;
+  const ChartScene& bench_;
+  std::vector<ChartPoint>& points_;
+};
+
+nlohmann::json to_json(const ChartPoint& p) {
+  return {{"environment", p.environment},
+          {"mesh", p.mesh},
+          {"method", p.method},
+          {"baseline", p.baseline},
+          {"coefficients", p.coefficients},
+          {"discs", p.discs},
+          {"object_rel_rmse", p.object_rel_rmse},
+          {"object_bias", p.object_bias},
+          {"shadow_rmse", p.shadow_rmse},
+          {"shadow_bias", p.shadow_bias},
+          {"flip", p.flip},
+          {"light_update_p50_ms", p.ms_p50},
+          {"light_update_p99_ms", p.ms_p99},
+          {"memory_bytes", p.bytes},
+          {"reference_error", p.reference_error}};
+}
+
+// What our own steps cost: both sides under the same truncated light.
+Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
+                             const Environment& environment, std::vector<ChartPoint>& points) {
+  const StillScene in = bench.in(environment.map);
   auto empty = render_real(in, o.error, {});
   if (!empty) return std::unexpected(empty.error());
-  std::optional<Still> truth;
-  for (const int bands : o.bands) {
-    lighting::LightEstimate light = lighting::make_estimate(environment.light, bands);
-    if (o.discs > 0) {
-      auto split = lighting::estimate_map(environment.map, {bands, {o.discs, .02}});
-      if (!split) return std::unexpected(split.error());
-      light = *split;
-      for (const auto& d : light.discs)
-        fmt::print("  disc {} dir {:.2f} {:.2f} {:.2f} radius {:.2f} deg E {:.2f} share {:.3f}\n", d.id, d.direction.x, d.direction.y, d.direction.z, d.radius.value()*180/kPi, luminance(d.irradiance()), luminance(d.irradiance())/kPi/luminance(light.mean_radiance));
-    }
-    Still truncated_empty = *empty;
-    if (o.truncated || !truth) {
-      auto reference =
-          render_reference(in, true, o.error, o.truncated ? std::optional(light) : std::nullopt,
-                           progress_bar(fmt::format("{} {}", environment.name, bands)));
-      if (!reference) return std::unexpected(reference.error());
-      truth = std::move(*reference);
-    }
-    if (o.truncated) light_floor(in, light, masks, truncated_empty);
-    auto ours = render_composite(in, light, truncated_empty, DiscTaps{o.object_taps, {o.taps, o.map}});
+  auto projection = lighting::project_latlong(environment.map, kMaxBands);
+  if (!projection) return fail(projection.error().code, environment.name, projection.error().detail);
+  for (const int bands : o.bands.empty() ? std::vector{1, 2, 3, 4, 5, 6, 9} : o.bands) {
+    const lighting::LightEstimate light = lighting::make_estimate(*projection, bands);
+    auto truth = render_reference(in, true, o.error, light,
+                                  progress_bar(fmt::format("{} {}", environment.name, bands)));
+    if (!truth) return std::unexpected(truth.error());
+    Still lit = *empty;
+    light_floor(in, light, bench.masks(), lit);
+    auto ours = render_composite(in, light, lit);
     if (!ours) return std::unexpected(ours.error());
-    Row row{compare_pictures(*ours, *truth, truncated_empty, masks), environment.name, bands};
+    const Accuracy a = compare_pictures(*ours, *truth, lit, bench.masks());
+    ChartPoint p;
+    p.environment = environment.name, p.mesh = bench.name(), p.method = "same truncated light";
+    p.coefficients = coefficient_count(bands);
+    p.object_rel_rmse = a.object_without_noise(), p.object_bias = a.object_bias;
+    p.shadow_rmse = a.shadow_rmse, p.reference_error = a.reference_error;
+    points.push_back(p);
     if (!o.json)
-      fmt::print("{:<44} {:>3} {:>12.2f} {:>12.2f} {:>12.4f} {:>12.2f}\n", row.environment,
-                 bands * bands, 100 * row.object_rel_rmse, 100 * row.object_bias, row.shadow_rmse,
-                 100 * row.reference_error);
-    rows.push_back(row);
+      fmt::print("{:<28.28} {:<8.8} {:>3} object {:.2f} % (reference noise {:.2f} %), bias {:.2f} %, "
+                 "shadow {:.4f}\n",
+                 p.environment, p.mesh, p.coefficients, 100 * p.object_rel_rmse,
+                 100 * p.reference_error, 100 * p.object_bias, p.shadow_rmse);
   }
   return {};
 }
 
 }  // namespace
 
-Result<void> chart(const ChartOptions& options) {
-  ChartOptions o = options;
-  if (o.bands.empty()) o.bands = {1, 2, 3, 4, 5, 6, 9};
+Result<void> chart(const ChartOptions& o) {
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)
       return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
@@ -141,32 +278,33 @@ Result<void> chart(const ChartOptions& options) {
   if (!output) return std::unexpected(output.error());
   auto environments = read_environments(o);
   if (!environments) return std::unexpected(environments.error());
-  auto bench = make_bench(o);
-  if (!bench) return std::unexpected(bench.error());
-  auto masks = make_masks(bench->prepared, bench->view);
-  if (!masks) return std::unexpected(masks.error());
-  if (!o.json)
-    fmt::print("{:<44} {:>3} {:>12} {:>12} {:>12} {:>12}\n", "environment", "n", "object %",
-               "bias %", "shadow s", "ref error %");
-  std::vector<Row> rows;
-  for (const Environment& e : *environments)
-    PENUMBRA_TRY(chart_environment(o, *bench, *masks, e, rows));
-  std::string csv =
-      "environment,coefficients,object_rel_rmse,object_bias,shadow_rmse,reference_error\n";
-  nlohmann::json json = nlohmann::json::array();
-  for (const Row& r : rows) {
-    csv += fmt::format("{},{},{:.6f},{:.6f},{:.6f},{:.6f}\n", r.environment, r.bands * r.bands,
-                       r.object_rel_rmse, r.object_bias, r.shadow_rmse, r.reference_error);
-    json.push_back({{"environment", r.environment},
-                    {"coefficients", r.bands * r.bands},
-                    {"object_rel_rmse", r.object_rel_rmse},
-                    {"object_bias", r.object_bias},
-                    {"shadow_rmse", r.shadow_rmse},
-                    {"reference_error", r.reference_error}});
+  std::vector<std::string> assets = o.assets;
+  if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
+  std::vector<ChartPoint> points;
+  if (!o.json && !o.truncated)
+    fmt::print("{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} {:>7} "
+               "{:>8}\n",
+               "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rate", "object %",
+               "bias %", "shadow s", "bias s", "FLIP", "ms");
+  for (const std::string& asset : assets) {
+    auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
+    if (!bench) return std::unexpected(bench.error());
+    for (const Environment& e : *environments)
+      PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points)
+                               : Charter(o, *bench, points).run(e));
   }
-  PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), csv));
+  PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), chart_csv(points)));
   output->keep();
-  if (o.json) print_json({{"rows", json}});
+  if (!o.truncated)
+    if (const auto plots = write_chart_plots(o.output, points); !plots)
+      spdlog::warn("no plots: {}: {}", plots.error().where, plots.error().detail);
+  if (o.json) {
+    nlohmann::json rows = nlohmann::json::array();
+    for (const ChartPoint& p : points) rows.push_back(to_json(p));
+    print_json({{"rows", rows}});
+  } else {
+    fmt::print("{}/accuracy.csv, {}/error-time.svg\n", o.output, o.output);
+  }
   return {};
 }
 

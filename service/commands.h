@@ -89,10 +89,11 @@ Result<void> inspect(const InspectOptions& options);
 
 struct ChartOptions {
   std::string output = "out/chart";
-  std::vector<std::string> environments;
-  std::optional<std::string> asset;
-  std::vector<int> bands;
-  int discs = 0, taps = 16, object_taps = 4, map = 256;
+  std::vector<std::string> environments;  // files
+  bool with_procedural = false;           // the built-in ones beside the files
+  std::vector<std::string> assets;
+  std::vector<int> bands;  // only these, with `discs`; else the whole sweep
+  int discs = 0;
   double error = .004;
   bool truncated = false;  // compare under the same truncated light instead of the whole light
   bool json = false;

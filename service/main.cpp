@@ -124,19 +124,17 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->callback([&] { action = [] { return composite(composite_options); }; });
 
   static ChartOptions chart_options;
-  c = app.add_subcommand("chart",
-                         "Error against the path-traced reference by number of coefficients");
+  c = app.add_subcommand("chart", "Error against time: sweeps, baselines, CSV and SVG");
   c->add_option("--out", chart_options.output, "Output folder")->capture_default_str();
   c->add_option("--environment", chart_options.environments,
                 "HDR environments; built-in ones by default");
-  c->add_option("--asset", chart_options.asset, "Object; the built-in knot by default");
-  c->add_option("--bands", chart_options.bands, "Numbers of bands; 1 2 3 4 5 6 9 by default")
+  c->add_flag("--with-procedural", chart_options.with_procedural,
+              "The built-in environments beside the given ones");
+  c->add_option("--asset", chart_options.assets, "Objects; the built-in knot and twist by default");
+  c->add_option("--bands", chart_options.bands,
+                "Only these numbers of bands, with --discs; by default the whole sweep")
       ->delimiter(',');
-  c->add_option("--discs", chart_options.discs, "Most discs beside the bands")
-      ->capture_default_str();
-  c->add_option("--taps", chart_options.taps, "Rays a node")->capture_default_str();
-  c->add_option("--object-taps", chart_options.object_taps, "Rays a vertex")->capture_default_str();
-  c->add_option("--map", chart_options.map, "Cells a side")->capture_default_str();
+  c->add_option("--discs", chart_options.discs, "Most discs beside --bands")->capture_default_str();
   c->add_option("--error", chart_options.error, "Relative error of the reference")
       ->capture_default_str();
   c->add_flag(

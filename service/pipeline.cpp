@@ -1,6 +1,7 @@
 #include "service/pipeline.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "shadows/shadows.h"
 
@@ -22,6 +23,20 @@ int environment_rows(const calib::Projection& p) {
 capture::EnvironmentAssembler make_assembler(const capture::CameraInfo& info) {
   const int rows = environment_rows(info.projection);
   return {info.projection, info.world_from_camera, 2 * rows, rows};
+}
+
+// Noise of a camera that nobody measured is none of ours to invent.
+compositor::CameraLook look_of(const capture::CameraInfo& info, const capture::Frame& frame) {
+  compositor::CameraLook look;
+  look.psf_sigma_px = static_cast<float>(info.psf_sigma_px);
+  if (!info.noise_known) return look;
+  const double gain = frame.exposure.gain.value();
+  look.shot_gain = static_cast<float>(info.noise.variance(1, gain) - info.noise.variance(0, gain));
+  look.read_noise = static_cast<float>(std::sqrt(info.noise.variance(0, gain)));
+  // By the time, which a recording keeps, and by the eye, whose noise is its own.
+  look.frame = static_cast<std::uint64_t>(frame.time.value) * 16 +
+               static_cast<std::uint64_t>(frame.camera);
+  return look;
 }
 
 constexpr double kSamePose = 1 - 1e-7;  // cosine of half the angle: within .05 degrees
@@ -115,7 +130,7 @@ Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& norm
   return sum;
 }
 
-bool ComposeStage::update_lights(const lighting::LightEstimate& light, double seconds) {
+bool ComposeStage::update_light(const lighting::LightEstimate& light, double seconds) {
   std::vector<Pose> poses;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     poses.push_back(objects_[i].prepared->pose_at(seconds));
@@ -129,7 +144,7 @@ bool ComposeStage::update_lights(const lighting::LightEstimate& light, double se
   }
   bool relit = false;
   for (std::size_t i = 0; i < objects_.size(); ++i)
-    relit |= update_light(i, poses[i], light, discs_changed);
+    relit |= update_object(i, poses[i], light, discs_changed);
   if (!relit && !discs_changed) return false;
   std::vector<Rgb> open;
   for (const prt::Plane& plane : scene_.planes)
@@ -138,7 +153,7 @@ bool ComposeStage::update_lights(const lighting::LightEstimate& light, double se
   return true;
 }
 
-bool ComposeStage::update_light(std::size_t index, const Pose& pose,
+bool ComposeStage::update_object(std::size_t index, const Pose& pose,
                                 const lighting::LightEstimate& estimate, bool discs_changed) {
   Object& o = objects_[index];
   const prt::BakedObject& baked = o.prepared->baked;
@@ -198,7 +213,7 @@ Result<Composited> ComposeStage::process(const capture::Frame& frame,
                                          const lighting::LightEstimate& light) {
   Composited out;
   const double seconds = (frame.time - TimestampNs{0}).count();
-  out.relit = update_lights(light, seconds);
+  out.relit = update_light(light, seconds);
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const StageTimer timer(times_, "composite");
   out.pixels = *frame.pixels;
@@ -206,7 +221,8 @@ Result<Composited> ComposeStage::process(const capture::Frame& frame,
   const compositor::View view{
       {p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
       curve_for(camera, out.pixels),
-      static_cast<float>(frame.exposure.product())};
+      static_cast<float>(frame.exposure.product()),
+      look_of(camera.info, frame)};
   auto touched = compositor_->composite(view, out.pixels);
   if (!touched) return std::unexpected(touched.error());
   out.touched = *touched;

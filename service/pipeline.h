@@ -69,6 +69,8 @@ class ComposeStage {
   /// errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);
   compositor::Compositor& output() { return *compositor_; }
+  /// The light's share of process(): relights objects and renews shadows where something changed visibly.
+  bool update_light(const lighting::LightEstimate& light, double seconds);
 
  private:
   struct Object {
@@ -89,8 +91,7 @@ class ComposeStage {
         scene_(scene),
         discs_(std::move(discs)),
         times_(times) {}
-  bool update_lights(const lighting::LightEstimate& light, double seconds);
-  bool update_light(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
+  bool update_object(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
                     bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
 

@@ -68,26 +68,37 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   return out;
 }
 
-Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real, const DiscTaps& taps) {
+Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scene,
+                                                       const prt::PinholeView& view,
+                                                       const DiscTaps& taps) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
-  camera.projection = {calib::ProjectionKind::kPinhole, in.view.width, in.view.height,
-                       in.view.focal_px, in.view.principal_px};
-  camera.world_from_camera = in.view.world_from_camera;
-  StageTimes times;
-  auto stage = ComposeStage::create({camera}, *in.scene,
-                                    compositor::Compositor::Surface::kOffscreen, times, 4, taps);
-  if (!stage) return std::unexpected(stage.error());
+  camera.projection = {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
+                       view.principal_px};
+  camera.world_from_camera = view.world_from_camera;
+  static StageTimes times;  // nobody asks for them
+  return ComposeStage::create({camera}, scene, compositor::Compositor::Surface::kOffscreen, times,
+                              4, taps);
+}
+
+Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
+                              const lighting::LightEstimate& light, const Still& real) {
   capture::Frame frame;
   frame.exposure = {Seconds(1), Gain(1)};
-  frame.world_from_camera = in.view.world_from_camera;
+  frame.world_from_camera = view.world_from_camera;
   frame.pixels = std::make_shared<const FramePixels>(real.radiance);
-  auto composited = (*stage)->process(frame, light);
+  auto composited = stage.process(frame, light);
   if (!composited) return std::unexpected(composited.error());
   return Still{
       std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
+}
+
+Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
+                               const Still& real, const DiscTaps& taps) {
+  auto stage = make_still_stage(*in.scene, in.view, taps);
+  if (!stage) return std::unexpected(stage.error());
+  return composite_still(**stage, in.view, light, real);
 }
 
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,

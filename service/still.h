@@ -8,7 +8,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
-#include "service/disc_stage.h"
+#include "service/pipeline.h"
 #include "service/scene.h"
 
 namespace penumbra::service {
@@ -31,6 +31,14 @@ using Progress = std::function<void(double)>;
 /// The world without virtual objects: environment and planes in closed form (irradiance exact from
 /// every pixel), path traced when there are real meshes or several planes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
+
+/// A stage for stills of one view: fine oversampling.
+/// errors: as ComposeStage::create
+Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scene,
+                                                       const prt::PinholeView& view,
+                                                       const DiscTaps& taps);
+Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
+                              const lighting::LightEstimate& light, const Still& real);
 
 /// Our method over the real picture, under `light`.
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,

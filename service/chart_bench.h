@@ -1,0 +1,63 @@
+// The harness behind `chart`: one scene, one reference a light, and any method measured against it.
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "service/accuracy.h"
+#include "service/chart_plot.h"
+#include "service/scene.h"
+#include "service/still.h"
+
+namespace penumbra::service {
+
+/// An object on a 40 % grey floor before a camera that sees both.
+class ChartScene {
+ public:
+  /// rays: of the bake, a vertex and a receiver texel
+  /// errors: as prepare and make_masks
+  static Result<ChartScene> make(const std::string& asset, int rays);
+
+  const std::string& name() const { return name_; }
+  const PreparedScene& prepared() const { return prepared_; }
+  const Masks& masks() const { return masks_; }
+  StillScene in(const Image<Rgb>& environment) const { return {&prepared_, &environment, view_}; }
+  const prt::PinholeView& view() const { return view_; }
+
+ private:
+  std::string name_;
+  PreparedScene prepared_;
+  Masks masks_;
+  prt::PinholeView view_;
+};
+
+/// What every method is held against.
+struct Truth {
+  Still empty;  // the floor without the object
+  Still full;   // path traced with it
+};
+/// errors: as render_reference
+Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error);
+
+struct LightTime {
+  double p50_ms = 0, p99_ms = 0;
+};
+
+/// Composite under `light` and figures against the truth. `scene` may treat the objects in another way than
+/// the bench's own does.
+struct Measured {
+  Accuracy accuracy;
+  double flip = 0;
+  LightTime time;  // of ComposeStage::update_light on one thread, everything traced anew
+};
+Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
+                         const lighting::LightEstimate& light, const DiscTaps& taps,
+                         const Truth& truth);
+
+/// Median and 99th percentile of so many runs of `work` on one thread.
+LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
+
+/// The coefficients that a light of so many bands reads, and the discs' maps, in bytes.
+std::size_t memory_of(const PreparedScene& scene, int bands, std::size_t discs, int map_size);
+
+}  // namespace penumbra::service
