@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <random>
+#include <vector>
 
 #include "capture/capture.h"
 #include "core/conventions.h"
@@ -151,6 +153,62 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
     map.at(x, y) += radiance * static_cast<float>(share);
   }
   return map;
+}
+
+namespace {
+
+// A source of one radiance: a disc, or a rectangle on the sphere's tangent plane.
+struct Source {
+  dvec3 axis, side, up;
+  double half_width, half_height;  // tangents of the half angles
+  bool round;
+  Rgb radiance;
+
+  bool covers(const dvec3& d) const {
+    const double z = glm::dot(d, axis);
+    if (z <= 0) return false;
+    const double x = glm::dot(d, side) / z / half_width, y = glm::dot(d, up) / z / half_height;
+    return round ? x * x + y * y < 1 : std::abs(x) < 1 && std::abs(y) < 1;
+  }
+};
+
+}  // namespace
+
+Image<Rgb> make_random_environment(int width, int height, std::uint32_t seed) {
+  std::mt19937 rng(seed);
+  const auto uniform = [&](double low, double high) {
+    return low + (high - low) * (static_cast<double>(rng()) / 4294967296.);
+  };
+  const auto tint = [&](double strength) {
+    return Rgb{static_cast<float>(1 + strength * uniform(-1, 1)), 1,
+               static_cast<float>(1 + strength * uniform(-1, 1))};
+  };
+  const Rgb above = tint(.3), horizon = tint(.2) * static_cast<float>(uniform(.4, 1.5)),
+            below = tint(.2) * static_cast<float>(uniform(.1, .5));
+  std::vector<Source> sources;
+  const int count = static_cast<int>(uniform(0, 5));
+  for (int i = 0; i < count; ++i) {
+    const double y = uniform(.05, 1), a = uniform(-kPi, kPi), r = std::sqrt(1 - y * y);
+    Source s;
+    s.axis = {r * std::sin(a), y, -r * std::cos(a)};
+    s.side = glm::normalize(glm::cross(s.axis, std::abs(y) < .95 ? dvec3(0, 1, 0) : dvec3(1, 0, 0)));
+    s.up = glm::cross(s.side, s.axis);
+    s.half_width = std::tan(std::exp(uniform(std::log(.006), std::log(.5))));
+    s.round = uniform(0, 1) < .5;
+    s.half_height = s.round ? s.half_width : s.half_width * uniform(.3, 1.5);
+    // Its light on a surface that faces it, against that of an even sky: from a glimmer to a sun.
+    const double share = std::exp(uniform(std::log(.05), std::log(5.)));
+    const double solid_angle = (s.round ? kPi : 4) * s.half_width * s.half_height;
+    s.radiance = tint(.25) * static_cast<float>(share * kPi / solid_angle);
+    sources.push_back(s);
+  }
+  return paint(width, height, 2, [&](const dvec3& d) {
+    for (const Source& s : sources)
+      if (s.covers(d)) return s.radiance;
+    if (d.y < 0) return below;
+    const auto t = static_cast<float>(std::sqrt(d.y));
+    return above * t + horizon * (1 - t);
+  });
 }
 
 }  // namespace penumbra::capture

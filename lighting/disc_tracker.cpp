@@ -9,45 +9,86 @@ namespace {
 
 constexpr double kLargestMove = .07;  // radians between two maps, beyond the discs' own size
 constexpr double kLargestRatio = 8;   // of irradiance between two maps
+constexpr Seconds kRemember{1};       // a source that comes back within this keeps its number
 
 double flux(const Disc& d) {
   return luminance(d.radiance) * d.solid_angle_sr();
 }
 
-bool may_be_same(const Disc& a, const Disc& b) {
+bool is_near(const Disc& a, const Disc& b) {
   const double angle = std::acos(std::clamp(glm::dot(a.direction, b.direction), -1., 1.));
+  return angle < kLargestMove + a.radius.value() + b.radius.value();
+}
+
+bool may_be_same(const Disc& a, const Disc& b) {
   const double ratio = flux(a) / std::max(flux(b), 1e-30);
-  return angle < kLargestMove + a.radius.value() + b.radius.value() && ratio < kLargestRatio &&
-         ratio > 1 / kLargestRatio;
+  return is_near(a, b) && ratio < kLargestRatio && ratio > 1 / kLargestRatio;
 }
 
 }  // namespace
 
+std::optional<std::size_t> DiscTracker::match(const Disc& disc,
+                                              const std::vector<bool>& taken) const {
+  std::optional<std::size_t> best;
+  double closest = -2;
+  for (std::size_t k = 0; k < known_.size(); ++k) {
+    const double cosine = glm::dot(known_[k].disc.direction, disc.direction);
+    if (!taken[k] && cosine > closest && may_be_same(known_[k].disc, disc))
+      closest = cosine, best = k;
+  }
+  return best;
+}
+
+int DiscTracker::number_of(const Disc& disc, TimestampNs time) {
+  std::erase_if(lost_, [&](const Lost& l) { return time - l.since > kRemember; });
+  const auto back =
+      std::ranges::find_if(lost_, [&](const Lost& l) { return may_be_same(l.disc, disc); });
+  if (back == lost_.end()) return next_id_++;
+  const int id = back->disc.id;
+  lost_.erase(back);
+  return id;
+}
+
 std::vector<Disc> DiscTracker::update(TimestampNs time, double least_share, double mean_irradiance,
                                       std::vector<Disc>& discs) {
   const double step = first_ ? 1 : std::clamp((time - time_) / kFade, 0., 1.);
-  std::vector<Known> now;
   std::vector<Disc> left_over;
+  std::vector<bool> taken(known_.size(), false);
+  // Energy that was in the list and is not claimed yet: where sources part or join, it goes along.
+  std::vector<double> unclaimed;
+  for (const Known& k : known_) unclaimed.push_back(k.weight * flux(k.disc));
+  std::vector<std::pair<Disc, std::optional<std::size_t>>> found;
   for (Disc& disc : discs) {  // the strongest chooses first
-    auto best = known_.end();
-    double closest = -2;
-    for (auto k = known_.begin(); k != known_.end(); ++k) {
-      const double cosine = glm::dot(k->disc.direction, disc.direction);
-      if (cosine > closest && may_be_same(k->disc, disc)) closest = cosine, best = k;
-    }
-    if (best == known_.end() && flux(disc) < least_share * mean_irradiance) {
-      left_over.push_back(disc);
+    const auto before = match(disc, taken);
+    if (!before && flux(disc) < least_share * mean_irradiance) {
+      left_over.push_back(std::move(disc));
       continue;
     }
-    float weight = static_cast<float>(step);
-    if (best != known_.end()) {
-      disc.id = best->disc.id;
-      weight = std::min(1.f, weight + best->weight);
-      known_.erase(best);
-    } else {
-      disc.id = next_id_++;
+    if (before) {
+      taken[*before] = true;
+      unclaimed[*before] = std::max(0., unclaimed[*before] - flux(disc));
     }
-    now.push_back({disc, weight});
+    found.emplace_back(std::move(disc), before);
+  }
+  for (std::size_t k = 0; k < known_.size(); ++k)
+    if (!taken[k]) lost_.push_back({known_[k].disc, time});
+  std::vector<Known> now;
+  for (auto& [disc, before] : found) {
+    const double own =
+        before ? known_[*before].weight * std::min(flux(disc), flux(known_[*before].disc)) : 0;
+    double carried = own;
+    for (std::size_t k = 0; k < known_.size(); ++k) {
+      if ((before && k == *before) || !is_near(known_[k].disc, disc)) continue;
+      const double part = std::min(unclaimed[k], flux(disc) - carried);
+      unclaimed[k] -= part;
+      carried += part;
+    }
+    // A source that only brightened keeps its weight; one that a neighbour joined has what both had.
+    const bool joined = carried > own;
+    const double weight = before && !joined ? known_[*before].weight
+                                            : carried / std::max(flux(disc), 1e-30);
+    disc.id = before ? known_[*before].disc.id : number_of(disc, time);
+    now.push_back({std::move(disc), static_cast<float>(std::min(1., weight + step))});
   }
   known_ = std::move(now);
   time_ = time;

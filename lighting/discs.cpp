@@ -192,7 +192,7 @@ std::vector<Region> Peeler::regions_of(std::vector<Run> runs) const {
 void Peeler::peel(const Region& region, float level) {
   if (region.peak > kStep * level) {
     const float core = kCoreLevel * region.peak;
-    for (const Region& part : regions_of(runs_above(core, region.runs))) peel(part, core);
+    for (const Region& part : regions_of(runs_above(core, region.runs))) cut(part, level);
     // What is left reaches up to the core's level at most.
     for (Region& part : regions_of(runs_above(level, region.runs)))
       part.peak < region.peak ? peel(part, level) : cut(part, level);

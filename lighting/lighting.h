@@ -3,9 +3,11 @@
 // threads: free functions reentrant; LatLongProjector thread-bound
 #pragma once
 
+#include <array>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -178,7 +180,8 @@ Rgb irradiance(const Disc& disc, const glm::dvec3& normal);
 
 /// Gives the same source the same number from map to map, and lets a source enter the list over kFade: what it
 /// does not carry yet stays in the harmonics, so energy never jumps, only sharpness fades in. A source
-/// enters at `DiscOptions::least_share` and leaves below half of it.
+/// enters at `DiscOptions::least_share` and leaves below half of it; where sources part or join, what was in the
+/// list stays in it.
 /// threads: thread-bound
 class DiscTracker {
  public:
@@ -194,7 +197,15 @@ class DiscTracker {
     Disc disc;
     float weight;
   };
+  struct Lost {
+    Disc disc;
+    TimestampNs since;
+  };
+  std::optional<std::size_t> match(const Disc& disc, const std::vector<bool>& taken) const;
+  int number_of(const Disc& disc, TimestampNs time);
+
   std::vector<Known> known_;
+  std::vector<Lost> lost_;
   TimestampNs time_;
   int next_id_ = 1;
   bool first_ = true;
@@ -217,6 +228,64 @@ struct LightEstimate {
   double truncation_error = 0;
 
   Seconds age(TimestampNs now) const { return now - time; }
+};
+
+// ---------------------------------------------------------------------------------- governor
+
+/// What one light update costs here, fitted where it runs.
+struct CostModel {
+  double base_ms = .2, per_coefficient_ms = .01, per_disc_ms = 5;
+  double ms(int bands, int discs) const {
+    return base_ms + per_coefficient_ms * coefficient_count(bands) + per_disc_ms * discs;
+  }
+};
+
+/// What the prediction needs to know of a light that has been split as far as it goes.
+struct SplitLight {
+  const RadianceSh* rest;       // nine bands
+  std::span<const Disc> discs;  // by falling irradiance
+  double floor_irradiance;      // luminance, of the open floor under everything
+  /// prt::BakedObject::shadow_power of what stands there, the largest of several.
+  std::array<double, kMaxBands> shadow_power;
+};
+
+/// Predicted RMS error of the shadow ratio s when the first `discs` discs are traced and everything else goes into
+/// `bands` bands, from the energy of the bands left out.
+/// source: the mean over rotations of sum_{l >= B} |l_l|^2 MS|S_l|^2/(2l+1)/E0^2
+double predicted_error(const SplitLight& light, int bands, int discs);
+
+struct Plan {
+  int bands = 5, discs = 0;
+  double error = 0;  // predicted, with the factor that holds in 95 % of scenes
+  double ms = 0;
+  bool within_budget = true;  // false: the most accurate there is
+};
+
+/// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
+/// More at once, less only after two seconds in which four fifths of the budget would have sufficed.
+/// threads: thread-bound
+/// source: split conformal prediction; factor measured by `chart --governor` (docs/accuracy.md)
+class Governor {
+ public:
+  static constexpr double kCalibrated = 1;
+  static constexpr Seconds kPatience{2};
+  static constexpr double kMargin = .8;
+
+  struct Limits {
+    double budget = .03;  // RMS of s
+    int most_bands = 5, most_discs = 8;
+  };
+  Governor(const Limits& limits, const CostModel& costs) : limits_(limits), costs_(costs) {}
+
+  /// What this light needs by itself.
+  Plan cheapest(const SplitLight& light, double budget) const;
+  Plan update(const SplitLight& light, TimestampNs now);
+
+ private:
+  Limits limits_;
+  CostModel costs_;
+  std::optional<Plan> current_;
+  std::optional<TimestampNs> could_do_less_since_;
 };
 
 struct EstimateOptions {

@@ -82,6 +82,7 @@ class Baker {
   Transfer packed_vertices() const;
   Transfer packed_deficit() const;
   Transfer packed_indirect(std::size_t first, std::size_t count) const;
+  std::array<float, kMaxBands> shadow_power() const;
 
   const float* transfer_at(std::size_t point, int channel) const {
     return &current_[(point * static_cast<std::size_t>(channels_) +
@@ -335,6 +336,25 @@ Transfer Baker::packed_indirect(std::size_t first, std::size_t count) const {
   return out;
 }
 
+std::array<float, kMaxBands> Baker::shadow_power() const {
+  double sum[kMaxBands] = {};
+  std::size_t dark = 0;
+  for (std::size_t p = mesh_.positions.size(); p < points_.size(); ++p) {
+    const float* const t = transfer_at(p, 0);
+    if (ground_far_[0] - t[0] < .05f * ground_far_[0]) continue;
+    ++dark;
+    for (int l = 0; l < bands_; ++l)
+      for (int n = coefficient_count(l); n < coefficient_count(l + 1); ++n)
+        sum[l] += std::pow(kPi * (ground_far_[static_cast<std::size_t>(n)] - t[n]), 2);
+  }
+  std::array<float, kMaxBands> out{};
+  for (int l = 0; l < kMaxBands && dark > 0; ++l)
+    out[static_cast<std::size_t>(l)] =
+        l < bands_ ? static_cast<float>(sum[l] / static_cast<double>(dark))
+                   : out[static_cast<std::size_t>(l - 1)];  // not traced: no less is safe
+  return out;
+}
+
 Result<BakedObject> Baker::run(Mesh mesh) {
   const auto start = std::chrono::steady_clock::now();
   auto scene = RayScene::build(mesh_);
@@ -381,6 +401,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   if (options_.receiver) {
     out.receiver = options_.receiver;
     out.ground_deficit = packed_deficit();
+    out.shadow_power = shadow_power();
     out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
   }
   out.mesh = std::move(mesh);

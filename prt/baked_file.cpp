@@ -84,6 +84,9 @@ Value::Object describe(const BakedObject& o, const HalfAccessors& halves) {
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
     r["deficit"] = Value(halves.ground_deficit);
     r["indirect"] = Value(halves.ground_indirect);
+    Value::Array power;
+    for (const float p : o.shadow_power) power.push_back(number(p));
+    r["shadow_power"] = Value(power);
     d["receiver"] = Value(r);
   }
   return d;
@@ -247,6 +250,11 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height,
                        albedo.r,   albedo.g,   albedo.b};
   if (!finite(all) || g.half_extent <= 0) return false;
+  for (int l = 0; l < kMaxBands; ++l) {
+    const double power = get(r, "shadow_power", l);
+    if (!(power >= 0 && power < 1e6)) return false;
+    o.shadow_power[static_cast<std::size_t>(l)] = static_cast<float>(power);
+  }
   const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
   o.receiver = Receiver{g, albedo};
   return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,

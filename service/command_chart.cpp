@@ -10,6 +10,7 @@
 #include "core/files.h"
 #include "service/baselines.h"
 #include "service/chart_bench.h"
+#include "service/governor_bench.h"
 #include "service/commands.h"
 #include "service/light_file.h"
 #include "service/output.h"
@@ -267,9 +268,45 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
   return {};
 }
 
+Result<void> chart_governor(const ChartOptions& o) {
+  const std::string asset = o.assets.empty() ? "builtin:knot" : o.assets[0];
+  auto bench = ChartScene::make(asset, kBakeRays);
+  if (!bench) return std::unexpected(bench.error());
+  auto costs = fit_costs(bench->prepared());
+  if (!costs) return std::unexpected(costs.error());
+  auto proof = prove_governor(bench->prepared(), *costs, o.budget, o.governor,
+                              progress_bar("random scenes"));
+  if (!proof) return std::unexpected(proof.error());
+  if (o.json) {
+    print_json({{"factor", proof->factor},
+                {"calibration_scenes", proof->calibration},
+                {"scenes", proof->scenes},
+                {"promised", proof->promised},
+                {"kept", proof->kept},
+                {"coverage_low", proof->coverage_low},
+                {"mean_regret", proof->mean_regret},
+                {"mean_error", proof->mean_error},
+                {"worst_error", proof->worst_error},
+                {"budget", o.budget}});
+    return {};
+  }
+  fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a disc, one thread\n",
+             costs->base_ms, costs->per_coefficient_ms, costs->per_disc_ms);
+  fmt::print("factor {:.2f} from {} scenes; of {} others {} had a plan within {:.3f}, {} kept it "
+             "(at least {:.1f} % with 95 % confidence)\n",
+             proof->factor, proof->calibration, proof->scenes, proof->promised, o.budget,
+             proof->kept, 100 * proof->coverage_low);
+  fmt::print("chosen: {:.1f} bands and {:.1f} discs on average, error mean {:.4f} worst {:.4f}; "
+             "{:.0f} % dearer than the cheapest sufficient plan\n",
+             proof->mean_bands, proof->mean_discs, proof->mean_error, proof->worst_error,
+             100 * proof->mean_regret);
+  return {};
+}
+
 }  // namespace
 
 Result<void> chart(const ChartOptions& o) {
+  if (o.governor > 0) return chart_governor(o);
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)
       return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));

@@ -95,6 +95,8 @@ struct ChartOptions {
   std::vector<int> bands;  // only these, with `discs`; else the whole sweep
   int discs = 0;
   double error = .004;
+  int governor = 0;        // prove the governor on so many scenes instead
+  double budget = .05;     // of the shadow's RMS error in s, for that
   bool truncated = false;  // compare under the same truncated light instead of the whole light
   bool json = false;
 };

@@ -135,6 +135,10 @@ void add_picture_commands(CLI::App& app, Action& action) {
                 "Only these numbers of bands, with --discs; by default the whole sweep")
       ->delimiter(',');
   c->add_option("--discs", chart_options.discs, "Most discs beside --bands")->capture_default_str();
+  c->add_option("--governor", chart_options.governor,
+                "Calibrate the governor on 59 random scenes and prove it on so many others");
+  c->add_option("--budget", chart_options.budget, "Of the shadow's RMS error in s, for --governor")
+      ->capture_default_str();
   c->add_option("--error", chart_options.error, "Relative error of the reference")
       ->capture_default_str();
   c->add_flag(

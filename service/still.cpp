@@ -11,8 +11,15 @@ namespace penumbra::service {
 
 namespace {
 
-// Exact irradiance of an unshadowed plane from every pixel of the map.
-Rgb plane_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
+glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
+  return glm::normalize(v.world_from_camera.rotation *
+                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
+                                   -(py - v.principal_px.y) / v.focal_px.y, -1));
+}
+
+}  // namespace
+
+Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
   double sum[3] = {};
   for (int y = 0; y < map.height(); ++y) {
     const double w = latlong_solid_angle(y, map.width(), map.height());
@@ -26,14 +33,6 @@ Rgb plane_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
   return {static_cast<float>(sum[0]), static_cast<float>(sum[1]), static_cast<float>(sum[2])};
 }
 
-glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
-  return glm::normalize(v.world_from_camera.rotation *
-                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
-                                   -(py - v.principal_px.y) / v.focal_px.y, -1));
-}
-
-}  // namespace
-
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress) {
   if (!in.scene->real_mesh.triangles.empty() || in.scene->planes.size() > 1)
     return render_reference(in, false, error, std::nullopt, progress);
@@ -41,7 +40,7 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   if (!light) return std::unexpected(light.error());
   std::vector<Rgb> exit_radiance;
   for (const prt::Plane& p : in.scene->planes)
-    exit_radiance.push_back(p.albedo * plane_irradiance(*in.environment, p.normal) *
+    exit_radiance.push_back(p.albedo * exact_irradiance(*in.environment, p.normal) *
                             static_cast<float>(1 / kPi));
   constexpr int kSamples = 4;
   Still out;

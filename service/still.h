@@ -28,6 +28,9 @@ struct StillScene {
 
 using Progress = std::function<void(double)>;
 
+/// Of an unshadowed plane, from every pixel of the map.
+Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal);
+
 /// The world without virtual objects: environment and planes in closed form (irradiance exact from
 /// every pixel), path traced when there are real meshes or several planes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);

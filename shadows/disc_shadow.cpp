@@ -22,7 +22,8 @@ constexpr int kOpenTaps = 16;  // of the whole disc, for the cosine of an open v
 constexpr int kScouts = 4;  // taps that decide whether a node needs the others
 constexpr int kCoarse = 8;     // cells between the first nodes
 constexpr float kSame = .03f;      // a cell whose corners differ by less is flat
-constexpr float kStraight = .09f;  // midpoints this close to the bilinear value need no refinement
+constexpr float kSteep = .6f;      // an edge may hide in a cell whose corners differ by more
+constexpr float kStraight = .06f;  // midpoints this close to the bilinear value need no refinement
 constexpr double kLongest = 10;    // radii of the caster: longest shadow
 constexpr double kLeastSine = .02; // of a tap's elevation: lower ones throw their shadow like this one
 constexpr double kNarrow = .05;    // radians: nothing hides between the scouts of a narrower round disc
@@ -310,6 +311,8 @@ bool Refiner::is_straight(const Cell& c, int step) const {
     if (m.empty()) return true;
     const float a = m.at(c.x, c.y), b = m.at(c.x + step, c.y), d = m.at(c.x, c.y + step),
                 e = m.at(c.x + step, c.y + step);
+    const auto [low, high] = std::minmax({a, b, d, e});
+    if (high - low > kSteep) return false;
     const auto near = [](float u, float v) { return std::abs(u - v) < kStraight; };
     return near(m.at(c.x + h, c.y), (a + b) / 2) && near(m.at(c.x + h, c.y + step), (d + e) / 2) &&
            near(m.at(c.x, c.y + h), (a + d) / 2) && near(m.at(c.x + step, c.y + h), (b + e) / 2) &&

@@ -1,0 +1,50 @@
+// Calibrates the governor on scenes drawn at random and proves its promise on others.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "core/result.h"
+#include "lighting/lighting.h"
+#include "service/scene.h"
+
+namespace penumbra::service {
+
+/// Time of relighting and of tracing one disc in this scene on one thread, fitted.
+/// errors: kUnavailable (Embree)
+Result<lighting::CostModel> fit_costs(const PreparedScene& scene);
+
+/// Error of s at the probes of a scene in one environment, for every plan.
+struct ScenePlans {
+  struct Entry {
+    int bands, discs;
+    double predicted, measured;  // RMS of s where the reference is below .95; predicted without factor
+  };
+  std::uint32_t seed = 0;
+  std::vector<Entry> plans;
+  double worst_ratio() const;  // of measured to predicted
+};
+
+/// The shadow of the scene's first object on its floor in random environment `seed`, by reference rays and by every plan.
+/// errors: kUndetermined (no shadow worth measuring), else as the parts
+Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed, int rays);
+
+/// Lowest success probability that k successes of n leave possible with 95 % confidence, one-sided.
+/// source: Clopper & Pearson 1934
+double clopper_pearson_low(int successes, int trials);
+
+struct GovernorProof {
+  double factor = 0;  // the largest measured/predicted of the calibration scenes
+  int calibration = 0, scenes = 0, promised = 0, kept = 0;
+  double coverage_low = 0;    // Clopper-Pearson
+  double mean_regret = 0;     // cost over the cheapest plan that truly is within the budget, minus 1
+  double mean_error = 0, worst_error = 0;  // of the chosen plans
+  double mean_bands = 0, mean_discs = 0;
+};
+
+/// 59 scenes calibrate (95 % coverage with 95 % confidence), `test_scenes` others prove.
+Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting::CostModel& costs,
+                                     double budget, int test_scenes,
+                                     const std::function<void(double)>& progress);
+
+}  // namespace penumbra::service
