@@ -32,7 +32,9 @@ struct CameraInfo {
   calib::Projection projection;
   calib::Response response;
   calib::NoiseModel noise;
-  double black_level = 0;  // fraction of full scale
+  bool noise_known = false;  // of this camera; else `noise` only weighs exposures in a merge
+  double psf_sigma_px = 0;   // Gaussian blur of the picture, pixels; 0 = sharp or unknown
+  double black_level = 0;    // fraction of full scale
   Pose world_from_camera;
 };
 
@@ -255,17 +257,27 @@ class FloorWorld : public World {
 Image<Rgb> make_room_environment(int width, int height);
 /// Clear sky with a sun disc (radius .2666 degrees) of the given elevation, over grey ground.
 Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad);
+/// Sky, ground and up to four lamps, windows or suns drawn at random: scenes for calibration and its proof.
+Image<Rgb> make_random_environment(int width, int height, std::uint32_t seed);
 
-/// From radiance to codes: exposure, vignetting, shot and read noise, black level, clipping,
-/// response, quantisation.
+/// From radiance to codes: blur of the optics, exposure, vignetting, shot and read noise, black
+/// level, clipping, response, quantisation.
 struct Sensor {
   calib::Response response;
   calib::NoiseModel noise;
   double black_level = 0;
-  double vignetting = 0;  // relative loss of light in the corners
+  double vignetting = 0;    // relative loss of light in the corners
+  double psf_sigma_px = 0;  // Gaussian blur in linear light, before noise
   int bits = 8;           // 8 or 16
   bool noisy = true;
 };
+
+/// The largest blur that a camera may have.
+inline constexpr double kLargestPsfSigma = 20;
+
+/// Blurs by a Gaussian of this sigma, 0 to kLargestPsfSigma; beyond its edges the picture goes on
+/// as it is there.
+void blur(Image<Rgb>& picture, double sigma_px);
 
 /// out must have the size of `radiance`. The noise depends on (seed, pixel) alone.
 /// source: Poisson shot noise and Gaussian read noise, Hasinoff et al. 2010
@@ -281,7 +293,7 @@ struct StudioOptions {
   std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
   std::optional<Exposure>
       view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
-  Sensor sensor;
+  Sensor sensor;  // of both cameras; the blur is the view camera's alone
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;
   int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none
@@ -302,7 +314,7 @@ class Studio : public FrameSource {
 
   std::span<const Exposure> schedule() const { return options_.schedule; }
   Exposure view_exposure() const { return *options_.view_exposure; }
-  /// The view camera's linear picture without noise: the truth behind every view frame.
+  /// The view camera's linear picture, blurred, without noise: the truth behind every view frame.
   const Image<Rgb>& view_radiance() const { return view_radiance_; }
 
  private:
@@ -311,7 +323,7 @@ class Studio : public FrameSource {
   StudioOptions options_;
   std::shared_ptr<const World> world_;
   std::vector<CameraInfo> cameras_;
-  Image<Rgb> environment_radiance_, view_radiance_;
+  Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras
   std::vector<std::shared_ptr<const FramePixels>> clip_;
   std::uint64_t next_environment_ = 0, next_view_ = 0;
 };

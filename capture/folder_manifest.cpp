@@ -28,7 +28,8 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "frames",
                                             "world_from_camera",
                                             "full_well_electrons",
-                                            "read_fraction"};
+                                            "read_fraction",
+                                            "psf_sigma_px"};
 
 Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(values, keys.numbers(key, 2));
@@ -105,12 +106,19 @@ Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
     PENUMBRA_ASSIGN(electrons, keys.number("full_well_electrons"));
     if (electrons <= 0) return keys.invalid("full_well_electrons", "not positive");
     info.noise.full_well_electrons = electrons;
+    info.noise_known = true;
   }
   if (keys.has("read_fraction")) {
     PENUMBRA_ASSIGN(read, keys.number("read_fraction"));
     if (read < 0 || read >= 1)
       return keys.invalid("read_fraction", "not within 0..1 of full scale");
     info.noise.read_fraction = read;
+  }
+  if (keys.has("psf_sigma_px")) {
+    PENUMBRA_ASSIGN(sigma, keys.number("psf_sigma_px"));
+    if (!(sigma >= 0 && sigma <= kLargestPsfSigma))
+      return keys.invalid("psf_sigma_px", fmt::format("not within 0..{} pixels", kLargestPsfSigma));
+    info.psf_sigma_px = sigma;
   }
   return {};
 }
@@ -219,8 +227,12 @@ std::string print_manifest(const std::vector<CameraInfo>& cameras,
                           p.focal_px.y, p.principal_px.x, p.principal_px.y);
     text +=
         fmt::format("response = {}\nblack_level = {}\n", toml_quoted(responses[i]), c.black_level);
-    text += fmt::format("full_well_electrons = {}\nread_fraction = {}\n",
-                        c.noise.full_well_electrons, c.noise.read_fraction);
+    const calib::NoiseModel usual;
+    if (c.noise_known || c.noise.full_well_electrons != usual.full_well_electrons)
+      text += fmt::format("full_well_electrons = {}\n", c.noise.full_well_electrons);
+    if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
+      text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
+    if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
     const glm::dmat4 m = c.world_from_camera.matrix();
     text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
     text += fmt::format("frames = {}\n", toml_quoted(c.name + ".csv"));

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <numeric>
 
 #include "capture/capture.h"
 
@@ -110,8 +111,41 @@ void expose_rows(const Exposer& e, const Image<Rgb>& radiance, Image<Pixel>& out
 
 }  // namespace
 
+// source: discrete Gaussian exp(-t) I_n(t), t = sigma^2, of variance exactly t; Lindeberg 1990
+void blur(Image<Rgb>& picture, double sigma_px) {
+  if (!(sigma_px > 0)) return;
+  const double t = sigma_px * sigma_px;
+  const int radius = static_cast<int>(std::ceil(4 * sigma_px));
+  std::vector<double> weight;  // from the middle on
+  for (int k = 0; k <= radius; ++k) weight.push_back(std::exp(-t) * std::cyl_bessel_i(k, t));
+  const double sum = 2 * std::accumulate(weight.begin() + 1, weight.end(), weight[0] / 2);
+  const int width = picture.width(), height = picture.height();
+  const auto pass = [&](int step_x, int step_y) {
+    const Image<Rgb> in = picture;
+    tbb::parallel_for(0, height, [&](int y) {
+      for (int x = 0; x < width; ++x) {
+        Rgb mean;
+        for (int k = -radius; k <= radius; ++k)
+          mean += in.at(std::clamp(x + k * step_x, 0, width - 1),
+                        std::clamp(y + k * step_y, 0, height - 1)) *
+                  static_cast<float>(weight[static_cast<std::size_t>(std::abs(k))] / sum);
+        picture.at(x, y) = mean;
+      }
+    });
+  };
+  pass(1, 0);
+  pass(0, 1);
+}
+
 void expose(const Sensor& sensor, const Image<Rgb>& radiance, Exposure exposure, std::uint64_t seed,
             FramePixels& out) {
+  if (sensor.psf_sigma_px > 0) {
+    Image<Rgb> blurred = radiance;
+    blur(blurred, sensor.psf_sigma_px);
+    Sensor sharp = sensor;
+    sharp.psf_sigma_px = 0;
+    return expose(sharp, blurred, exposure, seed, out);
+  }
   const double gain = exposure.gain.value();
   const Exposer e{sensor,
                   make_code_curve(sensor.response, sensor.bits, sensor.black_level),

@@ -71,6 +71,7 @@ std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
   environment.world_from_camera.translation = {0, 1, 0};
   environment.response = o.sensor.response;
   environment.noise = o.sensor.noise;
+  environment.noise_known = o.sensor.noisy;
   environment.black_level = o.sensor.black_level;
   CameraInfo view = environment;
   view.name = "view";
@@ -80,6 +81,7 @@ std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
                      o.view_height,
                      {o.view_focal_px, o.view_focal_px},
                      {o.view_width / 2., o.view_height / 2.}};
+  view.psf_sigma_px = o.sensor.psf_sigma_px;
   view.world_from_camera = o.world_from_view;
   return {environment, view};
 }
@@ -135,6 +137,8 @@ Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
   environment_radiance_ =
       film_environment(*world_, options_.environment_width, options_.environment_height);
   view_radiance_ = film_view(*world_, cameras_[kViewCamera]);
+  blur(view_radiance_, options_.sensor.psf_sigma_px);  // once: it stands still
+  options_.sensor.psf_sigma_px = 0;
   if (options_.schedule.empty())
     options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
   if (!options_.view_exposure) {

@@ -7,70 +7,13 @@
 #include <algorithm>
 #include <atomic>
 
+#include "compositor/camera_look.h"
 #include "compositor/gl.h"
-#include "compositor/half_rows.h"
-#include "compositor/layers.h"
-#include "compositor/receivers.h"
+#include "compositor/layered_rows.h"
 
 namespace penumbra::compositor {
 
 namespace {
-
-// Access to one kind of pixel: linear signal in, linear signal out.
-template <class Code>
-struct Coded {
-  const CodeCurve& curve;
-  float decode(int c, Code code) const { return curve.decode(c, code); }
-  Code encode(int c, float v) const {
-    if constexpr (sizeof(Code) == 1)
-      return curve.encode8(c, v);
-    else
-      return static_cast<Code>(curve.encode(c, v));
-  }
-};
-struct Linear {
-  static float decode(int, float v) { return v; }
-  static float encode(int, float v) { return v; }
-};
-
-// Rows of one worker: shadow ratios and the layers as floats.
-struct RowBuffers {
-  std::vector<float> r, g, b, object, hidden;
-  void resize(std::size_t width) {
-    for (auto* v : {&r, &g, &b}) v->resize(width);
-    for (auto* v : {&object, &hidden}) v->resize(4 * width);
-  }
-};
-
-bool has_row(const Layer& layer, int y) {
-  return y >= layer.rect.y0 && y < layer.rect.y1;
-}
-
-void load_row(const Layer& layer, int y, std::vector<float>& out) {
-  floats_from_halves(layer.row(y), std::span(out).first(layer.row(y).size()));
-}
-
-struct Layered {
-  const Layer &objects, &hidden;
-  const Receivers& receivers;
-  Rect area;  // all that is touched at most
-};
-
-// Ratios of the row; real geometry in front of the receiver takes them back to 1.
-bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
-  const auto width = static_cast<std::size_t>(in.area.width());
-  for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
-  if (!in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data()))
-    return false;
-  if (!has_row(in.hidden, y)) return true;
-  load_row(in.hidden, y, rows.hidden);
-  for (int x = in.hidden.rect.x0; x < in.hidden.rect.x1; ++x) {
-    const float seen = 1 - rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
-    const auto i = static_cast<std::size_t>(x - in.area.x0);
-    for (auto* v : {&rows.r, &rows.g, &rows.b}) (*v)[i] = 1 + seen * ((*v)[i] - 1);
-  }
-  return true;
-}
 
 // The fused pass over one row of the touched rectangle.
 template <class Pixel, class Codec>
@@ -112,6 +55,12 @@ std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Laye
   return touched;
 }
 
+bool valid(const CameraLook& look) {
+  const auto within = [](float v, float most) { return v >= 0 && v <= most; };  // NaN is not
+  return within(look.psf_sigma_px, CameraLook::kLargestPsfSigma) && within(look.shot_gain, 1e6f) &&
+         within(look.read_noise, 1e6f);
+}
+
 constexpr const char* kShowVertex = R"(#version 310 es
 out vec2 uv;
 void main() {
@@ -139,6 +88,7 @@ struct Compositor::Impl {
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
   Layer objects, hidden;
+  LookPlanes look;
 };
 
 Compositor::Compositor(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -215,12 +165,16 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
                                                                         : 0u;
   if (needed && (view.curve == nullptr || view.curve->largest_code() != needed))
     return fail(ErrorCode::kInvalid, "frame", "no response curve of its bit depth");
+  if (!valid(view.look))
+    return fail(ErrorCode::kInvalid, "camera look", "blur or noise is negative or too large");
   const Rect receiver_area = impl_->receivers.prepare(view.camera);
   PENUMBRA_TRY(impl_->layers->draw(view, receiver_area, impl_->objects, impl_->hidden));
   const Layered in{impl_->objects, impl_->hidden, impl_->receivers,
                    united(impl_->objects.rect, receiver_area)};
   Touched touched;
-  if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
+  if (!view.look.none())
+    touched.pixels = composite_look(view, frame, in, impl_->look);
+  else if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
     touched.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, in);
   else if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
     touched.pixels = composite_pixels(Coded<std::uint16_t>{*view.curve}, *f16, in);

@@ -23,11 +23,29 @@
 
 namespace penumbra::compositor {
 
+/// What the camera does to all it sees, and so must happen to what is inserted: the blur of its
+/// optics, a Gaussian, and the noise of its sensor, variance g y + r^2 at signal y. Real pixels are
+/// not blurred again; a shadowed one gets what its noise lacks to that of a really darker one. By
+/// default nothing happens.
+/// source: Klein & Murray 2010; noise Hasinoff et al. 2010
+struct CameraLook {
+  static constexpr float kLargestPsfSigma = 20;
+
+  float psf_sigma_px = 0;   // 0..kLargestPsfSigma; the pixel grid keeps edges too sharp under .6
+  float shot_gain = 0;      // g, variance per unit of signal; signal in fractions of full scale
+  float read_noise = 0;     // r, standard deviation in signal
+  std::uint64_t frame = 0;  // another number, another pattern: must differ from frame to frame and
+                            // from eye to eye; the same number gives the same bytes
+
+  bool none() const { return psf_sigma_px == 0 && shot_gain == 0 && read_noise == 0; }
+};
+
 /// One eye of one frame.
 struct View {
   prt::PinholeView camera;
   const CodeCurve* curve = nullptr;  // of 8 or 16 bit as the frame; unused for float frames
   float signal_per_radiance = 1;     // sensor signal (fraction of full scale) per unit of radiance
+  CameraLook look{};
 };
 
 struct Touched {
@@ -68,8 +86,11 @@ class Compositor {
 
   /// Composites in place, in linear camera radiance:
   ///   B = f^-1(z), z' = f(a e L_v + (1 - a) B s)
+  /// and with a camera look
+  ///   z' = f(V + T B + n), V = PSF * a e L_v, T = PSF * (1 - a) s,
+  ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
   /// in:     frame of the size given at creation
-  /// errors: kInvalid (size, missing curve, depth), kUnavailable (GL lost)
+  /// errors: kInvalid (size, missing curve, depth, look), kUnavailable (GL lost)
   /// source: Debevec 1998 in the ratio form
   Result<Touched> composite(const View& view, FramePixels& frame);
 

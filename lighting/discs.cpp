@@ -201,24 +201,18 @@ void Peeler::peel(const Region& region, float level) {
   cut(region, level);
 }
 
-// Cuts the region down to its surroundings and turns what was above into candidates.
+// Cuts the region down to the level and turns what was above into a candidate. The level, not a share of the
+// region's own mean: a window that dims slowly then leaves the list with nothing left in it.
 void Peeler::cut(const Region& region, float level) {
-  double energy = 0, solid_angle = 0;
-  for (const Run& r : region.runs) {
-    const double w = weight_[static_cast<std::size_t>(r.y)];
-    solid_angle += w * (r.x1 - r.x0);
-    for (int x = r.x0; x < r.x1; ++x) energy += w * luminance(map_.at(x, r.y));
-  }
-  const float base = std::min(level, static_cast<float>(.5 * energy / solid_angle));
   std::vector<Excess> above;
   for (const Run& r : region.runs)
     for (int x = r.x0; x < r.x1; ++x) {
       Rgb& c = map_.at(x, r.y);
       const float l = luminance(c);
-      if (!(l > base)) continue;
-      above.push_back({x, r.y, c * (1 - base / l),
+      if (!(l > level)) continue;
+      above.push_back({x, r.y, c * (1 - level / l),
                        latlong_direction(x + .5, r.y + .5, map_.width(), map_.height())});
-      c = c * (base / l);
+      c = c * (level / l);
     }
   add_candidate(std::move(above));
 }

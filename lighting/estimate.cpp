@@ -46,6 +46,16 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
   auto projection = project(*map, environment.confidence);
   if (!projection) return std::unexpected(projection.error());
+  int bands = options_.bands;
+  std::optional<Plan> plan;
+  if (governor_) {
+    plan = plan_for(*projection, environment.time);
+    bands = plan->bands;
+    const auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan->discs));
+    left_over.insert(left_over.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
+                     split_.discs.end());
+    split_.discs.resize(used);
+  }
   for (const Disc& disc : left_over) {
     const RadianceSh whole = project_disc(disc, kMaxBands),
                      above = project_disc_above(disc, kMaxBands);
@@ -54,10 +64,24 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
       projection->above[n] += above[n];
     }
   }
-  LightEstimate estimate = make_estimate(*projection, options_.bands, split_.discs);
+  LightEstimate estimate = make_estimate(*projection, bands, split_.discs);
+  estimate.plan = plan;
   estimate.time = environment.time;
   estimate.clipped_fraction = environment.clipped_fraction;
   return estimate;
+}
+
+void LightEstimator::govern(const Governance& governance) {
+  governance_ = governance;
+  governance_->limits.most_bands = options_.bands;
+  governance_->limits.most_discs = options_.discs.most;
+  governor_.emplace(governance_->limits, governance_->costs);
+}
+
+Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {
+  const ErrorTable errors({&rest.above, split_.discs}, governance_->probes,
+                          governance_->limits.most_bands, governance_->limits.most_discs);
+  return governor_->update(errors, time);
 }
 
 LightEstimate make_estimate(const Projection& projection, int bands, std::vector<Disc> discs) {

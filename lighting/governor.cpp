@@ -7,60 +7,108 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr double kOwnSteps = .01;  // of bake, maps and interpolation, whatever the light
-// A narrow source goes on beyond the ninth band: with |l|^2/(2l+1) constant and shadow power falling as 1/l^2,
-// all bands from 9 on weigh what eight times band 8 does.
-constexpr double kBeyond = 8;
+constexpr double kNegligible_ms = .25;
+constexpr double kOwnSteps = .008;  // of bake, maps and interpolation, whatever the light
+constexpr double kTraced = .035;    // of taps and the form of a disc, as a share of its share of the light
+// Error that a point-like source causes when nine bands hold it, as a share of its own share of the light; wider
+// ones less, by what of their energy lies beyond band 8.
+constexpr double kBeyondNineBands = .28;
 
-double band_energy(const RadianceSh& light, int l) {
-  double sum = 0;
-  for (int n = coefficient_count(l); n < coefficient_count(l + 1); ++n)
-    sum += std::pow(double(luminance(light[n])), 2);
-  return sum / (2 * l + 1);
+// Share of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a point.
+double narrowness(const Disc& disc) {
+  constexpr double kHeldByNine = .37;  // radians: 21 degrees, where 81 coefficients suffice
+  const double t = disc.radius.value() / kHeldByNine;
+  return t >= 1 ? 0 : (1 - t) * (1 - t);
+}
+
+// s at the probes under harmonics `light`, with `traced` irradiance that is taken care of elsewhere.
+void add_ratio(const ShadowProbes& probes, const RadianceSh& light, double open, double sign,
+               std::vector<double>& out) {
+  if (!(open > 0)) return;
+  for (std::size_t p = 0; p < out.size(); ++p) {
+    double sum = 0;
+    for (int n = 0; n < light.size(); ++n)
+      sum += double(luminance(light[n])) *
+             double(probes.deficit[p * kMaxCoefficients + static_cast<std::size_t>(n)]);
+    out[p] += sign * sum / open;
+  }
 }
 
 }  // namespace
 
-double predicted_error(const SplitLight& light, int bands, int discs) {
-  RadianceSh harmonics = light.rest->with_bands(kMaxBands);
-  double beyond = 0;
-  for (std::size_t k = static_cast<std::size_t>(discs); k < light.discs.size(); ++k) {
-    const RadianceSh own = project_disc(light.discs[k], kMaxBands);
-    for (int n = 0; n < kMaxCoefficients; ++n) harmonics[n] += own[n];
-    beyond += kBeyond * band_energy(own, kMaxBands - 1);
+ErrorTable::ErrorTable(const SplitLight& light, const ShadowProbes& probes, int most_bands,
+                       int most_discs)
+    : most_bands_(most_bands),
+      most_discs_(std::min(most_discs, static_cast<int>(light.discs.size()))) {
+  const glm::dvec3 up(0, 1, 0);
+  const auto open_of = [&](const RadianceSh& l) { return luminance(evaluate(irradiance(l), up)); };
+  errors_.resize(static_cast<std::size_t>((most_discs_ + 1) * most_bands_));
+  for (int discs = most_discs_; discs >= 0; --discs) {
+    RadianceSh above = light.rest_above->with_bands(kMaxBands);
+    double traced = 0, traced_square = 0, beyond = 0;
+    for (std::size_t j = 0; j < light.discs.size(); ++j) {
+      const Disc& d = light.discs[j];
+      const double own = luminance(irradiance(d, up));
+      if (j < static_cast<std::size_t>(discs)) {
+        traced += own;
+        traced_square += own * own;
+        continue;
+      }
+      beyond += std::pow(narrowness(d) * own, 2);
+      const RadianceSh moments = project_disc_above(d, kMaxBands);
+      for (int n = 0; n < kMaxCoefficients; ++n) above[n] += moments[n];
+    }
+    const RadianceSh full = floor_light(above, kMaxBands);
+    const double open = std::max(open_of(full) + traced, 1e-30);
+    std::vector<double> truth(probes.count());
+    add_ratio(probes, full, open, -1, truth);
+    for (int bands = 1; bands <= most_bands_; ++bands) {
+      const RadianceSh cut = floor_light(above, bands);
+      std::vector<double> difference = truth;
+      add_ratio(probes, cut, open_of(cut) + traced, 1, difference);
+      double square = 0;
+      for (const double d : difference) square += d * d;
+      if (!difference.empty()) square /= static_cast<double>(difference.size());
+      square += (kBeyondNineBands * kBeyondNineBands * beyond + kTraced * kTraced * traced_square) /
+                (open * open);
+      errors_[static_cast<std::size_t>(discs * most_bands_ + bands - 1)] =
+          std::sqrt(square + kOwnSteps * kOwnSteps);
+    }
   }
-  double square = beyond * light.shadow_power[kMaxBands - 1];
-  for (int l = bands; l < kMaxBands; ++l)
-    square += band_energy(harmonics, l) * light.shadow_power[static_cast<std::size_t>(l)];
-  const double e0 = std::max(light.floor_irradiance, 1e-30);
-  return std::sqrt(square / (e0 * e0) + kOwnSteps * kOwnSteps);
 }
 
-Plan Governor::cheapest(const SplitLight& light, double budget) const {
+Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
   Plan best, most_accurate;
   bool found = false;
   double least_error = HUGE_VAL;
-  const int most_discs = std::min<int>(limits_.most_discs, static_cast<int>(light.discs.size()));
-  for (int discs = 0; discs <= most_discs; ++discs)
-    for (int bands = 1; bands <= limits_.most_bands; ++bands) {
-      Plan plan{bands, discs, kCalibrated * predicted_error(light, bands, discs),
+  for (int discs = 0; discs <= std::min(errors.most_discs(), limits_.most_discs); ++discs)
+    for (int bands = 1; bands <= std::min(errors.most_bands(), limits_.most_bands); ++bands) {
+      Plan plan{bands, discs, kCalibrated * errors.error(bands, discs),
                 costs_.ms(bands, discs), true};
       if (plan.error < least_error) least_error = plan.error, most_accurate = plan;
       if (plan.error > budget || (found && plan.ms >= best.ms)) continue;
       best = plan;
       found = true;
     }
+  // Bands that cost next to nothing also serve the objects' own shading, which the prediction does not see.
+  while (found && best.bands < std::min(errors.most_bands(), limits_.most_bands) &&
+         costs_.ms(best.bands + 1, best.discs) < best.ms + kNegligible_ms) {
+    ++best.bands;
+    best.error = kCalibrated * errors.error(best.bands, best.discs);
+  }
+  if (found) best.ms = costs_.ms(best.bands, best.discs);
   if (found) return best;
   most_accurate.within_budget = false;
   return most_accurate;
 }
 
-Plan Governor::update(const SplitLight& light, TimestampNs now) {
-  const Plan needed = cheapest(light, limits_.budget);
+Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
+  const Plan needed = cheapest(errors, limits_.budget);
   if (!current_) return *(current_ = needed);
-  const double present = kCalibrated * predicted_error(light, current_->bands, current_->discs);
+  const double present =
+      kCalibrated * errors.error(current_->bands, std::min(current_->discs, errors.most_discs()));
   const bool too_little = present > limits_.budget && needed.error < present;
-  const Plan modest = cheapest(light, kMargin * limits_.budget);
+  const Plan modest = cheapest(errors, kMargin * limits_.budget);
   const bool could_do_less = modest.within_budget && modest.ms < current_->ms;
   if (!could_do_less) could_do_less_since_.reset();
   if (could_do_less && !could_do_less_since_) could_do_less_since_ = now;

@@ -161,7 +161,7 @@ struct DiscSplit {
 };
 
 /// Blob peeling: connected regions brighter than six times the mean of what is not one (8-neighbours, across
-/// the seam, and around the poles), each cut down to a level below its own mean. A region of a
+/// the seam, and around the poles), each cut down to that level. A region of a
 /// thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of rest and discs
 /// together is the map's, channel by channel. Works on the full map: reduced to 64 rows a sun would move by up to 1.4
 /// degrees.
@@ -211,6 +211,79 @@ class DiscTracker {
   bool first_ = true;
 };
 
+// ---------------------------------------------------------------------------------- governor
+
+/// What one light update costs here, fitted where it runs.
+struct CostModel {
+  double base_ms = .2, per_coefficient_ms = .01, per_disc_ms = 5;
+  double ms(int bands, int discs) const {
+    return base_ms + per_coefficient_ms * coefficient_count(bands) + per_disc_ms * discs;
+  }
+};
+
+/// What the prediction needs to know of a light that has been split as far as it goes.
+struct SplitLight {
+  const RadianceSh* rest_above;  // nine bands of moments over y > 0, without the discs
+  std::span<const Disc> discs;   // by falling irradiance
+};
+
+/// pi S_n of a scene at points of its floor: [point][n], nine bands (prt::BakedObject::shadow_probes).
+struct ShadowProbes {
+  std::vector<float> deficit;
+  std::size_t count() const { return deficit.size() / kMaxCoefficients; }
+};
+
+/// Predicted RMS error of the shadow ratio s for every plan with up to `most_bands` bands and `most_discs` traced
+/// discs: what the bands left out would have done at the probes, the share of a disc that is too narrow even
+/// for nine bands, and what our own steps cost.
+class ErrorTable {
+ public:
+  ErrorTable(const SplitLight& light, const ShadowProbes& probes, int most_bands, int most_discs);
+  int most_bands() const { return most_bands_; }
+  int most_discs() const { return most_discs_; }
+  double error(int bands, int discs) const {
+    return errors_[static_cast<std::size_t>(discs * most_bands_ + bands - 1)];
+  }
+
+ private:
+  int most_bands_, most_discs_;
+  std::vector<double> errors_;
+};
+
+struct Plan {
+  int bands = 5, discs = 0;
+  double error = 0;  // predicted, with the factor that holds in 95 % of scenes
+  double ms = 0;
+  bool within_budget = true;  // false: the most accurate there is
+};
+
+/// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
+/// More at once, less only after two seconds in which four fifths of the budget would have sufficed.
+/// threads: thread-bound
+/// source: split conformal prediction; factor measured by `chart --governor` (docs/accuracy.md)
+class Governor {
+ public:
+  static constexpr double kCalibrated = 2.15;
+  static constexpr Seconds kPatience{2};
+  static constexpr double kMargin = .8;
+
+  struct Limits {
+    double budget = .05;  // RMS of s
+    int most_bands = 5, most_discs = 8;
+  };
+  Governor(const Limits& limits, const CostModel& costs) : limits_(limits), costs_(costs) {}
+
+  /// What this light needs by itself.
+  Plan cheapest(const ErrorTable& errors, double budget) const;
+  Plan update(const ErrorTable& errors, TimestampNs now);
+
+ private:
+  Limits limits_;
+  CostModel costs_;
+  std::optional<Plan> current_;
+  std::optional<TimestampNs> could_do_less_since_;
+};
+
 // ---------------------------------------------------------------------------------- estimate
 
 /// What an engine asks for.
@@ -226,66 +299,16 @@ struct LightEstimate {
   /// RMS error over all normals of unshadowed irradiance by leaving out bands >= light.bands(),
   /// relative to the mean irradiance; from the bands up to 9 that were measured.
   double truncation_error = 0;
+  std::optional<Plan> plan;  // of a governed estimator
 
   Seconds age(TimestampNs now) const { return now - time; }
 };
 
-// ---------------------------------------------------------------------------------- governor
-
-/// What one light update costs here, fitted where it runs.
-struct CostModel {
-  double base_ms = .2, per_coefficient_ms = .01, per_disc_ms = 5;
-  double ms(int bands, int discs) const {
-    return base_ms + per_coefficient_ms * coefficient_count(bands) + per_disc_ms * discs;
-  }
-};
-
-/// What the prediction needs to know of a light that has been split as far as it goes.
-struct SplitLight {
-  const RadianceSh* rest;       // nine bands
-  std::span<const Disc> discs;  // by falling irradiance
-  double floor_irradiance;      // luminance, of the open floor under everything
-  /// prt::BakedObject::shadow_power of what stands there, the largest of several.
-  std::array<double, kMaxBands> shadow_power;
-};
-
-/// Predicted RMS error of the shadow ratio s when the first `discs` discs are traced and everything else goes into
-/// `bands` bands, from the energy of the bands left out.
-/// source: the mean over rotations of sum_{l >= B} |l_l|^2 MS|S_l|^2/(2l+1)/E0^2
-double predicted_error(const SplitLight& light, int bands, int discs);
-
-struct Plan {
-  int bands = 5, discs = 0;
-  double error = 0;  // predicted, with the factor that holds in 95 % of scenes
-  double ms = 0;
-  bool within_budget = true;  // false: the most accurate there is
-};
-
-/// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
-/// More at once, less only after two seconds in which four fifths of the budget would have sufficed.
-/// threads: thread-bound
-/// source: split conformal prediction; factor measured by `chart --governor` (docs/accuracy.md)
-class Governor {
- public:
-  static constexpr double kCalibrated = 1;
-  static constexpr Seconds kPatience{2};
-  static constexpr double kMargin = .8;
-
-  struct Limits {
-    double budget = .03;  // RMS of s
-    int most_bands = 5, most_discs = 8;
-  };
-  Governor(const Limits& limits, const CostModel& costs) : limits_(limits), costs_(costs) {}
-
-  /// What this light needs by itself.
-  Plan cheapest(const SplitLight& light, double budget) const;
-  Plan update(const SplitLight& light, TimestampNs now);
-
- private:
-  Limits limits_;
-  CostModel costs_;
-  std::optional<Plan> current_;
-  std::optional<TimestampNs> could_do_less_since_;
+/// What a governed estimator is told.
+struct Governance {
+  Governor::Limits limits;
+  CostModel costs;
+  ShadowProbes probes;  // of what stands in the scene
 };
 
 struct EstimateOptions {
@@ -301,17 +324,22 @@ class LightEstimator {
   ~LightEstimator();
   LightEstimator(LightEstimator&&) noexcept;
   LightEstimator& operator=(LightEstimator&&) noexcept;
+  /// From now on bands and discs are the governor's choice within the options'; estimates carry the plan.
+  void govern(const Governance& governance);
   /// in: radiance 0 where the confidence is 0
   Result<LightEstimate> estimate(const Environment& environment);
 
  private:
   Result<Projection> project(const Image<Rgb>& map, const Image<float>& confidence);
   Result<Projection> project_whole(const Image<Rgb>& map);
+  Plan plan_for(const Projection& rest, TimestampNs time);
 
   std::unique_ptr<class HoleFit> hole_fit_;
   EstimateOptions options_;
   DiscSplit split_;
   DiscTracker tracker_;
+  std::optional<Governance> governance_;
+  std::optional<Governor> governor_;
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;
 };

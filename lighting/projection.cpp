@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "lighting/hole_fit.h"
 #include "lighting/latlong_kernel.h"
@@ -233,21 +234,38 @@ double parity(int m) {
 
 }  // namespace
 
+namespace {
+
+// G_up + e P G_up P for so many bands.
+Eigen::LDLT<Matrix> floor_system(int bands) {
+  const int count = coefficient_count(bands);
+  Matrix system(count, count);
+  for (int l = 0; l < bands; ++l)
+    for (int m = -l; m <= l; ++m)
+      for (int k = 0; k < bands; ++k)
+        for (int n = -k; n <= k; ++n) {
+          const int i = sh_index(l, m), j = sh_index(k, n);
+          system(i, j) = upper_gram()(i, j) * (1 + kBelowWeight * parity(m) * parity(n));
+        }
+  return system.ldlt();
+}
+
+}  // namespace
+
 RadianceSh floor_light(const RadianceSh& above, int bands) {
   // (G_up + e G_low) c = b_up + e b_mirror with G_low = P G_up P and b_mirror = P b_up.
-  const int count = coefficient_count(bands);
+  static const std::vector<Eigen::LDLT<Matrix>> systems = [] {
+    std::vector<Eigen::LDLT<Matrix>> all;
+    for (int b = 1; b <= kMaxBands; ++b) all.push_back(floor_system(b));
+    return all;
+  }();
   const RadianceSh used = above.with_bands(bands);
-  Matrix system(count, count), moments(count, 3);
+  Matrix moments(coefficient_count(bands), 3);
   for (int l = 0; l < bands; ++l)
-    for (int m = -l; m <= l; ++m) {
-      const int i = sh_index(l, m);
-      for (int c = 0; c < 3; ++c) moments(i, c) = used[i][c] * (1 + kBelowWeight * parity(m));
-      for (int k = 0; k < bands; ++k)
-        for (int n = -k; n <= k; ++n)
-          system(i, sh_index(k, n)) =
-              upper_gram()(i, sh_index(k, n)) * (1 + kBelowWeight * parity(m) * parity(n));
-    }
-  return to_light(system.ldlt().solve(moments), bands);
+    for (int m = -l; m <= l; ++m)
+      for (int c = 0; c < 3; ++c)
+        moments(sh_index(l, m), c) = used[sh_index(l, m)][c] * (1 + kBelowWeight * parity(m));
+  return to_light(systems[static_cast<std::size_t>(bands - 1)].solve(moments), bands);
 }
 
 Result<Projection> project_samples(const LightSamples& s, int bands) {

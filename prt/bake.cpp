@@ -82,7 +82,7 @@ class Baker {
   Transfer packed_vertices() const;
   Transfer packed_deficit() const;
   Transfer packed_indirect(std::size_t first, std::size_t count) const;
-  std::array<float, kMaxBands> shadow_power() const;
+  Transfer shadow_probes() const;
 
   const float* transfer_at(std::size_t point, int channel) const {
     return &current_[(point * static_cast<std::size_t>(channels_) +
@@ -336,22 +336,20 @@ Transfer Baker::packed_indirect(std::size_t first, std::size_t count) const {
   return out;
 }
 
-std::array<float, kMaxBands> Baker::shadow_power() const {
-  double sum[kMaxBands] = {};
-  std::size_t dark = 0;
-  for (std::size_t p = mesh_.positions.size(); p < points_.size(); ++p) {
-    const float* const t = transfer_at(p, 0);
-    if (ground_far_[0] - t[0] < .05f * ground_far_[0]) continue;
-    ++dark;
-    for (int l = 0; l < bands_; ++l)
-      for (int n = coefficient_count(l); n < coefficient_count(l + 1); ++n)
-        sum[l] += std::pow(kPi * (ground_far_[static_cast<std::size_t>(n)] - t[n]), 2);
+Transfer Baker::shadow_probes() const {
+  std::vector<std::size_t> dark;
+  for (std::size_t p = mesh_.positions.size(); p < points_.size(); ++p)
+    if (ground_far_[0] - transfer_at(p, 0)[0] > .05f * ground_far_[0]) dark.push_back(p);
+  const std::size_t count =
+      bands_ < kMaxBands ? 0 : std::min<std::size_t>(dark.size(), BakedObject::kShadowProbes);
+  Transfer out(kMaxBands, 1, count);
+  for (std::size_t i = 0; i < count; ++i) {
+    // Steps by the golden ratio reach all of the dark part evenly, whatever its outline.
+    const double at = std::fmod(.5 + static_cast<double>(i) * .6180339887498949, 1.);
+    const float* const t = transfer_at(dark[static_cast<std::size_t>(at * double(dark.size()))], 0);
+    for (int n = 0; n < kMaxCoefficients; ++n)
+      out.set(0, n, i, ground_far_[static_cast<std::size_t>(n)] - t[n]);
   }
-  std::array<float, kMaxBands> out{};
-  for (int l = 0; l < kMaxBands && dark > 0; ++l)
-    out[static_cast<std::size_t>(l)] =
-        l < bands_ ? static_cast<float>(sum[l] / static_cast<double>(dark))
-                   : out[static_cast<std::size_t>(l - 1)];  // not traced: no less is safe
   return out;
 }
 
@@ -401,7 +399,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   if (options_.receiver) {
     out.receiver = options_.receiver;
     out.ground_deficit = packed_deficit();
-    out.shadow_power = shadow_power();
+    out.shadow_probes = shadow_probes();
     out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
   }
   out.mesh = std::move(mesh);

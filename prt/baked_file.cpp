@@ -60,7 +60,7 @@ Value number(double v) {
 
 // Accessors of the transfers that no viewer needs.
 struct HalfAccessors {
-  int indirect = -1, ground_deficit = -1, ground_indirect = -1;
+  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
 };
 
 Value::Object describe(const BakedObject& o, const HalfAccessors& halves) {
@@ -84,9 +84,8 @@ Value::Object describe(const BakedObject& o, const HalfAccessors& halves) {
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
     r["deficit"] = Value(halves.ground_deficit);
     r["indirect"] = Value(halves.ground_indirect);
-    Value::Array power;
-    for (const float p : o.shadow_power) power.push_back(number(p));
-    r["shadow_power"] = Value(power);
+    r["probes"] = Value(halves.shadow_probes);
+    r["probe_count"] = Value(static_cast<int>(o.shadow_probes.points));
     d["receiver"] = Value(r);
   }
   return d;
@@ -126,6 +125,7 @@ Model to_model(const BakedObject& o) {
   if (o.receiver) {
     halves.ground_deficit = add_halves(o.ground_deficit);
     halves.ground_indirect = add_halves(o.ground_indirect);
+    if (o.shadow_probes.points > 0) halves.shadow_probes = add_halves(o.shadow_probes);
   }
   model.meshes.emplace_back().primitives.push_back(primitive);
   model.nodes.emplace_back().mesh = 0;
@@ -250,11 +250,11 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height,
                        albedo.r,   albedo.g,   albedo.b};
   if (!finite(all) || g.half_extent <= 0) return false;
-  for (int l = 0; l < kMaxBands; ++l) {
-    const double power = get(r, "shadow_power", l);
-    if (!(power >= 0 && power < 1e6)) return false;
-    o.shadow_power[static_cast<std::size_t>(l)] = static_cast<float>(power);
-  }
+  const double probes = get(r, "probe_count");
+  if (!(probes >= 0 && probes <= BakedObject::kShadowProbes)) return false;
+  if (probes > 0 && !read_halves(m, get(r, "probes"), kMaxBands, 1,
+                                 static_cast<std::size_t>(probes), o.shadow_probes))
+    return false;
   const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
   o.receiver = Receiver{g, albedo};
   return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,

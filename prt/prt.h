@@ -212,9 +212,10 @@ struct BakedObject {
   /// The share of `transfer`, and of the receiver's irradiance/pi, that came by reflection between object and
   /// receiver: smooth, so at most kIndirectBands, and what a disc needs beside its direct light.
   Transfer indirect, ground_indirect;
-  /// How much shadow each band l of a light can make: mean of sum_m (pi S_lm)^2 over the receiver's texels that a
-  /// uniform sky would darken by 5 %. What the governor predicts truncation from; zeros without receiver.
-  std::array<float, kMaxBands> shadow_power{};
+  /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform sky would darken by
+  /// 5 %: what the governor predicts truncation from. No points without receiver or bounces.
+  static constexpr int kShadowProbes = 64;
+  Transfer shadow_probes;
   BakeReport report;
 };
 

@@ -28,6 +28,7 @@ Result<void> composite(const CompositeOptions& o) {
     return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
   auto discs = choose_discs(o.discs);
   if (!discs) return std::unexpected(discs.error());
+  PENUMBRA_TRY(check_budget(o.budget));
   auto source = capture::open_capture_folder(o.capture);
   if (!source) return std::unexpected(source.error());
   auto scene = read_scene(o.scene);
@@ -45,6 +46,9 @@ Result<void> composite(const CompositeOptions& o) {
   settings.bands = o.bands;
   auto prepared = prepare(*scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
+  auto governance = make_governance(*prepared, o.budget, false);
+  if (!governance) return std::unexpected(governance.error());
+  light->govern(*governance);
   auto compose =
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());

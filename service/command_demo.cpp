@@ -56,6 +56,7 @@ Result<void> check(const DemoOptions& o) {
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
   PENUMBRA_TRY(choose_discs(o.discs));
+  PENUMBRA_TRY(check_budget(o.budget));
   if (o.live && o.record)
     return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
   return {};
@@ -115,6 +116,9 @@ Result<void> demo(const DemoOptions& o) {
   const auto discs = choose_discs(o.discs);  // checked before the bake
   auto light = LightStage::create(studio.cameras(), {o.bands, *discs}, times);
   if (!light) return std::unexpected(light.error());
+  auto governance = make_governance(ready->scene, o.budget, o.live);
+  if (!governance) return std::unexpected(governance.error());
+  light->govern(*governance);
   auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
   if (!compose) return std::unexpected(compose.error());
   auto writer = FrameWriter::create({folder, false, true, o.fps}, times);

@@ -5,6 +5,7 @@
 
 #include "service/commands.h"
 #include "service/http_api.h"
+#include "service/light_file.h"
 #include "service/progress.h"
 #include "service/rig_config.h"
 #include "service/runner.h"
@@ -104,6 +105,9 @@ Result<void> serve(const ServeOptions& o) {
   const auto& cameras = rig->source->cameras();
   auto light = LightStage::create(cameras, {config->bands, {config->discs, .02}}, times);
   if (!light) return std::unexpected(light.error());
+  auto governance = make_governance(*prepared, config->budget, true);
+  if (!governance) return std::unexpected(governance.error());
+  light->govern(*governance);
   auto compose =
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());

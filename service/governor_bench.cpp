@@ -128,7 +128,6 @@ struct Split {
   lighting::Projection rest;
   std::vector<lighting::Disc> discs;
   std::vector<shadows::DiscShadow> shadows;
-  std::array<double, kMaxBands> power{};
 };
 
 Result<Split> split_and_trace(const PreparedScene& scene, const Image<Rgb>& map) {
@@ -136,8 +135,7 @@ Result<Split> split_and_trace(const PreparedScene& scene, const Image<Rgb>& map)
   PENUMBRA_TRY(lighting::split_discs(map, {kMostDiscs, .02}, split));
   auto rest = lighting::project_latlong(split.rest, kMaxBands);
   if (!rest) return std::unexpected(rest.error());
-  Split out{*rest, std::move(split.discs), {}, {}};
-  std::ranges::copy(scene.objects[0].baked.shadow_power, out.power.begin());
+  Split out{*rest, std::move(split.discs), {}};
   auto rays = prt::RayWorld::create();
   if (!rays) return std::unexpected(rays.error());
   const PreparedObject& o = scene.objects[0];
@@ -196,6 +194,15 @@ double binomial_upper_tail(int successes, int trials, double p) {
 
 }  // namespace
 
+lighting::ShadowProbes shadow_probes(const PreparedScene& scene) {
+  lighting::ShadowProbes out;
+  for (const PreparedObject& o : scene.objects)
+    for (std::size_t p = 0; p < o.baked.shadow_probes.points; ++p)
+      for (int n = 0; n < kMaxCoefficients; ++n)
+        out.deficit.push_back(static_cast<float>(kPi) * o.baked.shadow_probes.value(0, n, p));
+  return out;
+}
+
 double clopper_pearson_low(int successes, int trials) {
   if (successes == 0) return 0;
   double low = 0, high = 1;
@@ -248,16 +255,15 @@ Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed,
   if (!reference) return std::unexpected(reference.error());
   auto split = split_and_trace(scene, map);
   if (!split) return std::unexpected(split.error());
-  const double floor_irradiance = luminance(exact_irradiance(map, {0, 1, 0}));
-  const lighting::SplitLight light{&split->rest.light, split->discs, floor_irradiance,
-                                   split->power};
+  const lighting::ErrorTable table({&split->rest.above, split->discs}, shadow_probes(scene),
+                                   kMaxBands, kMostDiscs);
   ScenePlans out;
   out.seed = seed;
   for (int discs = 0; discs <= static_cast<int>(split->discs.size()); ++discs)
     for (int bands = 1; bands <= kMaxBands; ++bands) {
       const double measured = shadow_rmse(our_ratios(probes, *split, bands, discs), *reference);
       if (measured < 0) return fail(ErrorCode::kUndetermined, "scene", "has no shadow to measure");
-      out.plans.push_back({bands, discs, lighting::predicted_error(light, bands, discs), measured});
+      out.plans.push_back({bands, discs, table.error(bands, discs), measured});
     }
   return out;
 }

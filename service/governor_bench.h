@@ -10,6 +10,9 @@
 
 namespace penumbra::service {
 
+/// The baked probes of all objects on a floor.
+lighting::ShadowProbes shadow_probes(const PreparedScene& scene);
+
 /// Time of relighting and of tracing one disc in this scene on one thread, fitted.
 /// errors: kUnavailable (Embree)
 Result<lighting::CostModel> fit_costs(const PreparedScene& scene);

@@ -2,7 +2,10 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <charconv>
+
+#include "service/governor_bench.h"
 
 namespace penumbra::service {
 
@@ -42,6 +45,23 @@ Result<lighting::DiscOptions> choose_discs(const std::string& text) {
     return fail(ErrorCode::kInvalid, "--discs",
                 "\"" + text + "\" is neither auto nor within 0..64");
   return options;
+}
+
+Result<void> check_budget(double budget) {
+  if (budget > 0 && budget <= 1) return {};
+  return fail(ErrorCode::kInvalid, "--budget", "not within 0..1 (RMS error of the shadow ratio)");
+}
+
+Result<lighting::Governance> make_governance(const PreparedScene& scene, double budget,
+                                             bool fitted) {
+  lighting::Governance out;
+  out.limits.budget = budget;
+  out.probes = shadow_probes(scene);
+  if (!fitted) return out;
+  auto costs = fit_costs(scene);
+  if (!costs) return std::unexpected(costs.error());
+  out.costs = *costs;
+  return out;
 }
 
 Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands) {

@@ -6,6 +6,7 @@
 
 #include "capture/capture.h"
 #include "lighting/lighting.h"
+#include "service/scene.h"
 
 namespace penumbra::service {
 
@@ -21,6 +22,14 @@ Result<FileLight> read_light(const std::string& path, const std::optional<std::s
 /// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the most discs.
 /// errors: kInvalid
 Result<lighting::DiscOptions> choose_discs(const std::string& text);
+
+/// errors: kInvalid
+Result<void> check_budget(double budget);
+
+/// For a scene. `fitted`: costs measured here and now; else fixed ones,
+/// so that a replay makes the same choices everywhere.
+/// errors: kUnavailable
+Result<lighting::Governance> make_governance(const PreparedScene& scene, double budget, bool fitted);
 
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid

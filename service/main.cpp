@@ -23,6 +23,9 @@ void add_json(CLI::App* app, bool& json) {
 constexpr const char* kDiscsHelp =
     "Most compact sources lit one by one beside the bands, or auto (8)";
 
+constexpr const char* kBudgetHelp =
+    "RMS error of the shadow ratio that the governor keeps to; bands and discs are its limits";
+
 void add_image_commands(CLI::App& app, Action& action) {
   auto* hdr = app.add_subcommand("hdr", "High dynamic range images");
   hdr->require_subcommand(1);
@@ -119,6 +122,7 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_option("--out", composite_options.output, "Output folder")->required();
   c->add_option("--bands", composite_options.bands, "1 to 9")->capture_default_str();
   c->add_option("--discs", composite_options.discs, kDiscsHelp)->capture_default_str();
+  c->add_option("--budget", composite_options.budget, kBudgetHelp)->capture_default_str();
   c->add_flag("!--no-video", composite_options.video, "Stills alone");
   add_json(c, composite_options.json);
   c->callback([&] { action = [] { return composite(composite_options); }; });
@@ -167,6 +171,7 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
   c->add_option("--bands", demo_options.bands, "1 to 9")->capture_default_str();
   c->add_option("--discs", demo_options.discs, kDiscsHelp)->capture_default_str();
+  c->add_option("--budget", demo_options.budget, kBudgetHelp)->capture_default_str();
   add_json(c, demo_options.json);
   c->callback([&] { action = [] { return demo(demo_options); }; });
 

@@ -118,7 +118,7 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   for (const PreparedObject& o : scene.objects) {
     const int handle = stage->compositor_->add_object(o.baked);
     stage->objects_.push_back(
-        {&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}, {}});
+        {&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}, {}, {}});
   }
   return stage;
 }
@@ -146,11 +146,43 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   for (std::size_t i = 0; i < objects_.size(); ++i)
     relit |= update_object(i, poses[i], light, discs_changed);
   if (!relit && !discs_changed) return false;
+  share_shadows(poses);
   std::vector<Rgb> open;
   for (const prt::Plane& plane : scene_.planes)
     open.push_back(open_irradiance(light, plane.normal));
   compositor_->set_disc_shadows(discs_.shadows(open));
   return true;
+}
+
+namespace {
+
+// Two objects on one plane whose shadows can meet.
+bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObject& b,
+              const Pose& at_b) {
+  if (!a.receiver || !b.receiver) return false;
+  const glm::dvec3 up = at_a.rotation * glm::dvec3(0, 1, 0);
+  const glm::dvec3 apart = at_b.translation - at_a.translation;
+  return glm::dot(up, at_b.rotation * glm::dvec3(0, 1, 0)) > kLevel &&
+         std::abs(glm::dot(apart, up)) < 1e-4 &&
+         glm::length(apart) < double(a.receiver->grid.half_extent + b.receiver->grid.half_extent);
+}
+
+}  // namespace
+
+void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    Object& o = objects_[k];
+    const prt::BakedObject& baked = o.prepared->baked;
+    const shadows::PlanarShadow* shown = &o.shadow;
+    for (std::size_t i = 0; i < k; ++i) {
+      const Object& other = objects_[i];
+      if (!may_meet(other.prepared->baked, poses[i], baked, poses[k])) continue;
+      if (shown == &o.shadow) o.shared = o.shadow, shown = &o.shared;
+      shadows::share_shadow({&other.prepared->baked, poses[i], &other.shadow},
+                            {&baked, poses[k], &o.shadow}, o.shared);
+    }
+    compositor_->set_light(o.handle, o.relit, *shown);
+  }
 }
 
 bool ComposeStage::update_object(std::size_t index, const Pose& pose,
@@ -193,7 +225,6 @@ bool ComposeStage::update_object(std::size_t index, const Pose& pose,
     // Cannot fail: the object has a receiver.
     (void)shadows::compose_planar_shadow(baked, on_receiver, o.shadow);
   }
-  compositor_->set_light(o.handle, o.relit, o.shadow);
   o.light_used = light;
   return true;
 }

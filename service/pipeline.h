@@ -25,6 +25,7 @@ class LightStage {
                                    const lighting::EstimateOptions& options, StageTimes& times);
 
   int camera() const { return camera_; }
+  void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
   /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
   Result<lighting::LightEstimate> process(const capture::Frame& frame);
 
@@ -78,7 +79,7 @@ class ComposeStage {
     int handle;
     std::optional<RadianceSh> light_used;  // in the bake frame
     std::vector<float> relit, reflected;
-    shadows::PlanarShadow shadow;
+    shadows::PlanarShadow shadow, shared;  // alone, and with what others take already left out
   };
   struct ViewCamera {
     capture::CameraInfo info;
@@ -91,6 +92,7 @@ class ComposeStage {
         scene_(scene),
         discs_(std::move(discs)),
         times_(times) {}
+  void share_shadows(const std::vector<Pose>& poses);
   bool update_object(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
                     bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);

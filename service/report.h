@@ -30,6 +30,17 @@ inline nlohmann::json to_json(const lighting::Disc& d) {
           {"clipped", d.clipped}};
 }
 
+/// What the governor picked and why.
+inline nlohmann::json to_json(const lighting::Plan& p) {
+  return {{"bands", p.bands},
+          {"discs", p.discs},
+          {"predicted_error", p.error},
+          {"predicted_ms", p.ms},
+          {"within_budget", p.within_budget},
+          {"why", p.within_budget ? "the cheapest whose predicted shadow error keeps to the budget"
+                                  : "the most accurate there is; none keeps to the budget"}};
+}
+
 /// The whole light in harmonics, and beside it the split for who lights by discs: `rest` plus `discs` is all.
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
   nlohmann::json discs = nlohmann::json::array();
@@ -43,7 +54,8 @@ inline nlohmann::json to_json(const lighting::LightEstimate& e) {
           {"mean_radiance", to_json(e.mean_radiance)},
           {"coverage", e.coverage},
           {"clipped_fraction", e.clipped_fraction},
-          {"truncation_error", e.truncation_error}};
+          {"truncation_error", e.truncation_error},
+          {"plan", e.plan ? to_json(*e.plan) : nlohmann::json()}};
 }
 
 inline nlohmann::json to_json(const StageTimes& times) {

@@ -105,13 +105,14 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   constexpr std::string_view capture_keys[] = {"source", "environment", "asset",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
-  constexpr std::string_view light_keys[] = {"bands", "discs", "stale_after_s"};
+  constexpr std::string_view light_keys[] = {"bands", "discs", "budget", "stale_after_s"};
   constexpr std::string_view http_keys[] = {"address", "port"};
   const auto capture = [&](const TomlKeys& k) { return read_capture(k, folder, c); };
   const auto scene = [&](const TomlKeys& k) { return read_path(k, "file", folder, c.scene); };
   const auto light = [&](const TomlKeys& k) -> Result<void> {
     PENUMBRA_TRY(read_integer(k, "bands", 1, kMaxBands, c.bands));
     PENUMBRA_TRY(read_integer(k, "discs", 0, 64, c.discs));
+    PENUMBRA_TRY(read_number(k, "budget", .001, 1, c.budget));
     return read_number(k, "stale_after_s", 0, 3600, c.stale_after_s);
   };
   const auto http = [&](const TomlKeys& k) { return read_http(k, c); };

@@ -33,6 +33,7 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
   auto composited = compose.process(frame, light);
   if (!composited) return std::unexpected(composited.error());
   counts.touched += composited->touched.fraction;
+  counts.plan = light.plan;
   counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
   go_on = sink({frame, std::make_shared<const FramePixels>(std::move(composited->pixels)), light});
   return {};

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <functional>
 #include <memory>
+#include <optional>
 
 #include "core/queues.h"
 #include "service/pipeline.h"
@@ -19,6 +20,7 @@ struct RunCounts {
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
   int discs = 0;      // most that lit a frame
+  std::optional<lighting::Plan> plan;  // the governor's last
   int exposures = 0;  // distinct exposures of the environment camera
 };
 

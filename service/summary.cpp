@@ -18,6 +18,7 @@ nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const
           {"configuration",
            {{"bands", c.bands},
             {"discs", counts.discs},
+            {"plan", counts.plan ? to_json(*counts.plan) : nlohmann::json()},
             {"exposures", counts.exposures},
             {"width", c.width},
             {"height", c.height},
@@ -35,6 +36,10 @@ void print_summary(const nlohmann::json& s) {
       100 * s["touched_fraction"].get<double>());
   fmt::print("{} objects, {} bands, {} discs, {} exposures, {}\n", c["objects"].get<int>(),
              c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(), c["renderer"].get<std::string>());
+  if (const auto& p = c["plan"]; !p.is_null())
+    fmt::print("governor: {} bands, {} discs, predicted error {:.3f}, {:.1f} ms: {}\n",
+               p["bands"].get<int>(), p["discs"].get<int>(), p["predicted_error"].get<double>(),
+               p["predicted_ms"].get<double>(), p["why"].get<std::string>());
   fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
     fmt::print("{:<14} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),

@@ -46,6 +46,19 @@ struct ReceiverLight {
 Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
                                    PlanarShadow& out);
 
+struct PlacedShadow {
+  const prt::BakedObject* object;
+  Pose world_from_bake;  // both on one plane
+  const PlanarShadow* shadow;
+};
+
+/// Shadows of two objects are multiplied where they meet, which darkens twice where both block the same
+/// directions. This changes the second's ratio (`out`, a copy of second.shadow) so that the product is 1 - (d_a + d_b -
+/// what they block in common), the common part from the correlation of their deficits over all directions. It
+/// lies within max(d) .. min(1, sum d); equal objects in one place darken once, separate directions add up.
+/// threads: reentrant, parallel inside; no allocation
+void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
+
 // ---------------------------------------------------------------------------------- discs
 
 /// What can stand between a point and a disc.

@@ -1,0 +1,73 @@
+// Rows of what the compositor puts into a frame, for the passes over its pixels.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "compositor/half_rows.h"
+#include "compositor/layers.h"
+#include "compositor/receivers.h"
+#include "core/code_curve.h"
+
+namespace penumbra::compositor {
+
+/// Access to one kind of pixel: linear signal in, linear signal out.
+template <class Code>
+struct Coded {
+  const CodeCurve& curve;
+  float decode(int c, Code code) const { return curve.decode(c, code); }
+  Code encode(int c, float v) const {
+    if constexpr (sizeof(Code) == 1)
+      return curve.encode8(c, v);
+    else
+      return static_cast<Code>(curve.encode(c, v));
+  }
+};
+struct Linear {
+  static float decode(int, float v) { return v; }
+  static float encode(int, float v) { return v; }
+};
+
+/// Rows of one worker: shadow ratios and the layers as floats.
+struct RowBuffers {
+  std::vector<float> r, g, b, object, hidden;
+  void resize(std::size_t width) {
+    for (auto* v : {&r, &g, &b}) v->resize(width);
+    for (auto* v : {&object, &hidden}) v->resize(4 * width);
+  }
+};
+
+inline bool has_row(const Layer& layer, int y) {
+  return y >= layer.rect.y0 && y < layer.rect.y1;
+}
+
+inline void load_row(const Layer& layer, int y, std::vector<float>& out) {
+  floats_from_halves(layer.row(y), std::span(out).first(layer.row(y).size()));
+}
+
+/// What one frame is composited from.
+struct Layered {
+  const Layer &objects, &hidden;
+  const Receivers& receivers;
+  Rect area;  // all that is touched at most
+};
+
+/// Ratios of the row; real geometry in front of the receiver takes them back to 1. False when no
+/// shadow reaches it: then they are 1.
+inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
+  const auto width = static_cast<std::size_t>(in.area.width());
+  for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
+  if (!in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data())) return false;
+  if (!has_row(in.hidden, y)) return true;
+  load_row(in.hidden, y, rows.hidden);
+  for (int x = in.hidden.rect.x0; x < in.hidden.rect.x1; ++x) {
+    const float seen = 1 - rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
+    const auto i = static_cast<std::size_t>(x - in.area.x0);
+    for (auto* v : {&rows.r, &rows.g, &rows.b}) (*v)[i] = 1 + seen * ((*v)[i] - 1);
+  }
+  return true;
+}
+
+}  // namespace penumbra::compositor

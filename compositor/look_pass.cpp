@@ -1,0 +1,192 @@
+// The pass over the touched pixels with the camera's look.
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+
+#include <atomic>
+#include <bit>
+
+#include "compositor/camera_look.h"
+#include "compositor/layered_rows.h"
+
+namespace penumbra::compositor {
+
+namespace {
+
+// The variance that quantisation leaves in the signal, by 8-bit code; finer codes leave none.
+template <class Code>
+using Roundings = std::array<std::array<float, sizeof(Code) == 1 ? 256 : 0>, 3>;
+
+template <class Codec>
+Roundings<std::uint8_t> roundings_of(const Codec& codec, std::uint8_t) {
+  Roundings<std::uint8_t> out;
+  for (int c = 0; c < 3; ++c)
+    for (int z = 0; z < 256; ++z) {
+      const int below = std::max(z - 1, 0), above = std::min(z + 1, 255);
+      const float step = (codec.decode(c, static_cast<std::uint8_t>(above)) -
+                          codec.decode(c, static_cast<std::uint8_t>(below))) /
+                         static_cast<float>(above - below);
+      out[static_cast<std::size_t>(c)][static_cast<std::size_t>(z)] = step * step / 12;
+    }
+  return out;
+}
+template <class Codec, class Code>
+Roundings<Code> roundings_of(const Codec&, Code) {
+  return {};
+}
+
+// Rows of one worker: six planes of V and 1 - T, then real signal, its rounding and the result.
+struct LookBuffers {
+  RowBuffers layers;
+  std::vector<float> planes, real, rounding, out;
+  std::vector<std::uint32_t> touched;  // 0 where nothing changes
+  void resize(std::size_t width, std::size_t stride) {
+    layers.resize(width);
+    planes.resize(6 * stride);
+    for (auto* v : {&real, &rounding, &out}) v->resize(stride, 0.f);
+    touched.resize(stride);
+  }
+};
+
+struct Loaded {
+  bool objects = false, shadows = false;
+};
+
+// V and 1 - T of a row of in.area before any blur.
+Loaded load_planes(const Layered& in, int y, std::size_t stride, LookBuffers& rows) {
+  RowBuffers& layers = rows.layers;
+  const Loaded loaded{has_row(in.objects, y), load_shadows(in, y, layers)};
+  if (!loaded.objects && !loaded.shadows) return loaded;
+  std::ranges::fill(rows.planes, 0.f);
+  const auto width = static_cast<std::size_t>(in.area.width());
+  const float* const ratio[3] = {layers.r.data(), layers.g.data(), layers.b.data()};
+  for (std::size_t c = 0; c < 3; ++c) {
+    float* const taken = &rows.planes[(3 + c) * stride];
+    for (std::size_t i = 0; i < width; ++i) taken[i] = 1 - ratio[c][i];
+  }
+  if (!loaded.objects) return loaded;
+  load_row(in.objects, y, layers.object);
+  const auto first = static_cast<std::size_t>(in.objects.rect.x0 - in.area.x0),
+             count = static_cast<std::size_t>(in.objects.rect.width());
+  for (std::size_t c = 0; c < 3; ++c) {
+    float* const added = &rows.planes[c * stride + first];
+    float* const taken = &rows.planes[(3 + c) * stride + first];
+    for (std::size_t i = 0; i < count; ++i) {
+      added[i] = layers.object[4 * i + c];
+      taken[i] += layers.object[4 * i + 3] * (1 - taken[i]);
+    }
+  }
+  return loaded;
+}
+
+// The same after the blur, of a row of planes.taken.area(). False when nothing reaches it.
+bool load_blurred(const LookPlanes& planes, int y, std::size_t stride, LookBuffers& rows) {
+  std::fill_n(rows.planes.begin(), 3 * stride, 0.f);
+  const Rect &area = planes.taken.area(), &objects = planes.added.area();
+  if (!objects.empty())
+    planes.added.load_row(y, &rows.planes[static_cast<std::size_t>(objects.x0 - area.x0)], stride);
+  return planes.taken.load_row(y, &rows.planes[3 * stride], stride);  // takes wherever it adds
+}
+
+// Marks the pixels where any plane is not 0; returns [first, last), empty without any.
+std::pair<std::size_t, std::size_t> mark_touched(std::size_t width, std::size_t stride,
+                                                 LookBuffers& rows) {
+  std::uint32_t* const touched = rows.touched.data();
+  std::fill_n(touched, width, 0u);
+  for (std::size_t p = 0; p < 6; ++p) {
+    const float* const plane = &rows.planes[p * stride];
+    for (std::size_t i = 0; i < width; ++i)
+      touched[i] |= std::bit_cast<std::uint32_t>(plane[i]) << 1;
+  }
+  std::size_t first = 0, last = width;
+  while (first < last && !touched[first]) ++first;
+  while (last > first && !touched[last - 1]) --last;
+  return {first, last};
+}
+
+template <class Pixel, class Codec, class Code>
+std::size_t look_row(const Codec& codec, const Roundings<Code>& roundings, const CameraLook& look,
+                     Pixel* row, int y, const Rect& area, std::size_t stride, LookBuffers& rows) {
+  const auto [first, last] = mark_touched(static_cast<std::size_t>(area.width()), stride, rows);
+  if (first == last) return 0;
+  constexpr Code Pixel::*kChannels[] = {&Pixel::r, &Pixel::g, &Pixel::b};
+  Pixel* const pixels = row + area.x0;
+  const std::uint32_t* const touched = rows.touched.data();
+  for (std::size_t c = 0; c < 3; ++c) {
+    const auto channel = kChannels[c];
+    const int number = static_cast<int>(c);
+    for (std::size_t i = first; i < last; ++i) {
+      const Code code = pixels[i].*channel;
+      rows.real[i] = codec.decode(number, code);
+      if constexpr (sizeof(Code) == 1) rows.rounding[i] = roundings[c][code];
+    }
+    const std::size_t from = first / kLookLanes * kLookLanes,
+                      count = (last - from + kLookLanes - 1) / kLookLanes * kLookLanes;
+    const auto key = noise_key(look.frame, y, number);
+    add_with_noise({&rows.planes[c * stride + from],
+                    &rows.planes[(3 + c) * stride + from],
+                    &rows.real[from],
+                    &rows.rounding[from],
+                    {key[0], key[1]},
+                    static_cast<std::uint32_t>(area.x0) + static_cast<std::uint32_t>(from)},
+                   look.shot_gain, look.read_noise * look.read_noise, count, &rows.out[from]);
+    for (std::size_t i = first; i < last; ++i)
+      if (touched[i]) pixels[i].*channel = codec.encode(number, rows.out[i]);
+  }
+  return last - first - static_cast<std::size_t>(std::count(touched + first, touched + last, 0u));
+}
+
+// Without blur one pass; with it the planes of all rows come first.
+template <class Pixel, class Codec>
+std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layered& in,
+                           const CameraLook& look, LookPlanes& planes) {
+  using Code = decltype(Pixel::r);
+  const auto roundings = roundings_of(codec, Code{});
+  const bool blurs = look.psf_sigma_px > 0;
+  if (blurs) {
+    planes.added.prepare(in.objects.rect, look.psf_sigma_px, frame.width(), frame.height());
+    planes.taken.prepare(in.area, look.psf_sigma_px, frame.width(), frame.height());
+  }
+  const Rect area = blurs ? planes.taken.area() : in.area;
+  const std::size_t stride = padded_row(area.width()) + kLookLanes;  // room for load_row's excess
+  const auto each_row = [&](const Rect& rect, const auto& work) {
+    tbb::parallel_for(tbb::blocked_range<int>(rect.y0, rect.y0 + rect.height(), 8),
+                      [&](const auto& range) {
+                        thread_local LookBuffers rows;  // grow once per thread
+                        rows.resize(static_cast<std::size_t>(frame.width()), stride);
+                        for (int y = range.begin(); y < range.end(); ++y) work(y, rows);
+                      });
+  };
+  if (blurs)
+    each_row(in.area, [&](int y, LookBuffers& rows) {
+      const Loaded loaded = load_planes(in, y, stride, rows);
+      if (loaded.objects)
+        planes.added.set_row(
+            y, &rows.planes[static_cast<std::size_t>(in.objects.rect.x0 - in.area.x0)], stride);
+      if (loaded.objects || loaded.shadows)
+        planes.taken.set_row(y, &rows.planes[3 * stride], stride);
+    });
+  std::atomic<std::size_t> touched = 0;
+  each_row(area, [&](int y, LookBuffers& rows) {
+    if (blurs) {
+      if (!load_blurred(planes, y, stride, rows)) return;
+    } else if (const Loaded l = load_planes(in, y, stride, rows); !l.objects && !l.shadows) {
+      return;
+    }
+    touched += look_row<Pixel, Codec, Code>(codec, roundings, look, frame.row(y).data(), y, area,
+                                            stride, rows);
+  });
+  return touched;
+}
+
+}  // namespace
+
+std::size_t composite_look(const View& view, FramePixels& frame, const Layered& in,
+                           LookPlanes& planes) {
+  if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
+    return composite_rows(Coded<std::uint8_t>{*view.curve}, *f8, in, view.look, planes);
+  if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
+    return composite_rows(Coded<std::uint16_t>{*view.curve}, *f16, in, view.look, planes);
+  return composite_rows(Linear{}, std::get<Image<Rgb>>(frame), in, view.look, planes);
+}
+
+}  // namespace penumbra::compositor
