@@ -84,6 +84,28 @@ void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::u
     }
 }
 
+// Only rows that lack confidence are looked at: without clipping their sums are exact.
+void EnvironmentAssembler::list_clipped(const Image<HalfRgba>& source,
+                                        std::vector<std::uint32_t>& out) const {
+  out.clear();
+  const auto width = static_cast<std::size_t>(width_);
+  const HalfRgba* const pixels = source.pixels().data();
+  const auto takes_part = [&](const GatherTap& tap) {
+    if (tap.offset < 0) return false;
+    const HalfRgba *const upper = pixels + tap.offset, *const lower = upper + source_width_;
+    const auto in_row = [&](const HalfRgba* p) {
+      return (tap.right < 1 && p[0].a == 0) || (tap.right > 0 && p[1].a == 0);
+    };
+    return (tap.down < 1 && in_row(upper)) || (tap.down > 0 && in_row(lower));
+  };
+  for (std::size_t y = 0; y < seen_.size(); ++y) {
+    if (alpha_[y] == seen_[y]) continue;
+    for (std::size_t i = y * width; i < (y + 1) * width; ++i)
+      if (taps_.empty() ? pixels[i].a == 0 : takes_part(taps_[i]))
+        out.push_back(static_cast<std::uint32_t>(i));
+  }
+}
+
 void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out) {
   if (out.radiance.width() != width_ || out.radiance.height() != height_) {
     out.radiance = Image<Rgb>(width_, height_);
@@ -111,6 +133,7 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     total += std::max(0., seen_[row] - alpha_[row]) * latlong_solid_angle(y, width_, height_);
   }
   out.clipped_fraction = total / (4 * kPi);
+  list_clipped(merged.pixels, out.clipped);
   out.black_fraction = merged.black_fraction;
 }
 

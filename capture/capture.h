@@ -184,12 +184,14 @@ class EnvironmentAssembler {
   EnvironmentAssembler(EnvironmentAssembler&&) noexcept;
   EnvironmentAssembler& operator=(EnvironmentAssembler&&) noexcept;
   /// Bilinear gather; where the camera does not look, radiance and confidence are 0.
-  /// threads: internally parallel; no allocation once `out` has its size
+  /// threads: internally parallel; no allocation once `out` has its size and has held as many
+  /// clipped pixels
   void assemble(const MergedImage& merged, Environment& out);
 
  private:
   void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
                    Image<Rgb>& out);
+  void list_clipped(const Image<HalfRgba>& source, std::vector<std::uint32_t>& out) const;
   struct Span {
     int first, last;  // columns [first, last) of a row hold everything that is seen
   };

@@ -149,8 +149,12 @@ void Compositor::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
   impl_->layers->add_plane(point, normal);
 }
 
-void Compositor::add_occluder(const prt::Mesh& mesh) {
-  impl_->layers->add_occluder(mesh);
+int Compositor::add_occluder(const prt::Mesh& mesh) {
+  return impl_->layers->add_occluder(mesh);
+}
+
+void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios) {
+  impl_->layers->set_ratios(occluder, ratios);
 }
 
 Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
@@ -170,7 +174,7 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
   const Rect receiver_area = impl_->receivers.prepare(view.camera);
   PENUMBRA_TRY(impl_->layers->draw(view, receiver_area, impl_->objects, impl_->hidden));
   const Layered in{impl_->objects, impl_->hidden, impl_->receivers,
-                   united(impl_->objects.rect, receiver_area)};
+                   united(united(impl_->objects.rect, receiver_area), impl_->hidden.rect)};
   Touched touched;
   if (!view.look.none())
     touched.pixels = composite_look(view, frame, in, impl_->look);

@@ -80,7 +80,10 @@ class Compositor {
   /// The discs' shadows on real planes, all at once; none after creation. Copies the maps.
   void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
   /// Real geometry (world frame): hides objects and shadows behind it.
-  void add_occluder(const prt::Mesh& world_mesh);
+  /// The number names it for set_ratios.
+  int add_occluder(const prt::Mesh& world_mesh);
+  /// What virtual things leave of the light at the vertices of real geometry; 1 after add_occluder.
+  void set_ratios(int occluder, std::span<const Rgb> ratios);
   /// A real plane: hides objects behind it. Shadows fall on it, so it hides none.
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 

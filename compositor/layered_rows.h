@@ -54,18 +54,22 @@ struct Layered {
   Rect area;  // all that is touched at most
 };
 
-/// Ratios of the row; real geometry in front of the receiver takes them back to 1. False when no
-/// shadow reaches it: then they are 1.
+/// Ratios of the row; real geometry in front of the receiver brings its own. False when no shadow
+/// reaches it: then they are 1.
 inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
   const auto width = static_cast<std::size_t>(in.area.width());
   for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
-  if (!in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data())) return false;
-  if (!has_row(in.hidden, y)) return true;
+  const bool on_planes =
+      in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data());
+  if (!has_row(in.hidden, y)) return on_planes;
   load_row(in.hidden, y, rows.hidden);
   for (int x = in.hidden.rect.x0; x < in.hidden.rect.x1; ++x) {
-    const float seen = 1 - rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
+    const float* const real = &rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
     const auto i = static_cast<std::size_t>(x - in.area.x0);
-    for (auto* v : {&rows.r, &rows.g, &rows.b}) (*v)[i] = 1 + seen * ((*v)[i] - 1);
+    const float seen = 1 - real[3];
+    rows.r[i] = 1 + seen * (rows.r[i] - 1) - real[0];
+    rows.g[i] = 1 + seen * (rows.g[i] - 1) - real[1];
+    rows.b[i] = 1 + seen * (rows.b[i] - 1) - real[2];
   }
   return true;
 }

@@ -33,13 +33,18 @@ void main() { colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1); 
 
 constexpr const char* kOccluderVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 deficit;
 uniform mat4 clip_from_object;
-void main() { gl_Position = clip_from_object * vec4(position, 1); }
-)";
+out vec3 taken;
+void main() {
+  taken = deficit;
+  gl_Position = clip_from_object * vec4(position, 1);
+})";
 constexpr const char* kOccluderFragment = R"(#version 310 es
-precision mediump float;
+precision highp float;
+in vec3 taken;
 out vec4 colour;
-void main() { colour = vec4(1); }
+void main() { colour = vec4(taken, 1); }
 )";
 
 void set_matrix(GLuint program, const glm::dmat4& m) {
@@ -142,6 +147,11 @@ Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
   attribute(0, 3, 0);
+  // Nothing taken until set_ratios says otherwise; zeros stay zeros under interpolation.
+  const std::vector<float> zeros(3 * mesh.positions.size(), 0.f);
+  glBindBuffer(GL_ARRAY_BUFFER, o.deficits.get());
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(zeros), zeros.data(), GL_DYNAMIC_DRAW);
+  attribute(1, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
   glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
                GL_STATIC_DRAW);
@@ -149,8 +159,31 @@ Layers::Occluder Layers::upload(const prt::Mesh& mesh) {
   return o;
 }
 
-void Layers::add_occluder(const prt::Mesh& mesh) {
+int Layers::add_occluder(const prt::Mesh& mesh) {
   occluders_.push_back(upload(mesh));
+  occluder_meshes_.push_back({mesh.positions, mesh.triangles, {}});
+  drawn_.reset();
+  return static_cast<int>(occluders_.size()) - 1;
+}
+
+void Layers::set_ratios(int occluder, std::span<const Rgb> ratios) {
+  const auto index = static_cast<std::size_t>(occluder);
+  std::vector<Rgb> deficits;
+  for (const Rgb& s : ratios) deficits.push_back({1 - s.r, 1 - s.g, 1 - s.b});
+  glBindBuffer(GL_ARRAY_BUFFER, occluders_[index].deficits.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(deficits), deficits.data());
+  OccluderMesh& mesh = occluder_meshes_[index];
+  const Rgb open{1, 1, 1};
+  std::optional<prt::Bounds> shaded;
+  for (const auto& t : mesh.triangles) {
+    if (ratios[t[0]] == open && ratios[t[1]] == open && ratios[t[2]] == open) continue;
+    for (const std::uint32_t v : t) {
+      const glm::vec3& p = mesh.positions[v];
+      shaded = shaded ? prt::Bounds{glm::min(shaded->low, p), glm::max(shaded->high, p)}
+                      : prt::Bounds{p, p};
+    }
+  }
+  mesh.shaded = shaded;
   drawn_.reset();
 }
 
@@ -221,6 +254,14 @@ void Layers::finish(Layer& out) {
   glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
 }
 
+Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const {
+  const glm::vec3 &a = bounds.low, &b = bounds.high;
+  const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z},
+                                 {b.x, b.y, a.z}, {a.x, a.y, b.z}, {b.x, a.y, b.z},
+                                 {a.x, b.y, b.z}, {b.x, b.y, b.z}};
+  return reach(clip_from_bounds, corners, width_, height_);
+}
+
 Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& objects,
                           Layer& hidden) {
   // A camera on a tripod before unchanged objects in unchanged light: the layers still hold.
@@ -231,14 +272,9 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& ob
   const glm::dmat4 clip_from_world =
       clip_from_camera(view.camera) * view.camera.world_from_camera.inverse().matrix();
   objects.rect = {};
-  for (const Object& o : objects_) {
-    const glm::vec3 &a = o.bounds.low, &b = o.bounds.high;
-    const glm::dvec3 corners[8] = {{a.x, a.y, a.z}, {b.x, a.y, a.z}, {a.x, b.y, a.z},
-                                   {b.x, b.y, a.z}, {a.x, a.y, b.z}, {b.x, a.y, b.z},
-                                   {a.x, b.y, b.z}, {b.x, b.y, b.z}};
-    objects.rect = united(objects.rect, reach(clip_from_world * o.world_from_bake.matrix(), corners,
-                                              width_, height_));
-  }
+  for (const Object& o : objects_)
+    objects.rect = united(
+        objects.rect, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
   if (!objects.rect.empty()) {
     begin(objects.rect);
     glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
@@ -249,6 +285,8 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& ob
     finish(objects);
   }
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
+  for (const OccluderMesh& mesh : occluder_meshes_)
+    if (mesh.shaded) hidden.rect = united(hidden.rect, reach_of(clip_from_world, *mesh.shaded));
   if (!hidden.rect.empty()) {
     begin(hidden.rect);
     draw_occluders(occluders_, clip_from_world);

@@ -1,6 +1,7 @@
 // What GL draws: the objects' radiance and coverage, and what real geometry hides.
 #pragma once
 
+#include <array>
 #include <optional>
 #include <span>
 #include <vector>
@@ -28,12 +29,14 @@ class Layers {
   int add_object(const prt::BakedObject& object);
   void set_pose(int object, const Pose& world_from_bake);
   void set_light(int object, std::span<const float> relit);
-  void add_occluder(const prt::Mesh& mesh);
+  int add_occluder(const prt::Mesh& mesh);
+  /// Shadow ratios at the vertices of real geometry.
+  void set_ratios(int occluder, std::span<const Rgb> ratios);
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
   /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples
-  /// a pixel. hidden: coverage of real geometry inside `receiver_area`, in every channel; empty
-  /// without any. Both are left as they are when nothing changed since the last call; the caller
+  /// a pixel. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
+  /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller
   /// keeps them.
   Result<void> draw(const View& view, const Rect& receiver_area, Layer& objects, Layer& hidden);
 
@@ -48,8 +51,13 @@ class Layers {
   };
   struct Occluder {
     GlVertexArray geometry;
-    GlBuffer vertices, indices;
+    GlBuffer vertices, deficits, indices;
     GLsizei index_count = 0;
+  };
+  struct OccluderMesh {
+    std::vector<glm::vec3> positions;
+    std::vector<std::array<std::uint32_t, 3>> triangles;
+    std::optional<prt::Bounds> shaded;  // of the triangles with a ratio other than 1
   };
   // The fine picture first, each following one half as large, the last at one sample a pixel.
   struct Target {
@@ -74,6 +82,7 @@ class Layers {
   static Occluder upload(const prt::Mesh& mesh);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world);
   void finish(Layer& out);
+  Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_, oversampling_;
   GlProgram object_program_, occluder_program_;
@@ -81,6 +90,7 @@ class Layers {
   GlRenderbuffer fine_depth_;
   std::vector<Object> objects_;
   std::vector<Occluder> occluders_, planes_;
+  std::vector<OccluderMesh> occluder_meshes_;  // by occluder
   std::optional<Drawn> drawn_;  // what the caller's layers show
 };
 

@@ -1,6 +1,9 @@
 // Where capture and lighting meet: one HDR lat-long picture of the surroundings.
 #pragma once
 
+#include <cstdint>
+#include <vector>
+
 #include "core/image.h"
 #include "core/units.h"
 
@@ -12,6 +15,9 @@ struct Environment {
   TimestampNs time;         // capture time of the newest frame in it
   double clipped_fraction = 0;  // of the solid angle: saturated in every exposure
   double black_fraction = 0;    // of the solid angle: below the noise in every exposure
+  /// Where a clipped sample took part, so that the radiance is a lower bound: pixels y * width + x,
+  /// ascending; empty when nothing is clipped.
+  std::vector<std::uint32_t> clipped{};
 };
 
 }  // namespace penumbra

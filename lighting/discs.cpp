@@ -61,12 +61,13 @@ struct Candidate {
   glm::dvec3 centre;
   double flux;         // luminance times solid angle
   double solid_angle;  // of an even disc with the same second moment of radiance
+  bool clipped;
 };
 
 class Peeler {
  public:
-  Peeler(const DiscOptions& options, DiscSplit& split)
-      : options_(options), map_(split.rest), discs_(split.discs), split_(split) {
+  Peeler(const DiscOptions& options, std::span<const std::uint32_t> clipped, DiscSplit& split)
+      : options_(options), clipped_(clipped), map_(split.rest), discs_(split.discs), split_(split) {
     for (int y = 0; y < map_.height(); ++y)
       weight_.push_back(latlong_solid_angle(y, map_.width(), map_.height()));
   }
@@ -80,14 +81,17 @@ class Peeler {
   std::vector<Region> regions_of(std::vector<Run> runs) const;
   std::vector<Run> runs_above(float level, std::span<const Run> within) const;
   void peel(const Region& region, float level);
-  void cut(const Region& region, float level);
-  void add_candidate(std::vector<Excess> pixels);
+  double flux_of(const Region& region) const;
+  void cut_clipped(float level);
+  void cut(const Region& region, float level, bool clipped = false);
+  void add_candidate(std::vector<Excess> pixels, bool clipped);
   void put_back(std::span<const Excess> pixels);
   std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
   void join_concentric();
   void choose();
 
   const DiscOptions& options_;
+  std::span<const std::uint32_t> clipped_;
   Image<Rgb>& map_;
   std::vector<Disc>& discs_;
   DiscSplit& split_;
@@ -201,9 +205,36 @@ void Peeler::peel(const Region& region, float level) {
   cut(region, level);
 }
 
+double Peeler::flux_of(const Region& region) const {
+  double sum = 0;
+  for (const Run& r : region.runs)
+    for (int x = r.x0; x < r.x1; ++x)
+      sum += weight_[static_cast<std::size_t>(r.y)] * luminance(map_.at(x, r.y));
+  return sum;
+}
+
+// Clipped pixels come first, so that the disc is where they are and what they lack is not spread
+// over the glow around them. Down to half of their own mean where that is not six times the rest.
+void Peeler::cut_clipped(float level) {
+  std::vector<Run> runs;
+  for (const std::uint32_t i : clipped_) {
+    const int y = static_cast<int>(i) / map_.width(), x = static_cast<int>(i) % map_.width();
+    if (!runs.empty() && runs.back().y == y && runs.back().x1 == x)
+      ++runs.back().x1;
+    else
+      runs.push_back({y, x, x + 1});
+  }
+  for (const Region& region : regions_of(std::move(runs))) {
+    double solid_angle = 0;
+    for (const Run& r : region.runs)
+      solid_angle += weight_[static_cast<std::size_t>(r.y)] * (r.x1 - r.x0);
+    cut(region, std::min(level, static_cast<float>(.5 * flux_of(region) / solid_angle)), true);
+  }
+}
+
 // Cuts the region down to the level and turns what was above into a candidate. The level, not a share of the
 // region's own mean: a window that dims slowly then leaves the list with nothing left in it.
-void Peeler::cut(const Region& region, float level) {
+void Peeler::cut(const Region& region, float level, bool clipped) {
   std::vector<Excess> above;
   for (const Run& r : region.runs)
     for (int x = r.x0; x < r.x1; ++x) {
@@ -214,10 +245,10 @@ void Peeler::cut(const Region& region, float level) {
                        latlong_direction(x + .5, r.y + .5, map_.width(), map_.height())});
       c = c * (level / l);
     }
-  add_candidate(std::move(above));
+  add_candidate(std::move(above), clipped);
 }
 
-void Peeler::add_candidate(std::vector<Excess> pixels) {
+void Peeler::add_candidate(std::vector<Excess> pixels, bool clipped) {
   double flux = 0, square = 0;
   glm::dvec3 centre(0);
   for (const Excess& p : pixels) {
@@ -226,13 +257,13 @@ void Peeler::add_candidate(std::vector<Excess> pixels) {
     square += w * l * l;
     centre += w * l * p.direction;
   }
-  if (!(flux > least_flux_)) {
+  if (!(flux > (clipped ? 0 : least_flux_))) {
     put_back(pixels);
     return;
   }
   const double cap = std::min(2 * kPi, flux * flux / square), length = glm::length(centre);
-  candidates_.push_back(
-      {std::move(pixels), length > 1e-9 * flux ? centre / length : glm::dvec3(0, 1, 0), flux, cap});
+  const glm::dvec3 direction = length > 1e-9 * flux ? centre / length : glm::dvec3(0, 1, 0);
+  candidates_.push_back({std::move(pixels), direction, flux, cap, clipped});
 }
 
 void Peeler::put_back(std::span<const Excess> pixels) {
@@ -305,21 +336,26 @@ void Peeler::join_concentric() {
       a.solid_angle = (a.flux * a.solid_angle + b.flux * b.solid_angle) / flux;
       a.centre = glm::normalize(a.flux * a.centre + b.flux * b.centre);
       a.flux = flux;
+      a.clipped |= b.clipped;
       a.pixels.insert(a.pixels.end(), b.pixels.begin(), b.pixels.end());
       candidates_.erase(candidates_.begin() + static_cast<std::ptrdiff_t>(k));
     }
 }
 
-// The strongest become discs; the others go back into the map.
+// The strongest become discs, clipped ones first of all; the others go back into the map.
 void Peeler::choose() {
   std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
   join_concentric();
   std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
+  const auto clipped = static_cast<int>(std::ranges::count_if(candidates_, &Candidate::clipped));
+  int for_clipped = std::min(clipped, options_.most), for_others = options_.most - for_clipped;
   for (const Candidate& c : candidates_) {
-    if (c.flux < least_flux_ || static_cast<int>(discs_.size()) >= options_.most) {
+    int& places = c.clipped ? for_clipped : for_others;
+    if ((c.flux < least_flux_ && !c.clipped) || places <= 0) {
       put_back(c.pixels);
       continue;
     }
+    --places;
     double rgb[3] = {};
     for (const Excess& p : c.pixels)
       for (int k = 0; k < 3; ++k)
@@ -329,6 +365,7 @@ void Peeler::choose() {
     disc.radius = Radians(std::acos(1 - c.solid_angle / (2 * kPi)));
     for (int k = 0; k < 3; ++k) disc.radiance[k] = static_cast<float>(rgb[k] / c.solid_angle);
     disc.shape = shape_of(c);
+    disc.clipped = c.clipped;
     discs_.push_back(std::move(disc));
   }
 }
@@ -344,16 +381,10 @@ Result<void> Peeler::run() {
   double rest = *mean;
   for (int i = 0; i < 3; ++i) rest = mean_below(kAboveMean * rest);
   const auto level = static_cast<float>(kAboveMean * rest);
+  if (!clipped_.empty()) cut_clipped(level);
   auto regions = regions_above(level);
-  const auto flux = [&](const Region& region) {
-    double sum = 0;
-    for (const Run& r : region.runs)
-      for (int x = r.x0; x < r.x1; ++x)
-        sum += weight_[static_cast<std::size_t>(r.y)] * luminance(map_.at(x, r.y));
-    return sum;
-  };
   std::vector<std::pair<double, const Region*>> order;
-  for (const Region& region : regions) order.emplace_back(-flux(region), &region);
+  for (const Region& region : regions) order.emplace_back(-flux_of(region), &region);
   std::ranges::sort(order, {}, &std::pair<double, const Region*>::first);
   for (const auto& [negative_flux, region] : order) {
     if (-negative_flux < least_flux_) break;
@@ -373,10 +404,13 @@ Rgb Disc::irradiance() const {
   return radiance * static_cast<float>(kPi * std::pow(std::sin(radius.value()), 2));
 }
 
-Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split) {
+Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
+                         std::span<const std::uint32_t> clipped) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  if (!std::ranges::is_sorted(clipped) || (!clipped.empty() && clipped.back() >= map.area()))
+    return fail(ErrorCode::kInvalid, "environment", "its clipped pixels are out of order or outside");
   split.rest = map;
-  return Peeler(options, split).run();
+  return Peeler(options, clipped, split).run();
 }
 
 namespace {

@@ -38,32 +38,45 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   if (options_.discs.most > 0) {
     DiscOptions found = options_.discs;
     found.least_share /= 2;
-    PENUMBRA_TRY(split_discs(environment.radiance, found, split_));
+    PENUMBRA_TRY(split_discs(environment.radiance, found, split_, environment.clipped));
+    // A clipped source enters at any share: what is measured of it does not tell what it sends.
+    const double irradiance = kPi * split_.mean_luminance;
     left_over = tracker_.update(environment.time, options_.discs.least_share,
-                                kPi * split_.mean_luminance, split_.discs);
+                                irradiance, split_.discs);
+    completions_.apply(split_.discs, left_over);
     map = &split_.rest;
   }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
   auto projection = project(*map, environment.confidence);
   if (!projection) return std::unexpected(projection.error());
-  int bands = options_.bands;
-  std::optional<Plan> plan;
-  if (governor_) {
-    plan = plan_for(*projection, environment.time);
-    bands = plan->bands;
-    const auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan->discs));
-    left_over.insert(left_over.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
-                     split_.discs.end());
-    split_.discs.resize(used);
-  }
-  for (const Disc& disc : left_over) {
+  const auto add = [&](const Disc& disc) {
     const RadianceSh whole = project_disc(disc, kMaxBands),
                      above = project_disc_above(disc, kMaxBands);
     for (int n = 0; n < kMaxCoefficients; ++n) {
       projection->light[n] += whole[n];
       projection->above[n] += above[n];
     }
+  };
+  // Sources too weak for a number are part of the rest whichever side of the limit they are on.
+  // What tracked ones leave over is not filtered: it completes the disc of this map.
+  for (const Disc& disc : left_over)
+    if (disc.id == 0) add(disc);
+  if (options_.filter) filter_.update(environment.time, *projection);
+  int bands = options_.bands;
+  std::optional<Plan> plan;
+  if (governor_) {
+    plan = plan_for(*projection, environment.time);
+    bands = plan->bands;
+    auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan->discs));
+    for (std::size_t i = used; i < split_.discs.size(); ++i)
+      if (split_.discs[i].clipped) used = i + 1;
+    plan->discs = std::max(plan->discs, static_cast<int>(used));
+    left_over.insert(left_over.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
+                     split_.discs.end());
+    split_.discs.resize(used);
   }
+  for (const Disc& disc : left_over)
+    if (disc.id != 0) add(disc);
   LightEstimate estimate = make_estimate(*projection, bands, split_.discs);
   estimate.plan = plan;
   estimate.time = environment.time;

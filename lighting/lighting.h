@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
 #include <memory>
@@ -11,6 +12,7 @@
 #include <span>
 #include <vector>
 
+#include "core/conventions.h"
 #include "core/environment.h"
 #include "core/image.h"
 #include "core/result.h"
@@ -167,8 +169,11 @@ struct DiscSplit {
 /// degrees.
 /// out:     split.rest keeps its memory between calls
 /// errors:  kInvalid (empty), kNonFinite
+/// Every connected region of `clipped` pixels (Environment::clipped) is a disc of its own whatever
+/// its share, and before all others where there are more than `most`.
 /// source:  after Nowrouzezahrai, Geiger, Mitchell, Sumner, Jarosz & Gross 2011, section 4
-Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split);
+Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
+                         std::span<const std::uint32_t> clipped = {});
 
 /// The disc's own coefficients.
 /// source: zonal harmonics of a cap, z_l = sqrt(pi/(2l+1)) (P_{l-1}(cos a) - P_{l+1}(cos a))
@@ -177,6 +182,70 @@ RadianceSh project_disc(const Disc& disc, int bands);
 RadianceSh project_disc_above(const Disc& disc, int bands);
 /// Of an open surface; the part of the disc behind it is left out.
 Rgb irradiance(const Disc& disc, const glm::dvec3& normal);
+
+struct LightEstimate;
+
+/// What a clipped source really sends: its radiance times its solid angle.
+struct Completion {
+  int disc = 0;  // its id
+  Rgb power;
+};
+
+/// A matte surface of known albedo that nothing shades, on the scale of the environment's radiance.
+struct KnownPatch {
+  glm::dvec3 normal{0, 1, 0};
+  Rgb radiance;
+  Rgb albedo;
+};
+
+/// A matte surface on both sides of the edge of the shadow that something real casts in the light
+/// of one clipped source. Any scale, any albedo.
+struct ShadowEdge {
+  glm::dvec3 normal{0, 1, 0};
+  Rgb lit, shadowed;
+};
+
+/// All clipped discs at once, channel by channel, not negative:
+/// E_p - E_unclipped,p = sum_j b_j Int cos+ over disc j.
+/// errors:  kInvalid (no clipped disc, bad patch: which), kNonFinite, kUndetermined (fewer patches
+///          than clipped discs, no patch sees a disc, patches that do not tell discs apart, nothing
+///          left for a disc)
+/// source:  Debevec, Graham, Busch & Bolas 2012; least squares of Lawson & Hanson 1974
+Result<std::vector<Completion>> complete_from_patches(const LightEstimate& light,
+                                                      std::span<const KnownPatch> patches);
+/// E_disc = E_others (lit / shadowed - 1).
+/// errors:  kInvalid (not a clipped disc, bad edge), kNonFinite, kUndetermined (the surface does not
+///          see the disc, the lit side is not brighter)
+Result<Completion> complete_from_shadow(const LightEstimate& light, int disc,
+                                        const ShadowEdge& edge);
+
+inline constexpr Radians kSunRadius{.2666 * kPi / 180};
+/// A clipped region within this of its centre is taken for a sun: its size is the optics' doing.
+inline constexpr Radians kSunLike{2 * kPi / 180};
+/// The disc with that power, in no channel less than was measured; with the sun's radius if small.
+Disc completed(const Disc& measured, const Rgb& power);
+
+/// Completions of tracked discs. Remembered is the radiance over the measured solid angle, so that a
+/// source that is half covered later has half the power, and other exposures change nothing.
+/// threads: thread-bound
+class CompletionMemory {
+ public:
+  /// errors: kInvalid (not a clipped disc of the newest map), kNonFinite, kUndetermined (less than
+  ///         was measured)
+  Result<void> remember(const Completion& completion);
+  /// Completes the discs and what is left over of them; forgets discs that are clipped no longer.
+  void apply(std::vector<Disc>& discs, std::span<Disc> left_over);
+
+ private:
+  struct Known {
+    int disc;
+    Rgb power;  // measured, a lower bound
+    double solid_angle_sr;
+    std::optional<Rgb> radiance;
+  };
+  Known* find(int disc);
+  std::vector<Known> known_;
+};
 
 /// Gives the same source the same number from map to map, and lets a source enter the list over kFade: what it
 /// does not carry yet stays in the harmonics, so energy never jumps, only sharpness fades in. A source
@@ -284,6 +353,57 @@ class Governor {
   std::optional<TimestampNs> could_do_less_since_;
 };
 
+// ---------------------------------------------------------------------------------- filter
+
+/// Takes the noise out of the lights of a stream: a Kalman filter with a random walk for every
+/// coefficient, its noise measured on the stream itself. A change of 4 sigma of the light as a
+/// whole, or of its mean, is another light: everything starts again from the newest map, so that a
+/// switched lamp does not fade. Innovations that keep their sign raise the process noise: a light
+/// that moves faster than a third of a map's noise per map lags less than one map. A weighted mean
+/// of maps, so energy keeps. The first three maps pass unchanged, and so do streams of fewer than
+/// one map a second.
+/// threads: thread-bound; no heap
+class LightFilter {
+ public:
+  /// Replaces the light by what is known of it now. Time that goes back, or another number of
+  /// bands, starts again; a map with NaN is left out: what was known stands in for it.
+  void update(TimestampNs time, Projection& light);
+  /// Mean weight of the newest map in the estimate: 1 = as measured.
+  double gain() const { return gain_; }
+
+ private:
+  static constexpr std::size_t kMaps = 4;    // that measure the noise
+  static constexpr std::size_t kGroups = 6;  // a channel of the whole light, or of the part above
+  struct Value {
+    double estimate = 0, variance = 0, noise = 0, own_noise = 0;
+    double innovation = 0;  // over its deviation
+    float measured = 0;
+    std::array<float, kMaps> before{};  // newest first
+  };
+  int count() const { return 6 * coefficient_count(bands_); }
+  static std::size_t at(int i) { return static_cast<std::size_t>(i); }
+  std::size_t group(int i) const { return at(i < count() / 2 ? i % 3 : 3 + i % 3); }
+  void repeat(Projection& light) const;
+  void restart(const Projection& light);
+  void start(Value& value) const;
+  bool read(const Projection& light);  // whether it differs from the last
+  void write(Projection& light) const;
+  bool is_another_light(double step_s);
+  void correct();
+  void remember(double step_s);
+
+  std::array<Value, 6 * kMaxCoefficients> values_{};
+  std::array<double, kGroups> energy_{};  // mean square of its coefficients
+  std::array<double, kMaps> age_s_{};
+  std::size_t maps_ = 0;  // in `before`
+  int bands_ = 0, noise_maps_ = 0;
+  double move_ = 0;      // process noise of a map over the noise variance
+  double surprise_ = 1;  // factor on the expected variance
+  double gain_ = 1;
+  TimestampNs time_;
+  bool known_ = false, was_reset_ = false;
+};
+
 // ---------------------------------------------------------------------------------- estimate
 
 /// What an engine asks for.
@@ -314,6 +434,7 @@ struct Governance {
 struct EstimateOptions {
   int bands = 5;
   DiscOptions discs{};  // most = 0: harmonics alone
+  bool filter = true;   // of streams, see LightFilter
 };
 
 /// Keeps tables between environments of one size.
@@ -328,6 +449,9 @@ class LightEstimator {
   void govern(const Governance& governance);
   /// in: radiance 0 where the confidence is 0
   Result<LightEstimate> estimate(const Environment& environment);
+  /// From the next map on, as long as the disc is tracked and clipped.
+  /// errors: as CompletionMemory::remember
+  Result<void> complete(const Completion& completion) { return completions_.remember(completion); }
 
  private:
   Result<Projection> project(const Image<Rgb>& map, const Image<float>& confidence);
@@ -338,6 +462,8 @@ class LightEstimator {
   EstimateOptions options_;
   DiscSplit split_;
   DiscTracker tracker_;
+  CompletionMemory completions_;
+  LightFilter filter_;
   std::optional<Governance> governance_;
   std::optional<Governor> governor_;
   int width_ = 0, height_ = 0;

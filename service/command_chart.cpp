@@ -62,7 +62,7 @@ Method with(const std::function<void(Method&)>& change) {
 }
 
 // Around the default, one axis at a time, and bands against discs.
-std::vector<Method> sweep(const ChartOptions& o) {
+std::vector<Method> sweep(const ChartOptions& o, bool whole) {
   std::vector<Method> out{Method{}};
   if (!o.bands.empty()) {
     out.clear();
@@ -72,6 +72,7 @@ std::vector<Method> sweep(const ChartOptions& o) {
   }
   for (const int b : {1, 2, 3, 4, 5, 6, 9})
     out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = 0; }));
+  if (!whole) return out;
   for (const int b : {2, 3, 5})
     for (const int k : {1, 2})
       out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = k; }));
@@ -120,8 +121,10 @@ Image<Rgb> turned(const Image<Rgb>& map, int columns) {
 
 class Charter {
  public:
-  Charter(const ChartOptions& o, const ChartScene& bench, std::vector<ChartPoint>& points)
-      : o_(o), bench_(bench), points_(points) {}
+  /// whole: every axis of the sweep; else bands, the default and what others do
+  Charter(const ChartOptions& o, const ChartScene& bench, bool whole,
+          std::vector<ChartPoint>& points)
+      : o_(o), bench_(bench), whole_(whole), points_(points) {}
 
   Result<void> run(const Environment& environment) {
     if (o_.bands.empty() && costs_.per_disc_ms < 0) {
@@ -131,7 +134,7 @@ class Charter {
     }
     auto truth = trace_truth(bench_, environment.map, o_.error);
     if (!truth) return std::unexpected(truth.error());
-    for (const Method& m : sweep(o_)) PENUMBRA_TRY(ours(m, environment, *truth));
+    for (const Method& m : sweep(o_, whole_)) PENUMBRA_TRY(ours(m, environment, *truth));
     if (!o_.bands.empty()) return {};
     PENUMBRA_TRY(governed(environment, *truth));
     return baselines(environment, *truth);
@@ -192,7 +195,7 @@ class Charter {
       return add(m, e, scene, light, {}, truth);
     };
     PENUMBRA_TRY(points("ambient and one hard light", phone_light(e.map)));
-    for (const int n : {16, 64, 256})
+    for (const int n : whole_ ? std::vector{16, 64, 256} : std::vector{16, 64})
       PENUMBRA_TRY(points(fmt::format("{} sampled lights", n), sampled_lights(e.map, n)));
     return {};
   }
@@ -238,6 +241,7 @@ class Charter {
 
   const ChartOptions& o_;
   const ChartScene& bench_;
+  bool whole_;
   std::vector<ChartPoint>& points_;
   lighting::CostModel costs_{0, 0, -1};  // until fitted
 };
@@ -351,7 +355,7 @@ Result<void> chart(const ChartOptions& o) {
   for (const std::string& asset : assets) {
     auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
     if (!bench) return std::unexpected(bench.error());
-    Charter charter(o, *bench, points);
+    Charter charter(o, *bench, asset == assets[0], points);
     for (const Environment& e : *environments)
       PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
   }

@@ -12,6 +12,19 @@ namespace {
 constexpr double kLeastMove = 1e-3;
 constexpr double kVisibleShare = .005;
 
+double angle_between(const glm::dvec3& a, const glm::dvec3& b) {
+  return std::acos(std::clamp(glm::dot(a, b), -1., 1.));
+}
+
+// Largest move of the points of two forms; a form that came or went moved as far as can be.
+double move_of(const std::vector<glm::dvec3>& before, const std::vector<glm::dvec3>& now) {
+  if (before.size() != now.size()) return kPi;
+  double largest = 0;
+  for (std::size_t i = 0; i < now.size(); ++i)
+    largest = std::max(largest, angle_between(before[i], now[i]));
+  return largest;
+}
+
 }  // namespace
 
 Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& taps) {
@@ -46,6 +59,7 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
 
 void DiscStage::trace(Traced& t) {
   t.direction = t.disc.direction;
+  t.shape = t.disc.shape;
   t.radius = t.disc.radius.value();
   const shadows::Blockers blockers{&virtual_, &real_, near_m_};
   std::vector<shadows::Caster> casters;
@@ -71,7 +85,8 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
   for (const lighting::Disc& disc : discs) {
     const auto known = std::ranges::find(traced_, disc.id, [](const Traced& t) { return t.disc.id; });
     Traced t = known == traced_.end() ? Traced{} : std::move(*known);
-    const double move = std::acos(std::clamp(glm::dot(t.direction, disc.direction), -1., 1.));
+    const double move =
+        std::max(angle_between(t.direction, disc.direction), move_of(t.shape, disc.shape));
     const double change = std::abs(luminance(disc.irradiance()) - luminance(t.disc.irradiance()));
     changed |= known == traced_.end() || change > kVisibleShare * mean_irradiance;
     const lighting::Disc before = t.disc;
@@ -102,6 +117,24 @@ void DiscStage::add_light(std::size_t object, std::span<float> relit) const {
       for (std::size_t v = 0; v < cosine.size(); ++v) out[v] += k * cosine[v];
     }
   }
+}
+
+DiscStage::AtPoints DiscStage::at_points(std::span<const glm::vec3> positions,
+                                         std::span<const glm::vec3> normals) const {
+  const std::size_t count = positions.size();
+  AtPoints out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
+  shadows::DiscAtPoints one;
+  for (const Traced& t : traced_) {
+    shadows::trace_disc_points({&virtual_, &real_, near_m_}, positions, normals, t.disc,
+                               taps_.object, one);
+    const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr());
+    for (std::size_t i = 0; i < count; ++i) {
+      out.open[i] += scale * one.open[i];
+      out.taken[i] += scale * one.taken[i];
+      out.missing[i] += scale * one.missing[i];
+    }
+  }
+  return out;
 }
 
 std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(

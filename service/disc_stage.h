@@ -30,13 +30,21 @@ class DiscStage {
 
   /// Adds the discs' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
+  /// E0 - E at points of real geometry and what is really left there of the light of all discs, relative irradiance.
+  struct AtPoints {
+    std::vector<Rgb> open, taken, missing;
+  };
+  AtPoints at_points(std::span<const glm::vec3> positions,
+                     std::span<const glm::vec3> normals) const;
+
   /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, discs included.
   std::vector<compositor::DiscShadowOnPlane> shadows(std::span<const Rgb> open_irradiance) const;
 
  private:
   struct Traced {
     lighting::Disc disc;  // as it is now
-    glm::dvec3 direction{0};  // as it was traced
+    glm::dvec3 direction{0};  // as it was traced, and its form
+    std::vector<glm::dvec3> shape;
     double radius = 0;
     std::vector<std::vector<float>> cosine;  // by object, by vertex
     std::vector<shadows::DiscShadow> on_plane;

@@ -151,7 +151,42 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   for (const prt::Plane& plane : scene_.planes)
     open.push_back(open_irradiance(light, plane.normal));
   compositor_->set_disc_shadows(discs_.shadows(open));
+  if (!scene_.real_mesh.triangles.empty()) {
+    const StageTimer timer(times_, "real mesh");
+    shade_real_mesh(light, poses);
+  }
   return true;
+}
+
+// Ratios at the vertices of real geometry: s = 1 - (what virtual things take)/(what really arrives).
+void ComposeStage::shade_real_mesh(const lighting::LightEstimate& light,
+                                   const std::vector<Pose>& poses) {
+  const prt::Mesh& mesh = scene_.real_mesh;
+  const DiscStage::AtPoints discs = discs_.at_points(mesh.positions, mesh.normals);
+  std::vector<Rgb> ratios(mesh.positions.size(), Rgb{1, 1, 1}), one(mesh.positions.size());
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    const shadows::OcclusionField& field = *objects_[k].prepared->field;
+    const Pose bake_from_world = poses[k].inverse();
+    const RadianceSh turned =
+        lighting::ShRotation(bake_from_world.rotation_matrix(), light.light.bands()) * light.light;
+    // Cannot fail: lists of one length, light made for this field.
+    (void)shadows::field_ratios(field, shadows::FieldLight(turned, field.bands), bake_from_world,
+                                {mesh.positions, mesh.normals, discs.open}, one);
+    for (std::size_t i = 0; i < ratios.size(); ++i) ratios[i] = ratios[i] * one[i];
+  }
+  const lighting::LightEstimate& e = light;
+  const IrradianceSh rest = lighting::irradiance(e.light);
+  const float least = .05f * static_cast<float>(kPi) * luminance(e.mean_radiance);
+  for (std::size_t i = 0; i < ratios.size(); ++i) {
+    if (ratios[i] == Rgb{1, 1, 1} && luminance(discs.taken[i]) == 0) continue;
+    const Rgb open = lighting::evaluate(rest, glm::dvec3(mesh.normals[i])) + discs.open[i];
+    for (int c = 0; c < 3; ++c) {
+      const float left = open[c] - discs.missing[i][c];
+      const float lost = (1 - ratios[i][c]) * open[c] + discs.taken[i][c];
+      ratios[i][c] = left > least ? std::clamp(1 - lost / left, 0.f, 1.5f) : 1;
+    }
+  }
+  compositor_->set_ratios(0, ratios);
 }
 
 namespace {

@@ -93,6 +93,7 @@ class ComposeStage {
         discs_(std::move(discs)),
         times_(times) {}
   void share_shadows(const std::vector<Pose>& poses);
+  void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
   bool update_object(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
                     bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);

@@ -151,7 +151,8 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
   if (plane && up.y < .9999)
     return fail(ErrorCode::kInvalid, o.name,
                 "is baked for standing upright and cannot be tilted; use the asset itself");
-  return PreparedObject{o.name, std::move(*baked), Pose{o.rotation, frame.translation}, o.spin_rpm};
+  return PreparedObject{o.name, std::move(*baked), Pose{o.rotation, frame.translation}, o.spin_rpm,
+                        nullptr};
 }
 
 Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
@@ -212,6 +213,30 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
   return mesh;
 }
 
+namespace {
+
+// Shadows on real meshes live at their vertices.
+Result<void> prepare_receivers(
+    PreparedScene& scene,
+    const std::function<std::function<void(double)>(const std::string&)>& progress) {
+  constexpr float kReceiverEdge = .08f;  // of the smallest object's radius
+  constexpr std::size_t kMostTriangles = 150'000;
+  float smallest = 1e30f;
+  for (PreparedObject& o : scene.objects) {
+    shadows::FieldOptions options;
+    options.progress = progress("shadow field " + o.name);
+    auto field = shadows::bake_occlusion_field(o.baked.mesh, options);
+    if (!field) return fail(field.error().code, o.name, field.error().detail);
+    smallest = std::min(smallest, field->radius);
+    o.field = std::make_shared<const shadows::OcclusionField>(std::move(*field));
+  }
+  if (!scene.objects.empty())
+    prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMostTriangles);
+  return {};
+}
+
+}  // namespace
+
 Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,
     const std::function<std::function<void(double)>(const std::string&)>& progress) {
@@ -232,6 +257,7 @@ Result<PreparedScene> prepare(
     if (!prepared) return std::unexpected(prepared.error());
     out.objects.push_back(std::move(*prepared));
   }
+  if (!out.real_mesh.triangles.empty()) PENUMBRA_TRY(prepare_receivers(out, progress));
   return out;
 }
 

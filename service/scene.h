@@ -3,12 +3,14 @@
 
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "core/result.h"
 #include "prt/prt.h"
+#include "shadows/shadows.h"
 
 namespace penumbra::service {
 
@@ -53,6 +55,8 @@ struct PreparedObject {
   prt::BakedObject baked;
   Pose world_from_bake;  // at time 0
   double spin_rpm = 0;
+  /// What it takes from the space around it; baked where real meshes can catch its shadow.
+  std::shared_ptr<const shadows::OcclusionField> field{};
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;
 };

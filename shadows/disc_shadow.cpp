@@ -458,6 +458,32 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
   });
 }
 
+void trace_disc_points(const Blockers& blockers, std::span<const glm::vec3> positions,
+                       std::span<const glm::vec3> normals, const lighting::Disc& disc, int taps,
+                       DiscAtPoints& out) {
+  const std::size_t count = positions.size();
+  for (auto* v : {&out.open, &out.taken, &out.missing}) v->assign(count, 0.f);
+  const Taps pattern(disc, taps, kTurns);
+  const float share = 1 / static_cast<float>(taps);
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 512), [&](const auto& part) {
+    Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
+      if (by_real)
+        out.missing[i] += weight;
+      else if (by_virtual)
+        out.taken[i] += weight;
+    });
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const glm::vec3 o = positions[i] + blockers.near_m * normals[i];
+      for (int t = 0; t < taps; ++t) {
+        const float cosine = share * glm::dot(normals[i], pattern.at(i)[t]);
+        if (cosine <= 0) continue;
+        out.open[i] += cosine;
+        packets.add(i, cosine, o, pattern.at(i)[t]);
+      }
+    }
+  });
+}
+
 void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
                        const prt::Plane& plane, const lighting::Disc& disc,
                        const DiscShadowOptions& options, DiscShadow& out) {

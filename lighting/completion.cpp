@@ -1,0 +1,233 @@
+#include <fmt/format.h>
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+
+namespace {
+
+constexpr double kLeastCosine = .05;    // mean over a disc, of a surface that sees it
+constexpr double kLeastContrast = .05;  // smallest over largest singular value
+constexpr double kLeastPower = .9;      // of the measured lower bound: noise of the patches
+constexpr std::size_t kMostKnown = 16;
+
+Rgb power(const Disc& disc) {
+  return disc.radiance * static_cast<float>(disc.solid_angle_sr());
+}
+
+// Irradiance by a disc of power 1.
+double response(Disc disc, const glm::dvec3& normal) {
+  disc.radiance = {1, 1, 1};
+  return double(irradiance(disc, normal).r) / disc.solid_angle_sr();
+}
+
+// By everything but the discs that `left_out` names.
+template <class LeftOut>
+Rgb irradiance_without(const LightEstimate& light, const IrradianceSh& rest,
+                       const glm::dvec3& normal, LeftOut left_out) {
+  Rgb sum = evaluate(rest, normal);
+  for (const Disc& d : light.discs)
+    if (!std::invoke(left_out, d)) sum += irradiance(d, normal);
+  return sum;
+}
+
+Result<void> check(const KnownPatch& patch, std::size_t index) {
+  const auto where = fmt::format("patch {}", index + 1);
+  if (!(std::abs(glm::dot(patch.normal, patch.normal) - 1) < 1e-3))
+    return fail(ErrorCode::kInvalid, where, "its normal is not a unit vector");
+  if (!is_finite(patch.radiance))
+    return fail(ErrorCode::kNonFinite, where, "its radiance is not finite");
+  for (int c = 0; c < 3; ++c)
+    if (!(patch.albedo[c] > 0 && patch.albedo[c] <= 1))
+      return fail(ErrorCode::kInvalid, where,
+                  fmt::format("its albedo {} is not within 0..1", patch.albedo[c]));
+  return {};
+}
+
+// Whether the patches can tell the sources apart: the spread of the singular values of columns of
+// unit length.
+Result<void> check(const Eigen::MatrixXd& seen, std::span<const Disc* const> discs) {
+  if (seen.rows() < seen.cols())
+    return fail(ErrorCode::kUndetermined, "patches",
+                fmt::format("{} for {} clipped sources", seen.rows(), seen.cols()));
+  for (Eigen::Index j = 0; j < seen.cols(); ++j)
+    if (seen.col(j).maxCoeff() < kLeastCosine)
+      return fail(
+          ErrorCode::kUndetermined, "patches",
+          fmt::format("none sees clipped source {}", discs[static_cast<std::size_t>(j)]->id));
+  const Eigen::VectorXd values = seen.colwise().normalized().jacobiSvd().singularValues();
+  if (values.minCoeff() < kLeastContrast * values.maxCoeff())
+    return fail(ErrorCode::kUndetermined, "patches",
+                fmt::format("too alike to tell {} clipped sources apart", seen.cols()));
+  return {};
+}
+
+// min |a x - b|, x >= 0; a of full column rank.
+// source: Lawson & Hanson 1974, algorithm NNLS (23.10)
+Eigen::VectorXd non_negative_least_squares(const Eigen::MatrixXd& a, const Eigen::VectorXd& b) {
+  Eigen::VectorXd x = Eigen::VectorXd::Zero(a.cols());
+  std::vector<Eigen::Index> free, bound(static_cast<std::size_t>(a.cols()));
+  for (std::size_t i = 0; i < bound.size(); ++i) bound[i] = static_cast<Eigen::Index>(i);
+  const double tiny = 1e-12 * (a.transpose() * b).cwiseAbs().maxCoeff();
+  for (Eigen::Index step = 0; step < 3 * a.cols() && !bound.empty(); ++step) {
+    const Eigen::VectorXd slope = a.transpose() * (b - a * x);
+    const auto best = std::ranges::max_element(bound, {}, [&](Eigen::Index i) { return slope[i]; });
+    if (!(slope[*best] > tiny)) break;
+    free.push_back(*best);
+    bound.erase(best);
+    while (!free.empty()) {
+      const Eigen::VectorXd s = a(Eigen::all, free).colPivHouseholderQr().solve(b);
+      double stride = 1;
+      for (std::size_t k = 0; k < free.size(); ++k) {
+        const double here = x[free[k]], there = s[static_cast<Eigen::Index>(k)];
+        if (there <= 0) stride = std::min(stride, here > 0 ? here / (here - there) : 0);
+      }
+      for (std::size_t k = 0; k < free.size(); ++k)
+        x[free[k]] += stride * (s[static_cast<Eigen::Index>(k)] - x[free[k]]);
+      if (stride == 1) break;
+      std::erase_if(free, [&](Eigen::Index i) {
+        if (x[i] > 1e-14 * x.maxCoeff()) return false;
+        x[i] = 0;
+        bound.push_back(i);
+        return true;
+      });
+    }
+  }
+  return x;
+}
+
+}  // namespace
+
+Result<std::vector<Completion>> complete_from_patches(const LightEstimate& light,
+                                                      std::span<const KnownPatch> patches) {
+  std::vector<const Disc*> discs;
+  for (const Disc& d : light.discs)
+    if (d.clipped) discs.push_back(&d);
+  if (discs.empty()) return fail(ErrorCode::kInvalid, "light", "has no clipped source");
+  const auto rows = static_cast<Eigen::Index>(patches.size()),
+             columns = static_cast<Eigen::Index>(discs.size());
+  Eigen::MatrixXd seen(rows, columns), missing(rows, 3);
+  const IrradianceSh rest = irradiance(light.light);
+  for (Eigen::Index p = 0; p < rows; ++p) {
+    const KnownPatch& patch = patches[static_cast<std::size_t>(p)];
+    PENUMBRA_TRY(check(patch, static_cast<std::size_t>(p)));
+    const Rgb others = irradiance_without(light, rest, patch.normal, &Disc::clipped);
+    for (int c = 0; c < 3; ++c)
+      missing(p, c) = kPi * double(patch.radiance[c] / patch.albedo[c]) - double(others[c]);
+    for (Eigen::Index j = 0; j < columns; ++j)
+      seen(p, j) = response(*discs[static_cast<std::size_t>(j)], patch.normal);
+  }
+  PENUMBRA_TRY(check(seen, discs));
+  std::vector<Completion> out;
+  for (const Disc* disc : discs) out.push_back({disc->id, {}});
+  for (int c = 0; c < 3; ++c) {
+    const Eigen::VectorXd x = non_negative_least_squares(seen, missing.col(c));
+    for (Eigen::Index j = 0; j < columns; ++j)
+      out[static_cast<std::size_t>(j)].power[c] = static_cast<float>(x[j]);
+  }
+  for (const Completion& completion : out)
+    if (!(luminance(completion.power) > 0))
+      return fail(ErrorCode::kUndetermined, "patches",
+                  fmt::format("get nothing from clipped source {}: in shadow, or of another albedo "
+                              "or scale than stated",
+                              completion.disc));
+  return out;
+}
+
+Result<Completion> complete_from_shadow(const LightEstimate& light, int disc,
+                                        const ShadowEdge& edge) {
+  const auto at =
+      std::ranges::find_if(light.discs, [&](const Disc& d) { return d.clipped && d.id == disc; });
+  if (at == light.discs.end())
+    return fail(ErrorCode::kInvalid, "shadow edge",
+                fmt::format("disc {} is not a clipped source", disc));
+  if (!(std::abs(glm::dot(edge.normal, edge.normal) - 1) < 1e-3))
+    return fail(ErrorCode::kInvalid, "shadow edge", "its normal is not a unit vector");
+  if (!is_finite(edge.lit) || !is_finite(edge.shadowed))
+    return fail(ErrorCode::kNonFinite, "shadow edge", "its radiance is not finite");
+  for (int c = 0; c < 3; ++c)
+    if (!(edge.shadowed[c] > 0))
+      return fail(ErrorCode::kUndetermined, "shadow edge", "the shadow is black");
+  if (!(luminance(edge.lit) > luminance(edge.shadowed)))
+    return fail(ErrorCode::kUndetermined, "shadow edge", "the lit side is not brighter");
+  const double seen = response(*at, edge.normal);
+  if (seen < kLeastCosine)
+    return fail(ErrorCode::kUndetermined, "shadow edge",
+                fmt::format("its surface does not see clipped source {}", disc));
+  const Rgb others = irradiance_without(light, irradiance(light.light), edge.normal,
+                                        [&](const Disc& d) { return &d == &*at; });
+  Completion out{disc, {}};
+  for (int c = 0; c < 3; ++c)
+    out.power[c] =
+        std::max(0.f, others[c] * (edge.lit[c] / edge.shadowed[c] - 1) / static_cast<float>(seen));
+  if (!(luminance(out.power) > 0))
+    return fail(ErrorCode::kUndetermined, "shadow edge", "no light in the shadow to compare with");
+  return out;
+}
+
+Disc completed(const Disc& measured, const Rgb& power) {
+  Disc out = measured;
+  const double solid_angle = measured.solid_angle_sr();
+  for (int c = 0; c < 3; ++c)
+    out.radiance[c] = std::max(measured.radiance[c], power[c] / static_cast<float>(solid_angle));
+  if (measured.radius > kSunLike) return out;
+  out.shape.clear();
+  out.radius = kSunRadius;
+  out.radiance = out.radiance * static_cast<float>(solid_angle / out.solid_angle_sr());
+  return out;
+}
+
+CompletionMemory::Known* CompletionMemory::find(int disc) {
+  const auto at = std::ranges::find(known_, disc, &Known::disc);
+  return at == known_.end() ? nullptr : &*at;
+}
+
+Result<void> CompletionMemory::remember(const Completion& completion) {
+  const auto where = fmt::format("disc {}", completion.disc);
+  Known* const known = find(completion.disc);
+  if (known == nullptr) return fail(ErrorCode::kInvalid, where, "is not a clipped source");
+  if (!is_finite(completion.power))
+    return fail(ErrorCode::kNonFinite, where, "power is not finite");
+  const float least = luminance(known->power), now = luminance(completion.power);
+  if (!(now >= static_cast<float>(kLeastPower) * least))
+    return fail(ErrorCode::kUndetermined, where,
+                fmt::format("completed to {:.3g}, but {:.3g} was measured", now, least));
+  known->radiance = completion.power * static_cast<float>(1 / known->solid_angle_sr);
+  return {};
+}
+
+void CompletionMemory::apply(std::vector<Disc>& discs, std::span<Disc> left_over) {
+  bool changed = false;
+  for (Disc& disc : discs) {
+    if (!disc.clipped) {
+      std::erase_if(known_, [&](const Known& k) { return k.disc == disc.id; });
+      continue;
+    }
+    // A disc that is fading in is in two parts.
+    const auto rest = std::ranges::find(left_over, disc.id, &Disc::id);
+    const Rgb whole = power(disc) + (rest == left_over.end() ? Rgb{} : power(*rest));
+    Known* known = find(disc.id);
+    if (known == nullptr) {
+      if (known_.size() == kMostKnown) known_.erase(known_.begin());
+      known = &known_.emplace_back(disc.id, whole, 0., std::nullopt);
+    }
+    known->power = whole;
+    known->solid_angle_sr = disc.solid_angle_sr();
+    if (!known->radiance) continue;
+    const Rgb full = *known->radiance * static_cast<float>(known->solid_angle_sr);
+    const float share = luminance(whole) > 0 ? luminance(power(disc)) / luminance(whole) : 1;
+    disc = completed(disc, full * share);
+    if (rest != left_over.end()) *rest = completed(*rest, full * (1 - share));
+    changed = true;
+  }
+  if (changed)
+    std::ranges::stable_sort(discs, std::greater<>(),
+                             [](const Disc& d) { return luminance(power(d)); });
+}
+
+}  // namespace penumbra::lighting

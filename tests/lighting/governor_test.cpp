@@ -1,0 +1,320 @@
+// The governor on tables and lights whose right answer is known.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+#include <optional>
+#include <random>
+#include <vector>
+
+#include "lighting/lighting.h"
+#include "tests/support/lights.h"
+
+namespace penumbra::lighting {
+namespace {
+
+using glm::dvec3;
+
+constexpr std::int64_t kMapNs = 33'333'333;
+
+// Moments over y > 0 of the same radiance everywhere: Y_n over half of the sphere.
+RadianceSh moments_above(const RadianceSh& light) {
+  constexpr int kWidth = 128, kHeight = 64;
+  Image<Rgb> map(kWidth, kHeight);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x)
+      map.at(x, y) = evaluate(light, latlong_direction(x + .5, y + .5, kWidth, kHeight));
+  const auto p = project_latlong(map, kMaxBands);
+  EXPECT_TRUE(p);
+  return p ? p->above : RadianceSh(kMaxBands);
+}
+
+// What a point of the floor loses to a round object that hides a cap of the sky: pi S_n with the
+// cosine, by sampling.
+ShadowProbes probes_under_caps(std::span<const dvec3> towards, double half_angle_rad) {
+  constexpr int kWidth = 128, kHeight = 64;
+  ShadowProbes probes;
+  for (const dvec3& centre : towards) {
+    std::array<double, kMaxCoefficients> sum{}, basis{};
+    for (int y = 0; y < kHeight / 2; ++y)
+      for (int x = 0; x < kWidth; ++x) {
+        const dvec3 d = latlong_direction(x + .5, y + .5, kWidth, kHeight);
+        if (glm::dot(d, centre) < std::cos(half_angle_rad)) continue;
+        evaluate_basis(kMaxBands, d, basis);
+        for (std::size_t n = 0; n < basis.size(); ++n)
+          sum[n] += latlong_solid_angle(y, kWidth, kHeight) * d.y * basis[n];
+      }
+    for (const double s : sum) probes.deficit.push_back(static_cast<float>(s));
+  }
+  return probes;
+}
+
+ShadowProbes some_probes() {
+  std::vector<dvec3> towards;
+  for (int i = 0; i < 12; ++i)
+    towards.push_back(glm::normalize(dvec3(std::cos(.9 * i), .2 + .1 * i, std::sin(.9 * i))));
+  return probes_under_caps(towards, .5);
+}
+
+Disc sun(double irradiance_up, const dvec3& direction = glm::normalize(dvec3(.5, .8, .3)),
+         double radius = .005) {
+  Disc d;
+  d.id = 1;
+  d.direction = direction;
+  d.radius = Radians(radius);
+  d.radiance = {1, 1, 1};
+  d.radiance =
+      Rgb{1, 1, 1} * static_cast<float>(irradiance_up / luminance(irradiance(d, dvec3(0, 1, 0))));
+  return d;
+}
+
+struct Light {
+  RadianceSh above{kMaxBands};
+  std::vector<Disc> discs;
+  ErrorTable table(const ShadowProbes& probes, int bands = 9, int most_discs = 8) const {
+    return {{&above, discs}, probes, bands, most_discs};
+  }
+};
+
+Light uniform() {
+  return {moments_above(test::constant_light({1, 1, 1}, kMaxBands)), {}};
+}
+Light sunny() {
+  Light l = uniform();
+  l.discs.push_back(sun(5 * kPi));
+  return l;
+}
+// Needs several bands, no disc.
+Light directional() {
+  RadianceSh light = test::constant_light({1, 1, 1}, kMaxBands);
+  std::mt19937 rng(3);
+  std::normal_distribution<float> gauss(0, .25f);
+  for (int n = 1; n < 36; ++n) light[n] = Rgb{1, 1, 1} * gauss(rng);
+  return {moments_above(light), {}};
+}
+
+const CostModel kBandsCost{.2, .1, 5};  // every coefficient has its price
+Governor::Limits limits(double budget = .05) {
+  return {budget, 9, 8};
+}
+
+// -------------------------------------------------------------------------- the prediction
+
+TEST(ErrorTable, UniformLightNeedsOneBand) {
+  const ErrorTable table = uniform().table(some_probes());
+  EXPECT_EQ(table.most_discs(), 0) << "there are no discs to trace";
+  EXPECT_NEAR(table.error(1, 0), .008, .001) << "our own steps";
+  for (int bands = 2; bands <= 9; ++bands) EXPECT_NEAR(table.error(bands, 0), .008, .001);
+}
+
+TEST(ErrorTable, StrongSunIsWrongInAnyNumberOfBandsAndRightAsADisc) {
+  const ErrorTable table = sunny().table(some_probes());
+  for (int bands = 1; bands <= 9; ++bands) {
+    EXPECT_GT(table.error(bands, 0), .15) << bands;
+    EXPECT_LT(table.error(bands, 1), .05) << bands;
+  }
+}
+
+TEST(ErrorTable, FallsWithBandsAndWithDiscsUpToTheCostOfTracing) {
+  const ShadowProbes probes = some_probes();
+  std::mt19937 rng(5);
+  std::uniform_real_distribution<double> uniformly(.05, 1);
+  for (int scene = 0; scene < 20; ++scene) {
+    Light light = directional();
+    const dvec3 up(0, 1, 0);
+    double all = luminance(evaluate(irradiance(floor_light(light.above, kMaxBands)), up));
+    double traced_square = 0;
+    std::vector<double> own;
+    for (int k = 0; k < 4; ++k) own.push_back(2 * kPi * uniformly(rng));
+    std::ranges::sort(own, std::greater{});
+    for (const double e : own) {
+      const double azimuth = 6 * uniformly(rng);
+      light.discs.push_back(
+          sun(e, glm::normalize(dvec3(std::cos(azimuth), .3 + uniformly(rng), std::sin(azimuth))),
+              .02 * uniformly(rng)));
+      all += e;
+      traced_square += e * e;
+    }
+    const ErrorTable table = light.table(probes);
+    const double tracing = .035 * std::sqrt(traced_square) / all;
+    for (int discs = 0; discs < table.most_discs(); ++discs)
+      EXPECT_LE(table.error(9, discs + 1), table.error(9, discs) + tracing)
+          << scene << ' ' << discs;
+    // Fits of the upper hemisphere need not be nested where the probes look: a band more may be
+    // worse by a few percent.
+    for (int discs = 0; discs <= table.most_discs(); ++discs) {
+      for (int bands = 1; bands < 9; ++bands)
+        EXPECT_LE(table.error(bands + 1, discs), 1.1 * table.error(bands, discs))
+            << scene << ' ' << bands << ' ' << discs;
+      EXPECT_LE(table.error(9, discs), table.error(1, discs)) << scene << ' ' << discs;
+    }
+  }
+}
+
+TEST(ErrorTable, NoProbesOrNoLightGiveNumbers) {
+  const Light dark{RadianceSh(kMaxBands), {}};
+  for (const Light& light : {dark, uniform(), sunny()})
+    for (const ShadowProbes& probes : {ShadowProbes{}, some_probes()}) {
+      const ErrorTable table = light.table(probes);
+      for (int discs = 0; discs <= table.most_discs(); ++discs)
+        for (int bands = 1; bands <= 9; ++bands) {
+          ASSERT_TRUE(std::isfinite(table.error(bands, discs)));
+          ASSERT_GE(table.error(bands, discs), 0);
+        }
+      const Plan plan = Governor(limits(), {}).update(table, {});
+      EXPECT_TRUE(std::isfinite(plan.error) && std::isfinite(plan.ms));
+      EXPECT_GE(plan.bands, 1);
+    }
+  EXPECT_TRUE(Governor(limits(), {}).update(dark.table(some_probes()), {}).within_budget);
+}
+
+// -------------------------------------------------------------------------- the choice
+
+TEST(Governor, TakesTheCheapestPlanWithinTheBudget) {
+  const ShadowProbes probes = some_probes();
+  Light mixed = directional();
+  mixed.discs = {sun(2 * kPi), sun(.4 * kPi, glm::normalize(dvec3(-.6, .7, .1)))};
+  for (const Light& light : {uniform(), sunny(), directional(), mixed})
+    for (const double budget : {.02, .05, .1, .3}) {
+      const ErrorTable table = light.table(probes);
+      const Plan plan = Governor(limits(budget), kBandsCost).update(table, {});
+      double cheapest = HUGE_VAL;
+      for (int discs = 0; discs <= table.most_discs(); ++discs)
+        for (int bands = 1; bands <= 9; ++bands)
+          if (Governor::kCalibrated * table.error(bands, discs) <= budget)
+            cheapest = std::min(cheapest, kBandsCost.ms(bands, discs));
+      ASSERT_EQ(plan.within_budget, std::isfinite(cheapest));
+      EXPECT_DOUBLE_EQ(plan.error, Governor::kCalibrated * table.error(plan.bands, plan.discs));
+      EXPECT_DOUBLE_EQ(plan.ms, kBandsCost.ms(plan.bands, plan.discs));
+      if (plan.within_budget) {
+        EXPECT_DOUBLE_EQ(plan.ms, cheapest);
+        EXPECT_LE(plan.error, budget);
+      }
+    }
+}
+
+TEST(Governor, UniformLightTakesOneBandAndAStrongSunOneDisc) {
+  const Plan even = Governor(limits(), kBandsCost).update(uniform().table(some_probes()), {});
+  EXPECT_EQ(even.bands, 1);
+  EXPECT_EQ(even.discs, 0);
+  const Plan sharp = Governor(limits(.1), kBandsCost).update(sunny().table(some_probes()), {});
+  EXPECT_EQ(sharp.bands, 1);
+  EXPECT_EQ(sharp.discs, 1);
+  EXPECT_TRUE(sharp.within_budget);
+}
+
+TEST(Governor, BandsThatCostNextToNothingAreAllTaken) {
+  const CostModel cheap{.2, .001, 5};
+  const Plan plan = Governor(limits(), cheap).update(uniform().table(some_probes()), {});
+  EXPECT_EQ(plan.bands, 9);
+}
+
+TEST(Governor, NothingThatSufficesIsSaidSoWithTheMostAccurate) {
+  const ErrorTable table = sunny().table(some_probes());
+  const Plan plan = Governor(limits(.001), kBandsCost).update(table, {});
+  EXPECT_FALSE(plan.within_budget);
+  for (int discs = 0; discs <= table.most_discs(); ++discs)
+    for (int bands = 1; bands <= 9; ++bands)
+      EXPECT_LE(plan.error, Governor::kCalibrated * table.error(bands, discs));
+}
+
+TEST(Governor, NeverLeavesItsLimitsNorTheTables) {
+  const ShadowProbes probes = some_probes();
+  Light light = directional();
+  for (int k = 0; k < 6; ++k)
+    light.discs.push_back(sun(kPi, glm::normalize(dvec3(std::cos(k), .5, std::sin(k)))));
+  for (const int bands : {1, 3, 9})
+    for (const int discs : {0, 2, 8}) {
+      Governor governor({.001, bands, discs}, kBandsCost);
+      for (int i = 0; i < 5; ++i) {
+        const Plan plan = governor.update(light.table(probes), {i * kMapNs});
+        EXPECT_LE(plan.bands, bands);
+        EXPECT_LE(plan.discs, discs);
+        EXPECT_GE(plan.bands, 1);
+        EXPECT_GE(plan.discs, 0);
+      }
+      Governor wide(limits(.001), kBandsCost);
+      const Plan plan = wide.update(light.table(probes, bands, discs), {});
+      EXPECT_LE(plan.bands, bands);
+      EXPECT_LE(plan.discs, discs);
+    }
+}
+
+// -------------------------------------------------------------------------- over time
+
+TEST(Governor, MovesUpAtOnceAndDownAfterTwoSeconds) {
+  const ShadowProbes probes = some_probes();
+  const ErrorTable even = uniform().table(probes), sharp = sunny().table(probes);
+  Governor governor(limits(.1), kBandsCost);
+  std::int64_t now = 0;
+  EXPECT_EQ(governor.update(even, {now}).discs, 0);
+  EXPECT_EQ(governor.update(sharp, {now += kMapNs}).discs, 1) << "the sun comes out";
+  // The sun is dim but still there: one band would do without it.
+  Light dim = uniform();
+  dim.discs.push_back(sun(.01 * kPi));
+  const ErrorTable little = dim.table(probes);
+  const std::int64_t since = now += kMapNs;
+  for (; now < since + 2'000'000'000; now += kMapNs)
+    ASSERT_EQ(governor.update(little, {now}).discs, 1) << (now - since) * 1e-9;
+  EXPECT_EQ(governor.update(little, {now}).discs, 0);
+}
+
+TEST(Governor, DiscThatIsGoneIsNotCountedOn) {
+  const ShadowProbes probes = some_probes();
+  Governor governor(limits(.1), kBandsCost);
+  EXPECT_EQ(governor.update(sunny().table(probes), {}).discs, 1);
+  const Plan plan = governor.update(uniform().table(probes), {kMapNs});
+  EXPECT_TRUE(std::isfinite(plan.error));
+  EXPECT_LE(plan.error, .1);
+}
+
+TEST(Governor, DownIsPutOffWheneverTheMarginIsLost) {
+  const ShadowProbes probes = some_probes();
+  Governor governor(limits(.1), kBandsCost);
+  const ErrorTable sharp = sunny().table(probes);
+  Light dim = uniform();
+  dim.discs.push_back(sun(.01 * kPi));
+  const ErrorTable little = dim.table(probes);
+  std::int64_t now = 0;
+  governor.update(sharp, {now});
+  // A cloud of one second and a half every other moment.
+  for (int moment = 0; moment < 10; ++moment) {
+    for (int i = 0; i < 45; ++i) ASSERT_EQ(governor.update(little, {now += kMapNs}).discs, 1);
+    ASSERT_EQ(governor.update(sharp, {now += kMapNs}).discs, 1);
+  }
+}
+
+TEST(Governor, DoesNotFlapWhenTheErrorSwingsAroundTheBudget) {
+  const ShadowProbes probes = some_probes();
+  // Suns of which one band without a disc just keeps the budget, and just does not.
+  double low = 0, high = kPi;
+  const auto alone = [&](double irradiance) {
+    Light l = uniform();
+    l.discs.push_back(sun(irradiance));
+    return l.table(probes);
+  };
+  for (int i = 0; i < 40; ++i) {
+    const double middle = .5 * (low + high);
+    (Governor::kCalibrated * alone(middle).error(9, 0) > .1 ? high : low) = middle;
+  }
+  const ErrorTable below = alone(.97 * low), above = alone(1.03 * low);
+  Governor governor(limits(.1), kBandsCost);
+  int changes = 0, naive_changes = 0;
+  std::optional<Plan> last, naive_last;
+  for (int i = 0; i < 300; ++i) {  // ten seconds
+    const ErrorTable& table = i % 2 ? above : below;
+    const Plan plan = governor.update(table, {i * kMapNs}), naive = governor.cheapest(table, .1);
+    if (last) changes += plan.discs != last->discs || plan.bands != last->bands;
+    if (naive_last)
+      naive_changes += naive.discs != naive_last->discs || naive.bands != naive_last->bands;
+    last = plan, naive_last = naive;
+    EXPECT_TRUE(plan.within_budget);
+  }
+  EXPECT_GT(naive_changes, 250) << "the cheapest for every map would do";
+  EXPECT_LE(changes, 1);
+}
+
+}  // namespace
+}  // namespace penumbra::lighting
