@@ -84,8 +84,8 @@ TEST_P(MeshReceiver, ShadowOnUnevenGroundFollowsTheReference) {
   if (!masks && masks.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
   ASSERT_TRUE(masks) << masks.error().detail;
-  const auto empty = render_real(in, .006, {});
-  const auto truth = render_reference(in, true, .006, std::nullopt, {});
+  const auto empty = render_real(in, .012, {});
+  const auto truth = render_reference(in, true, .012, std::nullopt, {});
   ASSERT_TRUE(empty);
   ASSERT_TRUE(truth);
   const auto ours = render_composite(in, *light, *empty);
