@@ -1,5 +1,7 @@
 #include "service/pipeline.h"
 
+#include <spdlog/spdlog.h>
+
 #include <algorithm>
 #include <cmath>
 
@@ -84,8 +86,16 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
     assembler_.assemble(**merged, environment_);
   }
   environment_.time = frame.time;
-  const StageTimer timer(times_, "light");
-  return estimator_.estimate(environment_);
+  auto estimate = [&] {
+    const StageTimer timer(times_, "light");
+    return estimator_.estimate(environment_);
+  }();
+  if (estimate && !warned_ && std::ranges::any_of(estimate->discs, &lighting::Disc::clipped)) {
+    warned_ = true;
+    spdlog::warn("{}: a light source is saturated in every exposure; its light is a lower bound",
+                 info_.name);
+  }
+  return estimate;
 }
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(

@@ -39,6 +39,7 @@ class LightStage {
   Environment environment_;
   lighting::LightEstimator estimator_;
   StageTimes& times_;
+  bool warned_ = false;  // that a source is clipped
 };
 
 struct Composited {
