@@ -270,7 +270,7 @@ struct Sensor {
   double black_level = 0;
   double vignetting = 0;    // relative loss of light in the corners
   double psf_sigma_px = 0;  // Gaussian blur in linear light, before noise
-  int bits = 8;           // 8 or 16
+  int bits = 8;             // 8 or 16
   bool noisy = true;
 };
 
@@ -295,7 +295,7 @@ struct StudioOptions {
   std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
   std::optional<Exposure>
       view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
-  Sensor sensor;  // of both cameras; the blur is the view camera's alone
+  Sensor sensor;      // of both cameras; the blur is the view camera's alone
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;
   int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none

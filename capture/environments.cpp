@@ -191,7 +191,8 @@ Image<Rgb> make_random_environment(int width, int height, std::uint32_t seed) {
     const double y = uniform(.05, 1), a = uniform(-kPi, kPi), r = std::sqrt(1 - y * y);
     Source s;
     s.axis = {r * std::sin(a), y, -r * std::cos(a)};
-    s.side = glm::normalize(glm::cross(s.axis, std::abs(y) < .95 ? dvec3(0, 1, 0) : dvec3(1, 0, 0)));
+    s.side =
+        glm::normalize(glm::cross(s.axis, std::abs(y) < .95 ? dvec3(0, 1, 0) : dvec3(1, 0, 0)));
     s.up = glm::cross(s.side, s.axis);
     s.half_width = std::tan(std::exp(uniform(std::log(.006), std::log(.5))));
     s.round = uniform(0, 1) < .5;

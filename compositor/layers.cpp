@@ -273,8 +273,8 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& ob
       clip_from_camera(view.camera) * view.camera.world_from_camera.inverse().matrix();
   objects.rect = {};
   for (const Object& o : objects_)
-    objects.rect = united(
-        objects.rect, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
+    objects.rect =
+        united(objects.rect, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
   if (!objects.rect.empty()) {
     begin(objects.rect);
     glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);

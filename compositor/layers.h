@@ -91,7 +91,7 @@ class Layers {
   std::vector<Object> objects_;
   std::vector<Occluder> occluders_, planes_;
   std::vector<OccluderMesh> occluder_meshes_;  // by occluder
-  std::optional<Drawn> drawn_;  // what the caller's layers show
+  std::optional<Drawn> drawn_;                 // what the caller's layers show
 };
 
 }  // namespace penumbra::compositor

@@ -99,8 +99,9 @@ HWY_INLINE hn::Vec<D> DiscValue(const DiscLookup& t, hn::Vec<D> px, float py) {
   const auto x = hn::Mul(at(0), inverse), z = hn::Mul(at(1), inverse);
   const auto last_x = hn::Set(d, static_cast<float>(t.width - 1)),
              last_y = hn::Set(d, static_cast<float>(t.height - 1));
-  const auto inside = hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
-                                                       hn::And(hn::Ge(z, zero), hn::Lt(z, last_y))));
+  const auto inside =
+      hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
+                                       hn::And(hn::Ge(z, zero), hn::Lt(z, last_y))));
   if (hn::AllFalse(d, inside)) return zero;
   const auto u = hn::IfThenElseZero(inside, x), v = hn::IfThenElseZero(inside, z);
   const auto iu = hn::Min(hn::ConvertTo(di, u), hn::Set(di, t.width - 2)),

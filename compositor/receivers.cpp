@@ -65,11 +65,15 @@ Homography homography(const prt::PinholeView& v, const Pose& map_from_camera, do
 }
 
 DiscLookup disc_lookup(const prt::PinholeView& view, const shadows::DiscShadow& shadow,
-                       const Image<float>& nodes, int samples, const Rgb& share,
-                       const Rect& area) {
+                       const Image<float>& nodes, int samples, const Rgb& share, const Rect& area) {
   return {homography(view, shadow.world_from_map.inverse() * view.world_from_camera, 0, {0, 0},
                      shadow.cell_m),
-          nodes.pixels().data(), nodes.width(), nodes.height(), samples, share, area};
+          nodes.pixels().data(),
+          nodes.width(),
+          nodes.height(),
+          samples,
+          share,
+          area};
 }
 
 }  // namespace
@@ -109,7 +113,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
         reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
     if (area.empty()) continue;
     taken_.push_back(disc_lookup(view, s, s.taken, samples_, d.share, area));
-    if (!s.missing.empty()) missing_.push_back(disc_lookup(view, s, s.missing, samples_, d.share, area));
+    if (!s.missing.empty())
+      missing_.push_back(disc_lookup(view, s, s.missing, samples_, d.share, area));
     all = united(all, area);
   }
   return all;

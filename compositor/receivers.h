@@ -20,7 +20,7 @@ struct Homography {
 
 /// The ratios of one object on its plane, as the kernel wants them.
 struct PlaneLookup {
-  Homography at;  // in half extents from the grid's centre
+  Homography at;       // in half extents from the grid's centre
   const float* ratio;  // RGB, size x size
   int size;
   Rect area;  // pixels that the visible part can reach
@@ -28,11 +28,11 @@ struct PlaneLookup {
 
 /// The shadow of one disc on a plane, likewise.
 struct DiscLookup {
-  Homography at;         // in cells from node (0, 0)
-  const float* nodes;    // width x height
+  Homography at;       // in cells from node (0, 0)
+  const float* nodes;  // width x height
   int width, height;
-  int samples;           // a pixel along each axis: a hard edge must not show its pixels
-  Rgb share;             // of the disc in the light of the open plane
+  int samples;  // a pixel along each axis: a hard edge must not show its pixels
+  Rgb share;    // of the disc in the light of the open plane
   Rect area;
 };
 

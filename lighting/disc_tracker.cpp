@@ -85,8 +85,8 @@ std::vector<Disc> DiscTracker::update(TimestampNs time, double least_share, doub
     }
     // A source that only brightened keeps its weight; one that a neighbour joined has what both had.
     const bool joined = carried > own;
-    const double weight = before && !joined ? known_[*before].weight
-                                            : carried / std::max(flux(disc), 1e-30);
+    const double weight =
+        before && !joined ? known_[*before].weight : carried / std::max(flux(disc), 1e-30);
     disc.id = before ? known_[*before].disc.id : number_of(disc, time);
     now.push_back({std::move(disc), static_cast<float>(std::min(1., weight + step))});
   }

@@ -11,12 +11,12 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr float kAboveMean = 6;   // a source is brighter than this times the mean of the rest
-constexpr float kStep = 300;      // regions with a larger range than this are peeled core first
+constexpr float kAboveMean = 6;     // a source is brighter than this times the mean of the rest
+constexpr float kStep = 300;        // regions with a larger range than this are peeled core first
 constexpr double kRoundness = 1.2;  // of a 1.8:1 rectangle
 constexpr double kOneSource = .02;  // radians
-constexpr double kSmall = .01;      // radians: the form of smaller sources cannot be seen in a shadow
-constexpr int kShapeDepth = 6;      // 2^6 = Disc::kShapePoints
+constexpr double kSmall = .01;  // radians: the form of smaller sources cannot be seen in a shadow
+constexpr int kShapeDepth = 6;  // 2^6 = Disc::kShapePoints
 constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
 
 // Pixels [x0, x1) of row y that are brighter than the level.
@@ -95,7 +95,7 @@ class Peeler {
   Image<Rgb>& map_;
   std::vector<Disc>& discs_;
   DiscSplit& split_;
-  std::vector<double> weight_;     // solid angle of a pixel, by row
+  std::vector<double> weight_;  // solid angle of a pixel, by row
   std::vector<float> row_peak_;
   std::vector<Candidate> candidates_;
   double least_flux_ = 0;
@@ -286,7 +286,8 @@ void halve(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out) {
     const Eigen::Vector3d v(d.x, d.y, d.z);
     spread += s.weight * v * v.transpose();
   }
-  const Eigen::Vector3d axis = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvectors().col(2);
+  const Eigen::Vector3d axis =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvectors().col(2);
   std::ranges::sort(shares, {}, [&](const Share& s) {
     return axis.dot(Eigen::Vector3d(s.direction.x, s.direction.y, s.direction.z));
   });
@@ -330,7 +331,8 @@ void Peeler::join_concentric() {
     for (std::size_t k = candidates_.size(); k-- > i + 1;) {
       Candidate &a = candidates_[i], &b = candidates_[k];
       const double apart = std::acos(std::clamp(glm::dot(a.centre, b.centre), -1., 1.));
-      if (apart > kOneSource || std::max(a.solid_angle, b.solid_angle) > kPi * kOneSource * kOneSource)
+      if (apart > kOneSource ||
+          std::max(a.solid_angle, b.solid_angle) > kPi * kOneSource * kOneSource)
         continue;
       const double flux = a.flux + b.flux;
       a.solid_angle = (a.flux * a.solid_angle + b.flux * b.solid_angle) / flux;
@@ -358,8 +360,7 @@ void Peeler::choose() {
     --places;
     double rgb[3] = {};
     for (const Excess& p : c.pixels)
-      for (int k = 0; k < 3; ++k)
-        rgb[k] += weight_[static_cast<std::size_t>(p.y)] * p.radiance[k];
+      for (int k = 0; k < 3; ++k) rgb[k] += weight_[static_cast<std::size_t>(p.y)] * p.radiance[k];
     Disc disc;
     disc.direction = c.centre;
     disc.radius = Radians(std::acos(1 - c.solid_angle / (2 * kPi)));
@@ -408,7 +409,8 @@ Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, Disc
                          std::span<const std::uint32_t> clipped) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   if (!std::ranges::is_sorted(clipped) || (!clipped.empty() && clipped.back() >= map.area()))
-    return fail(ErrorCode::kInvalid, "environment", "its clipped pixels are out of order or outside");
+    return fail(ErrorCode::kInvalid, "environment",
+                "its clipped pixels are out of order or outside");
   split.rest = map;
   return Peeler(options, clipped, split).run();
 }

@@ -41,8 +41,8 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
     PENUMBRA_TRY(split_discs(environment.radiance, found, split_, environment.clipped));
     // A clipped source enters at any share: what is measured of it does not tell what it sends.
     const double irradiance = kPi * split_.mean_luminance;
-    left_over = tracker_.update(environment.time, options_.discs.least_share,
-                                irradiance, split_.discs);
+    left_over =
+        tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs);
     completions_.apply(split_.discs, left_over);
     map = &split_.rest;
   }

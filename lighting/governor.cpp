@@ -9,7 +9,8 @@ namespace {
 
 constexpr double kNegligible_ms = .25;
 constexpr double kOwnSteps = .008;  // of bake, maps and interpolation, whatever the light
-constexpr double kTraced = .035;    // of taps and the form of a disc, as a share of its share of the light
+constexpr double kTraced =
+    .035;  // of taps and the form of a disc, as a share of its share of the light
 // Error that a point-like source causes when nine bands hold it, as a share of its own share of the light; wider
 // ones less, by what of their energy lies beyond band 8.
 constexpr double kBeyondNineBands = .28;
@@ -83,8 +84,8 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
   double least_error = HUGE_VAL;
   for (int discs = 0; discs <= std::min(errors.most_discs(), limits_.most_discs); ++discs)
     for (int bands = 1; bands <= std::min(errors.most_bands(), limits_.most_bands); ++bands) {
-      Plan plan{bands, discs, kCalibrated * errors.error(bands, discs),
-                costs_.ms(bands, discs), true};
+      Plan plan{bands, discs, kCalibrated * errors.error(bands, discs), costs_.ms(bands, discs),
+                true};
       if (plan.error < least_error) least_error = plan.error, most_accurate = plan;
       if (plan.error > budget || (found && plan.ms >= best.ms)) continue;
       best = plan;

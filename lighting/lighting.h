@@ -135,14 +135,14 @@ Result<Projection> project_samples(const LightSamples& samples, int bands);
 struct Disc {
   static constexpr int kShapePoints = 64;
 
-  int id = 0;               // the same source keeps its number over time (DiscTracker)
+  int id = 0;                     // the same source keeps its number over time (DiscTracker)
   glm::dvec3 direction{0, 1, 0};  // to the centre of its energy, unit
-  Radians radius{0};        // half angle
-  Rgb radiance;             // mean over the cap, on top of the rest
+  Radians radius{0};              // half angle
+  Rgb radiance;                   // mean over the cap, on top of the rest
   /// Where a round disc would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
   /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
   std::vector<glm::dvec3> shape;
-  bool clipped = false;     // saturated in every exposure: its radiance is a lower bound, or completed
+  bool clipped = false;  // saturated in every exposure: its radiance is a lower bound, or completed
 
   double solid_angle_sr() const;
   /// Of a surface that faces the round disc: L pi sin^2 a.
@@ -158,8 +158,8 @@ struct DiscOptions {
 /// A map in which every source has been cut down to its surroundings, and the sources.
 struct DiscSplit {
   Image<Rgb> rest;
-  std::vector<Disc> discs;     // by falling irradiance; ids are not set
-  double mean_luminance = 0;   // of the whole map
+  std::vector<Disc> discs;    // by falling irradiance; ids are not set
+  double mean_luminance = 0;  // of the whole map
 };
 
 /// Blob peeling: connected regions brighter than six times the mean of what is not one (8-neighbours, across
@@ -408,12 +408,12 @@ class LightFilter {
 
 /// What an engine asks for.
 struct LightEstimate {
-  RadianceSh light{1};          // of the whole sphere without the discs
-  RadianceSh floor_light{1};    // likewise, for what stands on a horizontal floor, see floor_light()
-  std::vector<Disc> discs;      // compact sources, by falling irradiance
-  TimestampNs time;             // capture time of the newest frame in it
-  bool valid = false;           // false until a first environment has been measured
-  double coverage = 0;          // of the sphere
+  RadianceSh light{1};        // of the whole sphere without the discs
+  RadianceSh floor_light{1};  // likewise, for what stands on a horizontal floor, see floor_light()
+  std::vector<Disc> discs;    // compact sources, by falling irradiance
+  TimestampNs time;           // capture time of the newest frame in it
+  bool valid = false;         // false until a first environment has been measured
+  double coverage = 0;        // of the sphere
   double clipped_fraction = 0;  // of the sphere's solid angle, saturated in every exposure
   Rgb mean_radiance;            // over the sphere
   /// RMS error over all normals of unshadowed irradiance by leaving out bands >= light.bands(),

@@ -226,9 +226,8 @@ double get(const Value& v, const char* key, int i) {
 bool read_halves(const Model& m, double index, int bands, int channels, std::size_t points,
                  Transfer& out) {
   if (!(index >= 0 && index < static_cast<double>(m.accessors.size()))) return false;
-  const auto bytes =
-      accessor_bytes(m, static_cast<int>(index), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT,
-                     TINYGLTF_TYPE_SCALAR, 2);
+  const auto bytes = accessor_bytes(
+      m, static_cast<int>(index), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 2);
   const std::size_t values = (points + 63) / 64 * 64 * static_cast<std::size_t>(channels) *
                              static_cast<std::size_t>(coefficient_count(bands));
   if (!bytes || bytes->size() != values * 2) return false;

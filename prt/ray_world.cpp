@@ -44,7 +44,8 @@ Result<int> RayWorld::add(const Mesh& mesh) {
   RTCScene scene = build_embree_scene(impl_->device, mesh);
   if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   const glm::vec3 centre = bounds_of(mesh).centre();
-  impl_->bodies.push_back({scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}});
+  impl_->bodies.push_back(
+      {scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}});
   return static_cast<int>(impl_->bodies.size()) - 1;
 }
 

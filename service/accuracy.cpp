@@ -41,8 +41,8 @@ double Accuracy::object_without_noise() const {
 
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks) {
-  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadow_bias = 0, shadows = 0,
-         noise = 0;
+  double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadow_bias = 0,
+         shadows = 0, noise = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
     const double a = luminance(ours.radiance.pixels()[i]);
     const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));

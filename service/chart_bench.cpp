@@ -29,7 +29,8 @@ prt::PinholeView make_view() {
 
 // The same light turned a little about a slanting axis, so that nothing of the last run can be kept.
 lighting::LightEstimate turned(const lighting::LightEstimate& light, double radians) {
-  const glm::dmat3 turn = glm::mat3_cast(glm::angleAxis(radians, glm::normalize(glm::dvec3(1, 1, .5))));
+  const glm::dmat3 turn =
+      glm::mat3_cast(glm::angleAxis(radians, glm::normalize(glm::dvec3(1, 1, .5))));
   lighting::LightEstimate out = light;
   const lighting::ShRotation rotation(turn, light.light.bands());
   out.light = rotation * light.light;
@@ -83,9 +84,8 @@ LightTime time_single_threaded(int runs, const std::function<void(int)>& work) {
   for (int run = 0; run < runs; ++run) {
     const auto start = std::chrono::steady_clock::now();
     work(run);
-    ms.push_back(
-        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
-            .count());
+    ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
+                     .count());
   }
   std::ranges::sort(ms);
   const auto last = static_cast<double>(ms.size() - 1);
@@ -100,9 +100,8 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
   Measured out;
   constexpr double kTurn = .01;  // radians: more than DiscStage overlooks
   const int runs = light.discs.size() > kManyDiscs ? 1 : kRuns;  // these take seconds
-  out.time = time_single_threaded(runs, [&](int run) {
-    (*stage)->update_light(turned(light, kTurn * (runs - run)), 0);
-  });
+  out.time = time_single_threaded(
+      runs, [&](int run) { (*stage)->update_light(turned(light, kTurn * (runs - run)), 0); });
   auto ours = composite_still(**stage, bench.view(), light, truth.empty);
   if (!ours) return std::unexpected(ours.error());
   out.accuracy = compare_pictures(*ours, truth.full, truth.empty, bench.masks());
@@ -121,8 +120,9 @@ std::size_t memory_of(const PreparedScene& scene, int bands, std::size_t discs, 
     bytes += of(o.baked.transfer, bands) + of(o.baked.ground_deficit, bands);
     if (discs == 0) continue;
     bytes += of(o.baked.indirect, kMaxBands) + of(o.baked.ground_indirect, kMaxBands);
-    bytes += discs * (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
-                      o.baked.transfer.points) *
+    bytes += discs *
+             (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
+              o.baked.transfer.points) *
              sizeof(float);
   }
   return bytes;

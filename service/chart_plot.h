@@ -17,7 +17,7 @@ namespace penumbra::service {
 struct ChartPoint {
   std::string environment, mesh, method;
   bool baseline = false;  // a method of others, to compare with
-  int most_discs = 0;  // allowed; `discs` is how many there were
+  int most_discs = 0;     // allowed; `discs` is how many there were
   int coefficients = 0, discs = 0, taps = 0, map_size = 0, bake_rays = 0, environment_rows = 0;
   double update_rate = 1;                       // light updates a frame
   double object_rel_rmse = 0, object_bias = 0;  // relative to the object's mean luminance
@@ -28,7 +28,7 @@ struct ChartPoint {
   double ms_p50 = 0, ms_p99 = 0;                                     // of one light update
   std::size_t bytes = 0;
   double reference_error = 0;  // noise of the reference on the object, taken out of object_rel_rmse
-  bool chosen = false;  // what the program picks by itself here
+  bool chosen = false;         // what the program picks by itself here
 };
 
 /// Every point as a row under a header that names units; cells quoted as RFC 4180 asks, lines ended

@@ -10,8 +10,8 @@
 #include "core/files.h"
 #include "service/baselines.h"
 #include "service/chart_bench.h"
-#include "service/governor_bench.h"
 #include "service/commands.h"
+#include "service/governor_bench.h"
 #include "service/light_file.h"
 #include "service/output.h"
 #include "service/progress.h"
@@ -78,9 +78,8 @@ std::vector<Method> sweep(const ChartOptions& o, bool whole) {
       out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = k; }));
   for (const int b : {2, 3, 4, 6, 9}) out.push_back(with([&](Method& m) { m.bands = b; }));
   for (const int t : {1, 4, 64})
-    out.push_back(with([&](Method& m) {
-      m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16);
-    }));
+    out.push_back(
+        with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
   for (const int s : {32, 64, 128}) out.push_back(with([&](Method& m) { m.map_size = s; }));
   for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
   for (const int frames : {2, 4})
@@ -181,12 +180,12 @@ class Charter {
     auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
     if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
     const PreparedScene& scene = bench_.prepared();
-    PENUMBRA_TRY(add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3, {}, truth));
+    PENUMBRA_TRY(
+        add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3, {}, truth));
     PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, {}, truth));
     PENUMBRA_TRY(
         add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3, {}, truth));
-    PENUMBRA_TRY(
-        add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), {}, truth));
+    PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), {}, truth));
     const auto points = [&](const std::string& label, lighting::LightEstimate light) {
       Method m = plain("", 1);
       m.label = label;
@@ -231,11 +230,12 @@ class Charter {
     p.reference_error = a.reference_error;
     points_.push_back(p);
     if (!o_.json)
-      fmt::print("{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5.2f} {:>9.2f} {:>7.2f} "
-                 "{:>8.4f} {:>8.4f} {:>7.4f} {:>8.2f}\n",
-                 p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
-                 p.environment_rows, p.update_rate, 100 * p.object_rel_rmse, 100 * p.object_bias,
-                 p.shadow_rmse, p.shadow_bias, p.flip, p.ms_p50);
+      fmt::print(
+          "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5.2f} {:>9.2f} {:>7.2f} "
+          "{:>8.4f} {:>8.4f} {:>7.4f} {:>8.2f}\n",
+          p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
+          p.environment_rows, p.update_rate, 100 * p.object_rel_rmse, 100 * p.object_bias,
+          p.shadow_rmse, p.shadow_bias, p.flip, p.ms_p50);
     return {};
   }
 
@@ -271,7 +271,8 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
   auto empty = render_real(in, o.error, {});
   if (!empty) return std::unexpected(empty.error());
   auto projection = lighting::project_latlong(environment.map, kMaxBands);
-  if (!projection) return fail(projection.error().code, environment.name, projection.error().detail);
+  if (!projection)
+    return fail(projection.error().code, environment.name, projection.error().detail);
   for (const int bands : o.bands.empty() ? std::vector{1, 2, 3, 4, 5, 6, 9} : o.bands) {
     const lighting::LightEstimate light = lighting::make_estimate(*projection, bands);
     auto truth = render_reference(in, true, o.error, light,
@@ -289,10 +290,11 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
     p.shadow_rmse = a.shadow_rmse, p.reference_error = a.reference_error;
     points.push_back(p);
     if (!o.json)
-      fmt::print("{:<28.28} {:<8.8} {:>3} object {:.2f} % (reference noise {:.2f} %), bias {:.2f} %, "
-                 "shadow {:.4f}\n",
-                 p.environment, p.mesh, p.coefficients, 100 * p.object_rel_rmse,
-                 100 * p.reference_error, 100 * p.object_bias, p.shadow_rmse);
+      fmt::print(
+          "{:<28.28} {:<8.8} {:>3} object {:.2f} % (reference noise {:.2f} %), bias {:.2f} %, "
+          "shadow {:.4f}\n",
+          p.environment, p.mesh, p.coefficients, 100 * p.object_rel_rmse, 100 * p.reference_error,
+          100 * p.object_bias, p.shadow_rmse);
   }
   return {};
 }
@@ -321,14 +323,16 @@ Result<void> chart_governor(const ChartOptions& o) {
   }
   fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a disc, one thread\n",
              costs->base_ms, costs->per_coefficient_ms, costs->per_disc_ms);
-  fmt::print("factor {:.2f} from {} scenes; of {} others {} had a plan within {:.3f}, {} kept it "
-             "(at least {:.1f} % with 95 % confidence)\n",
-             proof->factor, proof->calibration, proof->scenes, proof->promised, o.budget,
-             proof->kept, 100 * proof->coverage_low);
-  fmt::print("chosen: {:.1f} bands and {:.1f} discs on average, error mean {:.4f} worst {:.4f}; "
-             "{:.0f} % dearer than the cheapest sufficient plan\n",
-             proof->mean_bands, proof->mean_discs, proof->mean_error, proof->worst_error,
-             100 * proof->mean_regret);
+  fmt::print(
+      "factor {:.2f} from {} scenes; of {} others {} had a plan within {:.3f}, {} kept it "
+      "(at least {:.1f} % with 95 % confidence)\n",
+      proof->factor, proof->calibration, proof->scenes, proof->promised, o.budget, proof->kept,
+      100 * proof->coverage_low);
+  fmt::print(
+      "chosen: {:.1f} bands and {:.1f} discs on average, error mean {:.4f} worst {:.4f}; "
+      "{:.0f} % dearer than the cheapest sufficient plan\n",
+      proof->mean_bands, proof->mean_discs, proof->mean_error, proof->worst_error,
+      100 * proof->mean_regret);
   return {};
 }
 
@@ -348,10 +352,11 @@ Result<void> chart(const ChartOptions& o) {
   if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
   std::vector<ChartPoint> points;
   if (!o.json && !o.truncated)
-    fmt::print("{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} {:>7} "
-               "{:>8}\n",
-               "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rate", "object %",
-               "bias %", "shadow s", "bias s", "FLIP", "ms");
+    fmt::print(
+        "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} {:>7} "
+        "{:>8}\n",
+        "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rate", "object %",
+        "bias %", "shadow s", "bias s", "FLIP", "ms");
   for (const std::string& asset : assets) {
     auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
     if (!bench) return std::unexpected(bench.error());

@@ -41,10 +41,10 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
     }
   for (const lighting::Disc& d : split->discs) {
     const Rgb e = d.irradiance();
-    fmt::print("  disc towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {:.4g} {:.4g} "
-               "{:.4g}\n",
-               d.direction.x, d.direction.y, d.direction.z, d.radius.value() * 180 / kPi, e.r, e.g,
-               e.b);
+    fmt::print(
+        "  disc towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {:.4g} {:.4g} "
+        "{:.4g}\n",
+        d.direction.x, d.direction.y, d.direction.z, d.radius.value() * 180 / kPi, e.r, e.g, e.b);
   }
   return {};
 }

@@ -39,8 +39,8 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     if (!index) return fail(index.error().code, o.name, index.error().detail);
     stage.poses_.push_back(o.world_from_bake);
     stage.virtual_.set_pose(*index, o.world_from_bake);
-    smallest = std::min(smallest,
-                        prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
+    smallest =
+        std::min(smallest, prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
   }
   if (!scene.real_mesh.triangles.empty()) {
     auto index = stage.real_.add(scene.real_mesh);
@@ -69,8 +69,8 @@ void DiscStage::trace(Traced& t) {
     casters.push_back({&o.baked.mesh, poses_[i]});
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    shadows::trace_disc_light(blockers, o.baked.mesh, poses_[i],
-                              o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
+    shadows::trace_disc_light(blockers, o.baked.mesh, poses_[i], o.baked.receiver ? &own : nullptr,
+                              t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p)
@@ -83,7 +83,8 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
   std::vector<Traced> now;
   bool changed = false;
   for (const lighting::Disc& disc : discs) {
-    const auto known = std::ranges::find(traced_, disc.id, [](const Traced& t) { return t.disc.id; });
+    const auto known =
+        std::ranges::find(traced_, disc.id, [](const Traced& t) { return t.disc.id; });
     Traced t = known == traced_.end() ? Traced{} : std::move(*known);
     const double move =
         std::max(angle_between(t.direction, disc.direction), move_of(t.shape, disc.shape));
@@ -146,9 +147,8 @@ std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(
       const Rgb e = lighting::irradiance(t.disc, scene_->planes[p].normal);
       Rgb share;
       for (int c = 0; c < 3; ++c)
-        share[c] = open_irradiance[p][c] > 0
-                       ? std::clamp(e[c] / open_irradiance[p][c], 0.f, 1.f)
-                       : 0;
+        share[c] =
+            open_irradiance[p][c] > 0 ? std::clamp(e[c] / open_irradiance[p][c], 0.f, 1.f) : 0;
       out.push_back({&t.on_plane[p], share});
     }
   return out;

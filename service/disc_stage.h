@@ -13,7 +13,7 @@
 namespace penumbra::service {
 
 struct DiscTaps {
-  int object = 4;            // rays a vertex and disc
+  int object = 4;  // rays a vertex and disc
   shadows::DiscShadowOptions plane;
 };
 
@@ -42,7 +42,7 @@ class DiscStage {
 
  private:
   struct Traced {
-    lighting::Disc disc;  // as it is now
+    lighting::Disc disc;      // as it is now
     glm::dvec3 direction{0};  // as it was traced, and its form
     std::vector<glm::dvec3> shape;
     double radius = 0;

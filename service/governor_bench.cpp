@@ -225,14 +225,17 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   lighting::CostModel costs;
   const auto relight = [&](int bands) {
     const RadianceSh light(bands);
-    return time_single_threaded(5, [&](int) {
-      for (const PreparedObject& o : scene.objects) {
-        std::vector<float> out(3 * o.baked.transfer.stride);
-        prt::relight(o.baked.transfer, light, out);
-        shadows::PlanarShadow shadow;
-        if (o.baked.receiver) (void)shadows::compose_planar_shadow(o.baked, light, shadow);
-      }
-    }).p50_ms;
+    return time_single_threaded(5,
+                                [&](int) {
+                                  for (const PreparedObject& o : scene.objects) {
+                                    std::vector<float> out(3 * o.baked.transfer.stride);
+                                    prt::relight(o.baked.transfer, light, out);
+                                    shadows::PlanarShadow shadow;
+                                    if (o.baked.receiver)
+                                      (void)shadows::compose_planar_shadow(o.baked, light, shadow);
+                                  }
+                                })
+        .p50_ms;
   };
   const double one = relight(1), most = relight(kMaxBands);
   costs.per_coefficient_ms = std::max(0., (most - one) / (kMaxCoefficients - 1));
@@ -242,9 +245,9 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   sun.radius = Radians(.02);
   sun.radiance = {1, 1, 1};
   costs.per_disc_ms = time_single_threaded(3, [&](int run) {
-    sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
-    discs->update({&sun, 1}, 1);
-  }).p50_ms;
+                        sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
+                        discs->update({&sun, 1}, 1);
+                      }).p50_ms;
   return costs;
 }
 

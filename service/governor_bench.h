@@ -21,7 +21,8 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene);
 struct ScenePlans {
   struct Entry {
     int bands, discs;
-    double predicted, measured;  // RMS of s where the reference is below .95; predicted without factor
+    double predicted,
+        measured;  // RMS of s where the reference is below .95; predicted without factor
   };
   std::uint32_t seed = 0;
   std::vector<Entry> plans;
@@ -39,8 +40,8 @@ double clopper_pearson_low(int successes, int trials);
 struct GovernorProof {
   double factor = 0;  // the largest measured/predicted of the calibration scenes
   int calibration = 0, scenes = 0, promised = 0, kept = 0;
-  double coverage_low = 0;    // Clopper-Pearson
-  double mean_regret = 0;     // cost over the cheapest plan that truly is within the budget, minus 1
+  double coverage_low = 0;  // Clopper-Pearson
+  double mean_regret = 0;   // cost over the cheapest plan that truly is within the budget, minus 1
   double mean_error = 0, worst_error = 0;  // of the chosen plans
   double mean_bands = 0, mean_discs = 0;
 };

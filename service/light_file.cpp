@@ -38,8 +38,7 @@ Result<FileLight> read_light(const std::string& path,
 Result<lighting::DiscOptions> choose_discs(const std::string& text) {
   lighting::DiscOptions options;
   if (text == "auto") return options;
-  const auto [end, error] =
-      std::from_chars(text.data(), text.data() + text.size(), options.most);
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), options.most);
   if (error != std::errc() || end != text.data() + text.size() || options.most < 0 ||
       options.most > 64)
     return fail(ErrorCode::kInvalid, "--discs",

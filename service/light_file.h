@@ -29,7 +29,8 @@ Result<void> check_budget(double budget);
 /// For a scene. `fitted`: costs measured here and now; else fixed ones,
 /// so that a replay makes the same choices everywhere.
 /// errors: kUnavailable
-Result<lighting::Governance> make_governance(const PreparedScene& scene, double budget, bool fitted);
+Result<lighting::Governance> make_governance(const PreparedScene& scene, double budget,
+                                             bool fitted);
 
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid

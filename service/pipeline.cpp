@@ -36,8 +36,8 @@ compositor::CameraLook look_of(const capture::CameraInfo& info, const capture::F
   look.shot_gain = static_cast<float>(info.noise.variance(1, gain) - info.noise.variance(0, gain));
   look.read_noise = static_cast<float>(std::sqrt(info.noise.variance(0, gain)));
   // By the time, which a recording keeps, and by the eye, whose noise is its own.
-  look.frame = static_cast<std::uint64_t>(frame.time.value) * 16 +
-               static_cast<std::uint64_t>(frame.camera);
+  look.frame =
+      static_cast<std::uint64_t>(frame.time.value) * 16 + static_cast<std::uint64_t>(frame.camera);
   return look;
 }
 
@@ -46,8 +46,7 @@ constexpr double kSamePose = 1 - 1e-7;  // cosine of half the angle: within .05 
 }  // namespace
 
 Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras,
-                                      const lighting::EstimateOptions& options,
-                                      StageTimes& times) {
+                                      const lighting::EstimateOptions& options, StageTimes& times) {
   const auto found =
       std::ranges::find(cameras, capture::Role::kEnvironment, &capture::CameraInfo::role);
   if (found == cameras.end())
@@ -231,7 +230,7 @@ void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
 }
 
 bool ComposeStage::update_object(std::size_t index, const Pose& pose,
-                                const lighting::LightEstimate& estimate, bool discs_changed) {
+                                 const lighting::LightEstimate& estimate, bool discs_changed) {
   Object& o = objects_[index];
   const prt::BakedObject& baked = o.prepared->baked;
   const glm::dmat3 world_from_bake = pose.rotation_matrix();

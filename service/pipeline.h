@@ -30,8 +30,8 @@ class LightStage {
   Result<lighting::LightEstimate> process(const capture::Frame& frame);
 
  private:
-  LightStage(int camera, const capture::CameraInfo& info,
-             const lighting::EstimateOptions& options, StageTimes& times);
+  LightStage(int camera, const capture::CameraInfo& info, const lighting::EstimateOptions& options,
+             StageTimes& times);
   int camera_;
   capture::CameraInfo info_;  // with the newest pose
   capture::HdrRing ring_;
@@ -96,7 +96,7 @@ class ComposeStage {
   void share_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
   bool update_object(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
-                    bool discs_changed);
+                     bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
 
   std::unique_ptr<compositor::Compositor> compositor_;

@@ -19,9 +19,9 @@ struct RunCounts {
       0;               // environment frames all black or all clipped; live also damaged frames
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
-  int discs = 0;      // most that lit a frame
+  int discs = 0;                       // most that lit a frame
   std::optional<lighting::Plan> plan;  // the governor's last
-  int exposures = 0;  // distinct exposures of the environment camera
+  int exposures = 0;                   // distinct exposures of the environment camera
 };
 
 /// One composited view frame with the frame that it came from and the light that it was drawn with.

@@ -160,7 +160,8 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
                                       const std::function<void(double)>& progress) {
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o, plane_under(scene.planes, o.position));
-  constexpr float kEdgeShare = .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
+  constexpr float kEdgeShare =
+      .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
   auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
   if (!mesh) return std::unexpected(mesh.error());
   prt::transform(*mesh, placement(o, *mesh));

@@ -35,7 +35,8 @@ void print_summary(const nlohmann::json& s) {
       s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
       100 * s["touched_fraction"].get<double>());
   fmt::print("{} objects, {} bands, {} discs, {} exposures, {}\n", c["objects"].get<int>(),
-             c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(), c["renderer"].get<std::string>());
+             c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(),
+             c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())
     fmt::print("governor: {} bands, {} discs, predicted error {:.3f}, {:.1f} ms: {}\n",
                p["bands"].get<int>(), p["discs"].get<int>(), p["predicted_error"].get<double>(),

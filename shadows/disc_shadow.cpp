@@ -16,17 +16,20 @@ namespace {
 
 using prt::RayWorld;
 
-constexpr int kTurns = 64;  // patterns for vertices, each turned about the disc's axis by another angle
+constexpr int kTurns =
+    64;  // patterns for vertices, each turned about the disc's axis by another angle
 constexpr int kMostTaps = 64;
-constexpr int kOpenTaps = 16;  // of the whole disc, for the cosine of an open vertex
-constexpr int kScouts = 4;  // taps that decide whether a node needs the others
-constexpr int kCoarse = 8;     // cells between the first nodes
+constexpr int kOpenTaps = 16;      // of the whole disc, for the cosine of an open vertex
+constexpr int kScouts = 4;         // taps that decide whether a node needs the others
+constexpr int kCoarse = 8;         // cells between the first nodes
 constexpr float kSame = .03f;      // a cell whose corners differ by less is flat
 constexpr float kSteep = .6f;      // an edge may hide in a cell whose corners differ by more
 constexpr float kStraight = .06f;  // midpoints this close to the bilinear value need no refinement
 constexpr double kLongest = 10;    // radii of the caster: longest shadow
-constexpr double kLeastSine = .02; // of a tap's elevation: lower ones throw their shadow like this one
-constexpr double kNarrow = .05;    // radians: nothing hides between the scouts of a narrower round disc
+constexpr double kLeastSine =
+    .02;  // of a tap's elevation: lower ones throw their shadow like this one
+constexpr double kNarrow =
+    .05;  // radians: nothing hides between the scouts of a narrower round disc
 
 // Directions over the disc, in as many turned copies as there are kTurns. The first kScouts are far apart.
 class Taps {
@@ -61,7 +64,8 @@ class Taps {
       for (int k = 0; k < taps_; ++k) {
         // Groups in bit-reversed order: the first few lie far apart.
         const int first = static_cast<int>(reversed(static_cast<unsigned>(k)) *
-                                           static_cast<unsigned long long>(points) >> 32) /
+                                               static_cast<unsigned long long>(points) >>
+                                           32) /
                           group * group;
         glm::dvec3 sum(0);
         for (int i = 0; i < group; ++i)
@@ -86,7 +90,8 @@ class Taps {
     while (!rest.empty()) {
       const auto clearance = [&](const glm::dvec2& p) {
         double nearest = 4;
-        for (const glm::dvec2& q : out) nearest = std::min(nearest, glm::length(place(p) - place(q)));
+        for (const glm::dvec2& q : out)
+          nearest = std::min(nearest, glm::length(place(p) - place(q)));
         return nearest;
       };
       const auto best = std::ranges::max_element(rest, {}, clearance);
@@ -381,8 +386,8 @@ void Refiner::run() {
 void fade_end(Image<float>& map) {
   for (int y = 0; y < map.height(); ++y)
     for (int x = 0; x < map.width(); ++x) {
-      const float t = std::min(1.f, 5 * static_cast<float>(map.width() - 1 - x) /
-                                        static_cast<float>(map.width()));
+      const float t = std::min(
+          1.f, 5 * static_cast<float>(map.width() - 1 - x) / static_cast<float>(map.width()));
       map.at(x, y) *= t * t * (3 - 2 * t);
     }
 }
@@ -419,7 +424,8 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
   const glm::mat3 turn(world_from_mesh.rotation_matrix());
   const glm::vec3 shift(world_from_mesh.translation);
   const std::size_t count = mesh.positions.size();
-  thread_local std::vector<float> seen_memory, open_memory;  // sums of cosines; grow once per thread
+  thread_local std::vector<float> seen_memory,
+      open_memory;  // sums of cosines; grow once per thread
   std::vector<float>&seen = seen_memory, &open = open_memory;
   seen.assign(count, 0);
   open.assign(count, 0);
@@ -494,8 +500,8 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
   const double sine = glm::dot(plane.normal, disc.direction);
   glm::dvec3 away = sine * plane.normal - disc.direction;
   if (glm::length(away) < 1e-6)
-    away = glm::cross(plane.normal, std::abs(plane.normal.x) < .9 ? glm::dvec3(1, 0, 0)
-                                                                  : glm::dvec3(0, 0, 1));
+    away = glm::cross(plane.normal,
+                      std::abs(plane.normal.x) < .9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 0, 1));
   away = glm::normalize(away);
   const glm::dmat3 axes(away, plane.normal, glm::cross(away, plane.normal));
   const Pose world_from_plane{glm::quat_cast(axes), plane.point};

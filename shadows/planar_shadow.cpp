@@ -39,9 +39,9 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
 
   // All in units of irradiance/pi, like the deficit.
   const RadianceSh used = light.rest.with_bands(object.ground_deficit.bands);
-  const Rgb open = (lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) +
-                    light.disc_irradiance) *
-                   static_cast<float>(1 / kPi);
+  const Rgb open =
+      (lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) + light.disc_irradiance) *
+      static_cast<float>(1 / kPi);
   const Rgb mean = (used[0] + light.discs[0]) * static_cast<float>(1 / std::sqrt(4 * kPi));
   Rgb inverse;
   for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;

@@ -33,7 +33,7 @@ inline constexpr float kLeastIrradiance = .05f;
 /// Light on a receiver, in its bake frame.
 struct ReceiverLight {
   ReceiverLight(const RadianceSh& rest_) : rest(rest_) {}  // NOLINT: light without discs is light
-  RadianceSh rest;      // without the discs
+  RadianceSh rest;                                         // without the discs
   RadianceSh discs{1};  // the discs in spherical harmonics, for the light that the object reflects
   Rgb disc_irradiance;  // E of all discs on the open receiver, W/m^2 relative
 };
@@ -103,8 +103,9 @@ struct DiscShadow {
   /// (i, j) lies at (i, 0, j) * cell_m.
   Pose world_from_map;
   float cell_m = 0;
-  Image<float> taken;    // nodes: real visibility times the share blocked by virtual things, 0..1
-  Image<float> missing;  // nodes: share of the disc that real things block; empty without real things
+  Image<float> taken;  // nodes: real visibility times the share blocked by virtual things, 0..1
+  Image<float>
+      missing;  // nodes: share of the disc that real things block; empty without real things
   bool empty() const { return taken.empty(); }
   std::size_t rays = 0;  // that it took
 };

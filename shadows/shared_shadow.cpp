@@ -9,7 +9,8 @@ namespace penumbra::shadows {
 
 namespace {
 
-constexpr float kDarkest = .02f;  // s of the first object below which the second cannot be divided out
+constexpr float kDarkest =
+    .02f;  // s of the first object below which the second cannot be divided out
 
 // What one texel of another object's grid holds.
 struct Sample {
@@ -62,8 +63,9 @@ void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarS
     Sample a, b;
     for (int x = out.x0; x < out.x1; ++x) {
       Rgb& s = out.ratio.at(x, y);
-      const glm::vec2 p = grid.position({(static_cast<float>(x) + .5f) / static_cast<float>(grid.size),
-                                         (static_cast<float>(y) + .5f) / static_cast<float>(grid.size)});
+      const glm::vec2 p =
+          grid.position({(static_cast<float>(x) + .5f) / static_cast<float>(grid.size),
+                         (static_cast<float>(y) + .5f) / static_cast<float>(grid.size)});
       const glm::dvec3 at = first_from_second * glm::dvec3(p.x, grid.height, p.y);
       if (!sample(*first.object, *first.shadow, {at.x, at.z}, a) || a.ratio == Rgb{1, 1, 1})
         continue;
