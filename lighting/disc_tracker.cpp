@@ -60,6 +60,7 @@ std::vector<Disc> DiscTracker::update(TimestampNs time, double least_share, doub
   std::vector<std::pair<Disc, std::optional<std::size_t>>> found;
   for (Disc& disc : discs) {  // the strongest chooses first
     const auto before = match(disc, taken);
+    // A clipped source enters at any share: what is measured of it does not tell what it sends.
     if (!before && !disc.clipped && flux(disc) < least_share * mean_irradiance) {
       left_over.push_back(std::move(disc));
       continue;

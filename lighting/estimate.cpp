@@ -39,7 +39,6 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
     DiscOptions found = options_.discs;
     found.least_share /= 2;
     PENUMBRA_TRY(split_discs(environment.radiance, found, split_, environment.clipped));
-    // A clipped source enters at any share: what is measured of it does not tell what it sends.
     const double irradiance = kPi * split_.mean_luminance;
     left_over =
         tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs);

@@ -329,7 +329,7 @@ struct Plan {
 /// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
 /// More at once, less only after two seconds in which four fifths of the budget would have sufficed.
 /// threads: thread-bound
-/// source: split conformal prediction; factor measured by `chart --governor` (docs/accuracy.md)
+/// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/accuracy.md
 class Governor {
  public:
   static constexpr double kCalibrated = 2.15;

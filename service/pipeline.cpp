@@ -183,9 +183,8 @@ void ComposeStage::shade_real_mesh(const lighting::LightEstimate& light,
                                 {mesh.positions, mesh.normals, discs.open}, one);
     for (std::size_t i = 0; i < ratios.size(); ++i) ratios[i] = ratios[i] * one[i];
   }
-  const lighting::LightEstimate& e = light;
-  const IrradianceSh rest = lighting::irradiance(e.light);
-  const float least = .05f * static_cast<float>(kPi) * luminance(e.mean_radiance);
+  const IrradianceSh rest = lighting::irradiance(light.light);
+  const float least = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);
   for (std::size_t i = 0; i < ratios.size(); ++i) {
     if (ratios[i] == Rgb{1, 1, 1} && luminance(discs.taken[i]) == 0) continue;
     const Rgb open = lighting::evaluate(rest, glm::dvec3(mesh.normals[i])) + discs.open[i];

@@ -2,8 +2,6 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
-#include <atomic>
-#include <bit>
 #include <cassert>
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
