@@ -8,6 +8,6 @@
 namespace penumbra::prt {
 
 /// A committed scene that the caller releases; null when Embree refuses.
-RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh);
+RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh, RTCSceneFlags flags);
 
 }  // namespace penumbra::prt

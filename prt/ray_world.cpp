@@ -41,7 +41,8 @@ Result<RayWorld> RayWorld::create() {
 
 Result<int> RayWorld::add(const Mesh& mesh) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
-  RTCScene scene = build_embree_scene(impl_->device, mesh);
+  // Not robust, a quarter faster: one ray in a million may slip through an edge, of sixteen that are averaged.
+  RTCScene scene = build_embree_scene(impl_->device, mesh, RTC_SCENE_FLAG_NONE);
   if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   const glm::vec3 centre = bounds_of(mesh).centre();
   impl_->bodies.push_back(

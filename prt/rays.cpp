@@ -21,10 +21,9 @@ RayScene::~RayScene() = default;
 RayScene::RayScene(RayScene&&) noexcept = default;
 RayScene& RayScene::operator=(RayScene&&) noexcept = default;
 
-RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh) {
+RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh, RTCSceneFlags flags) {
   RTCScene scene = rtcNewScene(device);
-  // Robust: no ray slips through the shared edge of two triangles.
-  rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneFlags(scene, flags);
   rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
   RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
   auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
@@ -51,7 +50,8 @@ Result<RayScene> RayScene::build(const Mesh& mesh) {
   auto impl = std::make_unique<Impl>();
   impl->device = rtcNewDevice(nullptr);
   if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot make a device");
-  impl->scene = build_embree_scene(impl->device, mesh);
+  // Robust: no ray slips through the shared edge of two triangles.
+  impl->scene = build_embree_scene(impl->device, mesh, RTC_SCENE_FLAG_ROBUST);
   if (!impl->scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   return RayScene(std::move(impl));
 }

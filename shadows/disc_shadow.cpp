@@ -2,149 +2,22 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
-#include <cassert>
 #include <cmath>
-#include <glm/gtx/quaternion.hpp>
 
-#include "shadows/shadows.h"
+#include "shadows/disc_rays.h"
 
 namespace penumbra::shadows {
 
 namespace {
 
-using prt::RayWorld;
-
-constexpr int kTurns =
-    64;  // patterns for vertices, each turned about the disc's axis by another angle
-constexpr int kMostTaps = 64;
-constexpr int kOpenTaps = 16;      // of the whole disc, for the cosine of an open vertex
-constexpr int kScouts = 4;         // taps that decide whether a node needs the others
-constexpr int kCoarse = 8;         // cells between the first nodes
-constexpr float kSame = .03f;      // a cell whose corners differ by less is flat
-constexpr float kSteep = .6f;      // an edge may hide in a cell whose corners differ by more
-constexpr float kStraight = .06f;  // midpoints this close to the bilinear value need no refinement
-constexpr double kLongest = 10;    // radii of the caster: longest shadow
+constexpr std::size_t kScouts = 4;  // taps that decide whether a node needs the others
+constexpr int kCoarse = 8;          // cells between the first nodes
+constexpr float kSame = .03f;       // a cell whose corners differ by less is flat
+constexpr float kSteep = .6f;       // an edge may hide in a cell whose corners differ by more
+constexpr float kStraight = .06f;   // midpoints this close to the bilinear value need no refinement
+constexpr double kLongest = 10;     // radii of the caster: longest shadow
 constexpr double kLeastSine =
     .02;  // of a tap's elevation: lower ones throw their shadow like this one
-constexpr double kNarrow =
-    .05;  // radians: nothing hides between the scouts of a narrower round disc
-
-// Directions over the disc, in as many turned copies as there are kTurns. The first kScouts are far apart.
-class Taps {
- public:
-  Taps(const lighting::Disc& disc, int taps, int turns) : taps_(taps), turns_(turns) {
-    assert(taps >= 1 && taps <= kMostTaps);
-    disc.shape.empty() ? spread_over_cap(disc) : spread_over_shape(disc);
-  }
-  int count() const { return taps_; }
-  const glm::vec3* at(std::size_t point) const {
-    return &directions_[point % static_cast<std::size_t>(turns_) * static_cast<std::size_t>(taps_)];
-  }
-
- private:
-  void spread_over_cap(const lighting::Disc& disc) {
-    const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
-    const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
-    const std::vector<glm::dvec2> points = spread_points(taps_);
-    for (int turn = 0; turn < turns_; ++turn)
-      for (const glm::dvec2& p : points) {
-        const double c = 1 - height * p.x, s = std::sqrt(1 - c * c);
-        // The turns follow the golden ratio, so that neighbours differ most.
-        const double a = p.y + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);
-        directions_.emplace_back(frame * glm::dvec3(s * std::cos(a), c, s * std::sin(a)));
-      }
-  }
-
-  // One point of each group of neighbours: its middle for one turn, else another one in every turn.
-  void spread_over_shape(const lighting::Disc& disc) {
-    const int points = static_cast<int>(disc.shape.size()), group = std::max(1, points / taps_);
-    for (int turn = 0; turn < turns_; ++turn)
-      for (int k = 0; k < taps_; ++k) {
-        // Groups in bit-reversed order: the first few lie far apart.
-        const int first = static_cast<int>(reversed(static_cast<unsigned>(k)) *
-                                               static_cast<unsigned long long>(points) >>
-                                           32) /
-                          group * group;
-        glm::dvec3 sum(0);
-        for (int i = 0; i < group; ++i)
-          if (turns_ == 1 || i == (turn * 5 + k * 3) % group)
-            sum += disc.shape[static_cast<std::size_t>(first + i)];
-        directions_.emplace_back(glm::normalize(sum));
-      }
-  }
-  static std::uint32_t reversed(std::uint32_t v) {
-    std::uint32_t out = 0;
-    for (int bit = 0; bit < 32; ++bit) out |= (v >> bit & 1u) << (31 - bit);
-    return out;
-  }
-  // (share of the area inside, angle) of a Vogel spiral, each point the farthest from those before it.
-  static std::vector<glm::dvec2> spread_points(int count) {
-    constexpr double kGolden = 2.399963229728653;
-    std::vector<glm::dvec2> rest, out;
-    for (int k = count; k-- > 0;) rest.emplace_back((k + .5) / count, k * kGolden);
-    const auto place = [](const glm::dvec2& p) {
-      return std::sqrt(p.x) * glm::dvec2(std::cos(p.y), std::sin(p.y));
-    };
-    while (!rest.empty()) {
-      const auto clearance = [&](const glm::dvec2& p) {
-        double nearest = 4;
-        for (const glm::dvec2& q : out)
-          nearest = std::min(nearest, glm::length(place(p) - place(q)));
-        return nearest;
-      };
-      const auto best = std::ranges::max_element(rest, {}, clearance);
-      out.push_back(*best);
-      rest.erase(best);
-    }
-    return out;
-  }
-
-  int taps_, turns_;
-  std::vector<glm::vec3> directions_;
-};
-
-// Gathers rays into packets of sixteen and hands each full packet's answers back.
-template <class Answer>
-class Packets {
- public:
-  Packets(const Blockers& blockers, Answer answer) : blockers_(blockers), answer_(answer) {}
-  ~Packets() { flush(); }
-  Packets(const Packets&) = delete;
-  Packets& operator=(const Packets&) = delete;
-
-  void add(std::size_t point, float weight, const glm::vec3& o, const glm::vec3& d) {
-    rays_.ox[count_] = o.x, rays_.oy[count_] = o.y, rays_.oz[count_] = o.z;
-    rays_.dx[count_] = d.x, rays_.dy[count_] = d.y, rays_.dz[count_] = d.z;
-    point_[count_] = point;
-    weight_[count_] = weight;
-    if (++count_ == RayWorld::kPacket) flush();
-  }
-
- private:
-  void flush() {
-    if (count_ == 0) return;
-    const auto blocked = [&](const RayWorld* world) {
-      return world && !world->empty() ? world->occluded(rays_, count_) : 0u;
-    };
-    const std::uint32_t by_virtual = blocked(blockers_.virtual_things),
-                        by_real = blocked(blockers_.real_things);
-    for (int i = 0; i < count_; ++i)
-      answer_(point_[i], weight_[i], (by_virtual >> i & 1) != 0, (by_real >> i & 1) != 0);
-    count_ = 0;
-  }
-
-  const Blockers& blockers_;
-  Answer answer_;
-  RayWorld::Rays rays_;
-  std::size_t point_[RayWorld::kPacket];
-  float weight_[RayWorld::kPacket];
-  int count_ = 0;
-};
-
-// An object on a plane gets nothing from behind it but what the bake knows.
-bool behind(const prt::Plane* plane, const glm::vec3& d) {
-  return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
-}
 
 // Bounds of the casters' shadow in the plane frame.
 struct Extent {
@@ -154,7 +27,7 @@ struct Extent {
 };
 
 // Where the shadow of a point at height one lies, over all taps above the plane.
-Extent reach_of_taps(const Taps& taps, const glm::dmat3& plane_from_world) {
+Extent reach_of_taps(const TapPattern& taps, const glm::dmat3& plane_from_world) {
   Extent reach;
   for (int t = 0; t < taps.count(); ++t) {
     const glm::dvec3 d = plane_from_world * glm::dvec3(taps.at(0)[t]);
@@ -195,7 +68,7 @@ Extent shadow_extent(std::span<const Caster> casters, const Pose& plane_from_wor
 // refinement ends where it should.
 class Refiner {
  public:
-  Refiner(const Blockers& blockers, const Taps& taps, bool narrow, DiscShadow& out)
+  Refiner(const Blockers& blockers, const TapPattern& taps, bool narrow, DiscShadow& out)
       : blockers_(blockers), out_(out), width_(out.taken.width()), narrow_(narrow) {
     known_.assign(out.taken.area(), false);
     const glm::mat3 axes(out.world_from_map.rotation_matrix());
@@ -255,7 +128,7 @@ void Refiner::want(int x, int y) {
 
 // Scouts around the disc's rim first: where they agree there is no penumbra.
 void Refiner::trace_wanted() {
-  const std::size_t scouts = narrow_ ? std::min<std::size_t>(kScouts, taps_.size()) : taps_.size();
+  const std::size_t scouts = narrow_ ? std::min(kScouts, taps_.size()) : taps_.size();
   trace(wanted_, std::span(taps_).first(scouts));
   if (scouts < taps_.size()) {
     float scouted = 0;
@@ -395,98 +268,7 @@ void clear_rim(Image<float>& map) {
   for (int x = 0; x < map.width(); ++x) map.at(x, 0) = map.at(x, map.height() - 1) = 0;
 }
 
-bool is_narrow(const lighting::Disc& disc) {
-  return disc.shape.empty() && disc.radius.value() < kNarrow;
-}
-
-// Each vertex with its neighbours: few rays a vertex, turned from one to the next, become many.
-void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
-  thread_local std::vector<float> sums;  // grows once per thread
-  sums = values;
-  for (const auto& [a, b, c] : mesh.triangles) {
-    const float all = values[a] + values[b] + values[c];
-    sums[a] += all - values[a];
-    sums[b] += all - values[b];
-    sums[c] += all - values[c];
-  }
-  std::swap(sums, values);
-}
-
 }  // namespace
-
-void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
-                      const prt::Plane* plane, const lighting::Disc& disc, int taps,
-                      std::span<float> out) {
-  const bool narrow = is_narrow(disc);
-  const Taps pattern(disc, taps, kTurns);
-  const glm::mat3 turn(world_from_mesh.rotation_matrix());
-  const glm::vec3 shift(world_from_mesh.translation);
-  const std::size_t count = mesh.positions.size();
-  thread_local std::vector<float> seen_memory,
-      open_memory;  // sums of cosines; grow once per thread
-  std::vector<float>&seen = seen_memory, &open = open_memory;
-  seen.assign(count, 0);
-  open.assign(count, 0);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
-    Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
-      if (!by_virtual && !by_real) seen[i] += weight;
-    });
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      const glm::vec3 n = turn * mesh.normals[i];
-      const glm::vec3 o = turn * mesh.positions[i] + shift + blockers.near_m * n;
-      const glm::vec3* const directions = pattern.at(i);
-      for (int t = 0; t < pattern.count(); ++t) {
-        const float cosine = glm::dot(n, directions[t]);
-        if (cosine <= 0) continue;
-        open[i] += cosine;
-        if (!behind(plane, directions[t])) packets.add(i, cosine, o, directions[t]);
-      }
-    }
-  });
-  if (narrow) {
-    for (std::size_t i = 0; i < count; ++i) out[i] = seen[i] / static_cast<float>(taps);
-    return;
-  }
-  average_neighbours(mesh, seen);
-  average_neighbours(mesh, open);
-  const Taps all(disc, std::max(taps, kOpenTaps), 1);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      out[i] = 0;
-      if (open[i] <= 0) continue;
-      const glm::vec3 n = turn * mesh.normals[i];
-      float cosines = 0;
-      for (int t = 0; t < all.count(); ++t) cosines += std::max(0.f, glm::dot(n, all.at(0)[t]));
-      out[i] = seen[i] / open[i] * cosines / static_cast<float>(all.count());
-    }
-  });
-}
-
-void trace_disc_points(const Blockers& blockers, std::span<const glm::vec3> positions,
-                       std::span<const glm::vec3> normals, const lighting::Disc& disc, int taps,
-                       DiscAtPoints& out) {
-  const std::size_t count = positions.size();
-  for (auto* v : {&out.open, &out.taken, &out.missing}) v->assign(count, 0.f);
-  const Taps pattern(disc, taps, kTurns);
-  const float share = 1 / static_cast<float>(taps);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 512), [&](const auto& part) {
-    Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
-      if (by_real)
-        out.missing[i] += weight;
-      else if (by_virtual)
-        out.taken[i] += weight;
-    });
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      const glm::vec3 o = positions[i] + blockers.near_m * normals[i];
-      for (int t = 0; t < taps; ++t) {
-        const float cosine = share * glm::dot(normals[i], pattern.at(i)[t]);
-        if (cosine <= 0) continue;
-        out.open[i] += cosine;
-        packets.add(i, cosine, o, pattern.at(i)[t]);
-      }
-    }
-  });
-}
 
 void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
                        const prt::Plane& plane, const lighting::Disc& disc,
@@ -503,7 +285,8 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
   away = glm::normalize(away);
   const glm::dmat3 axes(away, plane.normal, glm::cross(away, plane.normal));
   const Pose world_from_plane{glm::quat_cast(axes), plane.point};
-  const Taps taps(disc, options.taps, 1);
+  thread_local TapPattern taps;  // grows once per thread
+  taps.make(disc, options.taps, 1);
   const Extent reach = reach_of_taps(taps, glm::transpose(axes));
   if (reach.low.x > reach.high.x) return;  // no tap above the plane
   const Extent e = shadow_extent(casters, world_from_plane.inverse(), reach);

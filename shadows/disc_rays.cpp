@@ -1,0 +1,87 @@
+#include "shadows/disc_rays.h"
+
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cmath>
+#include <glm/gtx/quaternion.hpp>
+
+#include "core/conventions.h"
+
+namespace penumbra::shadows {
+
+namespace {
+
+// (share of the area inside, angle) of a Vogel spiral, each point the farthest from those before it.
+std::span<const glm::dvec2> spread_points(int count, std::array<glm::dvec2, kMostTaps>& points) {
+  constexpr double kGolden = 2.399963229728653;
+  const auto end = static_cast<std::size_t>(count);
+  for (std::size_t k = 0; k < end; ++k) {
+    const auto outer = static_cast<double>(end - 1 - k);
+    points[k] = {(outer + .5) / count, outer * kGolden};
+  }
+  const auto place = [](const glm::dvec2& p) {
+    return std::sqrt(p.x) * glm::dvec2(std::cos(p.y), std::sin(p.y));
+  };
+  for (std::size_t done = 0; done < end; ++done) {
+    const auto clearance = [&](const glm::dvec2& p) {
+      double nearest = 4;
+      for (std::size_t q = 0; q < done; ++q)
+        nearest = std::min(nearest, glm::length(place(p) - place(points[q])));
+      return nearest;
+    };
+    const std::span rest = std::span(points).subspan(done, end - done);
+    const auto best = std::ranges::max_element(rest, {}, clearance);
+    std::rotate(rest.begin(), best, best + 1);
+  }
+  return std::span(points).first(end);
+}
+
+std::uint32_t reversed(std::uint32_t v) {
+  std::uint32_t out = 0;
+  for (int bit = 0; bit < 32; ++bit) out |= (v >> bit & 1u) << (31 - bit);
+  return out;
+}
+
+}  // namespace
+
+void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
+  assert(taps >= 1 && taps <= kMostTaps && turns >= 1);
+  taps_ = taps, turns_ = turns;
+  directions_.clear();
+  disc.shape.empty() ? spread_over_cap(disc) : spread_over_shape(disc);
+}
+
+void TapPattern::spread_over_cap(const lighting::Disc& disc) {
+  const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
+  const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
+  std::array<glm::dvec2, kMostTaps> memory;
+  const std::span points = spread_points(taps_, memory);
+  for (int turn = 0; turn < turns_; ++turn)
+    for (const glm::dvec2& p : points) {
+      const double c = 1 - height * p.x, s = std::sqrt(1 - c * c);
+      // The turns follow the golden ratio, so that neighbours differ most.
+      const double a = p.y + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);
+      directions_.emplace_back(frame * glm::dvec3(s * std::cos(a), c, s * std::sin(a)));
+    }
+}
+
+// One point of each group of neighbours: its middle for one turn, else another one in every turn.
+void TapPattern::spread_over_shape(const lighting::Disc& disc) {
+  const int points = static_cast<int>(disc.shape.size()), group = std::max(1, points / taps_);
+  for (int turn = 0; turn < turns_; ++turn)
+    for (int k = 0; k < taps_; ++k) {
+      // Groups in bit-reversed order: the first few lie far apart.
+      const int first =
+          static_cast<int>(
+              reversed(static_cast<unsigned>(k)) * static_cast<unsigned long long>(points) >> 32) /
+          group * group;
+      glm::dvec3 sum(0);
+      for (int i = 0; i < group; ++i)
+        if (turns_ == 1 || i == (turn * 5 + k * 3) % group)
+          sum += disc.shape[static_cast<std::size_t>(first + i)];
+      directions_.emplace_back(glm::normalize(sum));
+    }
+}
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,78 @@
+// Directions over a disc, and rays in packets: what every way of tracing a disc shares.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "shadows/shadows.h"
+
+namespace penumbra::shadows {
+
+inline constexpr int kMostTaps = 64;
+/// Radians: nothing hides between the first few taps of a narrower round disc.
+inline constexpr double kNarrow = .05;
+
+inline bool is_narrow(const lighting::Disc& disc) {
+  return disc.shape.empty() && disc.radius.value() < kNarrow;
+}
+
+/// Directions over a disc in `turns` copies, each turned about its axis by another angle. The first few of a copy
+/// are far apart. threads: thread-bound; memory grows once
+class TapPattern {
+ public:
+  /// in: taps 1..kMostTaps
+  void make(const lighting::Disc& disc, int taps, int turns);
+  int count() const { return taps_; }
+  std::span<const glm::vec3> at(std::size_t point) const {
+    const auto taps = static_cast<std::size_t>(taps_);
+    return {&directions_[point % static_cast<std::size_t>(turns_) * taps], taps};
+  }
+
+ private:
+  void spread_over_cap(const lighting::Disc& disc);
+  void spread_over_shape(const lighting::Disc& disc);
+
+  int taps_ = 0, turns_ = 1;
+  std::vector<glm::vec3> directions_;
+};
+
+/// Gathers rays into packets of sixteen and hands each full packet's answers back.
+template <class Answer>
+class Packets {
+ public:
+  Packets(const Blockers& blockers, Answer answer) : blockers_(blockers), answer_(answer) {}
+  ~Packets() { flush(); }
+  Packets(const Packets&) = delete;
+  Packets& operator=(const Packets&) = delete;
+
+  void add(std::size_t point, float weight, const glm::vec3& o, const glm::vec3& d) {
+    rays_.ox[count_] = o.x, rays_.oy[count_] = o.y, rays_.oz[count_] = o.z;
+    rays_.dx[count_] = d.x, rays_.dy[count_] = d.y, rays_.dz[count_] = d.z;
+    point_[count_] = point;
+    weight_[count_] = weight;
+    if (++count_ == prt::RayWorld::kPacket) flush();
+  }
+
+ private:
+  void flush() {
+    if (count_ == 0) return;
+    const auto blocked = [&](const prt::RayWorld* world) {
+      return world && !world->empty() ? world->occluded(rays_, count_) : 0u;
+    };
+    const std::uint32_t by_virtual = blocked(blockers_.virtual_things),
+                        by_real = blocked(blockers_.real_things);
+    for (int i = 0; i < count_; ++i)
+      answer_(point_[i], weight_[i], (by_virtual >> i & 1) != 0, (by_real >> i & 1) != 0);
+    count_ = 0;
+  }
+
+  const Blockers& blockers_;
+  Answer answer_;
+  prt::RayWorld::Rays rays_;
+  std::size_t point_[prt::RayWorld::kPacket];
+  float weight_[prt::RayWorld::kPacket];
+  int count_ = 0;
+};
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,91 @@
+// A disc that moves: what tracing its light anew costs, against every vertex and every node of the map with all rays.
+#include <cmath>
+
+#include "bench/harness.h"
+#include "core/conventions.h"
+#include "shadows/shadows.h"
+
+namespace penumbra::bench {
+namespace {
+
+struct Setup {
+  prt::Mesh mesh = prt::make_knot(.5f, 480, 80, {.6f, .6f, .6f});
+  prt::RayWorld world = *prt::RayWorld::create();
+  prt::Plane plane;
+  Setup() { (void)*world.add(mesh); }
+  shadows::Blockers blockers() const { return {&world, nullptr, 3e-5f}; }
+};
+
+const Setup& setup() {
+  static const Setup one;
+  return one;
+}
+
+// A little further with every call.
+lighting::Disc disc(double radius_deg, int step) {
+  lighting::Disc out;
+  const double azimuth = .3 + .002 * step, elevation = .7;
+  out.direction = {std::cos(elevation) * std::cos(azimuth), std::sin(elevation),
+                   std::cos(elevation) * std::sin(azimuth)};
+  out.radius = Radians{radius_deg * kPi / 180};
+  out.radiance = {1, 1, 1};
+  return out;
+}
+
+void vertices(benchmark::State& state) {
+  const Threads threads(1);
+  const double radius = static_cast<double>(state.range(0)) / 100;
+  std::vector<float> out(setup().mesh.positions.size());
+  int step = 0;
+  const auto trace = [&](int taps) {
+    shadows::trace_disc_light(setup().blockers(), setup().mesh, {}, &setup().plane,
+                              disc(radius, step++), taps, out);
+  };
+  compare(
+      state, [&] { trace(4); }, [&] { trace(16); });
+}
+BENCHMARK(vertices)
+    ->Name("shadows/disc_light_38k_vertices_vs_16_rays_each")
+    ->ArgName("radius_1/100_deg")
+    ->Arg(28)
+    ->Arg(340)
+    ->Arg(1000)
+    ->Iterations(kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
+
+void floor_map(benchmark::State& state) {
+  const Threads threads(1);
+  const double radius = static_cast<double>(state.range(0)) / 100;
+  const shadows::Caster caster{&setup().mesh, {}};
+  shadows::DiscShadow shadow;
+  int step = 0;
+  std::vector<glm::vec3> nodes, normals;
+  shadows::DiscAtPoints dense;
+  const auto trace = [&] {
+    shadows::trace_disc_shadow(setup().blockers(), {&caster, 1}, setup().plane,
+                               disc(radius, step++), {}, shadow);
+  };
+  trace();
+  for (int y = 0; y < shadow.taken.height(); ++y)
+    for (int x = 0; x < shadow.taken.width(); ++x)
+      nodes.emplace_back(shadow.world_from_map *
+                         glm::dvec3(x * shadow.cell_m, 0., y * shadow.cell_m));
+  normals.assign(nodes.size(), {0, 1, 0});
+  compare(state, trace, [&] {
+    shadows::trace_disc_points(setup().blockers(), nodes, normals, disc(radius, step), 16, dense);
+  });
+  state.counters["rays"] = static_cast<double>(shadow.rays);
+}
+BENCHMARK(floor_map)
+    ->Name("shadows/disc_shadow_map_vs_16_rays_a_node")
+    ->ArgName("radius_1/100_deg")
+    ->Arg(28)
+    ->Arg(340)
+    ->Arg(1000)
+    ->Iterations(kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
+
+}  // namespace
+}  // namespace penumbra::bench
