@@ -91,10 +91,21 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
   }();
   if (estimate && !warned_ && std::ranges::any_of(estimate->discs, &lighting::Disc::clipped)) {
     warned_ = true;
-    spdlog::warn("{}: a light source is saturated in every exposure; its light is a lower bound",
-                 info_.name);
+    spdlog::warn(
+        "{}: a light source is saturated in every exposure; its light is a lower bound until a floor completes it",
+        info_.name);
   }
   return estimate;
+}
+
+void LightStage::complete(std::span<const lighting::Completion> completions) {
+  for (const lighting::Completion& c : completions) {
+    const auto taken = estimator_.complete(c);
+    if (taken)
+      spdlog::info("{}: source {} completed from the floor", info_.name, c.disc);
+    else  // it has moved on, or the floor says less than the camera
+      spdlog::warn("{}: source {} not completed: {}", info_.name, c.disc, taken.error().detail);
+  }
 }
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
@@ -117,8 +128,10 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   if (!compositor) return std::unexpected(compositor.error());
   auto discs = DiscStage::create(scene, taps);
   if (!discs) return std::unexpected(discs.error());
-  auto stage = std::unique_ptr<ComposeStage>(
-      new ComposeStage(std::move(*compositor), std::move(*discs), scene, times));
+  auto completion = FloorCompletion::create(scene);
+  if (!completion) return std::unexpected(completion.error());
+  auto stage = std::unique_ptr<ComposeStage>(new ComposeStage(
+      std::move(*compositor), std::move(*discs), std::move(*completion), scene, times));
   for (const capture::CameraInfo& c : cameras)
     stage->views_.push_back({c, std::nullopt, std::nullopt});
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
@@ -281,6 +294,17 @@ const CodeCurve* ComposeStage::curve_for(ViewCamera& camera, const FramePixels& 
   if (std::holds_alternative<Image<Rgb8>>(pixels)) return make(camera.curve8, 8);
   if (std::holds_alternative<Image<Rgb16>>(pixels)) return make(camera.curve16, 16);
   return nullptr;
+}
+
+std::vector<lighting::Completion> ComposeStage::complete(const capture::Frame& frame,
+                                                         const lighting::LightEstimate& light) {
+  ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
+  auto found = completion_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
+  if (found) return std::move(*found);
+  if (!std::exchange(could_not_complete_, true))
+    spdlog::warn("{}: saturated source not completed: {}", found.error().where,
+                 found.error().detail);
+  return {};
 }
 
 Result<Composited> ComposeStage::process(const capture::Frame& frame,

@@ -12,6 +12,7 @@
 #include "core/result.h"
 #include "lighting/lighting.h"
 #include "service/disc_stage.h"
+#include "service/floor_completion.h"
 #include "service/scene.h"
 #include "service/stage_times.h"
 
@@ -28,6 +29,8 @@ class LightStage {
   void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
   /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
   Result<lighting::LightEstimate> process(const capture::Frame& frame);
+  /// From the next map on.
+  void complete(std::span<const lighting::Completion> completions);
 
  private:
   LightStage(int camera, const capture::CameraInfo& info, const lighting::EstimateOptions& options,
@@ -71,6 +74,10 @@ class ComposeStage {
   /// errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);
   compositor::Compositor& output() { return *compositor_; }
+  /// What sources of `light` that are saturated in every exposure really send, where this frame can tell; empty where
+  /// it cannot.
+  std::vector<lighting::Completion> complete(const capture::Frame& frame,
+                                             const lighting::LightEstimate& light);
   /// The light's share of process(): relights objects and renews shadows where something changed visibly.
   bool update_light(const lighting::LightEstimate& light, double seconds);
 
@@ -88,10 +95,11 @@ class ComposeStage {
   };
 
   ComposeStage(std::unique_ptr<compositor::Compositor> compositor, DiscStage discs,
-               const PreparedScene& scene, StageTimes& times)
+               FloorCompletion completion, const PreparedScene& scene, StageTimes& times)
       : compositor_(std::move(compositor)),
         scene_(scene),
         discs_(std::move(discs)),
+        completion_(std::move(completion)),
         times_(times) {}
   void share_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
@@ -102,6 +110,8 @@ class ComposeStage {
   std::unique_ptr<compositor::Compositor> compositor_;
   const PreparedScene& scene_;
   DiscStage discs_;
+  FloorCompletion completion_;
+  bool could_not_complete_ = false;  // was said
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;

@@ -76,6 +76,7 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
       }
     } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role ==
                capture::Role::kView) {
+      light.complete(compose.complete(**frame, estimate));
       PENUMBRA_TRY(compose_one(**frame, estimate, compose, sink, counts, go_on));
     }
   }
@@ -91,6 +92,7 @@ namespace {
 struct Live {
   Latest<capture::Frame> environment, view;
   Latest<lighting::LightEstimate> light;
+  Latest<std::vector<lighting::Completion>> completions;
   std::mutex mutex;
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
@@ -100,6 +102,7 @@ struct Live {
     environment.close();
     view.close();
     light.close();
+    completions.close();
   }
   void stop_with(const Error& e) {
     {
@@ -169,6 +172,7 @@ void measure(Live& live, LightStage& light) noexcept {
         continue;
       }
       live.exposures.insert(frame->exposure.product());
+      if (const auto completions = live.completions.take()) light.complete(*completions);
       auto estimate = light.process(*frame);
       if (estimate) {
         live.light.put(std::move(*estimate));
@@ -207,6 +211,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
         continue;
       }
       if (auto newer = live.light.take()) estimate = std::move(*newer);
+      if (auto completions = compose.complete(*frame, estimate); !completions.empty())
+        live.completions.put(std::move(completions));
       composed = compose_one(*frame, estimate, compose, sink, counts, go_on);
       if (!composed) break;
     }
