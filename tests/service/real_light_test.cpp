@@ -92,6 +92,37 @@ TEST(RealLight, GraceInFourContainersGivesThePublishedCoefficients) {
   }
 }
 
+// Why the residual above is not smaller: the published numbers put a pixel's corner where its centre is.
+// source: Ramamoorthi & Hanrahan 2001; their angular map has u = (column - w/2)/(w/2) and dw = (2 pi/w)^2 sinc(pi r)
+TEST(RealLight, GraceWithPixelCornersGivesThePublishedCoefficientsWithoutATurn) {
+  PENUMBRA_NEED_SHARED(numbers, "reference/sh_lighting_published.json");
+  PENUMBRA_NEED_SHARED(angular, "eval-only/probes/grace_probe_angular.hdr");
+  const RadianceSh published = published_grace(numbers);
+  const auto light = read_light(angular.string(), std::nullopt);
+  ASSERT_TRUE(light) << light.error().detail;
+  const Image<Rgb>& picture = light->file.radiance;
+  const double half = picture.width() / 2.;
+  double residuals[2];
+  for (const double offset : {0., .5}) {
+    RadianceSh sum(3);
+    for (int y = 0; y < picture.height(); ++y)
+      for (int x = 0; x < picture.width(); ++x) {
+        const double u = (x + offset - half) / half, v = (half - y - offset) / half,
+                     r = std::hypot(u, v);
+        if (r > 1 || r == 0) continue;
+        const double sine = std::sin(kPi * r), dw = std::pow(kPi / half, 2) * sine / (kPi * r);
+        double basis[9];
+        lighting::evaluate_basis(3, {sine * u / r, sine * v / r, -std::cos(kPi * r)}, basis);
+        for (int n = 0; n < 9; ++n)
+          sum[n] += picture.at(x, y) * static_cast<float>(dw * basis[n]);
+      }
+    residuals[offset > 0 ? 1 : 0] = residual(mirrored_z(sum), published);
+  }
+  std::printf("pixel corners %.5f, pixel centres %.5f\n", residuals[0], residuals[1]);
+  EXPECT_LE(residuals[0], .005);
+  EXPECT_GT(residuals[1], residuals[0]);
+}
+
 TEST(RealLight, KernerLatLongAndCubeAgree) {
   PENUMBRA_NEED_SHARED(latlong, "envmaps/KernerEnvLatLong.exr");
   PENUMBRA_NEED_SHARED(cube, "envmaps/KernerEnvCube.exr");
