@@ -125,7 +125,7 @@ BENCHMARK(merge_robertson)
 // A 180-degree fisheye of 1536 pixels across into a 2048x1024 environment.
 void warp(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
-  const bool floats = state.range(1) != 0;
+  const auto type = static_cast<int>(state.range(1));  // of the peer's pixels
   constexpr int kSource = 1536;
   const auto projection =
       *calib::make_projection(calib::ProjectionKind::kEquidistant, kSource, kSource);
@@ -142,18 +142,20 @@ void warp(benchmark::State& state) {
       map_y.at<float>(y, x) = p ? static_cast<float>(p->y - .5) : -10.f;
     }
   cv::convertMaps(map_x, map_y, fixed, fraction, CV_16SC2);
-  const cv::Mat source(kSource, kSource, floats ? CV_32FC3 : CV_8UC3, cv::Scalar(9, 8, 7));
+  const cv::Mat source(kSource, kSource, type, cv::Scalar(9, 8, 7));
   compare(
       state, [&] { assembler.assemble(merged, environment); },
       [&] { cv::remap(source, warped, fixed, fraction, cv::INTER_LINEAR, cv::BORDER_CONSTANT); });
 }
 BENCHMARK(warp)
     ->Name("capture/warp_fisheye_to_2048x1024_vs_opencv_remap")
-    ->ArgNames({"threads", "float"})
-    ->Args({1, 0})
-    ->Args({2, 0})
-    ->Args({1, 1})
-    ->Args({2, 1})
+    ->ArgNames({"threads", "cv_type"})
+    ->Args({1, CV_8UC3})
+    ->Args({2, CV_8UC3})
+    ->Args({1, CV_16UC4})  // 8 bytes a pixel, as ours
+    ->Args({2, CV_16UC4})
+    ->Args({1, CV_32FC3})
+    ->Args({2, CV_32FC3})
     ->Iterations(kRepeats)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
