@@ -91,8 +91,6 @@ void PrintTo(const Case& c, std::ostream* out) {
   *out << c.name;
 }
 
-// Fails today: the refinement takes an edge in the middle of a coarse cell for a straight ramp
-// across it, and tolerates errors above one ray of 16.
 class LiftedObject : public testing::TestWithParam<Case> {};
 
 TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
