@@ -49,6 +49,12 @@ class Image {
   Image(int width, int height, Pixel fill = {})
       : width_(width), height_(height), pixels_(checked_area(width, height), fill) {}
 
+  /// Another size, all pixels alike; keeps its memory.
+  void reset(int width, int height, Pixel fill = {}) {
+    pixels_.assign(checked_area(width, height), fill);
+    width_ = width, height_ = height;
+  }
+
   int width() const { return width_; }
   int height() const { return height_; }
   std::size_t area() const { return pixels_.size(); }

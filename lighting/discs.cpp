@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <numeric>
 
+#include "core/scratch.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {
@@ -19,6 +19,10 @@ constexpr double kSmall = .01;  // radians: the form of smaller sources cannot b
 constexpr int kShapeDepth = 6;  // 2^6 = Disc::kShapePoints
 constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
 
+// Temporaries come from the thread's scratch memory.
+template <class T>
+using Vector = std::pmr::vector<T>;
+
 // Pixels [x0, x1) of row y that are brighter than the level.
 struct Run {
   int y, x0, x1;
@@ -26,7 +30,7 @@ struct Run {
 
 class DisjointSets {
  public:
-  explicit DisjointSets(std::size_t count) : parent_(count) {
+  DisjointSets(std::size_t count, std::pmr::memory_resource* memory) : parent_(count, memory) {
     std::iota(parent_.begin(), parent_.end(), std::size_t{0});
   }
   std::size_t find(std::size_t i) {
@@ -36,11 +40,18 @@ class DisjointSets {
   void join(std::size_t a, std::size_t b) { parent_[find(a)] = find(b); }
 
  private:
-  std::vector<std::size_t> parent_;
+  Vector<std::size_t> parent_;
 };
 
 struct Region {
-  std::vector<Run> runs;
+  using allocator_type = std::pmr::polymorphic_allocator<>;
+  Region(const allocator_type& memory) : runs(memory) {}
+  Region(Region&&) = default;
+  Region(Region&& other, const allocator_type& memory)
+      : runs(std::move(other.runs), memory), peak(other.peak) {}
+  Region& operator=(Region&&) = default;
+
+  Vector<Run> runs;
   float peak = 0;
 };
 
@@ -57,7 +68,7 @@ struct Share {
 };
 
 struct Candidate {
-  std::vector<Excess> pixels;
+  Vector<Excess> pixels;
   glm::dvec3 centre;
   double flux;         // luminance times solid angle
   double solid_angle;  // of an even disc with the same second moment of radiance
@@ -68,6 +79,7 @@ class Peeler {
  public:
   Peeler(const DiscOptions& options, std::span<const std::uint32_t> clipped, DiscSplit& split)
       : options_(options), clipped_(clipped), map_(split.rest), discs_(split.discs), split_(split) {
+    weight_.reserve(static_cast<std::size_t>(map_.height()));
     for (int y = 0; y < map_.height(); ++y)
       weight_.push_back(latlong_solid_angle(y, map_.width(), map_.height()));
   }
@@ -77,27 +89,29 @@ class Peeler {
  private:
   Result<double> measure();
   double mean_below(double level) const;
-  std::vector<Region> regions_above(float level) const;
-  std::vector<Region> regions_of(std::vector<Run> runs) const;
-  std::vector<Run> runs_above(float level, std::span<const Run> within) const;
+  Vector<Region> regions_above(float level) const;
+  Vector<Region> regions_of(std::span<const Run> runs) const;
+  Vector<Run> runs_above(float level, std::span<const Run> within) const;
   void peel(const Region& region, float level);
   double flux_of(const Region& region) const;
   void cut_clipped(float level);
   void cut(const Region& region, float level, bool clipped = false);
-  void add_candidate(std::vector<Excess> pixels, bool clipped);
+  void add_candidate(Vector<Excess> pixels, bool clipped);
   void put_back(std::span<const Excess> pixels);
   std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
   void join_concentric();
   void choose();
 
+  Scratch::Scope scope_;
+  std::pmr::memory_resource* const memory_ = scope_.memory();
   const DiscOptions& options_;
   std::span<const std::uint32_t> clipped_;
   Image<Rgb>& map_;
   std::vector<Disc>& discs_;
   DiscSplit& split_;
-  std::vector<double> weight_;  // solid angle of a pixel, by row
-  std::vector<float> row_peak_;
-  std::vector<Candidate> candidates_;
+  Vector<double> weight_{memory_};  // solid angle of a pixel, by row
+  Vector<float> row_peak_{memory_};
+  Vector<Candidate> candidates_{memory_};
   double least_flux_ = 0;
 };
 
@@ -138,8 +152,8 @@ double Peeler::mean_below(double level) const {
   return mean;
 }
 
-std::vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
-  std::vector<Run> runs;
+Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
+  Vector<Run> runs(memory_);
   for (const Run& r : within) {
     const auto row = map_.row(r.y);
     for (int x = r.x0; x < r.x1;) {
@@ -155,8 +169,8 @@ std::vector<Run> Peeler::runs_above(float level, std::span<const Run> within) co
   return runs;
 }
 
-std::vector<Region> Peeler::regions_above(float level) const {
-  std::vector<Run> rows;
+Vector<Region> Peeler::regions_above(float level) const {
+  Vector<Run> rows(memory_);
   for (int y = 0; y < map_.height(); ++y)
     if (row_peak_[static_cast<std::size_t>(y)] > level) rows.push_back({y, 0, map_.width()});
   return regions_of(runs_above(level, rows));
@@ -164,8 +178,8 @@ std::vector<Region> Peeler::regions_above(float level) const {
 
 // Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the seam; and
 // all pixels of the first row, or the last, meet at the pole.
-std::vector<Region> Peeler::regions_of(std::vector<Run> runs) const {
-  DisjointSets sets(runs.size());
+Vector<Region> Peeler::regions_of(std::span<const Run> runs) const {
+  DisjointSets sets(runs.size(), memory_);
   const int width = map_.width();
   const auto touch = [&](const Run& a, const Run& b) {
     for (const int shift : {-width, 0, width})
@@ -182,7 +196,9 @@ std::vector<Region> Peeler::regions_of(std::vector<Run> runs) const {
     for (std::size_t k = previous_start; k < row_start; ++k)
       if (touch(runs[i], runs[k])) sets.join(i, k);
   }
-  std::vector<Region> regions(runs.size());
+  Vector<Region> regions(memory_);
+  regions.reserve(runs.size());
+  for (std::size_t i = 0; i < runs.size(); ++i) regions.emplace_back();
   for (std::size_t i = 0; i < runs.size(); ++i) {
     Region& region = regions[sets.find(i)];
     region.runs.push_back(runs[i]);
@@ -216,7 +232,7 @@ double Peeler::flux_of(const Region& region) const {
 // Clipped pixels come first, so that the disc is where they are and what they lack is not spread
 // over the glow around them. Down to half of their own mean where that is not six times the rest.
 void Peeler::cut_clipped(float level) {
-  std::vector<Run> runs;
+  Vector<Run> runs(memory_);
   for (const std::uint32_t i : clipped_) {
     const int y = static_cast<int>(i) / map_.width(), x = static_cast<int>(i) % map_.width();
     if (!runs.empty() && runs.back().y == y && runs.back().x1 == x)
@@ -224,7 +240,7 @@ void Peeler::cut_clipped(float level) {
     else
       runs.push_back({y, x, x + 1});
   }
-  for (const Region& region : regions_of(std::move(runs))) {
+  for (const Region& region : regions_of(runs)) {
     double solid_angle = 0;
     for (const Run& r : region.runs)
       solid_angle += weight_[static_cast<std::size_t>(r.y)] * (r.x1 - r.x0);
@@ -235,7 +251,7 @@ void Peeler::cut_clipped(float level) {
 // Cuts the region down to the level and turns what was above into a candidate. The level, not a share of the
 // region's own mean: a window that dims slowly then leaves the list with nothing left in it.
 void Peeler::cut(const Region& region, float level, bool clipped) {
-  std::vector<Excess> above;
+  Vector<Excess> above(memory_);
   for (const Run& r : region.runs)
     for (int x = r.x0; x < r.x1; ++x) {
       Rgb& c = map_.at(x, r.y);
@@ -248,7 +264,7 @@ void Peeler::cut(const Region& region, float level, bool clipped) {
   add_candidate(std::move(above), clipped);
 }
 
-void Peeler::add_candidate(std::vector<Excess> pixels, bool clipped) {
+void Peeler::add_candidate(Vector<Excess> pixels, bool clipped) {
   double flux = 0, square = 0;
   glm::dvec3 centre(0);
   for (const Excess& p : pixels) {
@@ -309,17 +325,23 @@ std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
   if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};
   // A thousand shares are plenty for 64 points.
   const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 1000));
-  std::map<std::pair<int, int>, Share> blocks;
+  Vector<std::pair<std::int64_t, Share>> parts(memory_);  // by block
+  parts.reserve(c.pixels.size());
   for (const Excess& p : c.pixels) {
-    Share& share = blocks[{p.y / block, p.x / block}];
     const double w = weight_[static_cast<std::size_t>(p.y)] * luminance(p.radiance);
-    share.weight += w;
-    share.direction += w * p.direction;
+    parts.push_back({std::int64_t{p.y / block} * map_.width() + p.x / block, {w, w * p.direction}});
   }
-  std::vector<Share> shares;
-  for (const auto& [at, share] : blocks)
-    shares.push_back({share.weight, share.direction / share.weight});
+  std::ranges::sort(parts, {}, &std::pair<std::int64_t, Share>::first);
+  Vector<Share> shares(memory_);
+  for (std::size_t i = 0; i < parts.size();) {
+    const std::int64_t at = parts[i].first;
+    Share sum;
+    for (; i < parts.size() && parts[i].first == at; ++i)
+      sum.weight += parts[i].second.weight, sum.direction += parts[i].second.direction;
+    shares.push_back({sum.weight, sum.direction / sum.weight});
+  }
   std::vector<glm::dvec3> out;
+  out.reserve(Disc::kShapePoints);
   halve(shares, kShapeDepth, out);
   return out;
 }
@@ -346,9 +368,9 @@ void Peeler::join_concentric() {
 
 // The strongest become discs, clipped ones first of all; the others go back into the map.
 void Peeler::choose() {
-  std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
+  std::ranges::sort(candidates_, std::greater<>(), &Candidate::flux);
   join_concentric();
-  std::ranges::stable_sort(candidates_, std::greater<>(), &Candidate::flux);
+  std::ranges::sort(candidates_, std::greater<>(), &Candidate::flux);
   const auto clipped = static_cast<int>(std::ranges::count_if(candidates_, &Candidate::clipped));
   int for_clipped = std::min(clipped, options_.most), for_others = options_.most - for_clipped;
   for (const Candidate& c : candidates_) {
@@ -384,7 +406,7 @@ Result<void> Peeler::run() {
   const auto level = static_cast<float>(kAboveMean * rest);
   if (!clipped_.empty()) cut_clipped(level);
   auto regions = regions_above(level);
-  std::vector<std::pair<double, const Region*>> order;
+  Vector<std::pair<double, const Region*>> order(memory_);
   for (const Region& region : regions) order.emplace_back(-flux_of(region), &region);
   std::ranges::sort(order, {}, &std::pair<double, const Region*>::first);
   for (const auto& [negative_flux, region] : order) {

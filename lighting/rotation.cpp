@@ -16,7 +16,7 @@ constexpr int entry_index(int l, int m, int n) {
 }
 
 struct Builder {
-  std::vector<double>& d;
+  std::span<double> d;
   double at(int l, int m, int n) const { return d[static_cast<std::size_t>(entry_index(l, m, n))]; }
 
   // P of Ivanic & Ruedenberg 1996, table 2.
@@ -50,8 +50,7 @@ struct Builder {
 
 }  // namespace
 
-ShRotation::ShRotation(const glm::dmat3& rotation, int bands)
-    : bands_(bands), bands_matrices_(static_cast<std::size_t>(matrices_before(bands))) {
+ShRotation::ShRotation(const glm::dmat3& rotation, int bands) : bands_(bands) {
   assert(bands >= 1 && bands <= kMaxBands);
   bands_matrices_[0] = 1;
   if (bands == 1) return;

@@ -62,11 +62,11 @@ void DiscStage::trace(Traced& t) {
   t.shape = t.disc.shape;
   t.radius = t.disc.radius.value();
   const shadows::Blockers blockers{&virtual_, &real_, near_m_};
-  std::vector<shadows::Caster> casters;
+  casters_.clear();
   t.cosine.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     const PreparedObject& o = scene_->objects[i];
-    casters.push_back({&o.baked.mesh, poses_[i]});
+    casters_.push_back({&o.baked.mesh, poses_[i]});
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
     shadows::trace_disc_light(blockers, o.baked.mesh, poses_[i], o.baked.receiver ? &own : nullptr,
@@ -74,22 +74,23 @@ void DiscStage::trace(Traced& t) {
   }
   t.on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p)
-    shadows::trace_disc_shadow(blockers, casters, scene_->planes[p], t.disc, taps_.plane,
+    shadows::trace_disc_shadow(blockers, casters_, scene_->planes[p], t.disc, taps_.plane,
                                t.on_plane[p]);
 }
 
 bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance) {
   const bool poses_changed = std::exchange(moved_, false);
-  std::vector<Traced> now;
+  std::swap(traced_, before_);
+  traced_.clear();
   bool changed = false;
   for (const lighting::Disc& disc : discs) {
     const auto known =
-        std::ranges::find(traced_, disc.id, [](const Traced& t) { return t.disc.id; });
-    Traced t = known == traced_.end() ? Traced{} : std::move(*known);
+        std::ranges::find(before_, disc.id, [](const Traced& t) { return t.disc.id; });
+    Traced t = known == before_.end() ? Traced{} : std::move(*known);
     const double move =
         std::max(angle_between(t.direction, disc.direction), move_of(t.shape, disc.shape));
     const double change = std::abs(luminance(disc.irradiance()) - luminance(t.disc.irradiance()));
-    changed |= known == traced_.end() || change > kVisibleShare * mean_irradiance;
+    changed |= known == before_.end() || change > kVisibleShare * mean_irradiance;
     const lighting::Disc before = t.disc;
     t.disc = disc;
     if (poses_changed || t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
@@ -100,10 +101,9 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
       t.disc.radiance = before.radiance;  // small changes add up until they are seen
       t.disc.radius = before.radius;
     }
-    now.push_back(std::move(t));
+    traced_.push_back(std::move(t));
   }
-  changed |= traced_.size() != now.size();
-  traced_ = std::move(now);
+  changed |= traced_.size() != before_.size();
   return changed;
 }
 

@@ -61,7 +61,8 @@ class DiscStage {
   DiscTaps taps_;
   prt::RayWorld virtual_, real_;
   std::vector<Pose> poses_;
-  std::vector<Traced> traced_;
+  std::vector<Traced> traced_, before_;
+  std::vector<shadows::Caster> casters_;
   bool moved_ = true;
   float near_m_ = 1e-4f;
 };

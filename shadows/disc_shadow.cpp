@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/scratch.h"
 #include "shadows/disc_rays.h"
 
 namespace penumbra::shadows {
@@ -112,9 +113,10 @@ class Refiner {
   bool narrow_;
   glm::mat3 frame_;
   glm::vec3 origin_;
-  std::vector<Tap> taps_;
-  std::vector<bool> known_;
-  std::vector<std::size_t> wanted_;
+  Scratch::Scope scope_;
+  std::pmr::vector<Tap> taps_{scope_.memory()};
+  std::pmr::vector<char> known_{scope_.memory()};
+  std::pmr::vector<std::size_t> wanted_{scope_.memory()};
 };
 
 void Refiner::want(int x, int y) {
@@ -220,17 +222,17 @@ void Refiner::run() {
     for (int x = 0; x <= columns; ++x) want(x * kCoarse, y * kCoarse);
   trace_wanted();
   // A cell next to one that varies may hold an edge that missed its corners.
-  std::vector<bool> vary(static_cast<std::size_t>(columns * rows), false);
+  std::pmr::vector<char> vary(static_cast<std::size_t>(columns * rows), false, scope_.memory());
   const auto at = [&](int x, int y) { return static_cast<std::size_t>(y * columns + x); };
   for (int y = 0; y < rows; ++y)
     for (int x = 0; x < columns; ++x) vary[at(x, y)] = varies({x * kCoarse, y * kCoarse}, kCoarse);
-  std::vector<Cell> cells, next;
+  std::pmr::vector<Cell> cells(scope_.memory()), next(scope_.memory());
   for (int y = 0; y < rows; ++y)
     for (int x = 0; x < columns; ++x) {
       bool near = false;
       for (int j = std::max(0, y - 1); j <= std::min(rows - 1, y + 1); ++j)
         for (int i = std::max(0, x - 1); i <= std::min(columns - 1, x + 1); ++i)
-          near |= vary[at(i, j)];
+          near |= vary[at(i, j)] != 0;
       const Cell c{x * kCoarse, y * kCoarse};
       near ? cells.push_back(c) : fill(c, kCoarse);
     }
@@ -274,7 +276,8 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
                        const prt::Plane& plane, const lighting::Disc& disc,
                        const DiscShadowOptions& options, DiscShadow& out) {
   out.rays = 0;
-  out.taken = out.missing = {};
+  out.taken.reset(0, 0);
+  out.missing.reset(0, 0);
   if (casters.empty()) return;
   // x away from the light; any direction will do under a light at the zenith.
   const double sine = glm::dot(plane.normal, disc.direction);
@@ -299,9 +302,9 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
   out.cell_m = static_cast<float>(cell);
   out.world_from_map =
       world_from_plane * Pose{{1, 0, 0, 0}, {e.low.x - 2 * cell, 0, e.low.y - 2 * cell}};
-  out.taken = Image<float>(nodes(size.x), nodes(size.y));
+  out.taken.reset(nodes(size.x), nodes(size.y));
   if (blockers.real_things && !blockers.real_things->empty())
-    out.missing = Image<float>(out.taken.width(), out.taken.height());
+    out.missing.reset(out.taken.width(), out.taken.height());
   Refiner(blockers, taps, is_narrow(disc), out).run();
   if (e.cut) fade_end(out.taken);
   clear_rim(out.taken);
