@@ -84,7 +84,7 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
   double least_error = HUGE_VAL;
   for (int discs = 0; discs <= std::min(errors.most_discs(), limits_.most_discs); ++discs)
     for (int bands = 1; bands <= std::min(errors.most_bands(), limits_.most_bands); ++bands) {
-      Plan plan{bands, discs, kCalibrated * errors.error(bands, discs), costs_.ms(bands, discs),
+      Plan plan{bands, discs, factor_ * errors.error(bands, discs), costs_.ms(bands, discs),
                 true};
       if (plan.error < least_error) least_error = plan.error, most_accurate = plan;
       if (plan.error > budget || (found && plan.ms >= best.ms)) continue;
@@ -95,7 +95,7 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
   while (found && best.bands < std::min(errors.most_bands(), limits_.most_bands) &&
          costs_.ms(best.bands + 1, best.discs) < best.ms + kNegligible_ms) {
     ++best.bands;
-    best.error = kCalibrated * errors.error(best.bands, best.discs);
+    best.error = factor_ * errors.error(best.bands, best.discs);
   }
   if (found) best.ms = costs_.ms(best.bands, best.discs);
   if (found) return best;
@@ -107,7 +107,7 @@ Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
   const Plan needed = cheapest(errors, limits_.budget);
   if (!current_) return *(current_ = needed);
   const double present =
-      kCalibrated * errors.error(current_->bands, std::min(current_->discs, errors.most_discs()));
+      factor_ * errors.error(current_->bands, std::min(current_->discs, errors.most_discs()));
   const bool too_little = present > limits_.budget && needed.error < present;
   const Plan modest = cheapest(errors, kMargin * limits_.budget);
   const bool could_do_less = modest.within_budget && modest.ms < current_->ms;

@@ -341,7 +341,9 @@ class Governor {
     double budget = .05;  // RMS of s
     int most_bands = 5, most_discs = 8;
   };
-  Governor(const Limits& limits, const CostModel& costs) : limits_(limits), costs_(costs) {}
+  /// factor: on predicted errors
+  Governor(const Limits& limits, const CostModel& costs, double factor = kCalibrated)
+      : limits_(limits), costs_(costs), factor_(factor) {}
 
   /// What this light needs by itself.
   Plan cheapest(const ErrorTable& errors, double budget) const;
@@ -350,6 +352,7 @@ class Governor {
  private:
   Limits limits_;
   CostModel costs_;
+  double factor_;
   std::optional<Plan> current_;
   std::optional<TimestampNs> could_do_less_since_;
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "core/conventions.h"
 
@@ -39,6 +40,37 @@ double Accuracy::object_without_noise() const {
       std::max(0., object_rel_rmse * object_rel_rmse - reference_error * reference_error));
 }
 
+namespace {
+
+// Int grad s_a . grad s_b over the floor.
+double edge_energy(const Image<Rgb>& a, const Image<Rgb>& b, const Image<Rgb>& empty,
+                   const std::vector<bool>& floor) {
+  const int width = a.width();
+  const auto ratio = [&](const Image<Rgb>& picture, std::size_t i) {
+    return double(luminance(picture.pixels()[i])) / luminance(empty.pixels()[i]);
+  };
+  double sum = 0;
+  for (std::size_t i = 0; i < floor.size(); ++i) {
+    const std::size_t right = i + 1, below = i + static_cast<std::size_t>(width);
+    for (const std::size_t k : {right, below}) {
+      if (k >= floor.size() || !floor[i] || !floor[k] ||
+          (k == right && right % static_cast<std::size_t>(width) == 0))
+        continue;
+      sum += (ratio(a, k) - ratio(a, i)) * (ratio(b, k) - ratio(b, i));
+    }
+  }
+  return sum;
+}
+
+double penumbra_error(const Still& ours, const Still& truth, const Still& empty,
+                      const Masks& masks) {
+  const double own = edge_energy(ours.radiance, ours.radiance, empty.radiance, masks.floor),
+               real = edge_energy(truth.half_a, truth.half_b, empty.radiance, masks.floor);
+  return own > 0 ? std::abs(real / own - 1) : std::numeric_limits<double>::quiet_NaN();
+}
+
+}  // namespace
+
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks) {
   double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadow_bias = 0,
@@ -67,6 +99,7 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
   out.object_bias = bias / mean;
   out.shadow_bias = shadows > 0 ? shadow_bias / shadows : 0;
   out.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;
+  out.penumbra_error = penumbra_error(ours, truth, empty, masks);
   out.reference_error = std::sqrt(noise / objects) / (mean / objects);
   return out;
 }

@@ -20,6 +20,9 @@ struct Accuracy {
   double object_bias = 0;      // signed, likewise
   double shadow_bias = 0;      // mean error of s, where shadow_rmse is measured
   double shadow_rmse = 0;      // of s = L/L_0 on the floor where the reference is below .95
+  /// |w/w_ref - 1| of the shadow's edges, in the mean over their energy: edges of one height and length have
+  /// Int |grad s|^2 inversely as their width. Noise of the reference is left out (its halves are multiplied).
+  double penumbra_error = 0;
   double reference_error =
       0;  // noise of the reference on the object, in the unit of object_rel_rmse
   /// object_rel_rmse with the reference's noise taken out in quadrature.

@@ -66,20 +66,26 @@ std::vector<Mark> gather(std::span<const ChartPoint> points) {
   std::vector<Mark> out;
   std::map<std::tuple<std::string, bool, int, int, int, int, int, int, double>, std::size_t> known;
   for (const ChartPoint& p : points) {
-    const auto [entry, fresh] =
-        known.try_emplace({p.method, p.baseline, p.coefficients, p.most_discs, p.taps, p.map_size,
-                           p.bake_rays, p.environment_rows, p.update_rate},
-                          out.size());
+    // What others do, and what is chosen, differs from light to light and is one method all the same.
+    const bool by_name = p.baseline || p.chosen;
+    const auto configured = [&](int value) { return by_name ? 0 : value; };
+    const auto [entry, fresh] = known.try_emplace(
+        {p.method, p.baseline, configured(p.coefficients), configured(p.most_discs),
+         configured(p.taps), configured(p.map_size), p.bake_rays, p.environment_rows,
+         p.update_rate},
+        out.size());
+    std::string configuration = fmt::format("{} SH", p.coefficients);
+    if (p.most_discs > 0)
+      configuration +=
+          fmt::format(", {} of {}", counted(p.most_discs, "disc"), counted(p.taps, "tap"));
     if (fresh) {
       Mark& mark = out.emplace_back();
       mark.method = p.method;
       mark.baseline = p.baseline;
-      mark.configuration = fmt::format("{} SH", p.coefficients);
-      if (p.most_discs > 0)
-        mark.configuration +=
-            fmt::format(", {} of {}", counted(p.most_discs, "disc"), counted(p.taps, "tap"));
+      mark.configuration = configuration;
     }
     Mark& mark = out[entry->second];
+    if (mark.configuration != configuration) mark.configuration = "as each light needs";
     mark.chosen |= p.chosen;
     mark.ms.add(p.ms_p50);
     mark.error[0].add(p.shadow_rmse);

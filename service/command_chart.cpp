@@ -11,6 +11,7 @@
 #include "service/baselines.h"
 #include "service/chart_bench.h"
 #include "service/commands.h"
+#include "service/flicker.h"
 #include "service/governor_bench.h"
 #include "service/light_file.h"
 #include "service/output.h"
@@ -22,6 +23,7 @@ namespace penumbra::service {
 namespace {
 
 constexpr int kBakeRays = 1024, kTruncatedBakeRays = 8192;
+constexpr int kFlickerMaps = 6;
 
 struct Environment {
   std::string name;
@@ -52,6 +54,7 @@ struct Method {
   int age_columns = 0;  // how far the map has turned since the light was measured
   double update_rate = 1;
   bool chosen = false;
+  bool default_plan = false;
 };
 
 Method with(const std::function<void(Method&)>& change) {
@@ -62,8 +65,8 @@ Method with(const std::function<void(Method&)>& change) {
 }
 
 // Around the default, one axis at a time, and bands against discs.
-std::vector<Method> sweep(const ChartOptions& o, bool whole) {
-  std::vector<Method> out{Method{}};
+std::vector<Method> sweep(const ChartOptions& o) {
+  std::vector<Method> out{with([](Method& m) { m.default_plan = true; })};
   if (!o.bands.empty()) {
     out.clear();
     for (const int b : o.bands)
@@ -72,7 +75,6 @@ std::vector<Method> sweep(const ChartOptions& o, bool whole) {
   }
   for (const int b : {1, 2, 3, 4, 5, 6, 9})
     out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = 0; }));
-  if (!whole) return out;
   for (const int b : {2, 3, 5})
     for (const int k : {1, 2})
       out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = k; }));
@@ -80,6 +82,11 @@ std::vector<Method> sweep(const ChartOptions& o, bool whole) {
   for (const int t : {1, 4, 64})
     out.push_back(
         with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
+  for (const int t : {4, 16})  // one source, cheaply
+    for (const int s : {64, 128})
+      out.push_back(with([&](Method& m) {
+        m.most_discs = 1, m.taps.plane.taps = t, m.taps.object = t / 4, m.map_size = s;
+      }));
   for (const int s : {32, 64, 128}) out.push_back(with([&](Method& m) { m.map_size = s; }));
   for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
   for (const int frames : {2, 4})
@@ -120,10 +127,8 @@ Image<Rgb> turned(const Image<Rgb>& map, int columns) {
 
 class Charter {
  public:
-  /// whole: every axis of the sweep; else bands, the default and what others do
-  Charter(const ChartOptions& o, const ChartScene& bench, bool whole,
-          std::vector<ChartPoint>& points)
-      : o_(o), bench_(bench), whole_(whole), points_(points) {}
+  Charter(const ChartOptions& o, const ChartScene& bench, std::vector<ChartPoint>& points)
+      : o_(o), bench_(bench), points_(points) {}
 
   Result<void> run(const Environment& environment) {
     if (o_.bands.empty() && costs_.per_disc_ms < 0) {
@@ -133,7 +138,12 @@ class Charter {
     }
     auto truth = trace_truth(bench_, environment.map, o_.error);
     if (!truth) return std::unexpected(truth.error());
-    for (const Method& m : sweep(o_, whole_)) PENUMBRA_TRY(ours(m, environment, *truth));
+    if (o_.bands.empty()) {
+      auto maps = measured_maps(environment.map, kFlickerMaps);
+      if (!maps) return fail(maps.error().code, environment.name, maps.error().detail);
+      maps_ = std::move(*maps);
+    }
+    for (const Method& m : sweep(o_)) PENUMBRA_TRY(ours(m, environment, *truth));
     if (!o_.bands.empty()) return {};
     PENUMBRA_TRY(governed(environment, *truth));
     return baselines(environment, *truth);
@@ -168,7 +178,13 @@ class Charter {
     (void)estimator.estimate(measured);
     const LightTime estimate =
         time_single_threaded(5, [&](int) { (void)estimator.estimate(measured); });
-    return add(m, e, bench_.prepared(), *light, estimate, truth);
+    const LightOf again = [&estimator, &measured](const Image<Rgb>& newer, TimestampNs time) {
+      measured.radiance = newer;
+      measured.time = time;
+      return estimator.estimate(measured);
+    };
+    const bool may_flicker = m.chosen || m.default_plan;
+    return add(m, e, bench_.prepared(), *light, estimate, may_flicker ? again : LightOf(), truth);
   }
 
   Result<void> baselines(const Environment& e, const Truth& truth) {
@@ -181,27 +197,38 @@ class Charter {
     if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
     const PreparedScene& scene = bench_.prepared();
     PENUMBRA_TRY(
-        add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3, {}, truth));
-    PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, {}, truth));
+        add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3, {}, {}, truth));
     PENUMBRA_TRY(
-        add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3, {}, truth));
-    PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), {}, truth));
-    const auto points = [&](const std::string& label, lighting::LightEstimate light) {
+        add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, {}, {}, truth));
+    PENUMBRA_TRY(add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3, {},
+                     {}, truth));
+    using MakeLight = std::function<lighting::LightEstimate(const Image<Rgb>&)>;
+    const auto always = [](const MakeLight& make) -> LightOf {
+      return [make](const Image<Rgb>& map, TimestampNs) -> Result<lighting::LightEstimate> {
+        return make(map);
+      };
+    };
+    PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), {},
+                     always(dissertation_light), truth));
+    const auto points = [&](const std::string& label, const MakeLight& make, bool may_flicker) {
+      const lighting::LightEstimate light = make(e.map);
       Method m = plain("", 1);
       m.label = label;
       m.taps = {1, {1, 256}};
       m.most_discs = static_cast<int>(light.discs.size());
-      return add(m, e, scene, light, {}, truth);
+      return add(m, e, scene, light, {}, may_flicker ? always(make) : LightOf(), truth);
     };
-    PENUMBRA_TRY(points("ambient and one hard light", phone_light(e.map)));
-    for (const int n : whole_ ? std::vector{16, 64, 256} : std::vector{16, 64})
-      PENUMBRA_TRY(points(fmt::format("{} sampled lights", n), sampled_lights(e.map, n)));
+    PENUMBRA_TRY(points("ambient and one hard light", phone_light, true));
+    for (const int n : {16, 64, 256})
+      PENUMBRA_TRY(points(
+          fmt::format("{} sampled lights", n),
+          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, n == 16));
     return {};
   }
 
   Result<void> add(const Method& m, const Environment& e, const PreparedScene& scene,
                    const lighting::LightEstimate& light, const LightTime& estimate,
-                   const Truth& truth) {
+                   const LightOf& again, const Truth& truth) {
     auto measured = measure(bench_, scene, light, m.taps, truth);
     if (!measured) return std::unexpected(measured.error());
     const Accuracy& a = measured->accuracy;
@@ -222,7 +249,13 @@ class Charter {
     p.object_bias = a.object_bias;
     p.shadow_rmse = a.shadow_rmse;
     p.shadow_bias = a.shadow_bias;
+    p.penumbra_error = a.penumbra_error;
     p.flip = measured->flip;
+    if (again && !maps_.empty()) {
+      auto flicker = measure_flicker(bench_, scene, again, m.taps, truth.empty, maps_);
+      if (!flicker) return std::unexpected(flicker.error());
+      p.flicker = *flicker;
+    }
     p.ms_p50 = m.update_rate * (measured->time.p50_ms + estimate.p50_ms);
     p.ms_p99 = measured->time.p99_ms + estimate.p99_ms;
     p.chosen = m.chosen;
@@ -232,17 +265,17 @@ class Charter {
     if (!o_.json)
       fmt::print(
           "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5.2f} {:>9.2f} {:>7.2f} "
-          "{:>8.4f} {:>8.4f} {:>7.4f} {:>8.2f}\n",
+          "{:>8.4f} {:>8.4f} {:>7.4f} {:>7.1f} {:>7.2g} {:>8.2f}\n",
           p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
           p.environment_rows, p.update_rate, 100 * p.object_rel_rmse, 100 * p.object_bias,
-          p.shadow_rmse, p.shadow_bias, p.flip, p.ms_p50);
+          p.shadow_rmse, p.shadow_bias, p.flip, 100 * p.penumbra_error, 100 * p.flicker, p.ms_p50);
     return {};
   }
 
   const ChartOptions& o_;
   const ChartScene& bench_;
-  bool whole_;
   std::vector<ChartPoint>& points_;
+  std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
   lighting::CostModel costs_{0, 0, -1};  // until fitted
 };
 
@@ -258,6 +291,8 @@ nlohmann::json to_json(const ChartPoint& p) {
           {"shadow_rmse", p.shadow_rmse},
           {"shadow_bias", p.shadow_bias},
           {"flip", p.flip},
+          {"penumbra_rel_error", p.penumbra_error},
+          {"flicker_rel", p.flicker},
           {"light_update_p50_ms", p.ms_p50},
           {"light_update_p99_ms", p.ms_p99},
           {"memory_bytes", p.bytes},
@@ -354,13 +389,13 @@ Result<void> chart(const ChartOptions& o) {
   if (!o.json && !o.truncated)
     fmt::print(
         "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} {:>7} "
-        "{:>8}\n",
+        "{:>7} {:>7} {:>8}\n",
         "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rate", "object %",
-        "bias %", "shadow s", "bias s", "FLIP", "ms");
+        "bias %", "shadow s", "bias s", "FLIP", "edge %", "F %", "ms");
   for (const std::string& asset : assets) {
     auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
     if (!bench) return std::unexpected(bench.error());
-    Charter charter(o, *bench, asset == assets[0], points);
+    Charter charter(o, *bench, points);
     for (const Environment& e : *environments)
       PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
   }

@@ -213,10 +213,28 @@ double clopper_pearson_low(int successes, int trials) {
   return low;
 }
 
-double ScenePlans::worst_ratio() const {
-  double worst = 0;
-  for (const Entry& e : plans) worst = std::max(worst, e.measured / e.predicted);
-  return worst;
+std::optional<lighting::Plan> ScenePlans::choose(const lighting::CostModel& costs, double budget,
+                                                 double factor) const {
+  const lighting::Governor governor({budget, predicted.most_bands(), predicted.most_discs()}, costs,
+                                    factor);
+  const lighting::Plan plan = governor.cheapest(predicted, budget);
+  return plan.within_budget ? std::optional(plan) : std::nullopt;
+}
+
+double ScenePlans::least_factor(const lighting::CostModel& costs, double budget) const {
+  // The choice changes where a plan leaves the budget: just above budget/predicted.
+  std::vector<double> factors{0};
+  for (int discs = 0; discs <= predicted.most_discs(); ++discs)
+    for (int bands = 1; bands <= predicted.most_bands(); ++bands)
+      factors.push_back(budget / predicted.error(bands, discs) * (1 + 1e-9));
+  std::ranges::sort(factors, std::greater<>());
+  double least = factors.front();
+  for (const double factor : factors) {
+    const auto chosen = choose(costs, budget, factor);
+    if (chosen && measured_error(*chosen) > budget) return least;
+    least = factor;
+  }
+  return 0;
 }
 
 Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
@@ -258,15 +276,18 @@ Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed,
   if (!reference) return std::unexpected(reference.error());
   auto split = split_and_trace(scene, map);
   if (!split) return std::unexpected(split.error());
-  const lighting::ErrorTable table({&split->rest.above, split->discs}, shadow_probes(scene),
-                                   kMaxBands, kMostDiscs);
-  ScenePlans out;
-  out.seed = seed;
-  for (int discs = 0; discs <= static_cast<int>(split->discs.size()); ++discs)
-    for (int bands = 1; bands <= kMaxBands; ++bands) {
-      const double measured = shadow_rmse(our_ratios(probes, *split, bands, discs), *reference);
-      if (measured < 0) return fail(ErrorCode::kUndetermined, "scene", "has no shadow to measure");
-      out.plans.push_back({bands, discs, table.error(bands, discs), measured});
+  const lighting::Governor::Limits limits;
+  ScenePlans out{seed,
+                 {{&split->rest.above, split->discs},
+                  shadow_probes(scene),
+                  limits.most_bands,
+                  limits.most_discs},
+                 {}};
+  for (int discs = 0; discs <= out.predicted.most_discs(); ++discs)
+    for (int bands = 1; bands <= limits.most_bands; ++bands) {
+      const double error = shadow_rmse(our_ratios(probes, *split, bands, discs), *reference);
+      if (error < 0) return fail(ErrorCode::kUndetermined, "scene", "has no shadow to measure");
+      out.measured.push_back(error);
     }
   return out;
 }
@@ -275,35 +296,46 @@ Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting:
                                      double budget, int test_scenes,
                                      const std::function<void(double)>& progress) {
   constexpr int kCalibration = 59;
+  constexpr std::uint32_t kFirstCalibration = 1001, kFirstTest = 20001;
   GovernorProof proof;
   double regret = 0, error = 0, regretted = 0;
-  for (std::uint32_t seed = 1; proof.calibration + proof.scenes < kCalibration + test_scenes;
-       ++seed) {
-    auto plans = measure_plans(scene, seed, kReferenceRays);
-    if (!plans && plans.error().code == ErrorCode::kUndetermined) continue;
+  const auto next_scene = [&](std::uint32_t& seed) -> Result<ScenePlans> {
+    for (;; ++seed) {
+      auto plans = measure_plans(scene, seed, kReferenceRays);
+      if (!plans && plans.error().code == ErrorCode::kUndetermined) continue;
+      ++seed;
+      if (progress)
+        progress(double(proof.calibration + proof.scenes + 1) / (kCalibration + test_scenes));
+      return plans;
+    }
+  };
+  for (std::uint32_t seed = kFirstCalibration; proof.calibration < kCalibration;
+       ++proof.calibration) {
+    const auto plans = next_scene(seed);
     if (!plans) return std::unexpected(plans.error());
-    if (progress)
-      progress(double(proof.calibration + proof.scenes + 1) / (kCalibration + test_scenes));
-    if (proof.calibration < kCalibration) {
-      proof.factor = std::max(proof.factor, plans->worst_ratio());
-      ++proof.calibration;
-      continue;
-    }
+    for (const double b : kBudgets)
+      proof.factor = std::max(proof.factor, plans->least_factor(costs, b));
+  }
+  for (std::uint32_t seed = kFirstTest; proof.scenes < test_scenes;) {
+    const auto plans = next_scene(seed);
+    if (!plans) return std::unexpected(plans.error());
     ++proof.scenes;
-    const auto cost = [&](const ScenePlans::Entry& e) { return costs.ms(e.bands, e.discs); };
-    const ScenePlans::Entry *chosen = nullptr, *oracle = nullptr;
-    for (const ScenePlans::Entry& e : plans->plans) {
-      if (proof.factor * e.predicted <= budget && (!chosen || cost(e) < cost(*chosen))) chosen = &e;
-      if (e.measured <= budget && (!oracle || cost(e) < cost(*oracle))) oracle = &e;
-    }
+    const auto chosen = plans->choose(costs, budget, proof.factor);
     if (!chosen) continue;  // it says that it cannot
+    const double measured = plans->measured_error(*chosen);
     ++proof.promised;
-    proof.kept += chosen->measured <= budget ? 1 : 0;
-    error += chosen->measured;
-    proof.worst_error = std::max(proof.worst_error, chosen->measured);
+    proof.kept += measured <= budget ? 1 : 0;
+    error += measured;
+    proof.worst_error = std::max(proof.worst_error, measured);
     proof.mean_bands += chosen->bands;
     proof.mean_discs += chosen->discs;
-    if (oracle) regret += cost(*chosen) / cost(*oracle) - 1, ++regretted;
+    double oracle_ms = HUGE_VAL;
+    for (int discs = 0; discs <= plans->predicted.most_discs(); ++discs)
+      for (int bands = 1; bands <= plans->predicted.most_bands(); ++bands)
+        if (plans->measured_error({bands, discs}) <= budget)
+          oracle_ms = std::min(oracle_ms, costs.ms(bands, discs));
+    if (oracle_ms < HUGE_VAL)
+      regret += costs.ms(chosen->bands, chosen->discs) / oracle_ms - 1, ++regretted;
   }
   if (proof.promised > 0) {
     proof.mean_error = error / proof.promised;

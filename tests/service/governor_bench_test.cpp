@@ -36,11 +36,34 @@ TEST(ClopperPearson, GrowsWithSuccessesAndStaysBelowTheShare) {
   }
 }
 
-TEST(ScenePlans, WorstRatioIsTheLargestOfMeasuredToPredicted) {
-  ScenePlans plans;
-  EXPECT_EQ(plans.worst_ratio(), 0);
-  plans.plans = {{1, 0, .2, .1}, {2, 0, .1, .15}, {3, 1, .05, .05}};
-  EXPECT_NEAR(plans.worst_ratio(), 1.5, 1e-12);
+// A sun over a floor: no plan without the disc predicts well.
+ScenePlans sunny(double measured_without, double measured_with) {
+  static const RadianceSh rest(kMaxBands);
+  lighting::Disc sun;
+  sun.direction = glm::normalize(glm::dvec3(1, 2, 0));
+  sun.radius = Radians(.005);
+  sun.radiance = {1e4f, 1e4f, 1e4f};
+  const lighting::ShadowProbes none;
+  ScenePlans out{1, {{&rest, {&sun, 1}}, none, 2, 1}, {}};
+  out.measured = {measured_without, measured_without, measured_with, measured_with};
+  return out;
+}
+
+TEST(ScenePlans, LeastFactorKeepsEveryChoiceFromItOn) {
+  const lighting::CostModel costs{.1, .01, 5};
+  const double kBudget = .5;  // above the prediction without the disc
+  const ScenePlans honest = sunny(.3, .01);
+  ASSERT_LT(honest.predicted.error(1, 0), kBudget);
+  ASSERT_LT(honest.predicted.error(1, 1), honest.predicted.error(1, 0) / 2);
+  EXPECT_EQ(honest.least_factor(costs, kBudget), 0);
+  EXPECT_EQ(honest.choose(costs, kBudget, 1)->discs, 0) << "the cheapest that is promised to do";
+  // Worse than predicted: the factor must drive the choice to the disc.
+  const ScenePlans worse = sunny(.7, .01);
+  const double q = worse.least_factor(costs, kBudget);
+  EXPECT_NEAR(q, kBudget / worse.predicted.error(1, 0), 1e-6);
+  EXPECT_EQ(worse.choose(costs, kBudget, q)->discs, 1);
+  EXPECT_EQ(worse.least_factor(costs, .8), 0) << "within this budget both are";
+  EXPECT_FALSE(worse.choose(costs, 1e-4, 1)) << "no plan is that good";
 }
 
 }  // namespace

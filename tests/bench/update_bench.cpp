@@ -1,0 +1,126 @@
+// What a frame costs as a whole: a light update of one object with default settings, and compositing it.
+#include <cmath>
+
+#include "bench/harness.h"
+#include "capture/capture.h"
+#include "service/pipeline.h"
+
+namespace penumbra::bench {
+namespace {
+
+using service::ComposeStage;
+
+struct Setup {
+  service::PreparedScene scene;
+  std::vector<capture::CameraInfo> cameras{1};
+  lighting::LightEstimate light;
+
+  Setup() {
+    service::SceneObject object;
+    object.name = "knot", object.asset = "builtin:knot", object.stand = true;
+    service::RealGeometry floor;
+    floor.plane = service::RealPlane{};
+    floor.albedo = Rgb{.4f, .4f, .4f};
+    scene = *service::prepare({{object}, {floor}}, {},
+                              [](const std::string&) { return std::function<void(double)>(); });
+    capture::CameraInfo& c = cameras[0];
+    c.name = "view";
+    c.role = capture::Role::kView;
+    c.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 1280, 720);
+    c.projection.focal_px = {1050, 1050};
+    c.response = calib::Response::srgb();
+    c.world_from_camera = capture::look_at({.25, .8, 1.75}, {.02, .25, 0});
+    light = *lighting::estimate_map(capture::make_sky_environment(1024, 512, .7), {});
+    for (lighting::Disc& d : light.discs) d.id = 1;
+  }
+  std::unique_ptr<ComposeStage> stage(service::StageTimes& times) const {
+    auto made =
+        ComposeStage::create(cameras, scene, compositor::Compositor::Surface::kOffscreen, times);
+    return made ? std::move(*made) : nullptr;
+  }
+};
+const Setup& setup() {
+  static const Setup one;
+  return one;
+}
+
+lighting::LightEstimate turned(const lighting::LightEstimate& light, double radians) {
+  const glm::dmat3 turn = glm::mat3_cast(glm::angleAxis(radians, glm::dvec3(0, 1, 0)));
+  lighting::LightEstimate out = light;
+  const lighting::ShRotation rotation(turn, light.light.bands());
+  out.light = rotation * light.light;
+  out.floor_light = rotation * light.floor_light;
+  for (lighting::Disc& d : out.discs) d.direction = turn * d.direction;
+  return out;
+}
+
+void report(benchmark::State& state, const service::StageTimes& times) {
+  for (const auto& [name, p] : times.summary()) state.counters[name + "_ms"] = p.p50_ms;
+}
+
+// Peer: the same light once more, which costs the comparison alone.
+void light_update(benchmark::State& state) {
+  const Threads threads(static_cast<int>(state.range(0)));
+  const bool sun_moves = state.range(1) != 0;
+  service::StageTimes times;
+  const auto stage = setup().stage(times);
+  if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
+  double angle = 0;
+  lighting::LightEstimate light = setup().light;
+  compare(
+      state,
+      [&] {
+        angle += .01;
+        if (sun_moves) light = turned(setup().light, angle);
+        if (!sun_moves) light.light[0] += Rgb{.1f, .1f, .1f}, light.floor_light = light.light;
+        stage->update_light(light, 0);
+      },
+      [&] { stage->update_light(light, 0); });
+  report(state, times);
+}
+BENCHMARK(light_update)
+    ->Name("service/light_update_38k_vertices_vs_unchanged_light")
+    ->ArgNames({"threads", "sun_moves"})
+    ->Args({1, 0})
+    ->Args({1, 1})
+    ->Args({2, 1})
+    ->Iterations(3 * kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
+
+// A camera that moves with every frame over a standing light; peer: a copy of the frame.
+void composite_frame(benchmark::State& state) {
+  const Threads threads(static_cast<int>(state.range(0)));
+  service::StageTimes times;
+  const auto stage = setup().stage(times);
+  if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
+  capture::Frame frame;
+  frame.exposure = {Seconds(1), Gain(1)};
+  frame.world_from_camera = setup().cameras[0].world_from_camera;
+  const Image<Rgb8> picture(1280, 720, {120, 110, 100});
+  frame.pixels = std::make_shared<const FramePixels>(picture);
+  double touched = 0;
+  compare(
+      state,
+      [&] {
+        frame.world_from_camera.translation.x += 1e-4;
+        touched = stage->process(frame, setup().light)->touched.fraction;
+      },
+      [&] {
+        Image<Rgb8> copy = picture;
+        benchmark::DoNotOptimize(copy.pixels().data());
+      });
+  state.counters["touched"] = touched;
+  report(state, times);
+}
+BENCHMARK(composite_frame)
+    ->Name("service/composite_1280x720_moving_camera_vs_frame_copy")
+    ->ArgName("threads")
+    ->Arg(1)
+    ->Arg(2)
+    ->Iterations(3 * kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
+
+}  // namespace
+}  // namespace penumbra::bench
