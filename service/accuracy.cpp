@@ -35,11 +35,6 @@ Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& vie
   return masks;
 }
 
-double Accuracy::object_without_noise() const {
-  return std::sqrt(
-      std::max(0., object_rel_rmse * object_rel_rmse - reference_error * reference_error));
-}
-
 namespace {
 
 // Int grad s_a . grad s_b over the floor.
@@ -74,7 +69,7 @@ double penumbra_error(const Still& ours, const Still& truth, const Still& empty,
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks) {
   double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadow_bias = 0,
-         shadows = 0, noise = 0;
+         shadows = 0, noise = 0, product = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
     const double a = luminance(ours.radiance.pixels()[i]);
     const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));
@@ -82,9 +77,10 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
       square += (a - t) * (a - t);
       mean += t;
       bias += a - t;
-      noise +=
-          std::pow(luminance(truth.half_a.pixels()[i]) - luminance(truth.half_b.pixels()[i]), 2) /
-          4;
+      const double half_a = luminance(truth.half_a.pixels()[i]),
+                   half_b = luminance(truth.half_b.pixels()[i]);
+      noise += std::pow(half_a - half_b, 2) / 4;
+      product += a > 0 ? (a - half_a) * (a - half_b) : std::max(0., half_a) * std::max(0., half_b);
       ++objects;
     } else if (masks.floor[i]) {
       const double open = luminance(empty.radiance.pixels()[i]);
@@ -96,6 +92,7 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
   }
   Accuracy out;
   out.object_rel_rmse = std::sqrt(square / objects) / (mean / objects);
+  out.object_without_noise = std::sqrt(std::max(0., product / objects)) / (mean / objects);
   out.object_bias = bias / mean;
   out.shadow_bias = shadows > 0 ? shadow_bias / shadows : 0;
   out.shadow_rmse = shadows > 0 ? std::sqrt(shadow_square / shadows) : 0;

@@ -25,12 +25,13 @@ struct Accuracy {
   double penumbra_error = 0;
   double reference_error =
       0;  // noise of the reference on the object, in the unit of object_rel_rmse
-  /// object_rel_rmse with the reference's noise taken out in quadrature.
-  double object_without_noise() const;
+  /// object_rel_rmse without the reference's noise: the errors against its two independent halves are
+  /// multiplied, so that their noise averages out.
+  double object_without_noise = 0;
 };
 
-/// `empty`: the floor without the object under the same light. Negative radiance of a truncated reference
-/// counts as 0: no camera sees it, and the compositor cuts it off.
+/// `empty`: the floor without the object under the same light. Where the light is truncated so that the object's
+/// radiance is negative, the compositor cuts it off and only what is positive in the reference is an error there.
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks);
 

@@ -245,7 +245,7 @@ class Charter {
     p.bake_rays = kBakeRays;
     p.environment_rows = m.rows > 0 ? m.rows : e.map.height();
     p.update_rate = m.update_rate;
-    p.object_rel_rmse = a.object_without_noise();
+    p.object_rel_rmse = a.object_without_noise;
     p.object_bias = a.object_bias;
     p.shadow_rmse = a.shadow_rmse;
     p.shadow_bias = a.shadow_bias;
@@ -321,7 +321,7 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
     ChartPoint p;
     p.environment = environment.name, p.mesh = bench.name(), p.method = "same truncated light";
     p.coefficients = coefficient_count(bands);
-    p.object_rel_rmse = a.object_without_noise(), p.object_bias = a.object_bias;
+    p.object_rel_rmse = a.object_without_noise, p.object_bias = a.object_bias;
     p.shadow_rmse = a.shadow_rmse, p.reference_error = a.reference_error;
     points.push_back(p);
     if (!o.json)

@@ -62,8 +62,8 @@ TEST_P(GroundTruth, ObjectAndShadowStayWithinOnePercentUnderTheSameTruncatedLigh
       "%s, %d bands: object %.2f %% (reference noise %.2f %%, without it %.2f %%), bias %.2f %%, "
       "shadow %.4f\n",
       GetParam().name, GetParam().bands, 100 * a.object_rel_rmse, 100 * a.reference_error,
-      100 * a.object_without_noise(), 100 * a.object_bias, a.shadow_rmse);
-  EXPECT_LE(a.object_without_noise(), .01);
+      100 * a.object_without_noise, 100 * a.object_bias, a.shadow_rmse);
+  EXPECT_LE(a.object_without_noise, .01);
   EXPECT_LE(std::abs(a.object_bias), .01);
   EXPECT_LE(a.shadow_rmse, .01);
 }
