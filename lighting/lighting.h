@@ -333,7 +333,7 @@ struct Plan {
 /// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/accuracy.md
 class Governor {
  public:
-  static constexpr double kCalibrated = 2.15;
+  static constexpr double kCalibrated = 1.76;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
 

@@ -9,13 +9,18 @@
 namespace penumbra::service {
 
 Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view) {
+  // Sixteen samples a pixel call some full that are not: the sky behind them would count as the object's error.
+  constexpr int kFiner = 4;
+  prt::PinholeView fine = view;
+  fine.width *= kFiner, fine.height *= kFiner;
+  fine.focal_px *= double(kFiner), fine.principal_px *= double(kFiner);
   const Image<Rgb> white(64, 32, {1, 1, 1});
-  const StillScene in{&scene, &white, view};
+  const StillScene in{&scene, &white, fine};
   lighting::LightEstimate light;
   light.light[0] = light.floor_light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
   light.valid = true;
   const auto over = [&](float backdrop) {
-    const Image<Rgb> picture(view.width, view.height, {backdrop, backdrop, backdrop});
+    const Image<Rgb> picture(fine.width, fine.height, {backdrop, backdrop, backdrop});
     return render_composite(in, light, Still{picture, 0, 0, {}, {}});
   };
   // A pixel that the object covers fully shows nothing of the backdrop.
@@ -25,12 +30,18 @@ Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& vie
   Masks masks;
   for (int y = 0; y < view.height; ++y)
     for (int x = 0; x < view.width; ++x) {
-      const float a = dark->radiance.at(x, y).g, b = bright->radiance.at(x, y).g;
-      masks.object.push_back(a > 0 && std::abs(b - a) < 1e-3f);
+      bool object = true, open = true;
+      for (int k = 0; k < kFiner * kFiner; ++k) {
+        const int i = kFiner * x + k % kFiner, j = kFiner * y + k / kFiner;
+        const float a = dark->radiance.at(i, j).g, b = bright->radiance.at(i, j).g;
+        object &= a > 0 && std::abs(b - a) < 1e-3f;
+        open &= a == 0;
+      }
       const glm::dvec3 d = view.world_from_camera.rotation *
                            glm::dvec3((x + .5 - view.principal_px.x) / view.focal_px.x,
                                       -(y + .5 - view.principal_px.y) / view.focal_px.y, -1);
-      masks.floor.push_back(a == 0 && d.y < 0);
+      masks.object.push_back(object);
+      masks.floor.push_back(open && d.y < 0);
     }
   return masks;
 }
