@@ -86,6 +86,12 @@ class Response {
   /// errors: kInvalid
   static Result<Response> from_table(std::array<std::vector<float>, 3> decode);
 
+  /// The same behind gains per channel between sensor and response. Only their ratios matter: the smallest
+  /// counts as 1, the exposure has the rest.
+  /// errors: kInvalid (not positive and finite)
+  Result<Response> with_white_balance(const std::array<double, 3>& gains) const;
+  const std::array<double, 3>& white_balance() const { return white_balance_; }
+
   double decode(double code, int channel) const;    // code 0..1 -> linear 0..1
   double encode(double linear, int channel) const;  // clamps to 0..1
   /// Decoded value of each of 2^bits codes (bits 8 or 16), for one channel.
@@ -97,7 +103,10 @@ class Response {
  private:
   enum class Form { kLinear, kSrgb, kGamma, kTable };
   Form form_ = Form::kLinear;
+  double curve_decode(double code, int channel) const;
+  double curve_encode(double linear, int channel) const;
   double exponent_ = 1;
+  std::array<double, 3> white_balance_{1, 1, 1};
   std::shared_ptr<const std::array<std::vector<float>, 3>> table_;
 };
 

@@ -184,8 +184,28 @@ Result<Response> Response::from_table(std::array<std::vector<float>, 3> decode) 
   return response;
 }
 
+Result<Response> Response::with_white_balance(const std::array<double, 3>& gains) const {
+  for (const double gain : gains)
+    if (!(gain > 0 && std::isfinite(gain)))
+      return fail(ErrorCode::kInvalid, "white balance",
+                  fmt::format("gain {} is not positive and finite", gain));
+  Response out = *this;
+  const double least = std::ranges::min(gains);
+  for (std::size_t c = 0; c < 3; ++c) out.white_balance_[c] = gains[c] / least;
+  return out;
+}
+
 double Response::decode(double code, int channel) const {
   assert(channel >= 0 && channel < 3);
+  return curve_decode(code, channel) / white_balance_[static_cast<std::size_t>(channel)];
+}
+
+double Response::encode(double linear, int channel) const {
+  assert(channel >= 0 && channel < 3);
+  return curve_encode(linear * white_balance_[static_cast<std::size_t>(channel)], channel);
+}
+
+double Response::curve_decode(double code, int channel) const {
   const double x = clamp01(code);
   switch (form_) {
     case Form::kSrgb:
@@ -199,8 +219,7 @@ double Response::decode(double code, int channel) const {
   }
 }
 
-double Response::encode(double linear, int channel) const {
-  assert(channel >= 0 && channel < 3);
+double Response::curve_encode(double linear, int channel) const {
   const double x = clamp01(linear);
   switch (form_) {
     case Form::kSrgb:
@@ -225,10 +244,12 @@ std::vector<float> Response::decode_table(int bits, int channel) const {
 }
 
 bool Response::same_for_all_channels() const {
+  if (white_balance_ != std::array<double, 3>{1, 1, 1}) return false;
   return form_ != Form::kTable || ((*table_)[0] == (*table_)[1] && (*table_)[0] == (*table_)[2]);
 }
 
 bool Response::is_linear() const {
+  if (white_balance_ != std::array<double, 3>{1, 1, 1}) return false;
   return form_ == Form::kLinear || (form_ == Form::kGamma && exponent_ == 1);
 }
 

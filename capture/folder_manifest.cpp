@@ -25,6 +25,7 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "distortion",
                                             "response",
                                             "black_level",
+                                            "white_balance",
                                             "frames",
                                             "world_from_camera",
                                             "full_well_electrons",
@@ -171,6 +172,11 @@ Result<FolderCamera> read_camera(const TomlKeys& keys, const fs::path& folder) {
   camera.rows = std::move(rows);
   PENUMBRA_ASSIGN(response, read_response(keys, folder, camera.rows));
   camera.info.response = response;
+  if (!keys.has("white_balance")) return camera;
+  PENUMBRA_ASSIGN(gains, keys.numbers("white_balance", 3));
+  auto balanced = response.with_white_balance({gains[0], gains[1], gains[2]});
+  if (!balanced) return keys.invalid("white_balance", balanced.error().detail);
+  camera.info.response = *balanced;
   return camera;
 }
 
@@ -227,6 +233,10 @@ std::string print_manifest(const std::vector<CameraInfo>& cameras,
                           p.focal_px.y, p.principal_px.x, p.principal_px.y);
     text +=
         fmt::format("response = {}\nblack_level = {}\n", toml_quoted(responses[i]), c.black_level);
+    const auto& gains = c.response.white_balance();
+    // A response file has the gains in its tables.
+    if (gains != std::array<double, 3>{1, 1, 1} && responses[i] == c.response.describe())
+      text += fmt::format("white_balance = [{}]\n", fmt::join(gains, ", "));
     const calib::NoiseModel usual;
     if (c.noise_known || c.noise.full_well_electrons != usual.full_well_electrons)
       text += fmt::format("full_well_electrons = {}\n", c.noise.full_well_electrons);

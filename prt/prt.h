@@ -126,8 +126,9 @@ class RayWorld {
     alignas(64) float ox[kPacket], oy[kPacket], oz[kPacket];  // origins, metres
     alignas(64) float dx[kPacket], dy[kPacket], dz[kPacket];  // unit directions
   };
-  /// Bit i is set when one of the first `count` rays, i, is blocked.
-  std::uint32_t occluded(const Rays& rays, int count = kPacket) const;
+  /// Bit i is set when one of the first `count` rays, i, is blocked by any mesh but `except`.
+  std::uint32_t occluded(const Rays& rays, int count = kPacket, int except = -1) const;
+  std::uint32_t occluded_by(int mesh, const Rays& rays, int count = kPacket) const;
 
  private:
   struct Impl;

@@ -1,6 +1,7 @@
 #include "service/disc_stage.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 namespace penumbra::service {
@@ -57,24 +58,71 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   moved_ = true;
 }
 
+std::array<float, kSides> DiscStage::floor_share(std::size_t object,
+                                                 const lighting::Disc& disc) const {
+  std::array<float, kSides> out;
+  out.fill(1);
+  const prt::BakedObject& baked = scene_->objects[object].baked;
+  if (!baked.receiver || (scene_->objects.size() == 1 && real_.empty())) return out;
+  // Of what a wall element at mid-height sees of an endless floor, the share within reach: 1 - h/sqrt(h^2 + r^2),
+  // h = 2/3 of the radius. The rest of the floor is taken for open.
+  constexpr double kReach = 1.5;  // radii
+  constexpr float kNearFloor = .6f;
+  constexpr int kPoints = 128, kPacket = prt::RayWorld::kPacket;
+  static_assert(kPoints % kPacket == 0);
+  const Pose& pose = poses_[object];
+  const glm::vec3 d(disc.direction);
+  const double reach =
+      kReach * double(prt::radius_around(baked.mesh, prt::bounds_of(baked.mesh).centre()));
+  std::array<float, kSides> points{}, open{};
+  prt::RayWorld::Rays rays;
+  glm::vec3 outward[kPacket];
+  for (int k = 0; k < kPoints; ++k) {
+    const double r = reach * std::sqrt((k + .5) / kPoints), a = k * 2.399963229728653;
+    const int lane = k % kPacket;
+    outward[lane] = {std::cos(a), 0, std::sin(a)};
+    const glm::dvec3 p(double(baked.receiver->grid.centre.x) + r * std::cos(a),
+                       double(baked.receiver->grid.height + near_m_),
+                       double(baked.receiver->grid.centre.y) + r * std::sin(a));
+    const glm::vec3 o(pose * p);
+    rays.ox[lane] = o.x, rays.oy[lane] = o.y, rays.oz[lane] = o.z;
+    rays.dx[lane] = d.x, rays.dy[lane] = d.y, rays.dz[lane] = d.z;
+    if (lane < kPacket - 1) continue;
+    std::uint32_t blocked = virtual_.occluded(rays, kPacket, static_cast<int>(object));
+    if (!real_.empty()) blocked |= real_.occluded(rays);
+    for (int i = 0; i < kPacket; ++i)
+      for (std::size_t side = 0; side < kSides; ++side) {
+        // Top and bottom see the floor all around.
+        const bool upright = side / 2 == 1;
+        const float w = upright ? 1 : belongs_to(outward[i], static_cast<int>(side));
+        points[side] += w;
+        open[side] += blocked >> i & 1 ? 0 : w;
+      }
+  }
+  for (std::size_t side = 0; side < kSides; ++side)
+    out[side] = 1 - kNearFloor * (1 - open[side] / points[side]);
+  return out;
+}
+
 void DiscStage::trace(Traced& t) {
   t.direction = t.disc.direction;
   t.shape = t.disc.shape;
   t.radius = t.disc.radius.value();
-  const shadows::Blockers blockers{&virtual_, &real_, near_m_};
   casters_.clear();
   t.cosine.resize(scene_->objects.size());
+  t.floor_share.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     const PreparedObject& o = scene_->objects[i];
     casters_.push_back({&o.baked.mesh, poses_[i]});
+    t.floor_share[i] = floor_share(i, t.disc);
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    shadows::trace_disc_light(blockers, o.baked.mesh, poses_[i], o.baked.receiver ? &own : nullptr,
-                              t.disc, taps_.object, t.cosine[i]);
+    shadows::trace_disc_light(blockers(), o.baked.mesh, poses_[i],
+                              o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p)
-    shadows::trace_disc_shadow(blockers, casters_, scene_->planes[p], t.disc, taps_.plane,
+    shadows::trace_disc_shadow(blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
                                t.on_plane[p]);
 }
 
@@ -126,8 +174,7 @@ DiscStage::AtPoints DiscStage::at_points(std::span<const glm::vec3> positions,
   AtPoints out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
   shadows::DiscAtPoints one;
   for (const Traced& t : traced_) {
-    shadows::trace_disc_points({&virtual_, &real_, near_m_}, positions, normals, t.disc,
-                               taps_.object, one);
+    shadows::trace_disc_points(blockers(), positions, normals, t.disc, taps_.object, one);
     const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr());
     for (std::size_t i = 0; i < count; ++i) {
       out.open[i] += scale * one.open[i];

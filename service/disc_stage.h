@@ -8,6 +8,7 @@
 #include "compositor/compositor.h"
 #include "core/result.h"
 #include "service/scene.h"
+#include "service/surroundings.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::service {
@@ -28,6 +29,13 @@ class DiscStage {
   /// visibly, relative to `mean_irradiance`.
   bool update(std::span<const lighting::Disc> discs, double mean_irradiance);
 
+  shadows::Blockers blockers() const { return {&virtual_, &real_, near_m_}; }
+  /// How much of a disc's light (by its place in update()'s list) reaches the floor before a side of an object
+  /// past everything else: what there is for the two to reflect.
+  float reflected_share(std::size_t disc, std::size_t object, int side) const {
+    return traced_[disc].floor_share[object][static_cast<std::size_t>(side)];
+  }
+
   /// Adds the discs' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
   /// E0 - E at points of real geometry and what is really left there of the light of all discs, relative irradiance.
@@ -46,7 +54,8 @@ class DiscStage {
     glm::dvec3 direction{0};  // as it was traced, and its form
     std::vector<glm::dvec3> shape;
     double radius = 0;
-    std::vector<std::vector<float>> cosine;  // by object, by vertex
+    std::vector<std::vector<float>> cosine;              // by object, by vertex
+    std::vector<std::array<float, kSides>> floor_share;  // by object
     std::vector<shadows::DiscShadow> on_plane;
   };
   DiscStage(const PreparedScene& scene, const DiscTaps& taps, prt::RayWorld virtual_things,
@@ -56,6 +65,7 @@ class DiscStage {
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
   void trace(Traced& traced);
+  std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc) const;
 
   const PreparedScene* scene_;
   DiscTaps taps_;

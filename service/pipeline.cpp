@@ -92,7 +92,8 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
   if (estimate && !warned_ && std::ranges::any_of(estimate->discs, &lighting::Disc::clipped)) {
     warned_ = true;
     spdlog::warn(
-        "{}: a light source is saturated in every exposure; its light is a lower bound until a floor completes it",
+        "{}: a light source is saturated in every exposure; its light is a lower bound until a "
+        "floor completes it",
         info_.name);
   }
   return estimate;
@@ -164,9 +165,18 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     const StageTimer timer(times_, "discs");
     discs_changed = discs_.update(light.discs, kPi * luminance(light.mean_radiance));
   }
+  if (surroundings_.any()) {
+    const StageTimer timer(times_, "surroundings");
+    surroundings_.look(discs_.blockers(), poses);
+    if (!scene_.real_mesh.triangles.empty()) measure_real_mesh(light, discs_changed);
+  }
   bool relit = false;
-  for (std::size_t i = 0; i < objects_.size(); ++i)
-    relit |= update_object(i, poses[i], light, discs_changed);
+  // What objects reflect onto each other is known from the last update, at first from a round of its own.
+  const int rounds = !lit_before_ && objects_.size() > 1 ? 2 : 1;
+  for (int round = 0; round < rounds; ++round)
+    for (std::size_t i = 0; i < objects_.size(); ++i)
+      relit |= update_object(i, poses, light, discs_changed);
+  lit_before_ = true;
   if (!relit && !discs_changed) return false;
   share_shadows(poses);
   std::vector<Rgb> open;
@@ -180,11 +190,26 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   return true;
 }
 
+// What arrives at the real mesh past itself, and what of it goes out again.
+void ComposeStage::measure_real_mesh(const lighting::LightEstimate& light, bool discs_changed) {
+  const prt::Mesh& mesh = scene_.real_mesh;
+  if (discs_changed || real_exit_.empty())
+    real_discs_ = discs_.at_points(mesh.positions, mesh.normals);
+  real_exit_.resize(mesh.positions.size());
+  const IrradianceSh rest = lighting::irradiance(light.light);
+  for (std::size_t i = 0; i < real_exit_.size(); ++i) {
+    const Rgb arrives = lighting::evaluate(rest, glm::dvec3(mesh.normals[i])) +
+                        real_discs_.open[i] - real_discs_.missing[i];
+    for (int c = 0; c < 3; ++c)
+      real_exit_[i][c] = std::max(0.f, arrives[c]) * mesh.albedo[i][c] / static_cast<float>(kPi);
+  }
+}
+
 // Ratios at the vertices of real geometry: s = 1 - (what virtual things take)/(what really arrives).
 void ComposeStage::shade_real_mesh(const lighting::LightEstimate& light,
                                    const std::vector<Pose>& poses) {
   const prt::Mesh& mesh = scene_.real_mesh;
-  const DiscStage::AtPoints discs = discs_.at_points(mesh.positions, mesh.normals);
+  const DiscStage::AtPoints& discs = real_discs_;
   std::vector<Rgb> ratios(mesh.positions.size(), Rgb{1, 1, 1}), one(mesh.positions.size());
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     const shadows::OcclusionField& field = *objects_[k].prepared->field;
@@ -241,45 +266,22 @@ void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
   }
 }
 
-bool ComposeStage::update_object(std::size_t index, const Pose& pose,
+bool ComposeStage::update_object(std::size_t index, const std::vector<Pose>& poses,
                                  const lighting::LightEstimate& estimate, bool discs_changed) {
   Object& o = objects_[index];
-  const prt::BakedObject& baked = o.prepared->baked;
-  const glm::dmat3 world_from_bake = pose.rotation_matrix();
-  const bool on_level_floor = baked.receiver && world_from_bake[1].y > kLevel;
-  const RadianceSh& world_light = on_level_floor ? estimate.floor_light : estimate.light;
-  const lighting::ShRotation turn(glm::transpose(world_from_bake), world_light.bands());
-  const RadianceSh light = turn * world_light;
-  if (!discs_changed && o.light_used &&
-      lighting::largest_visible_change(*o.light_used, light) < kVisibleChange)
-    return false;
-  shadows::ReceiverLight on_receiver(light);
-  if (!estimate.discs.empty()) {
-    RadianceSh sum(prt::kIndirectBands);
-    for (const lighting::Disc& d : estimate.discs) {
-      const RadianceSh own = on_level_floor ? project_disc_above(d, prt::kIndirectBands)
-                                            : project_disc(d, prt::kIndirectBands);
-      for (int n = 0; n < sum.size(); ++n) sum[n] += own[n];
-      on_receiver.disc_irradiance += lighting::irradiance(d, world_from_bake[1]);
-    }
-    if (on_level_floor) sum = lighting::floor_light(sum, prt::kIndirectBands);
-    on_receiver.discs =
-        lighting::ShRotation(glm::transpose(world_from_bake), prt::kIndirectBands) * sum;
-  }
+  const ObjectLight light = light_at(index, estimate, poses);
+  if (!discs_changed && o.light_used && !differs_visibly(*o.light_used, light)) return false;
   {
     const StageTimer timer(times_, "relight");
-    prt::relight(baked.transfer, light, o.relit);
-    if (!estimate.discs.empty()) {
-      o.reflected.resize(o.relit.size());
-      prt::relight(baked.indirect, on_receiver.discs, o.reflected);
-      for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.reflected[i];
-      discs_.add_light(index, o.relit);
-    }
+    relight(o, light, index);
   }
-  if (baked.receiver) {
+  if (o.prepared->baked.receiver) {
     const StageTimer timer(times_, "shadow");
+    shadows::ReceiverLight on_receiver(light.receiver);
+    on_receiver.discs = light.discs;
+    on_receiver.disc_irradiance = light.disc_irradiance;
     // Cannot fail: the object has a receiver.
-    (void)shadows::compose_planar_shadow(baked, on_receiver, o.shadow);
+    (void)shadows::compose_planar_shadow(o.prepared->baked, on_receiver, o.shadow);
   }
   o.light_used = light;
   return true;

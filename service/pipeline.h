@@ -15,6 +15,7 @@
 #include "service/floor_completion.h"
 #include "service/scene.h"
 #include "service/stage_times.h"
+#include "service/surroundings.h"
 
 namespace penumbra::service {
 
@@ -82,11 +83,19 @@ class ComposeStage {
   bool update_light(const lighting::LightEstimate& light, double seconds);
 
  private:
+  // In the bake frame. Sides that nothing else is near see `open`.
+  struct ObjectLight {
+    RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
+    std::array<RadianceSh, kSides> side;
+    RadianceSh discs{1};  // for the light that object and floor reflect; 1 band without discs
+    std::array<RadianceSh, kSides> side_discs;
+    Rgb disc_irradiance;  // of the open receiver
+  };
   struct Object {
     const PreparedObject* prepared;
     int handle;
-    std::optional<RadianceSh> light_used;  // in the bake frame
-    std::vector<float> relit, reflected;
+    std::optional<ObjectLight> light_used;
+    std::vector<float> relit, more;
     shadows::PlanarShadow shadow, shared;  // alone, and with what others take already left out
   };
   struct ViewCamera {
@@ -100,21 +109,37 @@ class ComposeStage {
         scene_(scene),
         discs_(std::move(discs)),
         completion_(std::move(completion)),
+        surroundings_(scene),
         times_(times) {}
+  static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
+  ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
+                       const std::vector<Pose>& poses) const;
+  void see_surroundings(std::size_t index, const RadianceSh& light, const std::vector<Pose>& poses,
+                        const lighting::ShRotation& turn, ObjectLight& out) const;
+  void add_discs(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
+                 ObjectLight& out) const;
+  Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
+                             const std::vector<Pose>& poses) const;
+  void relight(Object& object, const ObjectLight& light, std::size_t index) const;
   void share_shadows(const std::vector<Pose>& poses);
+  void measure_real_mesh(const lighting::LightEstimate& light, bool discs_changed);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
-  bool update_object(std::size_t index, const Pose& pose, const lighting::LightEstimate& light,
-                     bool discs_changed);
+  bool update_object(std::size_t index, const std::vector<Pose>& poses,
+                     const lighting::LightEstimate& light, bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
 
   std::unique_ptr<compositor::Compositor> compositor_;
   const PreparedScene& scene_;
   DiscStage discs_;
   FloorCompletion completion_;
+  Surroundings surroundings_;
+  std::vector<Rgb> real_exit_;       // radiance of the real mesh's vertices as last measured
   bool could_not_complete_ = false;  // was said
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;
+  DiscStage::AtPoints real_discs_;  // at the vertices of the real mesh
+  bool lit_before_ = false;
 };
 
 }  // namespace penumbra::service

@@ -34,6 +34,26 @@ void write_text(const std::filesystem::path& path, const std::string& text) {
   std::ofstream(path, std::ios::binary) << text;
 }
 
+TEST(Response, WhiteBalanceScalesChannelsBehindTheSensor) {
+  for (const Response& plain : all_forms()) {
+    const auto r = plain.with_white_balance({4, 2, 3});
+    ASSERT_TRUE(r);
+    EXPECT_EQ(r->white_balance(), (std::array<double, 3>{2, 1, 1.5})) << "ratios alone";
+    EXPECT_FALSE(r->same_for_all_channels());
+    EXPECT_FALSE(r->is_linear());
+    for (int c = 0; c < 3; ++c) {
+      const double gain = r->white_balance()[static_cast<std::size_t>(c)];
+      for (const double linear : {.01, .1, .3}) {
+        EXPECT_NEAR(r->encode(linear, c), plain.encode(linear * gain, c), 1e-12);
+        EXPECT_NEAR(r->decode(r->encode(linear, c), c), linear, 1e-4);
+      }
+      EXPECT_NEAR(r->encode(1, c), 1, 1e-12) << "what the gain lifts beyond full scale is cut off";
+    }
+  }
+  for (const double bad : {0., -1., std::nan(""), HUGE_VAL})
+    EXPECT_FALSE(Response::srgb().with_white_balance({1, bad, 1})) << bad;
+}
+
 TEST(Response, EncodeInvertsDecode) {
   for (const Response& r : all_forms())
     for (int channel = 0; channel < 3; ++channel)

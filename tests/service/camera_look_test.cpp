@@ -166,6 +166,46 @@ TEST(CameraLook, InsertedWallIsAsNoisyAndAsSoftAsARealOne) {
     }
 }
 
+// Mean codes of the wall's inside.
+std::array<double, 3> colour_of(const FramePixels& pixels) {
+  std::array<double, 3> sum{};
+  const auto& image = std::get<Image<Rgb16>>(pixels);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = kWidth - 30; x < kWidth; ++x) {
+      const Rgb16& p = image.at(x, y);
+      sum[0] += p.r, sum[1] += p.g, sum[2] += p.b;
+    }
+  for (double& s : sum) s /= 30. * kHeight;
+  return sum;
+}
+
+TEST(CameraLook, InsertedWallHasTheWhiteBalanceOfTheCamera) {
+  auto options = studio_options(16, 0, {Seconds(.2), Gain(1)});
+  options.sensor.noisy = false;
+  options.sensor.response = *options.sensor.response.with_white_balance({2, 1, 1.5});
+  std::array<double, 3> seen[2];
+  for (const bool inserted : {false, true}) {
+    capture::Studio studio(std::make_shared<WallWorld>(!inserted), options);
+    static const PreparedScene scene = wall_scene();
+    StageTimes times;
+    auto stage = ComposeStage::create(studio.cameras(), scene,
+                                      compositor::Compositor::Surface::kOffscreen, times, 4);
+    if (!stage && stage.error().code == ErrorCode::kUnavailable)
+      GTEST_SKIP() << "no OpenGL ES 3.1 here: " << stage.error().detail;
+    auto light = *LightStage::create(studio.cameras(), {3, {0, .02}}, times);
+    const auto environment = *studio.next(), view = *studio.next();
+    ASSERT_TRUE(environment && view);
+    const auto measured = light.process(*environment);
+    ASSERT_TRUE(measured);
+    const Rgb& mean = measured->mean_radiance;
+    EXPECT_NEAR(mean.r / mean.g, 1, .01) << "white light stays white in the measurement";
+    seen[inserted] =
+        colour_of(inserted ? (*stage)->process(*view, *measured)->pixels : *view->pixels);
+  }
+  EXPECT_GT(seen[0][0], 1.2 * seen[0][1]) << "what is tested is seen";
+  for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(seen[1][c] / seen[0][c], 1, .01) << c;
+}
+
 TEST(CameraLook, NoNoiseIsInventedForACameraThatNobodyMeasured) {
   auto options = studio_options(16, 0, {Seconds(.3), Gain(1)});
   options.sensor.noisy = false;

@@ -2,10 +2,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <fstream>
 
-#include "codec/codec.h"
 #include "service/accuracy.h"
+#include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::service {
@@ -21,10 +20,12 @@ prt::Mesh make_ground() {
   prt::Mesh mesh;
   for (int j = 0; j <= kSide; ++j)
     for (int i = 0; i <= kSide; ++i) {
-      const float x = kWidth * (float(i) / kSide - .5f), z = kWidth * (float(j) / kSide - .5f), e = .01f;
+      const float x = kWidth * (float(i) / kSide - .5f), z = kWidth * (float(j) / kSide - .5f),
+                  e = .01f;
       mesh.positions.push_back({x, height(x, z), z});
-      mesh.normals.push_back(glm::normalize(glm::vec3((height(x - e, z) - height(x + e, z)) / (2 * e), 1,
-                                                      (height(x, z - e) - height(x, z + e)) / (2 * e))));
+      mesh.normals.push_back(
+          glm::normalize(glm::vec3((height(x - e, z) - height(x + e, z)) / (2 * e), 1,
+                                   (height(x, z - e) - height(x, z + e)) / (2 * e))));
       mesh.albedo.push_back({.4f, .4f, .4f});
     }
   for (std::uint32_t j = 0; j < kSide; ++j)
@@ -36,18 +37,6 @@ prt::Mesh make_ground() {
   return mesh;
 }
 
-// As a file that a scene can name.
-void write_obj(const prt::Mesh& m, const std::filesystem::path& path) {
-  std::ofstream out(path);
-  for (const auto& p : m.positions) out << "v " << p.x << ' ' << p.y << ' ' << p.z << '\n';
-  for (const auto& n : m.normals) out << "vn " << n.x << ' ' << n.y << ' ' << n.z << '\n';
-  for (const auto& t : m.triangles) {
-    out << 'f';
-    for (const auto v : t) out << ' ' << v + 1 << "//" << v + 1;
-    out << '\n';
-  }
-}
-
 struct Case {
   const char* name;
   double bar;
@@ -57,7 +46,7 @@ class MeshReceiver : public testing::TestWithParam<Case> {};
 
 TEST_P(MeshReceiver, ShadowOnUnevenGroundFollowsTheReference) {
   const test::TempFolder folder;
-  write_obj(make_ground(), folder.path() / "ground.obj");
+  test::write_obj(make_ground(), folder.path() / "ground.obj");
   SceneObject object;
   object.asset = "builtin:twist";
   object.name = "twist";

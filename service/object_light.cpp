@@ -1,0 +1,144 @@
+// ComposeStage's share that brings the world's light to one object, past whatever stands around it.
+#include <algorithm>
+#include <cmath>
+
+#include "core/conventions.h"
+#include "service/pipeline.h"
+
+namespace penumbra::service {
+
+namespace {
+
+void add(RadianceSh& sum, const RadianceSh& other, float factor) {
+  for (int n = 0; n < sum.size(); ++n) sum[n] += factor * other[n];
+}
+
+// out[v] += w(v) in[v] for all three colours.
+void add_to_side(const prt::Mesh& mesh, int side, std::span<const float> in, std::span<float> out) {
+  const std::size_t stride = out.size() / 3;
+  for (std::size_t v = 0; v < mesh.normals.size(); ++v) {
+    const float w = belongs_to(mesh.normals[v], side);
+    if (w == 0) continue;
+    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += w * in[c * stride + v];
+  }
+}
+
+}  // namespace
+
+bool ComposeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
+  const auto differs = [](const RadianceSh& a, const RadianceSh& b) {
+    return !(a == b) && lighting::largest_visible_change(a, b) >= kVisibleChange;
+  };
+  bool any = differs(before.open, now.open) || differs(before.receiver, now.receiver);
+  for (std::size_t k = 0; k < kSides; ++k) any |= differs(before.side[k], now.side[k]);
+  return any;
+}
+
+ComposeStage::ObjectLight ComposeStage::light_at(std::size_t index,
+                                                 const lighting::LightEstimate& estimate,
+                                                 const std::vector<Pose>& poses) const {
+  const glm::dmat3 world_from_bake = poses[index].rotation_matrix();
+  const bool on_level_floor =
+      objects_[index].prepared->baked.receiver && world_from_bake[1].y > kLevel;
+  const RadianceSh& light = on_level_floor ? estimate.floor_light : estimate.light;
+  const lighting::ShRotation turn(glm::transpose(world_from_bake), light.bands());
+  ObjectLight out;
+  out.open = out.receiver = turn * light;
+  out.side.fill(out.open);
+  if (surroundings_.any()) see_surroundings(index, light, poses, turn, out);
+  if (!estimate.discs.empty()) add_discs(index, estimate, poses[index], out);
+  return out;
+}
+
+void ComposeStage::see_surroundings(std::size_t index, const RadianceSh& light,
+                                    const std::vector<Pose>& poses,
+                                    const lighting::ShRotation& turn, ObjectLight& out) const {
+  const prt::Mesh& mesh = objects_[index].prepared->baked.mesh;
+  const glm::dvec3 centre = poses[index] * glm::dvec3(prt::bounds_of(mesh).centre());
+  const Rgb by_real = radiance_towards(scene_.real_mesh, {}, centre,
+                                       [&](std::size_t i) { return real_exit_[i]; }),
+            by_virtual = radiance_of_neighbours(index, centre, poses);
+  out.receiver = turn * seen_behind(light, surroundings_.by_real(index), by_real);
+  for (int k = 0; k < kSides; ++k) {
+    const SideView& view = surroundings_.view(index, k);
+    if (view.by_real.share == 0 && view.by_virtual.share == 0) continue;
+    out.side[static_cast<std::size_t>(k)] =
+        turn * seen_behind(seen_behind(light, view.by_real, by_real), view.by_virtual, by_virtual);
+  }
+}
+
+// Mean of what the other objects send this way, by how near they are.
+Rgb ComposeStage::radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
+                                         const std::vector<Pose>& poses) const {
+  Rgb sum;
+  float weight = 0;
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    if (k == index) continue;
+    const prt::BakedObject& baked = objects_[k].prepared->baked;
+    const std::vector<float>& relit = objects_[k].relit;
+    const std::size_t stride = baked.transfer.stride;
+    const glm::dvec3 apart = poses[k].translation - centre;
+    const auto w = static_cast<float>(1 / (glm::dot(apart, apart) + 1e-6));
+    sum += w * radiance_towards(baked.mesh, poses[k], centre, [&](std::size_t i) {
+             return Rgb{relit[i], relit[stride + i], relit[2 * stride + i]} * baked.mesh.albedo[i];
+           });
+    weight += w;
+  }
+  return weight > 0 ? sum * (1 / weight) : Rgb{};
+}
+
+void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& estimate,
+                             const Pose& pose, ObjectLight& out) const {
+  const glm::dmat3 world_from_bake = pose.rotation_matrix();
+  const bool on_level_floor =
+      objects_[index].prepared->baked.receiver && world_from_bake[1].y > kLevel;
+  RadianceSh sum(prt::kIndirectBands);
+  std::array<RadianceSh, kSides> side;
+  side.fill(sum);
+  for (std::size_t i = 0; i < estimate.discs.size(); ++i) {
+    const lighting::Disc& d = estimate.discs[i];
+    const RadianceSh own = on_level_floor ? project_disc_above(d, prt::kIndirectBands)
+                                          : project_disc(d, prt::kIndirectBands);
+    add(sum, own, 1);
+    for (int k = 0; k < kSides; ++k)
+      add(side[static_cast<std::size_t>(k)], own, discs_.reflected_share(i, index, k));
+    out.disc_irradiance += lighting::irradiance(d, world_from_bake[1]);
+  }
+  const lighting::ShRotation turn(glm::transpose(world_from_bake), prt::kIndirectBands);
+  const auto in_bake_frame = [&](const RadianceSh& light) {
+    return turn * (on_level_floor ? lighting::floor_light(light, prt::kIndirectBands) : light);
+  };
+  out.discs = in_bake_frame(sum);
+  for (std::size_t k = 0; k < kSides; ++k)
+    out.side_discs[k] = side[k] == sum ? out.discs : in_bake_frame(side[k]);
+}
+
+// The open light everywhere, and on each side what differs there.
+void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t index) const {
+  const prt::BakedObject& baked = o.prepared->baked;
+  o.more.resize(o.relit.size());
+  const bool discs = light.discs.bands() > 1;
+  const auto difference = [](RadianceSh a, const RadianceSh& b) {
+    add(a, b, -1);
+    return a;
+  };
+  prt::relight(baked.transfer, light.open, o.relit);
+  if (discs) {
+    prt::relight(baked.indirect, light.discs, o.more);
+    for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.more[i];
+  }
+  for (int k = 0; k < kSides; ++k) {
+    const auto s = static_cast<std::size_t>(k);
+    if (!(light.side[s] == light.open)) {
+      prt::relight(baked.transfer, difference(light.side[s], light.open), o.more);
+      add_to_side(baked.mesh, k, o.more, o.relit);
+    }
+    if (discs && !(light.side_discs[s] == light.discs)) {
+      prt::relight(baked.indirect, difference(light.side_discs[s], light.discs), o.more);
+      add_to_side(baked.mesh, k, o.more, o.relit);
+    }
+  }
+  if (discs) discs_.add_light(index, o.relit);
+}
+
+}  // namespace penumbra::service
