@@ -56,7 +56,7 @@ struct Touched {
 /// A disc's shadow and what it is a part of.
 struct DiscShadowOnPlane {
   const shadows::DiscShadow* shadow;
-  Rgb share;  // E_disc/E_0 on the open plane, 0..1
+  Rgb share;  // E_disc/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
 };
 
 class Compositor {

@@ -4,6 +4,7 @@
 // free functions reentrant and internally parallel (TBB); RayScene queries reentrant
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <filesystem>
@@ -125,6 +126,8 @@ class RayWorld {
   struct Rays {
     alignas(64) float ox[kPacket], oy[kPacket], oz[kPacket];  // origins, metres
     alignas(64) float dx[kPacket], dy[kPacket], dz[kPacket];  // unit directions
+    alignas(64) float far[kPacket];  // metres: blockers beyond do not count
+    Rays() { std::fill_n(far, kPacket, 1e30f); }
   };
   /// Bit i is set when one of the first `count` rays, i, is blocked by any mesh but `except`.
   std::uint32_t occluded(const Rays& rays, int count = kPacket, int except = -1) const;

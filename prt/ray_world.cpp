@@ -67,7 +67,7 @@ std::uint32_t RayWorld::Impl::Body::occluded(const Rays& rays, int count,
   alignas(64) int active[kPacket];
   for (int i = 0; i < kPacket; ++i) active[i] = wanted >> i & 1 ? -1 : 0;
   std::fill_n(query.tnear, kPacket, 0.f);
-  std::fill_n(query.tfar, kPacket, 1e30f);
+  for (int i = 0; i < kPacket; ++i) query.tfar[i] = rays.far[i < count ? i : 0];
   std::fill_n(query.time, kPacket, 0.f);
   std::fill_n(query.mask, kPacket, 0xffffffffu);
   std::fill_n(query.flags, kPacket, 0u);

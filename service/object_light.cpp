@@ -139,6 +139,7 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     }
   }
   if (discs) discs_.add_light(index, o.relit);
+  if (lamps_.any()) lamps_.add_light(index, o.relit);
 }
 
 }  // namespace penumbra::service

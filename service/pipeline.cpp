@@ -165,6 +165,10 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     const StageTimer timer(times_, "discs");
     discs_changed = discs_.update(light.discs, kPi * luminance(light.mean_radiance));
   }
+  if (lamps_.any()) {
+    const StageTimer timer(times_, "lamps");
+    discs_changed |= lamps_.update(discs_.blockers(), poses);
+  }
   if (surroundings_.any()) {
     const StageTimer timer(times_, "surroundings");
     surroundings_.look(discs_.blockers(), poses);
@@ -182,7 +186,9 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   std::vector<Rgb> open;
   for (const prt::Plane& plane : scene_.planes)
     open.push_back(open_irradiance(light, plane.normal));
-  compositor_->set_disc_shadows(discs_.shadows(open));
+  auto on_planes = discs_.shadows(open);
+  lamps_.append(open, on_planes);
+  compositor_->set_disc_shadows(on_planes);
   if (!scene_.real_mesh.triangles.empty()) {
     const StageTimer timer(times_, "real mesh");
     shade_real_mesh(light, poses);
@@ -224,12 +230,14 @@ void ComposeStage::shade_real_mesh(const lighting::LightEstimate& light,
   const IrradianceSh rest = lighting::irradiance(light.light);
   const float least = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);
   for (std::size_t i = 0; i < ratios.size(); ++i) {
-    if (ratios[i] == Rgb{1, 1, 1} && luminance(discs.taken[i]) == 0) continue;
+    const Rgb lamps = lamps_.any() ? lamps_.on_real_mesh()[i] : Rgb{};
+    if (ratios[i] == Rgb{1, 1, 1} && luminance(discs.taken[i]) == 0 && luminance(lamps) == 0)
+      continue;
     const Rgb open = lighting::evaluate(rest, glm::dvec3(mesh.normals[i])) + discs.open[i];
     for (int c = 0; c < 3; ++c) {
       const float left = open[c] - discs.missing[i][c];
       const float lost = (1 - ratios[i][c]) * open[c] + discs.taken[i][c];
-      ratios[i][c] = left > least ? std::clamp(1 - lost / left, 0.f, 1.5f) : 1;
+      ratios[i][c] = left > least ? std::clamp(1 - lost / left, 0.f, 1.5f) + lamps[c] / left : 1;
     }
   }
   compositor_->set_ratios(0, ratios);

@@ -13,6 +13,7 @@
 #include "lighting/lighting.h"
 #include "service/disc_stage.h"
 #include "service/floor_completion.h"
+#include "service/lamp_stage.h"
 #include "service/scene.h"
 #include "service/stage_times.h"
 #include "service/surroundings.h"
@@ -110,6 +111,7 @@ class ComposeStage {
         discs_(std::move(discs)),
         completion_(std::move(completion)),
         surroundings_(scene),
+        lamps_(scene),
         times_(times) {}
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
@@ -133,6 +135,7 @@ class ComposeStage {
   DiscStage discs_;
   FloorCompletion completion_;
   Surroundings surroundings_;
+  LampStage lamps_;
   std::vector<Rgb> real_exit_;       // radiance of the real mesh's vertices as last measured
   bool could_not_complete_ = false;  // was said
   StageTimes& times_;

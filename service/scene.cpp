@@ -242,6 +242,7 @@ Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,
     const std::function<std::function<void(double)>(const std::string&)>& progress) {
   PreparedScene out;
+  out.lamps = scene.lamps;
   for (const RealGeometry& real : scene.real) {
     if (real.plane) {
       // Without a known albedo the floor's reflection on the object is unknown and left out.

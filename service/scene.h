@@ -38,6 +38,7 @@ struct RealGeometry {
 struct Scene {
   std::vector<SceneObject> objects;
   std::vector<RealGeometry> real;
+  std::vector<shadows::Lamp> lamps{};
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (unknown key, bad value: file and line)
@@ -65,6 +66,7 @@ struct PreparedScene {
   std::vector<PreparedObject> objects;
   std::vector<prt::Plane> planes;
   prt::Mesh real_mesh;  // world frame; empty without real meshes
+  std::vector<shadows::Lamp> lamps{};
 };
 
 /// Loads, places and bakes. Log lines (what is baked, dropped triangles) go to spdlog.

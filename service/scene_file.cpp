@@ -106,12 +106,31 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   return real;
 }
 
+Result<shadows::Lamp> read_lamp(const TomlKeys& keys) {
+  constexpr std::string_view known[] = {"position", "radius_m", "irradiance_at_1m"};
+  PENUMBRA_TRY(keys.only(known));
+  shadows::Lamp lamp;
+  PENUMBRA_ASSIGN(p, keys.numbers("position", 3));
+  lamp.position = {p[0], p[1], p[2]};
+  if (keys.has("radius_m")) {
+    PENUMBRA_ASSIGN(radius, keys.number("radius_m"));
+    if (radius < 0 || radius > 10) return keys.invalid("radius_m", "not within 0..10");
+    lamp.radius_m = radius;
+  }
+  PENUMBRA_ASSIGN(e, keys.numbers("irradiance_at_1m", 3));
+  for (const double c : e)
+    if (c < 0 || c > 1e9) return keys.invalid("irradiance_at_1m", "not within 0..1e9");
+  lamp.irradiance_at_1m = {static_cast<float>(e[0]), static_cast<float>(e[1]),
+                           static_cast<float>(e[2])};
+  return lamp;
+}
+
 }  // namespace
 
 Result<Scene> read_scene(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
-  constexpr std::string_view known[] = {"version", "object", "real"};
+  constexpr std::string_view known[] = {"version", "object", "real", "lamp"};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const fs::path folder = path.parent_path();
@@ -125,6 +144,11 @@ Result<Scene> read_scene(const fs::path& path) {
   for (const toml::table* table : reals) {
     PENUMBRA_ASSIGN(real, read_real(path, *table, folder));
     scene.real.push_back(real);
+  }
+  PENUMBRA_ASSIGN(lamps, keys.tables("lamp"));
+  for (const toml::table* table : lamps) {
+    PENUMBRA_ASSIGN(lamp, read_lamp(TomlKeys(path, *table)));
+    scene.lamps.push_back(lamp);
   }
   return scene;
 }
@@ -158,6 +182,12 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
           fmt::format("mesh = {}\n", toml_quoted(fs::absolute(r.mesh).lexically_normal().string()));
     }
     if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
+  }
+  for (const shadows::Lamp& l : scene.lamps) {
+    const Rgb& e = l.irradiance_at_1m;
+    text += fmt::format("\n[[lamp]]\nposition = {}\nradius_m = {}\nirradiance_at_1m = {}\n",
+                        list(l.position.x, l.position.y, l.position.z), l.radius_m,
+                        list(e.r, e.g, e.b));
   }
   return write_bytes(path, text);
 }

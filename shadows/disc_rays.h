@@ -46,7 +46,9 @@ class Packets {
   Packets(const Packets&) = delete;
   Packets& operator=(const Packets&) = delete;
 
-  void add(std::size_t point, float weight, const glm::vec3& o, const glm::vec3& d) {
+  void add(std::size_t point, float weight, const glm::vec3& o, const glm::vec3& d,
+           float far = 1e30f) {
+    rays_.far[count_] = far;
     rays_.ox[count_] = o.x, rays_.oy[count_] = o.y, rays_.oz[count_] = o.z;
     rays_.dx[count_] = d.x, rays_.dy[count_] = d.y, rays_.dz[count_] = d.z;
     point_[count_] = point;

@@ -10,6 +10,7 @@
 #include "core/sh.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "shadows/lamp.h"             // IWYU pragma: export
 #include "shadows/occlusion_field.h"  // IWYU pragma: export
 
 namespace penumbra::shadows {
