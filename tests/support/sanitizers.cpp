@@ -3,6 +3,9 @@
 
 extern "C" {
 
+// Window libraries load and unload drivers; what stays loaded can be named in a report.
+int dlclose(void*) { return 0; }
+
 // The GL stack and the libraries below it keep some memory for the life of the process.
 const char* __lsan_default_suppressions() {
   return "leak:swrast_dri.so\nleak:libEGL\nleak:libLLVM\nleak:libgallium\nleak:libembree3.so\n"
