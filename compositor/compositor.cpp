@@ -147,6 +147,7 @@ void Compositor::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
 
 void Compositor::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
   impl_->layers->add_plane(point, normal);
+  impl_->receivers.add_plane(point, normal);
 }
 
 int Compositor::add_occluder(const prt::Mesh& mesh) {

@@ -1,6 +1,7 @@
 #include "compositor/receivers.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace penumbra::compositor {
 
@@ -100,6 +101,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     lookup.size = r.grid.size;
     lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
                            {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
+    find_visible(view, r.world_from_bake * glm::dvec3(0, h, 0),
+                 r.world_from_bake.rotation * glm::dvec3(0, 1, 0), lookup.visible);
     lookups_.push_back(lookup);
     all = united(all, lookup.area);
   }
@@ -112,20 +115,73 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     const Rect area =
         reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
     if (area.empty()) continue;
+    std::vector<HalfImage> visible;
+    find_visible(view, s.world_from_map.translation,
+                 s.world_from_map.rotation * glm::dvec3(0, 1, 0), visible);
     taken_.push_back(disc_lookup(view, s, s.taken, samples_, d.share, area));
-    if (!s.missing.empty())
+    taken_.back().visible = visible;
+    if (!s.missing.empty()) {
       missing_.push_back(disc_lookup(view, s, s.missing, samples_, d.share, area));
+      missing_.back().visible = visible;
+    }
     all = united(all, area);
   }
   return all;
+}
+
+// 1/t along the ray of a pixel to a plane is (n.d)/(n.(p - eye)): linear in the pixel, and largest for the
+// nearest plane.
+void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& point,
+                             const glm::dvec3& normal, std::vector<HalfImage>& out) const {
+  constexpr double kSame = 1e-6;
+  out.clear();
+  const glm::dmat3 turn = view.world_from_camera.rotation_matrix();
+  const auto nearness = [&](const glm::dvec3& p, const glm::dvec3& n) {
+    const double height = glm::dot(n, p - view.world_from_camera.translation);
+    const glm::dvec3 m = glm::transpose(turn) * n / (std::abs(height) > 1e-12 ? height : 1e-12);
+    return HalfImage{m.x / view.focal_px.x, -m.y / view.focal_px.y,
+                     -m.x * view.principal_px.x / view.focal_px.x +
+                         m.y * view.principal_px.y / view.focal_px.y - m.z};
+  };
+  const HalfImage own = nearness(point, normal);
+  for (const RealPlane& other : planes_) {
+    // Seen from behind a plane hides nothing; the plane itself is no other.
+    if (glm::dot(other.normal, view.world_from_camera.translation - other.point) <= 0) continue;
+    if (glm::dot(other.normal, normal) > 1 - kSame &&
+        std::abs(glm::dot(normal, other.point - point)) < 1e-3)
+      continue;
+    const HalfImage there = nearness(other.point, other.normal);
+    out.push_back({own.a - there.a, own.b - there.b, own.c - there.c});
+  }
+}
+
+Receivers::Columns Receivers::visible_columns(const std::vector<HalfImage>& in_front, int y,
+                                              const Rect& area) {
+  double first = area.x0, last = area.x1;
+  for (const HalfImage& h : in_front) {
+    const double rest = h.b * (y + .5) + h.c;
+    if (std::abs(h.a) < 1e-15) {
+      if (rest < 0) return {0, 0};
+      continue;
+    }
+    const double edge = -rest / h.a - .5;  // of the first, or the last, pixel centre inside
+    if (h.a > 0)
+      first = std::max(first, std::ceil(edge));
+    else
+      last = std::min(last, std::floor(edge) + 1);
+  }
+  if (first >= last) return {0, 0};
+  return {static_cast<int>(first), static_cast<int>(last)};
 }
 
 bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) const {
   bool any = false;
   for (const PlaneLookup& plane : lookups_) {
     if (y < plane.area.y0 || y >= plane.area.y1) continue;
-    const int skip = plane.area.x0 - area.x0;
-    multiply_plane_ratios(plane, y, plane.area.x0, plane.area.x1, r + skip, g + skip, b + skip);
+    const Columns c = visible_columns(plane.visible, y, plane.area);
+    if (c.x0 >= c.x1) continue;
+    const int skip = c.x0 - area.x0;
+    multiply_plane_ratios(plane, y, c.x0, c.x1, r + skip, g + skip, b + skip);
     any = true;
   }
   const auto in_row = [&](const DiscLookup& d) { return y >= d.area.y0 && y < d.area.y1; };
@@ -138,8 +194,10 @@ void Receivers::subtract_discs(int y, const Rect& area, float* r, float* g, floa
   const auto subtract = [&](const std::vector<DiscLookup>& discs, float* r0, float* g0, float* b0) {
     for (const DiscLookup& d : discs) {
       if (y < d.area.y0 || y >= d.area.y1) continue;
-      const int skip = d.area.x0 - area.x0;
-      subtract_disc_shares(d, y, d.area.x0, d.area.x1, r0 + skip, g0 + skip, b0 + skip);
+      const Columns c = visible_columns(d.visible, y, d.area);
+      if (c.x0 >= c.x1) continue;
+      const int skip = c.x0 - area.x0;
+      subtract_disc_shares(d, y, c.x0, c.x1, r0 + skip, g0 + skip, b0 + skip);
     }
   };
   const auto width = static_cast<std::size_t>(area.width());

@@ -18,12 +18,18 @@ struct Homography {
   float h[3][3];
 };
 
+/// Pixels at which a plane is in front of another one: a px + b py + c >= 0.
+struct HalfImage {
+  double a, b, c;
+};
+
 /// The ratios of one object on its plane, as the kernel wants them.
 struct PlaneLookup {
   Homography at;       // in half extents from the grid's centre
   const float* ratio;  // RGB, size x size
   int size;
   Rect area;  // pixels that the visible part can reach
+  std::vector<HalfImage> visible{};
 };
 
 /// The shadow of one disc on a plane, likewise.
@@ -34,6 +40,7 @@ struct DiscLookup {
   int samples;  // a pixel along each axis: a hard edge must not show its pixels
   Rgb share;    // of the disc in the light of the open plane
   Rect area;
+  std::vector<HalfImage> visible{};
 };
 
 class Receivers {
@@ -42,6 +49,10 @@ class Receivers {
   explicit Receivers(int samples) : samples_(samples) {}
 
   int add(const prt::GroundGrid& grid);
+  /// Real planes: a shadow is seen where its own plane is the nearest.
+  void add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
+    planes_.push_back({point, normal});
+  }
   void set_pose(int receiver, const Pose& world_from_bake);
   void set_shadow(int receiver, const shadows::PlanarShadow& shadow);
   /// All of them at once; copies the maps.
@@ -67,11 +78,21 @@ class Receivers {
     shadows::DiscShadow shadow;
     Rgb share;
   };
+  struct RealPlane {
+    glm::dvec3 point, normal;
+  };
+  struct Columns {
+    int x0, x1;
+  };
+  void find_visible(const prt::PinholeView& view, const glm::dvec3& point, const glm::dvec3& normal,
+                    std::vector<HalfImage>& out) const;
+  static Columns visible_columns(const std::vector<HalfImage>& in_front, int y, const Rect& area);
   void subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const;
 
   int samples_;
   std::vector<Receiver> receivers_;
   std::vector<OnPlane> discs_;
+  std::vector<RealPlane> planes_;
   std::vector<PlaneLookup> lookups_;
   std::vector<DiscLookup> taken_, missing_;
 };

@@ -26,6 +26,22 @@ double move_of(const std::vector<glm::dvec3>& before, const std::vector<glm::dve
   return largest;
 }
 
+// As much of a plane as a shadow can come from.
+prt::Mesh far_quad(const prt::Plane& plane) {
+  constexpr double kHalf = 100;  // metres
+  const glm::dvec3 side = glm::normalize(glm::cross(plane.normal, std::abs(plane.normal.y) < .9
+                                                                      ? glm::dvec3(0, 1, 0)
+                                                                      : glm::dvec3(1, 0, 0))),
+                   up = glm::cross(side, plane.normal);
+  prt::Mesh quad;
+  for (const glm::dvec2 c : {glm::dvec2(-1, -1), {-1, 1}, {1, 1}, {1, -1}})
+    quad.positions.emplace_back(plane.point + kHalf * (c.x * side + c.y * up));
+  quad.normals.assign(4, glm::vec3(plane.normal));
+  quad.albedo.assign(4, plane.albedo);
+  quad.triangles = {{0, 1, 2}, {0, 2, 3}};
+  return quad;
+}
+
 }  // namespace
 
 Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& taps) {
@@ -33,7 +49,10 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   if (!virtual_things) return std::unexpected(virtual_things.error());
   auto real_things = prt::RayWorld::create();
   if (!real_things) return std::unexpected(real_things.error());
-  DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things));
+  auto real_and_planes = prt::RayWorld::create();
+  if (!real_and_planes) return std::unexpected(real_and_planes.error());
+  DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things),
+                  std::move(*real_and_planes));
   float smallest = 1e30f;
   for (const PreparedObject& o : scene.objects) {
     auto index = stage.virtual_.add(o.baked.mesh);
@@ -46,6 +65,14 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   if (!scene.real_mesh.triangles.empty()) {
     auto index = stage.real_.add(scene.real_mesh);
     if (!index) return fail(index.error().code, "real geometry", index.error().detail);
+    index = stage.real_and_planes_.add(scene.real_mesh);
+    if (!index) return fail(index.error().code, "real geometry", index.error().detail);
+  }
+  // One plane blocks only what comes from behind it, which nobody counts anyway.
+  for (const prt::Plane& plane : scene.planes) {
+    if (scene.planes.size() == 1) break;
+    const auto index = stage.real_and_planes_.add(far_quad(plane));
+    if (!index) return fail(index.error().code, "real plane", index.error().detail);
   }
   if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
   return stage;
@@ -117,13 +144,13 @@ void DiscStage::trace(Traced& t) {
     t.floor_share[i] = floor_share(i, t.disc);
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    shadows::trace_disc_light(blockers(), o.baked.mesh, poses_[i],
+    shadows::trace_disc_light(disc_blockers(), o.baked.mesh, poses_[i],
                               o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p)
-    shadows::trace_disc_shadow(blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
-                               t.on_plane[p]);
+    shadows::trace_disc_shadows(disc_blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
+                                t.on_plane[p]);
 }
 
 bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance) {
@@ -174,7 +201,7 @@ DiscStage::AtPoints DiscStage::at_points(std::span<const glm::vec3> positions,
   AtPoints out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
   shadows::DiscAtPoints one;
   for (const Traced& t : traced_) {
-    shadows::trace_disc_points(blockers(), positions, normals, t.disc, taps_.object, one);
+    shadows::trace_disc_points(disc_blockers(), positions, normals, t.disc, taps_.object, one);
     const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr());
     for (std::size_t i = 0; i < count; ++i) {
       out.open[i] += scale * one.open[i];
@@ -190,13 +217,13 @@ std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(
   std::vector<compositor::DiscShadowOnPlane> out;
   for (const Traced& t : traced_)
     for (std::size_t p = 0; p < t.on_plane.size(); ++p) {
-      if (t.on_plane[p].empty()) continue;
       const Rgb e = lighting::irradiance(t.disc, scene_->planes[p].normal);
       Rgb share;
       for (int c = 0; c < 3; ++c)
         share[c] =
             open_irradiance[p][c] > 0 ? std::clamp(e[c] / open_irradiance[p][c], 0.f, 1.f) : 0;
-      out.push_back({&t.on_plane[p], share});
+      for (const shadows::DiscShadow& shadow : t.on_plane[p])
+        if (!shadow.empty()) out.push_back({&shadow, share});
     }
   return out;
 }

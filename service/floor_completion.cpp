@@ -39,8 +39,15 @@ struct PixelReader {
 Result<FloorCompletion> FloorCompletion::create(const PreparedScene& scene) {
   FloorCompletion out;
   out.scene_ = &scene;
+  const auto stands_on = [](const prt::Plane& plane) {
+    return [&plane](const PreparedObject& o) {
+      return std::abs(glm::dot(o.world_from_bake.translation - plane.point, plane.normal)) < 1e-3;
+    };
+  };
   for (const prt::Plane& plane : scene.planes)
-    if (!out.floor_ && luminance(plane.albedo) > 0) out.floor_ = &plane;
+    if (!out.floor_ && luminance(plane.albedo) > 0 &&
+        std::ranges::any_of(scene.objects, stands_on(plane)))
+      out.floor_ = &plane;
   if (out.floor_ && !scene.real_mesh.triangles.empty()) {
     auto real = prt::RayScene::build(scene.real_mesh);
     if (!real) return std::unexpected(real.error());
@@ -62,6 +69,7 @@ std::optional<lighting::KnownPatch> FloorCompletion::measure(const capture::Fram
   const calib::Projection& p = camera.projection;
   const glm::dvec3 eye = frame.world_from_camera.translation;
   const double height = glm::dot(eye - floor_->point, floor_->normal);
+  if (!(height > 0)) return std::nullopt;  // its underside
   std::vector<Rgb> seen;
   std::size_t clipped = 0;
   for (int y = kStep_px / 2; y < p.height; y += kStep_px)

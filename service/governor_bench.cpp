@@ -176,7 +176,7 @@ Values our_ratios(const FloorProbes& probes, const Split& split, int bands, int 
   return out;
 }
 
-// Half an 8-bit figure of noise is not an error of the plan: reference_irradiance's own is taken out.
+// The reference's own noise counts as the plan's error: kReferenceRays keep it small.
 double shadow_rmse(const Values& ours, const Values& reference) {
   double square = 0, count = 0;
   for (std::size_t p = 0; p < ours.size(); ++p)

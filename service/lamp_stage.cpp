@@ -12,7 +12,8 @@ constexpr int kVertexTaps = 4, kMapTaps = 8;
 }
 
 bool LampStage::update(const shadows::Blockers& blockers, std::span<const Pose> poses) {
-  if (!any() || (!poses_.empty() && std::ranges::equal(poses, poses_))) return false;
+  if (!any() || (known_ && std::ranges::equal(poses, poses_))) return false;
+  known_ = true;
   poses_.assign(poses.begin(), poses.end());
   const prt::Mesh& real = scene_->real_mesh;
   on_real_mesh_.assign(real.positions.size(), Rgb{});

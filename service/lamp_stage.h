@@ -36,6 +36,7 @@ class LampStage {
   };
   const PreparedScene* scene_;
   std::vector<Pose> poses_;
+  bool known_ = false;
   std::vector<Traced> traced_;
   std::vector<Rgb> on_real_mesh_;
 };

@@ -85,6 +85,8 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
     assembler_.assemble(**merged, environment_);
   }
   environment_.time = frame.time;
+  // What the first exposures saturate a shorter one may still resolve.
+  if (!bracket_is_known(frame)) environment_.clipped.clear();
   auto estimate = [&] {
     const StageTimer timer(times_, "light");
     return estimator_.estimate(environment_);
@@ -97,6 +99,17 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
         info_.name);
   }
   return estimate;
+}
+
+// Once an exposure has come back, or after so many different ones.
+bool LightStage::bracket_is_known(const capture::Frame& frame) {
+  if (bracket_known_) return true;
+  constexpr std::size_t kMost = 4;
+  const double product = frame.exposure.product();
+  const auto same = [&](double other) { return std::abs(other / product - 1) < .01; };
+  bracket_known_ = std::ranges::any_of(exposures_, same) || exposures_.size() + 1 >= kMost;
+  exposures_.push_back(product);
+  return bracket_known_;
 }
 
 void LightStage::complete(std::span<const lighting::Completion> completions) {

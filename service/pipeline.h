@@ -44,6 +44,9 @@ class LightStage {
   Environment environment_;
   lighting::LightEstimator estimator_;
   StageTimes& times_;
+  bool bracket_is_known(const capture::Frame& frame);
+  std::vector<double> exposures_;  // until the bracket is known
+  bool bracket_known_ = false;
   bool warned_ = false;  // that a source is clipped
 };
 

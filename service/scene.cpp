@@ -40,7 +40,19 @@ Pose frame_on_plane(const prt::Plane& plane, const glm::dvec3& position) {
   return {up, position - height * plane.normal};
 }
 
-// The plane that an object stands on: the nearest one that it is in front of.
+// The plane that an object stands on: the nearest one that it is in front of, with a part of it at least.
+const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::Bounds& bounds) {
+  const prt::Plane* best = nullptr;
+  double nearest = HUGE_VAL;
+  const glm::dvec3 centre(bounds.centre()), half(.5f * (bounds.high - bounds.low));
+  for (const prt::Plane& plane : planes) {
+    const double d = glm::dot(centre - plane.point, plane.normal),
+                 rise = glm::dot(half, glm::abs(plane.normal));  // of its highest corner
+    if (d + rise > 1e-3 * rise && std::abs(d) < nearest) nearest = std::abs(d), best = &plane;
+  }
+  return best;
+}
+
 const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const glm::dvec3& point) {
   const prt::Plane* best = nullptr;
   double nearest = HUGE_VAL;
@@ -165,8 +177,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
   if (!mesh) return std::unexpected(mesh.error());
   prt::transform(*mesh, placement(o, *mesh));
-  const glm::dvec3 centre(bounds_of(*mesh).centre());
-  const prt::Plane* plane = plane_under(scene.planes, centre);
+  const prt::Plane* plane = plane_under(scene.planes, bounds_of(*mesh));
   PreparedObject out;
   out.name = o.name;
   out.spin_rpm = o.spin_rpm;

@@ -13,6 +13,25 @@ constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",
                                             "spin_rpm", "animation", "stand_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane", "mesh", "albedo"};
 
+// Beyond these floats have no room for a shadow.
+constexpr double kFarthest = 1e4, kLeastScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
+
+Result<glm::dvec3> read_point(const TomlKeys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(p, keys.numbers(key, 3));
+  for (const double c : p)
+    if (!(std::abs(c) <= kFarthest))
+      return keys.invalid(key, fmt::format("not within {} m of the origin", kFarthest));
+  return glm::dvec3(p[0], p[1], p[2]);
+}
+
+Result<double> read_size(const TomlKeys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(s, keys.number(key));
+  if (s <= 0) return keys.invalid(key, "not positive");
+  if (!(s >= kLeastScale && s <= kLargestScale))
+    return keys.invalid(key, fmt::format("not within {}..{}", kLeastScale, kLargestScale));
+  return s;
+}
+
 Result<Rgb> read_albedo(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(v, keys.numbers("albedo", 3));
   for (double c : v)
@@ -28,8 +47,8 @@ std::string resolve(const std::string& file, const fs::path& folder) {
 
 Result<void> read_placement(const TomlKeys& keys, SceneObject& o) {
   if (keys.has("position")) {
-    PENUMBRA_ASSIGN(p, keys.numbers("position", 3));
-    o.position = {p[0], p[1], p[2]};
+    PENUMBRA_ASSIGN(p, read_point(keys, "position"));
+    o.position = p;
   }
   if (keys.has("rotation")) {
     PENUMBRA_ASSIGN(q, keys.numbers("rotation", 4));
@@ -39,14 +58,12 @@ Result<void> read_placement(const TomlKeys& keys, SceneObject& o) {
     o.rotation = glm::normalize(r);
   }
   if (keys.has("scale")) {
-    PENUMBRA_ASSIGN(s, keys.number("scale"));
-    if (s <= 0) return keys.invalid("scale", "not positive");
+    PENUMBRA_ASSIGN(s, read_size(keys, "scale"));
     o.scale = s;
   }
   if (keys.has("stand_size_m")) {
     if (keys.has("scale")) return keys.invalid("stand_size_m", "cannot stand beside scale");
-    PENUMBRA_ASSIGN(s, keys.number("stand_size_m"));
-    if (s <= 0) return keys.invalid("stand_size_m", "not positive");
+    PENUMBRA_ASSIGN(s, read_size(keys, "stand_size_m"));
     o.stand = true;
     o.stand_size_m = s;
   }
@@ -70,6 +87,8 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   PENUMBRA_TRY(read_placement(keys, o));
   if (keys.has("spin_rpm")) {
     PENUMBRA_ASSIGN(spin, keys.number("spin_rpm"));
+    if (!(std::abs(spin) <= kFastest_rpm))
+      return keys.invalid("spin_rpm", fmt::format("not within +-{}", kFastest_rpm));
     o.spin_rpm = spin;
   }
   if (keys.has("animation"))
@@ -98,11 +117,12 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   const TomlKeys plane_keys(path, *plane);
   constexpr std::string_view known[] = {"point", "normal"};
   PENUMBRA_TRY(plane_keys.only(known));
-  PENUMBRA_ASSIGN(p, plane_keys.numbers("point", 3));
+  PENUMBRA_ASSIGN(p, read_point(plane_keys, "point"));
   PENUMBRA_ASSIGN(n, plane_keys.numbers("normal", 3));
   const glm::dvec3 normal(n[0], n[1], n[2]);
-  if (glm::length(normal) < 1e-6) return plane_keys.invalid("normal", "has no length");
-  real.plane = RealPlane{{p[0], p[1], p[2]}, glm::normalize(normal)};
+  if (!(glm::length(normal) >= 1e-6 && glm::length(normal) < 1e100))
+    return plane_keys.invalid("normal", "has no length");
+  real.plane = RealPlane{p, glm::normalize(normal)};
   return real;
 }
 
@@ -110,8 +130,8 @@ Result<shadows::Lamp> read_lamp(const TomlKeys& keys) {
   constexpr std::string_view known[] = {"position", "radius_m", "irradiance_at_1m"};
   PENUMBRA_TRY(keys.only(known));
   shadows::Lamp lamp;
-  PENUMBRA_ASSIGN(p, keys.numbers("position", 3));
-  lamp.position = {p[0], p[1], p[2]};
+  PENUMBRA_ASSIGN(p, read_point(keys, "position"));
+  lamp.position = p;
   if (keys.has("radius_m")) {
     PENUMBRA_ASSIGN(radius, keys.number("radius_m"));
     if (radius < 0 || radius > 10) return keys.invalid("radius_m", "not within 0..10");

@@ -111,6 +111,8 @@ const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
                                const std::optional<lighting::LightEstimate>& truncated,
                                const Progress& progress) {
+  if (!in.scene->lamps.empty())
+    return fail(ErrorCode::kInvalid, "scene", "has lamps, which the reference does not trace yet");
   auto map_light = prt::EnvironmentLight::from_map(*in.environment);
   if (!map_light) return std::unexpected(map_light.error());
   const prt::EnvironmentLight light =

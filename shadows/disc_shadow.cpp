@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
@@ -270,16 +271,15 @@ void clear_rim(Image<float>& map) {
   for (int x = 0; x < map.width(); ++x) map.at(x, 0) = map.at(x, map.height() - 1) = 0;
 }
 
-}  // namespace
+// How a plane lies to a disc, and the disc's rays.
+struct Setting {
+  Pose world_from_plane;  // x away from the light
+  Extent reach;
+};
 
-void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
-                       const prt::Plane& plane, const lighting::Disc& disc,
-                       const DiscShadowOptions& options, DiscShadow& out) {
-  out.rays = 0;
-  out.taken.reset(0, 0);
-  out.missing.reset(0, 0);
-  if (casters.empty()) return;
-  // x away from the light; any direction will do under a light at the zenith.
+std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& disc,
+                              const TapPattern& taps) {
+  // Any direction will do under a light at the zenith.
   const double sine = glm::dot(plane.normal, disc.direction);
   glm::dvec3 away = sine * plane.normal - disc.direction;
   if (glm::length(away) < 1e-6)
@@ -287,13 +287,14 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
                       std::abs(plane.normal.x) < .9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 0, 1));
   away = glm::normalize(away);
   const glm::dmat3 axes(away, plane.normal, glm::cross(away, plane.normal));
-  const Pose world_from_plane{glm::quat_cast(axes), plane.point};
-  thread_local TapPattern taps;  // grows once per thread
-  taps.make(disc, options.taps, 1);
   const Extent reach = reach_of_taps(taps, glm::transpose(axes));
-  if (reach.low.x > reach.high.x) return;  // no tap above the plane
-  const Extent e = shadow_extent(casters, world_from_plane.inverse(), reach);
-  if (e.empty()) return;
+  if (reach.low.x > reach.high.x) return std::nullopt;  // no tap above the plane
+  return Setting{{glm::quat_cast(axes), plane.point}, reach};
+}
+
+void trace_extent(const Blockers& blockers, const TapPattern& taps, const lighting::Disc& disc,
+                  const DiscShadowOptions& options, const Setting& setting, const Extent& e,
+                  DiscShadow& out) {
   const glm::dvec2 size = e.high - e.low;
   const double cell = std::max(size.x, size.y) / (options.size - 4);
   const auto nodes = [&](double length) {
@@ -301,13 +302,72 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
   };
   out.cell_m = static_cast<float>(cell);
   out.world_from_map =
-      world_from_plane * Pose{{1, 0, 0, 0}, {e.low.x - 2 * cell, 0, e.low.y - 2 * cell}};
+      setting.world_from_plane * Pose{{1, 0, 0, 0}, {e.low.x - 2 * cell, 0, e.low.y - 2 * cell}};
   out.taken.reset(nodes(size.x), nodes(size.y));
   if (blockers.real_things && !blockers.real_things->empty())
     out.missing.reset(out.taken.width(), out.taken.height());
   Refiner(blockers, taps, is_narrow(disc), out).run();
   if (e.cut) fade_end(out.taken);
   clear_rim(out.taken);
+}
+
+void clear(DiscShadow& out) {
+  out.rays = 0;
+  out.taken.reset(0, 0);
+  out.missing.reset(0, 0);
+}
+
+Extent united(const Extent& a, const Extent& b) {
+  return {glm::min(a.low, b.low), glm::max(a.high, b.high), a.cut || b.cut};
+}
+
+bool overlap(const Extent& a, const Extent& b) {
+  return a.low.x < b.high.x && b.low.x < a.high.x && a.low.y < b.high.y && b.low.y < a.high.y;
+}
+
+}  // namespace
+
+void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
+                       const prt::Plane& plane, const lighting::Disc& disc,
+                       const DiscShadowOptions& options, DiscShadow& out) {
+  clear(out);
+  if (casters.empty()) return;
+  thread_local TapPattern taps;  // grows once per thread
+  taps.make(disc, options.taps, 1);
+  const auto setting = set_up(plane, disc, taps);
+  if (!setting) return;
+  const Extent e = shadow_extent(casters, setting->world_from_plane.inverse(), setting->reach);
+  if (!e.empty()) trace_extent(blockers, taps, disc, options, *setting, e, out);
+}
+
+void trace_disc_shadows(const Blockers& blockers, std::span<const Caster> casters,
+                        const prt::Plane& plane, const lighting::Disc& disc,
+                        const DiscShadowOptions& options, std::vector<DiscShadow>& out) {
+  thread_local TapPattern taps;  // grows once per thread
+  taps.make(disc, options.taps, 1);
+  const auto setting = set_up(plane, disc, taps);
+  const Scratch::Scope scope;
+  std::pmr::vector<Extent> groups(scope.memory());
+  for (const Caster& caster : casters) {
+    if (!setting) break;
+    Extent e = shadow_extent({&caster, 1}, setting->world_from_plane.inverse(), setting->reach);
+    if (e.empty()) continue;
+    // A rectangle that grew may meet others that it had passed.
+    for (std::size_t i = 0; i < groups.size();) {
+      if (!overlap(groups[i], e)) {
+        ++i;
+        continue;
+      }
+      e = united(groups[i], e);
+      groups.erase(groups.begin() + static_cast<std::ptrdiff_t>(i));
+      i = 0;
+    }
+    groups.push_back(e);
+  }
+  if (out.size() < groups.size()) out.resize(groups.size());
+  for (DiscShadow& shadow : out) clear(shadow);
+  for (std::size_t i = 0; i < groups.size(); ++i)
+    trace_extent(blockers, taps, disc, options, *setting, groups[i], out[i]);
 }
 
 }  // namespace penumbra::shadows

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <span>
+#include <vector>
 
 #include "core/image.h"
 #include "core/pose.h"
@@ -117,5 +118,11 @@ struct DiscShadow {
 void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
                        const prt::Plane& plane, const lighting::Disc& disc,
                        const DiscShadowOptions& options, DiscShadow& out);
+
+/// A map for each group of casters whose shadows' rectangles meet, so that objects far apart do not share one map's
+/// cells. `out` keeps its maps' memory; those not needed are empty.
+void trace_disc_shadows(const Blockers& blockers, std::span<const Caster> casters,
+                        const prt::Plane& plane, const lighting::Disc& disc,
+                        const DiscShadowOptions& options, std::vector<DiscShadow>& out);
 
 }  // namespace penumbra::shadows
