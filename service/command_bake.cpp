@@ -23,6 +23,8 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.bounces = o.bounces;
   options.rays = o.samples;
   options.ground_rays = 4 * o.samples;
+  if (!(o.receiver_albedo >= 0 && o.receiver_albedo <= 1))
+    return fail(ErrorCode::kInvalid, "--receiver-albedo", "not within 0..1");
   const auto a = static_cast<float>(o.receiver_albedo);
   // The receiver is the plane that the asset stands on.
   options.receiver =

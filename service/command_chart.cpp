@@ -374,6 +374,11 @@ Result<void> chart_governor(const ChartOptions& o) {
 }  // namespace
 
 Result<void> chart(const ChartOptions& o) {
+  if (o.governor < 0 || o.governor > 10'000)
+    return fail(ErrorCode::kInvalid, "--governor", "not within 1..10000 scenes");
+  if (!(o.budget > 0 && o.budget <= 1))
+    return fail(ErrorCode::kInvalid, "--budget", "not within 0..1");
+  if (o.discs < 0 || o.discs > 64) return fail(ErrorCode::kInvalid, "--discs", "not within 0..64");
   if (o.governor > 0) return chart_governor(o);
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)

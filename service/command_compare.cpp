@@ -1,10 +1,12 @@
 #include <fmt/format.h>
 
 #include <cmath>
+#include <limits>
 
 #include "codec/codec.h"
 #include "core/conventions.h"
 #include "service/commands.h"
+#include "service/flip.h"
 #include "service/output.h"
 #include "service/report.h"
 
@@ -72,7 +74,8 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
   const double n = static_cast<double>(std::max<std::size_t>(1, f.compared)),
                rmse = std::sqrt(square / n);
   f.rel_rmse = mean > 0 ? rmse / (mean / n) : (rmse > 0 ? HUGE_VAL : 0);
-  f.log10_rmse = logs > 0 ? std::sqrt(log_square / logs) : 0;
+  // Without a pixel that is above black in both there is no logarithm to compare.
+  f.log10_rmse = logs > 0 ? std::sqrt(log_square / logs) : std::numeric_limits<double>::quiet_NaN();
   f.psnr_db = rmse > 0 ? 20 * std::log10(peak / rmse) : HUGE_VAL;
   return f;
 }
@@ -101,20 +104,25 @@ Result<void> compare(const CompareOptions& o) {
   }
   const Figures f = measure(*a, *b, use, o.scale);
   if (f.compared == 0) return fail(ErrorCode::kUndetermined, o.a, "no pixel is left to compare");
+  // Of the pictures as they are: a mask or a factor has no place in a model of the eye.
+  const auto map = hdr_flip(*b, *a);
+  const double flip = map ? mean_flip(*map) : std::numeric_limits<double>::quiet_NaN();
   if (o.json) {
     print_json({{"rel_rmse", f.rel_rmse},
                 {"log10_rmse", f.log10_rmse},
                 {"psnr_db", f.psnr_db},
                 {"max_abs", f.max_abs},
+                {"flip", flip},
                 {"scale", f.scale},
                 {"compared_pixels", f.compared},
                 {"non_finite", f.non_finite}});
   } else {
     fmt::print(
         "relative RMSE {:.5g}, log10 luminance RMSE {:.5g}, PSNR {:.2f} dB, largest difference "
-        "{:.5g}\n"
+        "{:.5g}, mean HDR-FLIP {:.4f}\n"
         "{} pixels compared, {} not finite, {} scaled by {:.5g}\n",
-        f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, f.compared, f.non_finite, o.a, f.scale);
+        f.rel_rmse, f.log10_rmse, f.psnr_db, f.max_abs, flip, f.compared, f.non_finite, o.a,
+        f.scale);
   }
   return {};
 }

@@ -69,9 +69,9 @@ Result<void> composite(const CompositeOptions& o) {
         return (*writer)->write(name, out.pixels, first);
       },
       times);
-  const auto written_out = (*writer)->finish();
+  // A run that failed leaves the video of an earlier one alone.
   if (!counts) return std::unexpected(counts.error());
-  PENUMBRA_TRY(written_out);
+  PENUMBRA_TRY((*writer)->finish());
   const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
   const nlohmann::json summary =
       summarise(*counts, times,

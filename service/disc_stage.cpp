@@ -90,7 +90,7 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object,
   std::array<float, kSides> out;
   out.fill(1);
   const prt::BakedObject& baked = scene_->objects[object].baked;
-  if (!baked.receiver || (scene_->objects.size() == 1 && real_.empty())) return out;
+  if (!baked.receiver || (scene_->objects.size() == 1 && real_and_planes_.empty())) return out;
   // Of what a wall element at mid-height sees of an endless floor, the share within reach: 1 - h/sqrt(h^2 + r^2),
   // h = 2/3 of the radius. The rest of the floor is taken for open.
   constexpr double kReach = 1.5;  // radii
@@ -116,7 +116,7 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object,
     rays.dx[lane] = d.x, rays.dy[lane] = d.y, rays.dz[lane] = d.z;
     if (lane < kPacket - 1) continue;
     std::uint32_t blocked = virtual_.occluded(rays, kPacket, static_cast<int>(object));
-    if (!real_.empty()) blocked |= real_.occluded(rays);
+    if (!real_and_planes_.empty()) blocked |= real_and_planes_.occluded(rays);
     for (int i = 0; i < kPacket; ++i)
       for (std::size_t side = 0; side < kSides; ++side) {
         // Top and bottom see the floor all around.

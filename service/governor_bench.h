@@ -54,7 +54,8 @@ struct GovernorProof {
 /// Budgets that one factor serves.
 inline constexpr double kBudgets[] = {.02, .03, .05, .08};
 
-/// 59 scenes calibrate (95 % coverage with 95 % confidence), `test_scenes` others prove. The scenes
+/// 59 scenes calibrate (95 % coverage with 95 % confidence), `test_scenes` others prove with the larger of their
+/// factor and the program's own. The scenes
 /// of either are numbered from fixed starts of their own: neither was looked at to shape the prediction.
 /// source: split conformal prediction, the loss of a choice instead of a residual
 Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting::CostModel& costs,

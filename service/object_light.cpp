@@ -109,8 +109,15 @@ void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& e
     return turn * (on_level_floor ? lighting::floor_light(light, prt::kIndirectBands) : light);
   };
   out.discs = in_bake_frame(sum);
-  for (std::size_t k = 0; k < kSides; ++k)
+  bool all_open = true;
+  for (std::size_t k = 0; k < kSides; ++k) {
+    all_open &= side[k] == sum;
     out.side_discs[k] = side[k] == sum ? out.discs : in_bake_frame(side[k]);
+  }
+  out.receiver_discs = out.discs;
+  if (all_open) return;
+  out.receiver_discs = RadianceSh(prt::kIndirectBands);
+  for (const RadianceSh& s : out.side_discs) add(out.receiver_discs, s, 1.f / kSides);
 }
 
 // The open light everywhere, and on each side what differs there.

@@ -299,7 +299,7 @@ bool ComposeStage::update_object(std::size_t index, const std::vector<Pose>& pos
   if (o.prepared->baked.receiver) {
     const StageTimer timer(times_, "shadow");
     shadows::ReceiverLight on_receiver(light.receiver);
-    on_receiver.discs = light.discs;
+    on_receiver.discs = light.receiver_discs;
     on_receiver.disc_irradiance = light.disc_irradiance;
     // Cannot fail: the object has a receiver.
     (void)shadows::compose_planar_shadow(o.prepared->baked, on_receiver, o.shadow);

@@ -93,6 +93,7 @@ class ComposeStage {
     std::array<RadianceSh, kSides> side;
     RadianceSh discs{1};  // for the light that object and floor reflect; 1 band without discs
     std::array<RadianceSh, kSides> side_discs;
+    RadianceSh receiver_discs{1};  // what of them the object has to reflect onto the floor
     Rgb disc_irradiance;  // of the open receiver
   };
   struct Object {

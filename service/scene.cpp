@@ -133,8 +133,6 @@ glm::dmat4 placement(const SceneObject& o, const prt::Mesh& mesh) {
                     glm::dvec4(shift, 1));
 }
 
-// A file that is baked already: its frame is placed upright; scale moves lengths, transfer has
-// none.
 // A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
 // and shifting its frame is all.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {

@@ -164,13 +164,15 @@ class Files(CliTest):
         self.assertEqual([c["frames"] for c in self.run_json("inspect", self.root / "capture")["cameras"]], [2, 3])
 
     def test_compare_measures_the_difference(self):
-        keys = {"rel_rmse", "log10_rmse", "psnr_db", "max_abs"}
+        keys = {"rel_rmse", "log10_rmse", "psnr_db", "max_abs", "flip"}
         same = self.run_json("compare", self.root / "a.png", self.root / "a.png")
         self.assertLessEqual(keys, set(same))
         self.assertEqual((same["rel_rmse"], same["log10_rmse"], same["max_abs"]), (0, 0, 0))
         other = self.run_json("compare", self.root / "a.png", self.root / "b.png")
         self.assert_close(other["max_abs"], 1 / 255, 1e-6)
         self.assertGreater(other["rel_rmse"], 0)
+        self.assertEqual(same["flip"], 0)
+        self.assertGreater(other["flip"], 0)
 
     def test_compare_refuses_pictures_of_different_sizes(self):
         self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")

@@ -82,7 +82,7 @@ TEST(RealLight, GraceInFourContainersGivesThePublishedCoefficients) {
     ASSERT_TRUE(light) << light.error().detail;
     const RadianceSh upright = upright_axes(light->light.light.with_bands(3),
                                             std::string_view(name) == "grace_latlong_pbrt.exr");
-    // Published with pixel corners where we use centres: a tenth of a degree.
+    // Published with pixel corners where we use centres: about .2 degrees.
     const auto [fitted, degrees] = nearest_rotation(upright, published);
     std::printf("%-30s residual %.5f, after turning by %.2f degrees %.5f\n", name,
                 residual(upright, published), degrees, residual(fitted, published));

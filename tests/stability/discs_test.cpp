@@ -60,7 +60,7 @@ void PrintTo(const Path& p, std::ostream* out) {
   *out << p.name;
 }
 
-// Fails today: the core of a bright source is cut down to a hundredth of its peak instead of to its
+// The naive form: the core of a bright source is cut down to a hundredth of its peak instead of to its
 // surroundings, and that pedestal becomes a second disc in the same place.
 class SunCrossing : public testing::TestWithParam<Path> {};
 

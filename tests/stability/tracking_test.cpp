@@ -42,7 +42,7 @@ void PrintTo(const Bar& b, std::ostream* out) {
   *out << b.name;
 }
 
-// bar_of_one_pixel fails today: where a source parts, its new half starts without sharpness; where
+// What went wrong once in bar_of_one_pixel: where a source parts, its new half starts without sharpness; where
 // halves join, the whole takes the sharpness of the nearest half; and every half gets a new id. The
 // bars that hide a source fail by the second disc of SunCrossing alone.
 class WindowFrame : public testing::TestWithParam<Bar> {};
@@ -182,7 +182,7 @@ TEST(Tracking, SwitchedLampIsFollowedAtOnceAndOnlyItsSharpnessFades) {
   EXPECT_EQ(ids.size(), 1U);
 }
 
-// Fails today: half of the energy of a source that just reaches the level is a disc, and all of it
+// The naive form: half of the energy of a source that just reaches the level is a disc, and all of it
 // is gone in the next map when the source falls below.
 TEST(Tracking, WindowThatDimsSlowlyDoesNotLoseItsShadowAtOnce) {
   constexpr int kWidth = 256, kHeight = 128;
