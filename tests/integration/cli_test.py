@@ -154,6 +154,7 @@ class Files(CliTest):
         files.write_hdr(cls.root / "even.hdr", 64, 32, (1.0, 0.5, 0.25))
         files.write_png(cls.root / "a.png", 9, 7, lambda x, y: (x, y, 200))
         files.write_png(cls.root / "b.png", 9, 7, lambda x, y: (x, y, 201))
+        files.write_png(cls.root / "other.png", 9, 7, lambda x, y: (200, 180, 20))
         files.write_png(cls.root / "wide.png", 9, 7, lambda x, y: (1000 * x, y, 2), bits=16)
 
     def test_inspect_knows_every_kind(self):
@@ -172,7 +173,9 @@ class Files(CliTest):
         self.assert_close(other["max_abs"], 1 / 255, 1e-6)
         self.assertGreater(other["rel_rmse"], 0)
         self.assertEqual(same["flip"], 0)
-        self.assertGreater(other["flip"], 0)
+        self.assert_close(other["flip"], 0, 0.01)
+        visible = self.run_json("compare", self.root / "a.png", self.root / "other.png")["flip"]
+        self.assertTrue(0.1 < visible <= 1, visible)
 
     def test_compare_refuses_pictures_of_different_sizes(self):
         self.expect_refusal(["even.hdr"], "compare", self.root / "even.hdr", self.root / "a.png")
