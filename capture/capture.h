@@ -160,9 +160,13 @@ class HdrRing {
   HdrRing(CameraInfo camera, int slots);
   /// errors: kInvalid (size changed, bad exposure), kUndetermined as merge()
   Result<const MergedImage*> add(const Frame& frame);
+  /// False while a shorter exposure may still come: until one came back, or so many different ones stand in the ring.
+  bool knows_bracket() const { return came_back_ || frames_.size() >= kUsualBracket; }
 
  private:
+  static constexpr std::size_t kUsualBracket = 4;
   Result<void> merge_now();
+  bool came_back_ = false;  // an exposure
   CameraInfo camera_;
   std::size_t slots_;
   std::vector<Frame> frames_;  // oldest first

@@ -47,6 +47,7 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
         fmt::format("{}x{}, expected {}x{}", width(*frame.pixels), height(*frame.pixels), w, h));
   const auto old = std::ranges::find_if(
       frames_, [&](const Frame& f) { return same_exposure(f.exposure, frame.exposure); });
+  came_back_ |= old != frames_.end();
   if (old != frames_.end())
     frames_.erase(old);
   else if (frames_.size() >= slots_)

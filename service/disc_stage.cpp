@@ -49,10 +49,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   if (!virtual_things) return std::unexpected(virtual_things.error());
   auto real_things = prt::RayWorld::create();
   if (!real_things) return std::unexpected(real_things.error());
-  auto real_and_planes = prt::RayWorld::create();
-  if (!real_and_planes) return std::unexpected(real_and_planes.error());
-  DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things),
-                  std::move(*real_and_planes));
+  DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things));
   float smallest = 1e30f;
   for (const PreparedObject& o : scene.objects) {
     auto index = stage.virtual_.add(o.baked.mesh);
@@ -65,13 +62,11 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   if (!scene.real_mesh.triangles.empty()) {
     auto index = stage.real_.add(scene.real_mesh);
     if (!index) return fail(index.error().code, "real geometry", index.error().detail);
-    index = stage.real_and_planes_.add(scene.real_mesh);
-    if (!index) return fail(index.error().code, "real geometry", index.error().detail);
   }
   // One plane blocks only what comes from behind it, which nobody counts anyway.
   for (const prt::Plane& plane : scene.planes) {
     if (scene.planes.size() == 1) break;
-    const auto index = stage.real_and_planes_.add(far_quad(plane));
+    const auto index = stage.real_.add(far_quad(plane));
     if (!index) return fail(index.error().code, "real plane", index.error().detail);
   }
   if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
@@ -90,7 +85,7 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object,
   std::array<float, kSides> out;
   out.fill(1);
   const prt::BakedObject& baked = scene_->objects[object].baked;
-  if (!baked.receiver || (scene_->objects.size() == 1 && real_and_planes_.empty())) return out;
+  if (!baked.receiver || (scene_->objects.size() == 1 && real_.empty())) return out;
   // Of what a wall element at mid-height sees of an endless floor, the share within reach: 1 - h/sqrt(h^2 + r^2),
   // h = 2/3 of the radius. The rest of the floor is taken for open.
   constexpr double kReach = 1.5;  // radii
@@ -116,7 +111,7 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object,
     rays.dx[lane] = d.x, rays.dy[lane] = d.y, rays.dz[lane] = d.z;
     if (lane < kPacket - 1) continue;
     std::uint32_t blocked = virtual_.occluded(rays, kPacket, static_cast<int>(object));
-    if (!real_and_planes_.empty()) blocked |= real_and_planes_.occluded(rays);
+    if (!real_.empty()) blocked |= real_.occluded(rays);
     for (int i = 0; i < kPacket; ++i)
       for (std::size_t side = 0; side < kSides; ++side) {
         // Top and bottom see the floor all around.
@@ -144,12 +139,12 @@ void DiscStage::trace(Traced& t) {
     t.floor_share[i] = floor_share(i, t.disc);
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    shadows::trace_disc_light(disc_blockers(), o.baked.mesh, poses_[i],
+    shadows::trace_disc_light(blockers(), o.baked.mesh, poses_[i],
                               o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p)
-    shadows::trace_disc_shadows(disc_blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
+    shadows::trace_disc_shadows(blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
                                 t.on_plane[p]);
 }
 
@@ -201,7 +196,7 @@ DiscStage::AtPoints DiscStage::at_points(std::span<const glm::vec3> positions,
   AtPoints out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
   shadows::DiscAtPoints one;
   for (const Traced& t : traced_) {
-    shadows::trace_disc_points(disc_blockers(), positions, normals, t.disc, taps_.object, one);
+    shadows::trace_disc_points(blockers(), positions, normals, t.disc, taps_.object, one);
     const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr());
     for (std::size_t i = 0; i < count; ++i) {
       out.open[i] += scale * one.open[i];

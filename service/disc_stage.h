@@ -29,7 +29,8 @@ class DiscStage {
   /// visibly, relative to `mean_irradiance`.
   bool update(std::span<const lighting::Disc> discs, double mean_irradiance);
 
-  /// Real meshes alone; planes, where there are several, block discs too (disc_blockers).
+  /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
+  /// there are several.
   shadows::Blockers blockers() const { return {&virtual_, &real_, near_m_}; }
   /// How much of a disc's light (by its place in update()'s list) reaches the floor before a side of an object
   /// past everything else: what there is for the two to reflect.
@@ -60,19 +61,17 @@ class DiscStage {
     std::vector<std::vector<shadows::DiscShadow>> on_plane;  // by plane, by group of objects
   };
   DiscStage(const PreparedScene& scene, const DiscTaps& taps, prt::RayWorld virtual_things,
-            prt::RayWorld real_things, prt::RayWorld real_and_planes)
+            prt::RayWorld real_things)
       : scene_(&scene),
         taps_(taps),
         virtual_(std::move(virtual_things)),
-        real_(std::move(real_things)),
-        real_and_planes_(std::move(real_and_planes)) {}
-  shadows::Blockers disc_blockers() const { return {&virtual_, &real_and_planes_, near_m_}; }
+        real_(std::move(real_things)) {}
   void trace(Traced& traced);
   std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc) const;
 
   const PreparedScene* scene_;
   DiscTaps taps_;
-  prt::RayWorld virtual_, real_, real_and_planes_;
+  prt::RayWorld virtual_, real_;
   std::vector<Pose> poses_;
   std::vector<Traced> traced_, before_;
   std::vector<shadows::Caster> casters_;

@@ -46,7 +46,6 @@ ComposeStage::ObjectLight ComposeStage::light_at(std::size_t index,
   out.open = out.receiver = turn * light;
   out.side.fill(out.open);
   if (surroundings_.any()) see_surroundings(index, light, poses, turn, out);
-  if (!estimate.discs.empty()) add_discs(index, estimate, poses[index], out);
   return out;
 }
 

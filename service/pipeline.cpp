@@ -86,7 +86,7 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
   }
   environment_.time = frame.time;
   // What the first exposures saturate a shorter one may still resolve.
-  if (!bracket_is_known(frame)) environment_.clipped.clear();
+  if (!ring_.knows_bracket()) environment_.clipped.clear();
   auto estimate = [&] {
     const StageTimer timer(times_, "light");
     return estimator_.estimate(environment_);
@@ -99,17 +99,6 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
         info_.name);
   }
   return estimate;
-}
-
-// Once an exposure has come back, or after so many different ones.
-bool LightStage::bracket_is_known(const capture::Frame& frame) {
-  if (bracket_known_) return true;
-  constexpr std::size_t kMost = 4;
-  const double product = frame.exposure.product();
-  const auto same = [&](double other) { return std::abs(other / product - 1) < .01; };
-  bracket_known_ = std::ranges::any_of(exposures_, same) || exposures_.size() + 1 >= kMost;
-  exposures_.push_back(product);
-  return bracket_known_;
 }
 
 void LightStage::complete(std::span<const lighting::Completion> completions) {
@@ -212,8 +201,12 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
 // What arrives at the real mesh past itself, and what of it goes out again.
 void ComposeStage::measure_real_mesh(const lighting::LightEstimate& light, bool discs_changed) {
   const prt::Mesh& mesh = scene_.real_mesh;
-  if (discs_changed || real_exit_.empty())
-    real_discs_ = discs_.at_points(mesh.positions, mesh.normals);
+  const bool first = real_exit_.empty();
+  if (!first && !discs_changed &&
+      lighting::largest_visible_change(real_light_, light.light) < kVisibleChange)
+    return;
+  real_light_ = light.light;
+  if (first || discs_changed) real_discs_ = discs_.at_points(mesh.positions, mesh.normals);
   real_exit_.resize(mesh.positions.size());
   const IrradianceSh rest = lighting::irradiance(light.light);
   for (std::size_t i = 0; i < real_exit_.size(); ++i) {
@@ -290,8 +283,9 @@ void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
 bool ComposeStage::update_object(std::size_t index, const std::vector<Pose>& poses,
                                  const lighting::LightEstimate& estimate, bool discs_changed) {
   Object& o = objects_[index];
-  const ObjectLight light = light_at(index, estimate, poses);
+  ObjectLight light = light_at(index, estimate, poses);
   if (!discs_changed && o.light_used && !differs_visibly(*o.light_used, light)) return false;
+  if (!estimate.discs.empty()) add_discs(index, estimate, poses[index], light);
   {
     const StageTimer timer(times_, "relight");
     relight(o, light, index);

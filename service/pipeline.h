@@ -44,9 +44,6 @@ class LightStage {
   Environment environment_;
   lighting::LightEstimator estimator_;
   StageTimes& times_;
-  bool bracket_is_known(const capture::Frame& frame);
-  std::vector<double> exposures_;  // until the bracket is known
-  bool bracket_known_ = false;
   bool warned_ = false;  // that a source is clipped
 };
 
@@ -94,7 +91,7 @@ class ComposeStage {
     RadianceSh discs{1};  // for the light that object and floor reflect; 1 band without discs
     std::array<RadianceSh, kSides> side_discs;
     RadianceSh receiver_discs{1};  // what of them the object has to reflect onto the floor
-    Rgb disc_irradiance;  // of the open receiver
+    Rgb disc_irradiance;           // of the open receiver
   };
   struct Object {
     const PreparedObject* prepared;
@@ -146,6 +143,7 @@ class ComposeStage {
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;
   DiscStage::AtPoints real_discs_;  // at the vertices of the real mesh
+  RadianceSh real_light_;           // that real_exit_ was measured under
   bool lit_before_ = false;
 };
 

@@ -42,23 +42,14 @@ Pose frame_on_plane(const prt::Plane& plane, const glm::dvec3& position) {
 
 // The plane that an object stands on: the nearest one that it is in front of, with a part of it at least.
 const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::Bounds& bounds) {
+  constexpr double kBelow = 1e-3;  // metres: what lies flat on it stands on it
   const prt::Plane* best = nullptr;
   double nearest = HUGE_VAL;
   const glm::dvec3 centre(bounds.centre()), half(.5f * (bounds.high - bounds.low));
   for (const prt::Plane& plane : planes) {
     const double d = glm::dot(centre - plane.point, plane.normal),
                  rise = glm::dot(half, glm::abs(plane.normal));  // of its highest corner
-    if (d + rise > 1e-3 * rise && std::abs(d) < nearest) nearest = std::abs(d), best = &plane;
-  }
-  return best;
-}
-
-const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const glm::dvec3& point) {
-  const prt::Plane* best = nullptr;
-  double nearest = HUGE_VAL;
-  for (const prt::Plane& plane : planes) {
-    const double d = glm::dot(point - plane.point, plane.normal);
-    if (d >= -1e-3 && d < nearest) nearest = d, best = &plane;
+    if (d + rise >= -kBelow && std::abs(d) < nearest) nearest = std::abs(d), best = &plane;
   }
   return best;
 }
@@ -169,7 +160,8 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
                                       const BakeSettings& settings,
                                       const std::function<void(double)>& progress) {
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
-    return place_baked(o, plane_under(scene.planes, o.position));
+    return place_baked(o,
+                       plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
   constexpr float kEdgeShare =
       .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
   auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);

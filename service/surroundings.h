@@ -43,7 +43,7 @@ class Surroundings {
 
   /// Looks around from every object, with rays from all over its surface that it does not block itself. The same again
   /// when nothing has moved costs nothing.
-  /// in:  blockers as made for this scene (mesh i of virtual_things is object i)
+  /// in:  blockers as made for this scene (as DiscStage::blockers)
   void look(const shadows::Blockers& blockers, std::span<const Pose> poses);
 
   const SideView& view(std::size_t object, int side) const {

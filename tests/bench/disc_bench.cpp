@@ -32,6 +32,11 @@ lighting::Disc disc(double radius_deg, int step) {
   return out;
 }
 
+void by_radius(benchmark::internal::Benchmark* b) {
+  b->ArgName("radius_1/100_deg")->Arg(28)->Arg(340)->Arg(1000);
+  b->Iterations(kRepeats)->UseManualTime()->Unit(benchmark::kMillisecond);
+}
+
 void vertices(benchmark::State& state) {
   const Threads threads(1);
   const double radius = static_cast<double>(state.range(0)) / 100;
@@ -44,15 +49,7 @@ void vertices(benchmark::State& state) {
   compare(
       state, [&] { trace(4); }, [&] { trace(16); });
 }
-BENCHMARK(vertices)
-    ->Name("shadows/disc_light_38k_vertices_vs_16_rays_each")
-    ->ArgName("radius_1/100_deg")
-    ->Arg(28)
-    ->Arg(340)
-    ->Arg(1000)
-    ->Iterations(kRepeats)
-    ->UseManualTime()
-    ->Unit(benchmark::kMillisecond);
+BENCHMARK(vertices)->Name("shadows/disc_light_38k_vertices_vs_16_rays_each")->Apply(by_radius);
 
 void floor_map(benchmark::State& state) {
   const Threads threads(1);
@@ -77,15 +74,7 @@ void floor_map(benchmark::State& state) {
   });
   state.counters["rays"] = static_cast<double>(shadow.rays);
 }
-BENCHMARK(floor_map)
-    ->Name("shadows/disc_shadow_map_vs_16_rays_a_node")
-    ->ArgName("radius_1/100_deg")
-    ->Arg(28)
-    ->Arg(340)
-    ->Arg(1000)
-    ->Iterations(kRepeats)
-    ->UseManualTime()
-    ->Unit(benchmark::kMillisecond);
+BENCHMARK(floor_map)->Name("shadows/disc_shadow_map_vs_16_rays_a_node")->Apply(by_radius);
 
 }  // namespace
 }  // namespace penumbra::bench

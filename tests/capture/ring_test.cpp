@@ -50,6 +50,23 @@ double farthest(const MergedImage& image, double expected) {
   return worst;
 }
 
+TEST(HdrRing, KnowsTheBracketWhenAnExposureComesBackOrFourAreThere) {
+  const Sensor sensor = sensor_of(8);
+  HdrRing two(camera(sensor), 8);
+  EXPECT_FALSE(two.knows_bracket());
+  for (std::uint64_t i = 0; i < 3; ++i) {
+    EXPECT_FALSE(two.knows_bracket()) << i;
+    (void)two.add(frame(sensor, .4f, i % 2 == 0 ? 1 : 1. / 4, i));
+  }
+  EXPECT_TRUE(two.knows_bracket());
+  HdrRing four(camera(sensor), 8);
+  for (std::uint64_t i = 0; i < 4; ++i) {
+    EXPECT_FALSE(four.knows_bracket()) << i;
+    (void)four.add(frame(sensor, .4f, kTimes[i], i));
+  }
+  EXPECT_TRUE(four.knows_bracket());
+}
+
 TEST(HdrRing, FirstFrameAloneIsAnImage) {
   for (const int bits : {8, 16}) {
     HdrRing ring(camera(sensor_of(bits)), 4);

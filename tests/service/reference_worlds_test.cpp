@@ -102,6 +102,15 @@ Scene on_floor(const std::filesystem::path&) {
   return {{twist({0, 0, 0})}, {floor()}};
 }
 
+Scene beside_prop(const std::filesystem::path& folder) {
+  test::write_obj(prt::make_box({.2f, 0, -.2f}, {.5f, .5f, .2f}, 8, {.4f, .4f, .4f}),
+                  folder / "prop.obj");
+  RealGeometry prop;
+  prop.mesh = (folder / "prop.obj").string();
+  prop.albedo = Rgb{.4f, .4f, .4f};
+  return {{twist({-.12, 0, 0})}, {floor(), prop}};
+}
+
 class ReferenceWorld : public testing::TestWithParam<World> {};
 
 TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
@@ -174,29 +183,13 @@ const World kWorlds[] = {
        return Scene{{twist({-.2, 0, 0}), twist({.2, 0, .05})}, {floor()}};
      },
      [] { return std::vector{capture::make_room_environment(2 * kRows, kRows)}; }, .05, .05},
-    {"real_prop_room",
-     [](const std::filesystem::path& folder) {
-       test::write_obj(prt::make_box({.2f, 0, -.2f}, {.5f, .5f, .2f}, 8, {.4f, .4f, .4f}),
-                       folder / "prop.obj");
-       RealGeometry prop;
-       prop.mesh = (folder / "prop.obj").string();
-       prop.albedo = Rgb{.4f, .4f, .4f};
-       return Scene{{twist({-.12, 0, 0})}, {floor(), prop}};
-     },
+    {"real_prop_room", beside_prop,
      [] {
        return std::vector{capture::make_room_environment(2 * kRows, kRows)};
      },  // Soft light between prop and object: the ratio takes what they hide for independent, where between them it is
      // disjoint.
      .12, .05},
-    {"real_prop_sky",
-     [](const std::filesystem::path& folder) {
-       test::write_obj(prt::make_box({.2f, 0, -.2f}, {.5f, .5f, .2f}, 8, {.4f, .4f, .4f}),
-                       folder / "prop.obj");
-       RealGeometry prop;
-       prop.mesh = (folder / "prop.obj").string();
-       prop.albedo = Rgb{.4f, .4f, .4f};
-       return Scene{{twist({-.12, 0, 0})}, {floor(), prop}};
-     },
+    {"real_prop_sky", beside_prop,
      [] {
        return std::vector{capture::make_sky_environment(2 * kRows, kRows, .8)};
      },  // 19 % as long as the prop hid its discs alone.
