@@ -124,8 +124,14 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
         scouts, last, [&](std::size_t i) { return edge[i] != 0; }, seen, open);
   }
   if (!narrow) {
-    average_neighbours(mesh, seen);
-    average_neighbours(mesh, open);
+    // Once leaves the beat of the turns with a grid's rows as ripples in broad penumbras; patterns in random order leave
+    // blotches. Three times would blur the edges of smaller sources (studio: 2.5 to 3.3 %).
+    constexpr double kBroad = .25;  // radians
+    const int passes = disc.radius.value() > kBroad ? 3 : 1;
+    for (int pass = 0; pass < passes; ++pass) {
+      average_neighbours(mesh, seen);
+      average_neighbours(mesh, open);
+    }
   }
   all.make(disc, std::max(taps, kOpenTaps), 1);
   const float share = 1 / static_cast<float>(all.count());

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <glm/gtc/quaternion.hpp>
 
+#include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::service {
@@ -73,8 +74,13 @@ TEST_F(SceneFile, WhatIsWrittenIsRead) {
   floor.plane = RealPlane{{.1, .2, .3}, glm::normalize(glm::dvec3(.1, 1, -.2))};
   floor.albedo = Rgb{.4f, .5f, .6f};
   table.mesh = "/somewhere/table.ply";
-  const Scene scene{{placed_object(), standing}, {floor, table}};
+  const shadows::Lamp lamp{{.1, 2, -.3}, .05, {3, 2, 1}};
+  const Scene scene{{placed_object(), standing}, {floor, table}, {lamp}};
   const Scene back = round_trip(scene);
+  ASSERT_EQ(back.lamps.size(), 1U);
+  EXPECT_EQ(back.lamps[0].position, lamp.position);
+  EXPECT_EQ(back.lamps[0].radius_m, lamp.radius_m);
+  EXPECT_EQ(back.lamps[0].irradiance_at_1m, lamp.irradiance_at_1m);
   ASSERT_EQ(back.objects.size(), 2U);
   ASSERT_EQ(back.real.size(), 2U);
   for (std::size_t i = 0; i < 2; ++i) expect_same(back.objects[i], scene.objects[i]);
@@ -132,6 +138,9 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
                                    {"scale = -1", "scale"},
                                    {"scale = nan", "scale"},
                                    {"scale = \"big\"", "scale"},
+                                   {"scale = 1e-30", "scale"},
+                                   {"position = [0, 1e20, 0]", "position"},
+                                   {"spin_rpm = 1e308", "spin_rpm"},
                                    {"stand_size_m = 0", "stand_size_m"},
                                    {"spin_rpm = inf", "spin_rpm"},
                                    {"name = 3", "name"},
@@ -143,6 +152,12 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
   expect_invalid("version = 1\n[[real]]\nplane = { point = [0,0,0], normal = [0,0,0] }\n", 3,
                  "normal");
   expect_invalid("version = 1\n[[real]]\nplane = 3\n", 3, "plane");
+  const std::string lamp = "version = 1\n[[lamp]]\nirradiance_at_1m = [1, 1, 1]\n";
+  expect_invalid(lamp + "position = [0, 1e20, 0]\n", 4, "position");
+  expect_invalid(lamp + "position = [0, 1, 0]\nradius_m = -1\n", 5, "radius_m");
+  expect_invalid("version = 1\n[[lamp]]\nposition = [0, 1, 0]\nirradiance_at_1m = [1, -1, 1]\n", 4,
+                 "irradiance_at_1m");
+  expect_invalid(lamp + "colour = 3\n", 4, "colour");
 }
 
 TEST_F(SceneFile, WhatIsMissingIsNamed) {
@@ -178,6 +193,27 @@ const auto kNoProgress = [](const std::string&) { return std::function<void(doub
 prt::Bounds world_bounds(const PreparedScene& scene) {
   const prt::Mesh mesh = world_mesh(scene, true);
   return prt::bounds_of(mesh);
+}
+
+TEST_F(SceneFile, FlatOnAndHalfInTheFloorStandOnItAndBelowItDoesNot) {
+  prt::Mesh decal;
+  decal.positions = {{-.2f, 0, -.2f}, {-.2f, 0, .2f}, {.2f, 0, .2f}, {.2f, 0, -.2f}};
+  decal.normals.assign(4, {0, 1, 0});
+  decal.triangles = {{0, 1, 2}, {0, 2, 3}};
+  const prt::Mesh box = prt::make_box({-.1f, -.2f, -.1f}, {.1f, .1f, .1f}, 1, {.5f, .5f, .5f});
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  for (const auto& [mesh, height, stands] :
+       {std::tuple(decal, 0., true), {box, 0., true}, {box, -.5, false}}) {
+    test::write_obj(mesh, folder_.path() / "thing.obj");
+    SceneObject o;
+    o.name = "thing";
+    o.asset = (folder_.path() / "thing.obj").string();
+    o.position = {0, height, 0};
+    const auto scene = prepare({{o}, {floor}}, quick(), kNoProgress);
+    ASSERT_TRUE(scene) << scene.error().detail;
+    EXPECT_EQ(scene->objects[0].baked.receiver.has_value(), stands) << height;
+  }
 }
 
 TEST_F(SceneFile, StandingObjectRestsOnItsPlaneAtItsSize) {
