@@ -8,6 +8,7 @@
 #include <atomic>
 
 #include "compositor/camera_look.h"
+#include "compositor/code_row.h"
 #include "compositor/gl.h"
 #include "compositor/layered_rows.h"
 
@@ -38,6 +39,24 @@ std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& 
     p.b = codec.encode(2, v[2] + behind * rows.b[i] * codec.decode(2, p.b));
   }
   return touched;
+}
+
+// Eight bits are what cameras deliver live: in vectors, the part with objects in the middle by itself.
+std::size_t composite_row(const Coded<std::uint8_t>& codec, Rgb8* row, int y, const Layered& in,
+                          RowBuffers& rows) {
+  const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
+  if (!has_objects && !has_shadows) return 0;
+  if (has_objects) load_row(in.objects, y, rows.object);
+  const auto part = [&](int x0, int x1, const float* object) -> std::size_t {
+    if (x0 >= x1) return 0;
+    const auto i = static_cast<std::size_t>(x0 - in.area.x0);
+    return composite_codes(codec.curve, object, &rows.r[i], &rows.g[i], &rows.b[i], row + x0,
+                           static_cast<std::size_t>(x1 - x0));
+  };
+  if (!has_objects) return part(in.area.x0, in.area.x1, nullptr);
+  return part(in.area.x0, in.objects.rect.x0, nullptr) +
+         part(in.objects.rect.x0, in.objects.rect.x1, rows.object.data()) +
+         part(in.objects.rect.x1, in.area.x1, nullptr);
 }
 
 template <class Pixel, class Codec>

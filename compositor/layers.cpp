@@ -11,15 +11,12 @@ namespace {
 
 constexpr const char* kObjectVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
-layout(location = 1) in vec3 albedo;
-layout(location = 2) in float light_r;
-layout(location = 3) in float light_g;
-layout(location = 4) in float light_b;
+layout(location = 1) in vec3 radiance;
 uniform mat4 clip_from_object;
 uniform float signal_per_radiance;
 out vec3 signal;
 void main() {
-  signal = signal_per_radiance * albedo * max(vec3(light_r, light_g, light_b), 0.0);
+  signal = signal_per_radiance * radiance;
   gl_Position = clip_from_object * vec4(position, 1);
 })";
 
@@ -59,6 +56,17 @@ void attribute(GLuint location, int components, std::size_t offset_bytes) {
                         reinterpret_cast<const void*>(offset_bytes));
 }
 
+// The surface that is drawn may leave the baked one by this share of the object's radius, while that is less than so
+// many pixels.
+constexpr float kFormTolerance = 1.5e-3f;
+constexpr double kMostMoved_px = .5;
+
+/// From the camera to the nearest point of the object's box, metres; 0 within.
+double distance_to_box(const Pose& box_from_camera, const prt::Bounds& box) {
+  const glm::dvec3 eye = box_from_camera.translation;
+  return glm::distance(eye, glm::clamp(eye, glm::dvec3(box.low), glm::dvec3(box.high)));
+}
+
 GLsizeiptr bytes_of(const auto& v) {
   return static_cast<GLsizeiptr>(v.size() * sizeof(v[0]));
 }
@@ -70,56 +78,29 @@ Result<Layers> Layers::create(int width, int height, int oversampling) {
   if (!object) return std::unexpected(object.error());
   auto occluder = make_program(kOccluderVertex, kOccluderFragment);
   if (!occluder) return std::unexpected(occluder.error());
-  Layers layers(width, height, oversampling, std::move(*object), std::move(*occluder));
-  PENUMBRA_TRY(layers.make_targets());
-  return layers;
-}
-
-// Drawn larger and averaged: without a GPU that takes less time than multisampling.
-Result<void> Layers::make_targets() {
-  for (int scale = oversampling_; scale >= 1; scale /= 2) {
-    Target t;
-    t.scale = scale;
-    glBindFramebuffer(GL_FRAMEBUFFER, t.framebuffer.get());
-    glBindTexture(GL_TEXTURE_2D, t.colour.get());
-    glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, scale * width_, scale * height_);
-    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, t.colour.get(), 0);
-    if (scale == oversampling_) {
-      glBindRenderbuffer(GL_RENDERBUFFER, fine_depth_.get());
-      glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, scale * width_, scale * height_);
-      glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER,
-                                fine_depth_.get());
-    }
-    if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE)
-      return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures of this size");
-    targets_.push_back(std::move(t));
-  }
-  return {};
+  return Layers(width, height, oversampling, std::move(*object), std::move(*occluder));
 }
 
 int Layers::add_object(const prt::BakedObject& baked) {
-  Object o;
   const prt::Mesh& mesh = baked.mesh;
-  o.bounds = bounds_of(mesh);
-  o.stride = baked.transfer.stride;
-  o.index_count = static_cast<GLsizei>(mesh.triangles.size() * 3);
+  const prt::Bounds bounds = bounds_of(mesh);
+  const float tolerance = kFormTolerance * prt::radius_around(mesh, bounds.centre());
+  Object o{.triangles = {mesh, tolerance},
+           .albedo = mesh.albedo,
+           .colours = std::vector<Rgb>(mesh.positions.size()),
+           .stride = baked.transfer.stride,
+           .bounds = bounds,
+           .tolerance = tolerance};
   glBindVertexArray(o.geometry.get());
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
-  glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions) + bytes_of(mesh.albedo), nullptr,
-               GL_STATIC_DRAW);
-  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(mesh.positions), mesh.positions.data());
-  glBufferSubData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), bytes_of(mesh.albedo),
-                  mesh.albedo.data());
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
   attribute(0, 3, 0);
-  attribute(1, 3, mesh.positions.size() * sizeof(glm::vec3));
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
-  const std::vector<float> dark(3 * o.stride, 0.f);
-  glBufferData(GL_ARRAY_BUFFER, bytes_of(dark), dark.data(), GL_DYNAMIC_DRAW);
-  for (GLuint c = 0; c < 3; ++c) attribute(2 + c, 1, c * o.stride * sizeof(float));
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(o.colours), o.colours.data(), GL_DYNAMIC_DRAW);
+  attribute(1, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(mesh.triangles), mesh.triangles.data(),
-               GL_STATIC_DRAW);
   glBindVertexArray(0);
+  fill_indices(o, o.triangles.all());
   objects_.push_back(std::move(o));
   drawn_.reset();
   return static_cast<int>(objects_.size()) - 1;
@@ -132,11 +113,22 @@ void Layers::set_pose(int object, const Pose& world_from_bake) {
   drawn_.reset();
 }
 
+void Layers::fill_indices(Object& o, std::span<const DrawList::Triangle> triangles) {
+  o.index_count = static_cast<GLsizei>(triangles.size() * 3);
+  glBindVertexArray(o.geometry.get());
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(triangles), triangles.data(), GL_DYNAMIC_DRAW);
+  glBindVertexArray(0);
+}
+
 void Layers::set_light(int object, std::span<const float> relit) {
-  const Object& o = objects_[static_cast<std::size_t>(object)];
+  Object& o = objects_[static_cast<std::size_t>(object)];
+  for (std::size_t i = 0; i < o.colours.size(); ++i) {
+    const auto lit = [&](std::size_t c) { return std::max(relit[c * o.stride + i], 0.f); };
+    o.colours[i] = {o.albedo[i].r * lit(0), o.albedo[i].g * lit(1), o.albedo[i].b * lit(2)};
+  }
+  o.selection_stale = true;
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
-  glBufferSubData(GL_ARRAY_BUFFER, 0, static_cast<GLsizeiptr>(3 * o.stride * sizeof(float)),
-                  relit.data());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   drawn_.reset();
 }
 
@@ -196,62 +188,82 @@ void Layers::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
   for (const auto& [a, b] : {std::pair{-1., -1.}, {1., -1.}, {1., 1.}, {-1., 1.}})
     quad.positions.emplace_back(point + kHalfSide * (a * u + b * v));
   quad.triangles = {{0, 1, 2}, {0, 2, 3}};
-  planes_.push_back(upload(quad));
+  planes_.push_back({point, normal, upload(quad)});
   drawn_.reset();
 }
 
-// The viewport is moved so that the rectangle lies in the framebuffer's corner.
-void Layers::begin(const Rect& rect) {
-  glBindFramebuffer(GL_FRAMEBUFFER, targets_.front().framebuffer.get());
-  glViewport(-oversampling_ * rect.x0, -oversampling_ * rect.y0, oversampling_ * width_,
-             oversampling_ * height_);
-  glEnable(GL_SCISSOR_TEST);
-  glScissor(0, 0, oversampling_ * rect.width(), oversampling_ * rect.height());
-  glEnable(GL_DEPTH_TEST);
-  glClearColor(0, 0, 0, 0);
-  glClear(GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT);
-  glFrontFace(GL_CW);  // clip y points down
-}
+namespace {
 
-void Layers::draw_occluders(const std::vector<Occluder>& occluders,
-                            const glm::dmat4& clip_from_world) {
-  glUseProgram(occluder_program_.get());
+// Real geometry lies a little further away, so that it never hides what rests on it.
+class PushedBack {
+ public:
+  explicit PushedBack(GLuint program) {
+    glUseProgram(program);
+    glEnable(GL_POLYGON_OFFSET_FILL);
+    glPolygonOffset(1, 4);
+  }
+  ~PushedBack() { glDisable(GL_POLYGON_OFFSET_FILL); }
+};
+
+}  // namespace
+
+void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
+  const PushedBack state(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
-  // Away from the camera, so that real geometry never hides what rests on it.
-  glEnable(GL_POLYGON_OFFSET_FILL);
-  glPolygonOffset(1, 4);
-  for (const Occluder& o : occluders) {
+  for (const Occluder& o : occluders_) {
     glBindVertexArray(o.geometry.get());
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
   }
-  glDisable(GL_POLYGON_OFFSET_FILL);
+}
+
+// Whether every object lies wholly on the camera's side of the plane, which then hides none.
+bool Layers::all_before(const RealPlane& plane, const glm::dvec3& eye) const {
+  constexpr double kTouching = 1e-4;  // metres
+  const double side = glm::dot(plane.normal, eye - plane.point) < 0 ? -1 : 1;
+  return std::ranges::all_of(objects_, [&](const Object& o) {
+    const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * (side * plane.normal);
+    const glm::dvec3 low(o.bounds.low), high(o.bounds.high);
+    const glm::dvec3 deepest(n.x > 0 ? low.x : high.x, n.y > 0 ? low.y : high.y,
+                             n.z > 0 ? low.z : high.z);
+    return side * glm::dot(plane.normal, o.world_from_bake * deepest - plane.point) > -kTouching;
+  });
+}
+
+void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world) {
+  const PushedBack state(occluder_program_.get());
+  set_matrix(occluder_program_.get(), clip_from_world);
+  for (const RealPlane& p : planes_) {
+    if (all_before(p, eye)) continue;
+    glBindVertexArray(p.quad.geometry.get());
+    glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
+  }
+}
+
+void Layers::choose_triangles(Object& o, bool coarse_is_fine) {
+  if (!coarse_is_fine) {
+    if (!o.every_triangle) fill_indices(o, o.triangles.all());
+    o.every_triangle = true;
+  } else if (o.every_triangle || o.selection_stale) {
+    fill_indices(o, o.triangles.select(o.colours));
+    o.every_triangle = o.selection_stale = false;
+  }
 }
 
 void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
   glUseProgram(object_program_.get());
   glUniform1f(glGetUniformLocation(object_program_.get(), "signal_per_radiance"),
               view.signal_per_radiance);
-  for (const Object& o : objects_) {
+  for (Object& o : objects_) {
+    const double distance =
+        distance_to_box(o.world_from_bake.inverse() * view.camera.world_from_camera, o.bounds);
+    choose_triangles(o, o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
+    // The black back of a closed surface shows only from within.
+    if (o.triangles.closed() && distance > kNearPlane) glEnable(GL_CULL_FACE);
     set_matrix(object_program_.get(), clip_from_world * o.world_from_bake.matrix());
     glBindVertexArray(o.geometry.get());
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
+    glDisable(GL_CULL_FACE);
   }
-}
-
-void Layers::finish(Layer& out) {
-  glDisable(GL_SCISSOR_TEST);
-  const int w = out.rect.width(), h = out.rect.height();
-  for (std::size_t i = 1; i < targets_.size(); ++i) {
-    // A linear blit of exactly two to one reads between four samples: their mean.
-    const int from = targets_[i - 1].scale, to = targets_[i].scale;
-    glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
-    glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
-    glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT,
-                      GL_LINEAR);
-  }
-  out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());
-  glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
 }
 
 Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const {
@@ -260,6 +272,22 @@ Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bou
                                  {b.x, b.y, a.z}, {a.x, a.y, b.z}, {b.x, a.y, b.z},
                                  {a.x, b.y, b.z}, {b.x, b.y, b.z}};
   return reach(clip_from_bounds, corners, width_, height_);
+}
+
+Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+                                           Layer& out) {
+  out.rect = {};
+  for (const Object& o : objects_)
+    out.rect = united(out.rect, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
+  if (out.rect.empty()) return {};
+  PENUMBRA_TRY(objects_canvas_.begin(out.rect, width_, height_));
+  glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
+  draw_occluders(clip_from_world);
+  draw_hiding_planes(view.camera.world_from_camera.translation, clip_from_world);
+  glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
+  draw_objects(view, clip_from_world);
+  objects_canvas_.finish(out);
+  return {};
 }
 
 Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& objects,
@@ -271,26 +299,14 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& ob
   drawn_.reset();
   const glm::dmat4 clip_from_world =
       clip_from_camera(view.camera) * view.camera.world_from_camera.inverse().matrix();
-  objects.rect = {};
-  for (const Object& o : objects_)
-    objects.rect =
-        united(objects.rect, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
-  if (!objects.rect.empty()) {
-    begin(objects.rect);
-    glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
-    draw_occluders(occluders_, clip_from_world);
-    draw_occluders(planes_, clip_from_world);
-    glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-    draw_objects(view, clip_from_world);
-    finish(objects);
-  }
+  PENUMBRA_TRY(draw_layer_of_objects(view, clip_from_world, objects));
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
   for (const OccluderMesh& mesh : occluder_meshes_)
     if (mesh.shaded) hidden.rect = united(hidden.rect, reach_of(clip_from_world, *mesh.shaded));
   if (!hidden.rect.empty()) {
-    begin(hidden.rect);
-    draw_occluders(occluders_, clip_from_world);
-    finish(hidden);
+    PENUMBRA_TRY(hidden_canvas_.begin(hidden.rect, width_, height_));
+    draw_occluders(clip_from_world);
+    hidden_canvas_.finish(hidden);
   }
   if (const GLenum error = glGetError(); error != GL_NO_ERROR)
     return fail(ErrorCode::kUnavailable, "GL", fmt::format("error 0x{:04x} while drawing", error));

@@ -6,21 +6,13 @@
 #include <span>
 #include <vector>
 
+#include "compositor/canvas.h"
 #include "compositor/compositor.h"
+#include "compositor/draw_list.h"
 #include "compositor/gl.h"
 #include "compositor/projection.h"
 
 namespace penumbra::compositor {
-
-/// A drawn layer: half-float RGBA of the rectangle, row by row from the top.
-struct Layer {
-  Rect rect;
-  std::vector<std::uint16_t> halves;  // keeps its capacity between frames
-  std::span<const std::uint16_t> row(int y) const {
-    const auto stride = static_cast<std::size_t>(rect.width()) * 4;
-    return std::span(halves).subspan(static_cast<std::size_t>(y - rect.y0) * stride, stride);
-  }
-};
 
 class Layers {
  public:
@@ -42,28 +34,31 @@ class Layers {
 
  private:
   struct Object {
-    GlVertexArray geometry;
-    GlBuffer vertices, indices, light;
+    GlVertexArray geometry{};
+    GlBuffer vertices{}, indices{}, light{};
+    DrawList triangles;
+    std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
     GLsizei index_count = 0;
+    bool every_triangle = true;  // in `indices`; otherwise those selected for `colours`
+    bool selection_stale = true;
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
-    Pose world_from_bake;
+    float tolerance;  // of `triangles`, metres
+    Pose world_from_bake{};
   };
   struct Occluder {
     GlVertexArray geometry;
     GlBuffer vertices, deficits, indices;
     GLsizei index_count = 0;
   };
+  struct RealPlane {
+    glm::dvec3 point, normal;
+    Occluder quad;
+  };
   struct OccluderMesh {
     std::vector<glm::vec3> positions;
     std::vector<std::array<std::uint32_t, 3>> triangles;
     std::optional<prt::Bounds> shaded;  // of the triangles with a ratio other than 1
-  };
-  // The fine picture first, each following one half as large, the last at one sample a pixel.
-  struct Target {
-    GlFramebuffer framebuffer;
-    GlTexture colour;
-    int scale;
   };
   struct Drawn {
     View view;
@@ -73,23 +68,27 @@ class Layers {
   Layers(int width, int height, int oversampling, GlProgram object, GlProgram occluder)
       : width_(width),
         height_(height),
-        oversampling_(oversampling),
+        objects_canvas_(oversampling),
+        hidden_canvas_(oversampling),
         object_program_(std::move(object)),
         occluder_program_(std::move(occluder)) {}
-  Result<void> make_targets();
-  void begin(const Rect& rect);
-  void draw_occluders(const std::vector<Occluder>& occluders, const glm::dmat4& clip_from_world);
+  void draw_occluders(const glm::dmat4& clip_from_world);
+  void draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world);
   static Occluder upload(const prt::Mesh& mesh);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world);
-  void finish(Layer& out);
+  static void choose_triangles(Object& object, bool coarse_is_fine);
+  static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
+  Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+                                     Layer& out);
+  bool all_before(const RealPlane& plane, const glm::dvec3& eye) const;
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
-  int width_, height_, oversampling_;
+  int width_, height_;
+  Canvas objects_canvas_, hidden_canvas_;
   GlProgram object_program_, occluder_program_;
-  std::vector<Target> targets_;
-  GlRenderbuffer fine_depth_;
   std::vector<Object> objects_;
-  std::vector<Occluder> occluders_, planes_;
+  std::vector<Occluder> occluders_;
+  std::vector<RealPlane> planes_;
   std::vector<OccluderMesh> occluder_meshes_;  // by occluder
   std::optional<Drawn> drawn_;                 // what the caller's layers show
 };

@@ -23,15 +23,25 @@ HWY_INLINE hn::Vec<D> Texel(hn::Vec<D> p, float size) {
   return hn::Min(hn::Max(texel, hn::Zero(d)), hn::Set(d, size - 1));
 }
 
-HWY_INLINE void MultiplyChannel(const PlaneLookup& t, int channel, hn::Vec<DI> at, hn::Vec<D> fx,
+using DU = hn::RebindToUnsigned<D>;
+
+// The lookup of one channel from the packed corners of a cell, fx and fy of the way into it.
+template <int kShift, int kBits, int kOne>
+HWY_INLINE void MultiplyChannel(hn::Vec<DU> upper_left, hn::Vec<DU> upper_right,
+                                hn::Vec<DU> lower_left, hn::Vec<DU> lower_right, hn::Vec<D> fx,
                                 hn::Vec<D> fy, hn::Mask<D> inside, std::size_t count, float* out) {
   const D d;
-  const float* const upper = t.ratio + channel;
-  const float* const lower = upper + 3 * t.size;
-  const auto a = hn::GatherIndex(d, upper, at), b = hn::GatherIndex(d, upper + 3, at);
-  const auto c = hn::GatherIndex(d, lower, at), e = hn::GatherIndex(d, lower + 3, at);
+  const DI di;
+  const auto missing = [&](hn::Vec<DU> packed) HWY_ATTR {
+    const auto steps =
+        hn::And(hn::BitCast(di, hn::ShiftRight<kShift>(packed)), hn::Set(di, (1 << kBits) - 1));
+    return hn::ConvertTo(d, hn::Sub(hn::Set(di, kOne), steps));
+  };
+  const auto a = missing(upper_left), b = missing(upper_right);
+  const auto c = missing(lower_left), e = missing(lower_right);
   const auto top = hn::MulAdd(fx, hn::Sub(b, a), a), bottom = hn::MulAdd(fx, hn::Sub(e, c), c);
-  const auto s = hn::IfThenElse(inside, hn::MulAdd(fy, hn::Sub(bottom, top), top), hn::Set(d, 1.f));
+  const auto taken = hn::IfThenElseZero(inside, hn::MulAdd(fy, hn::Sub(bottom, top), top));
+  const auto s = hn::NegMulAdd(taken, hn::Set(d, 1.f / static_cast<float>(kOne)), hn::Set(d, 1.f));
   if (count == hn::Lanes(d)) {
     hn::StoreU(hn::Mul(s, hn::LoadU(d, out)), d, out);
     return;
@@ -41,8 +51,8 @@ HWY_INLINE void MultiplyChannel(const PlaneLookup& t, int channel, hn::Vec<DI> a
   for (std::size_t i = 0; i < count; ++i) out[i] *= lanes[i];
 }
 
-HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, float* r, float* g,
-                                  float* b) {
+HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, float* red,
+                                  float* green, float* blue) {
   const D d;
   const DI di;
   const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
@@ -66,12 +76,17 @@ HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, f
                v = hn::IfThenElseZero(inside, Texel(z, size));
     const auto last = hn::Set(di, t.size - 2);
     const auto iu = hn::Min(hn::ConvertTo(di, u), last), iv = hn::Min(hn::ConvertTo(di, v), last);
+    const auto at = hn::Add(hn::Mul(iv, hn::Set(di, t.size)), iu);
+    const DU du;
+    const std::uint32_t* const lower = t.ratio + t.size;
+    const auto a = hn::GatherIndex(du, t.ratio, at), b = hn::GatherIndex(du, t.ratio + 1, at),
+               c = hn::GatherIndex(du, lower, at), e = hn::GatherIndex(du, lower + 1, at);
     const auto fx = hn::Sub(u, hn::ConvertTo(d, iu)), fy = hn::Sub(v, hn::ConvertTo(d, iv));
-    const auto at = hn::Mul(hn::Add(hn::Mul(iv, hn::Set(di, t.size)), iu), hn::Set(di, 3));
     const std::size_t count = total - i < lanes ? total - i : lanes;
-    MultiplyChannel(t, 0, at, fx, fy, inside, count, r + i);
-    MultiplyChannel(t, 1, at, fx, fy, inside, count, g + i);
-    MultiplyChannel(t, 2, at, fx, fy, inside, count, b + i);
+    constexpr int kOne11 = PackedRatio::kOne11, kOne10 = PackedRatio::kOne10;
+    MultiplyChannel<21, 11, kOne11>(a, b, c, e, fx, fy, inside, count, red + i);
+    MultiplyChannel<10, 11, kOne11>(a, b, c, e, fx, fy, inside, count, green + i);
+    MultiplyChannel<0, 10, kOne10>(a, b, c, e, fx, fy, inside, count, blue + i);
   }
 }
 

@@ -23,7 +23,9 @@ void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow) {
   Receiver& r = receivers_[static_cast<std::size_t>(receiver)];
   r.visible = !shadow.empty();
   if (!r.visible) return;
-  r.ratio = shadow.ratio;
+  if (!r.ratio.same_size(shadow.ratio))
+    r.ratio = Image<std::uint32_t>(shadow.ratio.width(), shadow.ratio.height());
+  std::ranges::transform(shadow.ratio.pixels(), r.ratio.pixels().begin(), PackedRatio::pack);
   // One texel more on each side: bilinear reads reach half a texel out.
   const auto at = [&](int x, int y) {
     const auto size = static_cast<float>(r.grid.size);
@@ -97,7 +99,7 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     lookup.area =
         reach(clip_from_world * r.world_from_bake.matrix(), corners, view.width, view.height);
     if (lookup.area.empty()) continue;
-    lookup.ratio = &r.ratio.pixels()[0].r;
+    lookup.ratio = r.ratio.pixels().data();
     lookup.size = r.grid.size;
     lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
                            {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);

@@ -29,19 +29,32 @@ class CodeCurve {
   std::uint8_t encode8(int channel, float linear) const {
     const float x =
         std::min(std::max(kSmallest, linear + black_), kLargest);  // NaN becomes the smallest
-    return encode8_[static_cast<std::size_t>(channel)]
-                   [(std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8];
+    const std::uint32_t bucket = (std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8;
+    const std::uint32_t four = encode8_[static_cast<std::size_t>(channel)][bucket / 4];
+    return static_cast<std::uint8_t>(four >> (8 * (bucket % 4)));
   }
-  unsigned largest_code() const { return static_cast<unsigned>(decode_[0].size()) - 1; }
-
- private:
+  /// The tables behind `decode` and `encode8` of one channel, for vector code.
+  struct Tables8 {
+    const float* decode;          // by code, black level taken off
+    const std::uint32_t* encode;  // four buckets a word, the first lowest
+    float black;
+  };
+  Tables8 tables8(int channel) const {
+    const auto c = static_cast<std::size_t>(channel);
+    return {decode_[c].data(), encode8_[c].data(), black_};
+  }
   static constexpr float kSmallest = 0x1p-24f, kLargest = 1 - 0x1p-11f;
   static constexpr int kShift8 = 23 - 10;  // 1024 buckets an octave
   static constexpr std::uint32_t kFirst8 = std::bit_cast<std::uint32_t>(kSmallest) >> kShift8;
+
+  unsigned largest_code() const { return static_cast<unsigned>(decode_[0].size()) - 1; }
+
+ private:
   float black_;
   std::array<std::vector<float>, 3> decode_;
-  std::array<std::vector<float>, 3> encode_;          // code at the edges of logarithmic buckets
-  std::array<std::vector<std::uint8_t>, 3> encode8_;  // nearest code in the middle of finer buckets
+  std::array<std::vector<float>, 3> encode_;  // code at the edges of logarithmic buckets
+  std::array<std::vector<std::uint32_t>, 3>
+      encode8_;  // nearest codes in the middle of finer buckets
 };
 
 }  // namespace penumbra

@@ -1,0 +1,80 @@
+#include "compositor/canvas.h"
+
+#include <utility>
+
+namespace penumbra::compositor {
+
+namespace {
+
+// Room is made in such steps, so that a rectangle that grows or moves rarely needs a new canvas.
+constexpr int kStep = 64;
+int rounded_up(int pixels) {
+  return (pixels + kStep - 1) / kStep * kStep;
+}
+
+}  // namespace
+
+bool Canvas::fits(const Rect& rect) const {
+  const int w = rounded_up(rect.width()), h = rounded_up(rect.height());
+  return w <= width_ && h <= height_ && static_cast<long>(width_) * height_ <= 2l * w * h;
+}
+
+// Drawn larger and averaged: without a GPU that takes less time than multisampling.
+Result<void> Canvas::make_targets() {
+  targets_.clear();
+  fine_depth_ = {};
+  for (int scale = oversampling_; scale >= 1; scale /= 2) {
+    Target t;
+    t.scale = scale;
+    glBindFramebuffer(GL_FRAMEBUFFER, t.framebuffer.get());
+    glBindTexture(GL_TEXTURE_2D, t.colour.get());
+    glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA16F, scale * width_, scale * height_);
+    glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, t.colour.get(), 0);
+    if (scale == oversampling_) {
+      glBindRenderbuffer(GL_RENDERBUFFER, fine_depth_.get());
+      glRenderbufferStorage(GL_RENDERBUFFER, GL_DEPTH_COMPONENT24, scale * width_, scale * height_);
+      glFramebufferRenderbuffer(GL_FRAMEBUFFER, GL_DEPTH_ATTACHMENT, GL_RENDERBUFFER,
+                                fine_depth_.get());
+    }
+    if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
+      width_ = height_ = 0;
+      return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures of this size");
+    }
+    targets_.push_back(std::move(t));
+  }
+  return {};
+}
+
+Result<void> Canvas::begin(const Rect& rect, int frame_width, int frame_height) {
+  if (!fits(rect)) {
+    width_ = rounded_up(rect.width());
+    height_ = rounded_up(rect.height());
+    PENUMBRA_TRY(make_targets());
+  }
+  glBindFramebuffer(GL_FRAMEBUFFER, targets_.front().framebuffer.get());
+  glViewport(-oversampling_ * rect.x0, -oversampling_ * rect.y0, oversampling_ * frame_width,
+             oversampling_ * frame_height);
+  glDisable(GL_SCISSOR_TEST);
+  glEnable(GL_DEPTH_TEST);
+  glClearColor(0, 0, 0, 0);
+  glClear(GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT);
+  glFrontFace(GL_CW);  // clip y points down
+  return {};
+}
+
+void Canvas::finish(Layer& out) {
+  const int w = out.rect.width(), h = out.rect.height();
+  for (std::size_t i = 1; i < targets_.size(); ++i) {
+    // A linear blit of exactly two to one reads between four samples: their mean.
+    const int from = targets_[i - 1].scale, to = targets_[i].scale;
+    glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_[i - 1].framebuffer.get());
+    glBindFramebuffer(GL_DRAW_FRAMEBUFFER, targets_[i].framebuffer.get());
+    glBlitFramebuffer(0, 0, from * w, from * h, 0, 0, to * w, to * h, GL_COLOR_BUFFER_BIT,
+                      GL_LINEAR);
+  }
+  out.halves.resize(static_cast<std::size_t>(w) * static_cast<std::size_t>(h) * 4);
+  glBindFramebuffer(GL_READ_FRAMEBUFFER, targets_.back().framebuffer.get());
+  glReadPixels(0, 0, w, h, GL_RGBA, GL_HALF_FLOAT, out.halves.data());
+}
+
+}  // namespace penumbra::compositor

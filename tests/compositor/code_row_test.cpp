@@ -1,0 +1,88 @@
+#include "compositor/code_row.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "tests/support/scenes.h"
+
+namespace penumbra::compositor {
+namespace {
+
+struct Row {
+  std::vector<float> object, r, g, b;
+  std::vector<Rgb8> pixels;
+};
+
+Row random_row(std::size_t count, std::mt19937& random) {
+  std::uniform_real_distribution<float> unit(0, 1);
+  std::uniform_int_distribution<int> code(0, 255);
+  Row row;
+  for (std::size_t i = 0; i < count; ++i) {
+    const bool open = unit(random) < .4f, bare = unit(random) < .5f;
+    for (auto* v : {&row.r, &row.g, &row.b}) v->push_back(open ? 1 : 1.2f * unit(random));
+    const float coverage = bare ? 0 : unit(random);
+    for (int c = 0; c < 3; ++c) row.object.push_back(coverage * 1.5f * unit(random));
+    row.object.push_back(coverage);
+    const auto byte = [&] { return static_cast<std::uint8_t>(code(random)); };
+    row.pixels.push_back({byte(), byte(), byte()});
+  }
+  return row;
+}
+
+// One pixel at a time, as the formula says.
+std::size_t plainly(const CodeCurve& curve, const Row& row, bool with_object,
+                    std::vector<Rgb8>& pixels) {
+  std::size_t touched = 0;
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    const float none[4] = {};
+    const float* const v = with_object ? &row.object[4 * i] : none;
+    if (v[3] == 0 && row.r[i] == 1 && row.g[i] == 1 && row.b[i] == 1) continue;
+    ++touched;
+    const float behind = 1 - v[3];
+    Rgb8& p = pixels[i];
+    p.r = curve.encode8(0, v[0] + behind * row.r[i] * curve.decode(0, p.r));
+    p.g = curve.encode8(1, v[1] + behind * row.g[i] * curve.decode(1, p.g));
+    p.b = curve.encode8(2, v[2] + behind * row.b[i] * curve.decode(2, p.b));
+  }
+  return touched;
+}
+
+TEST(CodeRow, EqualsTheFormulaPixelByPixelForEveryLength) {
+  const CodeCurve curve = test::srgb_curve(8);
+  std::mt19937 random(5);
+  for (std::size_t count = 0; count < 70; ++count)
+    for (const bool with_object : {false, true}) {
+      const Row row = random_row(count, random);
+      std::vector<Rgb8> expected = row.pixels, got = row.pixels;
+      got.push_back({1, 2, 3});  // what follows the row
+      const std::size_t touched = plainly(curve, row, with_object, expected);
+      EXPECT_EQ(composite_codes(curve, with_object ? row.object.data() : nullptr, row.r.data(),
+                                row.g.data(), row.b.data(), got.data(), count),
+                touched);
+      ASSERT_EQ(got.back(), (Rgb8{1, 2, 3}));
+      got.pop_back();
+      ASSERT_EQ(got, expected) << count;
+    }
+}
+
+TEST(CodeRow, NotANumberIsBlackAndInfinityWhite) {
+  const CodeCurve curve = test::srgb_curve(8);
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
+                  kInf = std::numeric_limits<float>::infinity();
+  std::vector<float> object(64, 0.f), ratio(16, .5f);
+  object[0] = kNan, object[4] = kInf, object[8] = -kInf;
+  for (const std::size_t i : {3, 7, 11}) object[i] = 1;
+  std::vector<Rgb8> pixels(16, Rgb8{90, 90, 90});
+  composite_codes(curve, object.data(), ratio.data(), ratio.data(), ratio.data(), pixels.data(),
+                  16);
+  EXPECT_EQ(pixels[0].r, 0);
+  EXPECT_EQ(pixels[1].r, 255);
+  EXPECT_EQ(pixels[2].r, 0);
+}
+
+}  // namespace
+}  // namespace penumbra::compositor
