@@ -48,6 +48,10 @@ Result<calib::Projection> read_projection(const TomlKeys& keys) {
     return keys.invalid("projection", fmt::format("\"{}\": {}", name, kind.error().detail));
   PENUMBRA_ASSIGN(width, keys.integer("width", 1, codec::kMaxSide));
   PENUMBRA_ASSIGN(height, keys.integer("height", 1, codec::kMaxSide));
+  constexpr double kMostPixels = 128e6;  // a frame, its light and its ring still fit into memory
+  if (double(width) * height > kMostPixels)
+    return keys.invalid("width", fmt::format("{} x {} pixels are more than {:.0f} million", width,
+                                             height, kMostPixels / 1e6));
   auto projection = calib::make_projection(*kind, width, height);
   if (!projection) return keys.invalid("projection", name + ": " + projection.error().detail);
   for (const std::string_view key : {"focal_px", "principal_px"}) {

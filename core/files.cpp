@@ -61,6 +61,19 @@ Result<void> write_bytes(const fs::path& target, std::string_view bytes) {
   });
 }
 
+Result<void> check_writable(const fs::path& target) {
+  const fs::path temporary = temporary_beside(target);
+  std::error_code ignored;
+  if (fs::is_directory(target, ignored))
+    return fail(ErrorCode::kUnwritable, target.string(), "is a folder");
+  errno = 0;
+  const bool made = std::ofstream(temporary).is_open();
+  const int reason = errno;
+  fs::remove(temporary, ignored);
+  if (!made) return fail(ErrorCode::kUnwritable, target.string(), std::strerror(reason));
+  return {};
+}
+
 Result<std::vector<unsigned char>> read_bytes(const fs::path& path, std::size_t limit_bytes) {
   std::error_code error;
   if (!fs::exists(path, error)) return fail(ErrorCode::kNotFound, path.string(), "no such file");

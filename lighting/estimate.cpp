@@ -104,7 +104,9 @@ LightEstimate make_estimate(const Projection& projection, int bands, std::vector
   estimate.discs = std::move(discs);
   estimate.valid = true;
   estimate.coverage = projection.coverage;
-  estimate.mean_radiance = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
+  // A fit to a small part of the sphere may swing below zero elsewhere.
+  const Rgb mean = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
+  estimate.mean_radiance = {std::max(mean.r, 0.f), std::max(mean.g, 0.f), std::max(mean.b, 0.f)};
   for (const Disc& d : estimate.discs)
     estimate.mean_radiance += d.radiance * static_cast<float>(d.solid_angle_sr() / (4 * kPi));
   // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2
@@ -116,7 +118,7 @@ LightEstimate make_estimate(const Projection& projection, int bands, std::vector
       left_out += std::pow(cosine_coefficient(l) * y, 2);
     }
   const double mean_irradiance = kPi * luminance(estimate.mean_radiance);
-  if (mean_irradiance > 0)
+  if (bands < nine_bands.bands() && mean_irradiance > 0)
     estimate.truncation_error = std::sqrt(left_out / (4 * kPi)) / mean_irradiance;
   return estimate;
 }

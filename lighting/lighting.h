@@ -423,8 +423,8 @@ struct LightEstimate {
   double clipped_fraction = 0;  // of the sphere's solid angle, saturated in every exposure
   Rgb mean_radiance;            // over the sphere
   /// RMS error over all normals of unshadowed irradiance by leaving out bands >= light.bands(),
-  /// relative to the mean irradiance; from the bands up to 9 that were measured.
-  double truncation_error = 0;
+  /// relative to the mean irradiance; from the bands up to 9 that were measured, so none for 9.
+  std::optional<double> truncation_error;
   std::optional<Plan> plan;  // of a governed estimator
 
   Seconds age(TimestampNs now) const { return now - time; }

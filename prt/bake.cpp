@@ -431,7 +431,9 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
-  if (o.bounces < 0) return fail(ErrorCode::kInvalid, "bounces", "must not be negative");
+  if (o.bounces < 0 || o.bounces > kMostBounces)
+    return fail(ErrorCode::kInvalid, "bounces",
+                fmt::format("{} is not in 0..{}", o.bounces, kMostBounces));
   return Baker(mesh, o).run(std::move(mesh));
 }
 

@@ -46,6 +46,9 @@ Rgb albedo_of(const aiMaterial* material, Rgb fallback, bool has_own) {
   return fallback;
 }
 
+// Beyond, areas leave the range of floats.
+constexpr float kFarthest = 1e9f;
+
 Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb albedo,
                           const std::string& file, Mesh& out) {
   aiMatrix3x3 normal_matrix(to_world);
@@ -56,6 +59,10 @@ Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb alb
     if (!std::isfinite(p.x) || !std::isfinite(p.y) || !std::isfinite(p.z))
       return fail(ErrorCode::kNonFinite, file,
                   fmt::format("vertex {} of mesh \"{}\" is not finite", i, in.mName.C_Str()));
+    if (std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) > kFarthest)
+      return fail(ErrorCode::kInvalid, file,
+                  fmt::format("vertex {} of mesh \"{}\" lies {:.2g} units away, more than {:.0g}",
+                              i, in.mName.C_Str(), p.Length(), kFarthest));
     if (!std::isfinite(n.x + n.y + n.z) || n.SquareLength() < 1e-20f) n = aiVector3D(0, 1, 0);
     n.Normalize();
     out.positions.emplace_back(p.x, p.y, p.z);

@@ -165,6 +165,8 @@ struct Receiver {
   Rgb albedo;  // its reflection lights the object; 0 = none
 };
 
+inline constexpr int kMostBounces = 32;
+
 struct BakeOptions {
   int bands = 5;
   int bounces = 4;         // of light between the object's parts, and between object and receiver

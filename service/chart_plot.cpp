@@ -69,11 +69,11 @@ std::vector<Mark> gather(std::span<const ChartPoint> points) {
     // What others do, and what is chosen, differs from light to light and is one method all the same.
     const bool by_name = p.baseline || p.chosen;
     const auto configured = [&](int value) { return by_name ? 0 : value; };
-    const auto [entry, fresh] = known.try_emplace(
-        {p.method, p.baseline, configured(p.coefficients), configured(p.most_discs),
-         configured(p.taps), configured(p.map_size), p.bake_rays, p.environment_rows,
-         p.update_rate},
-        out.size());
+    const auto [entry, fresh] =
+        known.try_emplace({p.method, p.baseline, configured(p.coefficients),
+                           configured(p.most_discs), configured(p.taps), configured(p.map_size),
+                           p.bake_rays, p.environment_rows, p.update_rate},
+                          out.size());
     std::string configuration = fmt::format("{} SH", p.coefficients);
     if (p.most_discs > 0)
       configuration +=

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 
+#include "core/files.h"
 #include "prt/prt.h"
 #include "service/commands.h"
 #include "service/progress.h"
@@ -16,6 +17,12 @@ Result<void> bake(const BakeCommandOptions& o) {
                 fmt::format("{} is not a positive multiple of 64", o.samples));
   if (std::filesystem::path(o.output).extension() != ".glb")
     return fail(ErrorCode::kInvalid, o.output, "a baked file ends in .glb");
+  if (o.bands < 1 || o.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  if (o.bounces < 0 || o.bounces > prt::kMostBounces)
+    return fail(ErrorCode::kInvalid, "--bounces",
+                fmt::format("not within 0..{}", prt::kMostBounces));
+  PENUMBRA_TRY(check_writable(o.output));
   auto mesh = load_asset(o.asset, {.7f, .7f, .7f}, .04f);
   if (!mesh) return std::unexpected(mesh.error());
   prt::BakeOptions options;

@@ -390,6 +390,8 @@ Result<void> chart(const ChartOptions& o) {
   if (!environments) return std::unexpected(environments.error());
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
+  for (const std::string& asset : assets)  // all of them before the long work
+    PENUMBRA_TRY(load_asset(asset, {.7f, .7f, .7f}, 0));
   std::vector<ChartPoint> points;
   if (!o.json && !o.truncated)
     fmt::print(
@@ -405,10 +407,10 @@ Result<void> chart(const ChartOptions& o) {
       PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
   }
   PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), chart_csv(points)));
-  output->keep();
   if (!o.truncated)
-    if (const auto plots = write_chart_plots(o.output, points); !plots)
+    if (const auto plots = write_chart_plots(output->work(), points); !plots)
       spdlog::warn("no plots: {}: {}", plots.error().where, plots.error().detail);
+  PENUMBRA_TRY(output->keep());
   if (o.json) {
     nlohmann::json rows = nlohmann::json::array();
     for (const ChartPoint& p : points) rows.push_back(to_json(p));

@@ -8,6 +8,7 @@
 #include "service/output.h"
 #include "service/progress.h"
 #include "service/report.h"
+#include "service/stop_signal.h"
 #include "service/summary.h"
 
 namespace penumbra::service {
@@ -39,7 +40,6 @@ Result<void> composite(const CompositeOptions& o) {
   if (!light) return fail(light.error().code, o.capture, light.error().detail);
   // The output is tried before the long work.
   const double rate = (*source)->view_rate();
-  FrameWriter::Options writer_options{o.output, true, o.video, rate > 0 ? rate : 30};
   auto folder = OutputFolder::create(o.output);
   if (!folder) return std::unexpected(folder.error());
   BakeSettings settings;
@@ -52,10 +52,10 @@ Result<void> composite(const CompositeOptions& o) {
   auto compose =
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
-  auto writer = FrameWriter::create(writer_options, times);
+  auto writer = FrameWriter::create({folder->work(), true, o.video, rate > 0 ? rate : 30}, times);
   if (!writer) return std::unexpected(writer.error());
 
-  folder->file("video.mp4");
+  const std::atomic<bool>& stop = catch_stop_signals();
   int first_view = -1;
   std::vector<std::uint64_t> written(cameras.size());
   auto counts = run_replay(
@@ -65,12 +65,11 @@ Result<void> composite(const CompositeOptions& o) {
         const bool first = out.source.camera == first_view;
         const auto camera = static_cast<std::size_t>(out.source.camera);
         const std::string name = still_name(cameras[camera], first, written[camera]++);
-        folder->file(name);
-        return (*writer)->write(name, out.pixels, first);
+        return (*writer)->write(name, out.pixels, first) && !stop;
       },
       times);
-  // A run that failed leaves the video of an earlier one alone.
   if (!counts) return std::unexpected(counts.error());
+  if (stop) return stopped(o.output);
   PENUMBRA_TRY((*writer)->finish());
   const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
   const nlohmann::json summary =
@@ -78,7 +77,7 @@ Result<void> composite(const CompositeOptions& o) {
                 {o.bands, view->projection.width, view->projection.height,
                  static_cast<int>(prepared->objects.size()), (*compose)->output().renderer()});
   PENUMBRA_TRY(write_bytes(folder->file("summary.json"), summary.dump(2) + "\n"));
-  folder->keep();
+  PENUMBRA_TRY(folder->keep());
   if (o.json)
     print_json(summary);
   else

@@ -11,6 +11,7 @@
 #include "service/output.h"
 #include "service/progress.h"
 #include "service/report.h"
+#include "service/stop_signal.h"
 #include "service/studio_setup.h"
 #include "service/summary.h"
 
@@ -49,8 +50,9 @@ class RecordingSource : public capture::FrameSource {
 
 Result<void> check(const DemoOptions& o) {
   if (o.frames < 1) return fail(ErrorCode::kInvalid, "--frames", "must be positive");
-  if (o.width < 64 || o.height < 64 || o.width > 8192 || o.height > 8192)
-    return fail(ErrorCode::kInvalid, "--size", "each side must be within 64..8192");
+  for (const auto& [name, side] : {std::pair{"--width", o.width}, {"--height", o.height}})
+    if (side < 64 || side > 8192)
+      return fail(ErrorCode::kInvalid, name, fmt::format("{} is not within 64..8192", side));
   if (!(o.fps > 0 && o.fps <= 1000))
     return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
   if (o.bands < 1 || o.bands > kMaxBands)
@@ -105,7 +107,6 @@ Result<void> demo(const DemoOptions& o) {
   PENUMBRA_TRY(check(o));
   auto output = OutputFolder::create(o.output);
   if (!output) return std::unexpected(output.error());
-  const std::filesystem::path& folder = output->path();
   auto ready = prepare_demo(o);
   if (!ready) return std::unexpected(ready.error());
   capture::Studio studio(ready->setup.world, ready->setup.options);
@@ -121,7 +122,7 @@ Result<void> demo(const DemoOptions& o) {
   light->govern(*governance);
   auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
   if (!compose) return std::unexpected(compose.error());
-  auto writer = FrameWriter::create({folder, false, true, o.fps}, times);
+  auto writer = FrameWriter::create({output->work(), false, true, o.fps}, times);
   if (!writer) return std::unexpected(writer.error());
   std::optional<RecordingSource> recording;
   if (o.record) {
@@ -129,20 +130,20 @@ Result<void> demo(const DemoOptions& o) {
     if (!recorder) return std::unexpected(recorder.error());
     recording.emplace(studio, std::move(*recorder));
   }
-  output->file("video.mp4");
+  const std::atomic<bool>& stop = catch_stop_signals();
   std::shared_ptr<const FramePixels> last, last_source;
   const Sink sink = [&](const Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
-    if (!(*compose)->output().present(to_display(*out.pixels))) return false;
+    if (stop || !(*compose)->output().present(to_display(*out.pixels))) return false;
     return (*writer)->write("", out.pixels, true);
   };
-  const std::atomic<bool> never = false;
   capture::FrameSource& source =
       recording ? static_cast<capture::FrameSource&>(*recording) : studio;
-  auto counts = o.live ? run_live(source, *light, **compose, sink, times, never)
+  auto counts = o.live ? run_live(source, *light, **compose, sink, times, stop)
                        : run_replay(source, *light, **compose, sink, times);
   if (!counts) return std::unexpected(counts.error());
+  if (stop) return stopped(o.output);
   PENUMBRA_TRY((*writer)->finish());
   if (recording) {
     PENUMBRA_TRY(recording->finish());
@@ -155,13 +156,13 @@ Result<void> demo(const DemoOptions& o) {
                 {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()),
                  (*compose)->output().renderer()});
   PENUMBRA_TRY(write_bytes(output->file("summary.json"), summary.dump(2) + "\n"));
-  output->keep();
+  PENUMBRA_TRY(output->keep());
   if (o.json) {
     print_json(summary);
   } else {
     print_summary(summary);
     fmt::print("{0}/video.mp4  {0}/still.png  {0}/camera.png (before)  {0}/summary.json\n",
-               folder.string());
+               o.output);
   }
   return {};
 }

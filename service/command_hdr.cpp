@@ -1,10 +1,12 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "capture/capture.h"
 #include "codec/codec.h"
+#include "core/files.h"
 #include "service/commands.h"
 #include "service/report.h"
 
@@ -56,6 +58,10 @@ Result<capture::ExposureStack> read_stack(const HdrMergeOptions& o) {
       if (frame->index() != first.index())
         return fail(ErrorCode::kInvalid, o.images[k], "has another bit depth than " + o.images[0]);
     }
+    if (const auto* linear = std::get_if<Image<Rgb>>(&*frame))
+      if (const auto bad = std::ranges::count_if(
+              linear->pixels(), [](const Rgb& c) { return !std::isfinite(c.r + c.g + c.b); }))
+        spdlog::warn("{}: {} pixels are NaN or infinite and are left out", o.images[k], bad);
     stack.frames.push_back(std::make_shared<const FramePixels>(std::move(*frame)));
     stack.exposures.push_back({Seconds((*times)[k]), Gain(1)});
   }
@@ -83,6 +89,7 @@ Result<calib::Response> find_response(const HdrMergeOptions& o,
 }  // namespace
 
 Result<void> hdr_merge(const HdrMergeOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
   auto stack = read_stack(o);
   if (!stack) return std::unexpected(stack.error());
   auto response = find_response(o, *stack);

@@ -30,10 +30,12 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   }
   fmt::print(
       "{}: {}, {} bands, mean radiance {:.4g} {:.4g} {:.4g}, coverage {:.1f} %, truncation error "
-      "{:.2f} %\n",
+      "{}\n",
       o.environment, calib::projection_name(light->file.projection.kind), *bands,
       estimate.mean_radiance.r, estimate.mean_radiance.g, estimate.mean_radiance.b,
-      100 * estimate.coverage, 100 * estimate.truncation_error);
+      100 * estimate.coverage,
+      estimate.truncation_error ? fmt::format("{:.2f} %", 100 * *estimate.truncation_error)
+                                : "unknown (nothing beyond is measured)");
   for (int l = 0; l < *bands; ++l)
     for (int m = -l; m <= l; ++m) {
       const Rgb& c = estimate.light[sh_index(l, m)];

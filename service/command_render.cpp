@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "codec/codec.h"
+#include "core/files.h"
 #include "service/commands.h"
 #include "service/light_file.h"
 #include "service/progress.h"
@@ -33,6 +34,7 @@ Result<void> render(const RenderOptions& o) {
   const std::string extension = std::filesystem::path(o.output).extension().string();
   if (extension != ".exr" && extension != ".hdr")
     return fail(ErrorCode::kInvalid, o.output, "linear radiance goes to .exr or .hdr");
+  PENUMBRA_TRY(check_writable(o.output));
   auto light = read_light(o.environment, o.projection);
   if (!light) return std::unexpected(light.error());
   auto map = capture::to_latlong(light->file);

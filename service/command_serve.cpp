@@ -1,26 +1,17 @@
 #include <spdlog/spdlog.h>
 
-#include <atomic>
-#include <csignal>
-
 #include "service/commands.h"
 #include "service/http_api.h"
 #include "service/light_file.h"
 #include "service/progress.h"
 #include "service/rig_config.h"
 #include "service/runner.h"
+#include "service/stop_signal.h"
 #include "service/studio_setup.h"
 
 namespace penumbra::service {
 
 namespace {
-
-std::atomic<bool> g_stop = false;  // set by the signal handler alone
-static_assert(std::atomic<bool>::is_always_lock_free);
-
-extern "C" void on_signal(int) {
-  g_stop = true;
-}
 
 // A capture folder played again and again, its times running on.
 class LoopingFolder : public capture::FrameSource {
@@ -112,9 +103,7 @@ Result<void> serve(const ServeOptions& o) {
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
 
-  g_stop = false;
-  std::signal(SIGINT, on_signal);
-  std::signal(SIGTERM, on_signal);
+  const std::atomic<bool>& stop = catch_stop_signals();
   spdlog::info("listening on http://{}:{}", config->address, (*api)->port());
   auto counts = run_live(
       *rig->source, *light, **compose,
@@ -122,7 +111,7 @@ Result<void> serve(const ServeOptions& o) {
         state.publish(out.light, out.source.time, out.pixels);
         return true;
       },
-      times, g_stop);
+      times, stop);
   if (!counts) return std::unexpected(counts.error());
   spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts->frames, counts->seconds,
                counts->dropped);

@@ -66,7 +66,8 @@ Result<lighting::Governance> make_governance(const PreparedScene& scene, double 
 Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands) {
   if (text == "auto") {
     for (int bands = 1; bands < kMaxBands; ++bands)
-      if (lighting::make_estimate(nine_bands, bands).truncation_error <= .005) return bands;
+      if (lighting::make_estimate(nine_bands, bands).truncation_error.value_or(0) <= .005)
+        return bands;
     return kMaxBands;
   }
   int bands = 0;

@@ -1,5 +1,7 @@
 #include "service/output.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cmath>
 
@@ -8,37 +10,42 @@
 
 namespace penumbra::service {
 
-Result<OutputFolder> OutputFolder::create(const std::filesystem::path& folder) {
+namespace fs = std::filesystem;
+
+Result<OutputFolder> OutputFolder::create(const fs::path& folder) {
   OutputFolder out;
   std::error_code error;
-  out.made_ = !std::filesystem::exists(folder, error);
+  out.made_ = !fs::exists(folder, error);
   out.path_ = folder;
-  if (auto made = make_folder(folder); !made) {
-    out.kept_ = true;  // nothing to take back
-    return std::unexpected(made.error());
-  }
+  PENUMBRA_TRY(make_folder(folder));
+  const fs::path work = folder / (".partial-" + std::to_string(::getpid()));
+  if (!fs::create_directory(work, error) && error)
+    return fail(ErrorCode::kUnwritable, folder.string(), error.message());
+  out.work_ = work;
   return out;
 }
 
 OutputFolder::OutputFolder(OutputFolder&& other) noexcept
     : path_(std::move(other.path_)),
-      made_(other.made_),
-      kept_(std::exchange(other.kept_, true)),
-      files_(std::move(other.files_)) {}
+      work_(std::exchange(other.work_, {})),
+      made_(std::exchange(other.made_, false)) {}
 
 OutputFolder::~OutputFolder() {
-  if (kept_) return;
   std::error_code ignored;
-  for (const auto& file : files_) std::filesystem::remove(file, ignored);
-  if (made_) std::filesystem::remove(path_, ignored);  // only when it is empty
+  if (!work_.empty()) fs::remove_all(work_, ignored);
+  if (made_) fs::remove(path_, ignored);  // only when it is empty
 }
 
-std::filesystem::path OutputFolder::file(const std::string& name) {
-  std::filesystem::path file = path_ / name;
+Result<void> OutputFolder::keep() {
   std::error_code error;
-  // What an earlier run left there is not this one's to take away.
-  if (!std::filesystem::exists(file, error)) files_.push_back(file);
-  return file;
+  for (const auto& entry : fs::directory_iterator(work_, error)) {
+    fs::rename(entry.path(), path_ / entry.path().filename(), error);
+    if (error)
+      return fail(ErrorCode::kUnwritable, (path_ / entry.path().filename()).string(),
+                  error.message());
+  }
+  if (error) return fail(ErrorCode::kUnwritable, path_.string(), error.message());
+  return {};
 }
 
 Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options,

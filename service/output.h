@@ -15,8 +15,8 @@
 
 namespace penumbra::service {
 
-/// An output folder that goes again, with everything listed in it, unless keep() is called: a run that fails
-/// leaves nothing half-written.
+/// A run's results, made in a hidden folder inside the output folder and moved there by keep(). A run that fails leaves
+/// nothing, and what an earlier one left stays as it was.
 /// threads: thread-bound
 class OutputFolder {
  public:
@@ -27,15 +27,16 @@ class OutputFolder {
   OutputFolder& operator=(OutputFolder&&) = delete;
 
   const std::filesystem::path& path() const { return path_; }
-  /// A file in it that this run makes.
-  std::filesystem::path file(const std::string& name);
-  void keep() { kept_ = true; }
+  /// Where this run writes.
+  const std::filesystem::path& work() const { return work_; }
+  std::filesystem::path file(const std::string& name) const { return work_ / name; }
+  /// errors: kUnwritable; then some files may have been moved, each whole
+  Result<void> keep();
 
  private:
   OutputFolder() = default;
-  std::filesystem::path path_;
-  bool made_ = false, kept_ = false;
-  std::vector<std::filesystem::path> files_;
+  std::filesystem::path path_, work_;
+  bool made_ = false;
 };
 
 /// threads: thread-bound; owns one worker thread

@@ -54,7 +54,8 @@ inline nlohmann::json to_json(const lighting::LightEstimate& e) {
           {"mean_radiance", to_json(e.mean_radiance)},
           {"coverage", e.coverage},
           {"clipped_fraction", e.clipped_fraction},
-          {"truncation_error", e.truncation_error},
+          {"truncation_error",
+           e.truncation_error ? nlohmann::json(*e.truncation_error) : nlohmann::json()},
           {"plan", e.plan ? to_json(*e.plan) : nlohmann::json()}};
 }
 

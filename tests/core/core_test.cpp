@@ -300,6 +300,19 @@ TEST_F(Files, FolderWithoutPermissionIsUnwritable) {
   EXPECT_TRUE(folder_.empty());
 }
 
+TEST_F(Files, CheckingWhetherAFileCouldBeMadeLeavesNothing) {
+  ASSERT_TRUE(check_writable(file("a.txt")));
+  ASSERT_TRUE(write_bytes(file("b.txt"), "b"));
+  ASSERT_TRUE(check_writable(file("b.txt")));
+  EXPECT_EQ(entries(), 1u);
+  for (const fs::path& bad : {file("none") / "a.txt", file("b.txt") / "a.txt", folder_.path()}) {
+    const auto answer = check_writable(bad);
+    ASSERT_FALSE(answer) << bad;
+    EXPECT_EQ(answer.error().code, ErrorCode::kUnwritable);
+    EXPECT_EQ(answer.error().where, bad.string());
+  }
+}
+
 TEST_F(Files, BytesComeBackAsWritten) {
   std::string bytes(100'000, '\0');
   std::mt19937 rng(8);

@@ -3,6 +3,7 @@
 cli_bad_input_test.py PROGRAM [CLASS...]"""
 
 import shutil
+import re
 import sys
 
 import cli_files as files
@@ -60,7 +61,8 @@ class BadMeshes(CliTest):
         vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         meshes = {"empty.obj": "", "faceless.obj": vertices, "degenerate.obj": vertices + "f 1 1 2\nf 3 3 3\n",
                   "flat.obj": "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "nan.obj": "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
-                  "infinite.obj": "v 0 inf 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"}
+                  "infinite.obj": "v 0 inf 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+                  "far.obj": "v 1e30 0 0\nv 0 1e30 0\nv 0 0 1e30\nf 1 2 3\n"}
         for name, text in meshes.items():
             (cls.root / name).write_text(text)
         header = ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\n"
@@ -211,6 +213,22 @@ class BadOutputs(CliTest):
                             self.root / "even.hdr", "--asset", self.root / "cube.obj", "--still-only", "--bands", 1,
                             "--out", self.root / "out" / "demo", "--record", self.below)
         self.assertEqual((self.root / "plain").read_text(), "a file")
+
+    def test_numbers_out_of_range_name_their_option(self):
+        baked = self.root / "out" / "cube.glb"
+        self.expect_refusal(["--bands"], "bake", self.root / "cube.obj", "-o", baked, "--bands", 0)
+        self.expect_refusal(["--bounces"], "bake", self.root / "cube.obj", "-o", baked, "--bounces", -1)
+        self.expect_refusal(["--samples"], "bake", self.root / "cube.obj", "-o", baked, "--samples", 65)
+        self.expect_refusal(["--width"], "demo", "--headless", "--width", 0, "--out", self.root / "out")
+        self.expect_refusal(["--height"], "demo", "--headless", "--height", 9999, "--out", self.root / "out")
+
+    def test_camera_of_a_gigapixel(self):
+        text = (self.root / "camera.toml").read_text()
+        text = re.sub(r"(width|height) = \d+", r"\1 = 30000", text)
+        (self.root / "huge.toml").write_text(text)
+        self.expect_refusal(["huge.toml", "million"], "render", "--scene", self.root / "scene.toml", "--environment",
+                            self.root / "even.hdr", "--camera", self.root / "huge.toml", "-o",
+                            self.root / "out" / "picture.exr")
 
     def test_output_of_an_unknown_kind(self):
         pictures = [self.root / "capture" / "environment" / f"{i}.png" for i in range(2)]
