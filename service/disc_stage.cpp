@@ -110,9 +110,13 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object,
     rays.ox[lane] = o.x, rays.oy[lane] = o.y, rays.oz[lane] = o.z;
     rays.dx[lane] = d.x, rays.dy[lane] = d.y, rays.dz[lane] = d.z;
     if (lane < kPacket - 1) continue;
-    std::uint32_t blocked = virtual_.occluded(rays, kPacket, static_cast<int>(object));
+    const int own_index = static_cast<int>(object);
+    std::uint32_t blocked = virtual_.occluded(rays, kPacket, own_index);
     if (!real_.empty()) blocked |= real_.occluded(rays);
-    for (int i = 0; i < kPacket; ++i)
+    // What the object shades itself is in its bake.
+    const std::uint32_t own = virtual_.occluded_by(own_index, rays, kPacket);
+    for (int i = 0; i < kPacket; ++i) {
+      if (own >> i & 1) continue;
       for (std::size_t side = 0; side < kSides; ++side) {
         // Top and bottom see the floor all around.
         const bool upright = side / 2 == 1;
@@ -120,9 +124,10 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object,
         points[side] += w;
         open[side] += blocked >> i & 1 ? 0 : w;
       }
+    }
   }
   for (std::size_t side = 0; side < kSides; ++side)
-    out[side] = 1 - kNearFloor * (1 - open[side] / points[side]);
+    if (points[side] > 0) out[side] = 1 - kNearFloor * (1 - open[side] / points[side]);
   return out;
 }
 

@@ -222,16 +222,22 @@ void ComposeStage::shade_real_mesh(const lighting::LightEstimate& light,
                                    const std::vector<Pose>& poses) {
   const prt::Mesh& mesh = scene_.real_mesh;
   const DiscStage::AtPoints& discs = real_discs_;
-  std::vector<Rgb> ratios(mesh.positions.size(), Rgb{1, 1, 1}), one(mesh.positions.size());
+  std::vector<Rgb> ratios(mesh.positions.size(), Rgb{1, 1, 1});
+  std::vector<std::vector<Rgb>> alone(objects_.size());
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     const shadows::OcclusionField& field = *objects_[k].prepared->field;
     const Pose bake_from_world = poses[k].inverse();
     const RadianceSh turned =
         lighting::ShRotation(bake_from_world.rotation_matrix(), light.light.bands()) * light.light;
+    alone[k].resize(ratios.size());
     // Cannot fail: lists of one length, light made for this field.
     (void)shadows::field_ratios(field, shadows::FieldLight(turned, field.bands), bake_from_world,
-                                {mesh.positions, mesh.normals, discs.open}, one);
-    for (std::size_t i = 0; i < ratios.size(); ++i) ratios[i] = ratios[i] * one[i];
+                                {mesh.positions, mesh.normals, discs.open}, alone[k]);
+    std::vector<Rgb> shared = alone[k];
+    for (std::size_t j = 0; j < k; ++j)
+      shadows::share_ratios({objects_[j].prepared->field.get(), poses[j]}, {&field, poses[k]},
+                            mesh.positions, alone[j], shared);
+    for (std::size_t i = 0; i < ratios.size(); ++i) ratios[i] = ratios[i] * shared[i];
   }
   const IrradianceSh rest = lighting::irradiance(light.light);
   const float least = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);

@@ -87,10 +87,10 @@ SideView Surroundings::look_from_side(std::size_t object, int side,
       const glm::vec3 from = turn * mesh.positions[v] + shift + blockers.near_m * n;
       ray.ox[0] = from.x, ray.oy[0] = from.y, ray.oz[0] = from.z;
       ray.dx[0] = df.x, ray.dy[0] = df.y, ray.dz[0] = df.z;
-      const bool by_real = has_real && blockers.real_things->occluded_by(0, ray, 1) != 0;
-      if (!by_real && blockers.virtual_things->occluded(ray, 1, own) == 0) break;
       // What the object hides from itself is in its transfer.
       if (blockers.virtual_things->occluded_by(own, ray, 1) != 0) continue;
+      const bool by_real = has_real && blockers.real_things->occluded_by(0, ray, 1) != 0;
+      if (!by_real && blockers.virtual_things->occluded(ray, 1, own) == 0) break;
       Hidden& hidden = by_real ? out.by_real : out.by_virtual;
       double basis[kTerms];
       lighting::evaluate_basis(shadows::kMaxFieldBands, d, basis);

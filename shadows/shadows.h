@@ -57,7 +57,8 @@ struct PlacedShadow {
 /// Shadows of two objects are multiplied where they meet, which darkens twice where both block the same
 /// directions. This changes the second's ratio (`out`, a copy of second.shadow) so that the product is 1 - (d_a + d_b -
 /// what they block in common), the common part from the correlation of their deficits over all directions. It
-/// lies within max(d) .. min(1, sum d); equal objects in one place darken once, separate directions add up.
+/// lies within max(d) .. min(1, sum d); equal objects in one place darken once, separate directions add up. So with
+/// what both brighten by reflected light.
 /// threads: reentrant, parallel inside; no allocation
 void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
 

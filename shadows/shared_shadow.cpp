@@ -1,8 +1,10 @@
+#include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
 
+#include "shadows/occlusion_field.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::shadows {
@@ -48,6 +50,25 @@ Overlap overlap(const float* a, const float* b, int count) {
   return {share(aa), share(bb)};
 }
 
+// The second ratio so that its product with the first counts once what both take, or both bring.
+float without_common(float first, float second, const Overlap& shared) {
+  const float a = 1 - first, b = 1 - second;
+  if (a * b <= 0 || first < kDarkest) return second;  // one takes what the other brings
+  const float size_a = std::abs(a), size_b = std::abs(b);
+  // Both estimates of the common part agree for even light; either keeps inside the proven interval.
+  const float common = std::clamp(.5f * (shared.of_a * size_a + shared.of_b * size_b),
+                                  std::max(0.f, a + b - 1), std::min(size_a, size_b));
+  return (1 - (a + b - std::copysign(common, a))) / first;
+}
+
+// Coefficients about another frame, red alone.
+void rotate(const lighting::ShRotation& rotation, int bands, float* coefficients) {
+  RadianceSh terms(bands);
+  for (int n = 0; n < terms.size(); ++n) terms[n].r = coefficients[n];
+  terms = rotation * terms;
+  for (int n = 0; n < terms.size(); ++n) coefficients[n] = terms[n].r;
+}
+
 }  // namespace
 
 void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out) {
@@ -70,23 +91,42 @@ void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarS
       if (!sample(*first.object, *first.shadow, {at.x, at.z}, a) || a.ratio == Rgb{1, 1, 1})
         continue;
       sample(*second.object, *second.shadow, p, b);
-      if (turned) {
-        RadianceSh in_second(bands);
-        for (int n = 0; n < in_second.size(); ++n) in_second[n].r = a.coefficients[n];
-        in_second = rotation * in_second;
-        for (int n = 0; n < in_second.size(); ++n) a.coefficients[n] = in_second[n].r;
-      }
+      if (turned) rotate(rotation, bands, a.coefficients);
       const Overlap shared = overlap(a.coefficients, b.coefficients, coefficient_count(bands));
-      for (int c = 0; c < 3; ++c) {
-        const float da = 1 - a.ratio[c], db = 1 - s[c];
-        if (da <= 0 || db <= 0 || a.ratio[c] < kDarkest) continue;
-        // Both estimates of the common part agree for even light; either keeps inside the proven interval.
-        const float common = std::clamp(.5f * (shared.of_a * da + shared.of_b * db),
-                                        std::max(0.f, da + db - 1), std::min(da, db));
-        s[c] = (1 - (da + db - common)) / a.ratio[c];
-      }
+      for (int c = 0; c < 3; ++c) s[c] = without_common(a.ratio[c], s[c], shared);
     }
   });
+}
+
+void share_ratios(const PlacedField& first, const PlacedField& second,
+                  std::span<const glm::vec3> positions, std::span<const Rgb> first_ratios,
+                  std::span<Rgb> ratios) {
+  const Rgb open{1, 1, 1};
+  const int bands = std::min(first.field->bands, second.field->bands),
+            count = coefficient_count(bands);
+  const Pose first_from_world = first.world_from_bake.inverse(),
+             second_from_world = second.world_from_bake.inverse();
+  const lighting::ShRotation rotation((second_from_world * first.world_from_bake).rotation_matrix(),
+                                      first.field->bands);
+  constexpr std::size_t kMost = kMaxFieldBands * kMaxFieldBands;
+  tbb::parallel_for(
+      tbb::blocked_range<std::size_t>(0, positions.size(), 256), [&](const auto& part) {
+        float a[kMost], b[kMost];
+        for (std::size_t i = part.begin(); i < part.end(); ++i) {
+          if (first_ratios[i] == open || ratios[i] == open) continue;
+          const glm::dvec3 p(positions[i]);
+          blocked_at(
+              *first.field, glm::vec3(first_from_world * p),
+              std::span(a).first(static_cast<std::size_t>(coefficient_count(first.field->bands))));
+          blocked_at(
+              *second.field, glm::vec3(second_from_world * p),
+              std::span(b).first(static_cast<std::size_t>(coefficient_count(second.field->bands))));
+          rotate(rotation, first.field->bands, a);
+          const Overlap shared = overlap(a, b, count);
+          for (int c = 0; c < 3; ++c)
+            ratios[i][c] = without_common(first_ratios[i][c], ratios[i][c], shared);
+        }
+      });
 }
 
 }  // namespace penumbra::shadows
