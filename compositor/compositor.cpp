@@ -143,6 +143,7 @@ Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Su
 }
 
 int Compositor::add_object(const prt::BakedObject& object) {
+  impl_->context->make_current();
   impl_->receiver_of.push_back(object.receiver ? impl_->receivers.add(object.receiver->grid) : -1);
   return impl_->layers->add_object(object);
 }
@@ -155,6 +156,7 @@ void Compositor::set_pose(int object, const Pose& world_from_bake) {
 
 void Compositor::set_light(int object, std::span<const float> relit,
                            const shadows::PlanarShadow& shadow) {
+  impl_->context->make_current();
   impl_->layers->set_light(object, relit);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
     impl_->receivers.set_shadow(r, shadow);
@@ -165,19 +167,23 @@ void Compositor::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
 }
 
 void Compositor::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
+  impl_->context->make_current();
   impl_->layers->add_plane(point, normal);
   impl_->receivers.add_plane(point, normal);
 }
 
 int Compositor::add_occluder(const prt::Mesh& mesh) {
+  impl_->context->make_current();
   return impl_->layers->add_occluder(mesh);
 }
 
 void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios) {
+  impl_->context->make_current();
   impl_->layers->set_ratios(occluder, ratios);
 }
 
 Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
+  impl_->context->make_current();
   const auto [width, height] =
       std::visit([](const auto& f) { return std::pair(f.width(), f.height()); }, frame);
   if (width != impl_->width || height != impl_->height)
@@ -210,6 +216,7 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
 
 bool Compositor::present(const Image<Rgb8>& picture) {
   if (!impl_->context->has_window()) return true;
+  impl_->context->make_current();
   const auto [width, height] = impl_->context->size();
   glBindFramebuffer(GL_FRAMEBUFFER, 0);
   glDisable(GL_SCISSOR_TEST);

@@ -86,6 +86,7 @@ class GlContext {
  public:
   virtual ~GlContext() = default;
   virtual bool has_window() const = 0;
+  /// On the calling thread; cheap when it is already.
   virtual void make_current() = 0;
   /// Swaps and polls; false when the window was closed.
   virtual bool show() = 0;

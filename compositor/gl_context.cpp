@@ -22,6 +22,7 @@ class OffscreenContext final : public GlContext {
   }
   bool has_window() const override { return false; }
   void make_current() override {
+    if (eglGetCurrentContext() == context_) return;
     eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, context_);
   }
   bool show() override { return true; }

@@ -15,7 +15,9 @@ class WindowContext final : public GlContext {
     glfwTerminate();
   }
   bool has_window() const override { return true; }
-  void make_current() override { glfwMakeContextCurrent(window_); }
+  void make_current() override {
+    if (glfwGetCurrentContext() != window_) glfwMakeContextCurrent(window_);
+  }
   bool show() override {
     glfwSwapBuffers(window_);
     glfwPollEvents();

@@ -145,6 +145,24 @@ TEST_F(CompositorTest, WhiteObjectUnderWhiteSkyShowsTheRadianceOfTheSky) {
   EXPECT_GT(inside, 1000);
 }
 
+TEST_F(CompositorTest, TwoDrawInTurnAndOneOutlivesTheOther) {
+  const FramePixels black = Image<Rgb>(kSceneWidth, kSceneHeight);
+  const auto white_sphere = [](Compositor& c) {
+    test::add_lit(c, test::baked_sphere(false), test::constant_light({1, 1, 1}, 3));
+  };
+  white_sphere(*compositor_);
+  const FramePixels alone = composited(black, view());
+  ASSERT_NE(alone, black);
+  auto other = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
+  ASSERT_TRUE(other);
+  white_sphere(**other);
+  EXPECT_EQ(composited(black, view()), alone);
+  std::swap(*other, compositor_);
+  EXPECT_EQ(composited(black, view()), alone);
+  other->reset();
+  EXPECT_EQ(composited(black, view()), alone) << "after the other took the context with it";
+}
+
 TEST_F(CompositorTest, SilhouetteIsWhereThePinholePutsIt) {
   test::add_lit(*compositor_, test::baked_sphere(false), test::constant_light({1, 1, 1}, 3),
                 {{1, 0, 0, 0}, {.2, .1, -.3}});
