@@ -162,6 +162,14 @@ void Compositor::set_light(int object, std::span<const float> relit,
     impl_->receivers.set_shadow(r, shadow);
 }
 
+void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {
+  impl_->receivers.add_real(grid, world_from_grid);
+}
+
+void Compositor::set_real_shadow(const shadows::PlanarShadow& shadow) {
+  impl_->receivers.set_real_shadow(shadow);
+}
+
 void Compositor::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
   impl_->receivers.set_disc_shadows(discs);
 }

@@ -57,6 +57,9 @@ struct Touched {
 struct DiscShadowOnPlane {
   const shadows::DiscShadow* shadow;
   Rgb share;  // E_disc/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
+  /// What real things take of the same disc further around (its `taken`), one map for all shadows of the disc on that plane;
+  /// null without real things.
+  const shadows::DiscShadow* real = nullptr;
 };
 
 class Compositor {
@@ -77,6 +80,10 @@ class Compositor {
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
+  /// A plane that real things shade: its grid and place, once, and what they take of the light beside the discs. The picture
+  /// shows that already; what virtual things take is taken from what is left.
+  void add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid);
+  void set_real_shadow(const shadows::PlanarShadow& shadow);
   /// The discs' shadows on real planes, all at once; none after creation. Copies the maps.
   void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
   /// Real geometry (world frame): hides objects and shadows behind it.

@@ -130,22 +130,57 @@ HWY_INLINE hn::Vec<D> DiscValue(const DiscLookup& t, hn::Vec<D> px, float py) {
   return hn::IfThenElseZero(inside, hn::MulAdd(fy, hn::Sub(bottom, top), top));
 }
 
+HWY_INLINE hn::Vec<D> MeanValue(const DiscLookup& t, hn::Vec<D> left, int y) {
+  const D d;
+  const int n = t.samples;
+  const float step = 1 / static_cast<float>(n);
+  auto sum = hn::Zero(d);
+  for (int k = 0; k < n * n; ++k)
+    sum = hn::Add(sum, DiscValue(t, hn::Add(left, hn::Set(d, step * (float(k % n) + .5f))),
+                                 float(y) + step * (float(k / n) + .5f)));
+  return hn::Mul(sum, hn::Set(d, step * step));
+}
+
+HWY_ATTR void LoadDiscValues(const DiscLookup& t, int y, int x0, int x1, float* out) {
+  const D d;
+  const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
+  const float py = static_cast<float>(y) + .5f;
+  for (std::size_t i = 0; i < total; i += lanes) {
+    const auto left =
+        hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i))));
+    const auto px = hn::Add(left, hn::Set(d, .5f));
+    const auto at = [&](int k) HWY_ATTR {
+      return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
+    };
+    const auto zero = hn::Zero(d), w = at(2);
+    const auto last_x = hn::Mul(w, hn::Set(d, static_cast<float>(t.width - 1))),
+               last_y = hn::Mul(w, hn::Set(d, static_cast<float>(t.height - 1)));
+    const auto inside =
+        hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(at(0), zero), hn::Lt(at(0), last_x)),
+                                         hn::And(hn::Ge(at(1), zero), hn::Lt(at(1), last_y))));
+    if (hn::AllFalse(d, inside)) continue;
+    const auto value = MeanValue(t, left, y);
+    const std::size_t count = total - i < lanes ? total - i : lanes;
+    if (count == lanes) {
+      hn::StoreU(hn::IfThenElse(inside, value, hn::LoadU(d, out + i)), d, out + i);
+      continue;
+    }
+    HWY_ALIGN float values[HWY_MAX_BYTES / sizeof(float)];
+    hn::Store(hn::IfThenElse(inside, value, hn::Set(d, -1.f)), d, values);
+    for (std::size_t k = 0; k < count; ++k)
+      if (values[k] >= 0) out[i + k] = values[k];
+  }
+}
+
 HWY_ATTR void SubtractDiscShares(const DiscLookup& t, int y, int x0, int x1, float* r, float* g,
                                  float* b) {
   const D d;
   const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
-  const int n = t.samples;
-  const float step = 1 / static_cast<float>(n);
-  const auto share = hn::Set(d, step * step);
   for (std::size_t i = 0; i < total; i += lanes) {
     const auto left =
         hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i))));
-    auto sum = hn::Zero(d);
-    for (int k = 0; k < n * n; ++k)
-      sum = hn::Add(sum, DiscValue(t, hn::Add(left, hn::Set(d, step * (float(k % n) + .5f))),
-                                   float(y) + step * (float(k / n) + .5f)));
-    if (hn::AllTrue(d, hn::Eq(sum, hn::Zero(d)))) continue;
-    const auto value = hn::Mul(sum, share);
+    const auto value = MeanValue(t, left, y);
+    if (hn::AllTrue(d, hn::Eq(value, hn::Zero(d)))) continue;
     const std::size_t count = total - i < lanes ? total - i : lanes;
     SubtractShare(value, t.share.r, count, r + i);
     SubtractShare(value, t.share.g, count, g + i);
@@ -161,10 +196,15 @@ HWY_AFTER_NAMESPACE();
 namespace penumbra::compositor {
 HWY_EXPORT(MultiplyPlaneRatios);
 HWY_EXPORT(SubtractDiscShares);
+HWY_EXPORT(LoadDiscValues);
 
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b) {
   HWY_DYNAMIC_DISPATCH(MultiplyPlaneRatios)(plane, y, x0, x1, r, g, b);
+}
+
+void load_disc_values(const DiscLookup& disc, int y, int x0, int x1, float* out) {
+  HWY_DYNAMIC_DISPATCH(LoadDiscValues)(disc, y, x0, x1, out);
 }
 
 void subtract_disc_shares(const DiscLookup& disc, int y, int x0, int x1, float* r, float* g,

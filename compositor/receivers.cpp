@@ -19,8 +19,13 @@ void Receivers::set_pose(int receiver, const Pose& world_from_bake) {
   receivers_[static_cast<std::size_t>(receiver)].world_from_bake = world_from_bake;
 }
 
-void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow) {
-  Receiver& r = receivers_[static_cast<std::size_t>(receiver)];
+void Receivers::add_real(const prt::GroundGrid& grid, const Pose& world_from_bake) {
+  real_ = Receiver{grid, world_from_bake, {}, {}, {}, false};
+}
+
+namespace {
+
+void take(const shadows::PlanarShadow& shadow, auto& r) {
   r.visible = !shadow.empty();
   if (!r.visible) return;
   if (!r.ratio.same_size(shadow.ratio))
@@ -36,11 +41,28 @@ void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow) {
   r.high = at(shadow.x1 + 1, shadow.y1 + 1);
 }
 
+}  // namespace
+
+void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow) {
+  take(shadow, receivers_[static_cast<std::size_t>(receiver)]);
+}
+
+void Receivers::set_real_shadow(const shadows::PlanarShadow& shadow) {
+  if (real_) take(shadow, *real_);
+}
+
 void Receivers::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
   discs_.resize(discs.size());
+  real_discs_.clear();
   for (std::size_t i = 0; i < discs.size(); ++i) {
     discs_[i].shadow = *discs[i].shadow;
     discs_[i].share = discs[i].share;
+    discs_[i].real = -1;
+    if (!discs[i].real || discs[i].real->empty()) continue;
+    auto known = std::ranges::find(real_discs_, discs[i].real, &RealDisc::source);
+    if (known == real_discs_.end())
+      known = real_discs_.insert(known, {discs[i].real, *discs[i].real, discs[i].share});
+    discs_[i].real = static_cast<int>(known - real_discs_.begin());
   }
 }
 
@@ -81,6 +103,26 @@ DiscLookup disc_lookup(const prt::PinholeView& view, const shadows::DiscShadow& 
 
 }  // namespace
 
+bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
+                               const Receiver& r, PlaneLookup& lookup) const {
+  if (!r.visible) return false;
+  const double h = r.grid.height;
+  const glm::dvec3 corners[4] = {{r.low.x, h, r.low.y},
+                                 {r.high.x, h, r.low.y},
+                                 {r.low.x, h, r.high.y},
+                                 {r.high.x, h, r.high.y}};
+  lookup.area =
+      reach(clip_from_world * r.world_from_bake.matrix(), corners, view.width, view.height);
+  if (lookup.area.empty()) return false;
+  lookup.ratio = r.ratio.pixels().data();
+  lookup.size = r.grid.size;
+  lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
+                         {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
+  find_visible(view, r.world_from_bake * glm::dvec3(0, h, 0),
+               r.world_from_bake.rotation * glm::dvec3(0, 1, 0), lookup.visible);
+  return true;
+}
+
 Rect Receivers::prepare(const prt::PinholeView& view) {
   lookups_.clear();
   taken_.clear();
@@ -88,44 +130,38 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   Rect all;
   const glm::dmat4 clip_from_world =
       clip_from_camera(view) * view.world_from_camera.inverse().matrix();
+  PlaneLookup lookup;
   for (const Receiver& r : receivers_) {
-    if (!r.visible) continue;
-    const double h = r.grid.height;
-    const glm::dvec3 corners[4] = {{r.low.x, h, r.low.y},
-                                   {r.high.x, h, r.low.y},
-                                   {r.low.x, h, r.high.y},
-                                   {r.high.x, h, r.high.y}};
-    PlaneLookup lookup;
-    lookup.area =
-        reach(clip_from_world * r.world_from_bake.matrix(), corners, view.width, view.height);
-    if (lookup.area.empty()) continue;
-    lookup.ratio = r.ratio.pixels().data();
-    lookup.size = r.grid.size;
-    lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
-                           {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
-    find_visible(view, r.world_from_bake * glm::dvec3(0, h, 0),
-                 r.world_from_bake.rotation * glm::dvec3(0, 1, 0), lookup.visible);
+    if (!prepare_lookup(view, clip_from_world, r, lookup)) continue;
     lookups_.push_back(lookup);
     all = united(all, lookup.area);
   }
-  for (const OnPlane& d : discs_) {
-    const shadows::DiscShadow& s = d.shadow;
-    if (s.empty()) continue;
+  real_lookup_.reset();
+  if (real_ && prepare_lookup(view, clip_from_world, *real_, lookup)) real_lookup_ = lookup;
+  const auto disc_area = [&](const shadows::DiscShadow& s) {
     const double x = (s.taken.width() - 1) * double(s.cell_m),
                  z = (s.taken.height() - 1) * double(s.cell_m);
     const glm::dvec3 corners[4] = {{0, 0, 0}, {x, 0, 0}, {0, 0, z}, {x, 0, z}};
-    const Rect area =
-        reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
-    if (area.empty()) continue;
-    std::vector<HalfImage> visible;
+    return reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
+  };
+  const auto look_up = [&](const shadows::DiscShadow& s, const Image<float>& nodes,
+                           const Rgb& share, const Rect& area) {
+    DiscLookup out = disc_lookup(view, s, nodes, samples_, share, area);
     find_visible(view, s.world_from_map.translation,
-                 s.world_from_map.rotation * glm::dvec3(0, 1, 0), visible);
-    taken_.push_back(disc_lookup(view, s, s.taken, samples_, d.share, area));
-    taken_.back().visible = visible;
-    if (!s.missing.empty()) {
-      missing_.push_back(disc_lookup(view, s, s.missing, samples_, d.share, area));
-      missing_.back().visible = visible;
-    }
+                 s.world_from_map.rotation * glm::dvec3(0, 1, 0), out.visible);
+    return out;
+  };
+  for (const RealDisc& d : real_discs_)
+    missing_.push_back({look_up(d.shadow, d.shadow.taken, d.share, disc_area(d.shadow)), {}});
+  for (const OnPlane& d : discs_) {
+    const shadows::DiscShadow& s = d.shadow;
+    if (s.empty()) continue;
+    const Rect area = disc_area(s);
+    if (area.empty()) continue;
+    taken_.push_back(look_up(s, s.taken, d.share, area));
+    if (d.real >= 0 && !s.missing.empty())
+      missing_[static_cast<std::size_t>(d.real)].within.push_back(
+          look_up(s, s.missing, d.share, area));
     all = united(all, area);
   }
   return all;
@@ -176,45 +212,88 @@ Receivers::Columns Receivers::visible_columns(const std::vector<HalfImage>& in_f
   return {static_cast<int>(first), static_cast<int>(last)};
 }
 
+namespace {
+
+// Of the row within `area`; nothing outside.
+template <class Columns>
+Columns within(Columns c, const Rect& area) {
+  return {std::max(c.x0, area.x0), std::min(c.x1, area.x1)};
+}
+
+}  // namespace
+
+void Receivers::multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
+                         float* b) {
+  if (y < plane.area.y0 || y >= plane.area.y1) return;
+  const Columns c = within(visible_columns(plane.visible, y, plane.area), area);
+  if (c.x0 >= c.x1) return;
+  const int skip = c.x0 - area.x0;
+  multiply_plane_ratios(plane, y, c.x0, c.x1, r + skip, g + skip, b + skip);
+}
+
 bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) const {
-  bool any = false;
-  for (const PlaneLookup& plane : lookups_) {
-    if (y < plane.area.y0 || y >= plane.area.y1) continue;
-    const Columns c = visible_columns(plane.visible, y, plane.area);
-    if (c.x0 >= c.x1) continue;
-    const int skip = c.x0 - area.x0;
-    multiply_plane_ratios(plane, y, c.x0, c.x1, r + skip, g + skip, b + skip);
-    any = true;
-  }
-  const auto in_row = [&](const DiscLookup& d) { return y >= d.area.y0 && y < d.area.y1; };
-  if (std::ranges::none_of(taken_, in_row)) return any;
-  subtract_discs(y, area, r, g, b);
+  const auto in_row = [&](const auto& lookup) { return y >= lookup.area.y0 && y < lookup.area.y1; };
+  const bool on_planes = std::ranges::any_of(lookups_, in_row),
+             of_discs = std::ranges::any_of(taken_, in_row);
+  if (!on_planes && !of_discs) return false;
+  for (const PlaneLookup& plane : lookups_) multiply(plane, y, area, r, g, b);
+  if (of_discs || real_lookup_) subtract_discs(y, area, r, g, b);
   return true;
 }
 
+// Of each disc its fine map where there is one, else the wide one.
+void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
+                             std::span<float> b) const {
+  thread_local std::vector<float> row;  // grows once per thread
+  for (const RealLookup& disc : missing_) {
+    row.assign(r.size(), 0.f);
+    const auto load = [&](const DiscLookup& d) {
+      if (y < d.area.y0 || y >= d.area.y1) return;
+      const Columns c = within(visible_columns(d.visible, y, d.area), area);
+      if (c.x0 < c.x1)
+        load_disc_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
+    };
+    load(disc.around);
+    for (const DiscLookup& fine : disc.within) load(fine);
+    const Rgb& share = disc.around.share;
+    for (std::size_t x = 0; x < row.size(); ++x) {
+      r[x] -= share.r * row[x];
+      g[x] -= share.g * row[x];
+      b[x] -= share.b * row[x];
+    }
+  }
+}
+
 void Receivers::subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const {
-  const auto subtract = [&](const std::vector<DiscLookup>& discs, float* r0, float* g0, float* b0) {
-    for (const DiscLookup& d : discs) {
+  const auto subtract_taken = [&] {
+    for (const DiscLookup& d : taken_) {
       if (y < d.area.y0 || y >= d.area.y1) continue;
       const Columns c = visible_columns(d.visible, y, d.area);
       if (c.x0 >= c.x1) continue;
       const int skip = c.x0 - area.x0;
-      subtract_disc_shares(d, y, c.x0, c.x1, r0 + skip, g0 + skip, b0 + skip);
+      subtract_disc_shares(d, y, c.x0, c.x1, r + skip, g + skip, b + skip);
     }
   };
   const auto width = static_cast<std::size_t>(area.width());
-  subtract(taken_, r, g, b);
-  if (!missing_.empty()) {
-    thread_local std::vector<float> open;  // light that is really left; grows once per thread
-    open.assign(3 * width, 1.f);
-    subtract(missing_, &open[0], &open[width], &open[2 * width]);
-    float* const rows[] = {r, g, b};
+  float* const rows[] = {r, g, b};
+  if (missing_.empty() && !real_lookup_) {
+    subtract_taken();
+  } else {
+    thread_local std::vector<float> left;  // by real things; grows once per thread
+    left.assign(3 * width, 1.f);
+    const std::span<float> lr(&left[0], width), lg(&left[width], width),
+        lb(&left[2 * width], width);
+    if (real_lookup_) multiply(*real_lookup_, y, area, lr.data(), lg.data(), lb.data());
     for (std::size_t c = 0; c < 3; ++c)
       for (std::size_t x = 0; x < width; ++x)
-        if (const float left = open[c * width + x]; left != 1)
-          rows[c][x] = 1 - (1 - rows[c][x]) / std::max(left, kLeastLeft);
+        rows[c][x] = 1 - left[c * width + x] * (1 - rows[c][x]);
+    subtract_taken();
+    take_missing(y, area, lr, lg, lb);
+    for (std::size_t c = 0; c < 3; ++c)
+      for (std::size_t x = 0; x < width; ++x)
+        rows[c][x] = 1 - (1 - rows[c][x]) / std::max(left[c * width + x], kLeastLeft);
   }
-  for (float* row : {r, g, b})
+  for (float* row : rows)
     for (std::size_t x = 0; x < width; ++x) row[x] = std::max(row[x], 0.f);
 }
 

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -70,15 +71,18 @@ class Receivers {
   }
   void set_pose(int receiver, const Pose& world_from_bake);
   void set_shadow(int receiver, const shadows::PlanarShadow& shadow);
+  /// What real things take of a plane's light without discs, r below. At most one.
+  void add_real(const prt::GroundGrid& grid, const Pose& world_from_bake);
+  void set_real_shadow(const shadows::PlanarShadow& shadow);
   /// All of them at once; copies the maps.
   void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
   /// The ratios s of row y, pixels [area.x0, area.x1) of prepare()'s rectangle, into r, g, b, which hold 1
-  /// on entry: s = 1 - (1 - product of the objects' ratios + sum_j F_j q_j)/(1 - sum_j F_j m_j), q_j what
-  /// virtual things take of disc j and m_j what real things take of it anyway. False when no shadow reaches
-  /// the row.
+  /// on entry: s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j m_j), q_j what
+  /// virtual things take of disc j, m_j what real things take of it anyway and r what they leave of the rest. False when
+  /// no shadow reaches the row.
   bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
 
  private:
@@ -92,6 +96,16 @@ class Receivers {
   struct OnPlane {
     shadows::DiscShadow shadow;
     Rgb share;
+    int real = -1;  // in real_discs_
+  };
+  struct RealDisc {
+    const shadows::DiscShadow* source;  // only to tell discs apart
+    shadows::DiscShadow shadow;
+    Rgb share;
+  };
+  struct RealLookup {
+    DiscLookup around;
+    std::vector<DiscLookup> within;  // finer, where virtual things shade the disc
   };
   struct RealPlane {
     glm::dvec3 point, normal;
@@ -102,19 +116,33 @@ class Receivers {
   void find_visible(const prt::PinholeView& view, const glm::dvec3& point, const glm::dvec3& normal,
                     std::vector<HalfImage>& out) const;
   static Columns visible_columns(const std::vector<HalfImage>& in_front, int y, const Rect& area);
+  bool prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
+                      const Receiver& receiver, PlaneLookup& out) const;
+  static void multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
+                       float* b);
+  void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
+                    std::span<float> b) const;
+  /// The discs' shadows, and what is left of it all by real things.
   void subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const;
 
   int samples_;
   std::vector<Receiver> receivers_;
+  std::optional<Receiver> real_;
   std::vector<OnPlane> discs_;
+  std::vector<RealDisc> real_discs_;
   std::vector<RealPlane> planes_;
   std::vector<PlaneLookup> lookups_;
-  std::vector<DiscLookup> taken_, missing_;
+  std::optional<PlaneLookup> real_lookup_;
+  std::vector<DiscLookup> taken_;
+  std::vector<RealLookup> missing_;  // of real_discs_ that are in view
 };
 
 /// Multiplies ratios of pixels [x0, x1) of row y into r[0 .. x1-x0) and so on.
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b);
+
+/// Writes the value of pixels [x0, x1) of row y whose centre the map holds to out[0 .. x1-x0); leaves the others.
+void load_disc_values(const DiscLookup& disc, int y, int x0, int x1, float* out);
 
 /// Subtracts share * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.
 void subtract_disc_shares(const DiscLookup& disc, int y, int x0, int x1, float* r, float* g,

@@ -12,6 +12,9 @@ namespace {
 // metre's height.
 constexpr double kLeastMove = 1e-3;
 constexpr double kVisibleShare = .005;
+// Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
+constexpr double kAround = 5;
+const shadows::DiscShadow kNoShadow;
 
 double angle_between(const glm::dvec3& a, const glm::dvec3& b) {
   return std::acos(std::clamp(glm::dot(a, b), -1., 1.));
@@ -136,11 +139,15 @@ void DiscStage::trace(Traced& t) {
   t.shape = t.disc.shape;
   t.radius = t.disc.radius.value();
   casters_.clear();
+  around_.clear();
   t.cosine.resize(scene_->objects.size());
   t.floor_share.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     const PreparedObject& o = scene_->objects[i];
     casters_.push_back({&o.baked.mesh, poses_[i]});
+    const prt::Bounds bounds = prt::bounds_of(o.baked.mesh);
+    around_.push_back({poses_[i] * glm::dvec3(bounds.centre()),
+                       kAround * double(prt::radius_around(o.baked.mesh, bounds.centre()))});
     t.floor_share[i] = floor_share(i, t.disc);
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
@@ -148,9 +155,14 @@ void DiscStage::trace(Traced& t) {
                               o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
-  for (std::size_t p = 0; p < scene_->planes.size(); ++p)
+  t.real_on_plane.resize(scene_->planes.size());
+  for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
     shadows::trace_disc_shadows(blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
                                 t.on_plane[p]);
+    if (!real_.empty())
+      shadows::trace_real_shadow(blockers(), around_, scene_->planes[p], t.disc,
+                                 {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
+  }
 }
 
 bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance) {
@@ -222,8 +234,13 @@ std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(
       for (int c = 0; c < 3; ++c)
         share[c] =
             open_irradiance[p][c] > 0 ? std::clamp(e[c] / open_irradiance[p][c], 0.f, 1.f) : 0;
+      const shadows::DiscShadow* const real =
+          t.real_on_plane[p].empty() ? nullptr : &t.real_on_plane[p];
+      bool any = false;
       for (const shadows::DiscShadow& shadow : t.on_plane[p])
-        if (!shadow.empty()) out.push_back({&shadow, share});
+        if (!shadow.empty()) out.push_back({&shadow, share, real}), any = true;
+      // What is left of this light counts for the others' shadows too.
+      if (real && !any) out.push_back({&kNoShadow, share, real});
     }
   return out;
 }

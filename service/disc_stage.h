@@ -59,6 +59,7 @@ class DiscStage {
     std::vector<std::vector<float>> cosine;                  // by object, by vertex
     std::vector<std::array<float, kSides>> floor_share;      // by object
     std::vector<std::vector<shadows::DiscShadow>> on_plane;  // by plane, by group of objects
+    std::vector<shadows::DiscShadow> real_on_plane;          // by plane; empty without real things
   };
   DiscStage(const PreparedScene& scene, const DiscTaps& taps, prt::RayWorld virtual_things,
             prt::RayWorld real_things)
@@ -75,6 +76,7 @@ class DiscStage {
   std::vector<Pose> poses_;
   std::vector<Traced> traced_, before_;
   std::vector<shadows::Caster> casters_;
+  std::vector<shadows::Neighbourhood> around_;
   bool moved_ = true;
   float near_m_ = 1e-4f;
 };

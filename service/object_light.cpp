@@ -55,7 +55,7 @@ void ComposeStage::see_surroundings(std::size_t index, const RadianceSh& light,
   const prt::Mesh& mesh = objects_[index].prepared->baked.mesh;
   const glm::dvec3 centre = poses[index] * glm::dvec3(prt::bounds_of(mesh).centre());
   const Rgb by_real = radiance_towards(scene_.real_mesh, {}, centre,
-                                       [&](std::size_t i) { return real_exit_[i]; }),
+                                       [&](std::size_t i) { return real_.exit()[i]; }),
             by_virtual = radiance_of_neighbours(index, centre, poses);
   out.receiver = turn * seen_behind(light, surroundings_.by_real(index), by_real);
   for (int k = 0; k < kSides; ++k) {

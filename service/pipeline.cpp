@@ -138,6 +138,9 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   for (const capture::CameraInfo& c : cameras)
     stage->views_.push_back({c, std::nullopt, std::nullopt});
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
+  if (scene.real && scene.real->baked.receiver)
+    stage->compositor_->add_real_receiver(scene.real->baked.receiver->grid,
+                                          scene.real->world_from_bake);
   for (const prt::Plane& plane : scene.planes)
     stage->compositor_->add_plane(plane.point, plane.normal);
   for (const PreparedObject& o : scene.objects) {
@@ -174,7 +177,7 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   if (surroundings_.any()) {
     const StageTimer timer(times_, "surroundings");
     surroundings_.look(discs_.blockers(), poses);
-    if (!scene_.real_mesh.triangles.empty()) measure_real_mesh(light, discs_changed);
+    if (real_.any()) real_.measure(light, discs_, discs_changed);
   }
   bool relit = false;
   // What objects reflect onto each other is known from the last update, at first from a round of its own.
@@ -191,68 +194,12 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   auto on_planes = discs_.shadows(open);
   lamps_.append(open, on_planes);
   compositor_->set_disc_shadows(on_planes);
-  if (!scene_.real_mesh.triangles.empty()) {
+  if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
-    shade_real_mesh(light, poses);
+    compositor_->set_ratios(0, real_.ratios(light, poses, lamps_));
+    if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;
-}
-
-// What arrives at the real mesh past itself, and what of it goes out again.
-void ComposeStage::measure_real_mesh(const lighting::LightEstimate& light, bool discs_changed) {
-  const prt::Mesh& mesh = scene_.real_mesh;
-  const bool first = real_exit_.empty();
-  if (!first && !discs_changed &&
-      lighting::largest_visible_change(real_light_, light.light) < kVisibleChange)
-    return;
-  real_light_ = light.light;
-  if (first || discs_changed) real_discs_ = discs_.at_points(mesh.positions, mesh.normals);
-  real_exit_.resize(mesh.positions.size());
-  const IrradianceSh rest = lighting::irradiance(light.light);
-  for (std::size_t i = 0; i < real_exit_.size(); ++i) {
-    const Rgb arrives = lighting::evaluate(rest, glm::dvec3(mesh.normals[i])) +
-                        real_discs_.open[i] - real_discs_.missing[i];
-    for (int c = 0; c < 3; ++c)
-      real_exit_[i][c] = std::max(0.f, arrives[c]) * mesh.albedo[i][c] / static_cast<float>(kPi);
-  }
-}
-
-// Ratios at the vertices of real geometry: s = 1 - (what virtual things take)/(what really arrives).
-void ComposeStage::shade_real_mesh(const lighting::LightEstimate& light,
-                                   const std::vector<Pose>& poses) {
-  const prt::Mesh& mesh = scene_.real_mesh;
-  const DiscStage::AtPoints& discs = real_discs_;
-  std::vector<Rgb> ratios(mesh.positions.size(), Rgb{1, 1, 1});
-  std::vector<std::vector<Rgb>> alone(objects_.size());
-  for (std::size_t k = 0; k < objects_.size(); ++k) {
-    const shadows::OcclusionField& field = *objects_[k].prepared->field;
-    const Pose bake_from_world = poses[k].inverse();
-    const RadianceSh turned =
-        lighting::ShRotation(bake_from_world.rotation_matrix(), light.light.bands()) * light.light;
-    alone[k].resize(ratios.size());
-    // Cannot fail: lists of one length, light made for this field.
-    (void)shadows::field_ratios(field, shadows::FieldLight(turned, field.bands), bake_from_world,
-                                {mesh.positions, mesh.normals, discs.open}, alone[k]);
-    std::vector<Rgb> shared = alone[k];
-    for (std::size_t j = 0; j < k; ++j)
-      shadows::share_ratios({objects_[j].prepared->field.get(), poses[j]}, {&field, poses[k]},
-                            mesh.positions, alone[j], shared);
-    for (std::size_t i = 0; i < ratios.size(); ++i) ratios[i] = ratios[i] * shared[i];
-  }
-  const IrradianceSh rest = lighting::irradiance(light.light);
-  const float least = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);
-  for (std::size_t i = 0; i < ratios.size(); ++i) {
-    const Rgb lamps = lamps_.any() ? lamps_.on_real_mesh()[i] : Rgb{};
-    if (ratios[i] == Rgb{1, 1, 1} && luminance(discs.taken[i]) == 0 && luminance(lamps) == 0)
-      continue;
-    const Rgb open = lighting::evaluate(rest, glm::dvec3(mesh.normals[i])) + discs.open[i];
-    for (int c = 0; c < 3; ++c) {
-      const float left = open[c] - discs.missing[i][c];
-      const float lost = (1 - ratios[i][c]) * open[c] + discs.taken[i][c];
-      ratios[i][c] = left > least ? std::clamp(1 - lost / left, 0.f, 1.5f) + lamps[c] / left : 1;
-    }
-  }
-  compositor_->set_ratios(0, ratios);
 }
 
 namespace {
@@ -270,17 +217,26 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 
 }  // namespace
 
+// First what real things take, which is in the picture already, then what objects take of each other's.
 void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
+  const bool past_real = real_.any() && real_.shadow();
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     Object& o = objects_[k];
+    o.past_real = o.shadow;
     const prt::BakedObject& baked = o.prepared->baked;
-    const shadows::PlanarShadow* shown = &o.shadow;
+    if (past_real && may_meet(scene_.real->baked, scene_.real->world_from_bake, baked, poses[k]))
+      shadows::share_shadow({&scene_.real->baked, scene_.real->world_from_bake, real_.shadow()},
+                            {&baked, poses[k], &o.shadow}, o.past_real);
+  }
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    Object& o = objects_[k];
+    const shadows::PlanarShadow* shown = &o.past_real;
     for (std::size_t i = 0; i < k; ++i) {
       const Object& other = objects_[i];
-      if (!may_meet(other.prepared->baked, poses[i], baked, poses[k])) continue;
-      if (shown == &o.shadow) o.shared = o.shadow, shown = &o.shared;
-      shadows::share_shadow({&other.prepared->baked, poses[i], &other.shadow},
-                            {&baked, poses[k], &o.shadow}, o.shared);
+      if (!may_meet(other.prepared->baked, poses[i], o.prepared->baked, poses[k])) continue;
+      if (shown != &o.shared) o.shared = o.past_real, shown = &o.shared;
+      shadows::share_shadow({&other.prepared->baked, poses[i], &other.past_real},
+                            {&o.prepared->baked, poses[k], &o.past_real}, o.shared);
     }
     compositor_->set_light(o.handle, o.relit, *shown);
   }

@@ -14,6 +14,7 @@
 #include "service/disc_stage.h"
 #include "service/floor_completion.h"
 #include "service/lamp_stage.h"
+#include "service/real_stage.h"
 #include "service/scene.h"
 #include "service/stage_times.h"
 #include "service/surroundings.h"
@@ -98,7 +99,8 @@ class ComposeStage {
     int handle;
     std::optional<ObjectLight> light_used;
     std::vector<float> relit, more;
-    shadows::PlanarShadow shadow, shared;  // alone, and with what others take already left out
+    // Alone, without what real things take already, and without what other objects take.
+    shadows::PlanarShadow shadow{}, past_real{}, shared{};
   };
   struct ViewCamera {
     capture::CameraInfo info;
@@ -113,6 +115,7 @@ class ComposeStage {
         completion_(std::move(completion)),
         surroundings_(scene),
         lamps_(scene),
+        real_(scene),
         times_(times) {}
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
@@ -125,8 +128,6 @@ class ComposeStage {
                              const std::vector<Pose>& poses) const;
   void relight(Object& object, const ObjectLight& light, std::size_t index) const;
   void share_shadows(const std::vector<Pose>& poses);
-  void measure_real_mesh(const lighting::LightEstimate& light, bool discs_changed);
-  void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool discs_changed);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
@@ -137,13 +138,11 @@ class ComposeStage {
   FloorCompletion completion_;
   Surroundings surroundings_;
   LampStage lamps_;
-  std::vector<Rgb> real_exit_;       // radiance of the real mesh's vertices as last measured
+  RealStage real_;
   bool could_not_complete_ = false;  // was said
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;
-  DiscStage::AtPoints real_discs_;  // at the vertices of the real mesh
-  RadianceSh real_light_;           // that real_exit_ was measured under
   bool lit_before_ = false;
 };
 

@@ -176,8 +176,31 @@ Result<void> prepare_receivers(
     smallest = std::min(smallest, field->radius);
     o.field = std::make_shared<const shadows::OcclusionField>(std::move(*field));
   }
-  if (!scene.objects.empty())
-    prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMostTriangles);
+  prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMostTriangles);
+  return {};
+}
+
+// What real things hide from and reflect onto each other and the floor: few rays, it is a share of what objects take.
+Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
+                       const std::function<void(double)>& progress) {
+  constexpr int kMostRays = 256, kMostBounces = 2;
+  prt::Mesh mesh = scene.real_mesh;
+  const prt::Bounds bounds = prt::bounds_of(mesh);
+  PreparedReal out;
+  const prt::Plane* plane = plane_under(scene.planes, bounds);
+  if (plane) out.world_from_bake = frame_on_plane(*plane, glm::dvec3(bounds.centre()));
+  prt::transform(mesh, out.world_from_bake.inverse().matrix());
+  prt::BakeOptions options;
+  options.bands = settings.bands;
+  options.bounces = std::min(settings.bounces, kMostBounces);
+  options.rays = std::min(settings.rays, kMostRays);
+  options.ground_rays = settings.ground_rays;
+  options.progress = progress;
+  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};
+  auto baked = bake_or_recall("real geometry", std::move(mesh), options, settings.use_cache);
+  if (!baked) return std::unexpected(baked.error());
+  out.baked = std::move(*baked);
+  scene.real = std::make_shared<const PreparedReal>(std::move(out));
   return {};
 }
 
@@ -204,7 +227,9 @@ Result<PreparedScene> prepare(
     if (!prepared) return std::unexpected(prepared.error());
     out.objects.push_back(std::move(*prepared));
   }
-  if (!out.real_mesh.triangles.empty()) PENUMBRA_TRY(prepare_receivers(out, progress));
+  if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;
+  PENUMBRA_TRY(prepare_receivers(out, progress));
+  PENUMBRA_TRY(bake_real(out, settings, progress("bake real geometry")));
   return out;
 }
 

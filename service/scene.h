@@ -62,10 +62,18 @@ struct PreparedObject {
   Pose pose_at(double seconds) const;
 };
 
+/// The real meshes as one, baked like an object on the plane that they stand on: vertex i is that of real_mesh.
+struct PreparedReal {
+  prt::BakedObject baked;
+  Pose world_from_bake;
+};
+
 struct PreparedScene {
   std::vector<PreparedObject> objects;
   std::vector<prt::Plane> planes;
   prt::Mesh real_mesh;  // world frame; empty without real meshes
+  std::shared_ptr<const PreparedReal>
+      real{};  // null without real meshes, or nothing virtual beside them
   std::vector<shadows::Lamp> lamps{};
 };
 

@@ -340,6 +340,25 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
   if (!e.empty()) trace_extent(blockers, taps, disc, options, *setting, e, out);
 }
 
+void trace_real_shadow(const Blockers& blockers, std::span<const Neighbourhood> around,
+                       const prt::Plane& plane, const lighting::Disc& disc,
+                       const DiscShadowOptions& options, DiscShadow& out) {
+  clear(out);
+  thread_local TapPattern taps;  // grows once per thread
+  taps.make(disc, options.taps, 1);
+  const auto setting = set_up(plane, disc, taps);
+  if (!setting || around.empty() || blockers.real_things->empty()) return;
+  const Pose plane_from_world = setting->world_from_plane.inverse();
+  Extent e;
+  for (const Neighbourhood& n : around) {
+    const glm::dvec3 p = plane_from_world * n.centre;
+    e.low = glm::min(e.low, glm::dvec2(p.x, p.z) - n.radius);
+    e.high = glm::max(e.high, glm::dvec2(p.x, p.z) + n.radius);
+  }
+  const Blockers real{blockers.real_things, nullptr, blockers.near_m};
+  trace_extent(real, taps, disc, options, *setting, e, out);
+}
+
 void trace_disc_shadows(const Blockers& blockers, std::span<const Caster> casters,
                         const prt::Plane& plane, const lighting::Disc& disc,
                         const DiscShadowOptions& options, std::vector<DiscShadow>& out) {

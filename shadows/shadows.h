@@ -120,6 +120,19 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
                        const prt::Plane& plane, const lighting::Disc& disc,
                        const DiscShadowOptions& options, DiscShadow& out);
 
+/// A part of a plane, on which something may fall.
+struct Neighbourhood {
+  glm::dvec3 centre;
+  double radius;  // metres
+};
+
+/// What real things take of a disc around the given places (`taken`; `missing` stays empty): coarser than the maps of what
+/// virtual things take, and wider, since the light that is left counts for the shadow of every other light.
+/// in: blockers.real_things not null
+void trace_real_shadow(const Blockers& blockers, std::span<const Neighbourhood> around,
+                       const prt::Plane& plane, const lighting::Disc& disc,
+                       const DiscShadowOptions& options, DiscShadow& out);
+
 /// A map for each group of casters whose shadows' rectangles meet, so that objects far apart do not share one map's
 /// cells. `out` keeps its maps' memory; those not needed are empty.
 void trace_disc_shadows(const Blockers& blockers, std::span<const Caster> casters,
