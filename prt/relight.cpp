@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cassert>
 #include <cstdint>
 #include <span>
@@ -72,9 +73,9 @@ HWY_EXPORT(RelightChannel);
 
 void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out) {
   assert(out.size() >= 3 * transfer.stride);
-  const RadianceSh terms = light.with_bands(transfer.bands);  // missing bands are zero
-  const int count = coefficient_count(transfer.bands);
-  const float* const l = &terms[0].r;
+  // The bands of both: what either lacks is zero.
+  const int count = coefficient_count(std::min(light.bands(), transfer.bands));
+  const float* const l = &light[0].r;
   if (transfer.channels == 1) {
     HWY_DYNAMIC_DISPATCH(RelightGrey)
     (transfer.values.data(), transfer.stride, count, l, out.data());

@@ -83,58 +83,49 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   moved_ = true;
 }
 
-std::array<float, kSides> DiscStage::floor_share(std::size_t object,
-                                                 const lighting::Disc& disc) const {
+// Of the floor that a side would see alone, and that the object itself does not shade: what of its disc light is there and
+// in sight.
+std::array<float, kSides> DiscStage::floor_share(std::size_t object, const lighting::Disc& disc,
+                                                 const Surroundings& around) const {
   std::array<float, kSides> out;
   out.fill(1);
-  const prt::BakedObject& baked = scene_->objects[object].baked;
-  if (!baked.receiver || (scene_->objects.size() == 1 && real_.empty())) return out;
-  // Of what a wall element at mid-height sees of an endless floor, the share within reach: 1 - h/sqrt(h^2 + r^2),
-  // h = 2/3 of the radius. The rest of the floor is taken for open.
-  constexpr double kReach = 1.5;  // radii
-  constexpr float kNearFloor = .6f;
-  constexpr int kPoints = 128, kPacket = prt::RayWorld::kPacket;
-  static_assert(kPoints % kPacket == 0);
-  const Pose& pose = poses_[object];
-  const glm::vec3 d(disc.direction);
-  const double reach =
-      kReach * double(prt::radius_around(baked.mesh, prt::bounds_of(baked.mesh).centre()));
-  std::array<float, kSides> points{}, open{};
+  if (!scene_->objects[object].baked.receiver || !around.any()) return out;
+  const int own_index = static_cast<int>(object);
+  const glm::vec3 up(poses_[object].rotation * glm::dvec3(0, near_m_, 0));
+  constexpr std::size_t kPacket = prt::RayWorld::kPacket;
   prt::RayWorld::Rays rays;
-  glm::vec3 outward[kPacket];
-  for (int k = 0; k < kPoints; ++k) {
-    const double r = reach * std::sqrt((k + .5) / kPoints), a = k * 2.399963229728653;
-    const int lane = k % kPacket;
-    outward[lane] = {std::cos(a), 0, std::sin(a)};
-    const glm::dvec3 p(double(baked.receiver->grid.centre.x) + r * std::cos(a),
-                       double(baked.receiver->grid.height + near_m_),
-                       double(baked.receiver->grid.centre.y) + r * std::sin(a));
-    const glm::vec3 o(pose * p);
-    rays.ox[lane] = o.x, rays.oy[lane] = o.y, rays.oz[lane] = o.z;
-    rays.dx[lane] = d.x, rays.dy[lane] = d.y, rays.dz[lane] = d.z;
-    if (lane < kPacket - 1) continue;
-    const int own_index = static_cast<int>(object);
-    std::uint32_t blocked = virtual_.occluded(rays, kPacket, own_index);
-    if (!real_.empty()) blocked |= real_.occluded(rays);
-    // What the object shades itself is in its bake.
-    const std::uint32_t own = virtual_.occluded_by(own_index, rays, kPacket);
-    for (int i = 0; i < kPacket; ++i) {
-      if (own >> i & 1) continue;
-      for (std::size_t side = 0; side < kSides; ++side) {
-        // Top and bottom see the floor all around.
-        const bool upright = side / 2 == 1;
-        const float w = upright ? 1 : belongs_to(outward[i], static_cast<int>(side));
-        points[side] += w;
-        open[side] += blocked >> i & 1 ? 0 : w;
+  for (int side = 0; side < kSides; ++side) {
+    const SideView& view = around.view(object, side);
+    float all = view.floor_behind_real + view.floor_behind_virtual, lit = 0;
+    const std::span<const FloorPoint> points = view.floor_points;
+    for (std::size_t first = 0; first < points.size(); first += kPacket) {
+      const int count = static_cast<int>(std::min(points.size() - first, kPacket));
+      for (int i = 0; i < count; ++i) {
+        const glm::vec3 o = points[first + static_cast<std::size_t>(i)].position + up;
+        rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;
+        // Each point looks for another part of a wide disc.
+        const std::size_t part = 5 * (first + static_cast<std::size_t>(i));
+        const glm::vec3 d(disc.shape.empty() ? disc.direction
+                                             : disc.shape[part % disc.shape.size()]);
+        rays.dx[i] = d.x, rays.dy[i] = d.y, rays.dz[i] = d.z;
+      }
+      std::uint32_t blocked = virtual_.occluded(rays, count, own_index);
+      if (!real_.empty()) blocked |= real_.occluded(rays, count);
+      // What the object shades itself is in its bake.
+      const std::uint32_t own = virtual_.occluded_by(own_index, rays, count);
+      for (int i = 0; i < count; ++i) {
+        if (own >> i & 1) continue;
+        const float weight = points[first + static_cast<std::size_t>(i)].weight;
+        all += weight;
+        if (!(blocked >> i & 1)) lit += weight;
       }
     }
+    if (all > 0) out[static_cast<std::size_t>(side)] = lit / all;
   }
-  for (std::size_t side = 0; side < kSides; ++side)
-    if (points[side] > 0) out[side] = 1 - kNearFloor * (1 - open[side] / points[side]);
   return out;
 }
 
-void DiscStage::trace(Traced& t) {
+void DiscStage::trace(Traced& t, const Surroundings& around) {
   t.direction = t.disc.direction;
   t.shape = t.disc.shape;
   t.radius = t.disc.radius.value();
@@ -148,7 +139,7 @@ void DiscStage::trace(Traced& t) {
     const prt::Bounds bounds = prt::bounds_of(o.baked.mesh);
     around_.push_back({poses_[i] * glm::dvec3(bounds.centre()),
                        kAround * double(prt::radius_around(o.baked.mesh, bounds.centre()))});
-    t.floor_share[i] = floor_share(i, t.disc);
+    t.floor_share[i] = floor_share(i, t.disc, around);
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
     shadows::trace_disc_light(blockers(), o.baked.mesh, poses_[i],
@@ -165,7 +156,8 @@ void DiscStage::trace(Traced& t) {
   }
 }
 
-bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance) {
+bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance,
+                       const Surroundings& around) {
   const bool poses_changed = std::exchange(moved_, false);
   std::swap(traced_, before_);
   traced_.clear();
@@ -182,7 +174,7 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
     t.disc = disc;
     if (poses_changed || t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
         std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value()) {
-      trace(t);
+      trace(t, around);
       changed = true;
     } else if (change <= kVisibleShare * mean_irradiance) {
       t.disc.radiance = before.radiance;  // small changes add up until they are seen

@@ -25,9 +25,10 @@ class DiscStage {
   static Result<DiscStage> create(const PreparedScene& scene, const DiscTaps& taps);
 
   void set_pose(std::size_t object, const Pose& world_from_bake);
-  /// Brings everything up to date with the discs. True when anything was traced or a radiance changed
-  /// visibly, relative to `mean_irradiance`.
-  bool update(std::span<const lighting::Disc> discs, double mean_irradiance);
+  /// Brings everything up to date with the discs and with what stands around. True when anything was traced or a radiance
+  /// changed visibly, relative to `mean_irradiance`.
+  bool update(std::span<const lighting::Disc> discs, double mean_irradiance,
+              const Surroundings& around);
 
   /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
   /// there are several.
@@ -67,8 +68,9 @@ class DiscStage {
         taps_(taps),
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
-  void trace(Traced& traced);
-  std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc) const;
+  void trace(Traced& traced, const Surroundings& around);
+  std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
+                                        const Surroundings& around) const;
 
   const PreparedScene* scene_;
   DiscTaps taps_;

@@ -240,6 +240,8 @@ double ScenePlans::least_factor(const lighting::CostModel& costs, double budget)
 Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   auto discs = DiscStage::create(scene, {});
   if (!discs) return std::unexpected(discs.error());
+  const Surroundings alone(
+      scene);  // nothing looked at yet: what stands around costs the same for any plan
   lighting::CostModel costs;
   const auto relight = [&](int bands) {
     const RadianceSh light(bands);
@@ -264,7 +266,7 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   sun.radiance = {1, 1, 1};
   costs.per_disc_ms = time_single_threaded(3, [&](int run) {
                         sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
-                        discs->update({&sun, 1}, 1);
+                        discs->update({&sun, 1}, 1, alone);
                       }).p50_ms;
   return costs;
 }

@@ -13,13 +13,17 @@ void add(RadianceSh& sum, const RadianceSh& other, float factor) {
   for (int n = 0; n < sum.size(); ++n) sum[n] += factor * other[n];
 }
 
-// out[v] += w(v) in[v] for all three colours.
-void add_to_side(const prt::Mesh& mesh, int side, std::span<const float> in, std::span<float> out) {
+// What stands beside an object takes broad parts of its light: so many bands of the difference are seen.
+constexpr int kSideBands = 3, kFloorBands = 5;
+
+// out[v] += w(v) (in[v] + glow) for all three colours.
+void add_to_side(std::span<const Surroundings::Belongs> side, std::span<const float> in,
+                 const Rgb& glow, std::span<float> out) {
   const std::size_t stride = out.size() / 3;
-  for (std::size_t v = 0; v < mesh.normals.size(); ++v) {
-    const float w = belongs_to(mesh.normals[v], side);
-    if (w == 0) continue;
-    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += w * in[c * stride + v];
+  for (std::size_t c = 0; c < 3; ++c) {
+    const float shine = glow[static_cast<int>(c)];
+    for (const Surroundings::Belongs& b : side)
+      out[c * stride + b.vertex] += b.weight * (in[c * stride + b.vertex] + shine);
   }
 }
 
@@ -30,7 +34,13 @@ bool ComposeStage::differs_visibly(const ObjectLight& before, const ObjectLight&
     return !(a == b) && lighting::largest_visible_change(a, b) >= kVisibleChange;
   };
   bool any = differs(before.open, now.open) || differs(before.receiver, now.receiver);
-  for (std::size_t k = 0; k < kSides; ++k) any |= differs(before.side[k], now.side[k]);
+  const float visible =
+      static_cast<float>(kVisibleChange * luminance(now.open[0]) / std::sqrt(4 * kPi));
+  for (std::size_t k = 0; k < kSides; ++k) {
+    any |= differs(before.side[k], now.side[k]);
+    any |= std::abs(luminance(before.instead[k]) - luminance(now.instead[k])) > visible ||
+           std::abs(before.floor_hidden[k] - now.floor_hidden[k]) > kVisibleChange;
+  }
   return any;
 }
 
@@ -60,8 +70,13 @@ void ComposeStage::see_surroundings(std::size_t index, const RadianceSh& light,
   out.receiver = turn * seen_behind(light, surroundings_.by_real(index), by_real);
   for (int k = 0; k < kSides; ++k) {
     const SideView& view = surroundings_.view(index, k);
+    const auto s = static_cast<std::size_t>(k);
+    if (const float hidden = view.floor_behind_real + view.floor_behind_virtual; hidden > 0) {
+      out.floor_hidden[s] = hidden / (hidden + view.floor);
+      out.instead[s] = by_real * view.floor_behind_real + by_virtual * view.floor_behind_virtual;
+    }
     if (view.by_real.share == 0 && view.by_virtual.share == 0) continue;
-    out.side[static_cast<std::size_t>(k)] =
+    out.side[s] =
         turn * seen_behind(seen_behind(light, view.by_real, by_real), view.by_virtual, by_virtual);
   }
 }
@@ -133,16 +148,22 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     prt::relight(baked.indirect, light.discs, o.more);
     for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.more[i];
   }
+  const RadianceSh no_discs(prt::kIndirectBands);
   for (int k = 0; k < kSides; ++k) {
     const auto s = static_cast<std::size_t>(k);
+    const auto vertices = surroundings_.vertices(index, k);
     if (!(light.side[s] == light.open)) {
-      prt::relight(baked.transfer, difference(light.side[s], light.open), o.more);
-      add_to_side(baked.mesh, k, o.more, o.relit);
+      prt::relight(baked.transfer, difference(light.side[s], light.open).with_bands(kSideBands),
+                   o.more);
+      add_to_side(vertices, o.more, {}, o.relit);
     }
-    if (discs && !(light.side_discs[s] == light.discs)) {
-      prt::relight(baked.indirect, difference(light.side_discs[s], light.discs), o.more);
-      add_to_side(baked.mesh, k, o.more, o.relit);
-    }
+    // Of what object and floor reflect to each other, the floor that is hidden or in shade is missing.
+    const bool shaded = discs && !(light.side_discs[s] == light.discs);
+    if (!shaded && light.floor_hidden[s] == 0) continue;
+    RadianceSh missing = shaded ? difference(light.side_discs[s], light.discs) : no_discs;
+    add(missing, light.open.with_bands(prt::kIndirectBands), -light.floor_hidden[s]);
+    prt::relight(baked.indirect, missing.with_bands(kFloorBands), o.more);
+    add_to_side(vertices, o.more, light.instead[s], o.relit);
   }
   if (discs) discs_.add_light(index, o.relit);
   if (lamps_.any()) lamps_.add_light(index, o.relit);

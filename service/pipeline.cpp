@@ -165,19 +165,22 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     compositor_->set_pose(objects_[i].handle, poses[i]);
     discs_.set_pose(i, poses[i]);
   }
+  if (surroundings_.any()) {
+    const StageTimer timer(times_, "surroundings");
+    surroundings_.look(discs_.blockers(), poses);
+  }
   bool discs_changed = false;
   {
     const StageTimer timer(times_, "discs");
-    discs_changed = discs_.update(light.discs, kPi * luminance(light.mean_radiance));
+    discs_changed = discs_.update(light.discs, kPi * luminance(light.mean_radiance), surroundings_);
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
     discs_changed |= lamps_.update(discs_.blockers(), poses);
   }
-  if (surroundings_.any()) {
-    const StageTimer timer(times_, "surroundings");
-    surroundings_.look(discs_.blockers(), poses);
-    if (real_.any()) real_.measure(light, discs_, discs_changed);
+  if (real_.any()) {
+    const StageTimer timer(times_, "real mesh");
+    real_.measure(light, discs_, discs_changed);
   }
   bool relit = false;
   // What objects reflect onto each other is known from the last update, at first from a round of its own.

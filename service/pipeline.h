@@ -89,6 +89,8 @@ class ComposeStage {
   struct ObjectLight {
     RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
     std::array<RadianceSh, kSides> side;
+    std::array<float, kSides> floor_hidden{};  // of the floor that the side would see alone
+    std::array<Rgb, kSides> instead{};         // exit radiance of a white side by what hides it
     RadianceSh discs{1};  // for the light that object and floor reflect; 1 band without discs
     std::array<RadianceSh, kSides> side_discs;
     RadianceSh receiver_discs{1};  // what of them the object has to reflect onto the floor

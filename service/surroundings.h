@@ -3,7 +3,9 @@
 // threads: thread-bound
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -21,16 +23,40 @@ struct Hidden {
   float share = 0;  // of the sphere
 };
 
-/// An object has six sides, +x -x +y -y +z -z of its bake frame: a normal n belongs to that of axis k by n_k^2.
-inline constexpr int kSides = 6;
+/// An object has ten sides: up and down its bake frame's y, and eight around it from +x over +z. A normal n belongs to
+/// up or down by n_y^2, with the rest to the two sides around that it lies between. The weights sum to 1.
+inline constexpr int kSides = 10;
 inline float belongs_to(const glm::vec3& normal, int side) {
-  const float n = normal[side / 2];
-  return (n > 0) == (side % 2 == 0) ? n * n : 0;
+  const float n = normal.y;
+  if (side < 2) return (n > 0) == (side == 0) ? n * n : 0;
+  const float x = std::abs(normal.x), z = std::abs(normal.z), most = std::max(x, z);
+  if (most == 0) return 0;
+  const int quarter = (side - 2) / 2;  // +x, +z, -x, -z, each followed by its diagonal
+  const bool diagonal = side % 2 != 0;
+  // Tangents instead of angles: no more than 4 degrees beside them.
+  const float to_diagonal = std::min(x, z) / most, around = std::max(0.f, 1 - n * n);
+  if (diagonal) {
+    const bool right = quarter == 0 || quarter == 3, front = quarter < 2;
+    return (normal.x > 0) == right && (normal.z > 0) == front ? to_diagonal * around : 0;
+  }
+  const bool along_x = quarter % 2 == 0, positive = quarter < 2;
+  if ((x >= z) != along_x || ((along_x ? normal.x : normal.z) > 0) != positive) return 0;
+  return (1 - to_diagonal) * around;
 }
+
+/// A point of the floor that a side sees, and how much of its light comes from there.
+struct FloorPoint {
+  glm::vec3 position;
+  float weight;
+};
 
 /// What one side of an object sees of other things.
 struct SideView {
-  Hidden by_real, by_virtual;
+  Hidden by_real, by_virtual;  // above the floor
+  /// Shares of the side's irradiance under even light from everywhere (a form factor): what of the floor it sees, and what
+  /// other things hide of it.
+  float floor = 0, floor_behind_real = 0, floor_behind_virtual = 0;
+  std::vector<FloorPoint> floor_points;  // weights sum to `floor`
 };
 
 class Surroundings {
@@ -49,6 +75,14 @@ class Surroundings {
   const SideView& view(std::size_t object, int side) const {
     return views_[object][static_cast<std::size_t>(side)];
   }
+  /// The vertices of an object that belong to a side, each with its weight.
+  struct Belongs {
+    std::uint32_t vertex;
+    float weight;
+  };
+  std::span<const Belongs> vertices(std::size_t object, int side) const {
+    return belongs_[object][static_cast<std::size_t>(side)];
+  }
   /// Of the object as a whole, the mean over its sides.
   const Hidden& by_real(std::size_t object) const { return by_real_[object]; }
 
@@ -61,6 +95,7 @@ class Surroundings {
   std::vector<Pose> poses_;
   using Vertices = std::vector<std::uint32_t>;
   std::vector<std::array<Vertices, kSides>> vertices_;  // that belong to a side most
+  std::vector<std::array<std::vector<Belongs>, kSides>> belongs_;
   std::vector<std::array<SideView, kSides>> views_;
   std::vector<Hidden> by_real_;
 };

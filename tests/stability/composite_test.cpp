@@ -175,7 +175,7 @@ TEST(NoLight, MakesNeitherNanNorShadow) {
     }
     auto stage = DiscStage::create(scene, {});
     ASSERT_TRUE(stage) << stage.error().detail;
-    stage->update(light->discs, kPi * luminance(light->mean_radiance));
+    stage->update(light->discs, kPi * luminance(light->mean_radiance), Surroundings(scene));
     for (const auto& shadow : stage->shadows(std::vector<Rgb>{open}))
       for (int c = 0; c < 3; ++c)
         ASSERT_TRUE(shadow.share[c] >= 0 && shadow.share[c] <= 1) << scale;
