@@ -58,6 +58,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     auto index = stage.virtual_.add(o.baked.mesh);
     if (!index) return fail(index.error().code, o.name, index.error().detail);
     stage.poses_.push_back(o.world_from_bake);
+    stage.moved_from_.emplace_back();
     stage.virtual_.set_pose(*index, o.world_from_bake);
     smallest =
         std::min(smallest, prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
@@ -78,9 +79,9 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
 
 void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   if (poses_[object] == world_from_bake) return;
+  if (!moved_from_[object]) moved_from_[object] = poses_[object];
   poses_[object] = world_from_bake;
   virtual_.set_pose(static_cast<int>(object), world_from_bake);
-  moved_ = true;
 }
 
 // Of the floor that a side would see alone, and that the object itself does not shade: what of its disc light is there and
@@ -125,10 +126,34 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object, const light
   return out;
 }
 
-void DiscStage::trace(Traced& t, const Surroundings& around) {
-  t.direction = t.disc.direction;
-  t.shape = t.disc.shape;
-  t.radius = t.disc.radius.value();
+// Whether an object moved, or another one that stands or stood between it and the disc.
+bool DiscStage::may_have_changed(std::size_t object, const lighting::Disc& disc) const {
+  if (moved_from_[object]) return true;
+  const auto sphere = [&](std::size_t i, const Pose& pose) {
+    const prt::Mesh& mesh = scene_->objects[i].baked.mesh;
+    const glm::vec3 centre = prt::bounds_of(mesh).centre();
+    return std::pair{pose * glm::dvec3(centre), double(prt::radius_around(mesh, centre))};
+  };
+  const auto [here, size] = sphere(object, poses_[object]);
+  for (std::size_t i = 0; i < poses_.size(); ++i) {
+    if (!moved_from_[i]) continue;
+    for (const Pose& pose : {*moved_from_[i], poses_[i]}) {
+      const auto [there, reach] = sphere(i, pose);
+      const double far = glm::length(there - here), both = size + reach;
+      if (far <= both || angle_between((there - here) / far, disc.direction) <
+                             std::asin(both / far) + disc.radius.value())
+        return true;
+    }
+  }
+  return false;
+}
+
+void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
+  if (all) {  // else some of it stays as it was traced for the disc that these tell
+    t.direction = t.disc.direction;
+    t.shape = t.disc.shape;
+    t.radius = t.disc.radius.value();
+  }
   casters_.clear();
   around_.clear();
   t.cosine.resize(scene_->objects.size());
@@ -140,6 +165,7 @@ void DiscStage::trace(Traced& t, const Surroundings& around) {
     around_.push_back({poses_[i] * glm::dvec3(bounds.centre()),
                        kAround * double(prt::radius_around(o.baked.mesh, bounds.centre()))});
     t.floor_share[i] = floor_share(i, t.disc, around);
+    if (!all && !may_have_changed(i, t.disc)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
     shadows::trace_disc_light(blockers(), o.baked.mesh, poses_[i],
@@ -158,7 +184,8 @@ void DiscStage::trace(Traced& t, const Surroundings& around) {
 
 bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance,
                        const Surroundings& around) {
-  const bool poses_changed = std::exchange(moved_, false);
+  const bool poses_changed =
+      std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
   std::swap(traced_, before_);
   traced_.clear();
   bool changed = false;
@@ -172,9 +199,10 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
     changed |= known == before_.end() || change > kVisibleShare * mean_irradiance;
     const lighting::Disc before = t.disc;
     t.disc = disc;
-    if (poses_changed || t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
-        std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value()) {
-      trace(t, around);
+    const bool anew = t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
+                      std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value();
+    if (anew || poses_changed) {
+      trace(t, around, anew);
       changed = true;
     } else if (change <= kVisibleShare * mean_irradiance) {
       t.disc.radiance = before.radiance;  // small changes add up until they are seen
@@ -183,6 +211,7 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
     traced_.push_back(std::move(t));
   }
   changed |= traced_.size() != before_.size();
+  std::ranges::fill(moved_from_, std::nullopt);
   return changed;
 }
 

@@ -2,6 +2,7 @@
 // threads: thread-bound, parallel inside
 #pragma once
 
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -68,7 +69,9 @@ class DiscStage {
         taps_(taps),
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
-  void trace(Traced& traced, const Surroundings& around);
+  /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
+  void trace(Traced& traced, const Surroundings& around, bool all);
+  bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
   std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
                                         const Surroundings& around) const;
 
@@ -79,7 +82,7 @@ class DiscStage {
   std::vector<Traced> traced_, before_;
   std::vector<shadows::Caster> casters_;
   std::vector<shadows::Neighbourhood> around_;
-  bool moved_ = true;
+  std::vector<std::optional<Pose>> moved_from_;  // by object, since the last update
   float near_m_ = 1e-4f;
 };
 

@@ -11,8 +11,9 @@ namespace penumbra::service {
 
 namespace {
 
-constexpr int kRays = 512;  // a side
+constexpr int kRays = 256;  // a side
 constexpr int kTries = 4;   // vertices that a direction is tried from until one is open to it
+constexpr int kFloorTries = 2;
 constexpr int kTerms = shadows::kMaxFieldBands * shadows::kMaxFieldBands;
 
 // Even over the sphere.
@@ -140,11 +141,11 @@ void look_up(SideEyes& eyes, int k, const glm::dvec3& d, SideView& out) {
 void look_at_floor(SideEyes& eyes, int k, const glm::vec3& d, const glm::vec3& floor,
                    SideView& out) {
   const float drop = -glm::dot(d, eyes.up());
-  for (int attempt = 0; attempt < kTries; ++attempt) {
-    const double place = std::fmod((k * kTries + attempt) * .6180339887498949, 1.);
+  for (int attempt = 0; attempt < kFloorTries; ++attempt) {
+    const double place = std::fmod((k * kFloorTries + attempt) * .6180339887498949, 1.);
     const auto seen = eyes.look(place, d);
     if (seen == SideEyes::Sees::kNothing) continue;
-    const float weight = 4 * eyes.cosine / (kRays * kTries);
+    const float weight = 4 * eyes.cosine / (kRays * kFloorTries);
     if (seen == SideEyes::Sees::kReal) {
       out.floor_behind_real += weight;
     } else if (seen == SideEyes::Sees::kVirtual) {
