@@ -1,0 +1,85 @@
+#include "service/disc_stage.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace penumbra::service {
+namespace {
+
+using glm::dvec3;
+
+PreparedScene two_balls() {
+  PreparedScene scene;
+  scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.4f, .4f, .4f}, {}});
+  for (const char* name : {"first", "second"}) {
+    prt::Mesh mesh = prt::make_sphere({0, .2f, 0}, .2f, 3, {.6f, .6f, .6f});
+    prt::BakeOptions bake;
+    bake.rays = bake.ground_rays = 64;
+    bake.bounces = 0;
+    bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
+    auto baked = prt::bake(std::move(mesh), bake);
+    EXPECT_TRUE(baked);
+    if (baked) scene.objects.push_back({name, std::move(*baked), {}, 0, nullptr});
+  }
+  return scene;
+}
+
+lighting::Disc sun(double azimuth) {
+  lighting::Disc d;
+  d.id = 1;
+  d.direction = glm::normalize(dvec3(std::cos(azimuth), .7, std::sin(azimuth)));
+  d.radius = Radians(.02);
+  d.radiance = {100, 100, 100};
+  return d;
+}
+
+std::vector<float> light_on(DiscStage& stage, const PreparedScene& scene, std::size_t object) {
+  std::vector<float> out(3 * scene.objects[object].baked.transfer.stride);
+  stage.add_light(object, out);
+  return out;
+}
+
+// What is kept of the last update must be what a stage of its own would find.
+TEST(DiscStage, ObjectsThatMoveRenewAllThatTheyReach) {
+  const PreparedScene scene = two_balls();
+  const Surroundings around(scene);
+  auto kept = DiscStage::create(scene, {});
+  ASSERT_TRUE(kept);
+  std::vector<float> open;
+  int shaded = 0;
+  // Far away, between the other one and the sun, gone again, beside it, and touching.
+  for (const dvec3 at : {dvec3(3, 0, 0), {.5, .35, 0}, {-3, 0, 0}, {0, 0, .8}, {.4, 0, 0}}) {
+    const Pose pose{{1, 0, 0, 0}, at};
+    auto fresh = DiscStage::create(scene, {});
+    ASSERT_TRUE(fresh);
+    for (DiscStage* stage : {&*kept, &*fresh}) {
+      stage->set_pose(1, pose);
+      stage->update(std::vector{sun(0)}, 1, around);
+    }
+    for (const std::size_t object : {std::size_t{0}, std::size_t{1}})
+      EXPECT_EQ(light_on(*kept, scene, object), light_on(*fresh, scene, object)) << at.x;
+    if (open.empty()) open = light_on(*kept, scene, 0);
+    shaded += open != light_on(*kept, scene, 0);
+  }
+  EXPECT_GE(shaded, 1) << "one of the places is before the sun";
+}
+
+// An object that moves in every frame must not hide that the sun creeps on.
+TEST(DiscStage, CreepingSunIsFollowedWhileObjectsMove) {
+  const PreparedScene scene = two_balls();
+  const Surroundings around(scene);
+  auto stage = DiscStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  constexpr double kStep = 5e-4;  // radians, less than what alone would be traced anew
+  stage->update(std::vector{sun(0)}, 1, around);
+  const auto first = light_on(*stage, scene, 0);
+  for (int frame = 1; frame <= 40; ++frame) {
+    stage->set_pose(1, {{1, 0, 0, 0}, {-3, 0, .01 * frame}});
+    stage->update(std::vector{sun(kStep * frame)}, 1, around);
+  }
+  EXPECT_NE(light_on(*stage, scene, 0), first);
+}
+
+}  // namespace
+}  // namespace penumbra::service
