@@ -79,6 +79,7 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
     const StageTimer timer(times_, "merge");
     merged = ring_.add(frame);
   }
+  settled_ = ring_.knows_bracket() || (merged && (*merged)->clipped_fraction == 0);
   if (!merged) return std::unexpected(merged.error());
   {
     const StageTimer timer(times_, "assemble");

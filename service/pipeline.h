@@ -29,6 +29,9 @@ class LightStage {
                                    const lighting::EstimateOptions& options, StageTimes& times);
 
   int camera() const { return camera_; }
+  /// Whether the light may be shown: false while exposures that the bracket still owes could resolve what is saturated so
+  /// far, for a few frames at the start. Half a bracket's light is too dim, and the picture would jump when it is whole.
+  bool settled() const { return settled_; }
   void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
   /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
   Result<lighting::LightEstimate> process(const capture::Frame& frame);
@@ -46,6 +49,7 @@ class LightStage {
   lighting::LightEstimator estimator_;
   StageTimes& times_;
   bool warned_ = false;  // that a source is clipped
+  bool settled_ = false;
 };
 
 struct Composited {

@@ -6,6 +6,8 @@
 #include <mutex>
 #include <set>
 #include <thread>
+#include <utility>
+#include <vector>
 
 namespace penumbra::service {
 
@@ -49,14 +51,67 @@ Result<void> never_any_light(const RunCounts& counts, const std::optional<Error>
 
 }  // namespace
 
+namespace {
+
+// A replay in the order of its frames. View frames wait for the first whole light.
+class Replay {
+ public:
+  Replay(LightStage& light, ComposeStage& compose, const Sink& sink, RunCounts& counts)
+      : light_(light), compose_(compose), sink_(sink), counts_(counts) {}
+
+  bool go_on() const { return go_on_; }
+  const std::optional<Error>& last_unusable() const { return last_unusable_; }
+
+  Result<void> add_environment(const capture::Frame& frame) {
+    auto estimated = light_.process(frame);
+    if (estimated) {
+      estimate_ = std::move(*estimated);
+    } else if (is_ordinary(estimated.error())) {
+      ++counts_.unusable;
+      last_unusable_ = estimated.error();
+    } else {
+      return std::unexpected(estimated.error());
+    }
+    return light_.settled() ? compose_waiting() : Result<void>{};
+  }
+
+  Result<void> add_view(const capture::Frame& frame) {
+    constexpr std::size_t kMostWaiting = 16;
+    waiting_.push_back(frame);
+    const bool wait = !light_.settled() && waiting_.size() < kMostWaiting;
+    return wait ? Result<void>{} : compose_waiting();
+  }
+
+  Result<void> compose_waiting() {
+    for (const capture::Frame& frame : waiting_) {
+      if (!go_on_) break;
+      light_.complete(compose_.complete(frame, estimate_));
+      PENUMBRA_TRY(compose_one(frame, estimate_, compose_, sink_, counts_, go_on_));
+    }
+    waiting_.clear();
+    return {};
+  }
+
+ private:
+  LightStage& light_;
+  ComposeStage& compose_;
+  const Sink& sink_;
+  RunCounts& counts_;
+  lighting::LightEstimate estimate_;
+  std::vector<capture::Frame> waiting_;
+  std::optional<Error> last_unusable_;
+  bool go_on_ = true;
+};
+
+}  // namespace
+
 Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
                              const Sink& sink, StageTimes& times) {
   RunCounts counts;
-  lighting::LightEstimate estimate;
-  std::optional<Error> last_unusable;
+  Replay replay(light, compose, sink, counts);
   std::set<double> exposures;
   const auto start = Clock::now();
-  for (bool go_on = true; go_on;) {
+  while (replay.go_on()) {
     auto frame = [&] {
       const StageTimer timer(times, "source");
       return source.next();
@@ -65,24 +120,16 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
     if (!*frame) break;
     if ((*frame)->camera == light.camera()) {
       exposures.insert((*frame)->exposure.product());
-      auto estimated = light.process(**frame);
-      if (estimated) {
-        estimate = std::move(*estimated);
-      } else if (is_ordinary(estimated.error())) {
-        ++counts.unusable;
-        last_unusable = estimated.error();
-      } else {
-        return std::unexpected(estimated.error());
-      }
+      PENUMBRA_TRY(replay.add_environment(**frame));
     } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role ==
                capture::Role::kView) {
-      light.complete(compose.complete(**frame, estimate));
-      PENUMBRA_TRY(compose_one(**frame, estimate, compose, sink, counts, go_on));
+      PENUMBRA_TRY(replay.add_view(**frame));
     }
   }
+  PENUMBRA_TRY(replay.compose_waiting());
   counts.seconds = since(start);
   counts.exposures = static_cast<int>(exposures.size());
-  PENUMBRA_TRY(never_any_light(counts, last_unusable));
+  PENUMBRA_TRY(never_any_light(counts, replay.last_unusable()));
   return counts;
 }
 
@@ -165,9 +212,12 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
 
 void measure(Live& live, LightStage& light) noexcept {
   try {
+    std::optional<lighting::LightEstimate>
+        held;  // until the bracket is whole, or nothing more comes
     while (true) {
       auto frame = live.environment.wait(Seconds(.5));
       if (!frame) {
+        if (held) live.light.put(*std::exchange(held, std::nullopt));
         if (live.environment.closed()) return;
         continue;
       }
@@ -175,7 +225,8 @@ void measure(Live& live, LightStage& light) noexcept {
       if (const auto completions = live.completions.take()) light.complete(*completions);
       auto estimate = light.process(*frame);
       if (estimate) {
-        live.light.put(std::move(*estimate));
+        held.reset();
+        light.settled() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
       } else if (is_ordinary(estimate.error())) {
         const std::scoped_lock lock(live.mutex);
         ++live.unusable;

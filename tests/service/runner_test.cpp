@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <thread>
 
 #include "service/studio_setup.h"
@@ -79,6 +80,35 @@ TEST(Replay, SameInputGivesTheSameBytes) {
     EXPECT_EQ(counts->without_light, 0u)
         << "the environment's first frame comes before the first view frame";
   }
+}
+
+// The room's lamps saturate the first, longest exposure: lit by it alone the first frames would be dimmer.
+TEST(Replay, FirstFramesAreLitByAWholeBracket) {
+  Stages s;
+  NEED_GL(s);
+  ASSERT_GT(s.studio.schedule().size(), 1u);
+  std::vector<double> brightness, times;
+  const auto counts = run_replay(
+      s.studio, *s.light, **s.compose,
+      [&](const Output& out) {
+        brightness.push_back(luminance(out.light.mean_radiance));
+        times.push_back((out.source.time - TimestampNs{0}).count());
+        return true;
+      },
+      s.times);
+  ASSERT_TRUE(counts) << counts.error().detail;
+  ASSERT_EQ(brightness.size(), 24u);
+  EXPECT_TRUE(std::ranges::is_sorted(times));
+  for (const double b : brightness) EXPECT_NEAR(b / brightness.back(), 1, .02);
+  // Naive: what the first exposure says.
+  Stages naive;
+  auto frame = naive.studio.next();
+  while (frame && *frame && (*frame)->camera != naive.light->camera()) frame = naive.studio.next();
+  ASSERT_TRUE(frame && *frame);
+  const auto alone = naive.light->process(**frame);
+  ASSERT_TRUE(alone);
+  EXPECT_FALSE(naive.light->settled());
+  EXPECT_LT(luminance(alone->mean_radiance), .9 * brightness.back());
 }
 
 TEST(Replay, SinkStopsTheRun) {
