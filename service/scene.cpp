@@ -10,6 +10,7 @@
 
 #include "core/conventions.h"
 #include "service/bake_cache.h"
+#include "service/depth_mesh.h"
 
 namespace penumbra::service {
 
@@ -218,7 +219,9 @@ Result<PreparedScene> prepare(
           {real.plane->point, real.plane->normal, real.albedo.value_or(Rgb{}), {}});
       continue;
     }
-    auto mesh = load_asset(real.mesh, real.albedo.value_or(Rgb{.5f, .5f, .5f}), 0);
+    const Rgb albedo = real.albedo.value_or(Rgb{.5f, .5f, .5f});
+    auto mesh = real.depth.empty() ? load_asset(real.mesh, albedo, 0)
+                                   : read_depth_mesh(real.depth, real.camera, albedo);
     if (!mesh) return std::unexpected(mesh.error());
     append(out.real_mesh, *mesh);
   }

@@ -31,7 +31,8 @@ struct RealPlane {
 };
 struct RealGeometry {
   std::optional<RealPlane> plane;  // or
-  std::string mesh;
+  std::string mesh;                // or
+  std::string depth, camera;       // a depth picture and the camera that saw it
   std::optional<Rgb> albedo;
 };
 

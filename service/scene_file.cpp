@@ -11,7 +11,7 @@ namespace {
 constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",
                                             "position", "rotation",  "scale",
                                             "spin_rpm", "animation", "stand_size_m"};
-constexpr std::string_view kRealKeys[] = {"plane", "mesh", "albedo"};
+constexpr std::string_view kRealKeys[] = {"plane", "mesh", "depth", "camera", "albedo"};
 
 // Beyond these floats have no room for a shadow.
 constexpr double kFarthest = 1e4, kLeastScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
@@ -101,8 +101,10 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   const TomlKeys keys(path, table);
   PENUMBRA_TRY(keys.only(kRealKeys));
   RealGeometry real;
-  if (keys.has("plane") == keys.has("mesh"))
-    return keys.invalid("plane", "give a plane or a mesh, one of them");
+  if (keys.has("plane") + keys.has("mesh") + keys.has("depth") != 1)
+    return keys.invalid("plane", "give a plane, a mesh or a depth picture, one of them");
+  if (keys.has("depth") != keys.has("camera"))
+    return keys.invalid("depth", "goes together with the camera that saw it");
   if (keys.has("albedo")) {
     PENUMBRA_ASSIGN(albedo, read_albedo(keys));
     real.albedo = albedo;
@@ -110,6 +112,13 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   if (keys.has("mesh")) {
     PENUMBRA_ASSIGN(mesh, keys.text("mesh"));
     real.mesh = resolve(mesh, folder);
+    return real;
+  }
+  if (keys.has("depth")) {
+    PENUMBRA_ASSIGN(depth, keys.text("depth"));
+    PENUMBRA_ASSIGN(camera, keys.text("camera"));
+    real.depth = resolve(depth, folder);
+    real.camera = resolve(camera, folder);
     return real;
   }
   const toml::table* plane = table["plane"].as_table();
@@ -174,6 +183,9 @@ Result<Scene> read_scene(const fs::path& path) {
 }
 
 Result<void> write_scene(const fs::path& path, const Scene& scene) {
+  const auto absolute = [](const std::string& file) {
+    return fs::absolute(file).lexically_normal().string();
+  };
   std::string text = "version = 1\n";
   const auto list = [](const auto&... v) {
     return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", "));
@@ -197,9 +209,11 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
       const auto &p = r.plane->point, &n = r.plane->normal;
       text += fmt::format("plane = {{ point = {}, normal = {} }}\n", list(p.x, p.y, p.z),
                           list(n.x, n.y, n.z));
+    } else if (!r.depth.empty()) {
+      text += fmt::format("depth = {}\ncamera = {}\n", toml_quoted(absolute(r.depth)),
+                          toml_quoted(absolute(r.camera)));
     } else {
-      text +=
-          fmt::format("mesh = {}\n", toml_quoted(fs::absolute(r.mesh).lexically_normal().string()));
+      text += fmt::format("mesh = {}\n", toml_quoted(absolute(r.mesh)));
     }
     if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
   }

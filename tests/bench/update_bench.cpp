@@ -33,9 +33,12 @@ struct Setup {
     light = *lighting::estimate_map(capture::make_sky_environment(1024, 512, .7), {});
     for (lighting::Disc& d : light.discs) d.id = 1;
   }
-  std::unique_ptr<ComposeStage> stage(service::StageTimes& times) const {
+  std::unique_ptr<ComposeStage> stage(service::StageTimes& times, bool with_look = false) const {
+    std::vector<capture::CameraInfo> seen_by = cameras;
+    seen_by[0].noise_known = with_look;
+    if (with_look) seen_by[0].psf_sigma_px = .7;
     auto made =
-        ComposeStage::create(cameras, scene, compositor::Compositor::Surface::kOffscreen, times);
+        ComposeStage::create(seen_by, scene, compositor::Compositor::Surface::kOffscreen, times);
     return made ? std::move(*made) : nullptr;
   }
 };
@@ -88,11 +91,11 @@ BENCHMARK(light_update)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
 
-// A camera that moves with every frame over a standing light; peer: a copy of the frame.
+// A camera that moves with every frame over a standing light, without and with its blur and noise; peer: a copy of the frame.
 void composite_frame(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   service::StageTimes times;
-  const auto stage = setup().stage(times);
+  const auto stage = setup().stage(times, state.range(1) != 0);
   if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
   capture::Frame frame;
   frame.exposure = {Seconds(1), Gain(1)};
@@ -115,9 +118,10 @@ void composite_frame(benchmark::State& state) {
 }
 BENCHMARK(composite_frame)
     ->Name("service/composite_1280x720_moving_camera_vs_frame_copy")
-    ->ArgName("threads")
-    ->Arg(1)
-    ->Arg(2)
+    ->ArgNames({"threads", "look"})
+    ->Args({1, 0})
+    ->Args({2, 0})
+    ->Args({2, 1})
     ->Iterations(3 * kRepeats)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);

@@ -2,13 +2,18 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <fstream>
+#include <iomanip>
 
+#include "codec/codec.h"
 #include "service/accuracy.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::service {
 namespace {
+
+using glm::dvec3;
 
 // A rolling ground, 4 m wide, up to 12 cm high, normals from its own slope.
 prt::Mesh make_ground() {
@@ -37,9 +42,37 @@ prt::Mesh make_ground() {
   return mesh;
 }
 
+// What a depth camera above the ground sees of it.
+void write_depth(const std::filesystem::path& folder) {
+  const prt::PinholeView v{
+      320, 240, {260, 260}, {160, 120}, capture::look_at({-.4, 2.4, .9}, {0, 0, 0})};
+  const auto ground = prt::RayScene::build(make_ground());
+  ASSERT_TRUE(ground);
+  Image<Rgb> depth(v.width, v.height);
+  const glm::vec3 eye(v.world_from_camera.translation);
+  for (int y = 0; y < v.height; ++y)
+    for (int x = 0; x < v.width; ++x) {
+      const dvec3 d((x + .5 - v.principal_px.x) / v.focal_px.x,
+                    -(y + .5 - v.principal_px.y) / v.focal_px.y, -1);
+      const auto hit =
+          ground->intersect(eye, glm::vec3(v.world_from_camera.rotation * glm::normalize(d)), 0);
+      const float along = hit ? hit->distance / static_cast<float>(glm::length(d)) : 0;
+      depth.at(x, y) = {along, along, along};
+    }
+  ASSERT_TRUE(codec::write_hdr(folder / "depth.exr", depth, codec::Depth::kFloat));
+  const glm::dmat4 m = v.world_from_camera.matrix();
+  std::ofstream camera(folder / "camera.toml");
+  camera << "version = 1\n[[camera]]\nname = \"depth\"\nrole = \"view\"\nwidth = 320\nheight = 240\n"
+         << "projection = \"pinhole\"\nfocal_px = [260, 260]\nresponse = \"linear\"\n"
+         << "world_from_camera = [" << std::setprecision(15);
+  for (int k = 0; k < 16; ++k) camera << (k ? ", " : "") << m[k / 4][k % 4];
+  camera << "]\n";
+}
+
 struct Case {
   const char* name;
   double bar;
+  bool depth = false;
 };
 
 class MeshReceiver : public testing::TestWithParam<Case> {};
@@ -61,7 +94,20 @@ TEST_P(MeshReceiver, ShadowOnUnevenGroundFollowsTheReference) {
   const auto scene = prepare({{object}, {ground}}, settings,
                              [](const std::string&) { return std::function<void(double)>(); });
   ASSERT_TRUE(scene) << scene.error().detail;
-  const Image<Rgb> map = std::string_view(GetParam().name) == "room"
+  // The world is the mesh; ours may know it from a depth picture alone.
+  std::optional<PreparedScene> seen;
+  if (GetParam().depth) {
+    write_depth(folder.path());
+    RealGeometry surface;
+    surface.depth = (folder.path() / "depth.exr").string();
+    surface.camera = (folder.path() / "camera.toml").string();
+    surface.albedo = ground.albedo;
+    auto from_depth = prepare({{object}, {surface}}, settings,
+                              [](const std::string&) { return std::function<void(double)>(); });
+    ASSERT_TRUE(from_depth) << from_depth.error().where << from_depth.error().detail;
+    seen = std::move(*from_depth);
+  }
+  const Image<Rgb> map = std::string_view(GetParam().name).starts_with("room")
                              ? capture::make_room_environment(256, 128)
                              : capture::make_sky_environment(512, 256, .8);
   const auto light = lighting::estimate_map(map, {5, {}});
@@ -77,15 +123,19 @@ TEST_P(MeshReceiver, ShadowOnUnevenGroundFollowsTheReference) {
   const auto truth = render_reference(in, true, .012, std::nullopt, {});
   ASSERT_TRUE(empty);
   ASSERT_TRUE(truth);
-  const auto ours = render_composite(in, *light, *empty);
+  const auto ours = render_composite({seen ? &*seen : &*scene, &map, view}, *light, *empty);
   ASSERT_TRUE(ours);
   const Accuracy a = compare_pictures(*ours, *truth, *empty, *masks);
   const Accuracy naive = compare_pictures(*empty, *truth, *empty, *masks);
+  std::printf("%s: shadow %.4f\n", GetParam().name, a.shadow_rmse);
   EXPECT_LT(a.shadow_rmse, GetParam().bar);
   EXPECT_GT(naive.shadow_rmse, .1) << "without a shadow on meshes";
 }
 
-INSTANTIATE_TEST_SUITE_P(Lights, MeshReceiver, testing::Values(Case{"room", .05}, Case{"sky", .05}),
+INSTANTIATE_TEST_SUITE_P(Lights, MeshReceiver,
+                         testing::Values(Case{"room", .05}, Case{"sky", .05},
+                                         Case{"room_by_depth", .05, true},
+                                         Case{"sky_by_depth", .05, true}),
                          [](const auto& test) { return std::string(test.param.name); });
 
 }  // namespace
