@@ -241,6 +241,7 @@ bool Compositor::present(const Image<Rgb8>& picture) {
 }
 
 std::string Compositor::renderer() const {
+  impl_->context->make_current();
   const auto* name = reinterpret_cast<const char*>(glGetString(GL_RENDERER));
   return name ? name : "unknown";
 }

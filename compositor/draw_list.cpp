@@ -21,6 +21,15 @@ constexpr float kLeastCosine = .9f;  // between a triangle before and after
 
 using Triangle = DrawList::Triangle;
 
+// Six times the volume that the triangles enclose; negative when they face inwards.
+double signed_volume(const prt::Mesh& mesh) {
+  double sum = 0;
+  for (const Triangle& t : mesh.triangles)
+    sum += glm::dot(glm::dvec3(mesh.positions[t[0]]),
+                    glm::cross(glm::dvec3(mesh.positions[t[1]]), glm::dvec3(mesh.positions[t[2]])));
+  return sum;
+}
+
 bool every_edge_is_shared(const prt::Mesh& mesh) {
   // Creases split a vertex in two; the place is what counts.
   std::map<std::tuple<float, float, float>, std::uint32_t> places;
@@ -205,7 +214,7 @@ DrawList::DrawList(const prt::Mesh& mesh, float tolerance)
     : triangles_(mesh.triangles),
       stands_for_(mesh.positions.size()),
       needed_(mesh.positions.size()),
-      closed_(every_edge_is_shared(mesh)) {
+      closed_(every_edge_is_shared(mesh) && signed_volume(mesh) > 0) {
   Finder(mesh, tolerance, *this).run();
 }
 

@@ -18,15 +18,15 @@ class DrawList {
  public:
   using Triangle = std::array<std::uint32_t, 3>;
 
-  /// `tolerance`: how far the surface may move, in metres of the mesh. Borders and creases keep all their vertices.
+  /// `tolerance`: how far the surface may move, in metres of the mesh, by a bound. Borders and creases keep all their vertices.
   DrawList(const prt::Mesh& mesh, float tolerance);
 
-  /// Triangles of the mesh's own vertices whose interpolated colours stay within 2 % of what they are, or of a quarter of
-  /// the mean where they are darker. `colours`: one a vertex. Valid until the next call.
+  /// Triangles of the mesh's own vertices whose interpolated colours leave what they are by 2 % in each round of
+  /// collapses at most (of a quarter of the mean where they are darker). `colours`: one a vertex. Valid until the next call.
   std::span<const Triangle> select(std::span<const Rgb> colours);
   std::span<const Triangle> all() const { return triangles_; }
-  /// Every edge joins two triangles that face the same side (vertices in one place count as one): back faces are
-  /// never seen from outside.
+  /// Every edge joins two triangles that face the same side, outwards (vertices in one place count as one): back faces
+  /// are never seen from outside.
   bool closed() const { return closed_; }
 
  private:

@@ -216,16 +216,15 @@ void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
   }
 }
 
-// Whether every object lies wholly on the camera's side of the plane, which then hides none.
-bool Layers::all_before(const RealPlane& plane, const glm::dvec3& eye) const {
+// Whether every object lies wholly before the plane, which then hides none.
+bool Layers::all_before(const RealPlane& plane) const {
   constexpr double kTouching = 1e-4;  // metres
-  const double side = glm::dot(plane.normal, eye - plane.point) < 0 ? -1 : 1;
   return std::ranges::all_of(objects_, [&](const Object& o) {
-    const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * (side * plane.normal);
+    const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * plane.normal;
     const glm::dvec3 low(o.bounds.low), high(o.bounds.high);
     const glm::dvec3 deepest(n.x > 0 ? low.x : high.x, n.y > 0 ? low.y : high.y,
                              n.z > 0 ? low.z : high.z);
-    return side * glm::dot(plane.normal, o.world_from_bake * deepest - plane.point) > -kTouching;
+    return glm::dot(plane.normal, o.world_from_bake * deepest - plane.point) > -kTouching;
   });
 }
 
@@ -233,7 +232,8 @@ void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_fr
   const PushedBack state(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
   for (const RealPlane& p : planes_) {
-    if (all_before(p, eye)) continue;
+    // Seen from behind a plane hides nothing, as in Receivers.
+    if (glm::dot(p.normal, eye - p.point) <= 0 || all_before(p)) continue;
     glBindVertexArray(p.quad.geometry.get());
     glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
   }

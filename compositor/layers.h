@@ -80,7 +80,7 @@ class Layers {
   static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
   Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                      Layer& out);
-  bool all_before(const RealPlane& plane, const glm::dvec3& eye) const;
+  bool all_before(const RealPlane& plane) const;
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_;

@@ -141,23 +141,29 @@ HWY_INLINE hn::Vec<D> MeanValue(const DiscLookup& t, hn::Vec<D> left, int y) {
   return hn::Mul(sum, hn::Set(d, step * step));
 }
 
+// Positions (px, py) that the map holds.
+HWY_INLINE hn::Mask<D> Holds(const DiscLookup& t, hn::Vec<D> px, float py) {
+  const D d;
+  const auto at = [&](int k) HWY_ATTR {
+    return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
+  };
+  const auto zero = hn::Zero(d), w = at(2), x = at(0), z = at(1);
+  const auto last_x = hn::Mul(w, hn::Set(d, static_cast<float>(t.width - 1))),
+             last_z = hn::Mul(w, hn::Set(d, static_cast<float>(t.height - 1)));
+  return hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
+                                          hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
+}
+
 HWY_ATTR void LoadDiscValues(const DiscLookup& t, int y, int x0, int x1, float* out) {
   const D d;
   const std::size_t lanes = hn::Lanes(d), total = static_cast<std::size_t>(x1 - x0);
-  const float py = static_cast<float>(y) + .5f;
+  const auto top = static_cast<float>(y);
   for (std::size_t i = 0; i < total; i += lanes) {
     const auto left =
         hn::Add(hn::Iota(d, 0.f), hn::Set(d, static_cast<float>(x0 + static_cast<int>(i))));
-    const auto px = hn::Add(left, hn::Set(d, .5f));
-    const auto at = [&](int k) HWY_ATTR {
-      return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
-    };
-    const auto zero = hn::Zero(d), w = at(2);
-    const auto last_x = hn::Mul(w, hn::Set(d, static_cast<float>(t.width - 1))),
-               last_y = hn::Mul(w, hn::Set(d, static_cast<float>(t.height - 1)));
-    const auto inside =
-        hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(at(0), zero), hn::Lt(at(0), last_x)),
-                                         hn::And(hn::Ge(at(1), zero), hn::Lt(at(1), last_y))));
+    const auto right = hn::Add(left, hn::Set(d, 1.f));
+    const auto inside = hn::And(hn::And(Holds(t, left, top), Holds(t, right, top)),
+                                hn::And(Holds(t, left, top + 1), Holds(t, right, top + 1)));
     if (hn::AllFalse(d, inside)) continue;
     const auto value = MeanValue(t, left, y);
     const std::size_t count = total - i < lanes ? total - i : lanes;

@@ -32,7 +32,7 @@ struct PackedRatio {
   static constexpr int kOne11 = 1364, kOne10 = 682;
   static constexpr std::uint32_t pack(const Rgb& s) {
     const auto steps = [](float v, int one) {
-      return static_cast<std::uint32_t>(std::min(std::max(v, 0.f), 1.5f) * static_cast<float>(one) +
+      return static_cast<std::uint32_t>((v > 0 ? std::min(v, 1.5f) : 0) * static_cast<float>(one) +
                                         .5f);
     };
     return steps(s.r, kOne11) << 21 | steps(s.g, kOne11) << 10 | steps(s.b, kOne10);
@@ -141,7 +141,7 @@ class Receivers {
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b);
 
-/// Writes the value of pixels [x0, x1) of row y whose centre the map holds to out[0 .. x1-x0); leaves the others.
+/// Writes the value of pixels [x0, x1) of row y that the map holds wholly to out[0 .. x1-x0); leaves the others.
 void load_disc_values(const DiscLookup& disc, int y, int x0, int x1, float* out);
 
 /// Subtracts share * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.

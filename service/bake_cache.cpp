@@ -61,10 +61,12 @@ void prune_cache(const fs::path& folder, std::uintmax_t most_bytes) {
   };
   std::vector<Entry> entries;
   std::error_code error;
-  for (const auto& file : fs::directory_iterator(folder, error)) {
-    if (file.path().extension() != ".glb") continue;
-    const Entry e{file.last_write_time(error), file.file_size(error), file.path()};
-    if (!error) entries.push_back(e);
+  for (fs::directory_iterator file(folder, error), end; !error && file != end;
+       file.increment(error)) {
+    if (file->path().extension() != ".glb") continue;
+    std::error_code gone;
+    const Entry e{file->last_write_time(gone), file->file_size(gone), file->path()};
+    if (!gone) entries.push_back(e);
   }
   std::ranges::sort(entries, std::ranges::greater(), &Entry::used);
   std::uintmax_t kept = 0;

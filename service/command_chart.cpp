@@ -406,6 +406,7 @@ Result<void> chart(const ChartOptions& o) {
     for (const Environment& e : *environments)
       PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
   }
+  PENUMBRA_TRY(output->begin());
   PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), chart_csv(points)));
   if (!o.truncated)
     if (const auto plots = write_chart_plots(output->work(), points); !plots)

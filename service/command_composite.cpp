@@ -52,10 +52,11 @@ Result<void> composite(const CompositeOptions& o) {
   auto compose =
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
+  const std::atomic<bool>& stop = catch_stop_signals();
+  PENUMBRA_TRY(folder->begin());
   auto writer = FrameWriter::create({folder->work(), true, o.video, rate > 0 ? rate : 30}, times);
   if (!writer) return std::unexpected(writer.error());
 
-  const std::atomic<bool>& stop = catch_stop_signals();
   int first_view = -1;
   std::vector<std::uint64_t> written(cameras.size());
   auto counts = run_replay(

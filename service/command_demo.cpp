@@ -76,6 +76,19 @@ Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::Ca
   return ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
 }
 
+// The recording's folder, where one is asked for: refused before the long work when it holds a capture.
+Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
+  std::optional<OutputFolder> out;
+  if (!o.record) return out;
+  std::error_code ignored;
+  if (std::filesystem::exists(std::filesystem::path(*o.record) / "capture.toml", ignored))
+    return fail(ErrorCode::kUnwritable, *o.record, "already holds a capture");
+  auto folder = OutputFolder::create(*o.record);
+  if (!folder) return std::unexpected(folder.error());
+  out.emplace(std::move(*folder));
+  return out;
+}
+
 struct Prepared {
   StudioSetup setup;
   PreparedScene scene;
@@ -107,6 +120,8 @@ Result<void> demo(const DemoOptions& o) {
   PENUMBRA_TRY(check(o));
   auto output = OutputFolder::create(o.output);
   if (!output) return std::unexpected(output.error());
+  auto record = open_record(o);
+  if (!record) return std::unexpected(record.error());
   auto ready = prepare_demo(o);
   if (!ready) return std::unexpected(ready.error());
   capture::Studio studio(ready->setup.world, ready->setup.options);
@@ -122,15 +137,17 @@ Result<void> demo(const DemoOptions& o) {
   light->govern(*governance);
   auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
   if (!compose) return std::unexpected(compose.error());
+  const std::atomic<bool>& stop = catch_stop_signals();
+  PENUMBRA_TRY(output->begin());
   auto writer = FrameWriter::create({output->work(), false, true, o.fps}, times);
   if (!writer) return std::unexpected(writer.error());
   std::optional<RecordingSource> recording;
   if (o.record) {
-    auto recorder = capture::CaptureFolderWriter::create(*o.record, studio.cameras());
+    PENUMBRA_TRY((*record)->begin());
+    auto recorder = capture::CaptureFolderWriter::create((*record)->work(), studio.cameras());
     if (!recorder) return std::unexpected(recorder.error());
     recording.emplace(studio, std::move(*recorder));
   }
-  const std::atomic<bool>& stop = catch_stop_signals();
   std::shared_ptr<const FramePixels> last, last_source;
   const Sink sink = [&](const Output& out) {
     last = out.pixels;
@@ -147,7 +164,8 @@ Result<void> demo(const DemoOptions& o) {
   PENUMBRA_TRY((*writer)->finish());
   if (recording) {
     PENUMBRA_TRY(recording->finish());
-    PENUMBRA_TRY(write_scene(std::filesystem::path(*o.record) / "scene.toml", ready->setup.scene));
+    PENUMBRA_TRY(write_scene((*record)->file("scene.toml"), ready->setup.scene));
+    PENUMBRA_TRY((*record)->keep());
   }
   PENUMBRA_TRY(codec::write_frame(output->file("still.png"), to_display(*last)));
   PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), to_display(*last_source)));

@@ -18,11 +18,19 @@ Result<OutputFolder> OutputFolder::create(const fs::path& folder) {
   out.made_ = !fs::exists(folder, error);
   out.path_ = folder;
   PENUMBRA_TRY(make_folder(folder));
-  const fs::path work = folder / (".partial-" + std::to_string(::getpid()));
-  if (!fs::create_directory(work, error) && error)
-    return fail(ErrorCode::kUnwritable, folder.string(), error.message());
-  out.work_ = work;
+  PENUMBRA_TRY(out.begin());
+  fs::remove(out.work_, error);
   return out;
+}
+
+Result<void> OutputFolder::begin() {
+  work_ = path_ / (".partial-" + std::to_string(::getpid()));
+  std::error_code error;
+  fs::remove_all(work_, error);  // of a process of the same number that was killed
+  if (!fs::create_directory(work_, error))
+    return fail(ErrorCode::kUnwritable, path_.string(),
+                error ? error.message() : work_.string() + " is in the way");
+  return {};
 }
 
 OutputFolder::OutputFolder(OutputFolder&& other) noexcept
@@ -38,11 +46,12 @@ OutputFolder::~OutputFolder() {
 
 Result<void> OutputFolder::keep() {
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(work_, error)) {
-    fs::rename(entry.path(), path_ / entry.path().filename(), error);
-    if (error)
-      return fail(ErrorCode::kUnwritable, (path_ / entry.path().filename()).string(),
-                  error.message());
+  for (fs::directory_iterator entry(work_, error), end; !error && entry != end;
+       entry.increment(error)) {
+    const fs::path target = path_ / entry->path().filename();
+    std::error_code moved;
+    fs::rename(entry->path(), target, moved);
+    if (moved) return fail(ErrorCode::kUnwritable, target.string(), moved.message());
   }
   if (error) return fail(ErrorCode::kUnwritable, path_.string(), error.message());
   return {};

@@ -179,9 +179,10 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     const StageTimer timer(times_, "lamps");
     discs_changed |= lamps_.update(discs_.blockers(), poses);
   }
+  bool measured = false;
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
-    real_.measure(light, discs_, discs_changed);
+    measured = real_.measure(light, discs_, discs_changed);
   }
   bool relit = false;
   // What objects reflect onto each other is known from the last update, at first from a round of its own.
@@ -190,7 +191,10 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     for (std::size_t i = 0; i < objects_.size(); ++i)
       relit |= update_object(i, poses, light, discs_changed);
   lit_before_ = true;
-  if (!relit && !discs_changed) return false;
+  // Neighbours' shadows and those on real meshes follow a turn that no light shows.
+  const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_;
+  poses_ = poses;
+  if (!relit && !discs_changed && !moved && !measured) return false;
   share_shadows(poses);
   std::vector<Rgb> open;
   for (const prt::Plane& plane : scene_.planes)

@@ -149,6 +149,7 @@ class ComposeStage {
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;
+  std::vector<Pose> poses_;  // of the last update
   bool lit_before_ = false;
 };
 

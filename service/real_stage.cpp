@@ -7,16 +7,17 @@
 
 namespace penumbra::service {
 
-void RealStage::measure(const lighting::LightEstimate& light, const DiscStage& discs,
+bool RealStage::measure(const lighting::LightEstimate& light, const DiscStage& discs,
                         bool discs_changed) {
   const bool first = exit_.empty();
   if (!first && !discs_changed &&
       lighting::largest_visible_change(measured_, light.light) < ComposeStage::kVisibleChange)
-    return;
+    return false;
   measured_ = light.light;
   const prt::Mesh& mesh = scene_->real_mesh;
   if (first || discs_changed) discs_ = discs.at_points(mesh.positions, mesh.normals);
   relight(light);
+  return true;
 }
 
 // As an object's light: the bake knows what the mesh hides from itself and reflects.

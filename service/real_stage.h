@@ -20,8 +20,8 @@ class RealStage {
 
   bool any() const { return !scene_->real_mesh.triangles.empty(); }
 
-  /// Renews what depends on the light where that changed visibly, or `discs_changed`.
-  void measure(const lighting::LightEstimate& light, const DiscStage& discs, bool discs_changed);
+  /// Renews what depends on the light where that changed visibly, or `discs_changed`. True when it did.
+  bool measure(const lighting::LightEstimate& light, const DiscStage& discs, bool discs_changed);
 
   /// Exit radiance of the real mesh's vertices as last measured.
   std::span<const Rgb> exit() const { return exit_; }

@@ -76,9 +76,11 @@ class Replay {
   }
 
   Result<void> add_view(const capture::Frame& frame) {
-    constexpr std::size_t kMostWaiting = 16;
+    constexpr std::size_t kMostWaiting = 16, kMostPixels = 64'000'000;
     waiting_.push_back(frame);
-    const bool wait = !light_.settled() && waiting_.size() < kMostWaiting;
+    const std::size_t pixels =
+        std::visit([](const auto& p) { return p.area(); }, *frame.pixels) * waiting_.size();
+    const bool wait = !light_.settled() && waiting_.size() < kMostWaiting && pixels < kMostPixels;
     return wait ? Result<void>{} : compose_waiting();
   }
 

@@ -56,9 +56,10 @@ float without_common(float first, float second, const Overlap& shared) {
   if (a * b <= 0 || first < kDarkest) return second;  // one takes what the other brings
   const float size_a = std::abs(a), size_b = std::abs(b);
   // Both estimates of the common part agree for even light; either keeps inside the proven interval.
-  const float common = std::clamp(.5f * (shared.of_a * size_a + shared.of_b * size_b),
-                                  std::max(0.f, a + b - 1), std::min(size_a, size_b));
-  return (1 - (a + b - std::copysign(common, a))) / first;
+  const float most = std::min(size_a, size_b), least = std::min(std::max(0.f, a + b - 1), most);
+  const float common =
+      std::clamp(.5f * (shared.of_a * size_a + shared.of_b * size_b), least, most);
+  return std::max(0.f, (1 - (a + b - std::copysign(common, a))) / first);
 }
 
 // Coefficients about another frame, red alone.

@@ -145,6 +145,37 @@ TEST_F(CompositorTest, WhiteObjectUnderWhiteSkyShowsTheRadianceOfTheSky) {
   EXPECT_GT(inside, 1000);
 }
 
+// What real things leave of a disc counts for every shadow, also in rows that the disc's own does not reach.
+TEST_F(CompositorTest, LightThatRealThingsTakeCountsEverywhereOnThePlane) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  compositor_->add_plane({0, 0, 0}, {0, 1, 0});
+  const Image<Rgb> white(kSceneWidth, kSceneHeight, {1, 1, 1});
+  const auto open = composited_floats(white, view(nullptr, 1));
+  // A map with nothing in it beside the object, and half of the light lacking for ten metres around.
+  constexpr float kShare = .5f;
+  shadows::DiscShadow own, real;
+  own.world_from_map = {{1, 0, 0, 0}, {.5, 0, -.5}};
+  own.cell_m = .01f;
+  own.taken = own.missing = Image<float>(9, 9);
+  for (float& m : own.missing.pixels()) m = 1;
+  real.world_from_map = {{1, 0, 0, 0}, {-10, 0, -10}};
+  real.cell_m = 2.5f;
+  real.taken = Image<float>(9, 9, 1.f);
+  const DiscShadowOnPlane disc{&own, {kShare, kShare, kShare}, &real};
+  compositor_->set_disc_shadows({&disc, 1});
+  const auto dim = composited_floats(white, view(nullptr, 1));
+  int judged = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      const bool floor = test::distance_to_ray(view().camera, x + .5, y + .5, {0, .4, 0}) > .45;
+      const float p = open.at(x, y).g;
+      if (!floor || p == 1 || p < .6f) continue;
+      ++judged;
+      ASSERT_NEAR(dim.at(x, y).g, 1 - (1 - p) / (1 - kShare), 2e-3) << x << ' ' << y;
+    }
+  EXPECT_GT(judged, 500);
+}
+
 TEST_F(CompositorTest, TwoDrawInTurnAndOneOutlivesTheOther) {
   const FramePixels black = Image<Rgb>(kSceneWidth, kSceneHeight);
   const auto white_sphere = [](Compositor& c) {

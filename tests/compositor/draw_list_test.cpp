@@ -119,6 +119,9 @@ TEST(DrawList, CreasesAndBordersStay) {
   prt::Mesh open = box;
   open.triangles.pop_back();
   EXPECT_FALSE(DrawList(open, kTolerance).closed());
+  prt::Mesh inside_out = box;
+  for (Triangle& t : inside_out.triangles) std::swap(t[1], t[2]);
+  EXPECT_FALSE(DrawList(inside_out, kTolerance).closed()) << "its backs are what is seen";
 }
 
 TEST(DrawList, NoLightAtAllAndOneTriangle) {

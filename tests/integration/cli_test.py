@@ -52,6 +52,24 @@ class DemoAndComposite(CliTest):
         self.assertEqual(files.read_png(demo / "still.png"), files.read_png(runs[0] / frames[-1]))
         self.assertNotEqual(files.read_png(demo / "still.png"), files.read_png(demo / "camera.png"), "nothing drawn")
 
+    def test_record_is_refused_before_the_work_and_leftovers_are_not_results(self):
+        record, out = self.root / "again", self.root / "again-out"
+        record.mkdir()
+        (record / "capture.toml").write_text("earlier")
+        self.expect_refusal(["already holds"], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64,
+                            "--out", self.root / "out" / "demo", "--record", record)
+        self.assertEqual([p.name for p in record.iterdir()], ["capture.toml"])
+        # A killed run of the same process number left a folder: what is in it is not this run's.
+        out.mkdir()
+        script = f'mkdir "{out}"/.partial-$$ && echo stale > "{out}"/.partial-$$/frame_000099.png && exec "$@"'
+        done = subprocess.run(["sh", "-c", script, "sh", program(), "demo", "--headless", "--frames", "1", "--width", "64",
+                               "--height", "64", "--still-only", "--bands", "1", "--out", str(out)],
+                              env=self.environment, capture_output=True, text=True, timeout=300, check=False)
+        if done.returncode == 2 and re.search(r"EGL|OpenGL ES", done.stderr):
+            self.skipTest("no OpenGL ES 3.1: " + done.stderr.strip())
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(sorted(p.name for p in out.iterdir()), ["camera.png", "still.png", "summary.json", "video.mp4"])
+
     def test_stopped_composite_leaves_the_earlier_results_alone(self):
         record, out = self.root / "long", self.root / "kept"
         self.run_well("demo", "--headless", "--frames", 90, "--width", 320, "--height", 180, "--out", self.root / "d",

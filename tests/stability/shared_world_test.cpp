@@ -159,6 +159,20 @@ TEST(VirtualShadow, OverARealOneTakesOnlyWhatLightIsLeft) {
   EXPECT_GT(rms_on_floor(*naive, *truth, open, dark), .06) << "the sun taken twice";
 }
 
+TEST(RealPlane, SeenFromBehindHidesNothing) {
+  RealGeometry between;  // the camera and the object, facing the object
+  between.plane = RealPlane{{0, 0, .7}, {0, 0, -1}};
+  between.albedo = Rgb{.4f, .4f, .4f};
+  const auto alone = prepared({{twist({0, 0, 0})}, {floor()}}),
+             behind = prepared({{twist({0, 0, 0})}, {floor(), between}});
+  ASSERT_TRUE(alone && behind);
+  const auto a = make_masks(*alone, kView), b = make_masks(*behind, kView);
+  if (!a && a.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << a.error().detail;
+  ASSERT_TRUE(a && b);
+  EXPECT_EQ(std::ranges::count(a->object, true), std::ranges::count(b->object, true));
+}
+
 TEST(TiltedObject, CastsTheShadowOfHowItLies) {
   const test::TempFolder folder;
   test::write_obj(prt::make_box({-.08f, 0, -.12f}, {.08f, .6f, .12f}, 12, {.6f, .6f, .6f}),
