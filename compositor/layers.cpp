@@ -256,7 +256,7 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
   for (Object& o : objects_) {
     const double distance =
         distance_to_box(o.world_from_bake.inverse() * view.camera.world_from_camera, o.bounds);
-    choose_triangles(o, o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
+    choose_triangles(o, !fine_ && o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
     // The black back of a closed surface shows only from within.
     if (o.triangles.closed() && distance > kNearPlane) glEnable(GL_CULL_FACE);
     set_matrix(object_program_.get(), clip_from_world * o.world_from_bake.matrix());

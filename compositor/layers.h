@@ -68,6 +68,7 @@ class Layers {
   Layers(int width, int height, int oversampling, GlProgram object, GlProgram occluder)
       : width_(width),
         height_(height),
+        fine_(oversampling > 2),
         objects_canvas_(oversampling),
         hidden_canvas_(oversampling),
         object_program_(std::move(object)),
@@ -84,6 +85,7 @@ class Layers {
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_;
+  bool fine_;  // stills: every triangle
   Canvas objects_canvas_, hidden_canvas_;
   GlProgram object_program_, occluder_program_;
   std::vector<Object> objects_;
