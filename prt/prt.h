@@ -165,7 +165,7 @@ struct Receiver {
   Rgb albedo;  // its reflection lights the object; 0 = none
 };
 
-inline constexpr int kMostBounces = 32;
+inline constexpr int kMostBounces = 256;
 
 struct BakeOptions {
   int bands = 5;

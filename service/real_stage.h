@@ -9,7 +9,7 @@
 #include "service/disc_stage.h"
 #include "service/lamp_stage.h"
 #include "service/scene.h"
-#include "shadows/occlusion_field.h"
+#include "shadows/shadows.h"
 
 namespace penumbra::service {
 
