@@ -3,6 +3,7 @@
 #include <cstdlib>
 #include <new>
 
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 void* operator new(std::size_t bytes) {
   penumbra::test::allocations.fetch_add(1, std::memory_order_relaxed);
   penumbra::test::allocated_bytes.fetch_add(bytes, std::memory_order_relaxed);
@@ -28,3 +29,4 @@ void operator delete(void* p, std::align_val_t) noexcept {
 void operator delete(void* p, std::size_t, std::align_val_t) noexcept {
   std::free(p);
 }
+#endif

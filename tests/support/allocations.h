@@ -5,5 +5,11 @@
 #include <cstddef>
 
 namespace penumbra::test {
+/// Sanitizers bring an operator new of their own, which must stay.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+inline constexpr bool kCountsAllocations = false;
+#else
+inline constexpr bool kCountsAllocations = true;
+#endif
 inline std::atomic<std::size_t> allocations = 0, allocated_bytes = 0;
 }  // namespace penumbra::test
