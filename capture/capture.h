@@ -75,6 +75,9 @@ Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::
 /// errors: kNotFound, kUnreadable, kInvalid
 Result<CameraInfo> read_camera_file(const std::filesystem::path& path);
 
+/// Whether a finished capture stands there.
+bool holds_capture(const std::filesystem::path& folder);
+
 /// Writes a capture folder frame by frame: 8 and 16 bit frames as PNG, float ones as EXR.
 /// capture.toml is written by finish(), so an unfinished folder is not a capture.
 class CaptureFolderWriter {

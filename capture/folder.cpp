@@ -139,12 +139,16 @@ Result<std::unique_ptr<FrameSource>> open_capture_folder(const fs::path& folder)
   return std::make_unique<FolderSource>(folder, std::move(cameras));
 }
 
+bool holds_capture(const fs::path& folder) {
+  std::error_code ignored;
+  const fs::path manifest = folder / kManifestName;
+  return fs::exists(manifest, ignored) && !fs::is_empty(manifest, ignored);
+}
+
 Result<CaptureFolderWriter> CaptureFolderWriter::create(const fs::path& folder,
                                                         std::vector<CameraInfo> cameras) {
   PENUMBRA_TRY(check_cameras(cameras));
-  std::error_code ignored;
-  const fs::path manifest = folder / kManifestName;
-  if (fs::exists(manifest, ignored) && !fs::is_empty(manifest, ignored))
+  if (holds_capture(folder))
     return fail(ErrorCode::kUnwritable, folder.string(), "already holds a capture");
   for (const CameraInfo& camera : cameras) PENUMBRA_TRY(make_folder(folder / camera.name));
   CaptureFolderWriter writer;

@@ -16,33 +16,34 @@ namespace penumbra::compositor {
 
 namespace {
 
-// The fused pass over one row of the touched rectangle.
+// The fused pass over neighbouring pixels; see composite_codes, which is the same for eight bits.
 template <class Pixel, class Codec>
-std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& in,
-                          RowBuffers& rows) {
-  const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
-  if (!has_objects && !has_shadows) return 0;
-  if (has_objects) load_row(in.objects, y, rows.object);
+std::size_t composite_part(const Codec& codec, const float* object, const float* r, const float* g,
+                           const float* b, Pixel* pixels, std::size_t count) {
   constexpr float kNoObject[4] = {0, 0, 0, 0};
   std::size_t touched = 0;
-  for (int x = in.area.x0; x < in.area.x1; ++x) {
-    const auto i = static_cast<std::size_t>(x - in.area.x0);
-    const bool in_objects = has_objects && x >= in.objects.rect.x0 && x < in.objects.rect.x1;
-    const float* const v =
-        in_objects ? &rows.object[static_cast<std::size_t>(x - in.objects.rect.x0) * 4] : kNoObject;
-    if (v[3] == 0 && rows.r[i] == 1 && rows.g[i] == 1 && rows.b[i] == 1) continue;
+  for (std::size_t i = 0; i < count; ++i) {
+    const float* const v = object ? object + 4 * i : kNoObject;
+    if (v[3] == 0 && r[i] == 1 && g[i] == 1 && b[i] == 1) continue;
     ++touched;
     const float behind = 1 - v[3];
-    Pixel& p = row[x];
-    p.r = codec.encode(0, v[0] + behind * rows.r[i] * codec.decode(0, p.r));
-    p.g = codec.encode(1, v[1] + behind * rows.g[i] * codec.decode(1, p.g));
-    p.b = codec.encode(2, v[2] + behind * rows.b[i] * codec.decode(2, p.b));
+    Pixel& p = pixels[i];
+    p.r = codec.encode(0, v[0] + behind * r[i] * codec.decode(0, p.r));
+    p.g = codec.encode(1, v[1] + behind * g[i] * codec.decode(1, p.g));
+    p.b = codec.encode(2, v[2] + behind * b[i] * codec.decode(2, p.b));
   }
   return touched;
 }
 
-// Eight bits are what cameras deliver live: in vectors, the part with objects in the middle by itself.
-std::size_t composite_row(const Coded<std::uint8_t>& codec, Rgb8* row, int y, const Layered& in,
+// Eight bits are what cameras deliver live: in vectors.
+std::size_t composite_part(const Coded<std::uint8_t>& codec, const float* object, const float* r,
+                           const float* g, const float* b, Rgb8* pixels, std::size_t count) {
+  return composite_codes(codec.curve, object, r, g, b, pixels, count);
+}
+
+// One row of the touched rectangle, the part with objects in the middle by itself.
+template <class Pixel, class Codec>
+std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& in,
                           RowBuffers& rows) {
   const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
   if (!has_objects && !has_shadows) return 0;
@@ -50,8 +51,8 @@ std::size_t composite_row(const Coded<std::uint8_t>& codec, Rgb8* row, int y, co
   const auto part = [&](int x0, int x1, const float* object) -> std::size_t {
     if (x0 >= x1) return 0;
     const auto i = static_cast<std::size_t>(x0 - in.area.x0);
-    return composite_codes(codec.curve, object, &rows.r[i], &rows.g[i], &rows.b[i], row + x0,
-                           static_cast<std::size_t>(x1 - x0));
+    return composite_part(codec, object, &rows.r[i], &rows.g[i], &rows.b[i], row + x0,
+                          static_cast<std::size_t>(x1 - x0));
   };
   if (!has_objects) return part(in.area.x0, in.area.x1, nullptr);
   return part(in.area.x0, in.objects.rect.x0, nullptr) +

@@ -215,7 +215,7 @@ DrawList::DrawList(const prt::Mesh& mesh, float tolerance)
       stands_for_(mesh.positions.size()),
       needed_(mesh.positions.size()),
       closed_(every_edge_is_shared(mesh) && signed_volume(mesh) > 0) {
-  Finder(mesh, tolerance, *this).run();
+  if (tolerance > 0) Finder(mesh, tolerance, *this).run();
 }
 
 bool DrawList::keeps_colour(const Collapse& c, std::span<const Rgb> colours, float floor) const {

@@ -84,7 +84,7 @@ Result<Layers> Layers::create(int width, int height, int oversampling) {
 int Layers::add_object(const prt::BakedObject& baked) {
   const prt::Mesh& mesh = baked.mesh;
   const prt::Bounds bounds = bounds_of(mesh);
-  const float tolerance = kFormTolerance * prt::radius_around(mesh, bounds.centre());
+  const float tolerance = fine_ ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
   Object o{.triangles = {mesh, tolerance},
            .albedo = mesh.albedo,
            .colours = std::vector<Rgb>(mesh.positions.size()),
@@ -122,10 +122,14 @@ void Layers::fill_indices(Object& o, std::span<const DrawList::Triangle> triangl
 
 void Layers::set_light(int object, std::span<const float> relit) {
   Object& o = objects_[static_cast<std::size_t>(object)];
+  bool changed = false;
   for (std::size_t i = 0; i < o.colours.size(); ++i) {
     const auto lit = [&](std::size_t c) { return std::max(relit[c * o.stride + i], 0.f); };
-    o.colours[i] = {o.albedo[i].r * lit(0), o.albedo[i].g * lit(1), o.albedo[i].b * lit(2)};
+    const Rgb colour{o.albedo[i].r * lit(0), o.albedo[i].g * lit(1), o.albedo[i].b * lit(2)};
+    changed |= !(colour == o.colours[i]);
+    o.colours[i] = colour;
   }
+  if (!changed) return;  // a shadow moved, or a neighbour
   o.selection_stale = true;
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());

@@ -102,6 +102,19 @@ HWY_INLINE void SubtractShare(hn::Vec<D> value, float share, std::size_t count, 
   for (std::size_t i = 0; i < count; ++i) out[i] -= lanes[i];
 }
 
+// Positions (px, py) that the map holds.
+HWY_INLINE hn::Mask<D> Holds(const DiscLookup& t, hn::Vec<D> px, float py) {
+  const D d;
+  const auto at = [&](int k) HWY_ATTR {
+    return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
+  };
+  const auto zero = hn::Zero(d), w = at(2), x = at(0), z = at(1);
+  const auto last_x = hn::Mul(w, hn::Set(d, static_cast<float>(t.width - 1))),
+             last_z = hn::Mul(w, hn::Set(d, static_cast<float>(t.height - 1)));
+  return hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
+                                          hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
+}
+
 // The map's value at picture positions (px, py): 0 outside.
 HWY_INLINE hn::Vec<D> DiscValue(const DiscLookup& t, hn::Vec<D> px, float py) {
   const D d;
@@ -109,15 +122,10 @@ HWY_INLINE hn::Vec<D> DiscValue(const DiscLookup& t, hn::Vec<D> px, float py) {
   const auto at = [&](int k) HWY_ATTR {
     return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
   };
-  const auto zero = hn::Zero(d), w = at(2);
-  const auto inverse = hn::Div(hn::Set(d, 1.f), w);
+  const auto inside = Holds(t, px, py);
+  if (hn::AllFalse(d, inside)) return hn::Zero(d);
+  const auto inverse = hn::Div(hn::Set(d, 1.f), at(2));
   const auto x = hn::Mul(at(0), inverse), z = hn::Mul(at(1), inverse);
-  const auto last_x = hn::Set(d, static_cast<float>(t.width - 1)),
-             last_y = hn::Set(d, static_cast<float>(t.height - 1));
-  const auto inside =
-      hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
-                                       hn::And(hn::Ge(z, zero), hn::Lt(z, last_y))));
-  if (hn::AllFalse(d, inside)) return zero;
   const auto u = hn::IfThenElseZero(inside, x), v = hn::IfThenElseZero(inside, z);
   const auto iu = hn::Min(hn::ConvertTo(di, u), hn::Set(di, t.width - 2)),
              iv = hn::Min(hn::ConvertTo(di, v), hn::Set(di, t.height - 2));
@@ -139,19 +147,6 @@ HWY_INLINE hn::Vec<D> MeanValue(const DiscLookup& t, hn::Vec<D> left, int y) {
     sum = hn::Add(sum, DiscValue(t, hn::Add(left, hn::Set(d, step * (float(k % n) + .5f))),
                                  float(y) + step * (float(k / n) + .5f)));
   return hn::Mul(sum, hn::Set(d, step * step));
-}
-
-// Positions (px, py) that the map holds.
-HWY_INLINE hn::Mask<D> Holds(const DiscLookup& t, hn::Vec<D> px, float py) {
-  const D d;
-  const auto at = [&](int k) HWY_ATTR {
-    return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
-  };
-  const auto zero = hn::Zero(d), w = at(2), x = at(0), z = at(1);
-  const auto last_x = hn::Mul(w, hn::Set(d, static_cast<float>(t.width - 1))),
-             last_z = hn::Mul(w, hn::Set(d, static_cast<float>(t.height - 1)));
-  return hn::And(hn::Gt(w, zero), hn::And(hn::And(hn::Ge(x, zero), hn::Lt(x, last_x)),
-                                          hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
 }
 
 HWY_ATTR void LoadDiscValues(const DiscLookup& t, int y, int x0, int x1, float* out) {

@@ -80,8 +80,7 @@ Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::Ca
 Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
   std::optional<OutputFolder> out;
   if (!o.record) return out;
-  std::error_code ignored;
-  if (std::filesystem::exists(std::filesystem::path(*o.record) / "capture.toml", ignored))
+  if (capture::holds_capture(*o.record))
     return fail(ErrorCode::kUnwritable, *o.record, "already holds a capture");
   auto folder = OutputFolder::create(*o.record);
   if (!folder) return std::unexpected(folder.error());

@@ -13,7 +13,7 @@ namespace {
 constexpr double kLeastMove = 1e-3;
 constexpr double kVisibleShare = .005;
 // Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
-constexpr double kAround = 5;
+constexpr double kAround = shadows::kFieldReach;
 const shadows::DiscShadow kNoShadow;
 
 double angle_between(const glm::dvec3& a, const glm::dvec3& b) {
@@ -60,8 +60,10 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     stage.poses_.push_back(o.world_from_bake);
     stage.moved_from_.emplace_back();
     stage.virtual_.set_pose(*index, o.world_from_bake);
-    smallest =
-        std::min(smallest, prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
+    const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
+    const float radius = prt::radius_around(o.baked.mesh, centre);
+    stage.spheres_.push_back({glm::dvec3(centre), double(radius)});
+    smallest = std::min(smallest, radius);
   }
   if (!scene.real_mesh.triangles.empty()) {
     auto index = stage.real_.add(scene.real_mesh);
@@ -129,19 +131,17 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object, const light
 // Whether an object moved, or another one that stands or stood between it and the disc.
 bool DiscStage::may_have_changed(std::size_t object, const lighting::Disc& disc) const {
   if (moved_from_[object]) return true;
-  const auto sphere = [&](std::size_t i, const Pose& pose) {
-    const prt::Mesh& mesh = scene_->objects[i].baked.mesh;
-    const glm::vec3 centre = prt::bounds_of(mesh).centre();
-    return std::pair{pose * glm::dvec3(centre), double(prt::radius_around(mesh, centre))};
-  };
-  const auto [here, size] = sphere(object, poses_[object]);
+  const glm::dvec3 here = poses_[object] * spheres_[object].centre;
+  double spread = disc.radius.value();  // a form may be longer than it is round
+  for (const glm::dvec3& d : disc.shape)
+    spread = std::max(spread, angle_between(d, disc.direction));
   for (std::size_t i = 0; i < poses_.size(); ++i) {
     if (!moved_from_[i]) continue;
     for (const Pose& pose : {*moved_from_[i], poses_[i]}) {
-      const auto [there, reach] = sphere(i, pose);
-      const double far = glm::length(there - here), both = size + reach;
-      if (far <= both || angle_between((there - here) / far, disc.direction) <
-                             std::asin(both / far) + disc.radius.value())
+      const glm::dvec3 apart = pose * spheres_[i].centre - here;
+      const double far = glm::length(apart), both = spheres_[object].radius + spheres_[i].radius;
+      if (far <= both ||
+          angle_between(apart / far, disc.direction) < std::asin(both / far) + spread)
         return true;
     }
   }
@@ -161,9 +161,7 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     const PreparedObject& o = scene_->objects[i];
     casters_.push_back({&o.baked.mesh, poses_[i]});
-    const prt::Bounds bounds = prt::bounds_of(o.baked.mesh);
-    around_.push_back({poses_[i] * glm::dvec3(bounds.centre()),
-                       kAround * double(prt::radius_around(o.baked.mesh, bounds.centre()))});
+    around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
     t.floor_share[i] = floor_share(i, t.disc, around);
     if (!all && !may_have_changed(i, t.disc)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());

@@ -82,6 +82,11 @@ class DiscStage {
   std::vector<Traced> traced_, before_;
   std::vector<shadows::Caster> casters_;
   std::vector<shadows::Neighbourhood> around_;
+  struct Sphere {
+    glm::dvec3 centre;  // bake frame
+    double radius;
+  };
+  std::vector<Sphere> spheres_;                  // around the objects
   std::vector<std::optional<Pose>> moved_from_;  // by object, since the last update
   float near_m_ = 1e-4f;
 };

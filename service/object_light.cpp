@@ -29,6 +29,21 @@ void add_to_side(std::span<const Surroundings::Belongs> side, std::span<const fl
 
 }  // namespace
 
+const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level) {
+  return level ? light.floor_light : light.light;
+}
+
+RadianceSh reflected_for(const lighting::Disc& disc, bool level) {
+  return level ? lighting::project_disc_above(disc, prt::kIndirectBands)
+               : lighting::project_disc(disc, prt::kIndirectBands);
+}
+
+RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake) {
+  const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()),
+                                  prt::kIndirectBands);
+  return turn * (level ? lighting::floor_light(sum, prt::kIndirectBands) : sum);
+}
+
 bool ComposeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
   const auto differs = [](const RadianceSh& a, const RadianceSh& b) {
     return !(a == b) && lighting::largest_visible_change(a, b) >= kVisibleChange;
@@ -47,11 +62,9 @@ bool ComposeStage::differs_visibly(const ObjectLight& before, const ObjectLight&
 ComposeStage::ObjectLight ComposeStage::light_at(std::size_t index,
                                                  const lighting::LightEstimate& estimate,
                                                  const std::vector<Pose>& poses) const {
-  const glm::dmat3 world_from_bake = poses[index].rotation_matrix();
-  const bool on_level_floor =
-      objects_[index].prepared->baked.receiver && world_from_bake[1].y > kLevel;
-  const RadianceSh& light = on_level_floor ? estimate.floor_light : estimate.light;
-  const lighting::ShRotation turn(glm::transpose(world_from_bake), light.bands());
+  const RadianceSh& light =
+      rest_for(estimate, stands_level(objects_[index].prepared->baked, poses[index]));
+  const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
   ObjectLight out;
   out.open = out.receiver = turn * light;
   out.side.fill(out.open);
@@ -103,24 +116,21 @@ Rgb ComposeStage::radiance_of_neighbours(std::size_t index, const glm::dvec3& ce
 
 void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& estimate,
                              const Pose& pose, ObjectLight& out) const {
-  const glm::dmat3 world_from_bake = pose.rotation_matrix();
-  const bool on_level_floor =
-      objects_[index].prepared->baked.receiver && world_from_bake[1].y > kLevel;
+  const bool level = stands_level(objects_[index].prepared->baked, pose);
+  const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
   RadianceSh sum(prt::kIndirectBands);
   std::array<RadianceSh, kSides> side;
   side.fill(sum);
   for (std::size_t i = 0; i < estimate.discs.size(); ++i) {
     const lighting::Disc& d = estimate.discs[i];
-    const RadianceSh own = on_level_floor ? project_disc_above(d, prt::kIndirectBands)
-                                          : project_disc(d, prt::kIndirectBands);
+    const RadianceSh own = reflected_for(d, level);
     add(sum, own, 1);
     for (int k = 0; k < kSides; ++k)
       add(side[static_cast<std::size_t>(k)], own, discs_.reflected_share(i, index, k));
-    out.disc_irradiance += lighting::irradiance(d, world_from_bake[1]);
+    out.disc_irradiance += lighting::irradiance(d, up);
   }
-  const lighting::ShRotation turn(glm::transpose(world_from_bake), prt::kIndirectBands);
   const auto in_bake_frame = [&](const RadianceSh& light) {
-    return turn * (on_level_floor ? lighting::floor_light(light, prt::kIndirectBands) : light);
+    return reflected_in_bake_frame(light, level, pose);
   };
   out.discs = in_bake_frame(sum);
   bool all_open = true;

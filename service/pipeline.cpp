@@ -228,23 +228,26 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 // First what real things take, which is in the picture already, then what objects take of each other's.
 void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
   const bool past_real = real_.any() && real_.shadow();
-  for (std::size_t k = 0; k < objects_.size(); ++k) {
+  for (std::size_t k = 0; past_real && k < objects_.size(); ++k) {
     Object& o = objects_[k];
     o.past_real = o.shadow;
     const prt::BakedObject& baked = o.prepared->baked;
-    if (past_real && may_meet(scene_.real->baked, scene_.real->world_from_bake, baked, poses[k]))
+    if (may_meet(scene_.real->baked, scene_.real->world_from_bake, baked, poses[k]))
       shadows::share_shadow({&scene_.real->baked, scene_.real->world_from_bake, real_.shadow()},
                             {&baked, poses[k], &o.shadow}, o.past_real);
   }
+  const auto left_by_real = [&](const Object& o) -> const shadows::PlanarShadow& {
+    return past_real ? o.past_real : o.shadow;
+  };
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     Object& o = objects_[k];
-    const shadows::PlanarShadow* shown = &o.past_real;
+    const shadows::PlanarShadow* shown = &left_by_real(o);
     for (std::size_t i = 0; i < k; ++i) {
       const Object& other = objects_[i];
       if (!may_meet(other.prepared->baked, poses[i], o.prepared->baked, poses[k])) continue;
-      if (shown != &o.shared) o.shared = o.past_real, shown = &o.shared;
-      shadows::share_shadow({&other.prepared->baked, poses[i], &other.past_real},
-                            {&o.prepared->baked, poses[k], &o.past_real}, o.shared);
+      if (shown != &o.shared) o.shared = *shown, shown = &o.shared;
+      shadows::share_shadow({&other.prepared->baked, poses[i], &left_by_real(other)},
+                            {&o.prepared->baked, poses[k], &left_by_real(o)}, o.shared);
     }
     compositor_->set_light(o.handle, o.relit, *shown);
   }

@@ -25,17 +25,16 @@ void RealStage::relight(const lighting::LightEstimate& light) {
   const prt::Mesh& mesh = scene_->real_mesh;
   const prt::BakedObject& baked = scene_->real->baked;
   const Pose& pose = scene_->real->world_from_bake;
-  const bool level = baked.receiver && (pose.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
-  const auto turned = [&](const RadianceSh& l) {
-    return lighting::ShRotation(glm::transpose(glm::dmat3(pose.rotation_matrix())), l.bands()) * l;
-  };
-  const RadianceSh rest = turned(level ? light.floor_light : light.light);
-  RadianceSh reflected(prt::kIndirectBands);
+  const bool level = stands_level(baked, pose);
+  const RadianceSh& open = rest_for(light, level);
+  const RadianceSh rest =
+      lighting::ShRotation(glm::transpose(pose.rotation_matrix()), open.bands()) * open;
+  RadianceSh sum(prt::kIndirectBands);
   for (const lighting::Disc& d : light.discs) {
-    const RadianceSh one = lighting::project_disc(d, prt::kIndirectBands);
-    for (int n = 0; n < one.size(); ++n) reflected[n] += one[n];
+    const RadianceSh one = reflected_for(d, level);
+    for (int n = 0; n < one.size(); ++n) sum[n] += one[n];
   }
-  reflected = turned(reflected);
+  const RadianceSh reflected = reflected_in_bake_frame(sum, level, pose);
   const std::size_t stride = baked.transfer.stride;
   relit_.resize(3 * stride);
   reflected_.resize(3 * stride);

@@ -64,8 +64,11 @@ class Surroundings {
   /// The scene must outlive it.
   explicit Surroundings(const PreparedScene& scene);
 
-  /// False for an object alone: nothing needs to be looked at.
-  bool any() const { return scene_->objects.size() > 1 || !scene_->real_mesh.triangles.empty(); }
+  /// False for an object alone on one plane: nothing needs to be looked at.
+  bool any() const {
+    return scene_->objects.size() > 1 || !scene_->real_mesh.triangles.empty() ||
+           scene_->planes.size() > 1;
+  }
 
   /// Looks around from every object, with rays from all over its surface that it does not block itself. The same again
   /// when nothing has moved costs nothing.

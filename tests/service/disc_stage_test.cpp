@@ -65,6 +65,29 @@ TEST(DiscStage, ObjectsThatMoveRenewAllThatTheyReach) {
   EXPECT_GE(shaded, 1) << "one of the places is before the sun";
 }
 
+// A window's form is long: its round stand-in does not reach what stands before the window's end.
+TEST(DiscStage, LongSourcesAreSeenPastWhatMovesAtTheirEnd) {
+  const PreparedScene scene = two_balls();
+  const Surroundings around(scene);
+  lighting::Disc window = sun(0);
+  const dvec3 aside = glm::normalize(glm::cross(window.direction, dvec3(0, 1, 0)));
+  for (const double along : {-.8, -.4, 0., .4, .8})
+    window.shape.push_back(glm::normalize(window.direction + along * aside));
+  auto kept = DiscStage::create(scene, {});
+  ASSERT_TRUE(kept);
+  kept->update(std::vector{window}, 1, around);
+  const auto open = light_on(*kept, scene, 0);
+  const Pose pose{{1, 0, 0, 0}, window.shape.back() * .9};
+  auto fresh = DiscStage::create(scene, {});
+  ASSERT_TRUE(fresh);
+  for (DiscStage* stage : {&*kept, &*fresh}) {
+    stage->set_pose(1, pose);
+    stage->update(std::vector{window}, 1, around);
+  }
+  EXPECT_EQ(light_on(*kept, scene, 0), light_on(*fresh, scene, 0));
+  EXPECT_NE(light_on(*kept, scene, 0), open) << "the place is before the window's end";
+}
+
 // An object that moves in every frame must not hide that the sun creeps on.
 TEST(DiscStage, CreepingSunIsFollowedWhileObjectsMove) {
   const PreparedScene scene = two_balls();

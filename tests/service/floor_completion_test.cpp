@@ -109,8 +109,8 @@ TEST(FloorCompletion, OverexposedFloorSaysSoAndLeavesTheLight) {
 TEST(FloorCompletion, BlackFloorIsNoMeasurement) {
   ClippedSun c;
   auto completion = *FloorCompletion::create(c.scene);
-  const Watched w =
-      watch(c, completion, [](Image<Rgb8>& picture) { std::ranges::fill(picture.pixels(), Rgb8{}); });
+  const Watched w = watch(
+      c, completion, [](Image<Rgb8>& picture) { std::ranges::fill(picture.pixels(), Rgb8{}); });
   ASSERT_TRUE(w.error);
   EXPECT_EQ(w.error->code, ErrorCode::kUndetermined);
   EXPECT_NEAR(sun_share(w.last, c.truth), sun_share(w.first, c.truth), .02f);

@@ -62,9 +62,10 @@ void write_depth(const std::filesystem::path& folder) {
   ASSERT_TRUE(codec::write_hdr(folder / "depth.exr", depth, codec::Depth::kFloat));
   const glm::dmat4 m = v.world_from_camera.matrix();
   std::ofstream camera(folder / "camera.toml");
-  camera << "version = 1\n[[camera]]\nname = \"depth\"\nrole = \"view\"\nwidth = 320\nheight = 240\n"
-         << "projection = \"pinhole\"\nfocal_px = [260, 260]\nresponse = \"linear\"\n"
-         << "world_from_camera = [" << std::setprecision(15);
+  camera
+      << "version = 1\n[[camera]]\nname = \"depth\"\nrole = \"view\"\nwidth = 320\nheight = 240\n"
+      << "projection = \"pinhole\"\nfocal_px = [260, 260]\nresponse = \"linear\"\n"
+      << "world_from_camera = [" << std::setprecision(15);
   for (int k = 0; k < 16; ++k) camera << (k ? ", " : "") << m[k / 4][k % 4];
   camera << "]\n";
 }

@@ -113,8 +113,7 @@ TEST(RealLight, GraceWithPixelCornersGivesThePublishedCoefficientsWithoutATurn) 
         const double sine = std::sin(kPi * r), dw = std::pow(kPi / half, 2) * sine / (kPi * r);
         double basis[9];
         lighting::evaluate_basis(3, {sine * u / r, sine * v / r, -std::cos(kPi * r)}, basis);
-        for (int n = 0; n < 9; ++n)
-          sum[n] += picture.at(x, y) * static_cast<float>(dw * basis[n]);
+        for (int n = 0; n < 9; ++n) sum[n] += picture.at(x, y) * static_cast<float>(dw * basis[n]);
       }
     residuals[offset > 0 ? 1 : 0] = residual(mirrored_z(sum), published);
   }

@@ -7,11 +7,13 @@
 #include "service/accuracy.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
+#include "tests/support/worlds.h"
 
 namespace penumbra::service {
 namespace {
 
 using glm::dvec3;
+using test::twist, test::grey_plane;
 
 constexpr int kRows = 256;
 
@@ -81,25 +83,8 @@ void PrintTo(const World& w, std::ostream* out) {
   *out << w.name;
 }
 
-SceneObject twist(const dvec3& position) {
-  SceneObject o;
-  o.asset = "builtin:twist";
-  o.name = "twist";
-  o.albedo = {.6f, .6f, .6f};
-  o.position = position;
-  o.stand = true;
-  return o;
-}
-
-RealGeometry floor(const dvec3& normal = {0, 1, 0}) {
-  RealGeometry g;
-  g.plane = RealPlane{{0, 0, 0}, glm::normalize(normal)};
-  g.albedo = Rgb{.4f, .4f, .4f};
-  return g;
-}
-
 Scene on_floor(const std::filesystem::path&) {
-  return {{twist({0, 0, 0})}, {floor()}};
+  return {{twist({0, 0, 0})}, {grey_plane()}};
 }
 
 Scene beside_prop(const std::filesystem::path& folder) {
@@ -108,7 +93,7 @@ Scene beside_prop(const std::filesystem::path& folder) {
   RealGeometry prop;
   prop.mesh = (folder / "prop.obj").string();
   prop.albedo = Rgb{.4f, .4f, .4f};
-  return {{twist({-.12, 0, 0})}, {floor(), prop}};
+  return {{twist({-.12, 0, 0})}, {grey_plane(), prop}};
 }
 
 class ReferenceWorld : public testing::TestWithParam<World> {};
@@ -116,11 +101,7 @@ class ReferenceWorld : public testing::TestWithParam<World> {};
 TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
   const World& world = GetParam();
   const test::TempFolder folder;
-  BakeSettings settings;
-  settings.rays = settings.ground_rays = 512;
-  settings.use_cache = false;
-  const auto scene = prepare(world.scene(folder.path()), settings,
-                             [](const std::string&) { return std::function<void(double)>(); });
+  const auto scene = test::prepared(world.scene(folder.path()));
   ASSERT_TRUE(scene) << scene.error().detail;
   const prt::PinholeView view{
       112, 84, {105, 105}, {56, 42}, capture::look_at({.5, 1.2, 1.5}, {0, .15, 0})};
@@ -170,24 +151,21 @@ const World kWorlds[] = {
      .05, .05},
     {"tilted_floor",
      [](const std::filesystem::path&) {
-       return Scene{{twist({0, 0, 0})}, {floor({.35, 1, .1})}};
+       return Scene{{twist({0, 0, 0})}, {grey_plane({0, 0, 0}, {.35, 1, .1})}};
      },
      [] { return std::vector{capture::make_sky_environment(2 * kRows, kRows, .8)}; }, .05, .05},
     {"two_objects_sky",
      [](const std::filesystem::path&) {
-       return Scene{{twist({-.2, 0, 0}), twist({.2, 0, .05})}, {floor()}};
+       return Scene{{twist({-.2, 0, 0}), twist({.2, 0, .05})}, {grey_plane()}};
      },
      [] { return std::vector{capture::make_sky_environment(2 * kRows, kRows, .8)}; }, .05, .05},
     {"two_objects_room",
      [](const std::filesystem::path&) {
-       return Scene{{twist({-.2, 0, 0}), twist({.2, 0, .05})}, {floor()}};
+       return Scene{{twist({-.2, 0, 0}), twist({.2, 0, .05})}, {grey_plane()}};
      },
      [] { return std::vector{capture::make_room_environment(2 * kRows, kRows)}; }, .05, .05},
     {"real_prop_room", beside_prop,
-     [] {
-       return std::vector{capture::make_room_environment(2 * kRows, kRows)};
-     },
-     .05, .05},
+     [] { return std::vector{capture::make_room_environment(2 * kRows, kRows)}; }, .05, .05},
     {"real_prop_sky", beside_prop,
      [] {
        return std::vector{capture::make_sky_environment(2 * kRows, kRows, .8)};

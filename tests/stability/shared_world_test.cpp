@@ -9,38 +9,16 @@
 #include "service/accuracy.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
+#include "tests/support/worlds.h"
 
 namespace penumbra::service {
 namespace {
 
 using glm::dvec3;
+using test::prepared, test::twist, test::grey_plane;
 
 const prt::PinholeView kView{
     160, 120, {150, 150}, {80, 60}, capture::look_at({.5, 1.2, 1.5}, {0, .15, 0})};
-
-Result<PreparedScene> prepared(const Scene& scene) {
-  BakeSettings settings;
-  settings.rays = settings.ground_rays = 512;
-  settings.use_cache = false;
-  return prepare(scene, settings, [](const std::string&) { return std::function<void(double)>(); });
-}
-
-SceneObject twist(const dvec3& position) {
-  SceneObject o;
-  o.asset = "builtin:twist";
-  o.name = "twist";
-  o.albedo = {.6f, .6f, .6f};
-  o.position = position;
-  o.stand = true;
-  return o;
-}
-
-RealGeometry floor() {
-  RealGeometry g;
-  g.plane = RealPlane{};
-  g.albedo = Rgb{.4f, .4f, .4f};
-  return g;
-}
 
 RealGeometry real_box(const std::filesystem::path& folder, const glm::vec3& low,
                       const glm::vec3& high) {
@@ -81,7 +59,7 @@ class Coincident : public testing::TestWithParam<bool> {};
 
 TEST_P(Coincident, TwoEqualObjectsInOnePlaceLookLikeOne) {
   const test::TempFolder folder;
-  Scene one{{twist({0, 0, 0})}, {floor()}};
+  Scene one{{twist({0, 0, 0})}, {grey_plane()}};
   if (GetParam()) one.real.push_back(real_box(folder.path(), {.3f, 0, -.4f}, {.7f, .5f, .4f}));
   Scene two = one;
   two.objects.push_back(two.objects[0]);
@@ -121,6 +99,24 @@ double rms_on_floor(const Still& ours, const Still& truth, float open,
 
 constexpr double kReferenceError = .008;
 
+// The world with the object in it, our composite, and the naive scene's in the same picture.
+struct Judged {
+  Still empty, truth, ours, naive;
+};
+
+std::optional<Judged> judge(const PreparedScene& scene, const PreparedScene& naive_scene,
+                            const Image<Rgb>& map) {
+  const StillScene in{&scene, &map, kView};
+  auto empty = render_real(in, kReferenceError, {}),
+       truth = render_reference(in, true, kReferenceError, std::nullopt, {});
+  const auto light = lighting::estimate_map(map, {});
+  if (!empty || !truth || !light) return std::nullopt;
+  auto ours = render_composite(in, *light, *empty),
+       naive = render_composite({&naive_scene, &map, kView}, *light, *empty);
+  if (!ours || !naive) return std::nullopt;
+  return Judged{std::move(*empty), std::move(*truth), std::move(*ours), std::move(*naive)};
+}
+
 dvec3 towards_sun(const Image<Rgb>& map) {
   const auto brightest =
       std::ranges::max_element(map.pixels(), {}, [](const Rgb& c) { return luminance(c); });
@@ -134,37 +130,29 @@ TEST(VirtualShadow, OverARealOneTakesOnlyWhatLightIsLeft) {
   // A real wall stands before the sun: the virtual object and its shadow lie in the wall's own.
   const dvec3 sun = towards_sun(map), away = glm::normalize(dvec3(sun.x, 0, sun.z)) * .45;
   const glm::vec3 low(away - dvec3(.35, 0, .35)), high(away + dvec3(.35, .9, .35));
-  const Scene with_wall{{twist({0, 0, 0})}, {floor(), real_box(folder.path(), low, high)}},
-      without{{twist({0, 0, 0})}, {floor()}};
+  const Scene with_wall{{twist({0, 0, 0})}, {grey_plane(), real_box(folder.path(), low, high)}},
+      without{{twist({0, 0, 0})}, {grey_plane()}};
   const auto scene = prepared(with_wall), naive_scene = prepared(without);
   ASSERT_TRUE(scene && naive_scene);
   const auto masks = make_masks(*scene, kView);
   if (!masks && masks.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
   ASSERT_TRUE(masks) << masks.error().detail;
-  const StillScene in{&*scene, &map, kView};
-  const auto empty = render_real(in, kReferenceError, {}),
-             truth = render_reference(in, true, kReferenceError, std::nullopt, {});
-  const auto light = lighting::estimate_map(map, {});
-  ASSERT_TRUE(empty && truth && light);
-  const auto ours = render_composite(in, *light, *empty),
-             naive = render_composite({&*naive_scene, &map, kView}, *light, *empty);
-  ASSERT_TRUE(ours && naive);
+  const auto seen = judge(*scene, *naive_scene, map);
+  ASSERT_TRUE(seen);
   const float open =
       luminance(scene->planes[0].albedo * exact_irradiance(map, {0, 1, 0})) / float(kPi);
   std::vector<bool> dark = masks->floor;
   for (std::size_t i = 0; i < dark.size(); ++i)
-    if (luminance(empty->radiance.pixels()[i]) > .6f * open) dark[i] = false;
-  EXPECT_LT(rms_on_floor(*ours, *truth, open, dark), .03);
-  EXPECT_GT(rms_on_floor(*naive, *truth, open, dark), .06) << "the sun taken twice";
+    if (luminance(seen->empty.radiance.pixels()[i]) > .6f * open) dark[i] = false;
+  EXPECT_LT(rms_on_floor(seen->ours, seen->truth, open, dark), .03);
+  EXPECT_GT(rms_on_floor(seen->naive, seen->truth, open, dark), .06) << "the sun taken twice";
 }
 
 TEST(RealPlane, SeenFromBehindHidesNothing) {
-  RealGeometry between;  // the camera and the object, facing the object
-  between.plane = RealPlane{{0, 0, .7}, {0, 0, -1}};
-  between.albedo = Rgb{.4f, .4f, .4f};
-  const auto alone = prepared({{twist({0, 0, 0})}, {floor()}}),
-             behind = prepared({{twist({0, 0, 0})}, {floor(), between}});
+  const RealGeometry between = grey_plane({0, 0, .7}, {0, 0, -1});  // camera and object, facing it
+  const auto alone = prepared({{twist({0, 0, 0})}, {grey_plane()}}),
+             behind = prepared({{twist({0, 0, 0})}, {grey_plane(), between}});
   ASSERT_TRUE(alone && behind);
   const auto a = make_masks(*alone, kView), b = make_masks(*behind, kView);
   if (!a && a.error().code == ErrorCode::kUnavailable)
@@ -184,7 +172,8 @@ TEST(TiltedObject, CastsTheShadowOfHowItLies) {
   SceneObject lying = upright;
   lying.rotation = glm::angleAxis(kPi / 2, dvec3(0, 0, 1));
   lying.position = {.3, .08, 0};
-  const auto scene = prepared({{lying}, {floor()}}), naive_scene = prepared({{upright}, {floor()}});
+  const auto scene = prepared({{lying}, {grey_plane()}}),
+             naive_scene = prepared({{upright}, {grey_plane()}});
   ASSERT_TRUE(scene && naive_scene);
   const auto masks = make_masks(*scene, kView), naive_masks = make_masks(*naive_scene, kView);
   if (!masks && masks.error().code == ErrorCode::kUnavailable)
@@ -194,20 +183,15 @@ TEST(TiltedObject, CastsTheShadowOfHowItLies) {
   for (std::size_t i = 0; i < both.size(); ++i) both[i] = both[i] && naive_masks->floor[i];
   for (const Image<Rgb>& map :
        {capture::make_room_environment(512, 256), capture::make_sky_environment(512, 256, .8)}) {
-    const StillScene in{&*scene, &map, kView};
-    const auto empty = render_real(in, kReferenceError, {}),
-               truth = render_reference(in, true, kReferenceError, std::nullopt, {});
-    const auto light = lighting::estimate_map(map, {});
-    ASSERT_TRUE(empty && truth && light);
-    const auto ours = render_composite(in, *light, *empty),
-               naive = render_composite({&*naive_scene, &map, kView}, *light, *empty);
-    ASSERT_TRUE(ours && naive);
-    const float open = luminance(empty->radiance.at(4, kView.height - 4));
+    const auto seen = judge(*scene, *naive_scene, map);
+    ASSERT_TRUE(seen);
+    const float open = luminance(seen->empty.radiance.at(4, kView.height - 4));
     std::vector<bool> shaded = both;
     for (std::size_t i = 0; i < both.size(); ++i)
-      if (luminance(truth->radiance.pixels()[i]) > .95f * open) shaded[i] = false;
-    EXPECT_LT(rms_on_floor(*ours, *truth, open, shaded), .03);
-    EXPECT_GT(rms_on_floor(*naive, *truth, open, shaded), .05) << "the shadow of an upright one";
+      if (luminance(seen->truth.radiance.pixels()[i]) > .95f * open) shaded[i] = false;
+    EXPECT_LT(rms_on_floor(seen->ours, seen->truth, open, shaded), .03);
+    EXPECT_GT(rms_on_floor(seen->naive, seen->truth, open, shaded), .05)
+        << "the shadow of an upright one";
   }
 }
 

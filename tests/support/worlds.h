@@ -1,0 +1,37 @@
+// The scenes that the tests of whole worlds are made of.
+#pragma once
+
+#include <string>
+
+#include "service/scene.h"
+
+namespace penumbra::test {
+
+inline service::SceneObject twist(const glm::dvec3& position) {
+  service::SceneObject o;
+  o.asset = "builtin:twist";
+  o.name = "twist";
+  o.albedo = {.6f, .6f, .6f};
+  o.position = position;
+  o.stand = true;
+  return o;
+}
+
+inline service::RealGeometry grey_plane(const glm::dvec3& point = {0, 0, 0},
+                                        const glm::dvec3& normal = {0, 1, 0}) {
+  service::RealGeometry g;
+  g.plane = service::RealPlane{point, glm::normalize(normal)};
+  g.albedo = Rgb{.4f, .4f, .4f};
+  return g;
+}
+
+/// Baked anew with few rays, silently.
+inline Result<service::PreparedScene> prepared(const service::Scene& scene) {
+  service::BakeSettings settings;
+  settings.rays = settings.ground_rays = 512;
+  settings.use_cache = false;
+  return service::prepare(scene, settings,
+                          [](const std::string&) { return std::function<void(double)>(); });
+}
+
+}  // namespace penumbra::test
