@@ -66,17 +66,23 @@ struct Exposer {
   std::uint64_t seed;
   const float* normal = normal_quantiles().data();
 
-  // Signal after noise, in fractions of full scale, without black level.
-  float noisy(float signal, std::uint64_t index) const {
-    const std::uint64_t bits = mix((seed + index) * kGolden);
-    const float read = normal[bits & 0xffff];
+  // Signal after noise, in fractions of full scale, without black level. `bits` are the pixel's, 16 a channel.
+  float noisy(float signal, std::uint64_t bits, int channel) const {
+    const float deviate = normal[bits >> (16 * channel) & 0xffff];
     const float photons = signal * electrons;
-    if (photons > 30)
-      return signal +
-             normal[bits >> 16 & 0xffff] * std::sqrt(shot_variance * signal + read_variance);
-    if (photons <= 0) return signal + read * std::sqrt(read_variance);
-    return static_cast<float>(small_poisson(photons, bits)) / electrons +
-           read * std::sqrt(read_variance);
+    if (photons > 30) return signal + deviate * std::sqrt(shot_variance * signal + read_variance);
+    const float read = deviate * std::sqrt(read_variance);
+    if (photons <= 0) return signal + read;
+    const auto own = mix(bits + static_cast<std::uint64_t>(channel));
+    return static_cast<float>(small_poisson(photons, own)) / electrons + read;
+  }
+
+  template <class Code>
+  Code encode(int channel, float signal) const {
+    if constexpr (sizeof(Code) == 1)
+      return curve.encode8(channel, signal);
+    else
+      return static_cast<Code>(curve.encode(channel, signal));
   }
 };
 
@@ -94,15 +100,14 @@ void expose_rows(const Exposer& e, const Image<Rgb>& radiance, Image<Pixel>& out
       for (int x = 0; x < width; ++x) {
         const float kept = e.sensor.vignetting > 0 ? light_left(e.sensor, x, y, width, height) : 1;
         const Rgb signal = radiance.at(x, y) * (kept * e.signal_per_radiance);
-        const auto index = 3 * (static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(width) +
-                                static_cast<std::uint64_t>(x));
+        const auto index = static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(width) +
+                           static_cast<std::uint64_t>(x);
+        const std::uint64_t bits = e.sensor.noisy ? mix((e.seed + index) * kGolden) : 0;
         Code codes[3];
         for (int c = 0; c < 3; ++c) {
           // Far above full scale the noise cannot matter and floats would lose it anyway.
           const float clipped = std::clamp(signal[c], 0.f, 4.f);
-          const float v =
-              e.sensor.noisy ? e.noisy(clipped, index + static_cast<std::uint64_t>(c)) : clipped;
-          codes[c] = static_cast<Code>(e.curve.encode(c, v));
+          codes[c] = e.encode<Code>(c, e.sensor.noisy ? e.noisy(clipped, bits, c) : clipped);
         }
         out.at(x, y) = {codes[0], codes[1], codes[2]};
       }

@@ -297,6 +297,16 @@ std::vector<lighting::Completion> ComposeStage::complete(const capture::Frame& f
   return {};
 }
 
+void ComposeStage::warm_up() {
+  const auto camera = std::ranges::find(views_, capture::Role::kView,
+                                        [](const ViewCamera& v) { return v.info.role; });
+  const calib::Projection& p = camera->info.projection;
+  FramePixels black = Image<Rgb>(p.width, p.height);
+  // What fails here fails again at the first frame, which says so.
+  (void)compositor_->composite(
+      {{p.width, p.height, p.focal_px, p.principal_px, camera->info.world_from_camera}}, black);
+}
+
 Result<Composited> ComposeStage::process(const capture::Frame& frame,
                                          const lighting::LightEstimate& light) {
   Composited out;

@@ -86,6 +86,8 @@ class ComposeStage {
       compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2,
       const DiscTaps& taps = {});
 
+  /// Draws once and throws it away: drivers compile shaders at the first draw, which costs a live run frames.
+  void warm_up();
   /// Composites one view frame under `light`.
   /// errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);

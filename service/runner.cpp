@@ -249,6 +249,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
   Live live;
   RunCounts counts;
   Result<void> composed;
+  compose.warm_up();
   const auto start = Clock::now();
   {
     const std::jthread producer([&] { produce(live, source, light.camera(), times, stop); });
