@@ -169,7 +169,7 @@ inline constexpr int kMostBounces = 256;
 
 struct BakeOptions {
   int bands = 5;
-  int bounces = 4;         // of light between the object's parts, and between object and receiver
+  int bounces = 6;         // of light between the object's parts, and between object and receiver
   int rays = 1024;         // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
   std::optional<Receiver> receiver;

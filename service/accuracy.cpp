@@ -75,6 +75,19 @@ double penumbra_error(const Still& ours, const Still& truth, const Still& empty,
   return own > 0 ? std::abs(real / own - 1) : std::numeric_limits<double>::quiet_NaN();
 }
 
+// The product of the errors against the reference's two halves. Channels that the compositor cut off at zero are an
+// error where the reference is positive in them; that both halves together decide it keeps their noise out of the mean.
+double error_product(const Rgb& ours, const Rgb& half_a, const Rgb& half_b) {
+  Rgb shown_a, shown_b, cut_a, cut_b;
+  for (int c = 0; c < 3; ++c) {
+    (ours[c] > 0 ? shown_a : cut_a)[c] = half_a[c] - ours[c];
+    (ours[c] > 0 ? shown_b : cut_b)[c] = half_b[c] - ours[c];
+  }
+  double a = luminance(shown_a), b = luminance(shown_b);
+  if (luminance(cut_a + cut_b) > 0) a += luminance(cut_a), b += luminance(cut_b);
+  return a * b;
+}
+
 }  // namespace
 
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
@@ -91,7 +104,8 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
       const double half_a = luminance(truth.half_a.pixels()[i]),
                    half_b = luminance(truth.half_b.pixels()[i]);
       noise += std::pow(half_a - half_b, 2) / 4;
-      product += a > 0 ? (a - half_a) * (a - half_b) : std::max(0., half_a) * std::max(0., half_b);
+      product += error_product(ours.radiance.pixels()[i], truth.half_a.pixels()[i],
+                               truth.half_b.pixels()[i]);
       ++objects;
     } else if (masks.floor[i]) {
       const double open = luminance(empty.radiance.pixels()[i]);

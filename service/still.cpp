@@ -83,14 +83,24 @@ Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scen
 
 Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real) {
-  capture::Frame frame;
-  frame.exposure = {Seconds(1), Gain(1)};
-  frame.world_from_camera = view.world_from_camera;
-  frame.pixels = std::make_shared<const FramePixels>(real.radiance);
-  auto composited = stage.process(frame, light);
-  if (!composited) return std::unexpected(composited.error());
-  return Still{
-      std::get<Image<Rgb>>(std::move(composited->pixels)), real.error, real.samples, {}, {}};
+  // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or a column.
+  constexpr double kShifts[4][2] = {{-3, -1}, {-1, 3}, {1, -3}, {3, 1}}, kUnit = 1. / 32;  // pixels
+  Still out{Image<Rgb>(view.width, view.height), real.error, real.samples, {}, {}};
+  const auto picture = std::make_shared<const FramePixels>(real.radiance);
+  for (const auto& [right, down] : kShifts) {
+    capture::Frame frame;
+    frame.exposure = {Seconds(1), Gain(1)};
+    frame.pixels = picture;
+    frame.world_from_camera = view.world_from_camera;
+    frame.world_from_camera.rotation *= glm::dquat(
+        glm::dvec3(-down * kUnit / view.focal_px.y, -right * kUnit / view.focal_px.x, 0));
+    auto composited = stage.process(frame, light);
+    if (!composited) return std::unexpected(composited.error());
+    const auto& pass = std::get<Image<Rgb>>(composited->pixels);
+    for (std::size_t i = 0; i < pass.area(); ++i)
+      out.radiance.pixels()[i] += pass.pixels()[i] * (1.f / std::size(kShifts));
+  }
+  return out;
 }
 
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,

@@ -35,11 +35,13 @@ Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal);
 /// every pixel), path traced when there are real meshes or several planes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
 
-/// A stage for stills of one view: fine oversampling.
+/// A stage for stills of one view: 16 samples a pixel.
 /// errors: as ComposeStage::create
 Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scene,
                                                        const prt::PinholeView& view,
                                                        const DiscTaps& taps);
+/// The mean of four pictures a fraction of a pixel apart: edges get 64 samples a pixel.
+/// errors: as ComposeStage::process
 Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real);
 
