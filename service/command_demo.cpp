@@ -97,6 +97,7 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
   StudioRequest request;
   request.environment = o.environment;
   request.asset = o.asset;
+  request.prop = o.prop;
   request.animated = o.animated;
   request.width = o.width;
   request.height = o.height;
@@ -104,7 +105,7 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
   request.frames = o.frames;
   // A live camera costs the machine nothing; its frames are filmed before the clock starts.
   request.view_clip = o.live ? 16 : 0;
-  auto setup = set_up_studio(request);
+  auto setup = set_up_studio(request, progress_bar);
   if (!setup) return std::unexpected(setup.error());
   BakeSettings settings;
   settings.bands = o.bands;

@@ -59,8 +59,14 @@ struct Rig {
 Result<Rig> open_rig(const RigConfig& c) {
   Rig rig;
   if (c.source == "studio") {
-    StudioRequest request{c.environment, c.asset, true, c.width, c.height, c.fps, 1 << 30, 16};
-    auto setup = set_up_studio(request);
+    const StudioRequest request{.environment = c.environment,
+                                .asset = c.asset,
+                                .width = c.width,
+                                .height = c.height,
+                                .fps = c.fps,
+                                .frames = 1 << 30,
+                                .view_clip = 16};
+    auto setup = set_up_studio(request, progress_bar);
     if (!setup) return std::unexpected(setup.error());
     rig.scene = std::move(setup->scene);
     rig.source = std::make_unique<capture::Studio>(setup->world, setup->options);

@@ -226,13 +226,12 @@ void DiscStage::add_light(std::size_t object, std::span<float> relit) const {
   }
 }
 
-DiscStage::AtPoints DiscStage::at_points(std::span<const glm::vec3> positions,
-                                         std::span<const glm::vec3> normals) const {
-  const std::size_t count = positions.size();
-  AtPoints out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
-  shadows::DiscAtPoints one;
+DiscStage::AtVertices DiscStage::at_vertices(const prt::Mesh& mesh) const {
+  const std::size_t count = mesh.positions.size();
+  AtVertices out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
+  shadows::DiscAtVertices one;
   for (const Traced& t : traced_) {
-    shadows::trace_disc_points(blockers(), positions, normals, t.disc, taps_.object, one);
+    shadows::trace_disc_vertices(blockers(), mesh, t.disc, taps_.object, one);
     const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr());
     for (std::size_t i = 0; i < count; ++i) {
       out.open[i] += scale * one.open[i];

@@ -43,11 +43,10 @@ class DiscStage {
   /// Adds the discs' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
   /// E0 - E at points of real geometry and what is really left there of the light of all discs, relative irradiance.
-  struct AtPoints {
+  struct AtVertices {
     std::vector<Rgb> open, taken, missing;
   };
-  AtPoints at_points(std::span<const glm::vec3> positions,
-                     std::span<const glm::vec3> normals) const;
+  AtVertices at_vertices(const prt::Mesh& mesh) const;
 
   /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, discs included.
   std::vector<compositor::DiscShadowOnPlane> shadows(std::span<const Rgb> open_irradiance) const;

@@ -78,7 +78,8 @@ void add_light_commands(CLI::App& app, Action& action) {
   static BakeCommandOptions bake_options;
   c = app.add_subcommand(
       "bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
-  c->add_option("asset", bake_options.asset, "glTF, OBJ or PLY (or builtin:knot, builtin:twist)")
+  c->add_option("asset", bake_options.asset,
+                "glTF, OBJ or PLY (or builtin:knot, builtin:twist, builtin:box)")
       ->required();
   c->add_option("-o,--output", bake_options.output, "Baked .glb")->required();
   c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
@@ -161,6 +162,8 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_option("--environment", demo_options.environment,
                 "HDR environment; the built-in room by default");
   c->add_option("--asset", demo_options.asset, "Object; the built-in knot by default");
+  c->add_option("--prop", demo_options.prop,
+                "Something real in the studio, in metres of its world, or builtin:box");
   c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");
   c->add_option("--record", demo_options.record,
                 "Also record a capture folder with its scene.toml");

@@ -15,7 +15,7 @@ bool RealStage::measure(const lighting::LightEstimate& light, const DiscStage& d
     return false;
   measured_ = light.light;
   const prt::Mesh& mesh = scene_->real_mesh;
-  if (first || discs_changed) discs_ = discs.at_points(mesh.positions, mesh.normals);
+  if (first || discs_changed) discs_ = discs.at_vertices(mesh);
   relight(light);
   return true;
 }

@@ -40,7 +40,7 @@ class RealStage {
 
   const PreparedScene* scene_;
   RadianceSh measured_;              // the light, without discs
-  DiscStage::AtPoints discs_;        // at the vertices
+  DiscStage::AtVertices discs_;      // at the vertices
   std::vector<Rgb> arrives_, exit_;  // irradiance and radiance of the vertices
   std::vector<float> relit_, reflected_;
   shadows::PlanarShadow shadow_;

@@ -145,9 +145,11 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
     mesh = prt::make_knot(.5f, 480, 80, albedo);
   } else if (asset == "builtin:twist") {
     mesh = make_twist(albedo);
+  } else if (asset == "builtin:box") {
+    mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
   } else if (asset.starts_with("builtin:")) {
     return fail(ErrorCode::kNotFound, asset,
-                "no such built-in asset; there are builtin:knot and builtin:twist");
+                "no such built-in asset; there are builtin:knot, builtin:twist and builtin:box");
   } else {
     auto imported = prt::import_mesh(asset, albedo);
     if (!imported) return std::unexpected(imported.error());
@@ -184,7 +186,7 @@ Result<void> prepare_receivers(
 // What real things hide from and reflect onto each other and the floor: few rays, it is a share of what objects take.
 Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
                        const std::function<void(double)>& progress) {
-  constexpr int kMostRays = 256, kMostBounces = 2;
+  constexpr int kMostRays = 1024, kMostBounces = 2;
   prt::Mesh mesh = scene.real_mesh;
   const prt::Bounds bounds = prt::bounds_of(mesh);
   PreparedReal out;
@@ -223,6 +225,7 @@ Result<PreparedScene> prepare(
     auto mesh = real.depth.empty() ? load_asset(real.mesh, albedo, 0)
                                    : read_depth_mesh(real.depth, real.camera, albedo);
     if (!mesh) return std::unexpected(mesh.error());
+    prt::transform(*mesh, Pose{{1, 0, 0, 0}, real.position}.matrix());
     append(out.real_mesh, *mesh);
   }
   for (const SceneObject& object : scene.objects) {

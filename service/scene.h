@@ -16,7 +16,7 @@ namespace penumbra::service {
 
 struct SceneObject {
   std::string name;
-  std::string asset;  // a file, or "builtin:knot", "builtin:twist"
+  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box"
   Rgb albedo{.7f, .7f, .7f};
   glm::dvec3 position{0, 0, 0};
   glm::dquat rotation{1, 0, 0, 0};
@@ -31,9 +31,10 @@ struct RealPlane {
 };
 struct RealGeometry {
   std::optional<RealPlane> plane;  // or
-  std::string mesh;                // or
+  std::string mesh;                // a file or a built-in, at `position`, or
   std::string depth, camera;       // a depth picture and the camera that saw it
   std::optional<Rgb> albedo;
+  glm::dvec3 position{0, 0, 0};  // of a mesh
 };
 
 struct Scene {

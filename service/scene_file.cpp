@@ -11,7 +11,7 @@ namespace {
 constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",
                                             "position", "rotation",  "scale",
                                             "spin_rpm", "animation", "stand_size_m"};
-constexpr std::string_view kRealKeys[] = {"plane", "mesh", "depth", "camera", "albedo"};
+constexpr std::string_view kRealKeys[] = {"plane", "mesh", "position", "depth", "camera", "albedo"};
 
 // Beyond these floats have no room for a shadow.
 constexpr double kFarthest = 1e4, kLeastScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
@@ -105,6 +105,8 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
     return keys.invalid("plane", "give a plane, a mesh or a depth picture, one of them");
   if (keys.has("depth") != keys.has("camera"))
     return keys.invalid("depth", "goes together with the camera that saw it");
+  if (keys.has("position") && !keys.has("mesh"))
+    return keys.invalid("position", "is where a mesh stands");
   if (keys.has("albedo")) {
     PENUMBRA_ASSIGN(albedo, read_albedo(keys));
     real.albedo = albedo;
@@ -112,6 +114,10 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   if (keys.has("mesh")) {
     PENUMBRA_ASSIGN(mesh, keys.text("mesh"));
     real.mesh = resolve(mesh, folder);
+    if (keys.has("position")) {
+      PENUMBRA_ASSIGN(position, read_point(keys, "position"));
+      real.position = position;
+    }
     return real;
   }
   if (keys.has("depth")) {
@@ -184,18 +190,15 @@ Result<Scene> read_scene(const fs::path& path) {
 
 Result<void> write_scene(const fs::path& path, const Scene& scene) {
   const auto absolute = [](const std::string& file) {
-    return fs::absolute(file).lexically_normal().string();
+    return file.starts_with("builtin:") ? file : fs::absolute(file).lexically_normal().string();
   };
   std::string text = "version = 1\n";
   const auto list = [](const auto&... v) {
     return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", "));
   };
   for (const SceneObject& o : scene.objects) {
-    const std::string asset = o.asset.starts_with("builtin:")
-                                  ? o.asset
-                                  : fs::absolute(o.asset).lexically_normal().string();
     text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name),
-                        toml_quoted(asset), list(o.albedo.r, o.albedo.g, o.albedo.b));
+                        toml_quoted(absolute(o.asset)), list(o.albedo.r, o.albedo.g, o.albedo.b));
     text += fmt::format("position = {}\nrotation = {}\n",
                         list(o.position.x, o.position.y, o.position.z),
                         list(o.rotation.x, o.rotation.y, o.rotation.z, o.rotation.w));
@@ -213,7 +216,8 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
       text += fmt::format("depth = {}\ncamera = {}\n", toml_quoted(absolute(r.depth)),
                           toml_quoted(absolute(r.camera)));
     } else {
-      text += fmt::format("mesh = {}\n", toml_quoted(absolute(r.mesh)));
+      text += fmt::format("mesh = {}\nposition = {}\n", toml_quoted(absolute(r.mesh)),
+                          list(r.position.x, r.position.y, r.position.z));
     }
     if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
   }

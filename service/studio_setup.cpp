@@ -3,10 +3,37 @@
 #include <filesystem>
 
 #include "service/light_file.h"
+#include "service/prop_world.h"
 
 namespace penumbra::service {
 
-Result<StudioSetup> set_up_studio(const StudioRequest& r) {
+namespace {
+
+// A real thing as a rig's owner would describe it; a file stands where its own coordinates say.
+RealGeometry place_prop(const std::string& asset) {
+  RealGeometry prop;
+  prop.mesh = asset;
+  prop.albedo = Rgb{.55f, .42f, .3f};
+  if (asset.starts_with("builtin:")) prop.position = {.12, 0, -.42};
+  return prop;
+}
+
+Result<std::shared_ptr<const capture::World>> with_prop(
+    std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& prop,
+    const std::function<void(double)>& progress) {
+  auto mesh = load_asset(prop.mesh, *prop.albedo, 0);
+  if (!mesh) return std::unexpected(mesh.error());
+  prt::transform(*mesh, Pose{{1, 0, 0, 0}, prop.position}.matrix());
+  auto world = PropWorld::make(std::move(floor), std::move(*mesh), progress);
+  if (!world) return fail(world.error().code, prop.mesh, world.error().detail);
+  return std::move(*world);
+}
+
+}  // namespace
+
+Result<StudioSetup> set_up_studio(
+    const StudioRequest& r,
+    const std::function<std::function<void(double)>(const std::string&)>& progress) {
   StudioSetup out;
   Image<Rgb> map;
   if (r.environment) {
@@ -21,7 +48,8 @@ Result<StudioSetup> set_up_studio(const StudioRequest& r) {
   auto world = capture::FloorWorld::make(std::move(map));
   if (!world)
     return fail(world.error().code, r.environment.value_or("environment"), world.error().detail);
-  out.world = std::move(*world);
+  const std::shared_ptr<const capture::FloorWorld> floor_world = std::move(*world);
+  out.world = floor_world;
 
   capture::StudioOptions& o = out.options;
   o.view_width = r.width;
@@ -36,8 +64,14 @@ Result<StudioSetup> set_up_studio(const StudioRequest& r) {
 
   RealGeometry floor;
   floor.plane = RealPlane{};
-  floor.albedo = out.world->mean_floor_albedo();
+  floor.albedo = floor_world->mean_floor_albedo();
   out.scene.real.push_back(floor);
+  if (r.prop) {
+    out.scene.real.push_back(place_prop(*r.prop));
+    auto furnished = with_prop(floor_world, out.scene.real.back(), progress("light on the prop"));
+    if (!furnished) return std::unexpected(furnished.error());
+    out.world = std::move(*furnished);
+  }
   SceneObject still;
   still.asset = r.asset.value_or("builtin:knot");
   still.name = r.asset ? std::filesystem::path(*r.asset).stem().string() : "knot";

@@ -1,6 +1,7 @@
 // The built-in studio as demo and serve use it.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -11,13 +12,13 @@
 namespace penumbra::service {
 
 struct StudioSetup {
-  std::shared_ptr<capture::FloorWorld> world;
+  std::shared_ptr<const capture::World> world;
   capture::StudioOptions options;
   Scene scene;
 };
 
 struct StudioRequest {
-  std::optional<std::string> environment, asset;
+  std::optional<std::string> environment{}, asset{}, prop{};
   bool animated = true;
   int width = 1280, height = 720;
   double fps = 30;
@@ -26,7 +27,9 @@ struct StudioRequest {
 };
 
 /// Environment (the built-in room without one), cameras and the scene: a static object (the knot,
-/// or the asset stood on the floor half a metre large) and a turning one.
-Result<StudioSetup> set_up_studio(const StudioRequest& request);
+/// or the asset stood on the floor half a metre large) and a turning one, with a prop among them if one is wanted.
+Result<StudioSetup> set_up_studio(
+    const StudioRequest& request,
+    const std::function<std::function<void(double)>(const std::string&)>& progress);
 
 }  // namespace penumbra::service

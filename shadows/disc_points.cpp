@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 
 #include "shadows/disc_rays.h"
 
@@ -29,6 +30,24 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
     sums[c] += all - values[c];
   }
   std::swap(sums, values);
+}
+
+// Sums over the rays of a disc that is not narrow. Once leaves the beat of the turns with a grid's rows as ripples in
+// broad penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources
+// (studio: 2.5 to 3.3 %).
+void smooth(const prt::Mesh& mesh, const lighting::Disc& disc,
+            std::initializer_list<std::vector<float>*> sums) {
+  if (is_narrow(disc)) return;
+  constexpr double kBroad = .25;  // radians
+  const int passes = disc.radius.value() > kBroad ? 3 : 1;
+  for (int pass = 0; pass < passes; ++pass)
+    for (std::vector<float>* values : sums) average_neighbours(mesh, *values);
+}
+
+float mean_cosine(std::span<const glm::vec3> directions, const glm::vec3& normal) {
+  float sum = 0;
+  for (const glm::vec3& d : directions) sum += std::max(0.f, glm::dot(normal, d));
+  return sum / static_cast<float>(directions.size());
 }
 
 // Lambert's law over a disc on the vertices of a mesh: rays, and what of them arrives.
@@ -123,39 +142,24 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
     tracer.trace(
         scouts, last, [&](std::size_t i) { return edge[i] != 0; }, seen, open);
   }
-  if (!narrow) {
-    // Once leaves the beat of the turns with a grid's rows as ripples in broad penumbras; patterns in random order leave
-    // blotches. Three times would blur the edges of smaller sources (studio: 2.5 to 3.3 %).
-    constexpr double kBroad = .25;  // radians
-    const int passes = disc.radius.value() > kBroad ? 3 : 1;
-    for (int pass = 0; pass < passes; ++pass) {
-      average_neighbours(mesh, seen);
-      average_neighbours(mesh, open);
-    }
-  }
+  smooth(mesh, disc, {&seen, &open});
   all.make(disc, std::max(taps, kOpenTaps), 1);
-  const float share = 1 / static_cast<float>(all.count());
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       out[i] = 0;
       if (seen[i] <= 0) continue;
-      const glm::vec3 n = tracer.normal(i);
-      float cosines = 0;
-      for (const glm::vec3& d : all.at(0)) cosines += std::max(0.f, glm::dot(n, d));
-      out[i] = seen[i] / open[i] * cosines * share;
+      out[i] = seen[i] / open[i] * mean_cosine(all.at(0), tracer.normal(i));
     }
   });
 }
 
-void trace_disc_points(const Blockers& blockers, std::span<const glm::vec3> positions,
-                       std::span<const glm::vec3> normals, const lighting::Disc& disc, int taps,
-                       DiscAtPoints& out) {
-  const std::size_t count = positions.size();
+void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
+                         const lighting::Disc& disc, int taps, DiscAtVertices& out) {
+  const std::size_t count = mesh.positions.size();
   for (auto* v : {&out.open, &out.taken, &out.missing}) v->assign(count, 0.f);
-  thread_local TapPattern pattern_memory;  // grows once per thread
-  TapPattern& pattern = pattern_memory;
+  thread_local TapPattern pattern_memory, all_memory;  // grow once per thread
+  TapPattern &pattern = pattern_memory, &all = all_memory;
   pattern.make(disc, taps, kTurns);
-  const float share = 1 / static_cast<float>(taps);
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 512), [&](const auto& part) {
     Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (by_real)
@@ -164,13 +168,25 @@ void trace_disc_points(const Blockers& blockers, std::span<const glm::vec3> posi
         out.taken[i] += weight;
     });
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      const glm::vec3 o = positions[i] + blockers.near_m * normals[i];
+      const glm::vec3& n = mesh.normals[i];
+      const glm::vec3 o = mesh.positions[i] + blockers.near_m * n;
       for (const glm::vec3& d : pattern.at(i)) {
-        const float cosine = share * glm::dot(normals[i], d);
+        const float cosine = glm::dot(n, d);
         if (cosine <= 0) continue;
         out.open[i] += cosine;
         packets.add(i, cosine, o, d);
       }
+    }
+  });
+  smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
+  all.make(disc, std::max(taps, kOpenTaps), 1);
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const float open = mean_cosine(all.at(0), mesh.normals[i]),
+                  scale = out.open[i] > 0 ? open / out.open[i] : 0;
+      out.open[i] = open;
+      out.taken[i] *= scale;
+      out.missing[i] *= scale;
     }
   });
 }

@@ -79,15 +79,14 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
                       const prt::Plane* plane, const lighting::Disc& disc, int taps,
                       std::span<float> out);
 
-/// Shares of a disc's light at surface points, as mean cosines over the disc: of all of it, of what virtual things
+/// Shares of a disc's light at a mesh's vertices, as mean cosines over the disc: of all of it, of what virtual things
 /// take, and of what real things take anyway. Times L Omega each is an irradiance.
-struct DiscAtPoints {
+struct DiscAtVertices {
   std::vector<float> open, taken, missing;
 };
-/// in: as many unit normals as positions; world frame. threads: reentrant, parallel inside
-void trace_disc_points(const Blockers& blockers, std::span<const glm::vec3> positions,
-                       std::span<const glm::vec3> normals, const lighting::Disc& disc, int taps,
-                       DiscAtPoints& out);
+/// in: the mesh in the world frame. threads: reentrant, parallel inside
+void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
+                         const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct Caster {
   const prt::Mesh* mesh;

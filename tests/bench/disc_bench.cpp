@@ -57,8 +57,8 @@ void floor_map(benchmark::State& state) {
   const shadows::Caster caster{&setup().mesh, {}};
   shadows::DiscShadow shadow;
   int step = 0;
-  std::vector<glm::vec3> nodes, normals;
-  shadows::DiscAtPoints dense;
+  prt::Mesh nodes;  // no triangles: each for itself
+  shadows::DiscAtVertices dense;
   const auto trace = [&] {
     shadows::trace_disc_shadow(setup().blockers(), {&caster, 1}, setup().plane,
                                disc(radius, step++), {}, shadow);
@@ -66,11 +66,11 @@ void floor_map(benchmark::State& state) {
   trace();
   for (int y = 0; y < shadow.taken.height(); ++y)
     for (int x = 0; x < shadow.taken.width(); ++x)
-      nodes.emplace_back(shadow.world_from_map *
-                         glm::dvec3(x * shadow.cell_m, 0., y * shadow.cell_m));
-  normals.assign(nodes.size(), {0, 1, 0});
+      nodes.positions.emplace_back(shadow.world_from_map *
+                                   glm::dvec3(x * shadow.cell_m, 0., y * shadow.cell_m));
+  nodes.normals.assign(nodes.positions.size(), {0, 1, 0});
   compare(state, trace, [&] {
-    shadows::trace_disc_points(setup().blockers(), nodes, normals, disc(radius, step), 16, dense);
+    shadows::trace_disc_vertices(setup().blockers(), nodes, disc(radius, step), 16, dense);
   });
   state.counters["rays"] = static_cast<double>(shadow.rays);
 }

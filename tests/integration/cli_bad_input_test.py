@@ -85,10 +85,12 @@ class BadMeshes(CliTest):
                                     self.root / "even.hdr", "--camera", self.root / "camera.toml", "-o",
                                     self.root / "out" / "picture.exr")
 
-    def test_demo_refuses_them_as_its_asset(self):
+    def test_demo_refuses_them_as_its_asset_and_prop(self):
         for name in ("empty.obj", "nan.obj", "nowhere.obj"):
             self.expect_refusal([name], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
                                 self.root / "even.hdr", "--asset", self.root / name, "--out", self.root / "out" / "demo")
+            self.expect_refusal([name], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
+                                self.root / "even.hdr", "--prop", self.root / name, "--out", self.root / "out" / "demo")
 
 
 class BadConfiguration(CliTest):

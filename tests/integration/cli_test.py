@@ -34,7 +34,7 @@ class DemoAndComposite(CliTest):
     def test_recorded_demo_replays_to_the_same_pictures_and_bytes(self):
         demo, record = self.root / "demo", self.root / "record"
         printed = self.run_json("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out", demo,
-                                "--record", record)
+                                "--prop", "builtin:box", "--record", record)
         self.check_summary(printed)
         self.check_summary(json.loads((demo / "summary.json").read_text()))
         runs = [self.root / "first", self.root / "second"]
