@@ -3,11 +3,13 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <bit>
 #include <chrono>
 #include <cmath>
 #include <mutex>
+#include <utility>
 
 #include "lighting/lighting.h"
 #include "prt/prt.h"
@@ -76,6 +78,8 @@ class Baker {
   std::uint32_t ground_mask(const RayScene::Packet& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
+  std::array<double, 3> added_by_last_bounce() const;
+  void add_further_bounces(const std::array<double, 3>& share);
   void add_ground_bounce(const BounceHit& hit, int channel, float* sum) const;
   void report_progress(double share);
   double standard_error(const std::vector<PointResult>& results) const;
@@ -279,6 +283,34 @@ void Baker::bounce(std::size_t index, const std::vector<BounceHit>& hits) {
   }
 }
 
+// What the last bounce added under a constant light, summed over all points.
+std::array<double, 3> Baker::added_by_last_bounce() const {
+  std::array<double, 3> sum{};
+  const auto channels = static_cast<std::size_t>(channels_);
+  for (std::size_t p = 0; p < points_.size(); ++p)
+    for (std::size_t c = 0; c < channels; ++c) {
+      const std::size_t at = (p * channels + c) * coefficients_;
+      sum[c] += double(current_[at]) - next_[at];
+    }
+  return sum;
+}
+
+// The bounces that are not traced: each is the one before, fainter by the same share. Power iteration: what a bounce
+// adds soon has the form of the scene's largest eigenvector, whatever the light.
+void Baker::add_further_bounces(const std::array<double, 3>& share) {
+  const auto channels = static_cast<std::size_t>(channels_);
+  tbb::parallel_for(std::size_t{0}, points_.size(), [&](std::size_t p) {
+    for (std::size_t c = 0; c < channels; ++c) {
+      constexpr double kMostShare = .95;  // beyond, two bounces say too little
+      const double q = std::clamp(share[c], 0., kMostShare);
+      const auto further = static_cast<float>(q / (1 - q));
+      const std::size_t at = (p * channels + c) * coefficients_;
+      for (std::size_t n = at; n < at + coefficients_; ++n)
+        current_[n] += further * (current_[n] - next_[n]);
+    }
+  });
+}
+
 void Baker::report_progress(double share) {
   if (!options_.progress) return;
   const std::scoped_lock lock(progress_mutex_);
@@ -385,13 +417,17 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   });
   current_ = shadowed_;
   if (options_.bounces > 0) next_.resize(floats);
+  std::array<double, 3> added{}, share{};
   for (int b = 0; b < options_.bounces; ++b) {
     parallel([&](const tbb::blocked_range<std::size_t>& range) {
       for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
     });
     std::swap(current_, next_);
+    const std::array<double, 3> before = std::exchange(added, added_by_last_bounce());
+    for (std::size_t c = 0; c < 3; ++c) share[c] = before[c] > 0 ? added[c] / before[c] : 0;
     report_progress(.1 / options_.bounces);
   }
+  if (options_.bounces > 0) add_further_bounces(share);
   BakedObject out;
   const std::size_t vertices = mesh_.positions.size();
   out.transfer = packed_vertices();

@@ -169,7 +169,9 @@ inline constexpr int kMostBounces = 256;
 
 struct BakeOptions {
   int bands = 5;
-  int bounces = 6;         // of light between the object's parts, and between object and receiver
+  /// Of light between the object's parts, and between object and receiver. From the second on, what comes after the
+  /// last is continued as a geometric series.
+  int bounces = 4;
   int rays = 1024;         // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
   std::optional<Receiver> receiver;

@@ -24,7 +24,7 @@ std::uint64_t hash(std::uint64_t h, const void* data, std::size_t bytes) {  // F
 
 // Everything that the bake's result depends on; the version changes with the bake's own code.
 std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
-  constexpr std::uint64_t kBakeVersion = 7;
+  constexpr std::uint64_t kBakeVersion = 8;
   std::uint64_t h = hash(0xcbf29ce484222325ull, &kBakeVersion, sizeof kBakeVersion);
   h = hash(h, mesh.positions.data(), mesh.positions.size() * sizeof(glm::vec3));
   h = hash(h, mesh.normals.data(), mesh.normals.size() * sizeof(glm::vec3));

@@ -48,7 +48,7 @@ Result<Scene> read_scene(const std::filesystem::path& path);
 Result<void> write_scene(const std::filesystem::path& path, const Scene& scene);
 
 struct BakeSettings {
-  int bands = 5, bounces = 6, rays = 1024, ground_rays = 1024;
+  int bands = 5, bounces = 4, rays = 1024, ground_rays = 1024;
   bool use_cache = true;
 };
 
