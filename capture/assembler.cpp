@@ -15,7 +15,7 @@ static_assert(sizeof(HalfRgba) == 8);
 
 namespace {
 
-constexpr int kTileRows = 16, kTileColumns = 64;
+constexpr int kRowsAtOnce = 16;
 
 bool is_identity_latlong(const calib::Projection& p, const Pose& pose, int width, int height) {
   return p.kind == calib::ProjectionKind::kLatLong && p.width == width && p.height == height &&
@@ -66,22 +66,19 @@ EnvironmentAssembler::~EnvironmentAssembler() = default;
 EnvironmentAssembler::EnvironmentAssembler(EnvironmentAssembler&&) noexcept = default;
 EnvironmentAssembler& EnvironmentAssembler::operator=(EnvironmentAssembler&&) noexcept = default;
 
-// A row of the environment is a curve in the source: tiles reuse the source's cache lines between
-// rows. What is not seen stays black from the allocation on.
+// What is not seen stays black from the allocation on.
 void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::uint16_t* source,
                                        float scale, Image<Rgb>& out) {
-  for (int y = first_row; y < last_row; ++y) alpha_[static_cast<std::size_t>(y)] = 0;
-  for (int tile = 0; tile < width_; tile += kTileColumns)
-    for (int y = first_row; y < last_row; ++y) {
-      const auto row = static_cast<std::size_t>(y);
-      const int first = std::max(tile, spans_[row].first);
-      const int last = std::min(tile + kTileColumns, spans_[row].last);
-      if (first >= last) continue;
-      alpha_[row] += double(gather_row(
-          source, source_width_,
-          &taps_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
-          last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
-    }
+  for (int y = first_row; y < last_row; ++y) {
+    const auto row = static_cast<std::size_t>(y);
+    const auto& [first, last] = spans_[row];
+    alpha_[row] = 0;
+    if (first >= last) continue;
+    alpha_[row] = double(
+        gather_row(source, source_width_,
+                   &taps_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
+                   last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
+  }
 }
 
 // Only rows that lack confidence are looked at: without clipping their sums are exact.
@@ -117,7 +114,7 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     }
   }
   const auto* source = &merged.pixels.pixels()[0].r;
-  tbb::parallel_for(tbb::blocked_range<int>(0, height_, kTileRows), [&](const auto& rows) {
+  tbb::parallel_for(tbb::blocked_range<int>(0, height_, kRowsAtOnce), [&](const auto& rows) {
     if (taps_.empty()) {
       for (int y = rows.begin(); y < rows.end(); ++y)
         alpha_[static_cast<std::size_t>(y)] =
