@@ -285,12 +285,20 @@ struct Plane {
   std::function<Rgb(const glm::dvec3&)> texture;
 };
 
+/// A sphere of even radiance that nothing sees but by its light.
+struct SphereLight {
+  glm::dvec3 position{0, 1, 0};
+  double radius_m = .03;
+  Rgb irradiance_at_1m;  // of a surface that faces it: pi r^2 times its radiance
+};
+
 struct World {
   Mesh mesh;  // world frame, virtual and real together
   std::vector<Plane> planes;
   const EnvironmentLight* light = nullptr;
   /// What a ray that leaves the camera and meets nothing shows; `light` when empty.
   std::function<Rgb(const glm::vec3&)> background;
+  std::vector<SphereLight> lamps{};
 };
 
 struct PinholeView {

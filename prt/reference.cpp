@@ -69,7 +69,7 @@ class Tracer {
   }
 
   Meeting trace(const glm::vec3& o, const glm::vec3& d, float near, SurfacePoint& out) const;
-  bool occluded(const glm::vec3& o, const glm::vec3& d) const;
+  bool occluded(const glm::vec3& o, const glm::vec3& d, float far = 1e30f) const;
   // One sample of E/pi at a point: the cosine-weighted mean of what arrives.
   Rgb gather(const SurfacePoint& start, PathNumbers& numbers) const;
   Rgb seen_from_camera(const glm::vec3& o, const glm::vec3& d, PathNumbers& numbers) const;
@@ -79,6 +79,7 @@ class Tracer {
   const Plane* nearest_plane(const glm::vec3& o, const glm::vec3& d, float near,
                              float& distance) const;
   Rgb direct(const SurfacePoint& at, PathNumbers& numbers) const;
+  Rgb from_lamp(const SphereLight& lamp, const SurfacePoint& at, PathNumbers& numbers) const;
 
   const World& world_;
   int longest_path_;
@@ -119,10 +120,27 @@ Meeting Tracer::trace(const glm::vec3& o, const glm::vec3& d, float near, Surfac
   return Meeting::kSurface;
 }
 
-bool Tracer::occluded(const glm::vec3& o, const glm::vec3& d) const {
-  float distance = 1e30f;
+bool Tracer::occluded(const glm::vec3& o, const glm::vec3& d, float far) const {
+  float distance = far;
   if (nearest_plane(o, d, near_, distance)) return true;
-  return scene_ && scene_->occluded(o, d, near_);
+  return scene_ && scene_->occluded(o, d, near_, far);
+}
+
+// Its cone evenly: Shirley, Wang & Zimmerman 1996.
+Rgb Tracer::from_lamp(const SphereLight& lamp, const SurfacePoint& at, PathNumbers& numbers) const {
+  const float u1 = numbers.next(), phi = 2 * static_cast<float>(kPi) * numbers.next();
+  const glm::vec3 to = glm::vec3(lamp.position) - at.position;
+  const float distance = glm::length(to), radius = static_cast<float>(lamp.radius_m);
+  if (distance <= radius) return {};  // within it
+  const float sine2 = radius * radius / (distance * distance), cut = 1 - std::sqrt(1 - sine2),
+              z = 1 - u1 * cut, r = std::sqrt(1 - z * z);
+  const glm::vec3 d =
+      frame_around(to / distance) * glm::vec3(r * std::cos(phi), r * std::sin(phi), z);
+  const float cosine = glm::dot(at.normal, d);
+  if (cosine <= 0 || occluded(at.position + near_ * at.normal, d, distance - radius)) return {};
+  const float solid_angle = 2 * static_cast<float>(kPi) * cut;
+  const Rgb radiance = lamp.irradiance_at_1m * (1 / (static_cast<float>(kPi) * radius * radius));
+  return radiance * (cosine * solid_angle / static_cast<float>(kPi));
 }
 
 // Power of two strategies is balanced by density: w = p_light/(p_light + p_cosine).
@@ -142,6 +160,7 @@ Rgb Tracer::gather(const SurfacePoint& start, PathNumbers& numbers) const {
   Rgb sum{}, throughput{1, 1, 1};
   for (int depth = 0; depth < longest_path_; ++depth) {
     if (sampled) sum += throughput * direct(at, numbers);
+    for (const SphereLight& lamp : world_.lamps) sum += throughput * from_lamp(lamp, at, numbers);
     const float phi = 2 * static_cast<float>(kPi) * numbers.next(), u = numbers.next();
     const float r = std::sqrt(u), z = std::sqrt(1 - u);
     const glm::vec3 d =

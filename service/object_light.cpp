@@ -114,6 +114,23 @@ Rgb ComposeStage::radiance_of_neighbours(std::size_t index, const glm::dvec3& ce
   return weight > 0 ? sum * (1 / weight) : Rgb{};
 }
 
+namespace {
+
+// The lamp's light at a place.
+lighting::Disc as_disc(const shadows::Lamp& lamp, const glm::dvec3& at) {
+  const glm::dvec3 to = lamp.position - at;
+  const double distance = std::max(glm::length(to), 2 * lamp.radius_m);
+  lighting::Disc out;
+  out.direction = glm::length(to) > 0 ? glm::normalize(to) : glm::dvec3(0, 1, 0);
+  out.radius = Radians(std::asin(lamp.radius_m / distance));
+  const double sine = lamp.radius_m / distance;
+  out.radiance =
+      lamp.irradiance_at_1m * static_cast<float>(1 / (distance * distance * kPi * sine * sine));
+  return out;
+}
+
+}  // namespace
+
 void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& estimate,
                              const Pose& pose, ObjectLight& out) const {
   const bool level = stands_level(objects_[index].prepared->baked, pose);
@@ -128,6 +145,14 @@ void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& e
     for (int k = 0; k < kSides; ++k)
       add(side[static_cast<std::size_t>(k)], own, discs_.reflected_share(i, index, k));
     out.disc_irradiance += lighting::irradiance(d, up);
+  }
+  const glm::dvec3 centre =
+      pose * glm::dvec3(prt::bounds_of(objects_[index].prepared->baked.mesh).centre());
+  for (const shadows::Lamp& lamp : scene_.lamps) {
+    // What object and floor reflect of a lamp: as if it were as far for all of them as for the object's middle.
+    const RadianceSh own = reflected_for(as_disc(lamp, centre), level);
+    add(sum, own, 1);
+    for (RadianceSh& s : side) add(s, own, 1);
   }
   const auto in_bake_frame = [&](const RadianceSh& light) {
     return reflected_in_bake_frame(light, level, pose);

@@ -258,7 +258,7 @@ bool ComposeStage::update_object(std::size_t index, const std::vector<Pose>& pos
   Object& o = objects_[index];
   ObjectLight light = light_at(index, estimate, poses);
   if (!discs_changed && o.light_used && !differs_visibly(*o.light_used, light)) return false;
-  if (!estimate.discs.empty()) add_discs(index, estimate, poses[index], light);
+  if (!estimate.discs.empty() || lamps_.any()) add_discs(index, estimate, poses[index], light);
   {
     const StageTimer timer(times_, "relight");
     relight(o, light, index);

@@ -121,8 +121,6 @@ const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
                                const std::optional<lighting::LightEstimate>& truncated,
                                const Progress& progress) {
-  if (!in.scene->lamps.empty())
-    return fail(ErrorCode::kInvalid, "scene", "has lamps, which the reference does not trace yet");
   auto map_light = prt::EnvironmentLight::from_map(*in.environment);
   if (!map_light) return std::unexpected(map_light.error());
   const prt::EnvironmentLight light =
@@ -131,6 +129,9 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
   prt::World world;
   world.mesh = world_mesh(*in.scene, with_objects);
   world.planes = in.scene->planes;
+  if (with_objects)
+    for (const shadows::Lamp& lamp : in.scene->lamps)
+      world.lamps.push_back({lamp.position, lamp.radius_m, lamp.irradiance_at_1m});
   world.light = &light;
   world.background = [&](const glm::vec3& d) { return map_light->radiance(d); };
   prt::ReferenceOptions options;

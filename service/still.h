@@ -53,7 +53,7 @@ Result<Still> render_composite(const StillScene& in, const lighting::LightEstima
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
                            const lighting::LightEstimate& light);
 
-/// The truth: the object really stands there. Under the whole environment, or under `truncated`
+/// The truth: the objects really stand there, and the lamps. Under the whole environment, or under `truncated`
 /// light.
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
                                const std::optional<lighting::LightEstimate>& truncated,

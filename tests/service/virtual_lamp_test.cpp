@@ -4,7 +4,10 @@
 #include <cmath>
 
 #include "core/conventions.h"
+#include "lighting/lighting.h"
+#include "service/accuracy.h"
 #include "service/still.h"
+#include "tests/support/worlds.h"
 
 namespace penumbra::service {
 namespace {
@@ -67,6 +70,47 @@ TEST(VirtualLamp, LightsTheFloorByItsShareOfTheRealLightAndCastsShadows) {
               2e-3);
   const glm::ivec2 lid = pixel({.05, .2, 0});
   EXPECT_GT(with->radiance.at(lid.x, lid.y).r, without->radiance.at(lid.x, lid.y).r + .2f);
+}
+
+// A world in which the lamp really hangs beside the object, low over a dim floor so that it is most of the light.
+TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
+  Scene world{{test::twist({0, 0, 0})}, {test::grey_plane()}};
+  world.lamps.push_back({{.45, .55, .3}, .04, {60, 50, 35}});
+  const auto scene = test::prepared(world);
+  world.lamps.clear();
+  const auto unlit = test::prepared(world);
+  ASSERT_TRUE(scene && unlit);
+  const Image<Rgb> map = capture::make_room_environment(256, 128);
+  const prt::PinholeView view{
+      128, 96, {120, 120}, {64, 48}, capture::look_at({.5, 1.2, 1.5}, {0, .15, 0})};
+  const StillScene in{&*scene, &map, view};
+  const auto masks = make_masks(*unlit, view);
+  if (!masks && masks.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
+  const auto empty = render_real(in, .01, {}),
+             truth = render_reference(in, true, .006, std::nullopt, {});
+  const auto light = lighting::estimate_map(map, {});
+  ASSERT_TRUE(masks && empty && truth && light);
+  const auto ours = render_composite(in, *light, *empty),
+             naive = render_composite({&*unlit, &map, view}, *light, *empty);
+  ASSERT_TRUE(ours && naive);
+  const auto rms = [&](const Still& a, const std::vector<bool>& where) {
+    double square = 0, mean = 0;
+    for (std::size_t i = 0; i < where.size(); ++i) {
+      if (!where[i]) continue;
+      const double d = luminance(a.radiance.pixels()[i]) - luminance(truth->radiance.pixels()[i]);
+      square += d * d, mean += luminance(truth->radiance.pixels()[i]);
+    }
+    const auto count = static_cast<double>(std::ranges::count(where, true));
+    return std::sqrt(square / count) / (mean / count);
+  };
+  std::printf("lamp: floor %.3f (without %.3f), object %.2f %% (without %.2f %%)\n",
+              rms(*ours, masks->floor), rms(*naive, masks->floor), 100 * rms(*ours, masks->object),
+              100 * rms(*naive, masks->object));
+  EXPECT_LT(rms(*ours, masks->floor), .03);
+  EXPECT_GT(rms(*naive, masks->floor), .2);
+  EXPECT_LT(rms(*ours, masks->object), .05);
+  EXPECT_GT(rms(*naive, masks->object), .2);
 }
 
 }  // namespace
