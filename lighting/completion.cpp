@@ -139,6 +139,38 @@ Result<std::vector<Completion>> complete_from_patches(const LightEstimate& light
   return out;
 }
 
+Result<std::vector<Completion>> complete_together(const LightEstimate& light,
+                                                  const KnownPatch& patch) {
+  PENUMBRA_TRY(check(patch, 0));
+  const auto is_sun = [](const Disc& d) { return d.clipped && d.radius <= kSunLike; };
+  const bool suns = std::ranges::any_of(light.discs, is_sun);
+  const auto shares = [&](const Disc& d) { return suns ? is_sun(d) : d.clipped; };
+  const Rgb others = irradiance_without(light, irradiance(light.light), patch.normal, shares);
+  std::vector<Completion> out;
+  Rgb measured;
+  double nearest = 0;
+  for (const Disc& d : light.discs) {
+    if (!shares(d)) continue;
+    measured += irradiance(d, patch.normal);
+    nearest = std::max(nearest, response(d, patch.normal));
+    out.push_back({d.id, power(d)});
+  }
+  if (out.empty()) return fail(ErrorCode::kInvalid, "light", "has no clipped source");
+  if (nearest < kLeastCosine)
+    return fail(ErrorCode::kUndetermined, "patch", "sees no clipped source");
+  Rgb factor;
+  for (int c = 0; c < 3; ++c) {
+    const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
+    factor[c] = measured[c] > 0 ? std::max(0.f, missing / measured[c]) : 1;
+  }
+  for (Completion& completion : out) completion.power = completion.power * factor;
+  if (!(luminance(out[0].power) > 0))
+    return fail(ErrorCode::kUndetermined, "patch",
+                "gets nothing from clipped sources: in shadow, or of another albedo or scale than "
+                "stated");
+  return out;
+}
+
 Result<Completion> complete_from_shadow(const LightEstimate& light, int disc,
                                         const ShadowEdge& edge) {
   const auto at =

@@ -214,6 +214,12 @@ struct ShadowEdge {
 /// source:  Debevec, Graham, Busch & Bolas 2012; least squares of Lawson & Hanson 1974
 Result<std::vector<Completion>> complete_from_patches(const LightEstimate& light,
                                                       std::span<const KnownPatch> patches);
+/// What one patch says of several clipped discs: they send what it misses, each in proportion to what was measured of
+/// it. Where some are sun-like, those alone: a sun or a bulb exceeds what saturates by orders of magnitude, a window by
+/// little. The light on the patch comes out right, its share between the discs is a guess.
+/// errors:  kInvalid, kNonFinite as complete_from_patches, kUndetermined (the patch sees none of them, nothing left)
+Result<std::vector<Completion>> complete_together(const LightEstimate& light,
+                                                  const KnownPatch& patch);
 /// E_disc = E_others (lit / shadowed - 1).
 /// errors:  kInvalid (not a clipped disc, bad edge), kNonFinite, kUndetermined (the surface does not
 ///          see the disc, the lit side is not brighter)

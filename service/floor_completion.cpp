@@ -121,7 +121,7 @@ Result<std::vector<lighting::Completion>> FloorCompletion::observe(
   if (!patch)
     return fail(ErrorCode::kUndetermined, camera.name,
                 "shows too little of the floor, or overexposes it");
-  auto found = lighting::complete_from_patches(light, {&*patch, 1});
+  auto found = lighting::complete_together(light, *patch);
   if (!found) return found;
   if (!is_news(*found)) return std::vector<lighting::Completion>{};
   said_ = *found;

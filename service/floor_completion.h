@@ -26,7 +26,7 @@ class FloorCompletion {
 
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as compositor::View
   /// out: completions of the light's clipped discs; empty when there is nothing (new) to say
-  /// errors: as complete_from_patches; kUndetermined when too little of the floor is in view or it is overexposed
+  /// errors: as complete_together; kUndetermined when too little of the floor is in view or it is overexposed
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
   Result<std::vector<lighting::Completion>> observe(const capture::Frame& frame,
                                                     const capture::CameraInfo& camera,

@@ -225,6 +225,62 @@ TEST(Completion, TwoClippedLampsAreToldApart) {
     for (const double channel : lamp) EXPECT_LT(std::sqrt(channel), .05);
 }
 
+// Irradiance by an estimate whose discs were completed.
+Rgb irradiance_with(const LightEstimate& light, std::span<const Completion> completions,
+                    const dvec3& normal) {
+  Rgb sum = evaluate(irradiance(light.light), normal);
+  for (const Disc& d : light.discs) {
+    const auto c = std::ranges::find(completions, d.id, &Completion::disc);
+    sum += irradiance(c == completions.end() ? d : completed(d, c->power), normal);
+  }
+  return sum;
+}
+
+TEST(Completion, OnePatchGivesSeveralSourcesTheirLightTogether) {
+  std::mt19937 rng(4);
+  const Lamp lamps[] = {kLamp, kOther};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 8));
+  ASSERT_EQ(light.discs.size(), 2U);
+  const KnownPatch floor = patch(map, kUp, rng);
+  EXPECT_EQ(complete_from_patches(light, {&floor, 1}).error().code, ErrorCode::kUndetermined);
+  const auto got = complete_together(light, floor);
+  ASSERT_TRUE(got) << got.error().detail;
+  EXPECT_EQ(got->size(), 2U);
+  const Rgb truth = exact_irradiance(map, kUp);
+  expect_power(irradiance_with(light, *got, kUp), truth, .02);
+  EXPECT_LT(luminance(irradiance_with(light, {}, kUp)), .6f * luminance(truth)) << "lost without";
+}
+
+// A window that saturates by little must not become a second sun.
+TEST(Completion, ASunTakesWhatAWindowBesideItCannotHold) {
+  std::mt19937 rng(5);
+  const Lamp window{glm::normalize(dvec3(-.6, .6, .3)), 9 * kDegree, {11, 11, 12}};
+  const Lamp lamps[] = {kSun, window};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 8));
+  ASSERT_EQ(light.discs.size(), 2U);
+  const auto got = complete_together(light, patch(map, kUp, rng));
+  ASSERT_TRUE(got) << got.error().detail;
+  ASSERT_EQ(got->size(), 1U);
+  expect_power((*got)[0].power, kSun.power(), .1);
+  expect_power(irradiance_with(light, *got, kUp), exact_irradiance(map, kUp), .02);
+}
+
+TEST(Completion, OnePatchSaysWhyItCannot) {
+  std::mt19937 rng(6);
+  const auto map = room_with({&kSun, 1});
+  const auto light = estimate(clip(map, 8));
+  EXPECT_EQ(complete_together(estimate(clip(map, 1e9f)), patch(map, kUp, rng)).error().code,
+            ErrorCode::kInvalid);
+  EXPECT_EQ(complete_together(light, patch(map, -kUp, rng)).error().code, ErrorCode::kUndetermined);
+  KnownPatch black = patch(map, kUp, rng);
+  black.radiance = {};
+  EXPECT_EQ(complete_together(light, black).error().code, ErrorCode::kUndetermined);
+  black.albedo.g = 0;
+  EXPECT_EQ(complete_together(light, black).error().code, ErrorCode::kInvalid);
+}
+
 TEST(Completion, NoChannelGetsNegativeLight) {
   // A red and a blue lamp nearly in line: noise would give each a negative share of the other's colour.
   std::mt19937 rng(3);
