@@ -18,7 +18,8 @@ class DrawList {
  public:
   using Triangle = std::array<std::uint32_t, 3>;
 
-  /// `tolerance`: 0 for a list that only ever gives all(); else how far the surface may move, in metres of the mesh, by a bound. Borders and creases keep all their vertices.
+  /// `tolerance`: how far the surface may move, in metres of the mesh, by a bound; 0: not at all, every triangle stays.
+  /// Borders and creases keep all their vertices.
   DrawList(const prt::Mesh& mesh, float tolerance);
 
   /// Triangles of the mesh's own vertices whose interpolated colours leave what they are by 2 % in each round of

@@ -133,13 +133,20 @@ void weld(Mesh& mesh) {
   mesh = std::move(out);
 }
 
-// Assimp's PLY reader never returns from a text header without its end.
-bool is_endless_ply(const std::filesystem::path& path) {
+// Assimp's PLY reader never returns from a text header without its end, and reads one triangle of a strip.
+Result<void> check_ply(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   std::string head(1 << 16, '\0');
   in.read(head.data(), static_cast<std::streamsize>(head.size()));
   head.resize(static_cast<std::size_t>(in.gcount()));
-  return head.starts_with("ply") && head.find("end_header") == std::string::npos;
+  if (!head.starts_with("ply")) return {};
+  const std::size_t end = head.find("end_header");
+  if (end == std::string::npos)
+    return fail(ErrorCode::kUnreadable, path.string(), "its PLY header has no end");
+  if (head.find("element tristrips") < end)
+    return fail(ErrorCode::kInvalid, path.string(),
+                "holds triangle strips, which are not read; save it with faces");
+  return {};
 }
 
 // Other kinds that Assimp knows end the process on a damaged file: Debian builds it with assertions
@@ -152,8 +159,9 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
   const std::string file = path.string();
   std::error_code error;
   if (!std::filesystem::is_regular_file(path, error))
-    return fail(ErrorCode::kNotFound, file, "no such file");
-  if (is_endless_ply(path)) return fail(ErrorCode::kUnreadable, file, "its PLY header has no end");
+    return fail(ErrorCode::kNotFound, file,
+                std::filesystem::exists(path, error) ? "not a file" : "no such file");
+  PENUMBRA_TRY(check_ply(path));
   std::string kind = path.extension().string();
   std::ranges::transform(kind, kind.begin(),
                          [](unsigned char c) { return static_cast<char>(std::tolower(c)); });

@@ -76,7 +76,8 @@ double penumbra_error(const Still& ours, const Still& truth, const Still& empty,
 }
 
 // The product of the errors against the reference's two halves. Channels that the compositor cut off at zero are an
-// error where the reference is positive in them; that both halves together decide it keeps their noise out of the mean.
+// error where the reference is positive in them, taken together; that both halves decide it keeps their noise out of
+// the mean.
 double error_product(const Rgb& ours, const Rgb& half_a, const Rgb& half_b) {
   Rgb shown_a, shown_b, cut_a, cut_b;
   for (int c = 0; c < 3; ++c) {
@@ -88,6 +89,13 @@ double error_product(const Rgb& ours, const Rgb& half_a, const Rgb& half_b) {
   return a * b;
 }
 
+// The truth as the picture can show it: no negative light where ours was cut off at zero.
+Rgb shown(Rgb truth, const Rgb& ours) {
+  for (int c = 0; c < 3; ++c)
+    if (ours[c] <= 0) truth[c] = std::max(0.f, truth[c]);
+  return truth;
+}
+
 }  // namespace
 
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
@@ -96,7 +104,7 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
          shadows = 0, noise = 0, product = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
     const double a = luminance(ours.radiance.pixels()[i]);
-    const double t = std::max(0.f, luminance(truth.radiance.pixels()[i]));
+    const double t = luminance(shown(truth.radiance.pixels()[i], ours.radiance.pixels()[i]));
     if (masks.object[i]) {
       square += (a - t) * (a - t);
       mean += t;

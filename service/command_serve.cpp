@@ -61,6 +61,7 @@ Result<Rig> open_rig(const RigConfig& c) {
   if (c.source == "studio") {
     const StudioRequest request{.environment = c.environment,
                                 .asset = c.asset,
+                                .prop = c.prop,
                                 .width = c.width,
                                 .height = c.height,
                                 .fps = c.fps,

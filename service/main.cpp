@@ -83,7 +83,8 @@ void add_light_commands(CLI::App& app, Action& action) {
       ->required();
   c->add_option("-o,--output", bake_options.output, "Baked .glb")->required();
   c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
-  c->add_option("--bounces", bake_options.bounces, "Bounces of light between the parts")
+  c->add_option("--bounces", bake_options.bounces,
+                "Traced bounces of light between the parts; from 2 on the rest is extrapolated")
       ->capture_default_str();
   c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")
       ->capture_default_str();
@@ -163,7 +164,7 @@ void add_running_commands(CLI::App& app, Action& action) {
                 "HDR environment; the built-in room by default");
   c->add_option("--asset", demo_options.asset, "Object; the built-in knot by default");
   c->add_option("--prop", demo_options.prop,
-                "Something real in the studio, in metres of its world, or builtin:box");
+                "Mesh of something that really stands in the studio, or builtin:box");
   c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");
   c->add_option("--record", demo_options.record,
                 "Also record a capture folder with its scene.toml");

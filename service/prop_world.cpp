@@ -10,6 +10,9 @@ namespace penumbra::service {
 
 namespace {
 
+constexpr std::size_t kPaths = 24'000'000;  // ten seconds on two cores
+constexpr int kFewest = 32, kMost = 1024;   // a point
+
 // Texels beneath a thing see nothing; what stands beside them must not be drawn darker by it.
 void fill_from_neighbours(Image<Rgb>& share, const std::vector<bool>& covered) {
   const Image<Rgb> before = share;
@@ -61,20 +64,26 @@ Result<void> PropWorld::light(const std::function<void(double)>& progress) {
   const prt::World world{
       props_, {{{0, 0, 0}, {0, 1, 0}, floor_->mean_floor_albedo(), {}}}, &*far, {}};
   std::vector<prt::IrradiancePoint> points;
-  for (std::size_t i = 0; i < props_.positions.size(); ++i)
-    points.push_back({props_.positions[i], props_.normals[i]});
+  // A point on the floor itself would look past it; what lies below goes on as it is at the floor line.
+  constexpr double kOverFloor_m = 1e-3;
+  for (std::size_t i = 0; i < props_.positions.size(); ++i) {
+    glm::dvec3 at(props_.positions[i]);
+    at.y = std::max(at.y, kOverFloor_m);
+    points.push_back({at, props_.normals[i]});
+  }
   for (int y = 0; y < grid_.size; ++y)
     for (int x = 0; x < grid_.size; ++x) {
       const glm::vec2 p = grid_.position(glm::vec2(x + .5f, y + .5f) / float(grid_.size));
       points.push_back({{p.x, 0, p.y}, {0, 1, 0}});
     }
+  const int samples = std::clamp(static_cast<int>(kPaths / points.size()), kFewest, kMost);
   std::vector<Rgb> found;
-  constexpr std::size_t kSlices = 50;
+  constexpr std::size_t kSlices = 20;
   for (std::size_t slice = 0; slice < kSlices; ++slice) {
     const std::size_t first = points.size() * slice / kSlices,
                       last = points.size() * (slice + 1) / kSlices;
     auto part = prt::reference_irradiance(world, std::span(points).subspan(first, last - first),
-                                          kSamples, slice);
+                                          samples, slice);
     if (!part) return std::unexpected(part.error());
     found.insert(found.end(), part->begin(), part->end());
     if (progress) progress(double(slice + 1) / kSlices);

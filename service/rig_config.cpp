@@ -67,6 +67,7 @@ Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfi
   c.source = source == "studio" ? source : resolve(source, folder);
   PENUMBRA_TRY(read_path(keys, "environment", folder, c.environment));
   PENUMBRA_TRY(read_path(keys, "asset", folder, c.asset));
+  PENUMBRA_TRY(read_path(keys, "prop", folder, c.prop));
   PENUMBRA_TRY(read_number(keys, "fps", 0, 1000, c.fps));
   PENUMBRA_TRY(read_integer(keys, "width", 64, 8192, c.width));
   return read_integer(keys, "height", 64, 8192, c.height);
@@ -102,7 +103,7 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   RigConfig c;
   if (!keys.has("capture"))
     return keys.invalid("capture", "missing: say source = \"studio\" or a capture folder");
-  constexpr std::string_view capture_keys[] = {"source", "environment", "asset",
+  constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "prop",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
   constexpr std::string_view light_keys[] = {"bands", "discs", "budget", "stale_after_s"};

@@ -13,6 +13,7 @@ struct RigConfig {
   std::string source;  // "studio", or the path of a capture folder, played in a loop
   std::optional<std::string> environment;  // of the studio
   std::optional<std::string> asset;        // of the studio's own scene
+  std::optional<std::string> prop;         // a real thing in the studio
   std::optional<std::string> scene;        // scene.toml; needed for a capture folder
   double fps = 30;                         // of the studio's view camera
   int width = 1280, height = 720;          // of the studio's view camera

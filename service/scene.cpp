@@ -53,22 +53,6 @@ const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::
   return best;
 }
 
-// From the asset's frame to the world, standing on the floor where asked.
-glm::dmat4 placement(const SceneObject& o, const prt::Mesh& mesh) {
-  Pose pose{o.rotation, o.position};
-  double scale = o.scale;
-  glm::dvec3 shift(0);
-  if (o.stand) {
-    const prt::Bounds b = bounds_of(mesh);
-    const glm::dvec3 size(b.high - b.low);
-    scale = o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9});
-    shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
-  }
-  return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
-         glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0),
-                    glm::dvec4(shift, 1));
-}
-
 // A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
 // and shifting its frame is all.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
@@ -111,7 +95,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
       .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
   auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
   if (!mesh) return std::unexpected(mesh.error());
-  prt::transform(*mesh, placement(o, *mesh));
+  prt::transform(*mesh, world_from_mesh(o, *mesh));
   const prt::Plane* plane = plane_under(scene.planes, bounds_of(*mesh));
   PreparedObject out;
   out.name = o.name;
@@ -133,6 +117,21 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
 
 }  // namespace
 
+glm::dmat4 world_from_mesh(const Placement& p, const prt::Mesh& mesh) {
+  Pose pose{p.rotation, p.position};
+  double scale = p.scale;
+  glm::dvec3 shift(0);
+  if (p.stand) {
+    const prt::Bounds b = bounds_of(mesh);
+    const glm::dvec3 size(b.high - b.low);
+    scale = p.stand_size_m / std::max({size.x, size.y, size.z, 1e-9});
+    shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+  }
+  return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
+         glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0),
+                    glm::dvec4(shift, 1));
+}
+
 Pose PreparedObject::pose_at(double seconds) const {
   if (spin_rpm == 0) return world_from_bake;
   const double turn = 2 * kPi * spin_rpm / 60 * seconds;
@@ -141,6 +140,7 @@ Pose PreparedObject::pose_at(double seconds) const {
 
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share) {
   prt::Mesh mesh;
+  if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "has no name");
   if (asset == "builtin:knot") {
     mesh = prt::make_knot(.5f, 480, 80, albedo);
   } else if (asset == "builtin:twist") {
@@ -225,7 +225,7 @@ Result<PreparedScene> prepare(
     auto mesh = real.depth.empty() ? load_asset(real.mesh, albedo, 0)
                                    : read_depth_mesh(real.depth, real.camera, albedo);
     if (!mesh) return std::unexpected(mesh.error());
-    prt::transform(*mesh, Pose{{1, 0, 0, 0}, real.position}.matrix());
+    if (real.depth.empty()) prt::transform(*mesh, world_from_mesh(real, *mesh));
     append(out.real_mesh, *mesh);
   }
   for (const SceneObject& object : scene.objects) {

@@ -14,27 +14,30 @@
 
 namespace penumbra::service {
 
-struct SceneObject {
-  std::string name;
-  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box"
-  Rgb albedo{.7f, .7f, .7f};
+/// Where a mesh stands in the world.
+struct Placement {
   glm::dvec3 position{0, 0, 0};
   glm::dquat rotation{1, 0, 0, 0};
   double scale = 1;
-  double spin_rpm = 0;       // turntable about the receiver's normal
   bool stand = false;        // set on the floor at `stand_size_m`, centred on `position`
   double stand_size_m = .5;  // largest extent
+};
+
+struct SceneObject : Placement {
+  std::string name;
+  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box"
+  Rgb albedo{.7f, .7f, .7f};
+  double spin_rpm = 0;  // turntable about the receiver's normal
 };
 
 struct RealPlane {
   glm::dvec3 point{0, 0, 0}, normal{0, 1, 0};
 };
-struct RealGeometry {
+struct RealGeometry : Placement {  // the placement is a mesh's
   std::optional<RealPlane> plane;  // or
-  std::string mesh;                // a file or a built-in, at `position`, or
+  std::string mesh;                // a file or a built-in, or
   std::string depth, camera;       // a depth picture and the camera that saw it
   std::optional<Rgb> albedo;
-  glm::dvec3 position{0, 0, 0};  // of a mesh
 };
 
 struct Scene {
@@ -84,6 +87,9 @@ struct PreparedScene {
 Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,
     const std::function<std::function<void(double)>(const std::string&)>& progress);
+
+/// From the mesh's frame to the world.
+glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh);
 
 /// An asset in its own frame, or a built-in one. `edge_share`: longest edge after subdivision, as a
 /// share of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.

@@ -11,7 +11,9 @@ namespace {
 constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",
                                             "position", "rotation",  "scale",
                                             "spin_rpm", "animation", "stand_size_m"};
-constexpr std::string_view kRealKeys[] = {"plane", "mesh", "position", "depth", "camera", "albedo"};
+constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "stand_size_m"};
+constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",      "albedo",
+                                          "position", "rotation", "scale", "stand_size_m"};
 
 // Beyond these floats have no room for a shadow.
 constexpr double kFarthest = 1e4, kLeastScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
@@ -45,7 +47,7 @@ std::string resolve(const std::string& file, const fs::path& folder) {
   return (folder / file).string();
 }
 
-Result<void> read_placement(const TomlKeys& keys, SceneObject& o) {
+Result<void> read_placement(const TomlKeys& keys, Placement& o) {
   if (keys.has("position")) {
     PENUMBRA_ASSIGN(p, read_point(keys, "position"));
     o.position = p;
@@ -105,8 +107,8 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
     return keys.invalid("plane", "give a plane, a mesh or a depth picture, one of them");
   if (keys.has("depth") != keys.has("camera"))
     return keys.invalid("depth", "goes together with the camera that saw it");
-  if (keys.has("position") && !keys.has("mesh"))
-    return keys.invalid("position", "is where a mesh stands");
+  for (const std::string_view key : kPlacementKeys)
+    if (keys.has(key) && !keys.has("mesh")) return keys.invalid(key, "places a mesh alone");
   if (keys.has("albedo")) {
     PENUMBRA_ASSIGN(albedo, read_albedo(keys));
     real.albedo = albedo;
@@ -114,10 +116,7 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   if (keys.has("mesh")) {
     PENUMBRA_ASSIGN(mesh, keys.text("mesh"));
     real.mesh = resolve(mesh, folder);
-    if (keys.has("position")) {
-      PENUMBRA_ASSIGN(position, read_point(keys, "position"));
-      real.position = position;
-    }
+    PENUMBRA_TRY(read_placement(keys, real));
     return real;
   }
   if (keys.has("depth")) {
@@ -196,14 +195,17 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
   const auto list = [](const auto&... v) {
     return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", "));
   };
+  const auto placed = [&](const Placement& p) {
+    const glm::dquat& r = p.rotation;
+    return fmt::format("position = {}\nrotation = {}\n{}\n",
+                       list(p.position.x, p.position.y, p.position.z), list(r.x, r.y, r.z, r.w),
+                       p.stand ? fmt::format("stand_size_m = {}", p.stand_size_m)
+                               : fmt::format("scale = {}", p.scale));
+  };
   for (const SceneObject& o : scene.objects) {
     text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name),
                         toml_quoted(absolute(o.asset)), list(o.albedo.r, o.albedo.g, o.albedo.b));
-    text += fmt::format("position = {}\nrotation = {}\n",
-                        list(o.position.x, o.position.y, o.position.z),
-                        list(o.rotation.x, o.rotation.y, o.rotation.z, o.rotation.w));
-    text += o.stand ? fmt::format("stand_size_m = {}\n", o.stand_size_m)
-                    : fmt::format("scale = {}\n", o.scale);
+    text += placed(o);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
   }
   for (const RealGeometry& r : scene.real) {
@@ -216,8 +218,7 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
       text += fmt::format("depth = {}\ncamera = {}\n", toml_quoted(absolute(r.depth)),
                           toml_quoted(absolute(r.camera)));
     } else {
-      text += fmt::format("mesh = {}\nposition = {}\n", toml_quoted(absolute(r.mesh)),
-                          list(r.position.x, r.position.y, r.position.z));
+      text += fmt::format("mesh = {}\n", toml_quoted(absolute(r.mesh))) + placed(r);
     }
     if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
   }

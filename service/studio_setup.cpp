@@ -9,13 +9,21 @@ namespace penumbra::service {
 
 namespace {
 
-// A real thing as a rig's owner would describe it; a file stands where its own coordinates say.
-RealGeometry place_prop(const std::string& asset) {
+// A real thing as a rig's owner would describe it: about as large as the objects, where they leave room.
+RealGeometry place_prop(const std::string& asset, bool behind) {
   RealGeometry prop;
   prop.mesh = asset;
   prop.albedo = Rgb{.55f, .42f, .3f};
-  if (asset.starts_with("builtin:")) prop.position = {.12, 0, -.42};
+  prop.position = behind ? glm::dvec3(.12, 0, -.42) : glm::dvec3(.45, 0, -.15);
+  prop.stand = true;
+  prop.stand_size_m = .42;
   return prop;
+}
+
+std::string name_of(const std::string& asset) {
+  constexpr std::string_view kBuiltIn = "builtin:";
+  return asset.starts_with(kBuiltIn) ? asset.substr(kBuiltIn.size())
+                                     : std::filesystem::path(asset).stem().string();
 }
 
 Result<std::shared_ptr<const capture::World>> with_prop(
@@ -23,7 +31,7 @@ Result<std::shared_ptr<const capture::World>> with_prop(
     const std::function<void(double)>& progress) {
   auto mesh = load_asset(prop.mesh, *prop.albedo, 0);
   if (!mesh) return std::unexpected(mesh.error());
-  prt::transform(*mesh, Pose{{1, 0, 0, 0}, prop.position}.matrix());
+  prt::transform(*mesh, world_from_mesh(prop, *mesh));
   auto world = PropWorld::make(std::move(floor), std::move(*mesh), progress);
   if (!world) return fail(world.error().code, prop.mesh, world.error().detail);
   return std::move(*world);
@@ -67,14 +75,14 @@ Result<StudioSetup> set_up_studio(
   floor.albedo = floor_world->mean_floor_albedo();
   out.scene.real.push_back(floor);
   if (r.prop) {
-    out.scene.real.push_back(place_prop(*r.prop));
+    out.scene.real.push_back(place_prop(*r.prop, r.animated));
     auto furnished = with_prop(floor_world, out.scene.real.back(), progress("light on the prop"));
     if (!furnished) return std::unexpected(furnished.error());
     out.world = std::move(*furnished);
   }
   SceneObject still;
   still.asset = r.asset.value_or("builtin:knot");
-  still.name = r.asset ? std::filesystem::path(*r.asset).stem().string() : "knot";
+  still.name = name_of(still.asset);
   still.albedo = {.62f, .60f, .57f};
   still.stand = true;
   still.stand_size_m = .5;

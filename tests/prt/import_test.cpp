@@ -237,6 +237,19 @@ TEST_F(ImportMesh, FilesWithoutTrianglesAreErrors) {
   }
 }
 
+// Assimp would give one triangle of a strip and say nothing.
+TEST_F(ImportMesh, TriangleStripsAreRefusedByName) {
+  const auto strips =
+      import_mesh(put("strips.ply",
+                      "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float "
+                      "y\nproperty float z\nelement tristrips 1\nproperty list int int "
+                      "vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0 -1\n1 0 -1\n4 0 1 2 3\n"),
+                  kDefault);
+  ASSERT_FALSE(strips);
+  EXPECT_EQ(strips.error().code, ErrorCode::kInvalid);
+  EXPECT_NE(strips.error().detail.find("strips"), std::string::npos);
+}
+
 TEST_F(ImportMesh, NonFiniteVertexIsNamed) {
   for (const char* bad : {"nan", "inf", "-inf"}) {
     const Error error =

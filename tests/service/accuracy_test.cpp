@@ -52,6 +52,7 @@ TEST(Accuracy, NoiseOfTheReferenceIsNoErrorOfOurs) {
 TEST(Accuracy, AChannelThatIsCutOffAtZeroIsNoError) {
   const Rgb truth{-.3f, .4f, .5f}, cut{0, .4f, .5f};
   EXPECT_LT(compare(of(truth, cut, .02f)).object_without_noise, .01);
+  EXPECT_NEAR(compare(of(truth, cut, .02f)).object_bias, 0, .01);
   const double naive = std::abs(luminance(cut) / luminance(truth) - 1);
   EXPECT_GT(naive, .2);
   EXPECT_GT(compare(of(Rgb{.3f, .4f, .5f}, cut, .02f)).object_without_noise, .1)

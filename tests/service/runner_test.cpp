@@ -111,6 +111,28 @@ TEST(Replay, FirstFramesAreLitByAWholeBracket) {
   EXPECT_LT(luminance(alone->mean_radiance), .9 * brightness.back());
 }
 
+// A warm-up before the first frame must leave nothing in it.
+TEST(Replay, AWarmStageDrawsTheSameFrames) {
+  std::vector<FramePixels> cold;
+  for (const bool warm : {false, true}) {
+    Stages s;
+    NEED_GL(s);
+    if (warm) (*s.compose)->warm_up();
+    std::size_t i = 0;
+    const auto counts = run_replay(
+        s.studio, *s.light, **s.compose,
+        [&](const Output& out) {
+          if (!warm)
+            cold.push_back(*out.pixels);
+          else
+            EXPECT_TRUE(*out.pixels == cold[i]) << i;
+          return ++i < 4;
+        },
+        s.times);
+    ASSERT_TRUE(counts) << counts.error().detail;
+  }
+}
+
 TEST(Replay, SinkStopsTheRun) {
   Stages s;
   NEED_GL(s);

@@ -49,10 +49,7 @@ SceneObject placed_object() {
   return o;
 }
 
-void expect_same(const SceneObject& a, const SceneObject& b) {
-  EXPECT_EQ(a.name, b.name);
-  EXPECT_EQ(a.asset, b.asset);
-  EXPECT_EQ(a.albedo, b.albedo);
+void expect_same_placement(const Placement& a, const Placement& b) {
   EXPECT_EQ(a.position, b.position);
   EXPECT_LT(glm::length(a.rotation - b.rotation), 1e-15);
   EXPECT_EQ(a.stand, b.stand);
@@ -61,6 +58,13 @@ void expect_same(const SceneObject& a, const SceneObject& b) {
   } else {
     EXPECT_EQ(a.scale, b.scale);
   }
+}
+
+void expect_same(const SceneObject& a, const SceneObject& b) {
+  EXPECT_EQ(a.name, b.name);
+  EXPECT_EQ(a.asset, b.asset);
+  EXPECT_EQ(a.albedo, b.albedo);
+  expect_same_placement(a, b);
   EXPECT_EQ(a.spin_rpm, b.spin_rpm);
 }
 
@@ -74,6 +78,9 @@ TEST_F(SceneFile, WhatIsWrittenIsRead) {
   floor.plane = RealPlane{{.1, .2, .3}, glm::normalize(glm::dvec3(.1, 1, -.2))};
   floor.albedo = Rgb{.4f, .5f, .6f};
   table.mesh = "/somewhere/table.ply";
+  table.position = {1, .5, -2};
+  table.rotation = glm::angleAxis(.3, glm::dvec3(0, 1, 0));
+  table.scale = .01;
   const shadows::Lamp lamp{{.1, 2, -.3}, .05, {3, 2, 1}};
   const Scene scene{{placed_object(), standing}, {floor, table}, {lamp}};
   const Scene back = round_trip(scene);
@@ -89,6 +96,7 @@ TEST_F(SceneFile, WhatIsWrittenIsRead) {
   EXPECT_LT(glm::distance(back.real[0].plane->normal, floor.plane->normal), 1e-15);
   EXPECT_EQ(back.real[0].albedo, floor.albedo);
   EXPECT_EQ(back.real[1].mesh, table.mesh);
+  expect_same_placement(back.real[1], table);
   EXPECT_FALSE(back.real[1].albedo);
 }
 
@@ -152,6 +160,13 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
   expect_invalid("version = 1\n[[real]]\nplane = { point = [0,0,0], normal = [0,0,0] }\n", 3,
                  "normal");
   expect_invalid("version = 1\n[[real]]\nplane = 3\n", 3, "plane");
+  const std::string mesh = "version = 1\n[[real]]\nmesh = \"a.obj\"\n";
+  expect_invalid(mesh + "position = [0, 1e5, 0]\n", 4, "position");
+  expect_invalid(mesh + "scale = 1\nstand_size_m = 1\n", 5, "stand_size_m");
+  for (const std::string key : {"position = [0, 0, 0]", "scale = 2", "stand_size_m = 1"})
+    expect_invalid(
+        "version = 1\n[[real]]\nplane = { point = [0, 0, 0], normal = [0, 1, 0] }\n" + key + "\n",
+        4, key.substr(0, key.find(' ')));
   const std::string lamp = "version = 1\n[[lamp]]\nirradiance_at_1m = [1, 1, 1]\n";
   expect_invalid(lamp + "position = [0, 1e20, 0]\n", 4, "position");
   expect_invalid(lamp + "position = [0, 1, 0]\nradius_m = -1\n", 5, "radius_m");
@@ -193,6 +208,23 @@ const auto kNoProgress = [](const std::string&) { return std::function<void(doub
 prt::Bounds world_bounds(const PreparedScene& scene) {
   const prt::Mesh mesh = world_mesh(scene, true);
   return prt::bounds_of(mesh);
+}
+
+TEST_F(SceneFile, RealMeshesStandWhereTheyArePlaced) {
+  RealGeometry box;
+  box.mesh = "builtin:box";
+  box.position = {1, .25, -2};
+  box.stand = true;
+  box.stand_size_m = .8;
+  const auto scene = prepare({{}, {box}}, quick(), kNoProgress);
+  ASSERT_TRUE(scene) << scene.error().detail;
+  const prt::Bounds b = prt::bounds_of(scene->real_mesh);
+  EXPECT_NEAR(b.low.y, .25f, 1e-6f);
+  EXPECT_NEAR(b.high.y, 1.05f, 1e-6f);
+  EXPECT_NEAR(b.centre().x, 1, 1e-6f);
+  EXPECT_NEAR(b.centre().z, -2, 1e-6f);
+  box.mesh = "";
+  EXPECT_EQ(prepare({{}, {box}}, quick(), kNoProgress).error().code, ErrorCode::kInvalid);
 }
 
 TEST_F(SceneFile, FlatOnAndHalfInTheFloorStandOnItAndBelowItDoesNot) {
