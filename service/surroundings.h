@@ -106,7 +106,8 @@ class Surroundings {
 /// The light with the hidden directions replaced by an even radiance.
 RadianceSh seen_behind(const RadianceSh& light, const Hidden& hidden, const Rgb& radiance);
 
-/// Mean exit radiance of the surface elements that face `point`, weighted by their cosine.
+/// Mean exit radiance of the surface elements that face `point`, weighted by the solid angle
+/// in which they appear.
 /// in: exit(i), radiance of vertex i
 template <class Exit>
 Rgb radiance_towards(const prt::Mesh& mesh, const Pose& world_from_mesh, const glm::dvec3& point,
@@ -117,10 +118,11 @@ Rgb radiance_towards(const prt::Mesh& mesh, const Pose& world_from_mesh, const g
   float weight = 0;
   for (std::size_t i = 0; i < mesh.positions.size(); i += kStep) {
     const glm::vec3 d = there - mesh.positions[i];
-    const float cosine = glm::dot(mesh.normals[i], d) / (glm::length(d) + 1e-20f);
-    if (cosine <= 0) continue;
-    sum += exit(i) * cosine;
-    weight += cosine;
+    const float square = glm::dot(d, d) + 1e-12f,
+                angle = glm::dot(mesh.normals[i], d) / (square * std::sqrt(square));
+    if (angle <= 0) continue;
+    sum += exit(i) * angle;
+    weight += angle;
   }
   return weight > 0 ? sum * (1 / weight) : Rgb{};
 }
