@@ -14,6 +14,9 @@
 #include <vector>
 
 #include "calib/calib.h"
+#include "capture/cameras.h"  // IWYU pragma: export
+#include "capture/frames.h"   // IWYU pragma: export
+#include "capture/rig.h"      // IWYU pragma: export
 #include "core/code_curve.h"
 #include "core/environment.h"
 #include "core/image.h"
@@ -22,45 +25,6 @@
 #include "core/units.h"
 
 namespace penumbra::capture {
-
-enum class Role { kEnvironment, kView };
-
-struct CameraInfo {
-  std::string name;
-  Role role = Role::kEnvironment;
-  std::string eye;  // "", "left" or "right"
-  calib::Projection projection;
-  calib::Response response;
-  calib::NoiseModel noise;
-  bool noise_known = false;  // of this camera; else `noise` only weighs exposures in a merge
-  double psf_sigma_px = 0;   // Gaussian blur of the picture, pixels; 0 = sharp or unknown
-  double black_level = 0;    // fraction of full scale
-  Pose world_from_camera;
-};
-
-/// One frame with its own truth. Pixels are shared and never changed after capture.
-struct Frame {
-  int camera = 0;  // index into Capture::cameras
-  std::uint64_t sequence = 0;
-  TimestampNs time;
-  Exposure exposure;  // APPLIED, not requested
-  Pose world_from_camera;
-  std::shared_ptr<const FramePixels> pixels;
-};
-
-int width(const FramePixels& pixels);
-int height(const FramePixels& pixels);
-
-/// A stream of frames of several cameras in order of time.
-class FrameSource {
- public:
-  virtual ~FrameSource() = default;
-  virtual const std::vector<CameraInfo>& cameras() const = 0;
-  /// The next frame, or nothing at the end.
-  virtual Result<std::optional<Frame>> next() = 0;
-  /// Mean rate of the first view camera, frames a second; 0 when it has fewer than two frames.
-  virtual double view_rate() const = 0;
-};
 
 // ------------------------------------------------------------------------------ capture folder
 

@@ -7,6 +7,7 @@
 #include <glm/matrix.hpp>
 
 #include "capture/folder_format.h"
+#include "capture/rig.h"
 #include "codec/codec.h"
 #include "core/toml_keys.h"
 
@@ -150,9 +151,8 @@ Result<calib::Response> read_response(const TomlKeys& keys, const fs::path& fold
   return response;
 }
 
-/// All of a camera but its frames and, since that may depend on them, its response.
+/// All of a camera but its frames and, since that may depend on them, its response. Keys are the caller's to check.
 Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
-  PENUMBRA_TRY(keys.only(kCameraKeys));
   CameraInfo info;
   PENUMBRA_TRY(read_identity(keys, info));
   PENUMBRA_ASSIGN(projection, read_projection(keys));
@@ -165,8 +165,18 @@ Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   return info;
 }
 
+Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response) {
+  if (!keys.has("white_balance")) return {};
+  PENUMBRA_ASSIGN(gains, keys.numbers("white_balance", 3));
+  auto balanced = response.with_white_balance({gains[0], gains[1], gains[2]});
+  if (!balanced) return keys.invalid("white_balance", balanced.error().detail);
+  response = std::move(*balanced);
+  return {};
+}
+
 Result<FolderCamera> read_camera(const TomlKeys& keys, const fs::path& folder) {
   FolderCamera camera;
+  PENUMBRA_TRY(keys.only(kCameraKeys));
   PENUMBRA_ASSIGN(info, read_camera_info(keys));
   camera.info = std::move(info);
   PENUMBRA_ASSIGN(list, keys.text("frames"));
@@ -176,11 +186,68 @@ Result<FolderCamera> read_camera(const TomlKeys& keys, const fs::path& folder) {
   camera.rows = std::move(rows);
   PENUMBRA_ASSIGN(response, read_response(keys, folder, camera.rows));
   camera.info.response = response;
-  if (!keys.has("white_balance")) return camera;
-  PENUMBRA_ASSIGN(gains, keys.numbers("white_balance", 3));
-  auto balanced = response.with_white_balance({gains[0], gains[1], gains[2]});
-  if (!balanced) return keys.invalid("white_balance", balanced.error().detail);
-  camera.info.response = *balanced;
+  PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
+  return camera;
+}
+
+constexpr std::string_view kDeviceKeys[] = {"device", "format",    "fps",         "exposures_s",
+                                            "gains",  "unit_gain", "delay_frames"};
+
+Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
+  std::vector<Exposure> schedule;
+  if (!keys.has("exposures_s")) return schedule;
+  constexpr std::size_t kMost = 16;
+  PENUMBRA_ASSIGN(times, keys.numbers("exposures_s"));
+  std::vector<double> gains(times.size(), 1.);
+  if (keys.has("gains")) {
+    PENUMBRA_ASSIGN(given, keys.numbers("gains", times.size()));
+    gains = given;
+  }
+  if (times.empty() || times.size() > kMost)
+    return keys.invalid("exposures_s", fmt::format("not 1 to {} exposures", kMost));
+  for (std::size_t i = 0; i < times.size(); ++i) {
+    if (!(times[i] > 0 && times[i] <= 60))
+      return keys.invalid("exposures_s", "not within 0..60 seconds");
+    if (!(gains[i] > 0 && gains[i] <= 1e4)) return keys.invalid("gains", "not within 0..10000");
+    schedule.push_back({Seconds(times[i]), Gain(gains[i])});
+  }
+  return schedule;
+}
+
+Result<RigCamera> read_rig_camera(const TomlKeys& keys, const fs::path& folder) {
+  std::vector<std::string_view> known(std::begin(kCameraKeys), std::end(kCameraKeys));
+  std::erase(known, "frames");
+  known.insert(known.end(), std::begin(kDeviceKeys), std::end(kDeviceKeys));
+  PENUMBRA_TRY(keys.only(known));
+  RigCamera camera;
+  PENUMBRA_ASSIGN(info, read_camera_info(keys));
+  camera.info = std::move(info);
+  if (!keys.has("response")) return keys.invalid("response", "missing");
+  PENUMBRA_ASSIGN(response, read_response(keys, folder, {}));
+  camera.info.response = response;
+  PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
+  PENUMBRA_ASSIGN(device, keys.text("device"));
+  camera.settings.device = device;
+  if (keys.has("format")) {
+    PENUMBRA_ASSIGN(format, keys.text("format"));
+    camera.settings.format = format;
+  }
+  if (keys.has("fps")) {
+    PENUMBRA_ASSIGN(fps, keys.number("fps"));
+    if (!(fps > 0 && fps <= 1000)) return keys.invalid("fps", "not within 0..1000");
+    camera.settings.fps = fps;
+  }
+  if (keys.has("unit_gain")) {
+    PENUMBRA_ASSIGN(unit, keys.number("unit_gain"));
+    if (!(unit > 0)) return keys.invalid("unit_gain", "not positive");
+    camera.settings.unit_gain = unit;
+  }
+  if (keys.has("delay_frames")) {
+    PENUMBRA_ASSIGN(delay, keys.integer("delay_frames", 1, 10));
+    camera.delay_frames = delay;
+  }
+  PENUMBRA_ASSIGN(schedule, read_schedule(keys));
+  camera.schedule = std::move(schedule);
   return camera;
 }
 
@@ -209,6 +276,26 @@ Result<std::vector<FolderCamera>> read_manifest(const fs::path& folder) {
   return cameras;
 }
 
+Result<std::vector<RigCamera>> read_rig_cameras(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
+  PENUMBRA_ASSIGN(list, keys.tables("camera"));
+  std::vector<RigCamera> cameras;
+  for (const toml::table* table : list) {
+    const TomlKeys camera_keys(path, *table);
+    PENUMBRA_ASSIGN(camera, read_rig_camera(camera_keys, path.parent_path()));
+    for (const RigCamera& other : cameras) {
+      if (other.info.name == camera.info.name)
+        return camera_keys.invalid("name", fmt::format("\"{}\" is used twice", other.info.name));
+      if (other.settings.device == camera.settings.device)
+        return camera_keys.invalid("device",
+                                   fmt::format("\"{}\" is used twice", other.settings.device));
+    }
+    cameras.push_back(std::move(camera));
+  }
+  return cameras;
+}
+
 Result<CameraInfo> read_camera_file(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
@@ -218,7 +305,9 @@ Result<CameraInfo> read_camera_file(const fs::path& path) {
   PENUMBRA_ASSIGN(list, keys.tables("camera"));
   if (list.size() != 1)
     return keys.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
-  return read_camera_info(TomlKeys(path, *list[0]));
+  const TomlKeys camera_keys(path, *list[0]);
+  PENUMBRA_TRY(camera_keys.only(kCameraKeys));
+  return read_camera_info(camera_keys);
 }
 
 std::string print_manifest(const std::vector<CameraInfo>& cameras,

@@ -52,6 +52,9 @@ Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixe
 /// errors:  as read_hdr
 Result<FramePixels> read_frame(const std::filesystem::path& path);
 
+/// The same from memory; `name` stands in errors.
+Result<FramePixels> decode_frame(std::span<const unsigned char> bytes, const std::string& name);
+
 /// Writes PNG, JPEG or TIFF by extension, atomically.
 /// errors:  kInvalid (empty, unknown extension), kUnwritable
 Result<void> write_frame(const std::filesystem::path& path, const Image<Rgb8>& pixels);

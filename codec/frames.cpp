@@ -42,7 +42,7 @@ cv::Mat to_bgr(const Image<Pixel>& image) {
 // model.
 constexpr int kReadFlags = cv::IMREAD_ANYDEPTH | cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION;
 
-Result<FramePixels> decode_frame(Bytes bytes, const std::string& name) {
+Result<FramePixels> decode_pixels(Bytes bytes, const std::string& name) {
   const cv::Mat wrapped(1, static_cast<int>(bytes.size()), CV_8U,
                         const_cast<unsigned char*>(bytes.data()));
   const cv::Mat mat = cv::imdecode(wrapped, kReadFlags);
@@ -106,12 +106,16 @@ Result<FramePixels> read_frame(const std::filesystem::path& path) {
     PENUMBRA_ASSIGN(hdr, decode_hdr(bytes, name));
     return std::move(hdr.pixels);
   }
+  return decode_frame(bytes, name);
+}
+
+Result<FramePixels> decode_frame(std::span<const unsigned char> bytes, const std::string& name) {
   PENUMBRA_ASSIGN(header, scan(bytes, name));
   // Truncated files have no trustworthy size, so damage is named first.
   if (header.damage) return fail(ErrorCode::kUnreadable, name, *header.damage);
   PENUMBRA_TRY(check_size(header.width, header.height, name));
   try {
-    return decode_frame(bytes, name);
+    return decode_pixels(bytes, name);
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, name, e.what());
   }

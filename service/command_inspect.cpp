@@ -126,6 +126,56 @@ Result<json> inspect_toml(const std::string& file) {
   return json{{"kind", "scene"}, {"objects", names}, {"real", scene->real.size()}};
 }
 
+json to_json(const std::optional<capture::Range>& range) {
+  return range ? json{range->low, range->high} : json(nullptr);
+}
+
+Result<void> inspect_cameras(bool as_json) {
+  const capture::CameraList list = capture::list_cameras();
+  json cameras = json::array();
+  for (const capture::CameraListing& c : list.cameras) {
+    json modes = json::array();
+    for (const capture::CameraMode& m : c.modes)
+      modes.push_back({{"format", m.format},
+                       {"width", m.width},
+                       {"height", m.height},
+                       {"fps", m.most_fps},
+                       {"readable", m.readable}});
+    cameras.push_back({{"device", c.device},
+                       {"name", c.name},
+                       {"driver", c.driver},
+                       {"exposure_s", to_json(c.exposure_s)},
+                       {"gain", to_json(c.gain)},
+                       {"modes", modes}});
+  }
+  json refused = json::array();
+  for (const Error& e : list.refused) refused.push_back({{"device", e.where}, {"reason", e.detail}});
+  if (as_json) {
+    print_json({{"kind", "cameras"}, {"cameras", cameras}, {"refused", refused}});
+    return {};
+  }
+  for (const capture::CameraListing& c : list.cameras) {
+    fmt::print("{}: {} ({})\n", c.device, c.name, c.driver);
+    if (c.exposure_s)
+      fmt::print("  exposure {:g} to {:g} s\n", c.exposure_s->low, c.exposure_s->high);
+    else
+      fmt::print("  exposure cannot be set\n");
+    if (c.gain) fmt::print("  gain {:g} to {:g} (the driver's unit)\n", c.gain->low, c.gain->high);
+    std::string format;
+    for (const capture::CameraMode& m : c.modes) {
+      if (m.format != format)
+        fmt::print("{}  {}{}", format.empty() ? "" : "\n", m.format, m.readable ? "" : " (not read)");
+      format = m.format;
+      fmt::print(" {}x{}", m.width, m.height);
+      if (m.most_fps > 0) fmt::print("@{:g}", m.most_fps);
+    }
+    if (!c.modes.empty()) fmt::print("\n");
+  }
+  for (const Error& e : list.refused) fmt::print("{}: left out, {}\n", e.where, e.detail);
+  if (list.cameras.empty()) fmt::print("no camera\n");
+  return {};
+}
+
 Result<json> describe(const std::string& file) {
   std::error_code error;
   if (fs::is_directory(file, error)) return inspect_capture(file);
@@ -140,6 +190,7 @@ Result<json> describe(const std::string& file) {
 }  // namespace
 
 Result<void> inspect(const InspectOptions& o) {
+  if (o.file == "cameras" && !fs::exists(o.file)) return inspect_cameras(o.json);
   auto description = describe(o.file);
   if (!description) return std::unexpected(description.error());
   (*description)["file"] = o.file;

@@ -71,6 +71,10 @@ Result<Rig> open_rig(const RigConfig& c) {
     if (!setup) return std::unexpected(setup.error());
     rig.scene = std::move(setup->scene);
     rig.source = std::make_unique<capture::Studio>(setup->world, setup->options);
+  } else if (c.source == "cameras") {
+    auto source = capture::Rig::open(c.cameras);
+    if (!source) return std::unexpected(source.error());
+    rig.source = std::move(*source);
   } else {
     auto source = LoopingFolder::open(c.source);
     if (!source) return std::unexpected(source.error());

@@ -54,8 +54,10 @@ void add_image_commands(CLI::App& app, Action& action) {
 
   static InspectOptions inspect_options;
   c = app.add_subcommand(
-      "inspect", "What is in a file: picture, mesh, baked object, scene, camera, capture folder");
-  c->add_option("file", inspect_options.file, "File or capture folder")->required();
+      "inspect", "What is in a file: picture, mesh, baked object, scene, camera, capture folder; or which cameras there are");
+  c->add_option("file", inspect_options.file,
+                "File or capture folder; cameras: what stands here and what each can do")
+      ->required();
   add_json(c, inspect_options.json);
   c->callback([&] { action = [] { return inspect(inspect_options); }; });
 }

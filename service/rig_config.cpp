@@ -2,6 +2,8 @@
 
 #include <arpa/inet.h>
 
+#include <algorithm>
+
 #include "core/conventions.h"
 #include "core/toml_keys.h"
 
@@ -64,7 +66,7 @@ Result<void> read_integer(const TomlKeys& keys, std::string_view key, int low, i
 
 Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfig& c) {
   PENUMBRA_ASSIGN(source, keys.text("source"));
-  c.source = source == "studio" ? source : resolve(source, folder);
+  c.source = source == "studio" || source == "cameras" ? source : resolve(source, folder);
   PENUMBRA_TRY(read_path(keys, "environment", folder, c.environment));
   PENUMBRA_TRY(read_path(keys, "asset", folder, c.asset));
   PENUMBRA_TRY(read_path(keys, "prop", folder, c.prop));
@@ -96,13 +98,13 @@ Result<void> read_http(const TomlKeys& keys, RigConfig& c) {
 Result<RigConfig> read_rig_config(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
-  constexpr std::string_view known[] = {"version", "capture", "scene", "light", "http"};
+  constexpr std::string_view known[] = {"version", "capture", "camera", "scene", "light", "http"};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const fs::path folder = path.parent_path();
   RigConfig c;
   if (!keys.has("capture"))
-    return keys.invalid("capture", "missing: say source = \"studio\" or a capture folder");
+    return keys.invalid("capture", "missing: say source = \"studio\", \"cameras\" or a capture folder");
   constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "prop",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
@@ -123,7 +125,17 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, http));
   if (c.source != "studio" && !c.scene)
     return fail(ErrorCode::kInvalid, path.string(),
-                "a capture folder needs [scene] file = \"scene.toml\"");
+                "cameras and capture folders need [scene] file = \"scene.toml\"");
+  if (c.source != "cameras" && keys.has("camera"))
+    return keys.invalid("camera", "is for source = \"cameras\" alone");
+  if (c.source != "cameras") return c;
+  PENUMBRA_ASSIGN(cameras, capture::read_rig_cameras(path));
+  for (const capture::Role role : {capture::Role::kEnvironment, capture::Role::kView})
+    if (std::ranges::none_of(cameras, [&](const auto& k) { return k.info.role == role; }))
+      return keys.invalid("camera", role == capture::Role::kView
+                                        ? "no [[camera]] with role = \"view\""
+                                        : "no [[camera]] with role = \"environment\"");
+  c.cameras = std::move(cameras);
   return c;
 }
 

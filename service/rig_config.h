@@ -4,13 +4,16 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
 
+#include "capture/capture.h"
 #include "core/result.h"
 
 namespace penumbra::service {
 
 struct RigConfig {
-  std::string source;  // "studio", or the path of a capture folder, played in a loop
+  std::string source;  // "studio", "cameras", or the path of a capture folder, played in a loop
+  std::vector<capture::RigCamera> cameras;
   std::optional<std::string> environment;  // of the studio
   std::optional<std::string> asset;        // of the studio's own scene
   std::optional<std::string> prop;         // a real thing in the studio

@@ -195,7 +195,8 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
       failures_in_a_row = 0;
       if (!*frame) break;
       if (!origin) origin = Clock::now(), first = (*frame)->time;
-      if (!wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
+      if (!source.is_live() &&
+          !wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
                       live, stop))
         break;
       const bool is_view =
@@ -255,7 +256,11 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
     const std::jthread producer([&] { produce(live, source, light.camera(), times, stop); });
     const std::jthread measurer([&] { measure(live, light); });
     // Also when something throws here: the threads are released before they are joined.
-    const std::unique_ptr<Live, void (*)(Live*)> release(&live, [](Live* l) { l->close(); });
+    const auto let_go = [&](Live* l) {
+      source.close();
+      l->close();
+    };
+    const std::unique_ptr<Live, decltype(let_go)> release(&live, let_go);
     lighting::LightEstimate estimate;
     bool go_on = true;
     while (go_on && !stop) {

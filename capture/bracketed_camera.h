@@ -1,0 +1,127 @@
+// Private to capture: a camera that cycles through exposures, and frames that carry what was applied to them.
+// Nothing here reads a clock: times come with the frames.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "capture/cameras.h"
+#include "capture/frames.h"
+
+namespace penumbra::capture {
+
+/// Numbers the sensor's frames, also those that never arrived: drivers count only what reached them, times tell the rest.
+class FrameCounter {
+ public:
+  /// The frame's number, which grows by one a period.
+  std::uint64_t count(std::uint64_t sequence, TimestampNs time);
+  std::uint64_t lost() const { return lost_; }
+
+ private:
+  std::optional<std::uint64_t> sequence_;
+  TimestampNs time_;
+  std::uint64_t number_ = 0, lost_ = 0;
+  std::deque<double> periods_;  // seconds
+};
+
+/// Mean linear signal on a coarse grid; 0 where too much is clipped or dark to tell.
+struct Brightness {
+  static constexpr int kColumns = 16, kRows = 9;
+  std::vector<float> blocks;
+};
+class BrightnessMeter {
+ public:
+  explicit BrightnessMeter(const CameraInfo& camera) : camera_(camera) {}
+  Brightness measure(const FramePixels& pixels);
+
+ private:
+  void prepare(int bits);
+  CameraInfo camera_;
+  int bits_ = 0;
+  std::vector<float> decode_[3];
+};
+
+/// The exposure in force at each frame, from the requests and the camera's delay, checked against what frames show.
+class ExposureLabels {
+ public:
+  /// `delay`: frames between a request and the first frame that shows it; nothing: measured first.
+  explicit ExposureLabels(std::optional<int> delay) : delay_(delay) {}
+
+  void requested(std::uint64_t after_frame, Exposure exposure);
+  enum class Verdict {
+    kGood,
+    kMeasuring,  // not yet known how late the camera follows
+    kRefused,    // the frame contradicts its label
+  };
+  struct Label {
+    Verdict verdict = Verdict::kMeasuring;
+    Exposure exposure;
+  };
+  /// Frames in their order.
+  Label judge(std::uint64_t frame, TimestampNs time, const Brightness& seen);
+
+  std::optional<int> delay() const { return delay_; }
+  int corrections() const { return corrections_; }  // of the delay
+  /// True when no delay explains what was seen: the camera does not follow.
+  bool deaf() const { return deaf_; }
+
+ private:
+  struct Request {
+    std::uint64_t after_frame;
+    Exposure exposure;
+  };
+  struct Seen {
+    std::uint64_t frame;
+    Brightness brightness;
+  };
+  std::optional<Exposure> in_force(std::uint64_t frame, int delay) const;
+  double disagreement(int delay) const;
+  void find_delay();
+  Label accept(const Exposure& exposure, TimestampNs time, const Brightness& seen, double offset);
+
+  std::optional<int> delay_;
+  std::deque<Request> requests_;
+  std::deque<Seen> seen_;        // newest last
+  std::vector<float> radiance_;  // of the blocks; 0: unknown
+  double drift_ = 0;             // slow part of the offsets, natural logarithm
+  TimestampNs last_;
+  int refused_in_a_row_ = 0, corrections_ = 0;
+  bool deaf_ = false;
+};
+
+/// A camera with its schedule. threads: thread-bound
+class BracketedCamera {
+ public:
+  BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay)
+      : info_(std::move(info)),
+        schedule_(std::move(schedule)),
+        delay_(delay),
+        meter_(info_),
+        labels_(delay) {}
+
+  /// Takes a device over, also a new one after the old one has gone.
+  Result<void> connect(std::unique_ptr<CameraDevice> device);
+  bool connected() const { return device_ != nullptr; }
+  /// The next frame whose label holds; nothing when none came in time.
+  /// errors: kClosed (the device is gone)
+  Result<std::optional<Frame>> next(Seconds timeout);
+  const CameraCounts& counts() const { return counts_; }
+
+ private:
+  Result<void> ask();
+  CameraInfo info_;
+  std::vector<Exposure> schedule_;
+  std::optional<int> delay_;  // as configured
+  BrightnessMeter meter_;
+  ExposureLabels labels_;
+  FrameCounter counter_;
+  std::unique_ptr<CameraDevice> device_;
+  std::size_t next_ = 0;  // in the schedule
+  std::uint64_t frame_ = 0, sent_ = 0, lost_before_ = 0;
+  CameraCounts counts_;
+};
+
+}  // namespace penumbra::capture

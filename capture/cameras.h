@@ -1,0 +1,97 @@
+// Real cameras: what stands there, what it can do, its frames with the exposure that was applied.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/image.h"
+#include "core/result.h"
+#include "core/units.h"
+
+namespace penumbra::capture {
+
+// ------------------------------------------------------------------------------ what is there
+
+struct CameraMode {
+  std::string format;  // four characters as the driver spells them: YUYV, NV12, MJPG, RG12, ...
+  int width = 0, height = 0;
+  double most_fps = 0;    // 0: the driver does not say
+  bool readable = false;  // by us
+};
+
+struct Range {
+  double low = 0, high = 0;
+};
+
+/// A camera as the system shows it.
+struct CameraListing {
+  std::string device;        // what `device` in rig.toml takes: /dev/video0, libcamera:ID
+  std::string name, driver;  // as the driver gives them
+  std::vector<CameraMode> modes;
+  std::optional<Range> exposure_s;  // seconds; nothing: the exposure cannot be set
+  std::optional<Range> gain;        // in the driver's own unit
+};
+
+/// All cameras that can stream, in the order of their devices; what cannot be opened is left out with its reason in
+/// `refused`.
+struct CameraList {
+  std::vector<CameraListing> cameras;
+  std::vector<Error> refused;
+};
+CameraList list_cameras();
+
+// ------------------------------------------------------------------------------ one camera
+
+struct CameraSettings {
+  std::string device;
+  std::string format;         // empty: the best that reaches `fps`
+  int width = 0, height = 0;  // 0: 1280 x 720, or the largest below
+  double fps = 30;
+  double unit_gain = 0;  // the driver's value that counts as gain 1; 0: where it stands
+};
+
+/// A frame as it came, with the driver's own account of it.
+struct CameraFrame {
+  FramePixels pixels;
+  std::uint64_t sequence = 0;       // as the driver counts, gaps included
+  TimestampNs time;                 // CLOCK_MONOTONIC
+  bool damaged = false;             // the transfer failed: `pixels` is empty
+  std::optional<Exposure> applied;  // where the driver tells
+};
+
+/// A camera that streams from start to destruction.
+/// threads: thread-bound
+class CameraDevice {
+ public:
+  virtual ~CameraDevice() = default;
+  virtual const CameraMode& mode() const = 0;
+  virtual const std::string& name() const = 0;  // as in its listing
+  /// What the camera makes of an exposure: its nearest time and gain.
+  virtual Exposure nearest(Exposure wanted) const = 0;
+  /// Asks for an exposure; it shows some frames later.
+  /// errors: kInvalid (no such control), kClosed (the camera is gone)
+  virtual Result<void> request(Exposure wanted) = 0;
+  /// The next frame; nothing when none came in time.
+  /// errors: kClosed (the camera is gone)
+  virtual Result<std::optional<CameraFrame>> wait(Seconds timeout) = 0;
+};
+
+/// Opens, negotiates and starts. Automatic exposure, gain and white balance are switched off where there are such.
+/// errors: kNotFound, kUnavailable (busy, not a capture device, no streaming), kInvalid (format or size not offered)
+Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings);
+
+/// What became of a camera's frames.
+struct CameraCounts {
+  std::uint64_t frames = 0;         // handed on
+  std::uint64_t lost = 0;           // never arrived
+  std::uint64_t damaged = 0;        // arrived in part
+  std::uint64_t refused = 0;        // showed another exposure than their label said
+  std::uint64_t reconnected = 0;    // times that the camera came back
+  std::optional<int> delay_frames;  // between a request and the first frame that shows it
+  bool deaf = false;                // its pictures do not follow the exposures that it is asked for
+};
+
+}  // namespace penumbra::capture

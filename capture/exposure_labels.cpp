@@ -1,0 +1,208 @@
+#include <algorithm>
+#include <cmath>
+
+#include "capture/bracketed_camera.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr int kMostDelay = 10;           // frames
+constexpr std::size_t kRemembered = 24;  // frames
+constexpr std::size_t kEnough = 12;      // frames that tell the delay
+constexpr double kExact = .12;           // natural logarithm: how well a slip's ratio fits
+constexpr double kAgrees = .25;          // a third of a stop: less is flicker
+constexpr double kUniform =
+    .12;                      // of the blocks' offsets: a change of exposure is the same everywhere
+constexpr int kPatience = 4;  // frames refused in a row before the delay is looked for anew
+constexpr int kMostPatience = 24;  // after so many the light has changed after all
+constexpr std::size_t kLeastBlocks = 6;
+constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
+
+double median(std::vector<double>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::ranges::nth_element(values, middle);
+  return *middle;
+}
+
+// Median over the blocks that both know, and the median distance from it.
+struct Offset {
+  double value = 0, spread = 0;
+};
+std::optional<Offset> offset_between(const std::vector<float>& signal,
+                                     const std::vector<float>& radiance) {
+  std::vector<double> logs;
+  for (std::size_t i = 0; i < std::min(signal.size(), radiance.size()); ++i)
+    if (signal[i] > 0 && radiance[i] > 0) logs.push_back(std::log(signal[i] / radiance[i]));
+  if (logs.size() < kLeastBlocks) return std::nullopt;
+  Offset out;
+  out.value = median(logs);
+  for (double& l : logs) l = std::abs(l - out.value);
+  out.spread = median(logs);
+  return out;
+}
+
+}  // namespace
+
+std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time) {
+  constexpr std::size_t kPeriods = 15;
+  constexpr std::uint64_t kMostMissing = 600;  // a longer gap is a new start
+  if (!sequence_) {
+    sequence_ = sequence, time_ = time;
+    return number_;
+  }
+  const double apart = (time - time_).count();
+  std::uint64_t step = sequence > *sequence_ ? sequence - *sequence_ : 1;
+  if (periods_.size() >= 5) {
+    std::vector<double> sorted(periods_.begin(), periods_.end());
+    const double period = median(sorted);
+    const double periods = period > 0 ? std::round(apart / period) : 1;
+    // Late delivery moves a time by less than half a period.
+    if (periods > static_cast<double>(step)) step = static_cast<std::uint64_t>(periods);
+  }
+  step = std::min(step, kMostMissing);
+  periods_.push_back(apart / static_cast<double>(step));
+  if (periods_.size() > kPeriods) periods_.pop_front();
+  lost_ += step - 1;
+  number_ += step;
+  sequence_ = sequence, time_ = time;
+  return number_;
+}
+
+Brightness BrightnessMeter::measure(const FramePixels& pixels) {
+  constexpr int kSamples = 10;  // a side of a block
+  constexpr float kClipped = .95f, kDark = .005f;
+  const auto meter = [&](const auto& image) {
+    Brightness out;
+    for (int by = 0; by < Brightness::kRows; ++by)
+      for (int bx = 0; bx < Brightness::kColumns; ++bx) {
+        float sum = 0;
+        int usable = 0;
+        for (int k = 0; k < kSamples * kSamples; ++k) {
+          const int x = ((bx * kSamples + k % kSamples) * 2 + 1) * image.width() /
+                        (2 * kSamples * Brightness::kColumns),
+                    y = ((by * kSamples + k / kSamples) * 2 + 1) * image.height() /
+                        (2 * kSamples * Brightness::kRows);
+          const auto& p = image.at(x, y);
+          const float linear[] = {decode_[0][p.r], decode_[1][p.g], decode_[2][p.b]};
+          const float most = std::max({linear[0], linear[1], linear[2]}),
+                      mean = (linear[0] + linear[1] + linear[2]) / 3;
+          if (most > kClipped || mean < kDark) continue;
+          sum += mean, ++usable;
+        }
+        // Blocks that are partly clipped would seem too dark.
+        out.blocks.push_back(usable == kSamples * kSamples ? sum / static_cast<float>(usable)
+                                                           : 0.f);
+      }
+    return out;
+  };
+  if (const auto* codes8 = std::get_if<Image<Rgb8>>(&pixels)) {
+    prepare(8);
+    return meter(*codes8);
+  }
+  if (const auto* codes16 = std::get_if<Image<Rgb16>>(&pixels)) {
+    prepare(16);
+    return meter(*codes16);
+  }
+  return {};
+}
+
+void BrightnessMeter::prepare(int bits) {
+  if (bits_ == bits) return;
+  bits_ = bits;
+  const auto black = static_cast<float>(camera_.black_level);
+  for (int c = 0; c < 3; ++c) {
+    decode_[c] = camera_.response.decode_table(bits, c);
+    for (float& v : decode_[c]) v = (v - black) / (1 - black);
+  }
+}
+
+void ExposureLabels::requested(std::uint64_t after_frame, Exposure exposure) {
+  requests_.push_back({after_frame, exposure});
+  while (requests_.size() > kRemembered + kMostDelay) requests_.pop_front();
+}
+
+std::optional<Exposure> ExposureLabels::in_force(std::uint64_t frame, int delay) const {
+  for (auto r = requests_.rbegin(); r != requests_.rend(); ++r)
+    if (r->after_frame + static_cast<std::uint64_t>(delay) <= frame) return r->exposure;
+  return std::nullopt;
+}
+
+// Mean distance between neighbouring frames' changes of brightness and those that the delay explains.
+double ExposureLabels::disagreement(int delay) const {
+  double sum = 0;
+  int count = 0;
+  for (std::size_t i = 1; i < seen_.size(); ++i) {
+    const auto before = in_force(seen_[i - 1].frame, delay), now = in_force(seen_[i].frame, delay);
+    const auto change = offset_between(seen_[i].brightness.blocks, seen_[i - 1].brightness.blocks);
+    if (!before || !now || !change) continue;
+    sum += std::min(2., std::abs(change->value - std::log(now->product() / before->product())));
+    ++count;
+  }
+  return count > 3 ? sum / count : 2;
+}
+
+void ExposureLabels::find_delay() {
+  int best = 1;
+  double least = 2;
+  for (int delay = 1; delay <= kMostDelay; ++delay)
+    if (const double d = disagreement(delay); d < least - 1e-3) least = d, best = delay;
+  deaf_ = least > kAgrees;
+  if (deaf_ || delay_ == best) return;
+  if (delay_) ++corrections_;
+  delay_ = best;
+  refused_in_a_row_ = 0;
+}
+
+ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs time,
+                                            const Brightness& seen) {
+  seen_.push_back({frame, seen});
+  while (seen_.size() > (delay_ ? kEnough : kRemembered)) seen_.pop_front();
+  if (!delay_) {
+    if (seen_.size() >= kEnough) find_delay();
+    return {};
+  }
+  const auto label = in_force(frame, *delay_);
+  if (!label) return {};
+  const auto offset = offset_between(seen.blocks, radiance_);
+  const double difference = offset ? offset->value - std::log(label->product()) : 0;
+  if (!offset && !radiance_.empty())
+    return {Verdict::kGood, *label};  // too dark or clipped to tell
+  if (std::abs(difference) < kAgrees)
+    return accept(*label, time, seen, offset && offset->spread < kUniform ? difference : drift_);
+  // A slip changes everything by the ratio of two requests; anything else is a change of light.
+  const bool slipped =
+      offset->spread < kUniform && std::ranges::any_of(requests_, [&](const Request& r) {
+        return std::abs(offset->value - std::log(r.exposure.product())) < kExact &&
+               std::abs(std::log(r.exposure.product() / label->product())) > kAgrees;
+      });
+  if (!slipped || refused_in_a_row_ >= kMostPatience) {
+    radiance_.clear();
+    return accept(*label, time, seen, 0);
+  }
+  if (++refused_in_a_row_ % kPatience == 0) find_delay();
+  return {Verdict::kRefused, *label};
+}
+
+// Uniform offsets that come and go within a second are the mains' or the metadata's: the exposure takes them.
+ExposureLabels::Label ExposureLabels::accept(const Exposure& exposure, TimestampNs time,
+                                             const Brightness& seen, double offset) {
+  const double passed = std::clamp((time - last_).count(), 0., 1.);
+  last_ = time;
+  refused_in_a_row_ = 0;
+  const double flicker = offset - drift_;
+  drift_ += flicker * (1 - std::exp(-passed / kDriftSeconds));
+  Label out{Verdict::kGood, exposure};
+  out.exposure.gain = exposure.gain * std::exp(flicker);
+  const auto scale = static_cast<float>(1 / out.exposure.product());
+  radiance_.resize(seen.blocks.size());
+  constexpr float kNewShare = .3f;
+  for (std::size_t i = 0; i < radiance_.size(); ++i) {
+    if (seen.blocks[i] <= 0) continue;
+    const float now = seen.blocks[i] * scale;
+    radiance_[i] = radiance_[i] > 0 ? (1 - kNewShare) * radiance_[i] + kNewShare * now : now;
+  }
+  return out;
+}
+
+}  // namespace penumbra::capture

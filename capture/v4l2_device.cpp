@@ -1,0 +1,224 @@
+#include <fmt/format.h>
+#include <poll.h>
+
+#include <algorithm>
+#include <cmath>
+#include <ctime>
+
+#include "capture/raw_formats.h"
+#include "capture/v4l2.h"
+#include "capture/v4l2_node.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr std::uint32_t kBuffers = 4;
+constexpr std::uint32_t kType = V4L2_BUF_TYPE_VIDEO_CAPTURE;
+
+TimestampNs now() {
+  timespec t{};
+  ::clock_gettime(CLOCK_MONOTONIC, &t);
+  return {static_cast<std::int64_t>(t.tv_sec) * 1'000'000'000 + t.tv_nsec};
+}
+
+// Everything that a camera would change by itself.
+void stop_automatics(const V4l2Node& node) {
+  node.set(V4L2_CID_EXPOSURE_AUTO, V4L2_EXPOSURE_MANUAL);
+  node.set(V4L2_CID_EXPOSURE_AUTO_PRIORITY, 0);
+  node.set(V4L2_CID_AUTOGAIN, 0);
+  node.set(V4L2_CID_AUTO_WHITE_BALANCE, 0);
+  node.set(V4L2_CID_BACKLIGHT_COMPENSATION, 0);
+}
+
+class V4l2Device : public CameraDevice {
+ public:
+  V4l2Device(V4l2Node node, CameraMode mode, RawConverter converter, const CameraSettings& settings)
+      : node_(std::move(node)),
+        mode_(std::move(mode)),
+        converter_(std::move(converter)),
+        controls_(exposure_of(node_)) {
+    unit_gain_ = settings.unit_gain;
+    if (unit_gain_ <= 0 && controls_.gain) unit_gain_ = node_.value(controls_.gain->id).value_or(1);
+    if (unit_gain_ <= 0) unit_gain_ = 1;
+  }
+  ~V4l2Device() override {
+    int type = kType;
+    if (streaming_) node_.call(VIDIOC_STREAMOFF, &type);
+  }
+  Result<void> start();
+
+  const CameraMode& mode() const override { return mode_; }
+  const std::string& name() const override { return node_.name(); }
+  Exposure nearest(Exposure wanted) const override;
+  Result<void> request(Exposure wanted) override;
+  Result<std::optional<CameraFrame>> wait(Seconds timeout) override;
+
+ private:
+  static int snap(const V4l2Node::Control& c, double value) {
+    const double steps = std::round((value - c.low) / c.step);
+    return static_cast<int>(std::clamp(c.low + steps * c.step, c.low, c.high));
+  }
+  Result<void> give_back(std::uint32_t index);
+  Result<CameraFrame> read(const v4l2_buffer& buffer) const;
+
+  V4l2Node node_;
+  CameraMode mode_;
+  RawConverter converter_;
+  V4l2Exposure controls_;
+  double unit_gain_ = 1;
+  std::vector<MappedBuffer> buffers_;
+  bool streaming_ = false;
+};
+
+Result<void> V4l2Device::start() {
+  v4l2_requestbuffers request{};
+  request.count = kBuffers, request.type = kType, request.memory = V4L2_MEMORY_MMAP;
+  if (const int e = node_.call(VIDIOC_REQBUFS, &request))
+    return std::unexpected(node_.error(ErrorCode::kUnavailable, "gives no buffers", e));
+  for (std::uint32_t i = 0; i < request.count; ++i) {
+    v4l2_buffer buffer{};
+    buffer.index = i, buffer.type = kType, buffer.memory = V4L2_MEMORY_MMAP;
+    if (const int e = node_.call(VIDIOC_QUERYBUF, &buffer))
+      return std::unexpected(node_.error(ErrorCode::kUnavailable, "describes no buffer", e));
+    buffers_.emplace_back(node_.fd(), buffer.length, buffer.m.offset);
+    if (!buffers_.back())
+      return std::unexpected(node_.error(ErrorCode::kUnavailable, "cannot map a buffer", errno));
+    PENUMBRA_TRY(give_back(i));
+  }
+  int type = kType;
+  if (const int e = node_.call(VIDIOC_STREAMON, &type))
+    return std::unexpected(node_.error(ErrorCode::kUnavailable, "does not start", e));
+  streaming_ = true;
+  return {};
+}
+
+Exposure V4l2Device::nearest(Exposure wanted) const {
+  Exposure out = wanted;
+  if (controls_.time)
+    out.time = Seconds(snap(*controls_.time, wanted.time.count() / V4l2Exposure::kUnit) *
+                       V4l2Exposure::kUnit);
+  out.gain = Gain(
+      controls_.gain ? snap(*controls_.gain, wanted.gain.value() * unit_gain_) / unit_gain_ : 1);
+  return out;
+}
+
+Result<void> V4l2Device::request(Exposure wanted) {
+  if (!controls_.time)
+    return fail(ErrorCode::kInvalid, node_.device(), "has no exposure time that can be set");
+  int e = node_.set(controls_.time->id,
+                    snap(*controls_.time, wanted.time.count() / V4l2Exposure::kUnit));
+  if (!e && controls_.gain)
+    e = node_.set(controls_.gain->id, snap(*controls_.gain, wanted.gain.value() * unit_gain_));
+  if (!e) return {};
+  return std::unexpected(
+      node_.error(e == ENODEV ? ErrorCode::kClosed : ErrorCode::kInvalid, "takes no exposure", e));
+}
+
+Result<void> V4l2Device::give_back(std::uint32_t index) {
+  v4l2_buffer buffer{};
+  buffer.index = index, buffer.type = kType, buffer.memory = V4L2_MEMORY_MMAP;
+  if (const int e = node_.call(VIDIOC_QBUF, &buffer))
+    return std::unexpected(node_.error(ErrorCode::kClosed, "takes no buffer back", e));
+  return {};
+}
+
+Result<CameraFrame> V4l2Device::read(const v4l2_buffer& buffer) const {
+  CameraFrame out;
+  out.sequence = buffer.sequence;
+  const bool monotonic =
+      (buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
+  out.time = monotonic ? TimestampNs{buffer.timestamp.tv_sec * 1'000'000'000LL +
+                                     buffer.timestamp.tv_usec * 1'000LL}
+                       : now();
+  out.damaged = (buffer.flags & V4L2_BUF_FLAG_ERROR) != 0;
+  if (out.damaged || buffer.index >= buffers_.size()) return out;
+  const auto bytes = buffers_[buffer.index].bytes();
+  auto pixels =
+      converter_.convert(bytes.first(std::min<std::size_t>(buffer.bytesused, bytes.size())));
+  // A picture that cannot be read is a transfer that failed.
+  if (pixels)
+    out.pixels = std::move(*pixels);
+  else
+    out.damaged = true;
+  return out;
+}
+
+Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout) {
+  pollfd ready{node_.fd(), POLLIN, 0};
+  const int milliseconds = static_cast<int>(std::clamp(timeout.count(), 0., 3600.) * 1000);
+  const int events = ::poll(&ready, 1, milliseconds);
+  if (events == 0 || (events < 0 && errno == EINTR)) return std::nullopt;
+  v4l2_buffer buffer{};
+  buffer.type = kType, buffer.memory = V4L2_MEMORY_MMAP;
+  if (const int e = node_.call(VIDIOC_DQBUF, &buffer)) {
+    if (e == EAGAIN) return std::nullopt;
+    return std::unexpected(node_.error(ErrorCode::kClosed, "gives no more frames", e));
+  }
+  auto frame = read(buffer);
+  PENUMBRA_TRY(give_back(buffer.index));
+  if (!frame) return std::unexpected(frame.error());
+  return std::move(*frame);
+}
+
+Result<RawLayout> negotiate(const V4l2Node& node, const CameraMode& mode, double fps) {
+  PENUMBRA_ASSIGN(fourcc, fourcc_from(mode.format));
+  v4l2_format format{};
+  format.type = kType;
+  format.fmt.pix.width = static_cast<std::uint32_t>(mode.width);
+  format.fmt.pix.height = static_cast<std::uint32_t>(mode.height);
+  format.fmt.pix.pixelformat = fourcc;
+  format.fmt.pix.field = V4L2_FIELD_NONE;
+  if (const int e = node.call(VIDIOC_S_FMT, &format))
+    return std::unexpected(node.error(ErrorCode::kUnavailable, "takes no format", e));
+  const v4l2_pix_format& pix = format.fmt.pix;
+  if (pix.pixelformat != fourcc || pix.width != static_cast<std::uint32_t>(mode.width) ||
+      pix.height != static_cast<std::uint32_t>(mode.height))
+    return fail(ErrorCode::kUnavailable, node.device(),
+                fmt::format("gives {} {}x{} instead of {} {}x{}", fourcc_name(pix.pixelformat),
+                            pix.width, pix.height, mode.format, mode.width, mode.height));
+  v4l2_streamparm parameters{};
+  parameters.type = kType;
+  parameters.parm.capture.timeperframe = {1000,
+                                          static_cast<std::uint32_t>(std::lround(fps * 1000))};
+  node.call(VIDIOC_S_PARM, &parameters);  // drivers without a choice of rates refuse; frames tell
+  std::uint32_t encoding = pix.ycbcr_enc, range = pix.quantization;
+  if (encoding == V4L2_YCBCR_ENC_DEFAULT) encoding = V4L2_MAP_YCBCR_ENC_DEFAULT(pix.colorspace);
+  if (range == V4L2_QUANTIZATION_DEFAULT)
+    range = V4L2_MAP_QUANTIZATION_DEFAULT(false, pix.colorspace, encoding);
+  return RawLayout{fourcc,
+                   mode.width,
+                   mode.height,
+                   static_cast<int>(pix.bytesperline),
+                   range == V4L2_QUANTIZATION_FULL_RANGE,
+                   encoding == V4L2_YCBCR_ENC_709};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<CameraDevice>> open_v4l2(const CameraSettings& s) {
+  PENUMBRA_ASSIGN(node, V4l2Node::open(s.device));
+  const CameraListing listing{s.device, node.name(), node.driver(), node.modes(), {}, {}};
+  PENUMBRA_ASSIGN(mode, choose_mode(listing, s));
+  PENUMBRA_ASSIGN(layout, negotiate(node, mode, s.fps));
+  auto converter = RawConverter::make(layout);
+  if (!converter)
+    return fail(converter.error().code, s.device,
+                converter.error().where + ": " + converter.error().detail);
+  stop_automatics(node);
+  auto device = std::make_unique<V4l2Device>(std::move(node), mode, std::move(*converter), s);
+  PENUMBRA_TRY(device->start());
+  return device;
+}
+
+CameraList list_cameras() {
+  CameraList out;
+  list_v4l2(out);
+  return out;
+}
+
+Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings) {
+  return open_v4l2(settings);
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,189 @@
+// Exposure labels: right for every delay, and refused where the picture says otherwise.
+#include "capture/bracketed_camera.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/conventions.h"
+#include "tests/support/fake_camera.h"
+
+namespace penumbra::capture {
+namespace {
+
+using test::FakeCamera;
+using test::FakeCameraBehaviour;
+
+const std::vector<Exposure> kSchedule = {
+    {Seconds(.016), Gain(1)}, {Seconds(.004), Gain(1)}, {Seconds(.001), Gain(1)}};
+
+Image<Rgb> scene() {
+  Image<Rgb> room = make_room_environment(384, 192);
+  double sum = 0;
+  for (const Rgb& p : room.pixels()) sum += luminance(p);
+  const auto scale = static_cast<float>(20 / (sum / static_cast<double>(room.area())));
+  for (Rgb& p : room.pixels()) p = p * scale;
+  return room;
+}
+
+CameraInfo info() {
+  CameraInfo out;
+  out.name = "environment";
+  out.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, 384, 192);
+  out.response = calib::Response::srgb();
+  return out;
+}
+
+struct Outcome {
+  int good = 0, wrong = 0;
+  double worst_slip = 0;  // natural logarithm of label over truth, of good frames
+  std::uint64_t last_wrong = 0, first_good = 0;
+  CameraCounts counts;
+  std::vector<Frame> frames;
+};
+
+Outcome run_camera(const FakeCameraBehaviour& behaviour, int frames, std::optional<int> delay = {},
+                   const std::vector<Exposure>& schedule = kSchedule) {
+  auto fake = std::make_unique<FakeCamera>(scene(), behaviour);
+  FakeCamera& camera = *fake;
+  BracketedCamera bracketed(info(), schedule, delay);
+  EXPECT_TRUE(bracketed.connect(std::move(fake)));
+  Outcome out;
+  for (int i = 0; i < frames; ++i) {
+    auto frame = bracketed.next(Seconds(.1));
+    if (!frame) break;
+    if (!*frame) continue;
+    if (out.good++ == 0) out.first_good = camera.sensor_frame();
+    const double slip = std::abs(std::log((*frame)->exposure.product() / camera.shown().product()));
+    if (slip > .2)
+      ++out.wrong, out.last_wrong = camera.sensor_frame();
+    else
+      out.worst_slip = std::max(out.worst_slip, slip);
+    out.frames.push_back(**frame);
+  }
+  out.counts = bracketed.counts();
+  return out;
+}
+
+class Delay : public testing::TestWithParam<int> {};
+TEST_P(Delay, IsMeasuredAndEveryLabelIsRight) {
+  FakeCameraBehaviour b;
+  b.delay = GetParam();
+  const Outcome r = run_camera(b, 100);
+  EXPECT_GT(r.good, 80);
+  EXPECT_EQ(r.wrong, 0);
+  EXPECT_EQ(r.counts.refused, 0u);
+  ASSERT_TRUE(r.counts.delay_frames);
+  // Delays that differ by a whole turn of the schedule are the same.
+  EXPECT_EQ(*r.counts.delay_frames % 3, GetParam() % 3);
+}
+INSTANTIATE_TEST_SUITE_P(Frames, Delay, testing::Values(1, 2, 3, 5));
+
+TEST(ExposureLabels, ASlipOfOneFrameIsRefused) {
+  FakeCameraBehaviour b;
+  b.slips = [](std::uint64_t frame) { return frame > 40 && frame % 17 == 0; };
+  const Outcome r = run_camera(b, 200);
+  EXPECT_EQ(r.wrong, 0);
+  EXPECT_GE(r.counts.refused, 9u);
+  EXPECT_LE(r.counts.refused, 10u);
+  // Without the check as many labels are wrong.
+  int naive = 0;
+  for (std::uint64_t frame = 41; frame <= 200; ++frame) naive += frame % 17 == 0;
+  EXPECT_EQ(static_cast<int>(r.counts.refused), naive);
+}
+
+TEST(ExposureLabels, AnotherDelayFromNowOnIsFoundWithinThirtyFrames) {
+  FakeCameraBehaviour b;
+  b.delay_at = [](std::uint64_t frame) { return frame < 60 ? 1 : 3; };
+  const Outcome r = run_camera(b, 160);
+  EXPECT_EQ(r.wrong, 0);
+  ASSERT_TRUE(r.counts.delay_frames);
+  EXPECT_EQ(*r.counts.delay_frames, 3);
+  EXPECT_LE(r.counts.refused, 30u);
+  EXPECT_GT(r.good, 110);
+}
+
+TEST(ExposureLabels, FramesThatNeverCameAndWereNotCountedAreFoundByTheirTime) {
+  FakeCameraBehaviour b;
+  b.delay = 3;
+  b.lost = [](std::uint64_t frame) { return frame % 5 == 0; };
+  const Outcome r = run_camera(b, 200);
+  EXPECT_EQ(r.wrong, 0);
+  EXPECT_NEAR(double(r.counts.lost), 50, 3);
+  EXPECT_GT(r.good, 120);
+}
+
+TEST(ExposureLabels, ACameraThatIgnoresExposureIsNamed) {
+  FakeCameraBehaviour b;
+  b.deaf = true;
+  const Outcome r = run_camera(b, 100);
+  EXPECT_EQ(r.good, 0);
+  EXPECT_TRUE(r.counts.deaf);
+}
+
+TEST(ExposureLabels, AChangeOfLightIsNoSlip) {
+  FakeCameraBehaviour b;
+  b.light = [](double t) { return t < 2 ? 1. : 1.8; };
+  const Outcome r = run_camera(b, 150);
+  EXPECT_EQ(r.wrong, 0);
+  EXPECT_LE(r.counts.refused, 2u);
+  // Even one that looks like a slip is believed when it stays.
+  b.light = [](double t) { return t < 2 ? 1. : .25; };
+  const Outcome quarter = run_camera(b, 200);
+  EXPECT_EQ(quarter.wrong, 0);
+  EXPECT_LE(quarter.counts.refused, 25u);
+  EXPECT_GT(quarter.good, 140);
+}
+
+// A lamp on 100 Hz mains under a camera at 30 frames a second and exposures much shorter than a period.
+TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
+  FakeCameraBehaviour b;
+  b.light = [](double t) { return 1 + .1 * std::sin(2 * kPi * 100 * t + .3); };
+  b.fps = 29.3;
+  const Outcome r = run_camera(b, 300);
+  EXPECT_EQ(r.counts.refused, 0u);
+  // RMS of the change from frame to frame, of the radiance that the frames of one exposure give.
+  const auto flicker = [&](bool with_gain) {
+    BrightnessMeter meter(info());
+    Brightness first;
+    std::vector<double> ratios;
+    for (std::size_t i = 60; i < r.frames.size(); ++i) {
+      const Frame& f = r.frames[i];
+      if (std::abs(f.exposure.time.count() - .004) > 1e-9) continue;
+      Brightness seen = meter.measure(*f.pixels);
+      for (float& v : seen.blocks)
+        v /= static_cast<float>(with_gain ? f.exposure.product() : f.exposure.time.count());
+      if (first.blocks.empty()) first = seen;
+      std::vector<double> blocks;
+      for (std::size_t k = 0; k < seen.blocks.size(); ++k)
+        if (seen.blocks[k] > 0 && first.blocks[k] > 0)
+          blocks.push_back(seen.blocks[k] / first.blocks[k]);
+      std::ranges::nth_element(blocks, blocks.begin() + std::ssize(blocks) / 2);
+      ratios.push_back(blocks[blocks.size() / 2]);
+    }
+    double squares = 0;
+    for (std::size_t i = 1; i < ratios.size(); ++i)
+      squares += std::pow(ratios[i] / ratios[i - 1] - 1, 2);
+    return std::sqrt(squares / static_cast<double>(ratios.size() - 1));
+  };
+  EXPECT_GT(flicker(false), .05);
+  EXPECT_LT(flicker(true), .005);
+}
+
+TEST(BracketedCamera, DamagedFramesAreCountedAndNeverShown) {
+  FakeCameraBehaviour b;
+  b.damaged = [](std::uint64_t frame) { return frame % 7 == 0; };
+  const Outcome r = run_camera(b, 140);
+  EXPECT_EQ(r.wrong, 0);
+  EXPECT_EQ(r.counts.damaged, 20u);
+  EXPECT_GT(r.good, 90);
+}
+
+TEST(BracketedCamera, OneExposureNeedsNoMeasuring) {
+  const Outcome r = run_camera({}, 20, {}, {{Seconds(.004), Gain(1)}});
+  EXPECT_EQ(r.good, 20);
+}
+
+}  // namespace
+}  // namespace penumbra::capture

@@ -1,0 +1,180 @@
+// Several cameras as one source: order, unplugging, closing; and the tables of rig.toml that name them.
+#include "capture/rig.h"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <chrono>
+#include <fstream>
+
+#include "capture/capture.h"
+#include "tests/support/fake_camera.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::capture {
+namespace {
+
+using test::FakeCamera;
+using Clock = std::chrono::steady_clock;
+
+std::atomic<int> opened;
+std::atomic<std::uint64_t> frames_before_it_goes = ~std::uint64_t{0};
+std::atomic<bool> can_be_opened = true;
+
+Result<std::unique_ptr<CameraDevice>> open_fake(const CameraSettings& settings) {
+  if (!can_be_opened) return fail(ErrorCode::kNotFound, settings.device, "no such camera");
+  ++opened;
+  test::FakeCameraBehaviour b;
+  b.fps = 200, b.paced = true;
+  b.gone_after =
+      settings.device == "environment" ? frames_before_it_goes.load() : ~std::uint64_t{0};
+  return std::make_unique<FakeCamera>(Image<Rgb>(32, 16, {40, 40, 40}), b);
+}
+
+std::vector<RigCamera> cameras() {
+  std::vector<RigCamera> out(2);
+  out[0].info.name = out[0].settings.device = "environment";
+  out[0].info.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, 32, 16);
+  out[1].info.name = out[1].settings.device = "view";
+  out[1].info.role = Role::kView;
+  out[1].info.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, 32, 16);
+  for (RigCamera& c : out) {
+    c.info.response = calib::Response::srgb();
+    c.schedule = {{Seconds(.004), Gain(1)}};
+    c.settings.fps = 200;
+  }
+  return out;
+}
+
+void write(const std::filesystem::path& path, const std::string& text) {
+  std::ofstream(path) << text;
+}
+
+class RigOfFakes : public testing::Test {
+ protected:
+  void SetUp() override {
+    opened = 0, frames_before_it_goes = ~std::uint64_t{0}, can_be_opened = true;
+  }
+};
+
+TEST_F(RigOfFakes, HandsOnTheFramesOfAllCamerasWithTheirNumbers) {
+  auto rig = Rig::open(cameras(), open_fake);
+  ASSERT_TRUE(rig);
+  EXPECT_TRUE((*rig)->is_live());
+  EXPECT_EQ((*rig)->view_rate(), 200);
+  int count[2] = {};
+  while (count[0] < 10 || count[1] < 10) {
+    auto frame = (*rig)->next();
+    ASSERT_TRUE(frame && *frame);
+    const auto camera = static_cast<std::size_t>((*frame)->camera);
+    ASSERT_LT(camera, 2u);
+    EXPECT_EQ((*frame)->exposure.time, Seconds(.004));
+    ++count[camera];
+  }
+}
+
+TEST_F(RigOfFakes, AnUnpluggedCameraIsBackWithinTwoSecondsAndTheOtherGoesOn) {
+  frames_before_it_goes = 20;
+  auto rig = Rig::open(cameras(), open_fake);
+  ASSERT_TRUE(rig);
+  const auto wait_for = [&](auto done) {
+    const auto give_up = Clock::now() + std::chrono::seconds(10);
+    while (!done() && Clock::now() < give_up) {
+      auto frame = (*rig)->next();
+      ASSERT_TRUE(frame && *frame);
+    }
+    EXPECT_TRUE(done());
+  };
+  can_be_opened = false;
+  wait_for([&] { return (*rig)->counts()[0].frames == 20; });
+  const std::uint64_t view_before = (*rig)->counts()[1].frames;
+  wait_for([&] { return (*rig)->counts()[1].frames > view_before + 40; });
+  EXPECT_EQ((*rig)->counts()[0].reconnected, 0u);
+  frames_before_it_goes = ~std::uint64_t{0};
+  can_be_opened = true;
+  const auto back = Clock::now();
+  wait_for([&] { return (*rig)->counts()[0].frames > 25; });
+  EXPECT_LT(Clock::now() - back, std::chrono::seconds(2));
+  EXPECT_EQ((*rig)->counts()[0].reconnected, 1u);
+}
+
+TEST_F(RigOfFakes, ClosesAHundredTimesInMidStream) {
+  for (int i = 0; i < 100; ++i) {
+    auto rig = Rig::open(cameras(), open_fake);
+    ASSERT_TRUE(rig);
+    std::jthread reader([&] {
+      while (true) {
+        auto frame = (*rig)->next();
+        if (!frame || !*frame) return;
+      }
+    });
+    std::this_thread::sleep_for(std::chrono::milliseconds(i % 7));
+    (*rig)->close();
+    reader.join();
+  }
+  EXPECT_EQ(opened, 200);
+}
+
+TEST_F(RigOfFakes, ACameraThatIsNotThereIsTheErrorOfOpening) {
+  can_be_opened = false;
+  auto rig = Rig::open(cameras(), open_fake);
+  ASSERT_FALSE(rig);
+  EXPECT_EQ(rig.error().where, "environment");
+}
+
+TEST(RigFile, NamesDeviceScheduleAndLens) {
+  const test::TempFolder folder;
+  write(folder.path() / "rig.toml", R"(
+[[camera]]
+name = "sky"
+role = "environment"
+device = "/dev/video2"
+format = "MJPG"
+fps = 60
+width = 640
+height = 480
+projection = "equidistant"
+response = "srgb"
+exposures_s = [0.01, 0.002]
+gains = [1, 2]
+unit_gain = 16
+delay_frames = 2
+)");
+  auto cameras = read_rig_cameras(folder.path() / "rig.toml");
+  ASSERT_TRUE(cameras) << cameras.error().where << cameras.error().detail;
+  ASSERT_EQ(cameras->size(), 1u);
+  const RigCamera& c = cameras->front();
+  EXPECT_EQ(c.settings.device, "/dev/video2");
+  EXPECT_EQ(c.settings.format, "MJPG");
+  EXPECT_EQ(c.settings.fps, 60);
+  EXPECT_EQ(c.settings.unit_gain, 16);
+  ASSERT_EQ(c.schedule.size(), 2u);
+  EXPECT_EQ(c.schedule[1].time, Seconds(.002));
+  EXPECT_EQ(c.schedule[1].gain.value(), 2);
+  EXPECT_EQ(c.delay_frames, 2);
+}
+
+TEST(RigFile, BadValuesNameTheirKeyAndLine) {
+  const test::TempFolder folder;
+  const std::string good =
+      "[[camera]]\nname = \"a\"\nrole = \"view\"\nwidth = 64\nheight = 48\n"
+      "projection = \"pinhole\"\nresponse = \"srgb\"\ndevice = \"/dev/video0\"\n";
+  for (const auto& [line, key] : std::initializer_list<std::pair<const char*, const char*>>{
+           {"exposures_s = [0.01, -1]", "exposures_s"},
+           {"exposures_s = []", "exposures_s"},
+           {"exposures_s = [0.01]\ngains = [1, 2]", "gains"},
+           {"fps = 0", "fps"},
+           {"delay_frames = 0", "delay_frames"},
+           {"unit_gain = -3", "unit_gain"},
+           {"frames = \"a.csv\"", "frames"}}) {
+    write(folder.path() / "rig.toml", good + line + "\n");
+    auto cameras = read_rig_cameras(folder.path() / "rig.toml");
+    ASSERT_FALSE(cameras) << line;
+    EXPECT_NE((cameras.error().where + cameras.error().detail).find(key), std::string::npos)
+        << cameras.error().where << " " << cameras.error().detail;
+    EXPECT_NE(cameras.error().where.find("rig.toml:"), std::string::npos) << cameras.error().where;
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::capture

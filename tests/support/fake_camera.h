@@ -1,0 +1,91 @@
+// A camera that lives in memory: a still scene through the sensor model, with a real sensor's delay and faults.
+#pragma once
+
+#include <functional>
+#include <thread>
+#include <vector>
+
+#include "capture/capture.h"
+
+namespace penumbra::test {
+
+struct FakeCameraBehaviour {
+  int delay = 2;  // frames between a request and the first frame that shows it
+  double fps = 30;
+  std::function<int(std::uint64_t)> delay_at;  // instead of `delay`
+  std::function<bool(std::uint64_t)> lost;     // never arrives; the driver's count does not tell
+  std::function<bool(std::uint64_t)> slips;    // shows the request before
+  std::function<bool(std::uint64_t)> damaged;
+  std::function<double(double)> light;           // factor on the scene at a time in seconds
+  bool deaf = false;                             // keeps its first exposure
+  std::uint64_t gone_after = ~std::uint64_t{0};  // frames
+  bool paced = false;                            // frames take their time; else they come at once
+};
+
+class FakeCamera : public capture::CameraDevice {
+ public:
+  FakeCamera(Image<Rgb> scene, FakeCameraBehaviour behaviour)
+      : scene_(std::move(scene)), behaviour_(std::move(behaviour)) {
+    mode_ = {"RGB3", scene_.width(), scene_.height(), behaviour_.fps, true};
+    sensor_.response = calib::Response::srgb();
+  }
+  const capture::CameraMode& mode() const override { return mode_; }
+  const std::string& name() const override { return name_; }
+  Exposure nearest(Exposure wanted) const override { return wanted; }
+  Result<void> request(Exposure wanted) override {
+    requests_.push_back({sensor_frame_, wanted});
+    return {};
+  }
+  Result<std::optional<capture::CameraFrame>> wait(Seconds) override {
+    if (behaviour_.paced) std::this_thread::sleep_for(Seconds(1 / behaviour_.fps));
+    const auto yes = [&](const auto& when) { return when && when(sensor_frame_); };
+    do {
+      ++sensor_frame_;
+    } while (yes(behaviour_.lost));
+    if (sensor_frame_ > behaviour_.gone_after)
+      return fail(ErrorCode::kClosed, "fake", "was unplugged");
+    capture::CameraFrame out;
+    out.sequence = ++delivered_;
+    out.time = TimestampNs{} + Seconds(static_cast<double>(sensor_frame_) / behaviour_.fps);
+    out.damaged = yes(behaviour_.damaged);
+    shown_ = in_force(yes(behaviour_.slips) ? 1 : 0);
+    if (out.damaged) return out;
+    Image<Rgb> radiance = scene_;
+    const float light =
+        behaviour_.light ? static_cast<float>(behaviour_.light((out.time - TimestampNs{}).count()))
+                         : 1;
+    for (Rgb& p : radiance.pixels()) p = p * light;
+    out.pixels = Image<Rgb8>(scene_.width(), scene_.height());
+    capture::expose(sensor_, radiance, shown_, sensor_frame_, out.pixels);
+    return out;
+  }
+  /// What the last frame was really exposed with.
+  Exposure shown() const { return shown_; }
+  std::uint64_t sensor_frame() const { return sensor_frame_; }
+
+ private:
+  Exposure in_force(int earlier) const {
+    if (requests_.empty()) return {Seconds(.01), Gain(1)};
+    if (behaviour_.deaf) return requests_.front().exposure;
+    const int delay = behaviour_.delay_at ? behaviour_.delay_at(sensor_frame_) : behaviour_.delay;
+    std::size_t newest = 0;
+    for (std::size_t i = 0; i < requests_.size(); ++i)
+      if (requests_[i].after + static_cast<std::uint64_t>(delay) <= sensor_frame_) newest = i;
+    const auto back = static_cast<std::size_t>(earlier);
+    return requests_[newest >= back ? newest - back : 0].exposure;
+  }
+  struct Request {
+    std::uint64_t after;
+    Exposure exposure;
+  };
+  Image<Rgb> scene_;
+  FakeCameraBehaviour behaviour_;
+  capture::Sensor sensor_;
+  capture::CameraMode mode_;
+  std::string name_ = "fake camera";
+  std::vector<Request> requests_;
+  std::uint64_t sensor_frame_ = 0, delivered_ = 0;
+  Exposure shown_;
+};
+
+}  // namespace penumbra::test
