@@ -10,7 +10,6 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
   counter_ = {};
   lost_before_ = counts_.lost;
-  frame_ = 0;
   if (schedule_.empty()) return {};
   return ask();
 }
@@ -18,35 +17,29 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
 Result<void> BracketedCamera::ask() {
   const Exposure wanted = device_->nearest(schedule_[next_++ % schedule_.size()]);
   PENUMBRA_TRY(device_->request(wanted));
-  labels_.requested(frame_, wanted);
+  labels_.requested(counter_.at(device_->now()), wanted);
   return {};
 }
 
 Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
-  auto came = device_->wait(timeout);
+  // A request counts from the frame that is newest when it is made, which is certain only soon after that one began.
+  constexpr double kSoon = .4;  // of a period
+  const double period = counter_.period();
+  auto came = device_->wait(timeout, Seconds(period > 0 ? kSoon * period : 1e9));
   if (!came) {
     device_.reset();
     return std::unexpected(came.error());
   }
   if (!*came) return std::nullopt;
-  CameraFrame& raw = **came;
-  if (raw.damaged) {
-    ++counts_.damaged;
-    return std::nullopt;
-  }
-  frame_ = counter_.count(raw.sequence, raw.time);
-  counts_.lost = lost_before_ + counter_.lost();
-  ExposureLabels::Label label{ExposureLabels::Verdict::kGood, {}};
-  if (raw.applied) {
-    label.exposure = *raw.applied;
-  } else if (schedule_.size() == 1) {
-    label.exposure = device_->nearest(schedule_[0]);
-  } else if (!schedule_.empty()) {
-    label = labels_.judge(frame_, raw.time, meter_.measure(raw.pixels));
-    counts_.delay_frames = labels_.delay();
-    counts_.deaf = labels_.deaf();
-  }
+  const CameraFrame& raw = **came;
+  const std::uint64_t number = counter_.count(raw.sequence, raw.time);
   if (schedule_.size() > 1) PENUMBRA_TRY(ask());
+  auto pixels = device_->pixels();
+  counts_.damaged += static_cast<std::uint64_t>(raw.damaged_before) + !pixels;
+  counts_.lost = lost_before_ + counter_.lost();
+  if (!pixels) return std::nullopt;
+  ++counts_.arrived;
+  const ExposureLabels::Label label = label_of(raw, number, *pixels);
   if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.refused;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
   ++counts_.frames;
@@ -55,7 +48,19 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
                raw.time,
                label.exposure,
                info_.world_from_camera,
-               std::make_shared<const FramePixels>(std::move(raw.pixels))};
+               std::make_shared<const FramePixels>(std::move(*pixels))};
+}
+
+ExposureLabels::Label BracketedCamera::label_of(const CameraFrame& raw, std::uint64_t number,
+                                                const FramePixels& pixels) {
+  using enum ExposureLabels::Verdict;
+  if (raw.applied) return {kGood, *raw.applied};
+  if (schedule_.empty()) return {kGood, {Seconds(1), Gain(1)}};
+  if (schedule_.size() == 1) return {kGood, device_->nearest(schedule_[0])};
+  const auto label = labels_.judge(number, raw.time, meter_.measure(pixels));
+  counts_.delay_frames = labels_.delay();
+  counts_.deaf = labels_.deaf();
+  return label;
 }
 
 }  // namespace penumbra::capture

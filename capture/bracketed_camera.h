@@ -18,7 +18,10 @@ class FrameCounter {
  public:
   /// The frame's number, which grows by one a period.
   std::uint64_t count(std::uint64_t sequence, TimestampNs time);
+  /// The newest frame that has begun at a time: what a request at that time comes after, however late frames are read.
+  std::uint64_t at(TimestampNs time) const;
   std::uint64_t lost() const { return lost_; }
+  double period() const;  // seconds; 0 while unknown
 
  private:
   std::optional<std::uint64_t> sequence_;
@@ -88,6 +91,7 @@ class ExposureLabels {
   std::vector<float> radiance_;  // of the blocks; 0: unknown
   double drift_ = 0;             // slow part of the offsets, natural logarithm
   TimestampNs last_;
+  double suspicion_ = 0;  // refusals of late
   int refused_in_a_row_ = 0, corrections_ = 0;
   bool deaf_ = false;
 };
@@ -105,6 +109,7 @@ class BracketedCamera {
   /// Takes a device over, also a new one after the old one has gone.
   Result<void> connect(std::unique_ptr<CameraDevice> device);
   bool connected() const { return device_ != nullptr; }
+  void disconnect() { device_.reset(); }
   /// The next frame whose label holds; nothing when none came in time.
   /// errors: kClosed (the device is gone)
   Result<std::optional<Frame>> next(Seconds timeout);
@@ -112,6 +117,8 @@ class BracketedCamera {
 
  private:
   Result<void> ask();
+  ExposureLabels::Label label_of(const CameraFrame& raw, std::uint64_t number,
+                                 const FramePixels& pixels);
   CameraInfo info_;
   std::vector<Exposure> schedule_;
   std::optional<int> delay_;  // as configured
@@ -120,7 +127,7 @@ class BracketedCamera {
   FrameCounter counter_;
   std::unique_ptr<CameraDevice> device_;
   std::size_t next_ = 0;  // in the schedule
-  std::uint64_t frame_ = 0, sent_ = 0, lost_before_ = 0;
+  std::uint64_t sent_ = 0, lost_before_ = 0;
   CameraCounts counts_;
 };
 

@@ -53,13 +53,12 @@ struct CameraSettings {
   double unit_gain = 0;  // the driver's value that counts as gain 1; 0: where it stands
 };
 
-/// A frame as it came, with the driver's own account of it.
+/// The driver's account of a frame.
 struct CameraFrame {
-  FramePixels pixels;
   std::uint64_t sequence = 0;       // as the driver counts, gaps included
   TimestampNs time;                 // CLOCK_MONOTONIC
-  bool damaged = false;             // the transfer failed: `pixels` is empty
   std::optional<Exposure> applied;  // where the driver tells
+  int damaged_before = 0;           // frames passed over since the last one: their transfer failed
 };
 
 /// A camera that streams from start to destruction.
@@ -74,9 +73,14 @@ class CameraDevice {
   /// Asks for an exposure; it shows some frames later.
   /// errors: kInvalid (no such control), kClosed (the camera is gone)
   virtual Result<void> request(Exposure wanted) = 0;
-  /// The next frame; nothing when none came in time.
+  /// Waits for a frame whose time is at most `oldest` ago; what nobody took in time is gone. Nothing when none came.
   /// errors: kClosed (the camera is gone)
-  virtual Result<std::optional<CameraFrame>> wait(Seconds timeout) = 0;
+  virtual Result<std::optional<CameraFrame>> wait(Seconds timeout, Seconds oldest) = 0;
+  /// The picture of the frame that wait() gave last, once.
+  /// errors: kUnreadable (it came in part)
+  virtual Result<FramePixels> pixels() = 0;
+  /// The clock of the frames' times.
+  virtual TimestampNs now() const = 0;
 };
 
 /// Opens, negotiates and starts. Automatic exposure, gain and white balance are switched off where there are such.
@@ -85,6 +89,7 @@ Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings
 
 /// What became of a camera's frames.
 struct CameraCounts {
+  std::uint64_t arrived = 0;        // whole, whatever their labels
   std::uint64_t frames = 0;         // handed on
   std::uint64_t lost = 0;           // never arrived
   std::uint64_t damaged = 0;        // arrived in part

@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <numeric>
 
 #include "capture/bracketed_camera.h"
 
@@ -9,13 +11,15 @@ namespace {
 
 constexpr int kMostDelay = 10;           // frames
 constexpr std::size_t kRemembered = 24;  // frames
-constexpr std::size_t kEnough = 12;      // frames that tell the delay
-constexpr double kExact = .12;           // natural logarithm: how well a slip's ratio fits
-constexpr double kAgrees = .25;          // a third of a stop: less is flicker
+constexpr std::size_t kFirst = 18,
+                      kEnough = 12;  // frames that tell the delay, at the start and later
+constexpr double kExact = .12;       // natural logarithm: how well a slip's ratio fits
+constexpr double kAgrees = .25;      // a third of a stop: less is flicker
 constexpr double kUniform =
-    .12;                      // of the blocks' offsets: a change of exposure is the same everywhere
-constexpr int kPatience = 4;  // frames refused in a row before the delay is looked for anew
-constexpr int kMostPatience = 24;  // after so many the light has changed after all
+    .12;  // of the blocks' offsets: a change of exposure is the same everywhere
+constexpr double kPatience = 4;      // frames refused before the delay is looked for anew
+constexpr double kForgiveness = .8;  // of earlier refusals, for each good frame
+constexpr int kMostPatience = 24;    // after so many the light has changed after all
 constexpr std::size_t kLeastBlocks = 6;
 constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
 
@@ -44,6 +48,18 @@ std::optional<Offset> offset_between(const std::vector<float>& signal,
 
 }  // namespace
 
+double FrameCounter::period() const {
+  if (periods_.size() < 5) return 0;
+  std::vector<double> sorted(periods_.begin(), periods_.end());
+  return median(sorted);
+}
+
+std::uint64_t FrameCounter::at(TimestampNs time) const {
+  const double one = period();
+  const double passed = one > 0 ? std::floor((time - time_).count() / one) : 0;
+  return number_ + static_cast<std::uint64_t>(std::clamp(passed, 0., 1000.));
+}
+
 std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time) {
   constexpr std::size_t kPeriods = 15;
   constexpr std::uint64_t kMostMissing = 600;  // a longer gap is a new start
@@ -53,13 +69,9 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time) {
   }
   const double apart = (time - time_).count();
   std::uint64_t step = sequence > *sequence_ ? sequence - *sequence_ : 1;
-  if (periods_.size() >= 5) {
-    std::vector<double> sorted(periods_.begin(), periods_.end());
-    const double period = median(sorted);
-    const double periods = period > 0 ? std::round(apart / period) : 1;
-    // Late delivery moves a time by less than half a period.
-    if (periods > static_cast<double>(step)) step = static_cast<std::uint64_t>(periods);
-  }
+  // Late delivery moves a time by less than half a period.
+  if (const double one = period(); one > 0 && std::round(apart / one) > static_cast<double>(step))
+    step = static_cast<std::uint64_t>(std::min(apart / one + .5, double{kMostMissing}));
   step = std::min(step, kMostMissing);
   periods_.push_back(apart / static_cast<double>(step));
   if (periods_.size() > kPeriods) periods_.pop_front();
@@ -128,27 +140,40 @@ std::optional<Exposure> ExposureLabels::in_force(std::uint64_t frame, int delay)
   return std::nullopt;
 }
 
-// Mean distance between neighbouring frames' changes of brightness and those that the delay explains.
+// Mean distance between neighbouring frames' changes of brightness and those that the delay explains, without the worst
+// fifth: single slips, and frames from before the first request.
 double ExposureLabels::disagreement(int delay) const {
-  double sum = 0;
-  int count = 0;
+  constexpr double kFar = 2;
+  std::vector<double> distances;
   for (std::size_t i = 1; i < seen_.size(); ++i) {
     const auto before = in_force(seen_[i - 1].frame, delay), now = in_force(seen_[i].frame, delay);
     const auto change = offset_between(seen_[i].brightness.blocks, seen_[i - 1].brightness.blocks);
     if (!before || !now || !change) continue;
-    sum += std::min(2., std::abs(change->value - std::log(now->product() / before->product())));
-    ++count;
+    distances.push_back(
+        std::min(kFar, std::abs(change->value - std::log(now->product() / before->product()))));
   }
-  return count > 3 ? sum / count : 2;
+  if (distances.size() < 4) return kFar;
+  std::ranges::sort(distances);
+  const std::size_t kept = distances.size() - distances.size() / 5;
+  return std::accumulate(distances.begin(), distances.begin() + static_cast<std::ptrdiff_t>(kept),
+                         0.) /
+         static_cast<double>(kept);
 }
 
+// The shortest delay that explains the frames about as well as any: a schedule that repeats hides whole turns of it.
 void ExposureLabels::find_delay() {
-  int best = 1;
+  constexpr double kTied = .03;
   double least = 2;
+  std::array<double, kMostDelay + 1> scores{};
   for (int delay = 1; delay <= kMostDelay; ++delay)
-    if (const double d = disagreement(delay); d < least - 1e-3) least = d, best = delay;
+    least = std::min(least, scores[static_cast<std::size_t>(delay)] = disagreement(delay));
+  suspicion_ = 0;
   deaf_ = least > kAgrees;
-  if (deaf_ || delay_ == best) return;
+  if (deaf_) return;
+  const auto tied = [&](double score) { return score < least + kTied; };
+  const int best =
+      static_cast<int>(std::find_if(scores.begin() + 1, scores.end(), tied) - scores.begin());
+  if (delay_ == best) return;
   if (delay_) ++corrections_;
   delay_ = best;
   refused_in_a_row_ = 0;
@@ -159,7 +184,7 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
   seen_.push_back({frame, seen});
   while (seen_.size() > (delay_ ? kEnough : kRemembered)) seen_.pop_front();
   if (!delay_) {
-    if (seen_.size() >= kEnough) find_delay();
+    if (seen_.size() >= kFirst) find_delay();
     return {};
   }
   const auto label = in_force(frame, *delay_);
@@ -180,7 +205,8 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
     radiance_.clear();
     return accept(*label, time, seen, 0);
   }
-  if (++refused_in_a_row_ % kPatience == 0) find_delay();
+  ++refused_in_a_row_;
+  if (++suspicion_ >= kPatience) find_delay();
   return {Verdict::kRefused, *label};
 }
 
@@ -190,6 +216,7 @@ ExposureLabels::Label ExposureLabels::accept(const Exposure& exposure, Timestamp
   const double passed = std::clamp((time - last_).count(), 0., 1.);
   last_ = time;
   refused_in_a_row_ = 0;
+  suspicion_ *= kForgiveness;
   const double flicker = offset - drift_;
   drift_ += flicker * (1 - std::exp(-passed / kDriftSeconds));
   Label out{Verdict::kGood, exposure};

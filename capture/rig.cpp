@@ -1,5 +1,7 @@
 #include "capture/rig.h"
 
+#include <algorithm>
+#include <chrono>
 #include <mutex>
 #include <stop_token>
 
@@ -10,7 +12,9 @@ namespace penumbra::capture {
 namespace {
 
 constexpr std::size_t kQueued = 8;  // frames of all cameras
-constexpr Seconds kPatience{.1}, kRetry{.25};
+constexpr Seconds kTurn{.1}, kRetry{.25};
+constexpr Seconds kSilence{
+    2};  // and four exposures: a stream that gives nothing for so long is opened anew
 
 // The camera as it was configured, or the same one under another device: after a replug the number may have changed.
 Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
@@ -35,7 +39,9 @@ struct Rig::Station {
         bracketed(camera.info, camera.schedule, camera.delay_frames),
         index(number),
         open(opener),
-        frames(out) {}
+        frames(out) {
+    for (const Exposure& e : camera.schedule) longest = std::max(longest, e.time);
+  }
 
   Result<void> start(std::unique_ptr<CameraDevice> device) {
     name = device->name();
@@ -50,8 +56,14 @@ struct Rig::Station {
           std::this_thread::sleep_for(kRetry);
           continue;
         }
-        auto frame = bracketed.next(kPatience);
+        const auto before = std::chrono::steady_clock::now();
+        const std::uint64_t arrived = arrivals();
+        auto frame = bracketed.next(kTurn);
         publish();
+        silent = arrivals() != arrived
+                     ? Seconds(0)
+                     : silent + Seconds(std::chrono::steady_clock::now() - before);
+        if (silent > kSilence + 4 * longest) bracketed.disconnect(), silent = Seconds(0);
         if (!frame || !*frame) continue;  // gone, or nothing yet
         (*frame)->camera = index;
         frames.try_push(std::move(**frame));
@@ -60,6 +72,7 @@ struct Rig::Station {
       frames.close();  // out of memory: the run ends
     }
   }
+  std::uint64_t arrivals() const { return bracketed.counts().arrived; }
   bool reconnect() {
     auto device = find_again(camera.settings, name, open);
     if (!device || !bracketed.connect(std::move(*device))) return false;
@@ -78,6 +91,7 @@ struct Rig::Station {
   int index;
   OpenCamera open;
   Bounded<Frame>& frames;
+  Seconds longest{0}, silent{0};
   std::uint64_t reconnected = 0;
   mutable std::mutex mutex;
   CameraCounts counts;  // guarded by mutex

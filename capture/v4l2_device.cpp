@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <ctime>
+#include <utility>
 
 #include "capture/raw_formats.h"
 #include "capture/v4l2.h"
@@ -16,7 +17,7 @@ namespace {
 constexpr std::uint32_t kBuffers = 4;
 constexpr std::uint32_t kType = V4L2_BUF_TYPE_VIDEO_CAPTURE;
 
-TimestampNs now() {
+TimestampNs monotonic_now() {
   timespec t{};
   ::clock_gettime(CLOCK_MONOTONIC, &t);
   return {static_cast<std::int64_t>(t.tv_sec) * 1'000'000'000 + t.tv_nsec};
@@ -52,7 +53,9 @@ class V4l2Device : public CameraDevice {
   const std::string& name() const override { return node_.name(); }
   Exposure nearest(Exposure wanted) const override;
   Result<void> request(Exposure wanted) override;
-  Result<std::optional<CameraFrame>> wait(Seconds timeout) override;
+  Result<std::optional<CameraFrame>> wait(Seconds timeout, Seconds oldest) override;
+  Result<FramePixels> pixels() override;
+  TimestampNs now() const override { return monotonic_now(); }
 
  private:
   static int snap(const V4l2Node::Control& c, double value) {
@@ -60,7 +63,9 @@ class V4l2Device : public CameraDevice {
     return static_cast<int>(std::clamp(c.low + steps * c.step, c.low, c.high));
   }
   Result<void> give_back(std::uint32_t index);
-  Result<CameraFrame> read(const v4l2_buffer& buffer) const;
+  Result<void> give_back_last();
+  // 0, or errno: EAGAIN when nothing is there.
+  int take(v4l2_buffer& buffer);
 
   V4l2Node node_;
   CameraMode mode_;
@@ -68,6 +73,8 @@ class V4l2Device : public CameraDevice {
   V4l2Exposure controls_;
   double unit_gain_ = 1;
   std::vector<MappedBuffer> buffers_;
+  std::optional<v4l2_buffer> last_;  // ours until its picture was taken
+  int damaged_ = 0;                  // since the last frame
   bool streaming_ = false;
 };
 
@@ -123,42 +130,58 @@ Result<void> V4l2Device::give_back(std::uint32_t index) {
   return {};
 }
 
-Result<CameraFrame> V4l2Device::read(const v4l2_buffer& buffer) const {
-  CameraFrame out;
-  out.sequence = buffer.sequence;
+TimestampNs time_of(const v4l2_buffer& buffer) {
   const bool monotonic =
       (buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
-  out.time = monotonic ? TimestampNs{buffer.timestamp.tv_sec * 1'000'000'000LL +
-                                     buffer.timestamp.tv_usec * 1'000LL}
-                       : now();
-  out.damaged = (buffer.flags & V4L2_BUF_FLAG_ERROR) != 0;
-  if (out.damaged || buffer.index >= buffers_.size()) return out;
-  const auto bytes = buffers_[buffer.index].bytes();
-  auto pixels =
-      converter_.convert(bytes.first(std::min<std::size_t>(buffer.bytesused, bytes.size())));
-  // A picture that cannot be read is a transfer that failed.
-  if (pixels)
-    out.pixels = std::move(*pixels);
-  else
-    out.damaged = true;
-  return out;
+  if (!monotonic) return monotonic_now();
+  return {buffer.timestamp.tv_sec * 1'000'000'000LL + buffer.timestamp.tv_usec * 1'000LL};
 }
 
-Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout) {
-  pollfd ready{node_.fd(), POLLIN, 0};
-  const int milliseconds = static_cast<int>(std::clamp(timeout.count(), 0., 3600.) * 1000);
-  const int events = ::poll(&ready, 1, milliseconds);
-  if (events == 0 || (events < 0 && errno == EINTR)) return std::nullopt;
-  v4l2_buffer buffer{};
+Result<void> V4l2Device::give_back_last() {
+  if (!last_) return {};
+  const std::uint32_t index = last_->index;
+  last_.reset();
+  return give_back(index);
+}
+
+int V4l2Device::take(v4l2_buffer& buffer) {
+  buffer = {};
   buffer.type = kType, buffer.memory = V4L2_MEMORY_MMAP;
-  if (const int e = node_.call(VIDIOC_DQBUF, &buffer)) {
-    if (e == EAGAIN) return std::nullopt;
-    return std::unexpected(node_.error(ErrorCode::kClosed, "gives no more frames", e));
+  return node_.call(VIDIOC_DQBUF, &buffer);
+}
+
+Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout, Seconds oldest) {
+  PENUMBRA_TRY(give_back_last());
+  const TimestampNs end = monotonic_now() + timeout;
+  while (true) {
+    v4l2_buffer buffer;
+    if (const int e = take(buffer); e == EAGAIN) {
+      const double left = std::clamp((end - monotonic_now()).count(), 0., 3600.);
+      pollfd ready{node_.fd(), POLLIN, 0};
+      if (left <= 0 || ::poll(&ready, 1, static_cast<int>(left * 1000) + 1) == 0)
+        return std::nullopt;
+      continue;
+    } else if (e != 0) {
+      return std::unexpected(node_.error(ErrorCode::kClosed, "gives no more frames", e));
+    }
+    const bool damaged = (buffer.flags & V4L2_BUF_FLAG_ERROR) || buffer.index >= buffers_.size();
+    damaged_ += damaged;
+    if (damaged || monotonic_now() - time_of(buffer) > oldest) {
+      PENUMBRA_TRY(give_back(buffer.index));
+      continue;
+    }
+    last_ = buffer;
+    return CameraFrame{buffer.sequence, time_of(buffer), {}, std::exchange(damaged_, 0)};
   }
-  auto frame = read(buffer);
-  PENUMBRA_TRY(give_back(buffer.index));
-  if (!frame) return std::unexpected(frame.error());
-  return std::move(*frame);
+}
+
+Result<FramePixels> V4l2Device::pixels() {
+  if (!last_) return fail(ErrorCode::kUnreadable, node_.device(), "no frame at hand");
+  const auto bytes = buffers_[last_->index].bytes();
+  auto pixels =
+      converter_.convert(bytes.first(std::min<std::size_t>(last_->bytesused, bytes.size())));
+  PENUMBRA_TRY(give_back_last());
+  return pixels;
 }
 
 Result<RawLayout> negotiate(const V4l2Node& node, const CameraMode& mode, double fps) {

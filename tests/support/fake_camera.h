@@ -36,28 +36,32 @@ class FakeCamera : public capture::CameraDevice {
     requests_.push_back({sensor_frame_, wanted});
     return {};
   }
-  Result<std::optional<capture::CameraFrame>> wait(Seconds) override {
+  Result<std::optional<capture::CameraFrame>> wait(Seconds, Seconds) override {
     if (behaviour_.paced) std::this_thread::sleep_for(Seconds(1 / behaviour_.fps));
     const auto yes = [&](const auto& when) { return when && when(sensor_frame_); };
+    capture::CameraFrame out;
     do {
       ++sensor_frame_;
-    } while (yes(behaviour_.lost));
+      out.damaged_before += yes(behaviour_.damaged);
+      delivered_ += yes(behaviour_.damaged);
+    } while (yes(behaviour_.lost) || yes(behaviour_.damaged));
     if (sensor_frame_ > behaviour_.gone_after)
       return fail(ErrorCode::kClosed, "fake", "was unplugged");
-    capture::CameraFrame out;
     out.sequence = ++delivered_;
     out.time = TimestampNs{} + Seconds(static_cast<double>(sensor_frame_) / behaviour_.fps);
-    out.damaged = yes(behaviour_.damaged);
     shown_ = in_force(yes(behaviour_.slips) ? 1 : 0);
-    if (out.damaged) return out;
-    Image<Rgb> radiance = scene_;
-    const float light =
-        behaviour_.light ? static_cast<float>(behaviour_.light((out.time - TimestampNs{}).count()))
-                         : 1;
-    for (Rgb& p : radiance.pixels()) p = p * light;
-    out.pixels = Image<Rgb8>(scene_.width(), scene_.height());
-    capture::expose(sensor_, radiance, shown_, sensor_frame_, out.pixels);
+    light_ = behaviour_.light ? behaviour_.light((out.time - TimestampNs{}).count()) : 1;
     return out;
+  }
+  Result<FramePixels> pixels() override {
+    Image<Rgb> radiance = scene_;
+    for (Rgb& p : radiance.pixels()) p = p * static_cast<float>(light_);
+    FramePixels out = Image<Rgb8>(scene_.width(), scene_.height());
+    capture::expose(sensor_, radiance, shown_, sensor_frame_, out);
+    return out;
+  }
+  TimestampNs now() const override {
+    return TimestampNs{} + Seconds((static_cast<double>(sensor_frame_) + .01) / behaviour_.fps);
   }
   /// What the last frame was really exposed with.
   Exposure shown() const { return shown_; }
@@ -86,6 +90,7 @@ class FakeCamera : public capture::CameraDevice {
   std::vector<Request> requests_;
   std::uint64_t sensor_frame_ = 0, delivered_ = 0;
   Exposure shown_;
+  double light_ = 1;
 };
 
 }  // namespace penumbra::test

@@ -52,7 +52,7 @@ timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -smp 2 -m
   -append "console=ttyS0 quiet panic=-1" -nic none \
   -fsdev local,id=host,path=/,security_model=none,readonly=on,multidevs=remap \
   -device virtio-9p-pci,fsdev=host,mount_tag=host ${GUEST_QEMU:-} < /dev/null > "$work/qemu" 2>&1 || true
-tr -d '\r' < "$work/console" | sed '1,/^guest: begin$/d; /^guest: exit/,$d' 
+tr -d '\r' < "$work/console" | sed '1,/guest: begin$/d; /^guest: exit/,$d' 
 cat "$work/qemu" >&2
 status=$(tr -d '\r' < "$work/console" | sed -n 's/^guest: exit \([0-9]*\)$/\1/p' | tail -1)
 exit "${status:-124}"

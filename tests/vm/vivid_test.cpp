@@ -28,13 +28,16 @@ CameraSettings settings(const std::string& format = "", int width = 640, int hei
   return out;
 }
 
-Result<CameraFrame> first_frame(CameraDevice& camera) {
-  for (int i = 0; i < 20; ++i) {
-    auto frame = camera.wait(Seconds(1));
-    if (!frame) return std::unexpected(frame.error());
-    if (*frame && !(*frame)->damaged) return std::move(**frame);
-  }
-  return fail(ErrorCode::kUnavailable, kDevice, "no frame in twenty seconds");
+struct Picture : CameraFrame {
+  FramePixels pixels;
+};
+Result<Picture> first_frame(CameraDevice& camera) {
+  auto frame = camera.wait(Seconds(20), Seconds(20));
+  if (!frame) return std::unexpected(frame.error());
+  if (!*frame) return fail(ErrorCode::kUnavailable, kDevice, "no frame in twenty seconds");
+  auto pixels = camera.pixels();
+  if (!pixels) return std::unexpected(pixels.error());
+  return Picture{**frame, std::move(*pixels)};
 }
 
 Image<Rgb8> as_8_bit(const FramePixels& pixels) {
@@ -112,7 +115,7 @@ TEST_F(Vivid, EveryFormatShowsTheBarsThatPlainRgbShows) {
 TEST_F(Vivid, FramesCarryTheDriversNumbersAndRisingMonotonicTimes) {
   auto camera = open_camera(settings("YUYV"));
   ASSERT_TRUE(camera) << camera.error().detail;
-  std::optional<CameraFrame> before;
+  std::optional<Picture> before;
   for (int i = 0; i < 20; ++i) {
     auto frame = first_frame(**camera);
     ASSERT_TRUE(frame);
@@ -165,7 +168,7 @@ TEST_F(Vivid, AnUnpluggedCameraIsAClosedOneAndNoHang) {
   if (id == 0) GTEST_SKIP() << "this vivid cannot be unplugged";
   ASSERT_EQ(node->set(id, 1), 0);
   Result<std::optional<CameraFrame>> frame = std::nullopt;
-  for (int i = 0; i < 50 && frame; ++i) frame = (*camera)->wait(Seconds(.1));
+  for (int i = 0; i < 50 && frame; ++i) frame = (*camera)->wait(Seconds(.1), Seconds(1));
   ASSERT_FALSE(frame);
   EXPECT_EQ(frame.error().code, ErrorCode::kClosed);
 }

@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# guest.sh with the virtual USB camera plugged in: uvc_guest.sh UVC_CAMERA KERNEL_FOLDER LIMIT_S COMMAND [ARGUMENTS...]
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+camera=$1 kernel=$2 limit_s=$3
+shift 3
+folder=$(mktemp -d)
+"$camera" "$folder/usb" &
+device=$!
+trap 'kill "$device" 2>/dev/null || true; rm -rf "$folder"' EXIT
+for _ in $(seq 50); do [[ -S "$folder/usb" ]] && break; sleep .1; done
+GUEST_QEMU="-device qemu-xhci,id=x -chardev socket,id=c,path=$folder/usb -device usb-redir,chardev=c,bus=x.0" \
+  "$here/guest.sh" "$kernel" "xhci_pci; uvcvideo" "$limit_s" "$@"
