@@ -83,6 +83,7 @@ class ExposureLabels {
   std::optional<Exposure> in_force(std::uint64_t frame, int delay) const;
   double disagreement(int delay) const;
   void find_delay();
+  void begin_with_history();
   Label accept(const Exposure& exposure, TimestampNs time, const Brightness& seen, double offset);
 
   std::optional<int> delay_;

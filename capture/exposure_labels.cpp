@@ -177,6 +177,22 @@ void ExposureLabels::find_delay() {
   if (delay_) ++corrections_;
   delay_ = best;
   refused_in_a_row_ = 0;
+  if (radiance_.empty()) begin_with_history();
+}
+
+// Single frames of the history may be mislabelled: each block's median is not.
+void ExposureLabels::begin_with_history() {
+  std::vector<std::vector<double>> blocks;
+  for (const Seen& s : seen_) {
+    const auto exposure = in_force(s.frame, *delay_);
+    blocks.resize(std::max(blocks.size(), s.brightness.blocks.size()));
+    for (std::size_t i = 0; exposure && i < s.brightness.blocks.size(); ++i)
+      if (s.brightness.blocks[i] > 0)
+        blocks[i].push_back(s.brightness.blocks[i] / exposure->product());
+  }
+  radiance_.clear();
+  for (std::vector<double>& b : blocks)
+    radiance_.push_back(b.empty() ? 0.f : static_cast<float>(median(b)));
 }
 
 ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs time,
