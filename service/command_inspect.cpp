@@ -149,7 +149,8 @@ Result<void> inspect_cameras(bool as_json) {
                        {"modes", modes}});
   }
   json refused = json::array();
-  for (const Error& e : list.refused) refused.push_back({{"device", e.where}, {"reason", e.detail}});
+  for (const Error& e : list.refused)
+    refused.push_back({{"device", e.where}, {"reason", e.detail}});
   if (as_json) {
     print_json({{"kind", "cameras"}, {"cameras", cameras}, {"refused", refused}});
     return {};
@@ -164,7 +165,8 @@ Result<void> inspect_cameras(bool as_json) {
     std::string format;
     for (const capture::CameraMode& m : c.modes) {
       if (m.format != format)
-        fmt::print("{}  {}{}", format.empty() ? "" : "\n", m.format, m.readable ? "" : " (not read)");
+        fmt::print("{}  {}{}", format.empty() ? "" : "\n", m.format,
+                   m.readable ? "" : " (not read)");
       format = m.format;
       fmt::print(" {}x{}", m.width, m.height);
       if (m.most_fps > 0) fmt::print("@{:g}", m.most_fps);

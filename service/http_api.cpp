@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <httplib.h>
 
+#include <algorithm>
 #include <thread>
 
 #include "codec/codec.h"
@@ -21,6 +22,14 @@ void PublishedState::publish(const lighting::LightEstimate& light, TimestampNs n
   published_ = std::chrono::steady_clock::now();
 }
 
+void PublishedState::publish_cameras(const std::vector<capture::CameraInfo>& cameras,
+                                     std::vector<capture::CameraCounts> counts) {
+  const std::scoped_lock lock(mutex_);
+  state_.cameras.clear();
+  for (std::size_t i = 0; i < std::min(cameras.size(), counts.size()); ++i)
+    state_.cameras.emplace_back(cameras[i].name, counts[i]);
+}
+
 PublishedState::Snapshot PublishedState::snapshot() const {
   const std::scoped_lock lock(mutex_);
   Snapshot out = state_;
@@ -36,6 +45,14 @@ std::string status_of(const PublishedState::Snapshot& s, double stale_after_s) {
   return s.light.age(s.now).count() + s.idle_s > stale_after_s ? "stale" : "ok";
 }
 
+nlohmann::json to_json(const capture::CameraCounts& c) {
+  nlohmann::json out = {{"frames", c.frames},           {"lost", c.lost},
+                        {"damaged", c.damaged},         {"refused", c.refused},
+                        {"reconnected", c.reconnected}, {"follows_exposure", !c.deaf}};
+  out["delay_frames"] = c.delay_frames ? nlohmann::json(*c.delay_frames) : nlohmann::json(nullptr);
+  return out;
+}
+
 void reply(httplib::Response& response, const nlohmann::json& body, int status = 200) {
   response.status = status;
   response.set_content(body.dump() + "\n", "application/json");
@@ -49,13 +66,14 @@ struct HttpApi::Impl {
   int port = 0;
 
   void routes(const PublishedState& state, const StageTimes& times, double stale_after_s) {
-    server.Get("/healthz",
-               [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
-                 const auto s = state.snapshot();
-                 const std::string status = status_of(s, stale_after_s);
-                 reply(r, {{"status", status}, {"frames", s.frames}, {"stages", to_json(times)}},
-                       status == "ok" ? 200 : 503);
-               });
+    server.Get("/healthz", [&state, &times, stale_after_s](const httplib::Request&,
+                                                           httplib::Response& r) {
+      const auto s = state.snapshot();
+      const std::string status = status_of(s, stale_after_s);
+      nlohmann::json body = {{"status", status}, {"frames", s.frames}, {"stages", to_json(times)}};
+      for (const auto& [name, counts] : s.cameras) body["cameras"][name] = to_json(counts);
+      reply(r, body, status == "ok" ? 200 : 503);
+    });
     server.Get("/v1/light", [&state, stale_after_s](const httplib::Request&, httplib::Response& r) {
       const auto s = state.snapshot();
       if (!s.light.valid) return reply(r, {{"error", "no light has been measured yet"}}, 503);

@@ -5,6 +5,8 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "capture/capture.h"
 #include "core/result.h"
@@ -19,6 +21,9 @@ class PublishedState {
  public:
   void publish(const lighting::LightEstimate& light, TimestampNs now,
                std::shared_ptr<const FramePixels> frame);
+  /// What became of the frames of real cameras, by name.
+  void publish_cameras(const std::vector<capture::CameraInfo>& cameras,
+                       std::vector<capture::CameraCounts> counts);
 
   struct Snapshot {
     lighting::LightEstimate light;
@@ -26,6 +31,7 @@ class PublishedState {
     std::shared_ptr<const FramePixels> frame;  // null before the first
     double idle_s = 0;                         // wall time since the last publication
     std::uint64_t frames = 0;
+    std::vector<std::pair<std::string, capture::CameraCounts>> cameras;  // real ones
   };
   Snapshot snapshot() const;
 

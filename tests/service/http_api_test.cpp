@@ -1,9 +1,11 @@
 #include "service/http_api.h"
 
 #include <gtest/gtest.h>
+#include <httplib.h>
 #include <unistd.h>
 
 #include <cstdlib>
+#include <nlohmann/json.hpp>
 
 namespace penumbra::service {
 namespace {
@@ -32,6 +34,30 @@ void start_and_stop_often() {
 TEST(HttpApiDeathTest, StopsEvenBeforeItsThreadListens) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   EXPECT_EXIT(start_and_stop_often(), testing::ExitedWithCode(0), "");
+}
+
+TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
+  PublishedState state;
+  const StageTimes times;
+  capture::CameraCounts sky, view;
+  sky.frames = 70, sky.lost = 3, sky.refused = 2, sky.reconnected = 1, sky.delay_frames = 2;
+  view.deaf = true;
+  std::vector<capture::CameraInfo> cameras(2);
+  cameras[0].name = "sky", cameras[1].name = "view";
+  state.publish_cameras(cameras, {sky, view});
+  const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
+  ASSERT_TRUE(api);
+  httplib::Client client("127.0.0.1", (*api)->port());
+  const auto response = client.Get("/healthz");
+  ASSERT_TRUE(response);
+  const auto body = nlohmann::json::parse(response->body);
+  EXPECT_EQ(body["cameras"]["sky"]["frames"], 70);
+  EXPECT_EQ(body["cameras"]["sky"]["lost"], 3);
+  EXPECT_EQ(body["cameras"]["sky"]["refused"], 2);
+  EXPECT_EQ(body["cameras"]["sky"]["reconnected"], 1);
+  EXPECT_EQ(body["cameras"]["sky"]["delay_frames"], 2);
+  EXPECT_EQ(body["cameras"]["view"]["follows_exposure"], false);
+  EXPECT_TRUE(body["cameras"]["view"]["delay_frames"].is_null());
 }
 
 TEST(PublishedState, HandsOutTheNewest) {
