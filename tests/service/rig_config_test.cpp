@@ -107,6 +107,35 @@ TEST_F(RigConfigFile, CaptureFolderNeedsAScene) {
   EXPECT_NE(c.error().detail.find("scene"), std::string::npos);
 }
 
+const std::string kCameras =
+    "version = 1\n[capture]\nsource = \"cameras\"\n[scene]\nfile = \"scene.toml\"\n";
+std::string camera(const std::string& name, const std::string& role, const std::string& device) {
+  return "[[camera]]\nname = \"" + name + "\"\nrole = \"" + role + "\"\ndevice = \"" + device +
+         "\"\nwidth = 64\nheight = 32\nprojection = \"latlong\"\nresponse = \"srgb\"\n";
+}
+
+TEST_F(RigConfigFile, CamerasAreAnEnvironmentAndAView) {
+  const auto c = read(kCameras + camera("sky", "environment", "/dev/video0") +
+                      camera("eye", "view", "/dev/video1"));
+  ASSERT_TRUE(c) << c.error().where << ": " << c.error().detail;
+  ASSERT_EQ(c->cameras.size(), 2u);
+  EXPECT_EQ(c->cameras[1].settings.device, "/dev/video1");
+  const std::string sky = camera("sky", "environment", "/dev/video0");
+  for (const auto& [text, word] : std::initializer_list<std::pair<std::string, const char*>>{
+           {kCameras, "environment"},
+           {kCameras + sky, "view"},
+           {kCameras + sky + camera("eye", "view", "/dev/video0"), "twice"},
+           {kCameras + sky + camera("sky", "view", "/dev/video1"), "twice"},
+           {kStudio + sky, "cameras"}}) {
+    const auto bad = read(text);
+    ASSERT_FALSE(bad) << text;
+    EXPECT_NE(bad.error().detail.find(word), std::string::npos) << bad.error().detail;
+  }
+  const auto no_scene = read("version = 1\n[capture]\nsource = \"cameras\"\n" + sky);
+  ASSERT_FALSE(no_scene);
+  EXPECT_NE(no_scene.error().detail.find("scene"), std::string::npos);
+}
+
 TEST_F(RigConfigFile, MissingAndDamagedFilesAreErrors) {
   const auto absent = read_rig_config(folder_.path() / "nowhere.toml");
   ASSERT_FALSE(absent);
