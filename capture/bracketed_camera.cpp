@@ -22,17 +22,15 @@ Result<void> BracketedCamera::ask() {
 }
 
 Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
-  // A request counts from the frame that is newest when it is made, which is certain only soon after that one began.
-  constexpr double kSoon = .4;  // of a period
-  const double period = counter_.period();
-  auto came = device_->wait(timeout, Seconds(period > 0 ? kSoon * period : 1e9));
+  // When a request takes effect is certain only where it is made soon after a frame arrived.
+  auto came = device_->wait(timeout, counter_.fresh());
   if (!came) {
     device_.reset();
     return std::unexpected(came.error());
   }
   if (!*came) return std::nullopt;
   const CameraFrame& raw = **came;
-  const std::uint64_t number = counter_.count(raw.sequence, raw.time);
+  const std::uint64_t number = counter_.count(raw.sequence, raw.time, device_->now());
   if (schedule_.size() > 1) PENUMBRA_TRY(ask());
   auto pixels = device_->pixels();
   counts_.damaged += static_cast<std::uint64_t>(raw.damaged_before) + !pixels;

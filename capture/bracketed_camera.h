@@ -16,18 +16,21 @@ namespace penumbra::capture {
 /// Numbers the sensor's frames, also those that never arrived: drivers count only what reached them, times tell the rest.
 class FrameCounter {
  public:
-  /// The frame's number, which grows by one a period.
-  std::uint64_t count(std::uint64_t sequence, TimestampNs time);
-  /// The newest frame that has begun at a time: what a request at that time comes after, however late frames are read.
+  /// The frame's number, which grows by one a period. `arrived`: when it could be read first.
+  std::uint64_t count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived);
+  /// The newest frame that can be read at a time: what a request at that time comes after, however late frames are read.
   std::uint64_t at(TimestampNs time) const;
+  /// How old a frame is that was read soon after it arrived.
+  Seconds fresh() const;
   std::uint64_t lost() const { return lost_; }
-  double period() const;  // seconds; 0 while unknown
 
  private:
   std::optional<std::uint64_t> sequence_;
+  double period() const;  // seconds; 0 while unknown
   TimestampNs time_;
   std::uint64_t number_ = 0, lost_ = 0;
   std::deque<double> periods_;  // seconds
+  double latency_ = 1e9;        // seconds from a frame's time to its arrival, the least of late
 };
 
 /// Mean linear signal on a coarse grid; 0 where too much is clipped or dark to tell.

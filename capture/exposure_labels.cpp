@@ -56,11 +56,21 @@ double FrameCounter::period() const {
 
 std::uint64_t FrameCounter::at(TimestampNs time) const {
   const double one = period();
-  const double passed = one > 0 ? std::floor((time - time_).count() / one) : 0;
+  const double passed = one > 0 ? std::floor(((time - time_).count() - latency_) / one) : 0;
   return number_ + static_cast<std::uint64_t>(std::clamp(passed, 0., 1000.));
 }
 
-std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time) {
+// Drivers stamp a frame when it begins; it arrives up to a period or two later.
+Seconds FrameCounter::fresh() const {
+  constexpr double kSoon = .4;  // of a period
+  const double one = period();
+  return Seconds(one > 0 ? latency_ + kSoon * one : 1e9);
+}
+
+std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived) {
+  constexpr double kForget =
+      .02;  // of a period a frame: what grew is believed after a second or two
+  latency_ = std::min(latency_ + kForget * period(), std::max(0., (arrived - time).count()));
   constexpr std::size_t kPeriods = 15;
   constexpr std::uint64_t kMostMissing = 600;  // a longer gap is a new start
   if (!sequence_) {

@@ -66,6 +66,26 @@ Outcome run_camera(const FakeCameraBehaviour& behaviour, int frames, std::option
   return out;
 }
 
+// Drivers stamp a frame when it begins; with its transfer it may arrive more than a period later.
+TEST(FrameCounter, CountsRequestsFromTheFrameThatArrivedLast) {
+  for (const double latency : {.2, .99, 1.5}) {  // periods
+    FrameCounter counter;
+    const auto at = [](double periods) { return TimestampNs{} + Seconds(periods / 30); };
+    for (int i = 0; i < 40; ++i) {
+      const double jitter = .05 * (i % 3);
+      EXPECT_EQ(counter.count(static_cast<std::uint64_t>(i), at(i), at(i + latency + jitter)),
+                static_cast<std::uint64_t>(i));
+      if (i < 10) continue;
+      EXPECT_EQ(counter.at(at(i + latency + jitter + .1)), static_cast<std::uint64_t>(i))
+          << latency;
+      EXPECT_EQ(counter.at(at(i + latency + 2.5)), static_cast<std::uint64_t>(i) + 2) << latency;
+      EXPECT_GT(counter.fresh().count() * 30, latency + .2);
+      EXPECT_LT(counter.fresh().count() * 30, latency + .8);
+    }
+    EXPECT_EQ(counter.lost(), 0u);
+  }
+}
+
 class Delay : public testing::TestWithParam<int> {};
 TEST_P(Delay, IsMeasuredAndEveryLabelIsRight) {
   FakeCameraBehaviour b;
