@@ -37,7 +37,7 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   counts_.lost = lost_before_ + counter_.lost();
   if (!pixels) return std::nullopt;
   ++counts_.arrived;
-  const ExposureLabels::Label label = label_of(raw, number, *pixels);
+  const ExposureLabels::Label label = label_of(raw.time, number, *pixels);
   if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.refused;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
   ++counts_.frames;
@@ -49,13 +49,12 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
                std::make_shared<const FramePixels>(std::move(*pixels))};
 }
 
-ExposureLabels::Label BracketedCamera::label_of(const CameraFrame& raw, std::uint64_t number,
+ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t number,
                                                 const FramePixels& pixels) {
   using enum ExposureLabels::Verdict;
-  if (raw.applied) return {kGood, *raw.applied};
   if (schedule_.empty()) return {kGood, {Seconds(1), Gain(1)}};
   if (schedule_.size() == 1) return {kGood, device_->nearest(schedule_[0])};
-  const auto label = labels_.judge(number, raw.time, meter_.measure(pixels));
+  const auto label = labels_.judge(number, time, meter_.measure(pixels));
   counts_.delay_frames = labels_.delay();
   counts_.deaf = labels_.deaf();
   return label;

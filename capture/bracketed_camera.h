@@ -10,6 +10,7 @@
 
 #include "capture/cameras.h"
 #include "capture/frames.h"
+#include "core/code_curve.h"
 
 namespace penumbra::capture {
 
@@ -26,10 +27,10 @@ class FrameCounter {
 
  private:
   std::optional<std::uint64_t> sequence_;
-  double period() const;  // seconds; 0 while unknown
   TimestampNs time_;
   std::uint64_t number_ = 0, lost_ = 0;
   std::deque<double> periods_;  // seconds
+  double period_ = 0;           // their median; 0 while there are too few
   double latency_ = 1e9;        // seconds from a frame's time to its arrival, the least of late
 };
 
@@ -44,10 +45,9 @@ class BrightnessMeter {
   Brightness measure(const FramePixels& pixels);
 
  private:
-  void prepare(int bits);
+  const CodeCurve& curve(int bits);
   CameraInfo camera_;
-  int bits_ = 0;
-  std::vector<float> decode_[3];
+  std::optional<CodeCurve> curve_;
 };
 
 /// The exposure in force at each frame, from the requests and the camera's delay, checked against what frames show.
@@ -70,8 +70,7 @@ class ExposureLabels {
   Label judge(std::uint64_t frame, TimestampNs time, const Brightness& seen);
 
   std::optional<int> delay() const { return delay_; }
-  int corrections() const { return corrections_; }  // of the delay
-  /// True when no delay explains what was seen: the camera does not follow.
+  /// True while no delay explains what is seen: the camera does not follow.
   bool deaf() const { return deaf_; }
 
  private:
@@ -96,7 +95,7 @@ class ExposureLabels {
   double drift_ = 0;             // slow part of the offsets, natural logarithm
   TimestampNs last_;
   double suspicion_ = 0;  // refusals of late
-  int refused_in_a_row_ = 0, corrections_ = 0;
+  int refused_in_a_row_ = 0, good_in_a_row_ = 0;
   bool deaf_ = false;
 };
 
@@ -121,8 +120,7 @@ class BracketedCamera {
 
  private:
   Result<void> ask();
-  ExposureLabels::Label label_of(const CameraFrame& raw, std::uint64_t number,
-                                 const FramePixels& pixels);
+  ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
   CameraInfo info_;
   std::vector<Exposure> schedule_;
   std::optional<int> delay_;  // as configured

@@ -28,7 +28,7 @@ struct Range {
 
 /// A camera as the system shows it.
 struct CameraListing {
-  std::string device;        // what `device` in rig.toml takes: /dev/video0, libcamera:ID
+  std::string device;        // what `device` in rig.toml takes: /dev/video0
   std::string name, driver;  // as the driver gives them
   std::vector<CameraMode> modes;
   std::optional<Range> exposure_s;  // seconds; nothing: the exposure cannot be set
@@ -48,17 +48,16 @@ CameraList list_cameras();
 struct CameraSettings {
   std::string device;
   std::string format;         // empty: the best that reaches `fps`
-  int width = 0, height = 0;  // 0: 1280 x 720, or the largest below
+  int width = 0, height = 0;  // as the camera offers it
   double fps = 30;
   double unit_gain = 0;  // the driver's value that counts as gain 1; 0: where it stands
 };
 
 /// The driver's account of a frame.
 struct CameraFrame {
-  std::uint64_t sequence = 0;       // as the driver counts, gaps included
-  TimestampNs time;                 // CLOCK_MONOTONIC
-  std::optional<Exposure> applied;  // where the driver tells
-  int damaged_before = 0;           // frames passed over since the last one: their transfer failed
+  std::uint64_t sequence = 0;  // as the driver counts, gaps included
+  TimestampNs time;            // CLOCK_MONOTONIC
+  int damaged_before = 0;      // frames passed over since the last one: their transfer failed
 };
 
 /// A camera that streams from start to destruction.
@@ -66,7 +65,6 @@ struct CameraFrame {
 class CameraDevice {
  public:
   virtual ~CameraDevice() = default;
-  virtual const CameraMode& mode() const = 0;
   virtual const std::string& name() const = 0;  // as in its listing
   /// What the camera makes of an exposure: its nearest time and gain.
   virtual Exposure nearest(Exposure wanted) const = 0;

@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "capture/bracketed_camera.h"
+#include "capture/capture.h"
 
 namespace penumbra::capture {
 
@@ -20,6 +21,7 @@ constexpr double kUniform =
 constexpr double kPatience = 4;      // frames refused before the delay is looked for anew
 constexpr double kForgiveness = .8;  // of earlier refusals, for each good frame
 constexpr int kMostPatience = 24;    // after so many the light has changed after all
+constexpr int kFollows = 8;          // good frames in a row that no chance explains
 constexpr std::size_t kLeastBlocks = 6;
 constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
 
@@ -48,30 +50,22 @@ std::optional<Offset> offset_between(const std::vector<float>& signal,
 
 }  // namespace
 
-double FrameCounter::period() const {
-  if (periods_.size() < 5) return 0;
-  std::vector<double> sorted(periods_.begin(), periods_.end());
-  return median(sorted);
-}
-
 std::uint64_t FrameCounter::at(TimestampNs time) const {
-  const double one = period();
-  const double passed = one > 0 ? std::floor(((time - time_).count() - latency_) / one) : 0;
+  const double passed = period_ > 0 ? std::floor(((time - time_).count() - latency_) / period_) : 0;
   return number_ + static_cast<std::uint64_t>(std::clamp(passed, 0., 1000.));
 }
 
 // Drivers stamp a frame when it begins; it arrives up to a period or two later.
 Seconds FrameCounter::fresh() const {
   constexpr double kSoon = .4;  // of a period
-  const double one = period();
-  return Seconds(one > 0 ? latency_ + kSoon * one : 1e9);
+  return Seconds(period_ > 0 ? latency_ + kSoon * period_ : 1e9);
 }
 
 std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived) {
   constexpr double kForget =
       .02;  // of a period a frame: what grew is believed after a second or two
-  latency_ = std::min(latency_ + kForget * period(), std::max(0., (arrived - time).count()));
-  constexpr std::size_t kPeriods = 15;
+  latency_ = std::min(latency_ + kForget * period_, std::max(0., (arrived - time).count()));
+  constexpr std::size_t kFewestPeriods = 5, kPeriods = 15;
   constexpr std::uint64_t kMostMissing = 600;  // a longer gap is a new start
   if (!sequence_) {
     sequence_ = sequence, time_ = time;
@@ -80,11 +74,15 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, Time
   const double apart = (time - time_).count();
   std::uint64_t step = sequence > *sequence_ ? sequence - *sequence_ : 1;
   // Late delivery moves a time by less than half a period.
-  if (const double one = period(); one > 0 && std::round(apart / one) > static_cast<double>(step))
-    step = static_cast<std::uint64_t>(std::min(apart / one + .5, double{kMostMissing}));
+  if (period_ > 0 && std::round(apart / period_) > static_cast<double>(step))
+    step = static_cast<std::uint64_t>(std::min(apart / period_ + .5, double{kMostMissing}));
   step = std::min(step, kMostMissing);
   periods_.push_back(apart / static_cast<double>(step));
   if (periods_.size() > kPeriods) periods_.pop_front();
+  if (periods_.size() >= kFewestPeriods) {
+    std::vector<double> all(periods_.begin(), periods_.end());
+    period_ = median(all);
+  }
   lost_ += step - 1;
   number_ += step;
   sequence_ = sequence, time_ = time;
@@ -94,7 +92,7 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, Time
 Brightness BrightnessMeter::measure(const FramePixels& pixels) {
   constexpr int kSamples = 10;  // a side of a block
   constexpr float kClipped = .95f, kDark = .005f;
-  const auto meter = [&](const auto& image) {
+  const auto meter = [](const auto& image, const CodeCurve& codes) {
     Brightness out;
     for (int by = 0; by < Brightness::kRows; ++by)
       for (int bx = 0; bx < Brightness::kColumns; ++bx) {
@@ -106,7 +104,7 @@ Brightness BrightnessMeter::measure(const FramePixels& pixels) {
                     y = ((by * kSamples + k / kSamples) * 2 + 1) * image.height() /
                         (2 * kSamples * Brightness::kRows);
           const auto& p = image.at(x, y);
-          const float linear[] = {decode_[0][p.r], decode_[1][p.g], decode_[2][p.b]};
+          const float linear[] = {codes.decode(0, p.r), codes.decode(1, p.g), codes.decode(2, p.b)};
           const float most = std::max({linear[0], linear[1], linear[2]}),
                       mean = (linear[0] + linear[1] + linear[2]) / 3;
           if (most > kClipped || mean < kDark) continue;
@@ -118,25 +116,15 @@ Brightness BrightnessMeter::measure(const FramePixels& pixels) {
       }
     return out;
   };
-  if (const auto* codes8 = std::get_if<Image<Rgb8>>(&pixels)) {
-    prepare(8);
-    return meter(*codes8);
-  }
-  if (const auto* codes16 = std::get_if<Image<Rgb16>>(&pixels)) {
-    prepare(16);
-    return meter(*codes16);
-  }
+  if (const auto* codes8 = std::get_if<Image<Rgb8>>(&pixels)) return meter(*codes8, curve(8));
+  if (const auto* codes16 = std::get_if<Image<Rgb16>>(&pixels)) return meter(*codes16, curve(16));
   return {};
 }
 
-void BrightnessMeter::prepare(int bits) {
-  if (bits_ == bits) return;
-  bits_ = bits;
-  const auto black = static_cast<float>(camera_.black_level);
-  for (int c = 0; c < 3; ++c) {
-    decode_[c] = camera_.response.decode_table(bits, c);
-    for (float& v : decode_[c]) v = (v - black) / (1 - black);
-  }
+const CodeCurve& BrightnessMeter::curve(int bits) {
+  if (!curve_ || curve_->largest_code() + 1 != 1u << bits)
+    curve_ = make_code_curve(camera_.response, bits, camera_.black_level);
+  return *curve_;
 }
 
 void ExposureLabels::requested(std::uint64_t after_frame, Exposure exposure) {
@@ -184,7 +172,6 @@ void ExposureLabels::find_delay() {
   const int best =
       static_cast<int>(std::find_if(scores.begin() + 1, scores.end(), tied) - scores.begin());
   if (delay_ == best) return;
-  if (delay_) ++corrections_;
   delay_ = best;
   refused_in_a_row_ = 0;
   if (radiance_.empty()) begin_with_history();
@@ -232,6 +219,7 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
     return accept(*label, time, seen, 0);
   }
   ++refused_in_a_row_;
+  good_in_a_row_ = 0;
   if (++suspicion_ >= kPatience) find_delay();
   return {Verdict::kRefused, *label};
 }
@@ -243,6 +231,7 @@ ExposureLabels::Label ExposureLabels::accept(const Exposure& exposure, Timestamp
   last_ = time;
   refused_in_a_row_ = 0;
   suspicion_ *= kForgiveness;
+  if (++good_in_a_row_ >= kFollows) deaf_ = false;
   const double flicker = offset - drift_;
   drift_ += flicker * (1 - std::exp(-passed / kDriftSeconds));
   Label out{Verdict::kGood, exposure};

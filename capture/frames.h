@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "calib/calib.h"
+#include "capture/cameras.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
@@ -56,6 +57,8 @@ class FrameSource {
   virtual bool is_live() const { return false; }
   /// Ends a next() under way, and all later ones. threads: thread-safe
   virtual void close() {}
+  /// What became of the frames of real cameras, in the order of cameras(); empty for other sources. threads: thread-safe
+  virtual std::vector<CameraCounts> counts() const { return {}; }
 };
 
 }  // namespace penumbra::capture

@@ -34,12 +34,13 @@ Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
 
 // One camera and its thread.
 struct Rig::Station {
-  Station(RigCamera c, int number, OpenCamera opener, Bounded<Frame>& out)
+  Station(RigCamera c, int number, OpenCamera opener, Bounded<Frame>& out, Latest<Error>& error)
       : camera(std::move(c)),
         bracketed(camera.info, camera.schedule, camera.delay_frames),
         index(number),
         open(opener),
-        frames(out) {
+        frames(out),
+        failed(error) {
     for (const Exposure& e : camera.schedule) longest = std::max(longest, e.time);
   }
 
@@ -68,8 +69,9 @@ struct Rig::Station {
         (*frame)->camera = index;
         frames.try_push(std::move(**frame));
       }
-    } catch (const std::exception&) {
-      frames.close();  // out of memory: the run ends
+    } catch (const std::exception& e) {
+      failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
+      frames.close();
     }
   }
   std::uint64_t arrivals() const { return bracketed.counts().arrived; }
@@ -91,6 +93,7 @@ struct Rig::Station {
   int index;
   OpenCamera open;
   Bounded<Frame>& frames;
+  Latest<Error>& failed;
   Seconds longest{0}, silent{0};
   std::uint64_t reconnected = 0;
   mutable std::mutex mutex;
@@ -117,15 +120,18 @@ Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamer
       rig->view_rate_ = camera.settings.fps;
   }
   for (std::size_t i = 0; i < cameras.size(); ++i) {
-    rig->stations_.push_back(
-        std::make_unique<Station>(std::move(cameras[i]), static_cast<int>(i), open, rig->frames_));
+    rig->stations_.push_back(std::make_unique<Station>(std::move(cameras[i]), static_cast<int>(i),
+                                                       open, rig->frames_, rig->failed_));
     PENUMBRA_TRY(rig->stations_.back()->start(std::move(devices[i])));
   }
   return rig;
 }
 
 Result<std::optional<Frame>> Rig::next() {
-  return frames_.pop();
+  auto frame = frames_.pop();
+  if (frame) return frame;
+  if (auto error = failed_.take()) return std::unexpected(std::move(*error));
+  return std::nullopt;
 }
 
 void Rig::close() {

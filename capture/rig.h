@@ -38,12 +38,13 @@ class Rig : public FrameSource {
   const std::vector<CameraInfo>& cameras() const override { return infos_; }
   /// Waits for a frame of any camera; nothing after close(). A camera that has gone only stays silent: it is looked for
   /// four times a second until it is back.
+  /// errors: kUnavailable (a camera's thread failed)
   Result<std::optional<Frame>> next() override;
   double view_rate() const override { return view_rate_; }
   bool is_live() const override { return true; }
   void close() override;
 
-  std::vector<CameraCounts> counts() const;
+  std::vector<CameraCounts> counts() const override;
 
  private:
   struct Station;
@@ -51,6 +52,7 @@ class Rig : public FrameSource {
   std::vector<CameraInfo> infos_;
   double view_rate_ = 0;
   Bounded<Frame> frames_;
+  Latest<Error> failed_;  // of a thread, before frames_ is closed
   std::vector<std::unique_ptr<Station>> stations_;
 };
 

@@ -2,12 +2,11 @@
 #include <poll.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
-#include <ctime>
 #include <utility>
 
 #include "capture/raw_formats.h"
-#include "capture/v4l2.h"
 #include "capture/v4l2_node.h"
 
 namespace penumbra::capture {
@@ -17,10 +16,9 @@ namespace {
 constexpr std::uint32_t kBuffers = 4;
 constexpr std::uint32_t kType = V4L2_BUF_TYPE_VIDEO_CAPTURE;
 
+// CLOCK_MONOTONIC, as drivers stamp frames.
 TimestampNs monotonic_now() {
-  timespec t{};
-  ::clock_gettime(CLOCK_MONOTONIC, &t);
-  return {static_cast<std::int64_t>(t.tv_sec) * 1'000'000'000 + t.tv_nsec};
+  return {std::chrono::nanoseconds(std::chrono::steady_clock::now().time_since_epoch()).count()};
 }
 
 // Everything that a camera would change by itself.
@@ -34,11 +32,8 @@ void stop_automatics(const V4l2Node& node) {
 
 class V4l2Device : public CameraDevice {
  public:
-  V4l2Device(V4l2Node node, CameraMode mode, RawConverter converter, const CameraSettings& settings)
-      : node_(std::move(node)),
-        mode_(std::move(mode)),
-        converter_(std::move(converter)),
-        controls_(exposure_of(node_)) {
+  V4l2Device(V4l2Node node, RawConverter converter, const CameraSettings& settings)
+      : node_(std::move(node)), converter_(std::move(converter)), controls_(exposure_of(node_)) {
     unit_gain_ = settings.unit_gain;
     if (unit_gain_ <= 0 && controls_.gain) unit_gain_ = node_.value(controls_.gain->id).value_or(1);
     if (unit_gain_ <= 0) unit_gain_ = 1;
@@ -49,7 +44,6 @@ class V4l2Device : public CameraDevice {
   }
   Result<void> start();
 
-  const CameraMode& mode() const override { return mode_; }
   const std::string& name() const override { return node_.name(); }
   Exposure nearest(Exposure wanted) const override;
   Result<void> request(Exposure wanted) override;
@@ -68,7 +62,6 @@ class V4l2Device : public CameraDevice {
   int take(v4l2_buffer& buffer);
 
   V4l2Node node_;
-  CameraMode mode_;
   RawConverter converter_;
   V4l2Exposure controls_;
   double unit_gain_ = 1;
@@ -171,7 +164,7 @@ Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout, Seconds old
       continue;
     }
     last_ = buffer;
-    return CameraFrame{buffer.sequence, time_of(buffer), {}, std::exchange(damaged_, 0)};
+    return CameraFrame{buffer.sequence, time_of(buffer), std::exchange(damaged_, 0)};
   }
 }
 
@@ -219,29 +212,18 @@ Result<RawLayout> negotiate(const V4l2Node& node, const CameraMode& mode, double
 
 }  // namespace
 
-Result<std::unique_ptr<CameraDevice>> open_v4l2(const CameraSettings& s) {
+Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& s) {
   PENUMBRA_ASSIGN(node, V4l2Node::open(s.device));
-  const CameraListing listing{s.device, node.name(), node.driver(), node.modes(), {}, {}};
-  PENUMBRA_ASSIGN(mode, choose_mode(listing, s));
+  PENUMBRA_ASSIGN(mode, choose_mode(node.modes(), s));
   PENUMBRA_ASSIGN(layout, negotiate(node, mode, s.fps));
   auto converter = RawConverter::make(layout);
   if (!converter)
     return fail(converter.error().code, s.device,
                 converter.error().where + ": " + converter.error().detail);
   stop_automatics(node);
-  auto device = std::make_unique<V4l2Device>(std::move(node), mode, std::move(*converter), s);
+  auto device = std::make_unique<V4l2Device>(std::move(node), std::move(*converter), s);
   PENUMBRA_TRY(device->start());
   return device;
-}
-
-CameraList list_cameras() {
-  CameraList out;
-  list_v4l2(out);
-  return out;
-}
-
-Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings) {
-  return open_v4l2(settings);
 }
 
 }  // namespace penumbra::capture

@@ -8,7 +8,6 @@
 #include <filesystem>
 
 #include "capture/raw_formats.h"
-#include "capture/v4l2.h"
 
 namespace penumbra::capture {
 
@@ -110,8 +109,7 @@ std::optional<V4l2Node::Control> V4l2Node::control(std::uint32_t id) const {
   if (call(VIDIOC_QUERYCTRL, &query) != 0 || (query.flags & V4L2_CTRL_FLAG_DISABLED))
     return std::nullopt;
   return Control{id, static_cast<double>(query.minimum), static_cast<double>(query.maximum),
-                 static_cast<double>(std::max(query.step, 1)),
-                 static_cast<double>(query.default_value)};
+                 static_cast<double>(std::max(query.step, 1))};
 }
 
 std::optional<int> V4l2Node::value(std::uint32_t id) const {
@@ -148,7 +146,8 @@ Result<CameraListing> describe(const std::string& device) {
 
 }  // namespace
 
-void list_v4l2(CameraList& out) {
+CameraList list_cameras() {
+  CameraList out;
   std::vector<std::pair<int, std::string>> nodes;
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator("/dev", error)) {
@@ -166,37 +165,33 @@ void list_v4l2(CameraList& out) {
              ErrorCode::kInvalid)  // metadata and output nodes are no cameras
       out.refused.push_back(listing.error());
   }
+  return out;
 }
 
-Result<CameraMode> choose_mode(const CameraListing& camera, const CameraSettings& s) {
-  constexpr int kUsualWidth = 1280, kUsualHeight = 720;
-  const bool sized = s.width > 0;
-  const auto offered = [&](const CameraMode& m) {
-    if (!m.readable || (!s.format.empty() && m.format != s.format)) return false;
-    return sized ? m.width == s.width && m.height == s.height : true;
+Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes, const CameraSettings& s) {
+  const auto serves = [&](const CameraMode& m) {
+    return m.readable && m.width == s.width && m.height == s.height &&
+           (s.format.empty() || m.format == s.format);
   };
   // Larger is better, from the first to the last.
   const auto merit = [&](const CameraMode& m) {
-    const bool usual = m.width <= kUsualWidth && m.height <= kUsualHeight;
     const bool fast = m.most_fps == 0 || m.most_fps > .99 * s.fps;
     const auto code = fourcc_from(m.format);
-    return std::tuple(sized || usual, sized ? 0 : (usual ? 1 : -1) * m.width * m.height, fast,
-                      fast ? 0. : m.most_fps, code ? format_rank(*code) : 0);
+    return std::tuple(fast, fast ? 0. : m.most_fps, code ? format_rank(*code) : 0);
   };
   const CameraMode* best = nullptr;
-  for (const CameraMode& m : camera.modes)
-    if (offered(m) && (!best || merit(m) > merit(*best))) best = &m;
+  for (const CameraMode& m : modes)
+    if (serves(m) && (!best || merit(m) > merit(*best))) best = &m;
   if (best) return *best;
+  constexpr std::size_t kLong = 200;
   std::string list;
-  for (const CameraMode& m : camera.modes)
-    if (m.readable && list.size() < 200)
+  for (const CameraMode& m : modes)
+    if (m.readable && list.size() < kLong)
       list += fmt::format("{}{} {}x{}", list.empty() ? "" : ", ", m.format, m.width, m.height);
-  std::string wanted = s.format;
-  if (sized) wanted += fmt::format("{}{}x{}", wanted.empty() ? "" : " ", s.width, s.height);
-  return fail(ErrorCode::kInvalid, s.device,
-              fmt::format("does not offer {}; it offers {}",
-                          wanted.empty() ? "a format that can be read" : wanted,
-                          list.empty() ? "none that can be read" : list));
+  return fail(
+      ErrorCode::kInvalid, s.device,
+      fmt::format("does not offer {}{}{}x{}; it offers {}", s.format, s.format.empty() ? "" : " ",
+                  s.width, s.height, list.empty() ? "nothing that can be read" : list));
 }
 
 }  // namespace penumbra::capture

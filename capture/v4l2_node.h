@@ -38,7 +38,7 @@ class V4l2Node {
 
   struct Control {
     std::uint32_t id;
-    double low, high, step, fallback;
+    double low, high, step;
   };
   std::optional<Control> control(std::uint32_t id) const;
   std::optional<int> value(std::uint32_t id) const;
@@ -57,5 +57,10 @@ struct V4l2Exposure {
   std::optional<V4l2Node::Control> time, gain;
 };
 V4l2Exposure exposure_of(const V4l2Node& node);
+
+/// The mode of this size that serves the settings best: by the frame rate, then by the format that keeps most.
+/// errors: kInvalid naming what is offered
+Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes,
+                               const CameraSettings& settings);
 
 }  // namespace penumbra::capture

@@ -114,14 +114,13 @@ Result<void> serve(const ServeOptions& o) {
       ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
 
-  const auto* const real = dynamic_cast<const capture::Rig*>(rig->source.get());
   const std::atomic<bool>& stop = catch_stop_signals();
   spdlog::info("listening on http://{}:{}", config->address, (*api)->port());
   auto counts = run_live(
       *rig->source, *light, **compose,
       [&](const Output& out) {
         state.publish(out.light, out.source.time, out.pixels);
-        if (real) state.publish_cameras(real->cameras(), real->counts());
+        state.publish_cameras(cameras, rig->source->counts());
         return true;
       },
       times, stop);

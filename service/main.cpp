@@ -53,8 +53,9 @@ void add_image_commands(CLI::App& app, Action& action) {
   c->callback([&] { action = [] { return compare(compare_options); }; });
 
   static InspectOptions inspect_options;
-  c = app.add_subcommand(
-      "inspect", "What is in a file: picture, mesh, baked object, scene, camera, capture folder; or which cameras there are");
+  c = app.add_subcommand("inspect",
+                         "What is in a file: picture, mesh, baked object, scene, camera, capture "
+                         "folder; or which cameras there are");
   c->add_option("file", inspect_options.file,
                 "File or capture folder; cameras: what stands here and what each can do")
       ->required();

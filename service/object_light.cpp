@@ -122,8 +122,8 @@ lighting::Disc as_disc(const shadows::Lamp& lamp, const glm::dvec3& at) {
   const double distance = std::max(glm::length(to), 2 * lamp.radius_m);
   lighting::Disc out;
   out.direction = glm::length(to) > 0 ? glm::normalize(to) : glm::dvec3(0, 1, 0);
-  out.radius = Radians(std::asin(lamp.radius_m / distance));
   const double sine = lamp.radius_m / distance;
+  out.radius = Radians(std::asin(sine));
   out.radiance =
       lamp.irradiance_at_1m * static_cast<float>(1 / (distance * distance * kPi * sine * sine));
   return out;

@@ -136,10 +136,20 @@ TEST(ExposureLabels, FramesThatNeverCameAndWereNotCountedAreFoundByTheirTime) {
 
 TEST(ExposureLabels, ACameraThatIgnoresExposureIsNamed) {
   FakeCameraBehaviour b;
-  b.deaf = true;
+  b.deaf = [](std::uint64_t) { return true; };
   const Outcome r = run_camera(b, 100);
   EXPECT_EQ(r.good, 0);
   EXPECT_TRUE(r.counts.deaf);
+}
+
+TEST(ExposureLabels, ACameraThatFollowsAgainIsBelievedAgain) {
+  FakeCameraBehaviour b;
+  b.deaf = [](std::uint64_t frame) { return frame > 60 && frame <= 100; };
+  EXPECT_TRUE(run_camera(b, 100).counts.deaf);
+  const Outcome r = run_camera(b, 200);
+  EXPECT_FALSE(r.counts.deaf);
+  EXPECT_EQ(r.wrong, 0);
+  EXPECT_GT(r.good, 110);
 }
 
 TEST(ExposureLabels, AChangeOfLightIsNoSlip) {

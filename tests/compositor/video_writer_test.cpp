@@ -45,7 +45,7 @@ class VideoWriterTest : public testing::Test {
   void write_all(const fs::path& to, int width = 64, int height = 48) {
     auto writer = open(to, width, height);
     if (!writer && writer.error().code == ErrorCode::kUnavailable)
-      GTEST_SKIP() << writer.error().detail;
+      GTEST_SKIP() << "no video encoder: " << writer.error().detail;
     ASSERT_TRUE(writer) << writer.error().detail;
     for (int i = 0; i < 10; ++i) {
       ASSERT_TRUE(writer->write(picture(width, height, i)));
@@ -80,7 +80,7 @@ TEST_F(VideoWriterTest, UnfinishedLeavesNothing) {
   {
     auto writer = open(path());
     if (!writer && writer.error().code == ErrorCode::kUnavailable)
-      GTEST_SKIP() << writer.error().detail;
+      GTEST_SKIP() << "no video encoder: " << writer.error().detail;
     ASSERT_TRUE(writer);
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(writer->write(picture(64, 48, i)));
   }
@@ -91,7 +91,7 @@ TEST_F(VideoWriterTest, UnfinishedLeavesAnOlderFileAlone) {
   std::ofstream(path()) << "older";
   {
     auto writer = open(path());
-    if (!writer) GTEST_SKIP() << writer.error().detail;
+    if (!writer) GTEST_SKIP() << "no video encoder: " << writer.error().detail;
     ASSERT_TRUE(writer->write(picture(64, 48, 1)));
   }
   EXPECT_EQ(content(path()), "older");
@@ -116,7 +116,7 @@ TEST_F(VideoWriterTest, RefusesEmptySizesRatesAndChangedFrames) {
     EXPECT_EQ(writer.error().code, ErrorCode::kInvalid);
   }
   auto writer = open(path());
-  if (!writer) GTEST_SKIP() << writer.error().detail;
+  if (!writer) GTEST_SKIP() << "no video encoder: " << writer.error().detail;
   const auto written = writer->write(picture(48, 64, 0));
   ASSERT_FALSE(written);
   EXPECT_EQ(written.error().code, ErrorCode::kInvalid);

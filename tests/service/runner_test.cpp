@@ -269,6 +269,41 @@ TEST(Live, StopDoesNotWaitForAFrameThatIsDueMuchLater) {
   EXPECT_TRUE(counts);
 }
 
+// A live source that gives one view frame and then waits for ever, as cameras do that were unplugged.
+class SilentSource : public capture::FrameSource {
+ public:
+  explicit SilentSource(capture::Studio& studio) : studio_(studio) {}
+  const std::vector<capture::CameraInfo>& cameras() const override { return studio_.cameras(); }
+  double view_rate() const override { return 30; }
+  bool is_live() const override { return true; }
+  Result<std::optional<capture::Frame>> next() override {
+    while (!given_) {
+      auto frame = studio_.next();
+      given_ = cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;
+      if (given_) return frame;
+    }
+    while (!closed_.wait(Seconds(60)) && !closed_.closed()) {
+    }
+    return std::nullopt;
+  }
+  void close() override { closed_.close(); }
+
+ private:
+  capture::Studio& studio_;
+  bool given_ = false;
+  Latest<int> closed_;
+};
+
+TEST(Live, StopReleasesASourceThatWaitsForACamera) {
+  Stages s;
+  NEED_GL(s);
+  SilentSource source(s.studio);
+  std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      source, *s.light, **s.compose, [&](const Output&) { return !(stop = true); }, s.times, stop);
+  EXPECT_TRUE(counts);
+}
+
 TEST(Replay, DarkWorldIsAnErrorOnlyWhenNoLightEverCame) {
   Stages s;
   NEED_GL(s);

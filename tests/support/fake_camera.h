@@ -17,7 +17,7 @@ struct FakeCameraBehaviour {
   std::function<bool(std::uint64_t)> slips;    // shows the request before
   std::function<bool(std::uint64_t)> damaged;
   std::function<double(double)> light;           // factor on the scene at a time in seconds
-  bool deaf = false;                             // keeps its first exposure
+  std::function<bool(std::uint64_t)> deaf;       // keeps its first exposure
   std::uint64_t gone_after = ~std::uint64_t{0};  // frames
   bool paced = false;                            // frames take their time; else they come at once
 };
@@ -26,10 +26,8 @@ class FakeCamera : public capture::CameraDevice {
  public:
   FakeCamera(Image<Rgb> scene, FakeCameraBehaviour behaviour)
       : scene_(std::move(scene)), behaviour_(std::move(behaviour)) {
-    mode_ = {"RGB3", scene_.width(), scene_.height(), behaviour_.fps, true};
     sensor_.response = calib::Response::srgb();
   }
-  const capture::CameraMode& mode() const override { return mode_; }
   const std::string& name() const override { return name_; }
   Exposure nearest(Exposure wanted) const override { return wanted; }
   Result<void> request(Exposure wanted) override {
@@ -70,7 +68,7 @@ class FakeCamera : public capture::CameraDevice {
  private:
   Exposure in_force(int earlier) const {
     if (requests_.empty()) return {Seconds(.01), Gain(1)};
-    if (behaviour_.deaf) return requests_.front().exposure;
+    if (behaviour_.deaf && behaviour_.deaf(sensor_frame_)) return requests_.front().exposure;
     const int delay = behaviour_.delay_at ? behaviour_.delay_at(sensor_frame_) : behaviour_.delay;
     std::size_t newest = 0;
     for (std::size_t i = 0; i < requests_.size(); ++i)
@@ -85,7 +83,6 @@ class FakeCamera : public capture::CameraDevice {
   Image<Rgb> scene_;
   FakeCameraBehaviour behaviour_;
   capture::Sensor sensor_;
-  capture::CameraMode mode_;
   std::string name_ = "fake camera";
   std::vector<Request> requests_;
   std::uint64_t sensor_frame_ = 0, delivered_ = 0;

@@ -82,6 +82,12 @@ class Uvc : public testing::Test {
     }
     return out;
   }
+  // Its labels are known and right.
+  static BracketedCamera settled() {
+    BracketedCamera camera = connected();
+    EXPECT_EQ(watch(camera, 60).wrong, 0);
+    return camera;
+  }
   static BracketedCamera connected() {
     const RigCamera rig = environment();
     BracketedCamera camera(rig.info, rig.schedule, {});
@@ -142,8 +148,7 @@ TEST_F(Uvc, ExposuresInTurnBecomeTheScenesRadiance) {
 }
 
 TEST_F(Uvc, ACameraThatBeginsToIgnoreExposureIsNotBelieved) {
-  BracketedCamera camera = connected();
-  ASSERT_EQ(watch(camera, 60).wrong, 0);
+  BracketedCamera camera = settled();
   fault(test::kIgnoresExposure);
   const Tally after = watch(camera, 60);
   EXPECT_LE(after.wrong, 1);
@@ -151,8 +156,7 @@ TEST_F(Uvc, ACameraThatBeginsToIgnoreExposureIsNotBelieved) {
 }
 
 TEST_F(Uvc, ExposuresThatComeThreeFramesLateAreFollowedWithinThirtyFrames) {
-  BracketedCamera camera = connected();
-  ASSERT_EQ(watch(camera, 60).wrong, 0);
+  BracketedCamera camera = settled();
   fault(test::kThreeFramesLate);
   EXPECT_LE(watch(camera, 40).wrong, 1);
   EXPECT_LE(camera.counts().refused, 30u);
@@ -165,8 +169,7 @@ TEST_F(Uvc, ExposuresThatComeThreeFramesLateAreFollowedWithinThirtyFrames) {
 }
 
 TEST_F(Uvc, EveryFifthFrameLostWithoutAWordMislabelsNone) {
-  BracketedCamera camera = connected();
-  ASSERT_EQ(watch(camera, 60).wrong, 0);
+  BracketedCamera camera = settled();
   fault(test::kDropsEveryFifth);
   const Tally after = watch(camera, 80);
   EXPECT_EQ(after.wrong, 0);
@@ -175,8 +178,7 @@ TEST_F(Uvc, EveryFifthFrameLostWithoutAWordMislabelsNone) {
 }
 
 TEST_F(Uvc, TruncatedFramesAreNeverShown) {
-  BracketedCamera camera = connected();
-  ASSERT_EQ(watch(camera, 60).wrong, 0);
+  BracketedCamera camera = settled();
   fault(test::kTruncatesEverySeventh);
   const Tally after = watch(camera, 80);
   EXPECT_EQ(after.wrong, 0);
@@ -185,8 +187,7 @@ TEST_F(Uvc, TruncatedFramesAreNeverShown) {
 }
 
 TEST_F(Uvc, ATransferThatFailsIsPassedOver) {
-  BracketedCamera camera = connected();
-  ASSERT_EQ(watch(camera, 60).wrong, 0);
+  BracketedCamera camera = settled();
   fault(test::kOneProtocolError);
   const Tally after = watch(camera, 80);
   EXPECT_EQ(after.wrong, 0);

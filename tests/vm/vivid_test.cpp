@@ -138,7 +138,7 @@ TEST_F(Vivid, WhatItDoesNotOfferIsRefusedInOneLine) {
   auto size = open_camera(settings("YUYV", 641, 361));
   ASSERT_FALSE(size);
   EXPECT_NE(size.error().detail.find("YUYV 641x361"), std::string::npos) << size.error().detail;
-  auto format = open_camera(settings("XXXX"));
+  auto format = open_camera(settings("H264"));
   ASSERT_FALSE(format);
   CameraSettings none;
   none.device = "/dev/video77";
