@@ -1,6 +1,3 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <atomic>
 #include <cmath>
@@ -8,6 +5,7 @@
 #include "capture/capture.h"
 #include "capture/gather_kernel.h"
 #include "core/conventions.h"
+#include "core/parallel.h"
 
 namespace penumbra::capture {
 
@@ -114,7 +112,7 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     }
   }
   const auto* source = &merged.pixels.pixels()[0].r;
-  tbb::parallel_for(tbb::blocked_range<int>(0, height_, kRowsAtOnce), [&](const auto& rows) {
+  parallel_for(0, height_, kRowsAtOnce, [&](const auto& rows) {
     if (taps_.empty()) {
       for (int y = rows.begin(); y < rows.end(); ++y)
         alpha_[static_cast<std::size_t>(y)] =

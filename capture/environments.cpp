@@ -1,5 +1,3 @@
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -7,6 +5,7 @@
 
 #include "capture/capture.h"
 #include "core/conventions.h"
+#include "core/parallel.h"
 
 namespace penumbra::capture {
 
@@ -105,7 +104,7 @@ Rgb room(const dvec3& d) {
 template <class Radiance>
 Image<Rgb> paint(int width, int height, int samples, Radiance radiance) {
   Image<Rgb> map(width, height);
-  tbb::parallel_for(0, height, [&](int y) {
+  parallel_for(0, height, [&](int y) {
     for (int x = 0; x < width; ++x) {
       Rgb sum;
       for (int j = 0; j < samples; ++j)

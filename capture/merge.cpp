@@ -1,12 +1,11 @@
 #include <fmt/format.h>
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cmath>
 
 #include "capture/merge_math.h"
+#include "core/parallel.h"
 
 namespace penumbra::capture {
 
@@ -94,7 +93,7 @@ MergedFloat merge_pixels(const ExposureStack& in, const CodeCurve* curve) {
   out.radiance = Image<Rgb>(stack.width(), stack.height());
   out.clipped = Image<std::uint8_t>(stack.width(), stack.height());
   std::atomic<std::size_t> clipped = 0, black = 0;
-  tbb::parallel_for(tbb::blocked_range<int>(0, stack.height(), 8), [&](const auto& rows) {
+  parallel_for(0, stack.height(), 8, [&](const auto& rows) {
     std::size_t clipped_here = 0, black_here = 0;
     const auto first =
         static_cast<std::size_t>(rows.begin()) * static_cast<std::size_t>(stack.width());

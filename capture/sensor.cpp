@@ -1,12 +1,10 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <numeric>
 
 #include "capture/capture.h"
+#include "core/parallel.h"
 
 namespace penumbra::capture {
 
@@ -95,7 +93,7 @@ template <class Pixel>
 void expose_rows(const Exposer& e, const Image<Rgb>& radiance, Image<Pixel>& out) {
   using Code = decltype(out.at(0, 0).r);
   const int width = out.width(), height = out.height();
-  tbb::parallel_for(tbb::blocked_range<int>(0, height, 16), [&](const auto& rows) {
+  parallel_for(0, height, 16, [&](const auto& rows) {
     for (int y = rows.begin(); y < rows.end(); ++y)
       for (int x = 0; x < width; ++x) {
         const float kept = e.sensor.vignetting > 0 ? light_left(e.sensor, x, y, width, height) : 1;
@@ -127,7 +125,7 @@ void blur(Image<Rgb>& picture, double sigma_px) {
   const int width = picture.width(), height = picture.height();
   const auto pass = [&](int step_x, int step_y) {
     const Image<Rgb> in = picture;
-    tbb::parallel_for(0, height, [&](int y) {
+    parallel_for(0, height, [&](int y) {
       for (int x = 0; x < width; ++x) {
         Rgb mean;
         for (int k = -radius; k <= radius; ++k)

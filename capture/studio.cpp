@@ -1,10 +1,9 @@
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 
 #include "capture/capture.h"
 #include "core/conventions.h"
+#include "core/parallel.h"
 
 namespace penumbra::capture {
 
@@ -21,7 +20,7 @@ Image<Rgb> film_environment(const World& world, int width, int height) {
     return floor_world->environment();
   constexpr int kSamples = 6;
   Image<Rgb> out(width, height);
-  tbb::parallel_for(0, height, [&](int y) {
+  parallel_for(0, height, [&](int y) {
     for (int x = 0; x < width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k)
@@ -38,7 +37,7 @@ Image<Rgb> film_view(const World& world, const CameraInfo& camera) {
   constexpr int kSamples = 3;
   const calib::Projection& p = camera.projection;
   Image<Rgb> out(p.width, p.height);
-  tbb::parallel_for(0, p.height, [&](int y) {
+  parallel_for(0, p.height, [&](int y) {
     for (int x = 0; x < p.width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k) {

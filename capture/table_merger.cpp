@@ -1,6 +1,3 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <atomic>
 #include <numeric>
@@ -8,6 +5,7 @@
 #include "capture/merge_math.h"
 #include "capture/table_kernel.h"
 #include "core/half.h"
+#include "core/parallel.h"
 
 namespace penumbra::capture {
 
@@ -62,7 +60,7 @@ std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures
         1 + std::min(254u, curve.encode(c, static_cast<float>(2 * floor))));
   }
   for (int c = 0; c < out.channel_sets_; ++c)
-    tbb::parallel_for(std::size_t{0}, (steps + 1) * 256, [&](std::size_t row) {
+    parallel_for(std::size_t{0}, (steps + 1) * 256, [&](std::size_t row) {
       const std::size_t k = row / 256;
       const auto next = static_cast<unsigned>(row % 256);
       std::uint16_t* const table =
@@ -101,7 +99,7 @@ void TableMerger::merge(std::span<const Image<Rgb8>* const> frames, MergedImage&
   const auto codes_at = [&](std::size_t k, std::size_t pixel) {
     return &frames[static_cast<std::size_t>(order_[k])]->pixels()[pixel].r;
   };
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, whole, 64), [&](const auto& range) {
+  parallel_for(std::size_t{0}, whole, 64, [&](const auto& range) {
     BlockCounts sum;
     for (std::size_t block = range.begin(); block < range.end(); ++block) {
       const std::uint8_t* codes[16];

@@ -1,8 +1,6 @@
 #include "compositor/compositor.h"
 
 #include <fmt/format.h>
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <atomic>
@@ -11,6 +9,7 @@
 #include "compositor/code_row.h"
 #include "compositor/gl.h"
 #include "compositor/layered_rows.h"
+#include "core/parallel.h"
 
 namespace penumbra::compositor {
 
@@ -63,15 +62,14 @@ std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& 
 template <class Pixel, class Codec>
 std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Layered& in) {
   std::atomic<std::size_t> touched = 0;
-  tbb::parallel_for(tbb::blocked_range<int>(in.area.y0, in.area.y0 + in.area.height(), 8),
-                    [&](const auto& range) {
-                      thread_local RowBuffers rows;  // grow once per thread
-                      rows.resize(static_cast<std::size_t>(frame.width()));
-                      std::size_t count = 0;
-                      for (int y = range.begin(); y < range.end(); ++y)
-                        count += composite_row(codec, frame.row(y).data(), y, in, rows);
-                      touched += count;
-                    });
+  parallel_for(in.area.y0, in.area.y0 + in.area.height(), 8, [&](const auto& range) {
+    thread_local RowBuffers rows;  // grow once per thread
+    rows.resize(static_cast<std::size_t>(frame.width()));
+    std::size_t count = 0;
+    for (int y = range.begin(); y < range.end(); ++y)
+      count += composite_row(codec, frame.row(y).data(), y, in, rows);
+    touched += count;
+  });
   return touched;
 }
 

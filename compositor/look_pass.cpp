@@ -1,12 +1,11 @@
 // The pass over the touched pixels with the camera's look.
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <atomic>
 #include <bit>
 
 #include "compositor/camera_look.h"
 #include "compositor/layered_rows.h"
+#include "core/parallel.h"
 
 namespace penumbra::compositor {
 
@@ -149,12 +148,11 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
   const Rect area = blurs ? planes.taken.area() : in.area;
   const std::size_t stride = padded_row(area.width()) + kLookLanes;  // room for load_row's excess
   const auto each_row = [&](const Rect& rect, const auto& work) {
-    tbb::parallel_for(tbb::blocked_range<int>(rect.y0, rect.y0 + rect.height(), 8),
-                      [&](const auto& range) {
-                        thread_local LookBuffers rows;  // grow once per thread
-                        rows.resize(static_cast<std::size_t>(frame.width()), stride);
-                        for (int y = range.begin(); y < range.end(); ++y) work(y, rows);
-                      });
+    parallel_for(rect.y0, rect.y0 + rect.height(), 8, [&](const auto& range) {
+      thread_local LookBuffers rows;  // grow once per thread
+      rows.resize(static_cast<std::size_t>(frame.width()), stride);
+      for (int y = range.begin(); y < range.end(); ++y) work(y, rows);
+    });
   };
   if (blurs)
     each_row(in.area, [&](int y, LookBuffers& rows) {

@@ -1,6 +1,4 @@
 #include <fmt/format.h>
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
@@ -11,6 +9,7 @@
 #include <mutex>
 #include <utility>
 
+#include "core/parallel.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "prt/ray_pattern.h"
@@ -299,7 +298,7 @@ std::array<double, 3> Baker::added_by_last_bounce() const {
 // adds soon has the form of the scene's largest eigenvector, whatever the light.
 void Baker::add_further_bounces(const std::array<double, 3>& share) {
   const auto channels = static_cast<std::size_t>(channels_);
-  tbb::parallel_for(std::size_t{0}, points_.size(), [&](std::size_t p) {
+  parallel_for(std::size_t{0}, points_.size(), [&](std::size_t p) {
     for (std::size_t c = 0; c < channels; ++c) {
       constexpr double kMostShare = .95;  // beyond, two bounces say too little
       const double q = std::clamp(share[c], 0., kMostShare);
@@ -404,9 +403,9 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   std::uint64_t rays = 0;
   for (const Point& p : points_) rays += static_cast<std::uint64_t>(p.rays);
   const auto parallel = [&](auto&& body) {
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, points_.size(), kChunk), body);
+    parallel_for(std::size_t{0}, points_.size(), kChunk, body);
   };
-  parallel([&](const tbb::blocked_range<std::size_t>& range) {
+  parallel([&](const Indices<std::size_t>& range) {
     double traced = 0;
     for (std::size_t i = range.begin(); i < range.end(); ++i) {
       trace_point(*scene, is_ground_point(i) ? ground_patterns : patterns, i, results[i]);
@@ -419,7 +418,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   if (options_.bounces > 0) next_.resize(floats);
   std::array<double, 3> added{}, share{};
   for (int b = 0; b < options_.bounces; ++b) {
-    parallel([&](const tbb::blocked_range<std::size_t>& range) {
+    parallel([&](const Indices<std::size_t>& range) {
       for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
     });
     std::swap(current_, next_);

@@ -1,12 +1,10 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <mutex>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 #include "prt/prt.h"
 #include "prt/ray_pattern.h"
 
@@ -201,7 +199,7 @@ Rgb Tracer::seen_from_camera(const glm::vec3& o, const glm::vec3& d, PathNumbers
 void render_half(const Tracer& tracer, const PinholeView& view, std::uint64_t seed, int first,
                  int count, Image<Rgb>& sum) {
   const glm::vec3 origin(view.world_from_camera.translation);
-  tbb::parallel_for(tbb::blocked_range<int>(0, view.height, 4), [&](const auto& rows) {
+  parallel_for(0, view.height, 4, [&](const auto& rows) {
     for (int y = rows.begin(); y < rows.end(); ++y)
       for (int x = 0; x < view.width; ++x)
         for (int s = first; s < first + count; ++s) {
@@ -277,7 +275,7 @@ Result<std::vector<Rgb>> reference_irradiance(const World& world,
   auto tracer = Tracer::make(world, ReferenceOptions{}.longest_path);
   if (!tracer) return std::unexpected(tracer.error());
   std::vector<Rgb> out(points.size());
-  tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
+  parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
     double sum[3] = {};
     const SurfacePoint at{glm::vec3(points[i].position), glm::vec3(points[i].normal), {1, 1, 1}};
     for (int s = 0; s < samples; ++s) {

@@ -1,7 +1,6 @@
 #include "service/flip.h"
 
 #include <fmt/format.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
@@ -14,6 +13,7 @@
 #include <vector>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 
 namespace penumbra::service {
 
@@ -24,7 +24,7 @@ using Kernel = std::vector<float>;  // 2 radius + 1 weights, the middle one at t
 
 template <class Body>
 void for_rows(int height, const Body& body) {
-  tbb::parallel_for(tbb::blocked_range<int>(0, height, 8), [&](const auto& range) {
+  parallel_for(0, height, 8, [&](const auto& range) {
     for (int y = range.begin(); y < range.end(); ++y) body(y);
   });
 }

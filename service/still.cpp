@@ -1,10 +1,9 @@
 #include "service/still.h"
 
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 #include "service/pipeline.h"
 
 namespace penumbra::service {
@@ -46,7 +45,7 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   Still out;
   out.radiance = Image<Rgb>(in.view.width, in.view.height);
   const glm::dvec3 eye = in.view.world_from_camera.translation;
-  tbb::parallel_for(0, in.view.height, [&](int y) {
+  parallel_for(0, in.view.height, [&](int y) {
     for (int x = 0; x < in.view.width; ++x) {
       Rgb sum;
       for (int k = 0; k < kSamples * kSamples; ++k) {

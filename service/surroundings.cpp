@@ -1,10 +1,9 @@
 #include "service/surroundings.h"
 
-#include <oneapi/tbb/parallel_for.h>
-
 #include <cmath>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::service {
@@ -51,8 +50,8 @@ Surroundings::Surroundings(const PreparedScene& scene)
 void Surroundings::look(const shadows::Blockers& blockers, std::span<const Pose> poses) {
   if (!any() || std::ranges::equal(poses, poses_)) return;
   poses_.assign(poses.begin(), poses.end());
-  tbb::parallel_for(std::size_t{0}, poses.size(),
-                    [&](std::size_t i) { look_from(i, blockers, poses[i]); });
+  parallel_for(std::size_t{0}, poses.size(),
+               [&](std::size_t i) { look_from(i, blockers, poses[i]); });
 }
 
 void Surroundings::look_from(std::size_t object, const shadows::Blockers& blockers,

@@ -1,10 +1,8 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 #include <initializer_list>
 
+#include "core/parallel.h"
 #include "shadows/disc_rays.h"
 
 namespace penumbra::shadows {
@@ -68,24 +66,22 @@ class VertexTracer {
   template <class Wanted>
   void trace(std::size_t first, std::size_t last, Wanted wanted, std::vector<float>& seen,
              std::vector<float>& open) const {
-    tbb::parallel_for(
-        tbb::blocked_range<std::size_t>(0, mesh_.positions.size(), 1024), [&](const auto& part) {
-          Packets packets(blockers_,
-                          [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
-                            if (!by_virtual && !by_real) seen[i] += weight;
-                          });
-          for (std::size_t i = part.begin(); i < part.end(); ++i) {
-            if (!wanted(i)) continue;
-            const glm::vec3 n = normal(i);
-            const glm::vec3 o = turn_ * mesh_.positions[i] + shift_ + blockers_.near_m * n;
-            for (const glm::vec3& d : pattern_.at(i).subspan(first, last - first)) {
-              const float cosine = glm::dot(n, d);
-              if (cosine <= 0) continue;
-              open[i] += cosine;
-              if (!behind(plane_, d)) packets.add(i, cosine, o, d);
-            }
-          }
-        });
+    parallel_for(std::size_t{0}, mesh_.positions.size(), 1024, [&](const auto& part) {
+      Packets packets(blockers_, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
+        if (!by_virtual && !by_real) seen[i] += weight;
+      });
+      for (std::size_t i = part.begin(); i < part.end(); ++i) {
+        if (!wanted(i)) continue;
+        const glm::vec3 n = normal(i);
+        const glm::vec3 o = turn_ * mesh_.positions[i] + shift_ + blockers_.near_m * n;
+        for (const glm::vec3& d : pattern_.at(i).subspan(first, last - first)) {
+          const float cosine = glm::dot(n, d);
+          if (cosine <= 0) continue;
+          open[i] += cosine;
+          if (!behind(plane_, d)) packets.add(i, cosine, o, d);
+        }
+      }
+    });
   }
 
  private:
@@ -144,7 +140,7 @@ void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pos
   }
   smooth(mesh, disc, {&seen, &open});
   all.make(disc, std::max(taps, kOpenTaps), 1);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
+  parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       out[i] = 0;
       if (seen[i] <= 0) continue;
@@ -160,7 +156,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   thread_local TapPattern pattern_memory, all_memory;  // grow once per thread
   TapPattern &pattern = pattern_memory, &all = all_memory;
   pattern.make(disc, taps, kTurns);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 512), [&](const auto& part) {
+  parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
     Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (by_real)
         out.missing[i] += weight;
@@ -180,7 +176,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   });
   smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
   all.make(disc, std::max(taps, kOpenTaps), 1);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024), [&](const auto& part) {
+  parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       const float open = mean_cosine(all.at(0), mesh.normals[i]),
                   scale = out.open[i] > 0 ? open / out.open[i] : 0;

@@ -1,10 +1,8 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
 
+#include "core/parallel.h"
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
 
@@ -155,7 +153,7 @@ bool Refiner::settle(std::size_t node, float scouted) {
 }
 
 void Refiner::trace(std::span<const std::size_t> nodes, std::span<const Tap> taps) {
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, nodes.size(), 128), [&](const auto& part) {
+  parallel_for(std::size_t{0}, nodes.size(), 128, [&](const auto& part) {
     Packets packets(blockers_, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (by_real)
         out_.missing.pixels()[i] += weight;

@@ -1,12 +1,10 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <array>
 #include <cassert>
 #include <cmath>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 #include "lighting/lighting.h"
 #include "shadows/field_kernel.h"
 #include "shadows/occlusion_field.h"
@@ -235,8 +233,8 @@ Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
   if (field.bands != light.field_bands())
     return fail(ErrorCode::kInvalid, "light", "was made for a field of other bands");
   constexpr std::size_t kLanes = kFieldLanes, kBlocksPerTask = 64;
-  const tbb::blocked_range<std::size_t> blocks(0, (points + kLanes - 1) / kLanes, kBlocksPerTask);
-  tbb::parallel_for(blocks, [&](const auto& range) {
+  const std::size_t blocks = (points + kLanes - 1) / kLanes;
+  parallel_for(std::size_t{0}, blocks, kBlocksPerTask, [&](const auto& range) {
     RatioBlock block(field, light, bake_from_world);
     for (std::size_t b = range.begin(); b < range.end(); ++b) {
       const std::size_t first = b * kLanes, count = std::min(kLanes, points - first);

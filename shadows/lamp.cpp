@@ -1,14 +1,12 @@
 #include "shadows/lamp.h"
 
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
 
@@ -65,7 +63,7 @@ void trace(const Blockers& blockers, std::size_t count, const Lamp& lamp, int ta
            std::span<float> out) {
   const Face face(lamp, taps);
   std::ranges::fill(out.first(count), 0.f);
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 512), [&](const auto& part) {
+  parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
     Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (!by_virtual && !by_real) out[i] += weight;
     });

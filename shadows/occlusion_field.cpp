@@ -1,8 +1,6 @@
 #include "shadows/occlusion_field.h"
 
 #include <fmt/format.h>
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
@@ -14,6 +12,7 @@
 
 #include "core/conventions.h"
 #include "core/half.h"
+#include "core/parallel.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::shadows {
@@ -187,7 +186,7 @@ void FieldBaker::run(std::span<std::uint16_t> out) const {
   const std::size_t points = out.size() / count;
   std::mutex mutex;
   std::size_t done = 0;
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, points, 256), [&](const auto& range) {
+  parallel_for(std::size_t{0}, points, 256, [&](const auto& range) {
     std::array<float, kMaxValues> values;
     for (std::size_t p = range.begin(); p < range.end(); ++p) {
       bake_point(p, std::span(values).first(count));

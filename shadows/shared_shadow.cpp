@@ -1,9 +1,7 @@
-#include <oneapi/tbb/blocked_range.h>
-#include <oneapi/tbb/parallel_for.h>
-
 #include <algorithm>
 #include <cmath>
 
+#include "core/parallel.h"
 #include "shadows/occlusion_field.h"
 #include "shadows/shadows.h"
 
@@ -57,8 +55,7 @@ float without_common(float first, float second, const Overlap& shared) {
   const float size_a = std::abs(a), size_b = std::abs(b);
   // Both estimates of the common part agree for even light; either keeps inside the proven interval.
   const float most = std::min(size_a, size_b), least = std::min(std::max(0.f, a + b - 1), most);
-  const float common =
-      std::clamp(.5f * (shared.of_a * size_a + shared.of_b * size_b), least, most);
+  const float common = std::clamp(.5f * (shared.of_a * size_a + shared.of_b * size_b), least, most);
   return std::max(0.f, (1 - (a + b - std::copysign(common, a))) / first);
 }
 
@@ -81,7 +78,7 @@ void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarS
       std::min(first.object->ground_deficit.bands, second.object->ground_deficit.bands);
   const lighting::ShRotation rotation(glm::transpose(turn), bands);
   const bool turned = std::abs(turn[0].x - 1) > 1e-9;
-  tbb::parallel_for(out.y0, out.y1, [&](int y) {
+  parallel_for(out.y0, out.y1, [&](int y) {
     Sample a, b;
     for (int x = out.x0; x < out.x1; ++x) {
       Rgb& s = out.ratio.at(x, y);
@@ -110,24 +107,23 @@ void share_ratios(const PlacedField& first, const PlacedField& second,
   const lighting::ShRotation rotation((second_from_world * first.world_from_bake).rotation_matrix(),
                                       first.field->bands);
   constexpr std::size_t kMost = kMaxFieldBands * kMaxFieldBands;
-  tbb::parallel_for(
-      tbb::blocked_range<std::size_t>(0, positions.size(), 256), [&](const auto& part) {
-        float a[kMost], b[kMost];
-        for (std::size_t i = part.begin(); i < part.end(); ++i) {
-          if (first_ratios[i] == open || ratios[i] == open) continue;
-          const glm::dvec3 p(positions[i]);
-          blocked_at(
-              *first.field, glm::vec3(first_from_world * p),
-              std::span(a).first(static_cast<std::size_t>(coefficient_count(first.field->bands))));
-          blocked_at(
-              *second.field, glm::vec3(second_from_world * p),
-              std::span(b).first(static_cast<std::size_t>(coefficient_count(second.field->bands))));
-          rotate(rotation, first.field->bands, a);
-          const Overlap shared = overlap(a, b, count);
-          for (int c = 0; c < 3; ++c)
-            ratios[i][c] = without_common(first_ratios[i][c], ratios[i][c], shared);
-        }
-      });
+  parallel_for(std::size_t{0}, positions.size(), 256, [&](const auto& part) {
+    float a[kMost], b[kMost];
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      if (first_ratios[i] == open || ratios[i] == open) continue;
+      const glm::dvec3 p(positions[i]);
+      blocked_at(
+          *first.field, glm::vec3(first_from_world * p),
+          std::span(a).first(static_cast<std::size_t>(coefficient_count(first.field->bands))));
+      blocked_at(
+          *second.field, glm::vec3(second_from_world * p),
+          std::span(b).first(static_cast<std::size_t>(coefficient_count(second.field->bands))));
+      rotate(rotation, first.field->bands, a);
+      const Overlap shared = overlap(a, b, count);
+      for (int c = 0; c < 3; ++c)
+        ratios[i][c] = without_common(first_ratios[i][c], ratios[i][c], shared);
+    }
+  });
 }
 
 }  // namespace penumbra::shadows
