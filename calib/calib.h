@@ -115,6 +115,9 @@ class Response {
 /// errors: kInvalid, kNotFound, kUnreadable
 Result<Response> parse_response(const std::string& text, const std::filesystem::path& folder = {});
 Result<void> write_response(const std::filesystem::path& path, const Response& response);
+/// Such a file's text; `path` names it in errors.
+Result<Response> parse_response_file(std::string_view text, const std::filesystem::path& path);
+std::string print_response_file(const Response& response);
 
 /// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes
 /// left out, made monotone; masked pixels are pure blue (0,0,255) registration borders. errors:

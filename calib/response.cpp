@@ -1,6 +1,4 @@
 #include <fmt/format.h>
-#include <toml++/toml.h>
-
 #include <algorithm>
 #include <cassert>
 #include <charconv>
@@ -9,6 +7,7 @@
 
 #include "calib/calib.h"
 #include "core/files.h"
+#include "core/toml_keys.h"
 
 namespace penumbra::calib {
 namespace fs = std::filesystem;
@@ -73,16 +72,6 @@ std::string at_line(const fs::path& path, const toml::source_region& source) {
   return fmt::format("{}:{}", path.string(), source.begin.line);
 }
 
-Result<toml::table> read_toml(const fs::path& path) {
-  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 26));
-  try {
-    return toml::parse(std::string_view(reinterpret_cast<const char*>(bytes.data()), bytes.size()),
-                       path.string());
-  } catch (const toml::parse_error& e) {
-    return fail(ErrorCode::kUnreadable, at_line(path, e.source()), std::string(e.description()));
-  }
-}
-
 Result<std::vector<float>> read_samples(const fs::path& path, const toml::array& array) {
   std::vector<float> samples;
   samples.reserve(array.size());
@@ -118,8 +107,7 @@ Result<std::array<std::vector<float>, 3>> read_decode(const fs::path& path,
   return channels;
 }
 
-Result<Response> read_response(const fs::path& path) {
-  PENUMBRA_ASSIGN(table, read_toml(path));
+Result<Response> read_response(const fs::path& path, const toml::table& table) {
   for (const auto& [key, node] : table)
     if (key.str() != "version" && key.str() != "decode")
       return fail(ErrorCode::kInvalid, at_line(path, key.source()),
@@ -284,10 +272,16 @@ Result<Response> parse_response(const std::string& text, const fs::path& folder)
   if (!fs::exists(path, ignored))
     return fail(ErrorCode::kNotFound, path.string(),
                 fmt::format("no such response or file; {}", known));
-  return read_response(path);
+  PENUMBRA_ASSIGN(table, parse_toml(path));
+  return read_response(path, table);
 }
 
-Result<void> write_response(const fs::path& path, const Response& response) {
+Result<Response> parse_response_file(std::string_view text, const fs::path& path) {
+  PENUMBRA_ASSIGN(table, parse_toml_text(text, path));
+  return read_response(path, table);
+}
+
+std::string print_response_file(const Response& response) {
   const int count = sample_count(response);
   const int channels = response.same_for_all_channels() ? 1 : 3;
   std::string text =
@@ -301,7 +295,11 @@ Result<void> write_response(const fs::path& path, const Response& response) {
           static_cast<float>(response.decode(static_cast<double>(i) / (count - 1), c)));
     text += fmt::format("  [{}],\n", fmt::join(samples, ", "));
   }
-  return write_bytes(path, text + "]\n");
+  return text + "]\n";
+}
+
+Result<void> write_response(const fs::path& path, const Response& response) {
+  return write_bytes(path, print_response_file(response));
 }
 
 }  // namespace penumbra::calib

@@ -46,7 +46,8 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
                raw.time,
                label.exposure,
                info_.world_from_camera,
-               std::make_shared<const FramePixels>(std::move(*pixels))};
+               std::make_shared<const FramePixels>(std::move(*pixels)),
+               device_->jpeg()};
 }
 
 ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t number,

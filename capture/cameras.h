@@ -77,6 +77,8 @@ class CameraDevice {
   /// The picture of the frame that wait() gave last, once.
   /// errors: kUnreadable (it came in part)
   virtual Result<FramePixels> pixels() = 0;
+  /// What pixels() gave last as the camera coded it; nothing where it does not code.
+  virtual std::shared_ptr<const std::vector<std::byte>> jpeg() const { return nullptr; }
   /// The clock of the frames' times.
   virtual TimestampNs now() const = 0;
 };

@@ -80,20 +80,6 @@ bool is_file_name(std::string_view name) {
   });
 }
 
-Result<void> check_cameras(const std::vector<CameraInfo>& cameras) {
-  if (cameras.empty()) return fail(ErrorCode::kInvalid, "capture folder", "no cameras");
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    const std::string& name = cameras[i].name;
-    if (!is_file_name(name))
-      return fail(ErrorCode::kInvalid, "camera \"" + name + "\"",
-                  "the name is not made of letters, digits, '-' and '_'");
-    for (std::size_t j = 0; j < i; ++j)
-      if (cameras[j].name == name)
-        return fail(ErrorCode::kInvalid, "camera \"" + name + "\"", "the name is used twice");
-  }
-  return {};
-}
-
 /// The last frame written, from the list's own text; nothing if there is none.
 std::optional<FrameRow> last_row(const std::string& list) {
   const auto end = list.size() - 1;  // the final line break
@@ -110,8 +96,31 @@ std::size_t number_of(const FrameRow& row) {
   return number;
 }
 
+Result<void> write_picture(const fs::path& path, const FramePixels& pixels) {
+  if (const auto* linear = std::get_if<Image<Rgb>>(&pixels))
+    return codec::write_hdr(path, *linear, codec::Depth::kFloat);
+  if (const auto* deep = std::get_if<Image<Rgb16>>(&pixels)) return codec::write_frame(path, *deep);
+  return codec::write_frame(path, std::get<Image<Rgb8>>(pixels));
+}
+
+}  // namespace
+
+Result<void> check_cameras(const std::vector<CameraInfo>& cameras) {
+  if (cameras.empty()) return fail(ErrorCode::kInvalid, "capture folder", "no cameras");
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const std::string& name = cameras[i].name;
+    if (!is_file_name(name))
+      return fail(ErrorCode::kInvalid, "camera \"" + name + "\"",
+                  "the name is not made of letters, digits, '-' and '_'");
+    for (std::size_t j = 0; j < i; ++j)
+      if (cameras[j].name == name)
+        return fail(ErrorCode::kInvalid, "camera \"" + name + "\"", "the name is used twice");
+  }
+  return {};
+}
+
 Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
-                         const std::optional<FrameRow>& last) {
+                         const std::optional<TimestampNs>& last) {
   const auto invalid = [&](std::string detail) {
     return fail(ErrorCode::kInvalid, fmt::format("{}, frame {}", camera.name, frame.sequence),
                 std::move(detail));
@@ -121,18 +130,9 @@ Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
   if (w != camera.projection.width || h != camera.projection.height)
     return invalid(fmt::format("{}x{}, expected {}x{}", w, h, camera.projection.width,
                                camera.projection.height));
-  if (last && frame.time < last->time) return invalid("its time is before the previous frame's");
+  if (last && frame.time < *last) return invalid("its time is before the previous frame's");
   return {};
 }
-
-Result<void> write_picture(const fs::path& path, const FramePixels& pixels) {
-  if (const auto* linear = std::get_if<Image<Rgb>>(&pixels))
-    return codec::write_hdr(path, *linear, codec::Depth::kFloat);
-  if (const auto* deep = std::get_if<Image<Rgb16>>(&pixels)) return codec::write_frame(path, *deep);
-  return codec::write_frame(path, std::get<Image<Rgb8>>(pixels));
-}
-
-}  // namespace
 
 Result<std::unique_ptr<FrameSource>> open_capture_folder(const fs::path& folder) {
   PENUMBRA_ASSIGN(cameras, read_manifest(folder));
@@ -163,7 +163,7 @@ Result<void> CaptureFolderWriter::write(const Frame& frame) {
   if (frame.camera < 0 || n >= cameras_.size())
     return fail(ErrorCode::kInvalid, "capture folder", fmt::format("no camera {}", frame.camera));
   const auto last = last_row(rows_[n]);
-  PENUMBRA_TRY(check_frame(frame, cameras_[n], last));
+  PENUMBRA_TRY(check_frame(frame, cameras_[n], last ? std::optional(last->time) : std::nullopt));
   const bool linear = std::holds_alternative<Image<Rgb>>(*frame.pixels);
   const std::string file = fmt::format("{}/{:06}.{}", cameras_[n].name,
                                        last ? number_of(*last) + 1 : 0, linear ? "exr" : "png");

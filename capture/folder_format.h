@@ -1,7 +1,10 @@
 // Private to capture: the two text files of a capture folder, read and written.
 #pragma once
 
+#include <toml++/toml.h>
+
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -36,6 +39,17 @@ Result<std::vector<FolderCamera>> read_manifest(const std::filesystem::path& fol
 std::string print_manifest(const std::vector<CameraInfo>& cameras,
                            const std::vector<std::string>& responses);
 
+/// One [[camera]] without its frames. `response`: what its response key says.
+std::string print_camera(const CameraInfo& camera, const std::string& response);
+
+/// The cameras of a manifest without frame lists; `response` finds what a camera's key names. `path` names the text in
+/// errors. Other keys of the root are the caller's.
+/// errors: kUnreadable, kInvalid (file, line, key)
+using FindResponse = std::function<Result<calib::Response>(const std::string& name)>;
+Result<std::vector<CameraInfo>> read_cameras(const toml::table& root,
+                                             const std::filesystem::path& path,
+                                             const FindResponse& response);
+
 /// Reads NAME.csv.
 /// errors: kNotFound, kInvalid (file and line)
 Result<std::vector<FrameRow>> read_frame_list(const std::filesystem::path& folder,
@@ -45,6 +59,13 @@ Result<std::vector<FrameRow>> read_frame_list(const std::filesystem::path& folde
 /// errors: kInvalid, `where` is given
 Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::string& where);
 std::string print_row(const FrameRow& row);
+
+/// errors: kInvalid (none, a name twice or not made of letters, digits, '-' and '_')
+Result<void> check_cameras(const std::vector<CameraInfo>& cameras);
+/// `last`: the time of the camera's frame before.
+/// errors: kInvalid (no picture, another size, earlier than the last)
+Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
+                         const std::optional<TimestampNs>& last);
 
 /// Whether a path of a capture file stays inside its folder: relative, without "..".
 bool stays_inside(const std::filesystem::path& path);

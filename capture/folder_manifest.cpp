@@ -296,6 +296,27 @@ Result<std::vector<RigCamera>> read_rig_cameras(const fs::path& path) {
   return cameras;
 }
 
+Result<std::vector<CameraInfo>> read_cameras(const toml::table& root, const fs::path& path,
+                                             const FindResponse& response) {
+  const TomlKeys keys(path, root);
+  PENUMBRA_ASSIGN(list, keys.tables("camera"));
+  if (list.empty()) return keys.invalid("camera", "no [[camera]]");
+  std::vector<CameraInfo> cameras;
+  for (const toml::table* table : list) {
+    const TomlKeys camera_keys(path, *table);
+    PENUMBRA_TRY(camera_keys.only(kCameraKeys));
+    PENUMBRA_ASSIGN(info, read_camera_info(camera_keys));
+    PENUMBRA_ASSIGN(name, camera_keys.text("response"));
+    PENUMBRA_ASSIGN(found, response(name));
+    info.response = found;
+    PENUMBRA_TRY(read_white_balance(camera_keys, info.response));
+    if (std::ranges::any_of(cameras, [&](const auto& c) { return c.name == info.name; }))
+      return camera_keys.invalid("name", fmt::format("\"{}\" is used twice", info.name));
+    cameras.push_back(std::move(info));
+  }
+  return cameras;
+}
+
 Result<CameraInfo> read_camera_file(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
@@ -310,36 +331,38 @@ Result<CameraInfo> read_camera_file(const fs::path& path) {
   return read_camera_info(camera_keys);
 }
 
+std::string print_camera(const CameraInfo& c, const std::string& response) {
+  const auto& p = c.projection;
+  std::string text = fmt::format("\n[[camera]]\nname = {}\nrole = \"{}\"\n", toml_quoted(c.name),
+                                 c.role == Role::kView ? "view" : "environment");
+  if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
+  text += fmt::format("width = {}\nheight = {}\nprojection = \"{}\"\n", p.width, p.height,
+                      calib::projection_name(p.kind));
+  if (has_intrinsics(p.kind))
+    text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
+                        p.focal_px.y, p.principal_px.x, p.principal_px.y);
+  text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(response), c.black_level);
+  const auto& gains = c.response.white_balance();
+  // A response file has the gains in its tables.
+  if (gains != std::array<double, 3>{1, 1, 1} && response == c.response.describe())
+    text += fmt::format("white_balance = [{}]\n", fmt::join(gains, ", "));
+  const calib::NoiseModel usual;
+  if (c.noise_known || c.noise.full_well_electrons != usual.full_well_electrons)
+    text += fmt::format("full_well_electrons = {}\n", c.noise.full_well_electrons);
+  if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
+    text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
+  if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
+  const glm::dmat4 m = c.world_from_camera.matrix();
+  text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
+  return text;
+}
+
 std::string print_manifest(const std::vector<CameraInfo>& cameras,
                            const std::vector<std::string>& responses) {
   std::string text = "version = 1\n";
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    const CameraInfo& c = cameras[i];
-    const auto& p = c.projection;
-    text += fmt::format("\n[[camera]]\nname = {}\nrole = \"{}\"\n", toml_quoted(c.name),
-                        c.role == Role::kView ? "view" : "environment");
-    if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
-    text += fmt::format("width = {}\nheight = {}\nprojection = \"{}\"\n", p.width, p.height,
-                        calib::projection_name(p.kind));
-    if (has_intrinsics(p.kind))
-      text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
-                          p.focal_px.y, p.principal_px.x, p.principal_px.y);
-    text +=
-        fmt::format("response = {}\nblack_level = {}\n", toml_quoted(responses[i]), c.black_level);
-    const auto& gains = c.response.white_balance();
-    // A response file has the gains in its tables.
-    if (gains != std::array<double, 3>{1, 1, 1} && responses[i] == c.response.describe())
-      text += fmt::format("white_balance = [{}]\n", fmt::join(gains, ", "));
-    const calib::NoiseModel usual;
-    if (c.noise_known || c.noise.full_well_electrons != usual.full_well_electrons)
-      text += fmt::format("full_well_electrons = {}\n", c.noise.full_well_electrons);
-    if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
-      text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
-    if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
-    const glm::dmat4 m = c.world_from_camera.matrix();
-    text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
-    text += fmt::format("frames = {}\n", toml_quoted(c.name + ".csv"));
-  }
+  for (std::size_t i = 0; i < cameras.size(); ++i)
+    text += print_camera(cameras[i], responses[i]) +
+            fmt::format("frames = {}\n", toml_quoted(cameras[i].name + ".csv"));
   return text;
 }
 

@@ -1,6 +1,7 @@
 // What all sources of frames share: cameras as they are known, frames with their own truth.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -39,6 +40,8 @@ struct Frame {
   Exposure exposure;  // APPLIED, not requested
   Pose world_from_camera;
   std::shared_ptr<const FramePixels> pixels;
+  std::shared_ptr<const std::vector<std::byte>>
+      jpeg{};  // the same as the camera coded it, if it did
 };
 
 int width(const FramePixels& pixels);

@@ -120,6 +120,10 @@ RawConverter::~RawConverter() = default;
 RawConverter::RawConverter(RawConverter&&) noexcept = default;
 RawConverter& RawConverter::operator=(RawConverter&&) noexcept = default;
 
+bool RawConverter::decodes_jpeg() const {
+  return is_jpeg(impl_->layout.fourcc);
+}
+
 Result<RawConverter> RawConverter::make(const RawLayout& layout) {
   const std::string name = fourcc_name(layout.fourcc);
   if (layout.width < 1 || layout.height < 1 || layout.width > codec::kMaxSide ||

@@ -42,6 +42,7 @@ class RawConverter {
 
   /// errors: kUnreadable (fewer bytes than the picture has, a damaged JPEG, a JPEG of another size)
   Result<FramePixels> convert(std::span<const std::byte> bytes) const;
+  [[nodiscard]] bool decodes_jpeg() const;
 
  private:
   struct Impl;

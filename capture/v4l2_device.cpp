@@ -49,6 +49,7 @@ class V4l2Device : public CameraDevice {
   Result<void> request(Exposure wanted) override;
   Result<std::optional<CameraFrame>> wait(Seconds timeout, Seconds oldest) override;
   Result<FramePixels> pixels() override;
+  std::shared_ptr<const std::vector<std::byte>> jpeg() const override { return jpeg_; }
   TimestampNs now() const override { return monotonic_now(); }
 
  private:
@@ -63,6 +64,7 @@ class V4l2Device : public CameraDevice {
 
   V4l2Node node_;
   RawConverter converter_;
+  std::shared_ptr<const std::vector<std::byte>> jpeg_;
   V4l2Exposure controls_;
   double unit_gain_ = 1;
   std::vector<MappedBuffer> buffers_;
@@ -171,8 +173,10 @@ Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout, Seconds old
 Result<FramePixels> V4l2Device::pixels() {
   if (!last_) return fail(ErrorCode::kUnreadable, node_.device(), "no frame at hand");
   const auto bytes = buffers_[last_->index].bytes();
-  auto pixels =
-      converter_.convert(bytes.first(std::min<std::size_t>(last_->bytesused, bytes.size())));
+  const auto used = bytes.first(std::min<std::size_t>(last_->bytesused, bytes.size()));
+  auto pixels = converter_.convert(used);
+  if (pixels && converter_.decodes_jpeg())
+    jpeg_ = std::make_shared<const std::vector<std::byte>>(used.begin(), used.end());
   PENUMBRA_TRY(give_back_last());
   return pixels;
 }

@@ -136,15 +136,20 @@ inline std::string toml_quoted(std::string_view text) {
   return out + '"';
 }
 
-inline Result<toml::table> parse_toml(const std::filesystem::path& path) {
-  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 24));
+/// `path` only names the text in errors.
+inline Result<toml::table> parse_toml_text(std::string_view text,
+                                           const std::filesystem::path& path) {
   try {
-    return toml::parse(std::string_view(reinterpret_cast<const char*>(bytes.data()), bytes.size()),
-                       path.string());
+    return toml::parse(text, path.string());
   } catch (const toml::parse_error& e) {
     return fail(ErrorCode::kUnreadable, fmt::format("{}:{}", path.string(), e.source().begin.line),
                 std::string(e.description()));
   }
+}
+
+inline Result<toml::table> parse_toml(const std::filesystem::path& path) {
+  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 26));
+  return parse_toml_text({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path);
 }
 
 }  // namespace penumbra

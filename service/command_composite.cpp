@@ -30,7 +30,7 @@ Result<void> composite(const CompositeOptions& o) {
   auto discs = choose_discs(o.discs);
   if (!discs) return std::unexpected(discs.error());
   PENUMBRA_TRY(check_budget(o.budget));
-  auto source = capture::open_capture_folder(o.capture);
+  auto source = capture::open_capture(o.capture);
   if (!source) return std::unexpected(source.error());
   auto scene = read_scene(o.scene);
   if (!scene) return std::unexpected(scene.error());

@@ -77,6 +77,14 @@ struct ServeOptions {
 };
 Result<void> serve(const ServeOptions& options);
 
+struct RecordOptions {
+  std::string config, output;
+  double seconds = 0;  // 0 = until stopped
+  int frames = 0;      // of all cameras; 0 = any
+  bool json = false;
+};
+Result<void> record(const RecordOptions& options);
+
 struct CompareOptions {
   std::string a, b;
   std::optional<std::string>

@@ -182,6 +182,15 @@ void add_running_commands(CLI::App& app, Action& action) {
   add_json(c, demo_options.json);
   c->callback([&] { action = [] { return demo(demo_options); }; });
 
+  static RecordOptions record_options;
+  c = app.add_subcommand("record", "Record a rig's cameras into Matroska until Ctrl-C");
+  c->add_option("--config", record_options.config, "rig.toml")->required();
+  c->add_option("--out,-o", record_options.output, "Recording to make, .mkv")->required();
+  c->add_option("--seconds", record_options.seconds, "Stop after so many seconds of frames");
+  c->add_option("--frames", record_options.frames, "Stop after so many frames of all cameras");
+  add_json(c, record_options.json);
+  c->callback([&] { action = [] { return record(record_options); }; });
+
   static ServeOptions serve_options;
   c = app.add_subcommand("serve", "The live service with its HTTP interface on loopback");
   c->add_option("--config", serve_options.config, "rig.toml")->required();

@@ -104,7 +104,8 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   const fs::path folder = path.parent_path();
   RigConfig c;
   if (!keys.has("capture"))
-    return keys.invalid("capture", "missing: say source = \"studio\", \"cameras\" or a capture folder");
+    return keys.invalid("capture",
+                        "missing: say source = \"studio\", \"cameras\" or a capture folder");
   constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "prop",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};

@@ -1,0 +1,23 @@
+// Private to capture: what writer and reader of recordings share.
+#pragma once
+
+extern "C" {
+#include <libavutil/error.h>
+}
+
+#include <string>
+#include <string_view>
+
+namespace penumbra::capture {
+
+inline constexpr std::string_view kCamerasAttachment = "cameras.toml";
+inline constexpr std::string_view kResponseSuffix = ".response.toml";
+inline constexpr std::string_view kLabelsTitle = "labels";  // of the track
+
+inline std::string av_reason(int code) {
+  char text[AV_ERROR_MAX_STRING_SIZE] = {};
+  av_strerror(code, text, sizeof text);
+  return text;
+}
+
+}  // namespace penumbra::capture

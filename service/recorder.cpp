@@ -1,0 +1,179 @@
+#include "service/recorder.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <thread>
+
+#include "core/queues.h"
+
+namespace penumbra::service {
+
+namespace {
+
+using capture::Frame;
+using Clock = std::chrono::steady_clock;
+
+constexpr std::size_t kQueued = 16;  // frames a camera: a quarter second at 60 a second
+constexpr std::size_t kMostEarly = 64;
+constexpr Seconds kPatience(10);
+
+// A signal must also release a next() that waits for a camera.
+std::jthread close_on(const std::atomic<bool>& stop, capture::FrameSource& source) {
+  return std::jthread([&](const std::stop_token& done) {
+    while (!done.stop_requested() && !stop)
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    if (stop) source.close();
+  });
+}
+
+// The first frames, one of each camera at least: they tell how each camera's pictures are coded.
+struct Beginning {
+  std::deque<Frame> frames;
+  std::vector<capture::Coding> codings;  // one a camera; none when stopped
+};
+
+Result<Beginning> begin(capture::FrameSource& source, const std::atomic<bool>& stop) {
+  const auto& cameras = source.cameras();
+  std::vector<std::optional<capture::Coding>> found(cameras.size());
+  const auto start = Clock::now();
+  Beginning out;
+  for (;;) {
+    const auto silent = std::ranges::find_if(found, [](const auto& coding) { return !coding; });
+    if (silent == found.end()) break;
+    const std::string& name = cameras[static_cast<std::size_t>(silent - found.begin())].name;
+    if (Clock::now() - start > kPatience)
+      return fail(ErrorCode::kUnavailable, name,
+                  fmt::format("no frame within {:.0f} s", kPatience.count()));
+    PENUMBRA_ASSIGN(frame, source.next());
+    if (stop) return Beginning{};
+    if (!frame)
+      return fail(ErrorCode::kUnavailable, name, "the source ended without a frame of it");
+    PENUMBRA_ASSIGN(coding, capture::coding_of(*frame));
+    found[static_cast<std::size_t>(frame->camera)] = coding;
+    if (out.frames.size() == kMostEarly) out.frames.pop_front();
+    out.frames.push_back(std::move(*frame));
+  }
+  for (const auto& coding : found) out.codings.push_back(*coding);
+  return out;
+}
+
+class Recorder {
+ public:
+  Recorder(capture::RecordingWriter writer, std::size_t cameras, bool live)
+      : writer_(std::move(writer)), live_(live), stations_(cameras) {
+    for (auto& station : stations_) {
+      station = std::make_unique<Station>();
+      station->thread = std::jthread([this, s = station.get()] { code(*s); });
+    }
+  }
+  ~Recorder() { drain(); }
+
+  // False once a frame could not be written.
+  bool add(Frame frame) {
+    if (!first_) first_ = frame.time;
+    last_ = std::max(last_, frame.time);
+    Bounded<Frame>& queue = stations_[static_cast<std::size_t>(frame.camera)]->queue;
+    if (live_)
+      queue.try_push(std::move(frame));
+    else
+      queue.push(std::move(frame));
+    return !failed_;
+  }
+
+  [[nodiscard]] RecordCounts counts() const {
+    RecordCounts out;
+    for (const auto& station : stations_) {
+      out.frames.push_back(station->written);
+      out.dropped.push_back(station->queue.dropped());
+    }
+    out.seconds = first_ ? (last_ - *first_).count() : 0;
+    out.bytes = writer_.bytes();
+    return out;
+  }
+
+  Result<void> finish() {
+    drain();
+    if (auto error = error_.take())
+      return fail(error->code, error->where,
+                  fmt::format("{}; the first {:.1f} s are kept", error->detail, counts().seconds));
+    return writer_.finish();
+  }
+
+ private:
+  struct Station {
+    Bounded<Frame> queue{kQueued};
+    std::atomic<std::uint64_t> written = 0;
+    std::jthread thread;
+  };
+
+  void code(Station& station) {
+    while (auto frame = station.queue.pop()) {
+      if (failed_) continue;  // takes what is left, so that nobody waits for room
+      if (auto written = writer_.write(*frame); !written) {
+        error_.put(written.error());
+        failed_ = true;
+      } else {
+        ++station.written;
+      }
+    }
+  }
+  void drain() {
+    for (auto& station : stations_) station->queue.close();
+    for (auto& station : stations_)
+      if (station->thread.joinable()) station->thread.join();
+  }
+
+  capture::RecordingWriter writer_;
+  bool live_;
+  std::optional<TimestampNs> first_;
+  TimestampNs last_{std::numeric_limits<std::int64_t>::min()};
+  Latest<Error> error_;
+  std::atomic<bool> failed_ = false;
+  std::vector<std::unique_ptr<Station>> stations_;
+};
+
+}  // namespace
+
+Result<RecordCounts> record_frames(capture::FrameSource& source, const std::filesystem::path& path,
+                                   RecordLimits limits, const std::atomic<bool>& stop,
+                                   const std::function<void(const RecordCounts&)>& on_progress) {
+  const std::jthread watch = close_on(stop, source);
+  PENUMBRA_ASSIGN(beginning, begin(source, stop));
+  if (beginning.codings.empty()) return RecordCounts{};  // stopped before anything came
+  const auto& cameras = source.cameras();
+  PENUMBRA_ASSIGN(writer, capture::RecordingWriter::create(path, cameras, beginning.codings,
+                                                           source.view_rate()));
+  Recorder recorder(std::move(writer), cameras.size(), source.is_live());
+  std::optional<Error> failed;
+  auto told = Clock::now();
+  std::uint64_t taken = 0;
+  while (!stop) {
+    std::optional<Frame> frame;
+    if (!beginning.frames.empty()) {
+      frame = std::move(beginning.frames.front());
+      beginning.frames.pop_front();
+    } else {
+      auto next = source.next();
+      if (!next) failed = next.error();
+      if (!next || !*next) break;
+      frame = std::move(*next);
+    }
+    if (!recorder.add(std::move(*frame))) break;
+    const bool enough = (limits.frames && ++taken >= limits.frames) ||
+                        (limits.seconds > 0 && recorder.counts().seconds >= limits.seconds);
+    if (enough) break;
+    if (Clock::now() - told < std::chrono::seconds(1)) continue;
+    told = Clock::now();
+    if (on_progress) on_progress(recorder.counts());
+  }
+  PENUMBRA_TRY(recorder.finish());
+  if (failed) return std::unexpected(std::move(*failed));
+  return recorder.counts();
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,78 @@
+#include "service/rig_source.h"
+
+#include "service/progress.h"
+#include "service/studio_setup.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// A capture played again and again, its times running on.
+class LoopingCapture : public capture::FrameSource {
+ public:
+  static Result<std::unique_ptr<LoopingCapture>> open(const std::string& path) {
+    auto first = capture::open_capture(path);
+    if (!first) return std::unexpected(first.error());
+    auto out = std::unique_ptr<LoopingCapture>(new LoopingCapture);
+    out->path_ = path;
+    out->cameras_ = (*first)->cameras();
+    out->source_ = std::move(*first);
+    return out;
+  }
+  const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
+  double view_rate() const override { return source_->view_rate(); }
+  Result<std::optional<capture::Frame>> next() override {
+    auto frame = source_->next();
+    if (!frame) return frame;
+    if (!*frame) {
+      auto again = capture::open_capture(path_);
+      if (!again) return std::unexpected(again.error());
+      source_ = std::move(*again);
+      frame = source_->next();
+      if (!frame || !*frame) return frame;
+      offset_ns_ = last_ns_ + 33'000'000 - (*frame)->time.value;
+    }
+    (*frame)->time.value += offset_ns_;
+    last_ns_ = (*frame)->time.value;
+    return frame;
+  }
+
+ private:
+  LoopingCapture() = default;
+  std::string path_;
+  std::vector<capture::CameraInfo> cameras_;
+  std::unique_ptr<capture::FrameSource> source_;
+  std::int64_t offset_ns_ = 0, last_ns_ = 0;
+};
+
+}  // namespace
+
+Result<RigSource> open_rig(const RigConfig& c) {
+  RigSource rig;
+  if (c.source == "studio") {
+    const StudioRequest request{.environment = c.environment,
+                                .asset = c.asset,
+                                .prop = c.prop,
+                                .width = c.width,
+                                .height = c.height,
+                                .fps = c.fps,
+                                .frames = 1 << 30,
+                                .view_clip = 16};
+    PENUMBRA_ASSIGN(setup, set_up_studio(request, progress_bar));
+    rig.scene = std::move(setup.scene);
+    rig.source = std::make_unique<capture::Studio>(setup.world, setup.options);
+  } else if (c.source == "cameras") {
+    PENUMBRA_ASSIGN(source, capture::Rig::open(c.cameras));
+    rig.source = std::move(source);
+  } else {
+    PENUMBRA_ASSIGN(source, LoopingCapture::open(c.source));
+    rig.source = std::move(source);
+  }
+  if (c.scene) {
+    PENUMBRA_ASSIGN(scene, read_scene(*c.scene));
+    rig.scene = std::move(scene);
+  }
+  return rig;
+}
+
+}  // namespace penumbra::service
