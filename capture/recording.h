@@ -1,5 +1,5 @@
-// Recordings: Matroska with a picture track for each camera and one track of labels, so that any player shows them and
-// a replay knows each frame's time, exposure and pose. docs/recording.md
+// Recordings: Matroska with a track of pictures and one of labels for each camera, so that any player shows them and a
+// replay knows each frame's time, exposure and pose. docs/recording.md
 #pragma once
 
 #include <filesystem>
@@ -49,7 +49,7 @@ class RecordingWriter {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Frames in the order in which they were written. What a killed writer left behind ends with the last whole frame.
+/// Frames in order of time. What a killed writer left behind ends with the last whole frame.
 /// errors: kNotFound, kUnreadable (damaged, no Matroska), kInvalid (made by another program). next(): kUnreadable names
 /// the frame; the next call goes on behind it.
 Result<std::unique_ptr<FrameSource>> open_recording(const std::filesystem::path& path);

@@ -12,7 +12,9 @@ namespace penumbra::capture {
 
 inline constexpr std::string_view kCamerasAttachment = "cameras.toml";
 inline constexpr std::string_view kResponseSuffix = ".response.toml";
-inline constexpr std::string_view kLabelsTitle = "labels";  // of the track
+inline std::string label_title(const std::string& camera) {  // of the track
+  return camera + ": labels";
+}
 
 inline std::string av_reason(int code) {
   char text[AV_ERROR_MAX_STRING_SIZE] = {};

@@ -4,6 +4,7 @@
 #include <charconv>
 #include <deque>
 #include <map>
+#include <tuple>
 
 #include "capture/folder_format.h"
 #include "capture/raw_formats.h"
@@ -23,6 +24,9 @@ namespace penumbra::capture {
 namespace fs = std::filesystem;
 namespace {
 
+// Cameras are coded side by side, so that one's frame may stand behind the other's later ones. So many frames are read
+// ahead to hand them on in order of time.
+constexpr std::size_t kAhead = 32;
 // Pictures of one camera that wait for their labels; more in a row without one are no recording of ours.
 constexpr std::size_t kMostWaiting = 64;
 
@@ -52,7 +56,8 @@ class PictureTrack {
   [[nodiscard]] bool is_jpeg() const { return jpeg_.has_value(); }
   [[nodiscard]] int stream() const { return stream_; }
 
-  std::deque<Packet> waiting;
+  int labels = -1;             // stream
+  std::deque<Packet> waiting;  // pictures
 
  private:
   Result<void> open_decoder(const AVStream& stream);
@@ -144,6 +149,13 @@ Result<FramePixels> PictureTrack::from_frame() {
 
 // ------------------------------------------------------------------------------- the file
 
+struct Coded {
+  std::size_t camera;
+  std::uint64_t sequence;
+  FrameRow row;
+  Packet picture;
+};
+
 std::string text_of(const AVDictionary* tags, const char* key) {
   const AVDictionaryEntry* entry = av_dict_get(tags, key, nullptr, 0);
   return entry ? entry->value : "";
@@ -161,7 +173,8 @@ class Recording final : public FrameSource {
   Result<void> read_cameras();
   Result<void> find_tracks();
   Result<void> keep_picture(Packet packet);
-  Result<std::optional<Frame>> frame_of(const AVPacket& label);
+  Result<void> keep_label(const AVPacket& label, std::size_t camera);
+  Result<void> read_ahead();
   std::unexpected<Error> unreadable(std::string detail) const {
     return fail(ErrorCode::kUnreadable, path_.string(), std::move(detail));
   }
@@ -174,7 +187,8 @@ class Recording final : public FrameSource {
   std::unique_ptr<AVFormatContext, FreeContainer> container_;
   std::vector<CameraInfo> cameras_;
   std::vector<PictureTrack> tracks_;
-  int labels_ = -1;
+  std::deque<Coded> ahead_;
+  bool ended_ = false;
   double view_rate_ = 0;
 };
 
@@ -239,14 +253,19 @@ Result<void> Recording::find_tracks() {
                     track.error().where + ": " + track.error().detail);
       tracks_.push_back(std::move(*track));
     }
-    if (s.codecpar->codec_type == AVMEDIA_TYPE_SUBTITLE &&
-        text_of(s.metadata, "title") == kLabelsTitle)
-      labels_ = s.index;
   }
   if (tracks_.size() != cameras_.size())
     return unreadable(
         fmt::format("{} picture tracks for {} cameras", tracks_.size(), cameras_.size()));
-  if (labels_ < 0) return unreadable("no track of labels");
+  for (std::size_t n = 0; n < tracks_.size(); ++n) {
+    for (unsigned i = 0; i < container_->nb_streams; ++i) {
+      const AVStream& s = *container_->streams[i];
+      if (s.codecpar->codec_type == AVMEDIA_TYPE_SUBTITLE &&
+          text_of(s.metadata, "title") == label_title(cameras_[n].name))
+        tracks_[n].labels = s.index;
+    }
+    if (tracks_[n].labels < 0) return unreadable("no labels of " + cameras_[n].name);
+  }
   return {};
 }
 
@@ -273,58 +292,67 @@ Result<void> Recording::keep_picture(Packet packet) {
 
 // The label's picture came just before it, at the same time. Damage in the file may have taken either: a picture is
 // never given another one's label.
-Result<std::optional<Frame>> Recording::frame_of(const AVPacket& label) {
+Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   const std::string_view text(reinterpret_cast<const char*>(label.data),
                               static_cast<std::size_t>(label.size));
   PENUMBRA_ASSIGN(row, parse_row(text, true, at(label)));
   const auto slash = row.file.rfind('/');
-  const std::string name = row.file.substr(0, slash);
-  const auto camera = std::ranges::find(cameras_, name, &CameraInfo::name);
   std::uint64_t sequence = 0;
   const char* const end = row.file.data() + row.file.size();
-  if (slash == std::string::npos || camera == cameras_.end() ||
+  if (slash == std::string::npos || row.file.substr(0, slash) != cameras_[n].name ||
       std::from_chars(row.file.data() + slash + 1, end, sequence).ptr != end)
     return fail(ErrorCode::kUnreadable, at(label),
-                fmt::format("\"{}\" is no frame of a camera", row.file));
-  const auto n = static_cast<std::size_t>(camera - cameras_.begin());
-  PictureTrack& track = tracks_[n];
-  while (!track.waiting.empty() && track.waiting.front()->pts < label.pts)
-    track.waiting.pop_front();
-  if (track.waiting.empty() || track.waiting.front()->pts != label.pts) return std::nullopt;
-  const Packet packet = std::move(track.waiting.front());
-  track.waiting.pop_front();
-  auto pixels = track.decode(*packet);
-  if (!pixels)
-    return fail(ErrorCode::kUnreadable, at(*packet),
-                fmt::format("{}: {}", row.file, pixels.error().detail));
-  Frame frame{static_cast<int>(n),
-              sequence,
-              row.time,
-              row.exposure,
-              *row.pose,
-              std::make_shared<const FramePixels>(std::move(*pixels)),
-              {}};
-  if (track.is_jpeg()) {
-    const auto* bytes = reinterpret_cast<const std::byte*>(packet->data);
-    frame.jpeg = std::make_shared<const std::vector<std::byte>>(bytes, bytes + packet->size);
-  }
-  return frame;
+                fmt::format("\"{}\" is no frame of {}", row.file, cameras_[n].name));
+  auto& waiting = tracks_[n].waiting;
+  while (!waiting.empty() && waiting.front()->pts < label.pts) waiting.pop_front();
+  if (waiting.empty() || waiting.front()->pts != label.pts) return {};
+  ahead_.push_back({n, sequence, std::move(row), std::move(waiting.front())});
+  waiting.pop_front();
+  return {};
 }
 
-Result<std::optional<Frame>> Recording::next() {
-  for (;;) {
+Result<void> Recording::read_ahead() {
+  while (!ended_ && ahead_.size() < kAhead) {
     Packet packet(av_packet_alloc());
     const int r = av_read_frame(container_.get(), packet.get());
     // A recording that was cut off ends inside an element.
-    if (r == AVERROR_EOF || r == AVERROR_INVALIDDATA) return std::nullopt;
+    ended_ = r == AVERROR_EOF || r == AVERROR_INVALIDDATA;
+    if (ended_) break;
     if (r < 0) return unreadable(av_reason(r));
-    if (packet->stream_index != labels_) {
+    const auto labelled = std::ranges::find(tracks_, packet->stream_index, &PictureTrack::labels);
+    if (labelled == tracks_.end())
       PENUMBRA_TRY(keep_picture(std::move(packet)));
-      continue;
-    }
-    auto frame = frame_of(*packet);
-    if (!frame || *frame) return frame;
+    else
+      PENUMBRA_TRY(keep_label(*packet, static_cast<std::size_t>(labelled - tracks_.begin())));
   }
+  return {};
+}
+
+Result<std::optional<Frame>> Recording::next() {
+  PENUMBRA_TRY(read_ahead());
+  if (ahead_.empty()) return std::nullopt;
+  // At the same time the light comes before the picture that it lights.
+  const auto first = std::ranges::min_element(ahead_, {}, [&](const Coded& c) {
+    return std::tuple(c.row.time, cameras_[c.camera].role == Role::kView, c.camera);
+  });
+  const Coded coded = std::move(*first);
+  ahead_.erase(first);
+  PictureTrack& track = tracks_[coded.camera];
+  auto pixels = track.decode(*coded.picture);
+  if (!pixels)
+    return fail(ErrorCode::kUnreadable, at(*coded.picture),
+                fmt::format("{}: {}", coded.row.file, pixels.error().detail));
+  Frame frame{static_cast<int>(coded.camera),
+              coded.sequence,
+              coded.row.time,
+              coded.row.exposure,
+              *coded.row.pose,
+              std::make_shared<const FramePixels>(std::move(*pixels))};
+  if (track.is_jpeg()) {
+    const auto* bytes = reinterpret_cast<const std::byte*>(coded.picture->data);
+    frame.jpeg = std::make_shared<const std::vector<std::byte>>(bytes, bytes + coded.picture->size);
+  }
+  return frame;
 }
 
 }  // namespace

@@ -32,6 +32,7 @@ std::string_view coding_name(Coding coding) {
 struct Track {
   Coding coding = Coding::kRgb8;
   AVStream* stream = nullptr;
+  AVStream* labels = nullptr;
   AVCodecContext* encoder = nullptr;
   AVFrame* picture = nullptr;
   AVPacket* packet = nullptr;
@@ -75,7 +76,6 @@ struct RecordingWriter::Impl {
   std::vector<Track> tracks;
   UniqueFd file;
   AVFormatContext* container = nullptr;
-  AVStream* labels = nullptr;
   AVPacket* label = nullptr;
   std::mutex muxing;  // guards container, label, first
   std::optional<TimestampNs> first;
@@ -220,11 +220,14 @@ Result<void> RecordingWriter::Impl::open(std::span<const Coding> codings, double
   container->flush_packets = 1;
   for (std::size_t i = 0; i < cameras.size(); ++i)
     PENUMBRA_TRY(add_track(cameras[i], codings[i], cameras[i].role == Role::kView ? view_rate : 0));
-  labels = avformat_new_stream(container, nullptr);
-  labels->codecpar->codec_type = AVMEDIA_TYPE_SUBTITLE;
-  labels->codecpar->codec_id = AV_CODEC_ID_TEXT;
-  labels->time_base = kMilliseconds;
-  av_dict_set(&labels->metadata, "title", std::string(kLabelsTitle).c_str(), 0);
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    AVStream*& labels = tracks[i].labels;
+    labels = avformat_new_stream(container, nullptr);
+    labels->codecpar->codec_type = AVMEDIA_TYPE_SUBTITLE;
+    labels->codecpar->codec_id = AV_CODEC_ID_TEXT;
+    labels->time_base = kMilliseconds;
+    av_dict_set(&labels->metadata, "title", label_title(cameras[i].name).c_str(), 0);
+  }
   label = av_packet_alloc();
   PENUMBRA_TRY(attach_cameras(view_rate));
   PENUMBRA_TRY(open_file());
@@ -269,7 +272,7 @@ Result<void> RecordingWriter::Impl::mux(const Frame& frame, Track& track) {
     return std::unexpected(error(r));
   std::memcpy(label->data, text.data(), text.size());
   label->duration = 1;
-  label->stream_index = labels->index;
+  label->stream_index = track.labels->index;
   track.packet->stream_index = track.stream->index;
   for (AVPacket* const packet : {track.packet, label}) {
     packet->pts = packet->dts =

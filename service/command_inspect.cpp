@@ -19,8 +19,8 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::json;
 
-Result<json> inspect_capture(const std::string& folder) {
-  auto source = capture::open_capture_folder(folder);
+Result<json> inspect_capture(const std::string& path, const char* kind) {
+  auto source = capture::open_capture(path);
   if (!source) return std::unexpected(source.error());
   json cameras = json::array();
   for (const capture::CameraInfo& c : (*source)->cameras())
@@ -37,9 +37,11 @@ Result<json> inspect_capture(const std::string& folder) {
     if (!*frame) break;
     json& camera = cameras[static_cast<std::size_t>((*frame)->camera)];
     camera["frames"] = camera["frames"].get<int>() + 1;
+    if (!camera.contains("first_time_s"))
+      camera["first_time_s"] = ((*frame)->time - TimestampNs{0}).count();
     camera["last_time_s"] = ((*frame)->time - TimestampNs{0}).count();
   }
-  return json{{"kind", "capture folder"}, {"cameras", cameras}};
+  return json{{"kind", kind}, {"cameras", cameras}};
 }
 
 Result<json> inspect_baked(const std::string& file) {
@@ -180,8 +182,9 @@ Result<void> inspect_cameras(bool as_json) {
 
 Result<json> describe(const std::string& file) {
   std::error_code error;
-  if (fs::is_directory(file, error)) return inspect_capture(file);
+  if (fs::is_directory(file, error)) return inspect_capture(file, "capture folder");
   const std::string extension = fs::path(file).extension().string();
+  if (extension == ".mkv") return inspect_capture(file, "recording");
   if (extension == ".toml") return inspect_toml(file);
   if (extension == ".glb" && prt::is_baked_file(file)) return inspect_baked(file);
   for (const char* mesh : {".glb", ".gltf", ".obj", ".ply", ".fbx"})

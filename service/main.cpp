@@ -55,9 +55,9 @@ void add_image_commands(CLI::App& app, Action& action) {
   static InspectOptions inspect_options;
   c = app.add_subcommand("inspect",
                          "What is in a file: picture, mesh, baked object, scene, camera, capture "
-                         "folder; or which cameras there are");
+                         "folder, recording; or which cameras there are");
   c->add_option("file", inspect_options.file,
-                "File or capture folder; cameras: what stands here and what each can do")
+                "File, recording or capture folder; cameras: what stands here and what each can do")
       ->required();
   add_json(c, inspect_options.json);
   c->callback([&] { action = [] { return inspect(inspect_options); }; });

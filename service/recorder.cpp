@@ -18,7 +18,7 @@ namespace {
 using capture::Frame;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kQueued = 16;  // frames a camera: a quarter second at 60 a second
+constexpr std::size_t kQueued = 8;  // frames a camera: an eighth of a second at 60 a second
 constexpr std::size_t kMostEarly = 64;
 constexpr Seconds kPatience(10);
 

@@ -322,5 +322,62 @@ class Serve(CliTest):
         self.assertEqual(self.process.wait(timeout=60), 0, "".join(self.lines))
 
 
+class Record(CliTest):
+    def rig(self, text):
+        path = self.root / "rig.toml"
+        path.write_text("version = 1\n" + text)
+        return path
+
+    def studio(self):
+        return self.rig('[capture]\nsource = "studio"\nwidth = 320\nheight = 180\nfps = 60\n')
+
+    def cameras_of(self, recording):
+        return {c["name"]: c for c in self.run_json("inspect", recording)["cameras"]}
+
+    def test_recording_of_a_capture_replays_to_the_same_bytes(self):
+        folder = self.root / "folder"
+        self.run_well("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out",
+                      self.root / "demo", "--record", folder)
+        frames = sum(len((folder / f"{name}.csv").read_text().splitlines()) - 1 for name in ("environment", "view"))
+        rig = self.rig(f'[capture]\nsource = "{folder}"\n[scene]\nfile = "{folder}/scene.toml"\n')
+        recording = self.root / "a.mkv"
+        printed = self.run_json("record", "--config", rig, "--out", recording, "--frames", frames)
+        self.assertEqual(printed["bytes"] >= recording.stat().st_size, True)
+        self.assertEqual(sum(c["frames"] for c in printed["cameras"]), frames)
+        self.assertEqual(self.cameras_of(recording)["view"]["frames"], 12)
+        for name, capture in (("first", folder), ("second", recording), ("third", recording)):
+            self.run_well("composite", "--capture", capture, "--scene", folder / "scene.toml", "--out",
+                          self.root / name)
+        for i in range(12):
+            pictures = {(self.root / run / f"frame_{i:06}.png").read_bytes() for run in ("first", "second", "third")}
+            self.assertEqual(len(pictures), 1, f"frame {i}")
+
+    def test_stopped_recording_is_whole(self):
+        recording = self.root / "stopped.mkv"
+        process = subprocess.Popen([program(), "record", "--config", self.studio(), "--out", recording],
+                                   stdout=subprocess.PIPE, text=True)
+        deadline = time.monotonic() + 60
+        while not (recording.exists() and recording.stat().st_size > 1_000_000):
+            self.assertLess(time.monotonic(), deadline)
+            time.sleep(.05)
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+        self.assertEqual(process.returncode, 0)
+        cameras = self.cameras_of(recording)
+        for name in ("environment", "view"):
+            self.assertIn(f"{name} {cameras[name]['frames']} frames", said)
+            self.assertGreater(cameras[name]["frames"], 0)
+
+    def test_what_stands_there_is_kept(self):
+        recording = self.root / "there.mkv"
+        recording.write_text("earlier")
+        self.expect_refusal(["there.mkv", "exists already"], "record", "--config", self.studio(), "--out", recording)
+        self.assertEqual(recording.read_text(), "earlier")
+        self.expect_refusal(["there.mkv", "not a Matroska file"], "inspect", recording)
+        self.expect_refusal(["no/such"], "record", "--config", self.studio(), "--out", self.root / "no/such/a.mkv")
+        self.expect_refusal(["--seconds"], "record", "--config", self.studio(), "--out", self.root / "b.mkv",
+                            "--seconds", -1)
+
+
 if __name__ == "__main__":
     sys.exit(main(__name__))
