@@ -14,11 +14,13 @@
 namespace penumbra::calib {
 namespace {
 
-constexpr std::array<std::pair<ProjectionKind, std::string_view>, 8> kNames{{
+constexpr std::array<std::pair<ProjectionKind, std::string_view>, 10> kNames{{
     {ProjectionKind::kLatLong, "latlong"},
     {ProjectionKind::kAngular, "angular"},
     {ProjectionKind::kMirrorBall, "mirror-ball"},
     {ProjectionKind::kEquidistant, "equidistant"},
+    {ProjectionKind::kKannalaBrandt, "kb4"},
+    {ProjectionKind::kDoubleSphere, "double-sphere"},
     {ProjectionKind::kPinhole, "pinhole"},
     {ProjectionKind::kVerticalCross, "vertical-cross"},
     {ProjectionKind::kExrLatLong, "exr-latlong"},
@@ -124,6 +126,46 @@ glm::dvec2 pixel_in_exr_latlong(const Projection& p, const glm::dvec3& d) {
           .5 + (p.height - 1) * (.5 - latitude / kPi)};
 }
 
+// ------------------------------------------------------------------------------- pinhole
+
+// Brown 1966 in OpenCV's order k1 k2 p1 p2 k3; y down.
+glm::dvec2 distort(const std::array<double, 5>& k, const glm::dvec2& q) {
+  const double r2 = glm::dot(q, q), xy = q.x * q.y;
+  const double radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]));
+  return {q.x * radial + 2 * k[2] * xy + k[3] * (r2 + 2 * q.x * q.x),
+          q.y * radial + k[2] * (r2 + 2 * q.y * q.y) + 2 * k[3] * xy};
+}
+
+// Slope of the radial part: where it is not positive, the picture folds back on itself.
+bool folds_back(const std::array<double, 5>& k, double r2) {
+  return 1 + r2 * (3 * k[0] + r2 * (5 * k[1] + r2 * 7 * k[4])) <= 0;
+}
+
+std::optional<glm::dvec2> undistort(const Projection& p, const glm::dvec2& q) {
+  if (!p.is_distorted()) return q;
+  constexpr int kMostSteps = 100;
+  glm::dvec2 at = q;
+  for (int i = 0; i < kMostSteps; ++i) {
+    const glm::dvec2 off = distort(p.distortion, at) - q;
+    at -= off;  // the distortion is a small change of q
+    if (glm::dot(off, off) < 1e-26) break;
+  }
+  const glm::dvec2 left = distort(p.distortion, at) - q;
+  if (!(glm::dot(left, left) < 1e-16) || folds_back(p.distortion, glm::dot(at, at)))
+    return std::nullopt;
+  return at;
+}
+
+std::optional<glm::dvec2> pinhole_pixel(const Projection& p, const glm::dvec3& d) {
+  if (d.z >= 0) return std::nullopt;
+  glm::dvec2 q = glm::dvec2{d.x, -d.y} / -d.z;
+  if (p.is_distorted()) {
+    if (folds_back(p.distortion, glm::dot(q, q))) return std::nullopt;
+    q = distort(p.distortion, q);
+  }
+  return p.principal_px + q * p.focal_px;
+}
+
 // ------------------------------------------------------------------------------- checks
 
 Result<void> check_shape(ProjectionKind kind, int width, int height) {
@@ -162,11 +204,51 @@ std::string_view projection_name(ProjectionKind kind) {
 
 Result<Projection> make_projection(ProjectionKind kind, int width, int height) {
   PENUMBRA_TRY(check_shape(kind, width, height));
-  Projection p{kind, width, height, {0, 0}, {width / 2., height / 2.}};
-  if (kind == ProjectionKind::kEquidistant)  // r = f th reaches pi/2 at half the shorter side
+  Projection p{kind, width, height, {0, 0}, {width / 2., height / 2.}, {}};
+  if (has_intrinsics(kind))  // r = f th reaches pi/2 at half the shorter side
     p.focal_px = glm::dvec2(std::min(width, height) / kPi);
   if (kind == ProjectionKind::kPinhole)  // r = f tan th reaches 30 degrees at half the height
     p.focal_px = glm::dvec2(height / 2. / std::tan(kPi / 6));
+  return p;
+}
+
+int distortion_count(ProjectionKind kind) {
+  switch (kind) {
+    case ProjectionKind::kKannalaBrandt:
+      return 4;
+    case ProjectionKind::kDoubleSphere:
+      return 2;
+    case ProjectionKind::kPinhole:
+      return 5;
+    default:
+      return 0;
+  }
+}
+
+bool has_intrinsics(ProjectionKind kind) {
+  return kind == ProjectionKind::kEquidistant || distortion_count(kind) > 0;
+}
+
+Result<Projection> with_distortion(Projection p, std::span<const double> distortion) {
+  const std::string where(projection_name(p.kind));
+  const auto invalid = [&](std::string detail) {
+    return fail(ErrorCode::kInvalid, where, std::move(detail));
+  };
+  const auto most = static_cast<std::size_t>(distortion_count(p.kind));
+  if (distortion.size() > most)
+    return invalid(fmt::format("{} numbers of distortion, at most {}", distortion.size(), most));
+  if (std::ranges::any_of(distortion, [](double k) { return !std::isfinite(k); }))
+    return invalid("distortion is not finite");
+  p.distortion = {};
+  std::ranges::copy(distortion, p.distortion.begin());
+  const auto& k = p.distortion;
+  if (p.kind == ProjectionKind::kDoubleSphere && !(std::abs(k[0]) < 1 && k[1] >= 0 && k[1] <= 1))
+    return invalid("xi is not within -1..1 or alpha not within 0..1");
+  constexpr double kLeast = kPi / 6;
+  const auto lens = radial_lens(p);
+  const double tangent = std::tan(kLeast);
+  if (lens ? lens->curve.last_theta() < kLeast : folds_back(k, tangent * tangent))
+    return invalid("the picture folds back within 30 degrees of the axis");
   return p;
 }
 
@@ -175,13 +257,14 @@ std::optional<glm::dvec3> direction_from_pixel(const Projection& p, glm::dvec2 p
   if (!inside) return std::nullopt;
   if (const auto lens = radial_lens(p)) {
     const glm::dvec2 q = (*inside - lens->centre_px) / lens->focal_px;
-    if (std::hypot(q.x, q.y) > lens->rim * (1 + 1e-12)) return std::nullopt;
+    if (std::hypot(q.x, q.y) > lens->rim() * (1 + 1e-12)) return std::nullopt;
     return lens->direction(q);
   }
   switch (p.kind) {
     case ProjectionKind::kPinhole: {
-      const glm::dvec2 q = (*inside - p.principal_px) / p.focal_px;
-      return glm::normalize(glm::dvec3{q.x, -q.y, -1});
+      const auto q = undistort(p, (*inside - p.principal_px) / p.focal_px);
+      if (!q) return std::nullopt;
+      return glm::normalize(glm::dvec3{q->x, -q->y, -1});
     }
     case ProjectionKind::kVerticalCross:
     case ProjectionKind::kExrCube:
@@ -197,12 +280,16 @@ std::optional<glm::dvec2> pixel_from_direction(const Projection& p, const glm::d
   const double length = glm::length(direction);
   if (!(length > 0) || !std::isfinite(length)) return std::nullopt;
   const glm::dvec3 d = direction / length;
-  if (const auto lens = radial_lens(p))
-    return clamp_into_picture(p, lens->centre_px + lens->coordinates(d) * lens->focal_px);
+  if (const auto lens = radial_lens(p)) {
+    const auto q = lens->coordinates(d);
+    if (!q) return std::nullopt;
+    return clamp_into_picture(p, lens->centre_px + *q * lens->focal_px);
+  }
   switch (p.kind) {
-    case ProjectionKind::kPinhole:
-      if (d.z >= 0) return std::nullopt;
-      return clamp_into_picture(p, p.principal_px + glm::dvec2{d.x, -d.y} / -d.z * p.focal_px);
+    case ProjectionKind::kPinhole: {
+      const auto pixel = pinhole_pixel(p, d);
+      return pixel ? clamp_into_picture(p, *pixel) : std::nullopt;
+    }
     case ProjectionKind::kVerticalCross:
     case ProjectionKind::kExrCube:
       return clamp_into_picture(p, pixel_in_faces(face_layout(p), d));

@@ -26,7 +26,7 @@ void set_cell(ProjectionTable& table, int x, int y, double solid_angle, double c
 // ------------------------------------------------------------------------------- radial lenses
 //
 // dw = sin th dth dphi = d(1 - cos th) dphi. In the normalised plane q of RadialLens let
-// F(rho) = 1 - cos th(rho), held at 2 outside the rim. The field F(rho)/rho^2 q has the divergence
+// F(rho) = 1 - cos th(rho), held constant outside the rim. The field F(rho)/rho^2 q has the divergence
 // F'(rho)/rho = sin th th'/rho = dw/dA, and 0 outside the rim. So a pixel's solid angle is the flux
 // of that field out of its four edges (Gauss): pixels cut by the rim come out exactly, an edge is
 // integrated once for the two pixels it parts, and the sum over the picture telescopes to
@@ -42,7 +42,7 @@ constexpr std::array<double, 4> kWeights{.3478548451374538, .6521451548625461, .
 /// Int F/(a^2 + s^2) a ds.
 double edge_flux(const RadialLens& lens, double a, double s0, double s1) {
   if (a == 0) return 0;  // the field runs along such an edge
-  const double chord2 = lens.rim * lens.rim - a * a;
+  const double chord2 = lens.rim() * lens.rim() - a * a;
   const double chord = chord2 > 0 ? std::sqrt(chord2) : 0;
   const double in0 = std::clamp(s0, -chord, chord), in1 = std::clamp(s1, -chord, chord);
   const double half = (in1 - in0) / 2, middle = (in1 + in0) / 2;
@@ -54,9 +54,10 @@ double edge_flux(const RadialLens& lens, double a, double s0, double s1) {
     }
     flux *= a * half;
   }
-  if (in0 != s0 || in1 != s1)  // outside the rim F = 2, and Int a/(a^2 + s^2) ds = atan(s/a)
-    flux +=
-        2 * ((std::atan(s1 / a) - std::atan(in1 / a)) + (std::atan(in0 / a) - std::atan(s0 / a)));
+  if (in0 != s0 ||
+      in1 != s1)  // outside the rim F is constant, and Int a/(a^2 + s^2) ds = atan(s/a)
+    flux += lens.flux_outside() *
+            ((std::atan(s1 / a) - std::atan(in1 / a)) + (std::atan(in0 / a) - std::atan(s0 / a)));
   return flux;
 }
 
@@ -73,8 +74,8 @@ Corners corners(const RadialLens& lens, int x, int y) {
 /// Part of the pixel's area within the rim. The mirror ball is equal-area with dw/dA = 4 in its
 /// normalised plane, so the same flux measures area.
 double covered_fraction(const RadialLens& lens, const Corners& c) {
-  const RadialLens area{{0, 0}, {1, 1}, 1, true};
-  const double k = 1 / lens.rim;
+  const RadialLens area{{0, 0}, {1, 1}, {RadialCurve::Kind::kMirrorBall, {}}};
+  const double k = 1 / lens.rim();
   const double flux = edge_flux(area, c.x1 * k, c.y0 * k, c.y1 * k) -
                       edge_flux(area, c.x0 * k, c.y0 * k, c.y1 * k) +
                       edge_flux(area, c.y1 * k, c.x0 * k, c.x1 * k) -
@@ -87,7 +88,7 @@ double covered_fraction(const RadialLens& lens, const Corners& c) {
 glm::dvec3 rim_direction(const RadialLens& lens, const Corners& c) {
   const glm::dvec2 inner{std::clamp(0., c.x0, c.x1), std::clamp(0., c.y0, c.y1)};
   const glm::dvec2 centre{(c.x0 + c.x1) / 2, (c.y0 + c.y1) / 2};
-  const double rho = (std::fmin(std::hypot(inner.x, inner.y), lens.rim) + lens.rim) / 2;
+  const double rho = (std::fmin(std::hypot(inner.x, inner.y), lens.rim()) + lens.rim()) / 2;
   return lens.direction(centre * (rho / std::hypot(centre.x, centre.y)));
 }
 
@@ -96,12 +97,12 @@ void fill_radial_cell(ProjectionTable& table, const RadialLens& lens, int x, int
   const Corners c = corners(lens, x, y);
   const double far = std::hypot(std::max(std::abs(c.x0), std::abs(c.x1)),
                                 std::max(std::abs(c.y0), std::abs(c.y1)));
-  if (far <= lens.rim) return set_cell(table, x, y, solid_angle, 1);
+  if (far <= lens.rim()) return set_cell(table, x, y, solid_angle, 1);
   const double near = std::hypot(std::clamp(0., c.x0, c.x1), std::clamp(0., c.y0, c.y1));
-  if (near >= lens.rim) return set_cell(table, x, y, 0, 0);
+  if (near >= lens.rim()) return set_cell(table, x, y, 0, 0);
   set_cell(table, x, y, solid_angle, covered_fraction(lens, c));
   const glm::dvec2 centre{(c.x0 + c.x1) / 2, (c.y0 + c.y1) / 2};
-  if (std::hypot(centre.x, centre.y) > lens.rim)
+  if (std::hypot(centre.x, centre.y) > lens.rim())
     table.direction[pixel_index(table, x, y)] = glm::vec3(rim_direction(lens, c));
 }
 
@@ -149,7 +150,27 @@ std::vector<double> plane_cells(const std::vector<double>& xs, const std::vector
   return cells;
 }
 
+/// Solid angle of a spherical triangle of unit vectors. source: Van Oosterom & Strackee 1983
+double triangle_solid_angle(const glm::dvec3& a, const glm::dvec3& b, const glm::dvec3& c) {
+  return 2 * std::atan2(std::abs(glm::dot(a, glm::cross(b, c))),
+                        1 + glm::dot(a, b) + glm::dot(b, c) + glm::dot(c, a));
+}
+
+/// A pixel of a distorted picture is the quadrangle of its corners' directions.
+void fill_distorted(ProjectionTable& table, const Projection& p) {
+  const auto at = [&](int x, int y) { return direction_from_pixel(p, {x, y}); };
+  for (int y = 0; y < p.height; ++y) {
+    for (int x = 0; x < p.width; ++x) {
+      const auto a = at(x, y), b = at(x + 1, y), c = at(x + 1, y + 1), d = at(x, y + 1);
+      if (a && b && c && d)
+        set_cell(table, x, y, triangle_solid_angle(*a, *b, *c) + triangle_solid_angle(*a, *c, *d),
+                 1);
+    }
+  }
+}
+
 void fill_pinhole(ProjectionTable& table, const Projection& p) {
+  if (p.is_distorted()) return fill_distorted(table, p);
   std::vector<double> xs, ys;
   for (int x = 0; x <= p.width; ++x) xs.push_back((x - p.principal_px.x) / p.focal_px.x);
   for (int y = 0; y <= p.height; ++y) ys.push_back((y - p.principal_px.y) / p.focal_px.y);
@@ -213,6 +234,7 @@ ProjectionTable make_projection_table(const Projection& p) {
   const auto area = static_cast<std::size_t>(p.width) * static_cast<std::size_t>(p.height);
   ProjectionTable table{p.width, p.height, {}, std::vector<float>(area), std::vector<float>(area)};
   table.direction.reserve(area);
+  const auto lens = radial_lens(p);
   for (int y = 0; y < p.height; ++y) {
     for (int x = 0; x < p.width; ++x) {
       const auto d = direction_from_pixel(p, {x + .5, y + .5});
@@ -220,7 +242,7 @@ ProjectionTable make_projection_table(const Projection& p) {
       table.direction.push_back(d ? glm::vec3(*d) : glm::vec3(0, 0, -1));
     }
   }
-  if (const auto lens = radial_lens(p)) {
+  if (lens) {
     fill_radial(table, *lens);
     return table;
   }

@@ -38,10 +38,6 @@ Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
   return glm::dvec2{values[0], values[1]};
 }
 
-bool has_intrinsics(calib::ProjectionKind kind) {
-  return kind == calib::ProjectionKind::kEquidistant || kind == calib::ProjectionKind::kPinhole;
-}
-
 Result<calib::Projection> read_projection(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(name, keys.text("projection"));
   const auto kind = calib::projection_kind(name);
@@ -57,16 +53,17 @@ Result<calib::Projection> read_projection(const TomlKeys& keys) {
   if (!projection) return keys.invalid("projection", name + ": " + projection.error().detail);
   for (const std::string_view key : {"focal_px", "principal_px"}) {
     if (!keys.has(key)) continue;
-    if (!has_intrinsics(*kind)) return keys.invalid(key, "the projection " + name + " has none");
+    if (!calib::has_intrinsics(*kind))
+      return keys.invalid(key, "the projection " + name + " has none");
     PENUMBRA_ASSIGN(pair, read_pair(keys, key));
     if (key == "focal_px" && (pair.x <= 0 || pair.y <= 0)) return keys.invalid(key, "not positive");
     (key == "focal_px" ? projection->focal_px : projection->principal_px) = pair;
   }
   if (!keys.has("distortion")) return projection;
   PENUMBRA_ASSIGN(distortion, keys.numbers("distortion"));
-  if (std::ranges::any_of(distortion, [](double k) { return k != 0; }))
-    return keys.invalid("distortion", "distortion is not supported yet for " + name);
-  return projection;
+  auto distorted = calib::with_distortion(*projection, distortion);
+  if (!distorted) return keys.invalid("distortion", distorted.error().detail);
+  return distorted;
 }
 
 /// A rotation and a translation, column-major, within the rounding of a file's few digits.
@@ -338,9 +335,13 @@ std::string print_camera(const CameraInfo& c, const std::string& response) {
   if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
   text += fmt::format("width = {}\nheight = {}\nprojection = \"{}\"\n", p.width, p.height,
                       calib::projection_name(p.kind));
-  if (has_intrinsics(p.kind))
+  if (calib::has_intrinsics(p.kind))
     text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
                         p.focal_px.y, p.principal_px.x, p.principal_px.y);
+  if (p.is_distorted())
+    text += fmt::format("distortion = [{}]\n",
+                        fmt::join(p.distortion.begin(),
+                                  p.distortion.begin() + calib::distortion_count(p.kind), ", "));
   text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(response), c.black_level);
   const auto& gains = c.response.white_balance();
   // A response file has the gains in its tables.

@@ -10,6 +10,7 @@
 #include "service/progress.h"
 #include "service/report.h"
 #include "service/still.h"
+#include "service/view_projection.h"
 
 namespace penumbra::service {
 
@@ -18,8 +19,7 @@ namespace {
 Result<prt::PinholeView> read_view(const std::string& path) {
   auto camera = capture::read_camera_file(path);
   if (!camera) return std::unexpected(camera.error());
-  if (camera->projection.kind != calib::ProjectionKind::kPinhole)
-    return fail(ErrorCode::kInvalid, path, "render needs a pinhole camera");
+  PENUMBRA_TRY(check_drawable(camera->projection, path));
   return prt::PinholeView{camera->projection.width, camera->projection.height,
                           camera->projection.focal_px, camera->projection.principal_px,
                           camera->world_from_camera};

@@ -8,6 +8,7 @@
 
 #include "capture/capture.h"
 #include "codec/codec.h"
+#include "service/view_projection.h"
 
 namespace penumbra::service {
 
@@ -102,8 +103,7 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
   auto camera = capture::read_camera_file(camera_file);
   if (!camera) return std::unexpected(camera.error());
   const calib::Projection& p = camera->projection;
-  if (p.kind != calib::ProjectionKind::kPinhole)
-    return fail(ErrorCode::kInvalid, camera_file.string(), "a depth camera must be a pinhole");
+  PENUMBRA_TRY(check_drawable(p, camera_file.string()));
   auto frame = codec::read_frame(depth_file);
   if (!frame) return std::unexpected(frame.error());
   Image<float> depth;

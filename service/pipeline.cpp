@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "service/view_projection.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::service {
@@ -17,8 +18,7 @@ constexpr int kLongestSide = 1024;  // rows: above, a light estimate of 9 bands 
 // As many rows as the camera resolves over half a turn.
 int environment_rows(const calib::Projection& p) {
   int rows = p.height;
-  if (p.kind == calib::ProjectionKind::kEquidistant || p.kind == calib::ProjectionKind::kPinhole)
-    rows = static_cast<int>(kPi * p.focal_px.y);
+  if (calib::has_intrinsics(p.kind)) rows = static_cast<int>(kPi * p.focal_px.y);
   return std::clamp(rows / 2 * 2, 16, kLongestSide);
 }
 
@@ -119,8 +119,7 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
-    if (c.projection.kind != calib::ProjectionKind::kPinhole)
-      return fail(ErrorCode::kInvalid, c.name, "a view camera must be a pinhole");
+    PENUMBRA_TRY(check_drawable(c.projection, c.name));
     if (first && (c.projection.width != first->projection.width ||
                   c.projection.height != first->projection.height))
       return fail(ErrorCode::kInvalid, c.name, "all view cameras must have the same size");

@@ -14,8 +14,8 @@ namespace penumbra::calib {
 namespace {
 
 TEST(Projection, NamesRoundTrip) {
-  for (const auto kind : {kLatLong, kAngular, kMirrorBall, kEquidistant, kPinhole, kVerticalCross,
-                          kExrLatLong, kExrCube}) {
+  for (const auto kind : {kLatLong, kAngular, kMirrorBall, kEquidistant, kKannalaBrandt,
+                          kDoubleSphere, kPinhole, kVerticalCross, kExrLatLong, kExrCube}) {
     const auto back = projection_kind(projection_name(kind));
     ASSERT_TRUE(back.has_value());
     EXPECT_EQ(*back, kind);
