@@ -158,14 +158,22 @@ double triangle_solid_angle(const glm::dvec3& a, const glm::dvec3& b, const glm:
 
 /// A pixel of a distorted picture is the quadrangle of its corners' directions.
 void fill_distorted(ProjectionTable& table, const Projection& p) {
-  const auto at = [&](int x, int y) { return direction_from_pixel(p, {x, y}); };
+  using Directions = std::vector<std::optional<glm::dvec3>>;
+  const auto corners_of_row = [&](int y, Directions& out) {
+    out.clear();
+    for (int x = 0; x <= p.width; ++x) out.push_back(direction_from_pixel(p, {x, y}));
+  };
+  Directions above, below;
+  corners_of_row(0, above);
   for (int y = 0; y < p.height; ++y) {
-    for (int x = 0; x < p.width; ++x) {
-      const auto a = at(x, y), b = at(x + 1, y), c = at(x + 1, y + 1), d = at(x, y + 1);
+    corners_of_row(y + 1, below);
+    for (std::size_t x = 0; x + 1 < above.size(); ++x) {
+      const auto &a = above[x], &b = above[x + 1], &c = below[x + 1], &d = below[x];
       if (a && b && c && d)
-        set_cell(table, x, y, triangle_solid_angle(*a, *b, *c) + triangle_solid_angle(*a, *c, *d),
-                 1);
+        set_cell(table, static_cast<int>(x), y,
+                 triangle_solid_angle(*a, *b, *c) + triangle_solid_angle(*a, *c, *d), 1);
     }
+    std::swap(above, below);
   }
 }
 

@@ -85,8 +85,8 @@ class RadialCurve {
       const double off = this->rho(theta) - rho;
       (off > 0 ? high : low) = theta;
       double next = theta - off / slope(theta);
-      if (!(next > low && next < high)) next = (low + high) / 2;
       if (std::abs(next - theta) < 1e-12) return next;  // its own error is the square of that
+      if (!(next > low && next < high)) next = (low + high) / 2;
       theta = next;
     }
     return theta;

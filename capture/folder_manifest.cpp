@@ -24,6 +24,7 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "focal_px",
                                             "principal_px",
                                             "distortion",
+                                            "intrinsics",
                                             "response",
                                             "black_level",
                                             "white_balance",
@@ -38,7 +39,7 @@ Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
   return glm::dvec2{values[0], values[1]};
 }
 
-Result<calib::Projection> read_projection(const TomlKeys& keys) {
+Result<calib::Projection> read_own_projection(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(name, keys.text("projection"));
   const auto kind = calib::projection_kind(name);
   if (!kind)
@@ -64,6 +65,26 @@ Result<calib::Projection> read_projection(const TomlKeys& keys) {
   auto distorted = calib::with_distortion(*projection, distortion);
   if (!distorted) return keys.invalid("distortion", distorted.error().detail);
   return distorted;
+}
+
+/// A file of `calibrate camera`; other keys of it are its own.
+Result<calib::Projection> read_intrinsics(const TomlKeys& keys, const fs::path& folder) {
+  for (const std::string_view key : {"projection", "focal_px", "principal_px", "distortion"})
+    if (keys.has(key)) return keys.invalid(key, "intrinsics has it already");
+  PENUMBRA_ASSIGN(name, keys.text("intrinsics"));
+  PENUMBRA_ASSIGN(camera, read_camera_file(folder / name));
+  for (const auto& [key, size] :
+       {std::pair{"width", camera.projection.width}, {"height", camera.projection.height}}) {
+    if (!keys.has(key)) continue;
+    PENUMBRA_ASSIGN(asked, keys.integer(key, 1, codec::kMaxSide));
+    if (asked != size)
+      return keys.invalid(key, fmt::format("{}, but {} is for {}", asked, name, size));
+  }
+  return camera.projection;
+}
+
+Result<calib::Projection> read_projection(const TomlKeys& keys, const fs::path& folder) {
+  return keys.has("intrinsics") ? read_intrinsics(keys, folder) : read_own_projection(keys);
 }
 
 /// A rotation and a translation, column-major, within the rounding of a file's few digits.
@@ -149,10 +170,10 @@ Result<calib::Response> read_response(const TomlKeys& keys, const fs::path& fold
 }
 
 /// All of a camera but its frames and, since that may depend on them, its response. Keys are the caller's to check.
-Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
+Result<CameraInfo> read_camera_info(const TomlKeys& keys, const fs::path& folder) {
   CameraInfo info;
   PENUMBRA_TRY(read_identity(keys, info));
-  PENUMBRA_ASSIGN(projection, read_projection(keys));
+  PENUMBRA_ASSIGN(projection, read_projection(keys, folder));
   info.projection = projection;
   PENUMBRA_TRY(read_sensor(keys, info));
   if (keys.has("world_from_camera")) {
@@ -174,7 +195,7 @@ Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response)
 Result<FolderCamera> read_camera(const TomlKeys& keys, const fs::path& folder) {
   FolderCamera camera;
   PENUMBRA_TRY(keys.only(kCameraKeys));
-  PENUMBRA_ASSIGN(info, read_camera_info(keys));
+  PENUMBRA_ASSIGN(info, read_camera_info(keys, folder));
   camera.info = std::move(info);
   PENUMBRA_ASSIGN(list, keys.text("frames"));
   if (!stays_inside(list))
@@ -217,7 +238,7 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys, const fs::path& folder) 
   known.insert(known.end(), std::begin(kDeviceKeys), std::end(kDeviceKeys));
   PENUMBRA_TRY(keys.only(known));
   RigCamera camera;
-  PENUMBRA_ASSIGN(info, read_camera_info(keys));
+  PENUMBRA_ASSIGN(info, read_camera_info(keys, folder));
   camera.info = std::move(info);
   if (!keys.has("response")) return keys.invalid("response", "missing");
   PENUMBRA_ASSIGN(response, read_response(keys, folder, {}));
@@ -302,7 +323,7 @@ Result<std::vector<CameraInfo>> read_cameras(const toml::table& root, const fs::
   for (const toml::table* table : list) {
     const TomlKeys camera_keys(path, *table);
     PENUMBRA_TRY(camera_keys.only(kCameraKeys));
-    PENUMBRA_ASSIGN(info, read_camera_info(camera_keys));
+    PENUMBRA_ASSIGN(info, read_camera_info(camera_keys, path.parent_path()));
     PENUMBRA_ASSIGN(name, camera_keys.text("response"));
     PENUMBRA_ASSIGN(found, response(name));
     info.response = found;
@@ -317,7 +338,7 @@ Result<std::vector<CameraInfo>> read_cameras(const toml::table& root, const fs::
 Result<CameraInfo> read_camera_file(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
-  constexpr std::string_view known[] = {"version", "camera"};
+  constexpr std::string_view known[] = {"version", "camera", "calibration"};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   PENUMBRA_ASSIGN(list, keys.tables("camera"));
@@ -325,7 +346,7 @@ Result<CameraInfo> read_camera_file(const fs::path& path) {
     return keys.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
   const TomlKeys camera_keys(path, *list[0]);
   PENUMBRA_TRY(camera_keys.only(kCameraKeys));
-  return read_camera_info(camera_keys);
+  return read_camera_info(camera_keys, path.parent_path());
 }
 
 std::string print_camera(const CameraInfo& c, const std::string& response) {

@@ -85,6 +85,18 @@ struct RecordOptions {
 };
 Result<void> record(const RecordOptions& options);
 
+struct CalibrateCameraOptions {
+  std::vector<std::string> pictures;
+  std::optional<std::string> capture;  // instead: a recording or capture folder, of it `camera`
+  std::string camera = "camera";       // its name, there and in the output
+  double every_s = .5;                 // of a capture: at least so long between two pictures
+  std::string board, projection = "pinhole", output;
+  bool undistorted = false;
+  std::optional<std::string> report;
+  bool json = false;
+};
+Result<void> calibrate_camera(const CalibrateCameraOptions& options);
+
 struct CompareOptions {
   std::string a, b;
   std::optional<std::string>

@@ -26,6 +26,32 @@ constexpr const char* kDiscsHelp =
 constexpr const char* kBudgetHelp =
     "RMS error of the shadow ratio that the governor keeps to; bands and discs are its limits";
 
+void add_calibrate_commands(CLI::App& app, Action& action) {
+  auto* calibrate = app.add_subcommand("calibrate", "What a camera is like, from its own pictures");
+  calibrate->require_subcommand(1);
+  static CalibrateCameraOptions camera;
+  auto* c = calibrate->add_subcommand(
+      "camera",
+      "Intrinsics from pictures of a board: ten to thirty, tilted to all sides, up to the borders");
+  c->add_option("pictures", camera.pictures, "PNG, JPEG or TIFF pictures of the board");
+  c->add_option("--capture", camera.capture, "Instead of pictures: a recording or capture folder");
+  c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output");
+  c->add_option("--every", camera.every_s, "Of a capture: seconds between two pictures, at least");
+  c->add_option(
+       "--board", camera.board,
+       "chessboard:15x9:0.026 (inner corners, square in metres), "
+       "charuco:8x6:0.04:0.03 (squares, square, marker) or apriltag:6x6:0.088:0.026 (tags, "
+       "tag, gap)")
+      ->required();
+  c->add_option("--projection", camera.projection, "pinhole, equidistant, kb4 or double-sphere")
+      ->capture_default_str();
+  c->add_flag("--undistorted", camera.undistorted, "Keep the distortion at 0");
+  c->add_option("-o,--output", camera.output, "Camera file to write, .toml")->required();
+  c->add_option("--report", camera.report, "Folder for plots and a table of the residuals");
+  add_json(c, camera.json);
+  c->callback([&] { action = [] { return calibrate_camera(camera); }; });
+}
+
 void add_image_commands(CLI::App& app, Action& action) {
   auto* hdr = app.add_subcommand("hdr", "High dynamic range images");
   hdr->require_subcommand(1);
@@ -218,6 +244,7 @@ int main(int argc, char** argv) {
   add_running_commands(app, action);
   add_picture_commands(app, action);
   add_image_commands(app, action);
+  add_calibrate_commands(app, action);
   add_light_commands(app, action);
   try {
     app.parse(argc, argv);

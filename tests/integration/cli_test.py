@@ -3,6 +3,8 @@
 
 import json
 import math
+import os
+import pathlib
 import re
 import signal
 import shutil
@@ -377,6 +379,47 @@ class Record(CliTest):
         self.expect_refusal(["no/such"], "record", "--config", self.studio(), "--out", self.root / "no/such/a.mkv")
         self.expect_refusal(["--seconds"], "record", "--config", self.studio(), "--out", self.root / "b.mkv",
                             "--seconds", -1)
+
+
+class Calibrate(CliTest):
+    def boards(self):
+        folder = pathlib.Path(os.environ.get("PENUMBRA_SHARED_DATA") or
+                              pathlib.Path(__file__).parents[3] / "shared" / "data")
+        folder = folder / "eval-only/calibration/fisheye_gopro"
+        if not folder.is_dir():
+            self.skipTest(f"shared data folder absent: {folder}")
+        return sorted(folder.glob("*.JPG"))[12:18]
+
+    def test_camera_file_is_one_that_the_others_read(self):
+        out, report = self.root / "fisheye.toml", self.root / "report"
+        printed = self.run_json("calibrate", "camera", *self.boards(), "--board", "chessboard:15x9:0.026",
+                                "--projection", "kb4", "-o", out, "--report", report)
+        self.assertLess(printed["rms_px"], .35)
+        self.assertAlmostEqual(printed["focal_px"][0], 436.9, delta=8)  # six boards
+        self.assertEqual(sorted(p.name for p in report.iterdir()),
+                         ["boards.svg", "coverage.svg", "residuals.csv", "residuals.svg"])
+        self.assertEqual(self.run_json("inspect", out)["projection"], "kb4")
+        rig = self.root / "rig.toml"
+        rig.write_text('version = 1\n[capture]\nsource = "cameras"\n[scene]\nfile = "s.toml"\n[[camera]]\n'
+                       'name = "env"\nrole = "environment"\ndevice = "/dev/none"\nresponse = "srgb"\n'
+                       'intrinsics = "fisheye.toml"\n[[camera]]\nname = "view"\nrole = "view"\ndevice = "/dev/nothing"\n'
+                       'response = "srgb"\nprojection = "pinhole"\nwidth = 64\nheight = 48\n')
+        self.assertEqual(self.run_json("inspect", rig)["kind"], "service configuration")
+        rig.write_text(rig.read_text().replace('role = "environment"\n', 'role = "environment"\nwidth = 640\n'))
+        self.expect_refusal(["rig.toml", "width", "1000"], "inspect", rig)
+
+    def test_what_cannot_be_calibrated_is_refused(self):
+        out = self.root / "none.toml"
+        grey = self.root / "grey.png"
+        files.write_png(grey, 64, 48, lambda x, y: (128, 128, 128))
+        board = ["--board", "chessboard:9x6:0.03"]
+        self.expect_refusal(["found in 0 pictures"], "calibrate", "camera", grey, *board, "-o", out)
+        self.expect_refusal(["chessboard:9", "expected"], "calibrate", "camera", grey, "--board", "chessboard:9", "-o",
+                            out)
+        self.expect_refusal(["either pictures or --capture"], "calibrate", "camera", *board, "-o", out)
+        self.expect_refusal(["latlong", "nothing to calibrate"], "calibrate", "camera", grey, *board, "--projection",
+                            "latlong", "-o", out)
+        self.assertFalse(out.exists())
 
 
 if __name__ == "__main__":

@@ -1,0 +1,109 @@
+#include "service/calibration_report.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <cmath>
+
+#include "core/files.h"
+#include "service/gnuplot.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// The errors are drawn so much longer that the usual one is a sixtieth of the picture's width.
+double enlargement(const calib::CameraCalibration& c) {
+  return c.rms_px > 0 ? std::max(1., std::round(c.projection.width / 60. / c.rms_px)) : 1;
+}
+
+std::string coverage_plot(const calib::CameraCalibration& c,
+                          std::span<const calib::BoardView> views) {
+  const double times = enlargement(c);
+  std::string script = fmt::format(
+      "set terminal svg size 1000,{} font 'sans,13' background rgb 'white'\n"
+      "set title 'Corners, and what is left of their errors {:g} times as long' noenhanced\n"
+      "set xrange [0:{}]\nset yrange [{}:0]\nset size ratio -1\n"
+      "set xlabel 'pixels'\nset ylabel 'pixels'\nset key off\nset grid lc rgb '#dddddd'\n"
+      "plot '-' with vectors nohead lw 1.5 lc rgb '#c0392b', '-' with points pt 7 ps .35 lc rgb "
+      "'#2c3e50'\n",
+      120 + 1000 * c.projection.height / c.projection.width, times, c.projection.width,
+      c.projection.height);
+  std::string points;
+  for (std::size_t b = 0; b < views.size(); ++b) {
+    if (!c.boards[b].used) continue;
+    for (std::size_t i = 0; i < views[b].pixels.size(); ++i) {
+      const glm::dvec2 &p = views[b].pixels[i], r = times * c.boards[b].residuals_px[i];
+      script += fmt::format("{} {} {} {}\n", p.x, p.y, r.x, r.y);
+      points += fmt::format("{} {}\n", p.x, p.y);
+    }
+  }
+  return script + "e\n" + points + "e\n";
+}
+
+std::string residual_plot(const calib::CameraCalibration& c) {
+  const double reach = 4 * std::max(c.rms_px, 1e-3);
+  std::string script = fmt::format(
+      "set terminal svg size 640,640 font 'sans,13' background rgb 'white'\n"
+      "set title 'Errors of the corners: {:.3f} px RMS' noenhanced\n"
+      "set xrange [-{}:{}]\nset yrange [{}:-{}]\nset size square\nset grid lc rgb '#dddddd'\n"
+      "set xlabel 'x, pixels'\nset ylabel 'y, pixels (down)'\nset key off\n"
+      "plot '-' with points pt 7 ps .3 lc rgb '#2c3e50'\n",
+      c.rms_px, reach, reach, reach, reach);
+  for (const calib::BoardFit& b : c.boards)
+    if (b.used)
+      for (const glm::dvec2& r : b.residuals_px) script += fmt::format("{} {}\n", r.x, r.y);
+  return script + "e\n";
+}
+
+std::string board_plot(const calib::CameraCalibration& c) {
+  std::string script =
+      "set terminal svg size 1000,480 font 'sans,13' background rgb 'white'\n"
+      "set title 'Error of each picture (red: left out)' noenhanced\n"
+      "set ylabel 'pixels RMS'\nset yrange [0:*]\nset key off\nset style fill solid\n"
+      "set boxwidth .8\nset xtics rotate by -50 noenhanced\nset grid y lc rgb '#dddddd'\n"
+      "plot '-' using 1:3:($4>0?0x2c3e50:0xc0392b):xtic(2) with boxes lc rgb variable\n";
+  for (std::size_t b = 0; b < c.boards.size(); ++b) {
+    std::string name = std::filesystem::path(c.boards[b].name).stem().string();
+    for (char& letter : name)
+      if (letter == ' ' || letter == '"') letter = '_';
+    script += fmt::format("{} {} {} {}\n", b, name, c.boards[b].rms_px, c.boards[b].used ? 1 : 0);
+  }
+  return script + "e\n";
+}
+
+std::string residual_table(const calib::CameraCalibration& c,
+                           std::span<const calib::BoardView> views) {
+  std::string text = "picture,used,x_px,y_px,board_x_m,board_y_m,error_x_px,error_y_px\n";
+  for (std::size_t b = 0; b < views.size(); ++b) {
+    const calib::BoardFit& fit = c.boards[b];
+    for (std::size_t i = 0; i < fit.residuals_px.size(); ++i) {
+      const glm::dvec2 &p = views[b].pixels[i], &m = views[b].on_board_m[i],
+                       &r = fit.residuals_px[i];
+      text += fmt::format("\"{}\",{},{},{},{},{},{},{}\n", fit.name, fit.used ? 1 : 0, p.x, p.y,
+                          m.x, m.y, r.x, r.y);
+    }
+  }
+  return text;
+}
+
+}  // namespace
+
+Result<void> write_camera_report(const std::filesystem::path& folder,
+                                 const calib::CameraCalibration& c,
+                                 std::span<const calib::BoardView> views) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "residuals.csv", residual_table(c, views)));
+  for (const auto& [name, script] :
+       {std::pair{"coverage.svg", coverage_plot(c, views)},
+        std::pair{"residuals.svg", residual_plot(c)}, std::pair{"boards.svg", board_plot(c)}}) {
+    auto drawn = run_gnuplot(script, folder / name);
+    if (drawn) continue;
+    if (drawn.error().code != ErrorCode::kUnavailable) return drawn;
+    spdlog::warn("no plots: {}", drawn.error().detail);
+    return {};
+  }
+  return {};
+}
+
+}  // namespace penumbra::service

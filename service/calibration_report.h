@@ -1,0 +1,19 @@
+// Plots of a calibration for --report.
+#pragma once
+
+#include <filesystem>
+#include <span>
+
+#include "calib/camera_calibration.h"
+#include "core/result.h"
+
+namespace penumbra::service {
+
+/// coverage.svg (where corners were seen, what is left of their errors, enlarged), residuals.svg (errors in x and y),
+/// boards.svg (error of each picture), residuals.csv. Without gnuplot only the last.
+/// errors: kUnwritable
+Result<void> write_camera_report(const std::filesystem::path& folder,
+                                 const calib::CameraCalibration& calibration,
+                                 std::span<const calib::BoardView> views);
+
+}  // namespace penumbra::service
