@@ -142,6 +142,17 @@ std::string print_response_file(const Response& response);
 Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
                                    std::span<const Seconds> times);
 
+struct ResponseCalibration {
+  Response response;
+  double sigma = 0;  // one standard deviation of the curve, RMS over the codes, of full scale
+  double between_places = 0;  // RMS difference between the curves of the left and the right half
+};
+
+/// estimate_response with how sure it is.
+/// errors: as estimate_response; kUndetermined (the curve depends on the place: local tone mapping)
+Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
+                                               std::span<const Seconds> times);
+
 // ---------------------------------------------------------------------------------- noise
 
 /// Signal y in fractions of full scale at gain g: var(y) = g y / full_well + (g read)^2, where

@@ -1,16 +1,13 @@
 // Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", eq. 3:
-//   min sum_ik w(Z_ik) (g(Z_ik) - ln E_i - ln t_k)^2 + lambda sum_z (smoothness of g at z)^2.
-// Differs from the paper, and from OpenCV's CalibrateDebevec (whose hat weight is 1, not 0, on
-// clipped codes: a bracket of seven stops then comes out 20 % wrong), in three points:
+//   min sum_ik w(Z_ik) (g(Z_ik) - ln E_i - ln t_k)^2 + lambda (smoothness of g).
+// Differs from the paper, and from OpenCV's CalibrateDebevec (whose hat weight is 1, not 0, on clipped codes: a bracket
+// of seven stops then comes out 20 % wrong), in three points:
 // - codes that may be clipped or black have weight 0;
-// - what is kept smooth is the local exponent dg/d(ln z), not dg/dz: a power of the code, whatever
-// its
-//   exponent, costs nothing, so the smoothness does not bend the dark end;
-// - the ln E_i are eliminated beforehand (Schur complement), which leaves 255 unknowns for any
-// number
-//   of samples.
+// - the curve has a dozen terms, its local exponent dg/d(ln z) at a few codes, none of which may fall: a power of the
+//   code, whatever its exponent, costs no smoothness, and neither a toe nor a shoulder is bent;
+// - the ln E_i are eliminated beforehand (Schur complement), so that any number of samples costs the same to solve.
 //
-// The only file of this folder that calls OpenCV (for the linear solver); its exceptions end here.
+// Calls OpenCV for the linear solver; its exceptions end here.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -18,6 +15,7 @@
 #include <cmath>
 #include <numeric>
 #include <opencv2/core.hpp>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -33,8 +31,8 @@ constexpr int kCodes = 256;
 // A code this close to either end may be clipped or buried in noise.
 constexpr int kBlack = 3, kClipped = 252;
 // Fewer pixels than this do not make a curve; more than that only cost time.
-constexpr std::size_t kMinSamples = 50, kMaxSamples = 1500;
-constexpr double kSmoothness = .1;
+constexpr std::size_t kMinSamples = 50, kMaxSamples = 4000;
+constexpr double kSmoothness = 1e-6;
 constexpr std::array<const char*, 3> kChannelNames{"red", "green", "blue"};
 
 std::unexpected<Error> invalid(std::string detail) {
@@ -222,19 +220,67 @@ void add_pixel(Equations& equations, std::span<const std::pair<int, double>> cod
   }
 }
 
-/// lambda (e(z + 1/2) - e(z - 1/2))^2 with the local exponent e = (g(z+1) - g(z))/ln((z+1)/z), and
-/// g(128) = 0 for the scale that no bracket can tell.
-void add_smoothness(Equations& equations) {
-  const double lambda = kSmoothness * equations.total_weight / kCodes;
-  for (int z = 2; z < kCodes - 1; ++z) {
-    const double up = 1 / std::log((z + 1.) / z), down = 1 / std::log(z / (z - 1.));
-    const std::array<double, 3> row{down, -down - up, up};  // on g(z-1), g(z), g(z+1)
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j)
-        equations.matrix.at<double>(z - 2 + i, z - 2 + j) +=
-            lambda * row[static_cast<std::size_t>(i)] * row[static_cast<std::size_t>(j)];
+/// The curves that are looked for, as Grossberg & Nayar 2004 look within a few terms: the local exponent
+/// e = dg/d(ln z) is piecewise linear over the code between these knots. Column j holds g(z) for e_j = 1 and all others
+/// 0, with g(128) = 0 for the scale that no bracket can tell.
+constexpr std::array<double, 13> kKnots{0, 5, 10, 18, 32, 64, 112, 160, 200, 224, 240, 248, 255};
+constexpr int kTerms = static_cast<int>(kKnots.size());
+
+cv::Mat curve_terms() {
+  cv::Mat out = cv::Mat::zeros(kCodes - 1, kTerms, CV_64F);
+  for (int z = 1; z < kCodes - 1; ++z) {  // from z to z + 1
+    const double at = z + .5, step = std::log((z + 1.) / z);
+    for (int j = 0; j < kTerms; ++j) out.at<double>(z, j) = out.at<double>(z - 1, j);
+    const auto above = std::ranges::upper_bound(kKnots, at);
+    const auto j = static_cast<int>(above - kKnots.begin());
+    const double share = (at - *(above - 1)) / (*above - *(above - 1));
+    out.at<double>(z, j - 1) += (1 - share) * step;
+    out.at<double>(z, j) += share * step;
   }
-  equations.matrix.at<double>(kCodes / 2 - 1, kCodes / 2 - 1) += equations.total_weight / kCodes;
+  const cv::Mat middle = out.row(kCodes / 2 - 1).clone();
+  for (int z = 0; z < kCodes - 1; ++z) out.row(z) -= middle;
+  return out;
+}
+
+/// Where no pixel speaks the exponent stays as it is beside: lambda (e_j - e_(j+1))^2.
+cv::Mat smoothness_of_terms(double total_weight) {
+  cv::Mat out = cv::Mat::zeros(kTerms, kTerms, CV_64F);
+  const double lambda = kSmoothness * total_weight;
+  for (int j = 0; j + 1 < kTerms; ++j) {
+    out.at<double>(j, j) += lambda;
+    out.at<double>(j + 1, j + 1) += lambda;
+    out.at<double>(j, j + 1) -= lambda;
+    out.at<double>(j + 1, j) -= lambda;
+  }
+  return out;
+}
+
+/// The solution of `matrix` x = `right` with no x below a least slope: what would fall is held there and the rest solved
+/// again (an active set, Lawson & Hanson 1974). Nothing when singular.
+std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
+  constexpr double kLeast = .1;  // a code of half the light is at least a tenth of an octave lower
+  std::vector<bool> held(static_cast<std::size_t>(kTerms), false);
+  for (;;) {
+    cv::Mat m = matrix.clone(), r = right.clone(), x;
+    for (int j = 0; j < kTerms; ++j) {
+      if (!held[static_cast<std::size_t>(j)]) continue;
+      r -= kLeast * m.col(j);
+      m.row(j) = 0;
+      m.col(j) = 0;
+      m.at<double>(j, j) = 1;
+      r.at<double>(j) = kLeast;
+    }
+    // A held term's own row was written after the others took it into account.
+    for (int j = 0; j < kTerms; ++j)
+      if (held[static_cast<std::size_t>(j)]) r.at<double>(j) = kLeast;
+    if (!cv::solve(m, r, x, cv::DECOMP_CHOLESKY)) return std::nullopt;
+    bool falls = false;
+    for (int j = 0; j < kTerms; ++j) {
+      if (held[static_cast<std::size_t>(j)] || x.at<double>(j) >= kLeast) continue;
+      held[static_cast<std::size_t>(j)] = falls = true;
+    }
+    if (!falls) return x;
+  }
 }
 
 /// ln of the light for codes 1..255 of one channel.
@@ -251,11 +297,14 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
       }
       add_pixel(equations, codes_and_log_times);
     }
-    add_smoothness(equations);
-    cv::Mat curve;
-    if (!cv::solve(equations.matrix, equations.right, curve, cv::DECOMP_CHOLESKY))
+    const cv::Mat terms = curve_terms();
+    const auto exponents =
+        rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
+               terms.t() * equations.right);
+    if (!exponents)
       return undetermined(fmt::format("the equations of {} are singular",
                                       kChannelNames[static_cast<std::size_t>(channel)]));
+    const cv::Mat curve = terms * *exponents;
     return std::vector<double>(curve.begin<double>(), curve.end<double>());
   } catch (const std::exception& e) {  // cv::Exception is one
     return undetermined(std::string("OpenCV: ") + e.what());
@@ -317,6 +366,69 @@ Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
     decode[n] = std::move(channel);
   }
   return Response::from_table(std::move(decode));
+}
+
+namespace {
+
+// Every second row or column of squares of a picture: parts that see the same scene, or different places of it.
+enum class Part { kEvenRows, kOddRows, kLeft, kRight };
+
+Picture part_of(const Picture& whole, Part part) {
+  const bool rows = part == Part::kEvenRows || part == Part::kOddRows;
+  const int half = whole.width() / 2;
+  Picture out(rows ? whole.width() : half, rows ? whole.height() / 2 : whole.height());
+  const int x0 = part == Part::kRight ? half : 0, y0 = part == Part::kOddRows ? 1 : 0;
+  for (int y = 0; y < out.height(); ++y)
+    for (int x = 0; x < out.width(); ++x) out.at(x, y) = whole.at(x + x0, rows ? 2 * y + y0 : y);
+  return out;
+}
+
+Result<Response> estimate_from(Pictures pictures, std::span<const Seconds> times, Part part) {
+  std::vector<Picture> parts;
+  std::vector<const Picture*> pointers;
+  for (const Picture* p : pictures) parts.push_back(part_of(*p, part));
+  for (const Picture& p : parts) pointers.push_back(&p);
+  return estimate_response(pointers, times);
+}
+
+// RMS over the codes that can be told, of full scale, after the best common factor.
+double difference(const Response& a, const Response& b) {
+  double sum = 0;
+  int count = 0;
+  for (int c = 0; c < 3; ++c) {
+    double ab = 0, bb = 0;
+    const auto at = [&](const Response& r, int code) { return r.decode(code / 255., c); };
+    for (int code = kBlack + 1; code < kClipped; ++code) {
+      ab += at(a, code) * at(b, code);
+      bb += at(b, code) * at(b, code);
+    }
+    for (int code = kBlack + 1; code < kClipped; ++code, ++count)
+      sum += std::pow(at(a, code) - at(b, code) * ab / bb, 2);
+  }
+  return std::sqrt(sum / count);
+}
+
+}  // namespace
+
+Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
+                                               std::span<const Seconds> times) {
+  PENUMBRA_ASSIGN(whole, estimate_response(pictures, times));
+  ResponseCalibration out{.response = std::move(whole)};
+  const auto even = estimate_from(pictures, times, Part::kEvenRows),
+             odd = estimate_from(pictures, times, Part::kOddRows);
+  // The mean of two halves is half as uncertain as their difference.
+  if (even && odd) out.sigma = difference(*even, *odd) / 2;
+  const auto left = estimate_from(pictures, times, Part::kLeft),
+             right = estimate_from(pictures, times, Part::kRight);
+  if (!left || !right) return out;
+  out.between_places = difference(*left, *right);
+  constexpr double kMost = .05;
+  if (out.between_places > kMost && out.between_places > 4 * out.sigma)
+    return undetermined(fmt::format(
+        "the left and the right half have curves {:.0f} % apart: switch local tone mapping "
+        "(\"HDR\", \"dynamic contrast\") off, or keep the scene still",
+        100 * out.between_places));
+  return out;
 }
 
 }  // namespace penumbra::calib

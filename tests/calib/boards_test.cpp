@@ -116,7 +116,8 @@ TEST(Boards, AprilTags) {
   }
   expect_corners(view(drawing, {-kMargin / kScale, -kMargin / kScale},
                       {drawing.cols / kScale, drawing.rows / kScale}),
-                 *board, 80, .35);
+                 *board, 80,
+                 .5);  // a corner of black against white is found less well than four squares
 }
 
 TEST(Boards, NothingWhereThereIsNone) {

@@ -54,6 +54,7 @@ TEST(RealBracket, MemorialAgreesWithTheAssembledPicture) {
   ASSERT_TRUE(truth);
   const double rmse = log_rmse(merged->radiance, truth->pixels, pictures[0]);
   RecordProperty("log10_rmse", std::to_string(rmse));
+  std::printf("memorial: log10 RMSE %.4f\n", rmse);
   EXPECT_LE(rmse, .06);
 }
 
