@@ -4,6 +4,7 @@
 #include <spdlog/spdlog.h>
 
 #include <cmath>
+#include <initializer_list>
 
 #include "core/files.h"
 #include "service/gnuplot.h"
@@ -87,16 +88,40 @@ std::string residual_table(const calib::CameraCalibration& c,
   return text;
 }
 
-}  // namespace
+std::string response_plot(const calib::ResponseCalibration& c) {
+  std::string script = fmt::format(
+      "set terminal svg size 900,640 font 'sans,13' background rgb 'white'\n"
+      "set title 'Response: light over code, uncertain by {:.2f} % of full scale' noenhanced\n"
+      "set xrange [0:255]\nset logscale y\nset format y '%g'\nset yrange [*:1.2]\n"
+      "set xlabel 'code'\nset ylabel 'light, full scale = 1'\nset grid lc rgb '#dddddd'\n"
+      "set key bottom right\n"
+      "plot '-' with lines lw 2 lc rgb '#c0392b' title 'red', '-' with lines lw 2 lc rgb '#27ae60' "
+      "title 'green', '-' with lines lw 2 lc rgb '#2980b9' title 'blue', '-' with lines dt 2 lc "
+      "rgb "
+      "'#888888' title 'sRGB'\n",
+      100 * c.sigma);
+  for (int channel = 0; channel < 4; ++channel) {
+    const calib::Response curve = channel < 3 ? c.response : calib::Response::srgb();
+    for (int code = 1; code < 256; ++code)
+      script +=
+          fmt::format("{} {}\n", code, std::max(1e-6, curve.decode(code / 255., channel % 3)));
+    script += "e\n";
+  }
+  return script;
+}
 
-Result<void> write_camera_report(const std::filesystem::path& folder,
-                                 const calib::CameraCalibration& c,
-                                 std::span<const calib::BoardView> views) {
-  PENUMBRA_TRY(make_folder(folder));
-  PENUMBRA_TRY(write_bytes(folder / "residuals.csv", residual_table(c, views)));
-  for (const auto& [name, script] :
-       {std::pair{"coverage.svg", coverage_plot(c, views)},
-        std::pair{"residuals.svg", residual_plot(c)}, std::pair{"boards.svg", board_plot(c)}}) {
+std::string response_table(const calib::ResponseCalibration& c) {
+  std::string text = "code,red,green,blue\n";
+  for (int code = 0; code < 256; ++code)
+    text += fmt::format("{},{},{},{}\n", code, c.response.decode(code / 255., 0),
+                        c.response.decode(code / 255., 1), c.response.decode(code / 255., 2));
+  return text;
+}
+
+// Plots are a comfort: a machine without gnuplot still calibrates.
+Result<void> draw(const std::filesystem::path& folder,
+                  std::initializer_list<std::pair<const char*, std::string>> plots) {
+  for (const auto& [name, script] : plots) {
     auto drawn = run_gnuplot(script, folder / name);
     if (drawn) continue;
     if (drawn.error().code != ErrorCode::kUnavailable) return drawn;
@@ -104,6 +129,25 @@ Result<void> write_camera_report(const std::filesystem::path& folder,
     return {};
   }
   return {};
+}
+
+}  // namespace
+
+Result<void> write_response_report(const std::filesystem::path& folder,
+                                   const calib::ResponseCalibration& c) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "response.csv", response_table(c)));
+  return draw(folder, {{"response.svg", response_plot(c)}});
+}
+
+Result<void> write_camera_report(const std::filesystem::path& folder,
+                                 const calib::CameraCalibration& c,
+                                 std::span<const calib::BoardView> views) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "residuals.csv", residual_table(c, views)));
+  return draw(folder, {{"coverage.svg", coverage_plot(c, views)},
+                       {"residuals.svg", residual_plot(c)},
+                       {"boards.svg", board_plot(c)}});
 }
 
 }  // namespace penumbra::service

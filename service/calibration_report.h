@@ -16,4 +16,9 @@ Result<void> write_camera_report(const std::filesystem::path& folder,
                                  const calib::CameraCalibration& calibration,
                                  std::span<const calib::BoardView> views);
 
+/// response.svg (light over code, logarithmic, per channel), response.csv. Without gnuplot only the last.
+/// errors: kUnwritable
+Result<void> write_response_report(const std::filesystem::path& folder,
+                                   const calib::ResponseCalibration& calibration);
+
 }  // namespace penumbra::service

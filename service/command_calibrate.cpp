@@ -8,6 +8,7 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "core/toml_keys.h"
+#include "service/bracket_files.h"
 #include "service/calibration_report.h"
 #include "service/commands.h"
 #include "service/progress.h"
@@ -165,6 +166,31 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
     print_json(to_json(result, found));
   else
     print_table(result, found);
+  return {};
+}
+
+Result<void> calibrate_response(const CalibrateResponseOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(stack, read_bracket(o.images, o.times));
+  if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
+    return fail(ErrorCode::kUndetermined, o.images[0],
+                "only the response of 8-bit pictures is estimated");
+  const EightBitBracket bracket = eight_bit_bracket(stack);
+  PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
+  if (o.report) PENUMBRA_TRY(write_response_report(*o.report, result));
+  const std::string text =
+      fmt::format("# from {} pictures; one standard deviation, of full scale: {:.5f}\n{}",
+                  o.images.size(), result.sigma, calib::print_response_file(result.response));
+  PENUMBRA_TRY(write_bytes(o.output, text));
+  if (o.json)
+    print_json({{"pictures", o.images.size()},
+                {"sigma", result.sigma},
+                {"between_places", result.between_places}});
+  else
+    fmt::print(
+        "{}: response of {} pictures, uncertain by {:.2f} % of full scale (left and right half "
+        "{:.2f} % apart)\n",
+        o.output, o.images.size(), 100 * result.sigma, 100 * result.between_places);
   return {};
 }
 

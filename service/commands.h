@@ -97,6 +97,15 @@ struct CalibrateCameraOptions {
 };
 Result<void> calibrate_camera(const CalibrateCameraOptions& options);
 
+struct CalibrateResponseOptions {
+  std::vector<std::string> images;
+  std::string times;  // seconds, separated by commas
+  std::string output;
+  std::optional<std::string> report;
+  bool json = false;
+};
+Result<void> calibrate_response(const CalibrateResponseOptions& options);
+
 struct CompareOptions {
   std::string a, b;
   std::optional<std::string>

@@ -29,8 +29,20 @@ constexpr const char* kBudgetHelp =
 void add_calibrate_commands(CLI::App& app, Action& action) {
   auto* calibrate = app.add_subcommand("calibrate", "What a camera is like, from its own pictures");
   calibrate->require_subcommand(1);
-  static CalibrateCameraOptions camera;
+  static CalibrateResponseOptions response;
   auto* c = calibrate->add_subcommand(
+      "response",
+      "Response curve from a bracket of a still scene that has everything from dark to bright");
+  c->add_option("images", response.images, "8-bit PNG, JPEG or TIFF, the camera still")->required();
+  c->add_option("--times", response.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
+      ->required();
+  c->add_option("-o,--output", response.output, "Response file to write, .toml")->required();
+  c->add_option("--report", response.report, "Folder for a plot and a table of the curves");
+  add_json(c, response.json);
+  c->callback([&] { action = [] { return calibrate_response(response); }; });
+
+  static CalibrateCameraOptions camera;
+  c = calibrate->add_subcommand(
       "camera",
       "Intrinsics from pictures of a board: ten to thirty, tilted to all sides, up to the borders");
   c->add_option("pictures", camera.pictures, "PNG, JPEG or TIFF pictures of the board");

@@ -408,6 +408,30 @@ class Calibrate(CliTest):
         rig.write_text(rig.read_text().replace('role = "environment"\n', 'role = "environment"\nwidth = 640\n'))
         self.expect_refusal(["rig.toml", "width", "1000"], "inspect", rig)
 
+    def test_response_of_a_bracket_is_one_that_the_merge_reads(self):
+        times = [1 / 64, 1 / 16, 1 / 4]
+        pictures = []
+        for k, t in enumerate(times):
+            pictures.append(self.root / f"b{k}.png")
+
+            def codes(x, y, t=t):
+                light = .02 * 1000 ** (x / 95) * (1 + y / 48)
+                return [round(255 * min(1, light * t * g) ** (1 / 2.2)) for g in (.9, 1, 1.1)]
+            files.write_png(pictures[-1], 96, 48, codes)
+        out, report = self.root / "response.toml", self.root / "curve"
+        given = ["--times", ",".join(str(t) for t in times)]
+        printed = self.run_json("calibrate", "response", *pictures, *given, "-o", out, "--report", report)
+        self.assertLess(printed["sigma"], .005)
+        self.assertEqual(sorted(p.name for p in report.iterdir()), ["response.csv", "response.svg"])
+        rows = [line.split(",") for line in (report / "response.csv").read_text().splitlines()[1:]]
+        top = float(rows[240][2])
+        for code in (40, 90, 180):
+            self.assertAlmostEqual(float(rows[code][2]) / top, (code / 240) ** 2.2, delta=.01)
+        self.run_well("hdr", "merge", *pictures, *given, "--response", out, "-o", self.root / "m.exr")
+        self.expect_refusal(["equal"], "calibrate", "response", *pictures, "--times", "1,1,1", "-o",
+                            self.root / "no.toml")
+        self.assertFalse((self.root / "no.toml").exists())
+
     def test_what_cannot_be_calibrated_is_refused(self):
         out = self.root / "none.toml"
         grey = self.root / "grey.png"
