@@ -30,6 +30,10 @@ using Pictures = std::span<const Picture* const>;
 constexpr int kCodes = 256;
 // A code this close to either end may be clipped or buried in noise.
 constexpr int kBlack = 3, kClipped = 252;
+// Above it the curve is known least (a hat's weight is a tenth) and films glow around bright things: full scale is put a
+// twentieth above it, so that a merge takes such codes as clipped.
+constexpr int kLastTrusted = 240;
+constexpr double kClipLevel = .95;  // the merge's
 // Fewer pixels than this do not make a curve; more than that only cost time.
 constexpr std::size_t kMinSamples = 50, kMaxSamples = 4000;
 constexpr double kSmoothness = 1e-6;
@@ -341,7 +345,7 @@ Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_ligh
   if (!std::ranges::all_of(light, [](double v) { return std::isfinite(v); }))
     return undetermined("the equations have no finite solution");
   light = monotone(light);
-  const double white = light.back();
+  const double white = light[static_cast<std::size_t>(kLastTrusted)] / kClipLevel;
   if (!(white > 0) || light.front() >= white)
     return undetermined("the equations give no rising curve");
   std::vector<float> decode;
@@ -398,11 +402,11 @@ double difference(const Response& a, const Response& b) {
   for (int c = 0; c < 3; ++c) {
     double ab = 0, bb = 0;
     const auto at = [&](const Response& r, int code) { return r.decode(code / 255., c); };
-    for (int code = kBlack + 1; code < kClipped; ++code) {
+    for (int code = kBlack + 1; code <= kLastTrusted; ++code) {
       ab += at(a, code) * at(b, code);
       bb += at(b, code) * at(b, code);
     }
-    for (int code = kBlack + 1; code < kClipped; ++code, ++count)
+    for (int code = kBlack + 1; code <= kLastTrusted; ++code, ++count)
       sum += std::pow(at(a, code) - at(b, code) * ab / bb, 2);
   }
   return std::sqrt(sum / count);

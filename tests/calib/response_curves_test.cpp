@@ -53,7 +53,7 @@ std::vector<Curve> curves() {
   };
 }
 
-constexpr std::size_t kFirst = 4, kLast = 251;
+constexpr std::size_t kFirst = 4, kLast = 240;
 const std::vector<double> kTimes{1 / 240., 1 / 120., 1 / 60., 1 / 30., 1 / 15., 1 / 8., 1 / 4.};
 
 std::vector<Image<Rgb8>> bracket(const Curve& curve, std::uint32_t seed) {

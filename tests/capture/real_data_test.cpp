@@ -55,7 +55,7 @@ TEST(RealBracket, MemorialAgreesWithTheAssembledPicture) {
   const double rmse = log_rmse(merged->radiance, truth->pixels, pictures[0]);
   RecordProperty("log10_rmse", std::to_string(rmse));
   std::printf("memorial: log10 RMSE %.4f\n", rmse);
-  EXPECT_LE(rmse, .06);
+  EXPECT_LE(rmse, .037);  // OpenCV's Robertson .0368 after four seconds, its Debevec .1345
 }
 
 }  // namespace
