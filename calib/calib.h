@@ -69,7 +69,7 @@ Result<Projection> make_projection(ProjectionKind kind, int width, int height);
 /// area.
 std::optional<glm::dvec3> direction_from_pixel(const Projection& projection, glm::dvec2 pixel);
 
-/// Sets the distortion; the missing numbers at the end are 0.
+/// Sets the distortion; missing numbers at the end are 0, and zeros too many do no harm.
 /// errors: kInvalid (too many, not finite, xi not within -1..1 or alpha not within 0..1, a lens whose picture folds back
 /// before 30 degrees off the axis)
 Result<Projection> with_distortion(Projection projection, std::span<const double> distortion);

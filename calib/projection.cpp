@@ -235,12 +235,13 @@ Result<Projection> with_distortion(Projection p, std::span<const double> distort
     return fail(ErrorCode::kInvalid, where, std::move(detail));
   };
   const auto most = static_cast<std::size_t>(distortion_count(p.kind));
-  if (distortion.size() > most)
+  const auto own = distortion.first(std::min(most, distortion.size()));
+  if (std::ranges::any_of(distortion.subspan(own.size()), [](double k) { return k != 0; }))
     return invalid(fmt::format("{} numbers of distortion, at most {}", distortion.size(), most));
   if (std::ranges::any_of(distortion, [](double k) { return !std::isfinite(k); }))
     return invalid("distortion is not finite");
   p.distortion = {};
-  std::ranges::copy(distortion, p.distortion.begin());
+  std::ranges::copy(own, p.distortion.begin());
   const auto& k = p.distortion;
   if (p.kind == ProjectionKind::kDoubleSphere && !(std::abs(k[0]) < 1 && k[1] >= 0 && k[1] <= 1))
     return invalid("xi is not within -1..1 or alpha not within 0..1");
