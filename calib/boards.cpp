@@ -153,6 +153,8 @@ Result<Board> parse_board(std::string_view text) {
   board.marker_m = *marker;
   if (board.kind == Board::Kind::kChessboard && (board.columns < 3 || board.rows < 3))
     return invalid("fewer than 3x3 inner corners");
+  if (board.kind == Board::Kind::kCharuco && board.columns * board.rows / 2 > 50)
+    return invalid("more squares than the 50 markers of 4x4_50 fill");
   if (board.kind == Board::Kind::kCharuco && board.marker_m >= board.square_m)
     return invalid("markers as large as their squares");
   return board;

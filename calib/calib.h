@@ -145,7 +145,8 @@ Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
 struct ResponseCalibration {
   Response response;
   double sigma = 0;  // one standard deviation of the curve, RMS over the codes, of full scale
-  double between_places = 0;  // RMS difference between the curves of the left and the right half
+  std::optional<double>
+      between_places;  // RMS difference between the curves of the left and the right half, if both have one
 };
 
 /// estimate_response with how sure it is.

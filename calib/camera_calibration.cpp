@@ -457,6 +457,8 @@ Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, Pro
   if (!has_intrinsics(kind))
     return fail(ErrorCode::kInvalid, std::string(projection_name(kind)),
                 "has nothing to calibrate; pinhole, equidistant, kb4 and double-sphere have");
+  if (options.undistorted && kind == ProjectionKind::kDoubleSphere)
+    return fail(ErrorCode::kInvalid, "double-sphere", "has no undistorted form; take equidistant");
   PENUMBRA_ASSIGN(start, make_projection(kind, width, height));
   if (views.size() < kLeastBoards)
     return undetermined(fmt::format(

@@ -417,21 +417,23 @@ double difference(const Response& a, const Response& b) {
 Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
                                                std::span<const Seconds> times) {
   PENUMBRA_ASSIGN(whole, estimate_response(pictures, times));
-  ResponseCalibration out{.response = std::move(whole)};
+  ResponseCalibration out{std::move(whole), 0, {}};
   const auto even = estimate_from(pictures, times, Part::kEvenRows),
              odd = estimate_from(pictures, times, Part::kOddRows);
+  if (!even || !odd)
+    return undetermined("too few pixels to tell how sure the curve is: take larger pictures");
   // The mean of two halves is half as uncertain as their difference.
-  if (even && odd) out.sigma = difference(*even, *odd) / 2;
+  out.sigma = difference(*even, *odd) / 2;
   const auto left = estimate_from(pictures, times, Part::kLeft),
              right = estimate_from(pictures, times, Part::kRight);
   if (!left || !right) return out;
   out.between_places = difference(*left, *right);
   constexpr double kMost = .05;
-  if (out.between_places > kMost && out.between_places > 4 * out.sigma)
+  if (*out.between_places > kMost && *out.between_places > 4 * out.sigma)
     return undetermined(fmt::format(
         "the left and the right half have curves {:.0f} % apart: switch local tone mapping "
         "(\"HDR\", \"dynamic contrast\") off, or keep the scene still",
-        100 * out.between_places));
+        100 * *out.between_places));
   return out;
 }
 

@@ -136,23 +136,64 @@ glm::dvec2 distort(const std::array<double, 5>& k, const glm::dvec2& q) {
           q.y * radial + k[2] * (r2 + 2 * q.y * q.y) + 2 * k[3] * xy};
 }
 
-// Slope of the radial part: where it is not positive, the picture folds back on itself.
-bool folds_back(const std::array<double, 5>& k, double r2) {
-  return 1 + r2 * (3 * k[0] + r2 * (5 * k[1] + r2 * 7 * k[4])) <= 0;
+// Where the picture folds back on itself: the smallest r^2 at which the slope of the radial part,
+// 1 + 3 k1 u + 5 k2 u^2 + 7 k3 u^3 with u = r^2, is no longer positive.
+double fold_r2(const std::array<double, 5>& k) {
+  const auto slope = [&](double u) { return 1 + u * (3 * k[0] + u * (5 * k[1] + u * 7 * k[4])); };
+  // Between its own turning points the slope is monotone: a sign change there is the only one.
+  std::array<double, 3> ends{0, 0, 1e4};
+  std::array<double, 4> stops{0, 1e4, 1e4, 1e4};
+  const double a = 21 * k[4], b = 10 * k[1], c = 3 * k[0], root = b * b - 4 * a * c;
+  if (a != 0 && root >= 0) {
+    ends = {(-b - std::sqrt(root)) / (2 * a), (-b + std::sqrt(root)) / (2 * a), 1e4};
+    std::ranges::sort(ends);
+  } else if (a == 0 && b != 0) {
+    ends = {0, -c / b, 1e4};
+    std::ranges::sort(ends);
+  }
+  std::size_t n = 1;
+  for (const double u : ends)
+    if (u > 0 && u <= 1e4) stops[n++] = u;
+  for (std::size_t i = 1; i < n; ++i) {
+    if (slope(stops[i]) > 0) continue;
+    double low = stops[i - 1], high = stops[i];
+    for (int j = 0; j < 60; ++j) {
+      const double middle = (low + high) / 2;
+      (slope(middle) > 0 ? low : high) = middle;
+    }
+    return low;
+  }
+  return HUGE_VAL;
 }
 
+// The inverse of distort() short of the fold, by Newton's method.
 std::optional<glm::dvec2> undistort(const Projection& p, const glm::dvec2& q) {
   if (!p.is_distorted()) return q;
-  constexpr int kMostSteps = 100;
-  glm::dvec2 at = q;
+  const auto& k = p.distortion;
+  const double most = fold_r2(k);
+  constexpr double kInside = .999;
+  const auto keep_inside = [&](glm::dvec2 at) {
+    const double r2 = glm::dot(at, at);
+    return r2 < most ? at : at * (kInside * std::sqrt(most / r2));
+  };
+  glm::dvec2 at = keep_inside(q);
+  constexpr int kMostSteps = 50;
   for (int i = 0; i < kMostSteps; ++i) {
-    const glm::dvec2 off = distort(p.distortion, at) - q;
-    at -= off;  // the distortion is a small change of q
+    const glm::dvec2 off = distort(k, at) - q;
     if (glm::dot(off, off) < 1e-26) break;
+    const double r2 = glm::dot(at, at), xy = at.x * at.y;
+    const double radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]));
+    const double steep = k[0] + r2 * (2 * k[1] + r2 * 3 * k[4]);
+    const double xx = radial + 2 * at.x * at.x * steep + 2 * k[2] * at.y + 6 * k[3] * at.x;
+    const double yy = radial + 2 * at.y * at.y * steep + 6 * k[2] * at.y + 2 * k[3] * at.x;
+    const double mixed = 2 * xy * steep + 2 * k[2] * at.x + 2 * k[3] * at.y;
+    const double determinant = xx * yy - mixed * mixed;
+    if (determinant == 0) return std::nullopt;
+    at = keep_inside(at - glm::dvec2(yy * off.x - mixed * off.y, xx * off.y - mixed * off.x) /
+                              determinant);
   }
-  const glm::dvec2 left = distort(p.distortion, at) - q;
-  if (!(glm::dot(left, left) < 1e-16) || folds_back(p.distortion, glm::dot(at, at)))
-    return std::nullopt;
+  const glm::dvec2 left = distort(k, at) - q;
+  if (!(glm::dot(left, left) < 1e-16)) return std::nullopt;
   return at;
 }
 
@@ -160,7 +201,7 @@ std::optional<glm::dvec2> pinhole_pixel(const Projection& p, const glm::dvec3& d
   if (d.z >= 0) return std::nullopt;
   glm::dvec2 q = glm::dvec2{d.x, -d.y} / -d.z;
   if (p.is_distorted()) {
-    if (folds_back(p.distortion, glm::dot(q, q))) return std::nullopt;
+    if (glm::dot(q, q) >= fold_r2(p.distortion)) return std::nullopt;
     q = distort(p.distortion, q);
   }
   return p.principal_px + q * p.focal_px;
@@ -248,7 +289,7 @@ Result<Projection> with_distortion(Projection p, std::span<const double> distort
   constexpr double kLeast = kPi / 6;
   const auto lens = radial_lens(p);
   const double tangent = std::tan(kLeast);
-  if (lens ? lens->curve.last_theta() < kLeast : folds_back(k, tangent * tangent))
+  if (lens ? lens->curve.last_theta() < kLeast : fold_r2(k) < tangent * tangent)
     return invalid("the picture folds back within 30 degrees of the axis");
   return p;
 }

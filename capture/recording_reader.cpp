@@ -26,7 +26,7 @@ namespace {
 
 // Cameras are coded side by side, so that one's frame may stand behind the other's later ones. So many frames are read
 // ahead to hand them on in order of time.
-constexpr std::size_t kAhead = 32;
+constexpr std::size_t kAhead = 64;
 // Pictures of one camera that wait for their labels; more in a row without one are no recording of ours.
 constexpr std::size_t kMostWaiting = 64;
 
@@ -201,8 +201,8 @@ Result<void> Recording::open_container() {
           avformat_open_input(&opened, ("file:" + path_.string()).c_str(), matroska, nullptr);
       r < 0)
     return unreadable(r == AVERROR_INVALIDDATA ? "not a Matroska file, or its head is damaged"
-                      : r == AVERROR_EOF       ? "ends before its first frame"
-                                               : av_reason(r));
+                      : r == AVERROR_EOF || r == AVERROR(EIO) ? "ends before its first frame"
+                                                              : av_reason(r));
   container_.reset(opened);
   return {};
 }
@@ -365,6 +365,8 @@ Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path) {
 
 Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path) {
   std::error_code ignored;
+  if (!fs::exists(path, ignored))
+    return fail(ErrorCode::kNotFound, path.string(), "no such recording or capture folder");
   return fs::is_regular_file(path, ignored) ? open_recording(path) : open_capture_folder(path);
 }
 

@@ -235,7 +235,7 @@ Result<void> RecordingWriter::Impl::open(std::span<const Coding> codings, double
   av_dict_set(&options, "write_crc32", "0", 0);  // a tenth of the time, and players pass over it
   const int r = avformat_write_header(container, &options);
   av_dict_free(&options);
-  if (r < 0) return std::unexpected(error(r));
+  if (r < 0 || write_errno) return std::unexpected(error(r));
   return {};
 }
 

@@ -144,7 +144,10 @@ void print_table(const calib::CameraCalibration& c, const Found& found) {
   fmt::print("corners in {:.0f} % of an 8 x 6 grid, out to {:.0f} % of the half diagonal\n",
              100 * c.coverage, 100 * c.reach);
   for (const calib::BoardFit& b : c.boards)
-    if (!b.used) fmt::print("left out: {} ({:.2f} px off)\n", b.name, b.rms_px);
+    if (!b.used)
+      fmt::print("left out: {} ({})\n", b.name,
+                 b.residuals_px.empty() ? "too far from the axis for a first guess of its pose"
+                                        : fmt::format("{:.2f} px off", b.rms_px));
 }
 
 }  // namespace
@@ -152,16 +155,27 @@ void print_table(const calib::CameraCalibration& c, const Found& found) {
 Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
   PENUMBRA_ASSIGN(board, calib::parse_board(o.board));
   PENUMBRA_ASSIGN(kind, calib::projection_kind(o.projection));
+  if (!calib::has_intrinsics(kind))
+    return fail(ErrorCode::kInvalid, o.projection,
+                "has nothing to calibrate; pinhole, equidistant, kb4 and double-sphere have");
+  if (!(o.every_s >= 0 && o.every_s < 1e6))
+    return fail(ErrorCode::kInvalid, "--every", "not a number of seconds");
   if (o.pictures.empty() == !o.capture)
     return fail(ErrorCode::kInvalid, "calibrate camera", "needs either pictures or --capture");
   PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
   PENUMBRA_ASSIGN(found,
                   o.capture ? look_at_capture(o, board) : look_at_pictures(o.pictures, board));
+  if (found.pictures > 0 && found.views.empty())
+    return fail(ErrorCode::kUndetermined, "camera calibration",
+                fmt::format("the board was found in none of {} pictures: does --board say its kind "
+                            "and counts (inner corners; 4x4_50 markers; tags 36h11)?",
+                            found.pictures));
   if (found.pictures == 0) return fail(ErrorCode::kUndetermined, o.camera, "no frame of it");
   PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height,
                                                   {.undistorted = o.undistorted}));
-  if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
   PENUMBRA_TRY(write_bytes(o.output, print_camera_file(o.camera, result, o.board)));
+  if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
   if (o.json)
     print_json(to_json(result, found));
   else
@@ -171,26 +185,26 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
 
 Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
   PENUMBRA_ASSIGN(stack, read_bracket(o.images, o.times));
   if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
     return fail(ErrorCode::kUndetermined, o.images[0],
                 "only the response of 8-bit pictures is estimated");
   const EightBitBracket bracket = eight_bit_bracket(stack);
   PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
-  if (o.report) PENUMBRA_TRY(write_response_report(*o.report, result));
   const std::string text =
       fmt::format("# from {} pictures; one standard deviation, of full scale: {:.5f}\n{}",
                   o.images.size(), result.sigma, calib::print_response_file(result.response));
   PENUMBRA_TRY(write_bytes(o.output, text));
+  if (o.report) PENUMBRA_TRY(write_response_report(*o.report, result));
   if (o.json)
     print_json({{"pictures", o.images.size()},
                 {"sigma", result.sigma},
-                {"between_places", result.between_places}});
+                {"between_places", result.between_places ? nlohmann::json(*result.between_places)
+                                                         : nlohmann::json()}});
   else
-    fmt::print(
-        "{}: response of {} pictures, uncertain by {:.2f} % of full scale (left and right half "
-        "{:.2f} % apart)\n",
-        o.output, o.images.size(), 100 * result.sigma, 100 * result.between_places);
+    fmt::print("{}: response of {} pictures, uncertain by {:.2f} % of full scale\n", o.output,
+               o.images.size(), 100 * result.sigma);
   return {};
 }
 

@@ -33,9 +33,12 @@ nlohmann::json to_json(const std::vector<capture::CameraInfo>& cameras,
 }  // namespace
 
 Result<void> record(const RecordOptions& o) {
-  if (o.seconds < 0) return fail(ErrorCode::kInvalid, "--seconds", "negative");
+  if (!(o.seconds >= 0 && o.seconds < 1e9))
+    return fail(ErrorCode::kInvalid, "--seconds", "not a number of seconds");
   if (o.frames < 0) return fail(ErrorCode::kInvalid, "--frames", "negative");
-  PENUMBRA_ASSIGN(config, read_rig_config(o.config));
+  if (std::filesystem::path(o.output).extension() != ".mkv")
+    return fail(ErrorCode::kInvalid, o.output, "a recording's name ends in .mkv");
+  PENUMBRA_ASSIGN(config, read_rig_config(o.config, false));
   std::error_code ignored;
   if (std::filesystem::exists(o.output, ignored))
     return fail(ErrorCode::kUnwritable, o.output, "exists already");

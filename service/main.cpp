@@ -49,11 +49,10 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   c->add_option("--capture", camera.capture, "Instead of pictures: a recording or capture folder");
   c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output");
   c->add_option("--every", camera.every_s, "Of a capture: seconds between two pictures, at least");
-  c->add_option(
-       "--board", camera.board,
-       "chessboard:15x9:0.026 (inner corners, square in metres), "
-       "charuco:8x6:0.04:0.03 (squares, square, marker) or apriltag:6x6:0.088:0.026 (tags, "
-       "tag, gap)")
+  c->add_option("--board", camera.board,
+                "chessboard:15x9:0.026 (inner corners, square in metres), "
+                "charuco:8x6:0.04:0.03 (squares, square, marker) or apriltag:6x5:0.05:0.015 (tags, "
+                "tag, gap)")
       ->required();
   c->add_option("--projection", camera.projection, "pinhole, equidistant, kb4 or double-sphere")
       ->capture_default_str();

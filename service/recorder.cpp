@@ -22,14 +22,27 @@ constexpr std::size_t kQueued = 8;  // frames a camera: an eighth of a second at
 constexpr std::size_t kMostEarly = 64;
 constexpr Seconds kPatience(10);
 
-// A signal must also release a next() that waits for a camera.
-std::jthread close_on(const std::atomic<bool>& stop, capture::FrameSource& source) {
-  return std::jthread([&](const std::stop_token& done) {
-    while (!done.stop_requested() && !stop)
-      std::this_thread::sleep_for(std::chrono::milliseconds(50));
-    if (stop) source.close();
-  });
-}
+// What ends a live recording while next() waits for a camera: a signal, or a camera that stays silent.
+class Watch {
+ public:
+  Watch(capture::FrameSource& source, const std::atomic<bool>& stop, double seconds)
+      : thread_([this, &source, &stop, seconds](const std::stop_token& done) {
+          const auto start = Clock::now();
+          while (!done.stop_requested() && !stop && !late_) {
+            std::this_thread::sleep_for(std::chrono::milliseconds(50));
+            const Seconds since = Clock::now() - start;
+            late_ = source.is_live() && ((!begun_ && since > kPatience) ||
+                                         (seconds > 0 && since > Seconds(seconds) + 2 * kPatience));
+          }
+          if (!done.stop_requested()) source.close();
+        }) {}
+  void begun() { begun_ = true; }
+  [[nodiscard]] bool late() const { return late_; }
+
+ private:
+  std::atomic<bool> begun_ = false, late_ = false;
+  std::jthread thread_;
+};
 
 // The first frames, one of each camera at least: they tell how each camera's pictures are coded.
 struct Beginning {
@@ -37,20 +50,20 @@ struct Beginning {
   std::vector<capture::Coding> codings;  // one a camera; none when stopped
 };
 
-Result<Beginning> begin(capture::FrameSource& source, const std::atomic<bool>& stop) {
+Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
+                        const std::atomic<bool>& stop) {
   const auto& cameras = source.cameras();
   std::vector<std::optional<capture::Coding>> found(cameras.size());
-  const auto start = Clock::now();
   Beginning out;
   for (;;) {
     const auto silent = std::ranges::find_if(found, [](const auto& coding) { return !coding; });
     if (silent == found.end()) break;
     const std::string& name = cameras[static_cast<std::size_t>(silent - found.begin())].name;
-    if (Clock::now() - start > kPatience)
-      return fail(ErrorCode::kUnavailable, name,
-                  fmt::format("no frame within {:.0f} s", kPatience.count()));
     PENUMBRA_ASSIGN(frame, source.next());
     if (stop) return Beginning{};
+    if (watch.late())
+      return fail(ErrorCode::kUnavailable, name,
+                  fmt::format("no frame within {:.0f} s", kPatience.count()));
     if (!frame)
       return fail(ErrorCode::kUnavailable, name, "the source ended without a frame of it");
     PENUMBRA_ASSIGN(coding, capture::coding_of(*frame));
@@ -98,9 +111,12 @@ class Recorder {
 
   Result<void> finish() {
     drain();
-    if (auto error = error_.take())
+    if (auto error = error_.take()) {
+      std::uint64_t kept = 0;
+      for (const auto& station : stations_) kept += station->written;
       return fail(error->code, error->where,
-                  fmt::format("{}; the first {:.1f} s are kept", error->detail, counts().seconds));
+                  fmt::format("{}; the first {} frames are kept", error->detail, kept));
+    }
     return writer_.finish();
   }
 
@@ -142,8 +158,9 @@ class Recorder {
 Result<RecordCounts> record_frames(capture::FrameSource& source, const std::filesystem::path& path,
                                    RecordLimits limits, const std::atomic<bool>& stop,
                                    const std::function<void(const RecordCounts&)>& on_progress) {
-  const std::jthread watch = close_on(stop, source);
-  PENUMBRA_ASSIGN(beginning, begin(source, stop));
+  Watch watch(source, stop, limits.seconds);
+  PENUMBRA_ASSIGN(beginning, begin(source, watch, stop));
+  watch.begun();
   if (beginning.codings.empty()) return RecordCounts{};  // stopped before anything came
   const auto& cameras = source.cameras();
   PENUMBRA_ASSIGN(writer, capture::RecordingWriter::create(path, cameras, beginning.codings,

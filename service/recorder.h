@@ -29,7 +29,7 @@ struct RecordCounts {
 /// not coded in time is dropped and counted; any other source waits.
 /// on_progress: about once a second, from the calling thread.
 /// errors: of source.next(); kUnwritable (the reason and what is kept); kUnavailable (a camera that shows nothing within
-/// 10 s)
+/// 10 s; only live)
 Result<RecordCounts> record_frames(capture::FrameSource& source, const std::filesystem::path& path,
                                    RecordLimits limits, const std::atomic<bool>& stop,
                                    const std::function<void(const RecordCounts&)>& on_progress);

@@ -95,7 +95,7 @@ Result<void> read_http(const TomlKeys& keys, RigConfig& c) {
 
 }  // namespace
 
-Result<RigConfig> read_rig_config(const fs::path& path) {
+Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
   constexpr std::string_view known[] = {"version", "capture", "camera", "scene", "light", "http"};
@@ -124,15 +124,17 @@ Result<RigConfig> read_rig_config(const fs::path& path) {
   PENUMBRA_TRY(Section(path, root, keys, "scene").read(scene_keys, scene));
   PENUMBRA_TRY(Section(path, root, keys, "light").read(light_keys, light));
   PENUMBRA_TRY(Section(path, root, keys, "http").read(http_keys, http));
-  if (c.source != "studio" && !c.scene)
+  if (!to_composite) c.scene.reset();
+  if (to_composite && c.source != "studio" && !c.scene)
     return fail(ErrorCode::kInvalid, path.string(),
-                "cameras and capture folders need [scene] file = \"scene.toml\"");
+                "cameras, recordings and capture folders need [scene] file = \"scene.toml\"");
   if (c.source != "cameras" && keys.has("camera"))
     return keys.invalid("camera", "is for source = \"cameras\" alone");
   if (c.source != "cameras") return c;
   PENUMBRA_ASSIGN(cameras, capture::read_rig_cameras(path));
   for (const capture::Role role : {capture::Role::kEnvironment, capture::Role::kView})
-    if (std::ranges::none_of(cameras, [&](const auto& k) { return k.info.role == role; }))
+    if (to_composite &&
+        std::ranges::none_of(cameras, [&](const auto& k) { return k.info.role == role; }))
       return keys.invalid("camera", role == capture::Role::kView
                                         ? "no [[camera]] with role = \"view\""
                                         : "no [[camera]] with role = \"environment\"");

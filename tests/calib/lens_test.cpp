@@ -108,6 +108,26 @@ TEST(Lens, NothingBeyondTheFold) {
   EXPECT_TRUE(direction_from_pixel(barrel, {494 + 300 * .54, 379}));
 }
 
+// Up to the fold, however strong the lens: a step that only takes the error off diverges there.
+TEST(Lens, StrongLensesInvertUpToTheirFold) {
+  for (const std::vector<double>& k :
+       {std::vector<double>{-.5, .1}, {.3, .2}, {-.3, .1}, {-.5, 0}, {.1, -.05, 0, 0, .01}}) {
+    const Projection p = lens(kPinhole, k, 150);
+    double last = -1;
+    for (double angle = .01; angle < 1.4; angle += .01) {
+      const glm::dvec3 d(std::sin(angle), 0, -std::cos(angle));
+      const auto pixel = pixel_from_direction(p, d);
+      if (!pixel) break;
+      ASSERT_GT(pixel->x, last) << "two directions at one pixel, " << k[0] << " " << angle;
+      last = pixel->x;
+      const auto back = direction_from_pixel(p, *pixel);
+      ASSERT_TRUE(back) << k[0] << " " << angle;
+      EXPECT_LT(glm::length(*back - d), 1e-6) << k[0] << " " << angle;
+    }
+    EXPECT_GT(last, 494 + 150 * .5);
+  }
+}
+
 double brute_force(const Projection& p, int px, int py) {
   constexpr int kN = 8;
   double sum = 0;

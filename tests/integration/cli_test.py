@@ -437,7 +437,7 @@ class Calibrate(CliTest):
         grey = self.root / "grey.png"
         files.write_png(grey, 64, 48, lambda x, y: (128, 128, 128))
         board = ["--board", "chessboard:9x6:0.03"]
-        self.expect_refusal(["found in 0 pictures"], "calibrate", "camera", grey, *board, "-o", out)
+        self.expect_refusal(["none of 1 pictures", "--board"], "calibrate", "camera", grey, *board, "-o", out)
         self.expect_refusal(["chessboard:9", "expected"], "calibrate", "camera", grey, "--board", "chessboard:9", "-o",
                             out)
         self.expect_refusal(["either pictures or --capture"], "calibrate", "camera", *board, "-o", out)
