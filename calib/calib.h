@@ -169,3 +169,7 @@ struct NoiseModel {
 };
 
 }  // namespace penumbra::calib
+
+// The calibrations are about the cameras above, so they come after them.
+#include "calib/boards.h"              // IWYU pragma: export
+#include "calib/camera_calibration.h"  // IWYU pragma: export

@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <span>
 
-#include "calib/camera_calibration.h"
+#include "calib/calib.h"
 #include "core/result.h"
 
 namespace penumbra::service {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "calib/camera_calibration.h"
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "codec/codec.h"
 #include "core/files.h"

@@ -8,6 +8,7 @@ kernel=$1 modules=$2 limit_s=$3
 shift 3
 [[ -e "$kernel/version" ]] || { echo "skipped: no kernel in $kernel"; exit 77; }
 work=$(mktemp -d)
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)  # a checkout below /tmp stays visible
 trap 'rm -rf "$work"' EXIT
 version=$(cat "$kernel/version")
 
@@ -34,7 +35,9 @@ mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev
 $(cat "$work/load")
 mount -t 9p -o trans=virtio,version=9p2000.L,msize=262144,ro,cache=loose host /host || echo "guest: no host files"
 for at in proc sys dev; do mount --bind /\$at /host/\$at; done
+mkdir /keep; mount --bind /host$root /keep
 for at in tmp run; do mount -t tmpfs none /host/\$at; done
+[ -d /host$root ] || { mkdir -p /host$root; mount --bind /keep /host$root; }
 mkdir -p /host/dev/shm; mount -t tmpfs none /host/dev/shm
 ip link set lo up
 cd /
