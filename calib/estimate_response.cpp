@@ -262,7 +262,7 @@ cv::Mat smoothness_of_terms(double total_weight) {
 /// The solution of `matrix` x = `right` with no x below a least slope: what would fall is held there and the rest solved
 /// again (an active set, Lawson & Hanson 1974). Nothing when singular.
 std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
-  constexpr double kLeast = .1;  // a code of half the light is at least a tenth of an octave lower
+  constexpr double kLeast = .1;  // twice the code is at least a tenth of an octave more light
   std::vector<bool> held(static_cast<std::size_t>(kTerms), false);
   for (;;) {
     cv::Mat m = matrix.clone(), r = right.clone(), x;
@@ -274,9 +274,6 @@ std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
       m.at<double>(j, j) = 1;
       r.at<double>(j) = kLeast;
     }
-    // A held term's own row was written after the others took it into account.
-    for (int j = 0; j < kTerms; ++j)
-      if (held[static_cast<std::size_t>(j)]) r.at<double>(j) = kLeast;
     if (!cv::solve(m, r, x, cv::DECOMP_CHOLESKY)) return std::nullopt;
     bool falls = false;
     for (int j = 0; j < kTerms; ++j) {

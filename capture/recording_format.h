@@ -12,6 +12,7 @@ namespace penumbra::capture {
 
 inline constexpr std::string_view kCamerasAttachment = "cameras.toml";
 inline constexpr std::string_view kResponseSuffix = ".response.toml";
+
 inline std::string label_title(const std::string& camera) {  // of the track
   return camera + ": labels";
 }

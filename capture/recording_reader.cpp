@@ -315,10 +315,10 @@ Result<void> Recording::read_ahead() {
   while (!ended_ && ahead_.size() < kAhead) {
     Packet packet(av_packet_alloc());
     const int r = av_read_frame(container_.get(), packet.get());
+    ended_ = r < 0;
     // A recording that was cut off ends inside an element.
-    ended_ = r == AVERROR_EOF || r == AVERROR_INVALIDDATA;
-    if (ended_) break;
-    if (r < 0) return unreadable(av_reason(r));
+    if (r == AVERROR_EOF || r == AVERROR_INVALIDDATA) break;
+    if (ended_) return unreadable(av_reason(r));  // once: what was read before is still handed on
     const auto labelled = std::ranges::find(tracks_, packet->stream_index, &PictureTrack::labels);
     if (labelled == tracks_.end())
       PENUMBRA_TRY(keep_picture(std::move(packet)));

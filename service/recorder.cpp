@@ -98,13 +98,14 @@ class Recorder {
     return !failed_;
   }
 
+  [[nodiscard]] double seconds() const { return first_ ? (last_ - *first_).count() : 0; }
   [[nodiscard]] RecordCounts counts() const {
     RecordCounts out;
     for (const auto& station : stations_) {
       out.frames.push_back(station->written);
       out.dropped.push_back(station->queue.dropped());
     }
-    out.seconds = first_ ? (last_ - *first_).count() : 0;
+    out.seconds = seconds();
     out.bytes = writer_.bytes();
     return out;
   }
@@ -182,7 +183,7 @@ Result<RecordCounts> record_frames(capture::FrameSource& source, const std::file
     }
     if (!recorder.add(std::move(*frame))) break;
     const bool enough = (limits.frames && ++taken >= limits.frames) ||
-                        (limits.seconds > 0 && recorder.counts().seconds >= limits.seconds);
+                        (limits.seconds > 0 && recorder.seconds() >= limits.seconds);
     if (enough) break;
     if (Clock::now() - told < std::chrono::seconds(1)) continue;
     told = Clock::now();
