@@ -2,10 +2,13 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstring>
-#include <filesystem>
+#include <thread>
 
 #include "capture/raw_formats.h"
 
@@ -29,7 +32,28 @@ double rate(const v4l2_fract& interval) {
 constexpr std::pair<std::uint32_t, std::uint32_t> kUsualSizes[] = {
     {320, 240}, {640, 480}, {1280, 720}, {1280, 960}, {1920, 1080}, {2560, 1440}, {3840, 2160}};
 
+std::filesystem::path hardware_of(int fd) {
+  struct stat node {};
+  if (::fstat(fd, &node) != 0) return {};
+  std::error_code error;
+  return std::filesystem::canonical(
+      fmt::format("/sys/dev/char/{}:{}/device", major(node.st_rdev), minor(node.st_rdev)), error);
+}
+
 }  // namespace
+
+// Linux 6.1 dereferences null when the last file of an unplugged camera closes while uvc_disconnect() still takes its
+// media device down: __media_device_unregister_entity() reads the entity's device again after waiting for its lock.
+// The folder of the hardware goes once the driver has returned.
+V4l2Node::~V4l2Node() {
+  using namespace std::chrono_literals;
+  v4l2_capability able{};
+  if (!fd_ || call(VIDIOC_QUERYCAP, &able) != ENODEV) return;
+  std::error_code error;
+  for (auto waited = 0ms; waited < 500ms && std::filesystem::exists(hardware_, error);
+       waited += 10ms)
+    std::this_thread::sleep_for(10ms);
+}
 
 Error V4l2Node::error(ErrorCode code, const std::string& what, int number) const {
   return {code, device_, fmt::format("{}: {}", what, std::strerror(number))};
@@ -48,6 +72,7 @@ Result<V4l2Node> V4l2Node::open(const std::string& device) {
   if (const int e = node.call(VIDIOC_QUERYCAP, &able))
     return fail(ErrorCode::kUnavailable, device,
                 fmt::format("is no video device: {}", std::strerror(e)));
+  node.hardware_ = hardware_of(node.fd());
   node.name_ = text(able.card);
   node.driver_ = text(able.driver);
   const std::uint32_t caps =

@@ -5,6 +5,7 @@
 #include <sys/ioctl.h>
 
 #include <cerrno>
+#include <filesystem>
 #include <optional>
 #include <string>
 
@@ -13,9 +14,13 @@
 
 namespace penumbra::capture {
 
-/// An open device node. Methods answer with the driver's word and never print.
+/// An open device node. Methods answer with the driver's word and never print. The destructor of a camera that was
+/// unplugged waits for the driver to let go of it, at most half a second.
 class V4l2Node {
  public:
+  V4l2Node(V4l2Node&&) noexcept = default;
+  V4l2Node& operator=(V4l2Node&&) noexcept = default;
+  ~V4l2Node();
   /// errors: kNotFound, kUnavailable (no rights, busy, no streaming), kInvalid (not a camera)
   static Result<V4l2Node> open(const std::string& device);
 
@@ -49,6 +54,7 @@ class V4l2Node {
   double most_fps(std::uint32_t fourcc, std::uint32_t width, std::uint32_t height) const;
   UniqueFd fd_;
   std::string device_, name_, driver_;
+  std::filesystem::path hardware_;  // its folder in /sys, which goes when it is unplugged
 };
 
 /// Exposure and gain of a camera in seconds and in the driver's unit.

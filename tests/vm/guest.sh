@@ -2,7 +2,7 @@
 # Runs a program of this machine in a guest with Debian's kernel, where the drivers of cameras are real.
 # usage: guest.sh KERNEL_FOLDER "MODULE [OPTIONS]; MODULE ..." LIMIT_S COMMAND [ARGUMENTS...]
 # The command sees this machine's files, read-only, and an empty /tmp and /run. GUEST_QEMU holds further options of QEMU.
-# Exit status: the command's; 124 when the guest was cut off after LIMIT_S, 77 without a kernel.
+# Exit status: the command's; 124 when the guest was cut off after LIMIT_S or its kernel failed, 77 without a kernel.
 set -euo pipefail
 kernel=$1 modules=$2 limit_s=$3
 shift 3
@@ -52,7 +52,7 @@ chmod +x "$work/initramfs/init"
 # shellcheck disable=SC2086
 timeout "$limit_s" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -smp 2 -m 2048 -nographic -no-reboot \
   -monitor none -serial file:"$work/console" -kernel "$kernel/vmlinuz" -initrd "$work/initramfs.gz" \
-  -append "console=ttyS0 quiet panic=-1" -nic none \
+  -append "console=ttyS0 quiet oops=panic panic=-1" -nic none \
   -fsdev local,id=host,path=/,security_model=none,readonly=on,multidevs=remap \
   -device virtio-9p-pci,fsdev=host,mount_tag=host ${GUEST_QEMU:-} < /dev/null > "$work/qemu" 2>&1 || true
 tr -d '\r' < "$work/console" | sed '1,/guest: begin$/d; /^guest: exit/,$d' 
