@@ -1,5 +1,6 @@
 #include "capture/bracketed_camera.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace penumbra::capture {
@@ -10,8 +11,38 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
   counter_ = {};
   lost_before_ = counts_.lost;
+  if (auto_schedule_ && schedule_.empty()) take(auto_schedule_->probe(limits()));
   if (schedule_.empty()) return {};
   return ask();
+}
+
+// What the device makes of a plan: times in its steps, each once.
+void BracketedCamera::take(std::vector<Exposure> planned) {
+  for (Exposure& e : planned) e = device_->nearest(e);
+  const auto same = [](const Exposure& a, const Exposure& b) {
+    return a.time == b.time && a.gain == b.gain;
+  };
+  const auto rest = std::ranges::unique(planned, same);
+  planned.erase(rest.begin(), rest.end());
+  std::erase_if(planned, [](const Exposure& e) { return !(e.product() > 0); });
+  if (planned.empty()) return;
+  schedule_ = planned;
+  next_ = 0;
+  auto_schedule_->use(std::move(planned));
+}
+
+// A device makes of an exposure beyond its range the nearest that it has.
+ExposureLimits BracketedCamera::limits() const {
+  constexpr double kOfAPeriod = .9, kHighGain = 16;  // beyond, noise grows with the signal
+  const auto nearest = [&](double time, double gain) {
+    return device_->nearest({Seconds(time), Gain(gain)});
+  };
+  ExposureLimits out;
+  // A range that begins at nothing begins at the shortest time that anyone needs.
+  out.shortest = std::max(out.shortest, nearest(out.shortest.count(), 1).time);
+  out.longest = std::max(out.shortest, nearest(kOfAPeriod / fps_, 1).time);
+  out.most = std::max(Gain(1), nearest(out.longest.count(), kHighGain).gain);
+  return out;
 }
 
 Result<void> BracketedCamera::ask() {
@@ -31,7 +62,7 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   if (!*came) return std::nullopt;
   const CameraFrame& raw = **came;
   const std::uint64_t number = counter_.count(raw.sequence, raw.time, device_->now());
-  if (schedule_.size() > 1) PENUMBRA_TRY(ask());
+  if (asks_each_frame()) PENUMBRA_TRY(ask());
   auto pixels = device_->pixels();
   counts_.damaged += static_cast<std::uint64_t>(raw.damaged_before) + !pixels;
   counts_.lost = lost_before_ + counter_.lost();
@@ -41,6 +72,11 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.refused;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
   ++counts_.frames;
+  if (auto_schedule_ && auto_schedule_->see(*pixels, label.exposure, raw.time)) {
+    take(auto_schedule_->plan().exposures);
+  }
+  counts_.exposures = schedule_;
+  if (auto_schedule_) counts_.light_error = auto_schedule_->plan().error();
   return Frame{0,
                sent_++,
                raw.time,
@@ -54,7 +90,7 @@ ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t 
                                                 const FramePixels& pixels) {
   using enum ExposureLabels::Verdict;
   if (schedule_.empty()) return {kGood, {Seconds(1), Gain(1)}};
-  if (schedule_.size() == 1) return {kGood, device_->nearest(schedule_[0])};
+  if (!asks_each_frame()) return {kGood, device_->nearest(schedule_[0])};
   const auto label = labels_.judge(number, time, meter_.measure(pixels));
   counts_.delay_frames = labels_.delay();
   counts_.deaf = labels_.deaf();

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "capture/cameras.h"
+#include "capture/exposure_schedule.h"
 #include "capture/frames.h"
 #include "core/code_curve.h"
 
@@ -102,12 +103,17 @@ class ExposureLabels {
 /// A camera with its schedule. threads: thread-bound
 class BracketedCamera {
  public:
-  BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay)
+  /// `light_error`: the schedule is chosen, so that the light's error stays below this share of it.
+  BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay,
+                  std::optional<double> light_error = {}, double fps = 30)
       : info_(std::move(info)),
         schedule_(std::move(schedule)),
         delay_(delay),
+        fps_(fps),
         meter_(info_),
-        labels_(delay) {}
+        labels_(delay) {
+    if (light_error) auto_schedule_.emplace(info_, *light_error);
+  }
 
   /// Takes a device over, also a new one after the old one has gone.
   Result<void> connect(std::unique_ptr<CameraDevice> device);
@@ -121,9 +127,14 @@ class BracketedCamera {
  private:
   Result<void> ask();
   ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
+  ExposureLimits limits() const;
+  void take(std::vector<Exposure> planned);
+  bool asks_each_frame() const { return auto_schedule_ || schedule_.size() > 1; }
   CameraInfo info_;
   std::vector<Exposure> schedule_;
   std::optional<int> delay_;  // as configured
+  double fps_;
+  std::optional<AutoSchedule> auto_schedule_;
   BrightnessMeter meter_;
   ExposureLabels labels_;
   FrameCounter counter_;

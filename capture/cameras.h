@@ -97,6 +97,9 @@ struct CameraCounts {
   std::uint64_t reconnected = 0;    // times that the camera came back
   std::optional<int> delay_frames;  // between a request and the first frame that shows it
   bool deaf = false;                // its pictures do not follow the exposures that it is asked for
+  std::vector<Exposure> exposures;  // that it is asked for in turn
+  std::optional<double>
+      light_error;  // that they leave, of an irradiance; nothing: they were not chosen
 };
 
 }  // namespace penumbra::capture

@@ -18,6 +18,7 @@
 #include "capture/frames.h"     // IWYU pragma: export
 #include "capture/recording.h"  // IWYU pragma: export
 #include "capture/rig.h"        // IWYU pragma: export
+#include "capture/stacks.h"     // IWYU pragma: export
 #include "core/code_curve.h"
 #include "core/environment.h"
 #include "core/image.h"
@@ -69,6 +70,12 @@ struct ExposureStack {
   calib::Response response;  // unused for float frames, which are linear
   calib::NoiseModel noise;
   double black_level = 0;
+  /// Most trusted first: samples that contradict a more trusted one by more than the noise explains are left out.
+  /// Empty: nothing moved between the exposures, and all count.
+  std::vector<std::size_t> trust{};
+  bool noise_known = true;  // of a guess, more has to be explained
+  /// For each frame 1 where it shows anything; empty: everywhere. A frame's own may be empty, too.
+  std::vector<Image<std::uint8_t>> valid{};
 };
 
 /// Code curve of a response at 8 or 16 bits.
@@ -96,50 +103,44 @@ struct MergedFloat {
 };
 Result<MergedFloat> merge(const ExposureStack& stack);
 
-/// The same estimate for 8-bit frames of a fixed set of exposures, from tables: the longest
-/// unclipped exposure and the next one decide, which costs at most 3 % of RMSE at two stops between
-/// exposures.
-/// threads: merge() reentrant, internally parallel, no allocation once `out` has its
-/// size
-class TableMerger {
- public:
-  /// Nothing when exposures lie so close that two of them hold less than 90 % of the information.
-  static std::optional<TableMerger> make(std::span<const Exposure> exposures,
-                                         const calib::Response& response,
-                                         const calib::NoiseModel& noise, double black_level);
-  /// frames in the order of the exposures given to make(), equal sizes.
-  void merge(std::span<const Image<Rgb8>* const> frames, MergedImage& out) const;
+class TableMerger;  // private: table_merger.h
 
- private:
-  TableMerger() = default;
-  std::vector<int> order_;  // longest exposure first
-  std::vector<std::uint16_t>
-      tables_;  // [channel set][step][code of next][code]: half radiance / scale
-  int channel_sets_ = 1;
-  float scale_ = 1;
-  std::array<std::uint8_t, 3> clip_code_{};
-  std::array<std::uint8_t, 3> black_code_{};
-};
-
-/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new
-/// image.
+/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new image. What moved or
+/// changed since an older exposure was taken leaves no ghost: older samples that contradict newer ones by the noise
+/// model are left out, and light that thereby vanished from one place while another became brighter than the newest
+/// exposure can tell stays whole (a lamp that moves; frames of 8 bits) until a shorter exposure has seen it.
+/// source: sample rejection at 3.5 sigma, Granados et al. 2010
 class HdrRing {
  public:
   HdrRing(CameraInfo camera, int slots);
+  ~HdrRing();
+  HdrRing(HdrRing&&) noexcept;
+  HdrRing& operator=(HdrRing&&) noexcept;
   /// errors: kInvalid (size changed, bad exposure), kUndetermined as merge()
   Result<const MergedImage*> add(const Frame& frame);
+  /// Different exposures that stand in the ring.
+  std::size_t exposures() const { return slots_.size(); }
   /// False while a shorter exposure may still come: until one came back, or so many different ones stand in the ring.
-  bool knows_bracket() const { return came_back_ || frames_.size() >= kUsualBracket; }
+  bool knows_bracket() const { return came_back_ || slots_.size() >= kUsualBracket; }
 
  private:
   static constexpr std::size_t kUsualBracket = 4;
-  Result<void> merge_now();
-  bool came_back_ = false;  // an exposure
+  struct Slot {
+    Frame frame;
+    Exposure nominal;          // as its exposure came first; flicker moves the frames' own
+    double gain_log = 0;       // of late, in the mean
+    std::uint64_t placed = 0;  // frames that the ring had taken before
+  };
+  Slot* slot_of(const Exposure& exposure);
+  Result<void> merge_now(const std::optional<Frame>& replaced);
+  Result<void> merge_all();
   CameraInfo camera_;
-  std::size_t slots_;
-  std::vector<Frame> frames_;  // oldest first
+  std::size_t most_slots_;
+  bool came_back_ = false;  // an exposure
+  std::uint64_t taken_ = 0;
+  std::vector<Slot> slots_;  // longest exposure first
   std::vector<Exposure> table_exposures_;
-  std::optional<TableMerger> table_;
+  std::unique_ptr<TableMerger> table_;
   MergedImage merged_;
 };
 

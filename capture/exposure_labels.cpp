@@ -5,6 +5,7 @@
 
 #include "capture/bracketed_camera.h"
 #include "capture/capture.h"
+#include "capture/median.h"
 
 namespace penumbra::capture {
 
@@ -24,12 +25,6 @@ constexpr int kMostPatience = 24;    // after so many the light has changed afte
 constexpr int kFollows = 8;          // good frames in a row that no chance explains
 constexpr std::size_t kLeastBlocks = 6;
 constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
-
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::ranges::nth_element(values, middle);
-  return *middle;
-}
 
 // Median over the blocks that both know, and the median distance from it.
 struct Offset {

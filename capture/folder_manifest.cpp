@@ -208,8 +208,8 @@ Result<FolderCamera> read_camera(const TomlKeys& keys, const fs::path& folder) {
   return camera;
 }
 
-constexpr std::string_view kDeviceKeys[] = {"device", "format",    "fps",         "exposures_s",
-                                            "gains",  "unit_gain", "delay_frames"};
+constexpr std::string_view kDeviceKeys[] = {"device", "format",    "fps",          "exposures_s",
+                                            "gains",  "unit_gain", "delay_frames", "light_error"};
 
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   std::vector<Exposure> schedule;
@@ -222,7 +222,7 @@ Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
     gains = given;
   }
   if (times.empty() || times.size() > kMost)
-    return keys.invalid("exposures_s", fmt::format("not 1 to {} exposures", kMost));
+    return keys.invalid("exposures_s", fmt::format("not \"auto\" or 1 to {} exposures", kMost));
   for (std::size_t i = 0; i < times.size(); ++i) {
     if (!(times[i] > 0 && times[i] <= 60))
       return keys.invalid("exposures_s", "not within 0..60 seconds");
@@ -230,6 +230,26 @@ Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
     schedule.push_back({Seconds(times[i]), Gain(gains[i])});
   }
   return schedule;
+}
+
+// A schedule, or "auto" and what it has to reach.
+Result<void> read_exposures(const TomlKeys& keys, RigCamera& camera) {
+  const bool automatic = keys.text("exposures_s").value_or("") == "auto";
+  if (!automatic) {
+    if (keys.has("light_error"))
+      return keys.invalid("light_error", "only with exposures_s = \"auto\"");
+    PENUMBRA_ASSIGN(schedule, read_schedule(keys));
+    camera.schedule = std::move(schedule);
+    return {};
+  }
+  if (keys.has("gains")) return keys.invalid("gains", "not with exposures_s = \"auto\"");
+  constexpr double kUsualError = .01;
+  camera.light_error = kUsualError;
+  if (!keys.has("light_error")) return {};
+  PENUMBRA_ASSIGN(error, keys.number("light_error"));
+  if (!(error > 0 && error < 1)) return keys.invalid("light_error", "not within 0..1");
+  camera.light_error = error;
+  return {};
 }
 
 Result<RigCamera> read_rig_camera(const TomlKeys& keys, const fs::path& folder) {
@@ -264,8 +284,7 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys, const fs::path& folder) 
     PENUMBRA_ASSIGN(delay, keys.integer("delay_frames", 1, 10));
     camera.delay_frames = delay;
   }
-  PENUMBRA_ASSIGN(schedule, read_schedule(keys));
-  camera.schedule = std::move(schedule);
+  PENUMBRA_TRY(read_exposures(keys, camera));
   return camera;
 }
 

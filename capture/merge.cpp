@@ -3,8 +3,9 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <numeric>
 
-#include "capture/merge_math.h"
+#include "capture/contradiction.h"
 #include "core/parallel.h"
 
 namespace penumbra::capture {
@@ -21,24 +22,27 @@ Result<void> check_exposures(std::span<const Exposure> exposures) {
     if (!(std::isfinite(t) && t > 0) || !(std::isfinite(g) && g > 0))
       return fail(ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
                   fmt::format("{} s at gain {}: both must be positive and finite", t, g));
+    constexpr double kLargest = 1e12;  // beyond, radiance leaves the range of floats
+    if (t * g > kLargest || t * g < 1 / kLargest)
+      return fail(ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
+                  fmt::format("{} s at gain {}: no camera exposes so", t, g));
   }
   return {};
 }
 
 namespace {
 
-// Linear signal of one channel of one pixel, and whether it may count.
-struct Sample {
-  double signal;
-  bool clipped;
-};
-
 template <class Pixel>
 class Stack {
  public:
-  Stack(const ExposureStack& in, const CodeCurve* curve) : in_(in), curve_(curve) {
+  Stack(const ExposureStack& in, const CodeCurve* curve)
+      : in_(in), curve_(curve), order_(in.trust) {
     for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
     if (curve) step_ = QuantisationStep(*curve);
+    if (order_.empty()) {
+      order_.resize(in.exposures.size());
+      std::iota(order_.begin(), order_.end(), std::size_t{0});
+    }
   }
   int width() const { return images_[0]->width(); }
   int height() const { return images_[0]->height(); }
@@ -55,15 +59,35 @@ class Stack {
     }
   }
 
+  bool shows(std::size_t k, std::size_t i) const {
+    return in_.valid.empty() || in_.valid[k].area() == 0 || in_.valid[k].pixels()[i] != 0;
+  }
   struct Value {
     double radiance;
     bool clipped, black;
   };
-  Value merge(std::size_t i, int c) const {
+  /// The exposures that count: all that show the pixel or, with an order of trust, from the most trusted on those whose
+  /// samples agree with all before, in every channel.
+  void counting(std::size_t i, std::vector<std::size_t>& out) const {
+    out.clear();
+    for (const std::size_t k : order_) {
+      if (!shows(k, i)) continue;
+      const bool fits =
+          in_.trust.empty() || std::ranges::none_of(out, [&](std::size_t j) {
+            for (int c = 0; c < 3; ++c)
+              if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k],
+                             in_.noise, step_, c, most_sigmas(in_.noise_known)))
+                return true;
+            return false;
+          });
+      if (fits) out.push_back(k);
+    }
+  }
+  Value merge(std::size_t i, int c, std::span<const std::size_t> exposures) const {
     thread_local std::vector<Measurement> measured;
     measured.clear();
     double lower_bound = 0, longest = 0, longest_gain = 1;
-    for (std::size_t k = 0; k < images_.size(); ++k) {
+    for (const std::size_t k : exposures) {
       const Sample s = sample(k, i, c);
       const double e = in_.exposures[k].product(), g = in_.exposures[k].gain.value();
       if (s.clipped) {
@@ -83,6 +107,7 @@ class Stack {
   const ExposureStack& in_;
   const CodeCurve* curve_;
   QuantisationStep step_;
+  std::vector<std::size_t> order_;
   std::vector<const Image<Pixel>*> images_;
 };
 
@@ -95,14 +120,16 @@ MergedFloat merge_pixels(const ExposureStack& in, const CodeCurve* curve) {
   std::atomic<std::size_t> clipped = 0, black = 0;
   parallel_for(0, stack.height(), 8, [&](const auto& rows) {
     std::size_t clipped_here = 0, black_here = 0;
+    std::vector<std::size_t> exposures;
     const auto first =
         static_cast<std::size_t>(rows.begin()) * static_cast<std::size_t>(stack.width());
     const auto last =
         static_cast<std::size_t>(rows.end()) * static_cast<std::size_t>(stack.width());
     for (std::size_t i = first; i < last; ++i) {
       bool any_clipped = false, all_black = true;
+      stack.counting(i, exposures);
       for (int c = 0; c < 3; ++c) {
-        const auto v = stack.merge(i, c);
+        const auto v = stack.merge(i, c, exposures);
         out.radiance.pixels()[i][c] = static_cast<float>(v.radiance);
         any_clipped |= v.clipped;
         all_black &= v.black;
@@ -127,6 +154,15 @@ Result<void> check_stack(const ExposureStack& stack) {
         ErrorCode::kInvalid, "exposure stack",
         fmt::format("{} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
   PENUMBRA_TRY(check_exposures(stack.exposures));
+  std::vector<std::size_t> trust = stack.trust;
+  std::ranges::sort(trust);
+  for (std::size_t k = 0; k < trust.size(); ++k)
+    if (trust[k] != k || trust.size() != stack.frames.size())
+      return fail(ErrorCode::kInvalid, "exposure stack",
+                  "its order of trust is no order of its frames");
+  if (!stack.valid.empty() && stack.valid.size() != stack.frames.size())
+    return fail(ErrorCode::kInvalid, "exposure stack",
+                fmt::format("{} frames but {} masks", stack.frames.size(), stack.valid.size()));
   const FramePixels& first = *stack.frames[0];
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {
     const FramePixels& f = *stack.frames[k];
@@ -137,6 +173,10 @@ Result<void> check_stack(const ExposureStack& stack) {
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
                   fmt::format("{}x{}, expected {}x{} as the first", width(f), height(f),
                               width(first), height(first)));
+    if (!stack.valid.empty() && stack.valid[k].area() > 0 &&
+        (stack.valid[k].width() != width(f) || stack.valid[k].height() != height(f)))
+      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
+                  "its mask is of another size");
     if (width(f) == 0 || height(f) == 0)
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1), "has no pixels");
   }

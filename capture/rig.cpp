@@ -36,7 +36,8 @@ Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
 struct Rig::Station {
   Station(RigCamera c, int number, OpenCamera opener, Bounded<Frame>& out, Latest<Error>& error)
       : camera(std::move(c)),
-        bracketed(camera.info, camera.schedule, camera.delay_frames),
+        bracketed(camera.info, camera.schedule, camera.delay_frames, camera.light_error,
+                  camera.settings.fps),
         index(number),
         open(opener),
         frames(out),

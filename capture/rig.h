@@ -17,6 +17,8 @@ struct RigCamera {
   CameraSettings settings;
   std::vector<Exposure>
       schedule;  // in turn; one: fixed; none: as the camera stands, counted as one second
+  std::optional<double>
+      light_error;  // instead: the fewest exposures that keep the light's error below this
   std::optional<int> delay_frames;  // between a request and its effect; nothing: measured
 };
 

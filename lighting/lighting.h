@@ -102,7 +102,7 @@ class LatLongProjector {
 
   /// in:      linear relative radiance, lat-long, the size given at construction
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
-  /// threads: no allocation
+  /// threads: internally parallel, the same bits on any number of cores; no allocation
   Result<Projection> project(const Image<Rgb>& map);
 
  private:

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "core/parallel.h"
 #include "lighting/hole_fit.h"
 #include "lighting/latlong_kernel.h"
 #include "lighting/lighting.h"
@@ -33,9 +34,16 @@ Error first_non_finite(const Image<Rgb>& map) {
 
 }  // namespace
 
+// Of one row, about +y, by order and colour.
+struct RowSums {
+  double cosine[kMaxBands][3] = {}, sine[kMaxBands][3] = {};
+};
+
 struct LatLongProjector::Tables {
+  static constexpr int kParts = 8;  // rows side by side on several threads
   int width, height, bands;
-  std::vector<float> cosine, sine, scratch;
+  std::vector<float> cosine, sine, scratch;  // scratch: for kParts
+  std::vector<RowSums> rows;
   std::vector<double> legendre;  // per row: w_j K_lm P_lm(cos th_j), m-major, l >= m
   RowTables row;
   ShRotation to_world;
@@ -44,7 +52,8 @@ struct LatLongProjector::Tables {
     const int stride = rounded_up(w / 4, 64);
     cosine.resize(static_cast<std::size_t>(b) * stride);
     sine.resize(cosine.size());
-    scratch.resize(12 * static_cast<std::size_t>(stride));
+    scratch.resize(std::size_t{kParts} * 12 * static_cast<std::size_t>(stride));
+    rows.resize(static_cast<std::size_t>(h));
     for (int m = 0; m < b; ++m)
       for (int k = 0; k < w / 4; ++k) {
         const double p = 2 * kPi * (k + .5) / w;
@@ -61,6 +70,17 @@ struct LatLongProjector::Tables {
         for (int l = m; l < b; ++l)
           legendre.push_back(latlong_solid_angle(j, w, h) * basis[sh_index(l, m)]);
     }
+  }
+
+  void sum_rows(const Image<Rgb>& map) {
+    parallel_for(0, kParts, [&](int part) {
+      RowTables own = row;
+      own.scratch += part * 12 * own.stride;
+      for (int j = height * part / kParts; j < height * (part + 1) / kParts; ++j) {
+        RowSums& sums = rows[static_cast<std::size_t>(j)];
+        row_fourier_sums(own, &map.row(j)[0].r, sums.cosine, sums.sine);
+      }
+    });
   }
 };
 
@@ -96,20 +116,20 @@ Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
         ErrorCode::kInvalid, "environment",
         fmt::format("{}x{} pixels, expected {}x{}", map.width(), map.height(), t.width, t.height));
   Sums all, above;
-  double row_cos[kMaxBands][3] = {}, row_sin[kMaxBands][3] = {};
+  tables_->sum_rows(map);
   const double* legendre = t.legendre.data();
   for (int j = 0; j < t.height; ++j) {
     // Rows are summed from the zenith; at the horizon the sum so far is the upper hemisphere's. The middle
     // row of an odd number lies half above.
     if (t.height % 2 == 0 && j == t.height / 2) above = all;
     const Sums before = t.height % 2 == 1 && j == t.height / 2 ? all : Sums{};
-    row_fourier_sums(t.row, &map.row(j)[0].r, row_cos, row_sin);
+    const RowSums& row = t.rows[static_cast<std::size_t>(j)];
     for (int m = 0; m < t.bands; ++m)
       for (int l = m; l < t.bands; ++l) {
         const double w = *legendre++;
-        for (int c = 0; c < 3; ++c) all.term[sh_index(l, m)][c] += w * row_cos[m][c];
+        for (int c = 0; c < 3; ++c) all.term[sh_index(l, m)][c] += w * row.cosine[m][c];
         if (m > 0)  // local azimuth is -p, hence the minus
-          for (int c = 0; c < 3; ++c) all.term[sh_index(l, -m)][c] -= w * row_sin[m][c];
+          for (int c = 0; c < 3; ++c) all.term[sh_index(l, -m)][c] -= w * row.sine[m][c];
       }
     if (t.height % 2 == 1 && j == t.height / 2)
       for (int n = 0; n < kMaxCoefficients; ++n)

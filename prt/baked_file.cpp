@@ -2,7 +2,9 @@
 #include <tiny_gltf.h>
 
 #include <algorithm>
+#include <array>
 #include <cstring>
+#include <fstream>
 
 #include "core/files.h"
 #include "core/half.h"
@@ -300,6 +302,17 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
   return o;
 }
 
+// A stream that failed half way is not reported: the header tells how long the file has to be.
+bool is_whole(const std::filesystem::path& glb) {
+  std::array<unsigned char, 12> header{};
+  std::ifstream file(glb, std::ios::binary);
+  if (!file.read(reinterpret_cast<char*>(header.data()), header.size())) return false;
+  std::uint64_t length = 0;
+  for (std::size_t i = 0; i < 4; ++i) length |= std::uint64_t{header[8 + i]} << 8 * i;
+  std::error_code failed;
+  return std::filesystem::file_size(glb, failed) == length && !failed;
+}
+
 }  // namespace
 
 Result<void> write_baked(const std::filesystem::path& path, const BakedObject& object) {
@@ -308,6 +321,9 @@ Result<void> write_baked(const std::filesystem::path& path, const BakedObject& o
     if (!tinygltf::TinyGLTF().WriteGltfSceneToFile(&model, temporary.string(), true, true, false,
                                                    true))
       return fail(ErrorCode::kUnwritable, path.string(), "cannot write the file");
+    if (!is_whole(temporary))
+      return fail(ErrorCode::kUnwritable, path.string(),
+                  "cannot write all of the file; is the disk full?");
     return {};
   });
 }

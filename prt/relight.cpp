@@ -15,12 +15,12 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 // One grey transfer under three colours of light: each half is read once for three products. Two
 // vectors at a time keep enough sums in flight to hide the latency of the multiply-add.
-HWY_ATTR void RelightGrey(const std::uint16_t* values, std::size_t stride, int coefficients,
-                          const float* light, float* out) {
+HWY_ATTR void RelightGrey(const std::uint16_t* values, std::size_t stride, std::size_t first,
+                          std::size_t last, int coefficients, const float* light, float* out) {
   const hn::ScalableTag<float> d;
   const hn::Rebind<hwy::float16_t, decltype(d)> dh;
   const std::size_t lanes = hn::Lanes(d);
-  for (std::size_t p = 0; p < stride; p += 2 * lanes) {
+  for (std::size_t p = first; p < last; p += 2 * lanes) {
     auto r0 = hn::Zero(d), g0 = hn::Zero(d), b0 = hn::Zero(d);
     auto r1 = hn::Zero(d), g1 = hn::Zero(d), b1 = hn::Zero(d);
     const auto* t = reinterpret_cast<const hwy::float16_t*>(values + p);
@@ -46,12 +46,12 @@ HWY_ATTR void RelightGrey(const std::uint16_t* values, std::size_t stride, int c
 }
 
 // One colour with its own transfer.
-HWY_ATTR void RelightChannel(const std::uint16_t* values, std::size_t stride, int coefficients,
-                             const float* light, float* out) {
+HWY_ATTR void RelightChannel(const std::uint16_t* values, std::size_t stride, std::size_t first,
+                             std::size_t last, int coefficients, const float* light, float* out) {
   const hn::ScalableTag<float> d;
   const hn::Rebind<hwy::float16_t, decltype(d)> dh;
   const std::size_t lanes = hn::Lanes(d);
-  for (std::size_t p = 0; p < stride; p += lanes) {
+  for (std::size_t p = first; p < last; p += lanes) {
     auto sum = hn::Zero(d);
     const auto* t = reinterpret_cast<const hwy::float16_t*>(values + p);
     for (int n = 0; n < coefficients; ++n, t += stride)
@@ -65,6 +65,7 @@ HWY_ATTR void RelightChannel(const std::uint16_t* values, std::size_t stride, in
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
+#include "core/parallel.h"
 #include "prt/prt.h"
 
 namespace penumbra::prt {
@@ -76,14 +77,19 @@ void relight(const Transfer& transfer, const RadianceSh& light, std::span<float>
   // The bands of both: what either lacks is zero.
   const int count = coefficient_count(std::min(light.bands(), transfer.bands));
   const float* const l = &light[0].r;
-  if (transfer.channels == 1) {
-    HWY_DYNAMIC_DISPATCH(RelightGrey)
-    (transfer.values.data(), transfer.stride, count, l, out.data());
-    return;
-  }
-  for (int c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(RelightChannel)
-  (transfer.values.data() + transfer.index(c, 0, 0), transfer.stride, count, l + c,
-   out.data() + static_cast<std::size_t>(c) * transfer.stride);
+  constexpr std::size_t kPart = 16384;  // vertices, 30 us; kernels take a power of two at once
+  parallel_for(std::size_t{0}, (transfer.stride + kPart - 1) / kPart, 1, [&](const auto& parts) {
+    const std::size_t first = parts.begin() * kPart,
+                      last = std::min(parts.end() * kPart, transfer.stride);
+    if (transfer.channels == 1) {
+      HWY_DYNAMIC_DISPATCH(RelightGrey)
+      (transfer.values.data(), transfer.stride, first, last, count, l, out.data());
+      return;
+    }
+    for (int c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(RelightChannel)
+    (transfer.values.data() + transfer.index(c, 0, 0), transfer.stride, first, last, count, l + c,
+     out.data() + static_cast<std::size_t>(c) * transfer.stride);
+  });
 }
 
 }  // namespace penumbra::prt

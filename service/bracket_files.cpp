@@ -12,12 +12,18 @@ namespace penumbra::service {
 
 namespace {
 
-Result<std::vector<double>> parse_times(const std::string& text) {
+Result<std::vector<double>> parse_times(const std::string& text, bool unknown_allowed) {
   std::vector<double> out;
   std::size_t start = 0;
   while (start <= text.size()) {
     const std::size_t end = std::min(text.find(',', start), text.size());
-    const std::string item = text.substr(start, end - start);
+    std::string item = text.substr(start, end - start);
+    item.erase(0, item.find_first_not_of(' '));
+    if (unknown_allowed && item == "?") {
+      out.push_back(kUnknownTime.count());
+      start = end + 1;
+      continue;
+    }
     char* rest = nullptr;
     double value = std::strtod(item.c_str(), &rest);
     if (*rest == '/') {  // 1/60
@@ -39,8 +45,8 @@ Result<std::vector<double>> parse_times(const std::string& text) {
 }  // namespace
 
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
-                                            const std::string& times_text) {
-  auto times = parse_times(times_text);
+                                            const std::string& times_text, bool unknown_allowed) {
+  auto times = parse_times(times_text, unknown_allowed);
   if (!times) return std::unexpected(times.error());
   if (times->size() != images.size())
     return fail(ErrorCode::kInvalid, "--times",
@@ -67,6 +73,50 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
     stack.exposures.push_back({Seconds((*times)[k]), Gain(1)});
   }
   return stack;
+}
+
+Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
+  for (const auto& f : stack.frames)
+    if (!std::holds_alternative<Image<Rgb8>>(*f))
+      return fail(ErrorCode::kInvalid, "exposure stack",
+                  "ratios are estimated from pictures of 8 bits");
+  const CodeCurve curve = capture::make_code_curve(stack.response, 8, stack.black_level);
+  const auto ratio_of = [&](std::size_t against, std::size_t picture) {
+    return capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*stack.frames[against]),
+                                            std::get<Image<Rgb8>>(*stack.frames[picture]), curve);
+  };
+  const auto known = [&](std::size_t k) { return stack.exposures[k].time > kUnknownTime; };
+  std::vector<CheckedTime> out;
+  std::vector<std::size_t> told;
+  for (std::size_t k = 0; k < stack.frames.size(); ++k)
+    if (known(k)) told.push_back(k);
+  if (told.empty())
+    return fail(ErrorCode::kUndetermined, "--times",
+                "no time is given; name one (1 will do) to count from");
+  std::ranges::stable_sort(told, {},
+                           [&](std::size_t k) { return stack.exposures[k].time.count(); });
+  for (std::size_t i = 1; i < told.size(); ++i) {
+    // Far apart nothing may overlap; that is no fault of the times.
+    const auto ratio = ratio_of(told[i - 1], told[i]);
+    if (ratio)
+      out.push_back({told[i], told[i - 1], *ratio,
+                     stack.exposures[told[i]].time / stack.exposures[told[i - 1]].time});
+  }
+  for (std::size_t left = stack.frames.size() - told.size(); left > 0; --left) {
+    std::size_t picture = 0;
+    const auto has_neighbour = [&](std::size_t k) {
+      return (k > 0 && known(k - 1)) || (k + 1 < stack.frames.size() && known(k + 1));
+    };
+    while (known(picture) || !has_neighbour(picture)) ++picture;
+    const std::size_t against = picture > 0 && known(picture - 1) ? picture - 1 : picture + 1;
+    const auto ratio = ratio_of(against, picture);
+    if (!ratio)
+      return fail(ratio.error().code, fmt::format("--times: the ? of picture {}", picture + 1),
+                  ratio.error().detail);
+    stack.exposures[picture].time = stack.exposures[against].time * ratio->ratio;
+    out.push_back({picture, against, *ratio, 0});
+  }
+  return out;
 }
 
 EightBitBracket eight_bit_bracket(const capture::ExposureStack& stack) {

@@ -18,6 +18,9 @@ struct HdrMergeOptions {
   std::vector<std::string> images;
   std::string times;                    // seconds, separated by commas
   std::optional<std::string> response;  // estimated from the bracket when absent
+  bool align = false;
+  int reference =
+      0;  // picture that is trusted most, from 1; 0: none, or with `align` the middle one
   std::string output;
   bool json = false;
 };

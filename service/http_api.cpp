@@ -50,6 +50,13 @@ nlohmann::json to_json(const capture::CameraCounts& c) {
                         {"damaged", c.damaged},         {"refused", c.refused},
                         {"reconnected", c.reconnected}, {"follows_exposure", !c.deaf}};
   out["delay_frames"] = c.delay_frames ? nlohmann::json(*c.delay_frames) : nlohmann::json(nullptr);
+  out["exposures_s"] = nlohmann::json::array();
+  out["gains"] = nlohmann::json::array();
+  for (const Exposure& e : c.exposures) {
+    out["exposures_s"].push_back(e.time.count());
+    out["gains"].push_back(e.gain.value());
+  }
+  if (c.light_error) out["light_error"] = *c.light_error;
   return out;
 }
 

@@ -67,11 +67,20 @@ void add_image_commands(CLI::App& app, Action& action) {
   auto* hdr = app.add_subcommand("hdr", "High dynamic range images");
   hdr->require_subcommand(1);
   static HdrMergeOptions merge;
-  auto* c = hdr->add_subcommand("merge", "One HDR image from a registered bracket");
+  auto* c = hdr->add_subcommand("merge", "One HDR image from a bracket");
   c->add_option("images", merge.images, "8 or 16 bit PNG, JPEG, TIFF, or linear EXR/HDR")
       ->required();
-  c->add_option("--times", merge.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
+  c->add_option(
+       "--times", merge.times,
+       "Exposure times in seconds: t1,t2,... (1/60 works; ? is found from the overlap, with "
+       "--response)")
       ->required();
+  c->add_flag("--align", merge.align, "The camera was held by hand: align the pictures first");
+  c->add_option(
+       "--reference", merge.reference,
+       "Something moved: trust this picture (1, 2, ...) and leave out what contradicts it; "
+       "with --align the middle exposure unless given")
+      ->check(CLI::Range(1, 10000));
   c->add_option("--response", merge.response,
                 "linear, srgb, gamma:2.2 or a response file; without it the curve is estimated "
                 "from the bracket");

@@ -32,6 +32,8 @@ class LightStage {
   /// Whether the light may be shown: false while exposures that the bracket still owes could resolve what is saturated so
   /// far, for a few frames at the start. Half a bracket's light is too dim, and the picture would jump when it is whole.
   bool settled() const { return settled_; }
+  /// Different exposures that the light comes from.
+  std::size_t exposures() const { return ring_.exposures(); }
   void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
   /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
   Result<lighting::LightEstimate> process(const capture::Frame& frame);

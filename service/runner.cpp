@@ -4,7 +4,6 @@
 
 #include <chrono>
 #include <mutex>
-#include <set>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -111,7 +110,6 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
                              const Sink& sink, StageTimes& times) {
   RunCounts counts;
   Replay replay(light, compose, sink, counts);
-  std::set<double> exposures;
   const auto start = Clock::now();
   while (replay.go_on()) {
     auto frame = [&] {
@@ -121,7 +119,6 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
     if (!frame) return std::unexpected(frame.error());
     if (!*frame) break;
     if ((*frame)->camera == light.camera()) {
-      exposures.insert((*frame)->exposure.product());
       PENUMBRA_TRY(replay.add_environment(**frame));
     } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role ==
                capture::Role::kView) {
@@ -130,7 +127,7 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
   }
   PENUMBRA_TRY(replay.compose_waiting());
   counts.seconds = since(start);
-  counts.exposures = static_cast<int>(exposures.size());
+  counts.exposures = static_cast<int>(light.exposures());
   PENUMBRA_TRY(never_any_light(counts, replay.last_unusable()));
   return counts;
 }
@@ -145,7 +142,6 @@ struct Live {
   std::mutex mutex;
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
-  std::set<double> exposures;                 // light thread only
 
   void close() {
     environment.close();
@@ -224,7 +220,6 @@ void measure(Live& live, LightStage& light) noexcept {
         if (live.environment.closed()) return;
         continue;
       }
-      live.exposures.insert(frame->exposure.product());
       if (const auto completions = live.completions.take()) light.complete(*completions);
       auto estimate = light.process(*frame);
       if (estimate) {
@@ -279,7 +274,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
   counts.seconds = since(start);
   counts.dropped = live.view.dropped() + live.environment.dropped();
   counts.unusable = live.unusable;
-  counts.exposures = static_cast<int>(live.exposures.size());
+  counts.exposures = static_cast<int>(light.exposures());
   if (live.error) return std::unexpected(*live.error);
   PENUMBRA_TRY(composed);
   if (!stop) PENUMBRA_TRY(never_any_light(counts, live.last_unusable));

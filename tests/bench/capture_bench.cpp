@@ -6,8 +6,12 @@
 
 #include "bench/harness.h"
 #include "capture/capture.h"
+#include "capture/exposure_schedule.h"
+#include "capture/table_merger.h"
 #include "core/conventions.h"
 #include "core/half.h"
+#include "core/parallel.h"
+#include "support/brackets.h"
 
 namespace penumbra::bench {
 namespace {
@@ -38,6 +42,7 @@ struct Bracket {
       frames.push_back(std::get<Image<Rgb8>>(pixels));
     }
   }
+  CameraInfo camera() const { return test::environment_camera(sensor, kWidth, kHeight); }
 };
 const Bracket& bracket() {
   static const Bracket b;
@@ -55,12 +60,12 @@ double relative_error(const Image<Rgb>& truth, auto radiance_at) {
 void merge_against(benchmark::State& state, bool robertson) {
   const Threads threads(static_cast<int>(state.range(0)));
   const Bracket& b = bracket();
-  const auto merger = TableMerger::make(b.exposures, b.sensor.response, b.sensor.noise, 0);
-  std::vector<const Image<Rgb8>*> frames;
+  auto merger = TableMerger::make(b.exposures, b.camera());
+  std::vector<TableMerger::Slot> frames;
   std::vector<cv::Mat> mats;
   std::vector<float> times;
   for (std::size_t k = 0; k < b.frames.size(); ++k) {
-    frames.push_back(&b.frames[k]);
+    frames.push_back({&b.frames[k], b.exposures[k], 0});
     mats.emplace_back(Bracket::kHeight, Bracket::kWidth, CV_8UC3,
                       const_cast<Rgb8*>(b.frames[k].pixels().data()));
     times.push_back(static_cast<float>(b.exposures[k].time.count()));
@@ -74,7 +79,7 @@ void merge_against(benchmark::State& state, bool robertson) {
   const auto merge_robertson = cv::createMergeRobertson();
   MergedImage out;
   compare(
-      state, [&] { merger->merge(frames, out); },
+      state, [&] { merger->update(frames, nullptr, out); },
       [&] {
         if (robertson)
           merge_robertson->process(mats, hdr, times, response);
@@ -121,6 +126,95 @@ BENCHMARK(merge_debevec)
 BENCHMARK(merge_robertson)
     ->Name("capture/merge_4x2048x1024_vs_opencv_robertson")
     ->Apply(one_and_two_threads);
+
+// What a ring of four exposures does with each new 1920x1080 frame, beside streaming once what it may have to touch: all
+// frames and the one that was replaced in, half floats out. Over the given share of the columns something moves.
+void ring(benchmark::State& state) {
+  const Threads threads(static_cast<int>(state.range(0)));
+  constexpr int kWidth = 1920, kHeight = 1080, kRounds = 3;
+  const int moving = kWidth * static_cast<int>(state.range(1)) / 100;
+  const Bracket& b = bracket();
+  std::vector<Frame> frames;
+  for (std::uint64_t n = 0; n < 4 * kRounds; ++n) {
+    Image<Rgb> shown(kWidth, kHeight);
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x)
+        shown.at(x, y) =
+            b.truth.at(x < moving ? (x + static_cast<int>(n) * 60) % kWidth : x, y / 2);
+    Frame f;
+    f.exposure = b.exposures[n % 4];
+    FramePixels pixels;
+    expose(b.sensor, shown, f.exposure, n, pixels);
+    f.pixels = std::make_shared<const FramePixels>(std::move(pixels));
+    frames.push_back(std::move(f));
+  }
+  HdrRing ring(test::environment_camera(b.sensor, kWidth, kHeight), 8);
+  std::uint64_t count = 0;
+  const auto add = [&] {
+    Frame f = frames[count % frames.size()];
+    f.sequence = count++;
+    benchmark::DoNotOptimize(ring.add(f));
+  };
+  constexpr int kRound = 4;  // exposures cost differently: a round is timed as a whole
+  for (int n = 0; n < 2 * kRound; ++n) add();
+  const std::size_t area = std::size_t{kWidth} * kHeight;
+  // Words of eight bytes; as many different ones in turn as the ring gets, so that no cache holds them.
+  const std::size_t words = 3 * area / 8;
+  std::vector<std::uint64_t> in(frames.size() * words, 1), out(area);
+  std::size_t first = 0;
+  const auto stream = [&] {
+    first = (first + 1) % (frames.size() - 5);
+    parallel_for(std::size_t{0}, words, 1 << 13, [&](const auto& range) {
+      for (std::size_t i = range.begin(); i < range.end(); ++i) {
+        const std::uint64_t* const word = &in[first * words + i];
+        const std::uint64_t all =
+            word[0] ^ word[words] ^ word[2 * words] ^ word[3 * words] ^ word[4 * words];
+        for (std::size_t k = 0; k < 3 && 3 * i + k < area; ++k) out[3 * i + k] = all + k;
+      }
+    });
+    benchmark::ClobberMemory();
+  };
+  const auto a_round = [](const auto& one) {
+    return [&one] {
+      for (int n = 0; n < kRound; ++n) one();
+    };
+  };
+  compare(state, a_round(add), a_round(stream));
+  state.counters["ours_ms_a_frame"] = state.counters["ours_ms"] / kRound;
+}
+BENCHMARK(ring)
+    ->Name("capture/ring_round_of_4x1920x1080_vs_streaming")
+    ->ArgsProduct({{1, 2}, {0, 10, 100}})
+    ->ArgNames({"threads", "moving_percent"})
+    ->Iterations(kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
+
+// What an automatic schedule looks at in each frame, beside reading the frame once.
+void light_histogram(benchmark::State& state) {
+  constexpr int kWidth = 1920, kHeight = 1080;
+  const Bracket& b = bracket();
+  LightHistogram histogram(test::environment_camera(b.sensor, kWidth, kHeight));
+  Image<Rgb> shown(kWidth, kHeight);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) shown.at(x, y) = b.truth.at(x, y / 2);
+  FramePixels frame;
+  expose(b.sensor, shown, b.exposures[1], 1, frame);
+  const auto& pixels = std::get<Image<Rgb8>>(frame).pixels();
+  const auto* const words = reinterpret_cast<const std::uint64_t*>(pixels.data());
+  compare(
+      state, [&] { histogram.add(frame, b.exposures[1], 4); },
+      [&] {
+        std::uint64_t sum = 0;
+        for (std::size_t i = 0; i < pixels.size() * 3 / 8; ++i) sum += words[i];
+        benchmark::DoNotOptimize(sum);
+      });
+}
+BENCHMARK(light_histogram)
+    ->Name("capture/light_histogram_1920x1080_vs_streaming")
+    ->Iterations(kRepeats)
+    ->UseManualTime()
+    ->Unit(benchmark::kMillisecond);
 
 // A 180-degree fisheye of 1536 pixels across into a 2048x1024 environment.
 void warp(benchmark::State& state) {

@@ -1,51 +1,57 @@
 #include <Eigen/Core>
 #include <random>
+#include <span>
 
 #include "bench/harness.h"
 #include "core/half.h"
+#include "core/parallel.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 
 namespace penumbra::bench {
 namespace {
 
-// Peer: reading the map once, at the bandwidth of this run (eight independent sums).
+std::uint64_t sum_of(std::span<const std::uint64_t> words) {
+  std::uint64_t s[8] = {}, sum = 0;
+  for (std::size_t i = 0; i + 8 <= words.size(); i += 8)
+    for (std::size_t k = 0; k < 8; ++k) s[k] += words[i + k];
+  for (const std::uint64_t v : s) sum += v;
+  return sum;
+}
+
+// Peer: reading the map once, at the bandwidth of this run (eight independent sums), on as many threads.
 void sh_projection(benchmark::State& state) {
-  const Threads threads(1);
-  const int bands = static_cast<int>(state.range(0));
+  const Threads threads(static_cast<int>(state.range(0)));
+  const int bands = static_cast<int>(state.range(1));
   Image<Rgb> map(2048, 1024);
   std::mt19937 rng(1);
   std::lognormal_distribution<float> heavy(0, 1);
   for (Rgb& c : map.pixels()) c = {heavy(rng), heavy(rng), heavy(rng)};
   lighting::LatLongProjector projector(2048, 1024, bands);
-  const auto* words = reinterpret_cast<const std::uint64_t*>(map.pixels().data());
-  const std::size_t count = map.area() * sizeof(Rgb) / 64;
-  std::uint64_t sink = 0;
+  const std::span words(reinterpret_cast<const std::uint64_t*>(map.pixels().data()),
+                        map.area() * sizeof(Rgb) / sizeof(std::uint64_t));
   compare(
       state, [&] { benchmark::DoNotOptimize(projector.project(map)); },
       [&] {
-        std::uint64_t s[8] = {};
-        for (std::size_t i = 0; i < count; ++i)
-          for (int k = 0; k < 8; ++k) s[k] += words[8 * i + static_cast<std::size_t>(k)];
-        for (std::uint64_t v : s) sink += v;
-        benchmark::DoNotOptimize(sink);
+        parallel_for(std::size_t{0}, words.size(), std::size_t{1} << 16, [&](const auto& part) {
+          benchmark::DoNotOptimize(sum_of(words.subspan(part.begin(), part.size())));
+        });
       });
   state.counters["times_of_streaming"] = 1 / state.counters["ratio"];
-  state.counters["stream_GB_s"] = static_cast<double>(count) * 64e-6 / state.counters["peer_ms"];
+  state.counters["stream_GB_s"] =
+      static_cast<double>(words.size_bytes()) * 1e-6 / state.counters["peer_ms"];
 }
 BENCHMARK(sh_projection)
     ->Name("lighting/project_2048x1024_vs_streaming")
-    ->ArgName("bands")
-    ->Arg(3)
-    ->Arg(5)
-    ->Arg(9)
+    ->ArgNames({"threads", "bands"})
+    ->ArgsProduct({{1, 2}, {3, 5, 9}})
     ->Iterations(kRepeats)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
 
-// Peer: Eigen's product of a 100k x 25 float matrix with a 25 x 3 one.
+// Peer: Eigen's product of a 100k x 25 float matrix with a 25 x 3 one, its rows on as many threads.
 void relight(benchmark::State& state) {
-  const Threads threads(1);
+  const Threads threads(static_cast<int>(state.range(0)));
   constexpr std::size_t kVertices = 100'000;
   prt::Transfer transfer(5, 1, kVertices);
   Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic> matrix(kVertices, 25);
@@ -70,15 +76,16 @@ void relight(benchmark::State& state) {
         benchmark::DoNotOptimize(out.data());
       },
       [&] {
-        product.noalias() = matrix * columns;
+        constexpr Eigen::Index kRows = 2048;
+        parallel_for(Eigen::Index{0}, matrix.rows(), kRows, [&](const auto& rows) {
+          const auto size = static_cast<Eigen::Index>(rows.size());
+          product.middleRows(rows.begin(), size).noalias() =
+              matrix.middleRows(rows.begin(), size) * columns;
+        });
         benchmark::DoNotOptimize(product.data());
       });
 }
-BENCHMARK(relight)
-    ->Name("prt/relight_100k_25_rgb_vs_eigen")
-    ->Iterations(31)
-    ->UseManualTime()
-    ->Unit(benchmark::kMillisecond);
+BENCHMARK(relight)->Name("prt/relight_100k_25_rgb_vs_eigen")->Apply(one_and_two_threads);
 
 }  // namespace
 }  // namespace penumbra::bench

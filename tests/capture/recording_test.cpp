@@ -356,7 +356,14 @@ double resident_mb() {
 }
 
 TEST_F(RecordingTest, AnHourReplaysWithConstantMemory) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  // Sanitizers keep what was freed and take minutes for an hour: there the reader and the writer alone are judged.
+  constexpr int kFrames = 3'000;
+  constexpr bool kMemoryCounts = false;
+#else
   constexpr int kFrames = 216'000;  // 60 a second
+  constexpr bool kMemoryCounts = true;
+#endif
   constexpr int kW = 16, kH = 8;
   CameraInfo small = camera("view", Role::kView);
   small.projection = *calib::make_projection(calib::ProjectionKind::kPinhole, kW, kH);
@@ -384,6 +391,7 @@ TEST_F(RecordingTest, AnHourReplaysWithConstantMemory) {
   EXPECT_EQ(count, kFrames);
   const double read = resident_mb() - after_a_tenth;
   std::printf("an hour: recording grew by %.1f MB (its index), replay by %.1f MB\n", written, read);
+  if (!kMemoryCounts) return;
   EXPECT_LT(written, 20);
   EXPECT_LT(read, 2);
 }

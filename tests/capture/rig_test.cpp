@@ -154,6 +154,21 @@ delay_frames = 2
   EXPECT_EQ(c.delay_frames, 2);
 }
 
+TEST(RigFile, ExposuresMayBeLeftToTheLight) {
+  const test::TempFolder folder;
+  const std::string camera =
+      "[[camera]]\nname = \"a\"\nrole = \"environment\"\nwidth = 64\nheight = 48\n"
+      "projection = \"equidistant\"\nresponse = \"srgb\"\ndevice = \"/dev/video0\"\n"
+      "exposures_s = \"auto\"\n";
+  for (const auto& [more, error] : {std::pair{"", .01}, {"light_error = 0.03\n", .03}}) {
+    write(folder.path() / "rig.toml", camera + more);
+    const auto cameras = read_rig_cameras(folder.path() / "rig.toml");
+    ASSERT_TRUE(cameras) << cameras.error().where << cameras.error().detail;
+    EXPECT_TRUE(cameras->front().schedule.empty());
+    EXPECT_EQ(cameras->front().light_error, error);
+  }
+}
+
 TEST(RigFile, BadValuesNameTheirKeyAndLine) {
   const test::TempFolder folder;
   const std::string good =
@@ -162,6 +177,10 @@ TEST(RigFile, BadValuesNameTheirKeyAndLine) {
   for (const auto& [line, key] : std::initializer_list<std::pair<const char*, const char*>>{
            {"exposures_s = [0.01, -1]", "exposures_s"},
            {"exposures_s = []", "exposures_s"},
+           {"exposures_s = \"best\"", "exposures_s"},
+           {"exposures_s = [0.01]\nlight_error = 0.1", "light_error"},
+           {"exposures_s = \"auto\"\nlight_error = 0", "light_error"},
+           {"exposures_s = \"auto\"\ngains = [1]", "gains"},
            {"exposures_s = [0.01]\ngains = [1, 2]", "gains"},
            {"fps = 0", "fps"},
            {"delay_frames = 0", "delay_frames"},

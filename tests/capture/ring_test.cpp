@@ -13,13 +13,7 @@ constexpr int kWidth = 40, kHeight = 20;
 constexpr double kTimes[] = {1, 1. / 4, 1. / 16, 1. / 64};
 
 CameraInfo camera(const Sensor& sensor) {
-  CameraInfo c;
-  c.name = "fisheye";
-  c.projection = {calib::ProjectionKind::kLatLong, kWidth, kHeight, {}, {}};
-  c.response = sensor.response;
-  c.noise = sensor.noise;
-  c.black_level = sensor.black_level;
-  return c;
+  return test::environment_camera(sensor, kWidth, kHeight);
 }
 
 Sensor sensor_of(int bits) {

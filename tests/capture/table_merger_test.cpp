@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
+#include "capture/table_merger.h"
 #include "core/half.h"
 #include "tests/support/brackets.h"
 
@@ -29,21 +31,37 @@ Sensor sensor_with(calib::Response response, double black_level) {
   return s;
 }
 
+CameraInfo camera_of(const ExposureStack& stack) {
+  CameraInfo camera;
+  camera.projection = {
+      calib::ProjectionKind::kLatLong, width(*stack.frames[0]), height(*stack.frames[0]), {}, {}};
+  camera.response = stack.response;
+  camera.noise = stack.noise;
+  camera.noise_known = true;
+  camera.black_level = stack.black_level;
+  return camera;
+}
+
 MergedImage by_table(const ExposureStack& stack) {
   MergedImage out;
-  const auto merger =
-      TableMerger::make(stack.exposures, stack.response, stack.noise, stack.black_level);
+  const auto camera = camera_of(stack);
+  auto order = std::vector<std::size_t>(stack.exposures.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::ranges::sort(order, std::greater{},
+                    [&](std::size_t k) { return stack.exposures[k].product(); });
+  std::vector<Exposure> exposures;
+  std::vector<TableMerger::Slot> slots;
+  for (const std::size_t k : order) {
+    exposures.push_back(stack.exposures[k]);
+    slots.push_back({&std::get<Image<Rgb8>>(*stack.frames[k]), stack.exposures[k], 0});
+  }
+  auto merger = TableMerger::make(exposures, camera);
   EXPECT_TRUE(merger);
-  std::vector<const Image<Rgb8>*> images;
-  for (const auto& f : stack.frames) images.push_back(&std::get<Image<Rgb8>>(*f));
-  if (merger) merger->merge(images, out);
+  if (merger) merger->update(slots, nullptr, out);
   return out;
 }
 
-Rgb radiance_of(const MergedImage& image, std::size_t i) {
-  const HalfRgba& p = image.pixels.pixels()[i];
-  return image.scale * Rgb{float_from_half(p.r), float_from_half(p.g), float_from_half(p.b)};
-}
+using test::radiance_of;
 
 /// RMSE of the tables over RMSE of the full estimate, relative errors; the worst decade of the
 /// worst channel.
@@ -136,7 +154,9 @@ TEST(TableMerger, ChannelsOfDifferentResponseDoNotMix) {
 
 TEST(TableMerger, RefusesExposuresThatShareTheInformation) {
   const auto make = [](std::vector<double> times) {
-    return TableMerger::make(test::exposures_of(times), calib::Response::srgb(), {}, 0);
+    CameraInfo camera;
+    camera.response = calib::Response::srgb();
+    return TableMerger::make(test::exposures_of(times), camera).has_value();
   };
   EXPECT_FALSE(make({1, 1. / 2, 1. / 4, 1. / 8})) << "one stop apart: two of four hold 80 %";
   EXPECT_FALSE(make({1, 1, 1})) << "equal exposures";

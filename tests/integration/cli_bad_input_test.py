@@ -4,10 +4,11 @@ cli_bad_input_test.py PROGRAM [CLASS...]"""
 
 import shutil
 import re
+import subprocess
 import sys
 
 import cli_files as files
-from cli_case import CliTest, main
+from cli_case import PATIENCE, CliTest, main, program
 
 
 class BadImages(CliTest):
@@ -43,6 +44,17 @@ class BadImages(CliTest):
     def test_times_that_are_no_exposures(self):
         for times in ("0,0.4", "0.1,-0.4", "-0.1,0.4", "nan,0.4", "0.1,inf", "0.1,", "0.1", "0.1,0.2,0.3", "a,b", "1/0,1"):
             self.refuse(["times"], ["a.png", "b.png"], times)
+
+    def test_unknown_times_that_cannot_be_found(self):
+        self.refuse(["no time is given"], ["a.png", "b.png"], "?,?")
+        self.refuse(["picture 2", "neither clipped nor dark"], ["black.png", "white.png"], "1,?")
+        self.expect_refusal(["needs --response"], "hdr", "merge", self.root / "a.png", self.root / "b.png", "--times", "1,?",
+                            "-o", self.root / "out" / "merged.exr")
+
+    def test_references_and_alignment_that_cannot_be(self):
+        for words, options in ((["reference", "2 pictures"], ["--reference", 3]), (["picture 1", "in common"], ["--align"])):
+            self.expect_refusal(words, "hdr", "merge", self.root / "a.png", self.root / "b.png", "--times", "0.1,0.4",
+                                "--response", "linear", *options, "-o", self.root / "out" / "merged.exr")
 
     def test_all_black_and_all_clipped(self):
         for response in ("linear", "srgb"):
@@ -215,6 +227,20 @@ class BadOutputs(CliTest):
                             self.root / "even.hdr", "--asset", self.root / "cube.obj", "--still-only", "--bands", 1,
                             "--out", self.root / "out" / "demo", "--record", self.below)
         self.assertEqual((self.root / "plain").read_text(), "a file")
+
+    def test_disk_that_fills_up_while_a_bake_is_written(self):
+        out = self.root / "out"
+        out.mkdir(exist_ok=True)
+        baked = out / "cube.glb"
+        baked.write_text("earlier")
+        script = "trap '' XFSZ; ulimit -f 40; exec \"$@\""
+        done = subprocess.run(["sh", "-c", script, "sh", program(), "bake", str(self.root / "cube.obj"), "-o", str(baked),
+                               "--samples", "64"], env=self.environment, capture_output=True, text=True,
+                              timeout=300 * PATIENCE, check=False)
+        self.assertEqual(done.returncode, 2, done.stdout + done.stderr)
+        self.assertIn("cube.glb", done.stderr.splitlines()[-1])
+        self.assertEqual(baked.read_text(), "earlier")
+        self.assertEqual([p.name for p in out.iterdir()], ["cube.glb"])
 
     def test_numbers_out_of_range_name_their_option(self):
         baked = self.root / "out" / "cube.glb"

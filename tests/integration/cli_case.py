@@ -11,6 +11,8 @@ import unittest
 from pathlib import Path
 
 PROGRAM = ""
+# Sanitizers make the program many times slower; their presets say so.
+PATIENCE = float(os.environ.get("PENUMBRA_TEST_PATIENCE", "1"))
 
 
 def program():
@@ -39,7 +41,7 @@ class CliTest(unittest.TestCase):
     @classmethod
     def run_program(cls, *arguments):
         return subprocess.run([PROGRAM, *map(str, arguments)], env=cls.environment, capture_output=True, text=True,
-                              errors="replace", timeout=300, cwd=cls.root, check=False)
+                              errors="replace", timeout=300 * PATIENCE, cwd=cls.root, check=False)
 
     def run_well(self, *arguments):
         done = self.run_program(*arguments)

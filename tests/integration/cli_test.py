@@ -16,7 +16,7 @@ import urllib.error
 import urllib.request
 
 import cli_files as files
-from cli_case import CliTest, main, program
+from cli_case import PATIENCE, CliTest, main, program
 
 SUMMARY_KEYS = {"frames", "dropped", "seconds", "fps", "stages", "configuration", "touched_fraction"}
 
@@ -66,7 +66,7 @@ class DemoAndComposite(CliTest):
         script = f'mkdir "{out}"/.partial-$$ && echo stale > "{out}"/.partial-$$/frame_000099.png && exec "$@"'
         done = subprocess.run(["sh", "-c", script, "sh", program(), "demo", "--headless", "--frames", "1", "--width", "64",
                                "--height", "64", "--still-only", "--bands", "1", "--out", str(out)],
-                              env=self.environment, capture_output=True, text=True, timeout=300, check=False)
+                              env=self.environment, capture_output=True, text=True, timeout=300 * PATIENCE, check=False)
         if done.returncode == 2 and re.search(r"EGL|OpenGL ES", done.stderr):
             self.skipTest("no OpenGL ES 3.1: " + done.stderr.strip())
         self.assertEqual(done.returncode, 0, done.stderr)
@@ -82,11 +82,11 @@ class DemoAndComposite(CliTest):
         process = subprocess.Popen([program(), "composite", "--capture", record, "--scene", record / "scene.toml",
                                     "--out", out], env=self.environment, stdout=subprocess.PIPE,
                                    stderr=subprocess.PIPE, text=True)
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 120 * PATIENCE
         while not list(out.glob(".partial-*/*.png")) and process.poll() is None and time.monotonic() < deadline:
             time.sleep(.005)
         process.send_signal(signal.SIGTERM)
-        errors = process.communicate(timeout=60)[1]
+        errors = process.communicate(timeout=60 * PATIENCE)[1]
         self.assertEqual(process.returncode, 2, errors)
         self.assertIn("stopped by a signal", errors)
         self.assertEqual(sorted(p.name for p in out.iterdir()), ["frame_000000.png", "summary.json", "video.mp4"])
@@ -144,6 +144,19 @@ class HdrMerge(CliTest):
         picture = self.run_json("inspect", out)
         self.assert_close(picture["largest_luminance"], 40, 0.8)
         self.assert_close(picture["smallest_positive_luminance"], 4, 0.12)
+
+    def test_unknown_time_is_found_from_the_overlap(self):
+        for name, factor in (("short", 1), ("long", 2)):
+            files.write_png(self.root / f"{name}.png", 80, 60, lambda x, y, f=factor: (f * (30 + x),) * 3)
+        pictures = [self.root / "short.png", self.root / "long.png"]
+        for times in ("0.01,?", "?,0.02"):
+            out = self.root / "found.hdr"
+            done = self.run_program("hdr", "merge", *pictures, "--times", times, "--response", "linear", "-o", out)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertRegex(done.stderr, r"(short|long)\.png: .* times .* by their overlap .*: 0\.0[12]\d* s")
+            self.assert_close(self.run_json("inspect", out)["largest_luminance"], 109 / 255 / 0.01, 0.2)
+        done = self.run_program("hdr", "merge", *pictures, "--times", "0.01,0.04", "--response", "linear", "-o", out)
+        self.assertRegex(done.stderr, "warning: .*long.png: 2 times .*, but 4 by the given times")
 
     def test_order_of_the_images_does_not_matter(self):
         outs = [self.root / "one.hdr", self.root / "two.hdr"]
@@ -234,7 +247,7 @@ class Window(CliTest):
             self.skipTest("xvfb-run is not installed")
         done = subprocess.run([xvfb, "-a", program(), "demo", "--live", "--still-only", "--frames", "12", "--width", "320",
                                "--height", "180", "--out", str(self.root / "out")],
-                              env=self.environment, capture_output=True, text=True, timeout=300, check=False)
+                              env=self.environment, capture_output=True, text=True, timeout=300 * PATIENCE, check=False)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertNotIn("without a window", done.stderr)
         self.assertTrue((self.root / "out" / "still.png").is_file())
@@ -285,7 +298,7 @@ class Serve(CliTest):
         """(status, kind, body)"""
         request = urllib.request.Request(self.base + path, method=method)
         try:
-            with urllib.request.urlopen(request, timeout=20) as reply:
+            with urllib.request.urlopen(request, timeout=20 * PATIENCE) as reply:
                 return reply.status, reply.headers.get("Content-Type", ""), reply.read()
         except urllib.error.HTTPError as e:
             with e:
@@ -321,7 +334,7 @@ class Serve(CliTest):
             self.assertIn("error", json.loads(body))
         self.assertGreaterEqual(self.get("/healthz", "DELETE")[0], 400)
         self.process.send_signal(signal.SIGTERM)
-        self.assertEqual(self.process.wait(timeout=60), 0, "".join(self.lines))
+        self.assertEqual(self.process.wait(timeout=60 * PATIENCE), 0, "".join(self.lines))
 
 
 class Record(CliTest):
@@ -358,12 +371,12 @@ class Record(CliTest):
         recording = self.root / "stopped.mkv"
         process = subprocess.Popen([program(), "record", "--config", self.studio(), "--out", recording],
                                    stdout=subprocess.PIPE, text=True)
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 60 * PATIENCE
         while not (recording.exists() and recording.stat().st_size > 1_000_000):
             self.assertLess(time.monotonic(), deadline)
             time.sleep(.05)
         process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=60)
+        said, _ = process.communicate(timeout=60 * PATIENCE)
         self.assertEqual(process.returncode, 0)
         cameras = self.cameras_of(recording)
         for name in ("environment", "view"):

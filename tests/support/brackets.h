@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "capture/capture.h"
+#include "core/half.h"
 
 namespace penumbra::test {
 
@@ -20,6 +21,24 @@ inline Image<Rgb> log_uniform_radiance(int width, int height, double low, double
   for (Rgb& p : out.pixels())
     for (int c = 0; c < 3; ++c) p[c] = static_cast<float>(std::exp(exponent(rng)));
   return out;
+}
+
+/// One that sees the whole sphere through this sensor.
+inline capture::CameraInfo environment_camera(const capture::Sensor& sensor, int width,
+                                              int height) {
+  capture::CameraInfo c;
+  c.name = "fisheye";
+  c.projection = {calib::ProjectionKind::kLatLong, width, height, {}, {}};
+  c.response = sensor.response;
+  c.noise = sensor.noise;
+  c.noise_known = true;
+  c.black_level = sensor.black_level;
+  return c;
+}
+
+inline Rgb radiance_of(const capture::MergedImage& image, std::size_t i) {
+  const HalfRgba& p = image.pixels.pixels()[i];
+  return image.scale * Rgb{float_from_half(p.r), float_from_half(p.g), float_from_half(p.b)};
 }
 
 inline std::vector<Exposure> exposures_of(std::span<const double> times, double gain = 1) {

@@ -1,0 +1,285 @@
+// Stacks as people take them: times that are not known, cameras held by hand, people who walk through.
+#include "capture/stacks.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdio>
+#include <opencv2/calib3d.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "codec/codec.h"
+#include "tests/support/brackets.h"
+#include "tests/support/shared_data.h"
+
+namespace penumbra::capture {
+namespace {
+
+CodeCurve srgb() {
+  return make_code_curve(calib::Response::srgb(), 8, 0);
+}
+
+Image<Rgb> room() {
+  Image<Rgb> map = make_room_environment(320, 160);
+  for (Rgb& p : map.pixels()) p = p * .4f;
+  return map;
+}
+
+const Image<Rgb8>& bytes(const std::shared_ptr<const FramePixels>& f) {
+  return std::get<Image<Rgb8>>(*f);
+}
+
+TEST(ExposureRatio, IsFoundWithAnIntervalThatHoldsIt) {
+  Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  int held = 0;
+  constexpr int kRuns = 40;
+  for (std::uint64_t n = 0; n < kRuns; ++n) {
+    const double truth = 1.5 + .2 * static_cast<double>(n);
+    const auto scene = room();
+    const auto a = test::shot(sensor, scene, {Seconds(.1), Gain(1)}, 2 * n + 1),
+               b = test::shot(sensor, scene, {Seconds(.1 * truth), Gain(1)}, 2 * n + 2);
+    const auto found = estimate_exposure_ratio(bytes(a), bytes(b), srgb());
+    ASSERT_TRUE(found) << found.error().detail;
+    EXPECT_NEAR(found->ratio / truth, 1, .01) << truth;
+    held += found->low <= truth && truth <= found->high;
+  }
+  std::printf("the interval held the true ratio in %d of %d\n", held, kRuns);
+  EXPECT_GE(held, kRuns * 8 / 10);
+}
+
+TEST(ExposureRatio, AWrongCurveWidensTheInterval) {
+  Sensor sensor;
+  sensor.response = calib::Response::gamma(1.6);
+  const auto scene = room();
+  const auto a = test::shot(sensor, scene, {Seconds(.1), Gain(1)}, 1),
+             b = test::shot(sensor, scene, {Seconds(.4), Gain(1)}, 2);
+  const CodeCurve right = make_code_curve(sensor.response, 8, 0);
+  const auto good = estimate_exposure_ratio(bytes(a), bytes(b), right),
+             bad = estimate_exposure_ratio(bytes(a), bytes(b), srgb());
+  ASSERT_TRUE(good && bad);
+  EXPECT_NEAR(good->ratio, 4, .05);
+  EXPECT_GT((bad->high - bad->low) / bad->ratio, 5 * (good->high - good->low) / good->ratio);
+}
+
+TEST(ExposureRatio, WhatMovedHasNoSay) {
+  Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  Image<Rgb> scene = room();
+  const auto a = test::shot(sensor, scene, {Seconds(.1), Gain(1)}, 1);
+  for (int y = 40; y < 120; ++y)
+    for (int x = 100; x < 180; ++x) scene.at(x, y) = scene.at(x, y) * .3f;
+  const auto b = test::shot(sensor, scene, {Seconds(.3), Gain(1)}, 2);
+  const auto found = estimate_exposure_ratio(bytes(a), bytes(b), srgb());
+  ASSERT_TRUE(found);
+  EXPECT_NEAR(found->ratio, 3, .05);
+}
+
+TEST(ExposureRatio, WithoutOverlapThereIsNone) {
+  const Image<Rgb8> black(64, 64), white(64, 64, {255, 255, 255});
+  const auto none = estimate_exposure_ratio(black, white, srgb());
+  ASSERT_FALSE(none);
+  EXPECT_EQ(none.error().code, ErrorCode::kUndetermined);
+  EXPECT_FALSE(estimate_exposure_ratio(black, Image<Rgb8>(32, 64), srgb()));
+}
+
+/// Tiles of many sizes and shades: something to find everywhere.
+Image<Rgb> tiles(int width, int height) {
+  std::mt19937 rng(4);
+  std::uniform_real_distribution<float> shade(.05f, .9f), place(0, 1), size(6, 50);
+  Image<Rgb> out(width, height, {.4f, .4f, .4f});
+  for (int n = 0; n < 900; ++n) {
+    const int x0 = int(place(rng) * float(width)), y0 = int(place(rng) * float(height)),
+              w = int(size(rng)), h = int(size(rng));
+    const float v = shade(rng);
+    for (int y = y0; y < std::min(height, y0 + h); ++y)
+      for (int x = x0; x < std::min(width, x0 + w); ++x) out.at(x, y) = {v, .9f * v, .8f * v};
+  }
+  return out;
+}
+
+TEST(AlignStack, BringsAHandHeldStackBackToAFractionOfAPixel) {
+  Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  const Image<Rgb> scene = tiles(640, 480);
+  cv::Mat picture(480, 640, CV_32FC3, const_cast<Rgb*>(scene.pixels().data()));
+  const cv::Mat turn = (cv::Mat_<double>(3, 3) << std::cos(.02), -std::sin(.02), 14, std::sin(.02),
+                        std::cos(.02), -9, 0, 0, 1);
+  Image<Rgb> turned(640, 480);
+  cv::Mat target(480, 640, CV_32FC3, turned.pixels().data());
+  cv::warpPerspective(picture, target, turn, target.size(), cv::INTER_CUBIC);
+  ExposureStack stack{{}, {}, sensor.response, sensor.noise, 0};
+  stack.frames = {test::shot(sensor, scene, {Seconds(.5), Gain(1)}, 1),
+                  test::shot(sensor, turned, {Seconds(1), Gain(1)}, 2)};
+  stack.exposures = {{Seconds(.5), Gain(1)}, {Seconds(1), Gain(1)}};
+  const auto before = stack.frames[1];
+  const auto alignment = align_stack(stack, 0);
+  ASSERT_TRUE(alignment) << alignment.error().detail;
+  EXPECT_EQ(alignment->moved_px[0], 0);
+  EXPECT_GT(alignment->moved_px[1], 8);
+  // What is left, by the brightness of the two pictures in the middle.
+  const auto off = [&](const std::shared_ptr<const FramePixels>& f) {
+    double sum = 0, n = 0;
+    const CodeCurve curve = srgb();
+    for (int y = 60; y < 420; ++y)
+      for (int x = 60; x < 580; ++x) {
+        const double truth = double(scene.at(x, y).g);
+        if (truth > .8) continue;
+        sum += std::abs(double(curve.decode(1, bytes(f).at(x, y).g)) - truth), ++n;
+      }
+    return sum / n;
+  };
+  EXPECT_LT(off(stack.frames[1]), .02);
+  EXPECT_GT(off(before), .1) << "without it";
+}
+
+TEST(AlignStack, PicturesOfNothingInCommonAreNamed) {
+  ExposureStack stack{{}, {}, calib::Response::srgb(), {}, 0};
+  stack.frames = {std::make_shared<const FramePixels>(Image<Rgb8>(64, 64, {90, 90, 90})),
+                  std::make_shared<const FramePixels>(Image<Rgb8>(64, 64, {9, 9, 9}))};
+  stack.exposures = {{Seconds(1), Gain(1)}, {Seconds(.1), Gain(1)}};
+  const auto none = align_stack(stack, 0);
+  ASSERT_FALSE(none);
+  EXPECT_NE(none.error().where.find("picture 2"), std::string::npos);
+  EXPECT_FALSE(align_stack(stack, 2)) << "no such reference";
+}
+
+// ------------------------------------------------------------------------------ real pictures
+
+ExposureStack read_stack(const std::vector<std::filesystem::path>& paths,
+                         const std::vector<double>& times) {
+  ExposureStack stack;
+  for (std::size_t k = 0; k < paths.size(); ++k) {
+    auto frame = codec::read_frame(paths[k]);
+    EXPECT_TRUE(frame) << frame.error().detail;
+    if (frame) stack.frames.push_back(std::make_shared<const FramePixels>(std::move(*frame)));
+    stack.exposures.push_back({Seconds(times[k]), Gain(1)});
+  }
+  return stack;
+}
+
+Result<calib::Response> response_of(const ExposureStack& stack) {
+  std::vector<const Image<Rgb8>*> pictures;
+  std::vector<Seconds> times;
+  for (std::size_t k = 0; k < stack.frames.size(); ++k)
+    pictures.push_back(&bytes(stack.frames[k])), times.push_back(stack.exposures[k].time);
+  return calib::estimate_response(pictures, times);
+}
+
+/// Contrast against the reference picture where that one is well exposed, by blocks of 16 pixels: the share of blocks
+/// beyond 5 %.
+double ghosts(const Image<Rgb>& merged, const Image<Rgb8>& reference, const CodeCurve& curve,
+              double time) {
+  constexpr int kBlock = 16;
+  int all = 0, off = 0;
+  for (int y = 0; y + kBlock <= merged.height(); y += kBlock)
+    for (int x = 0; x + kBlock <= merged.width(); x += kBlock) {
+      double ours = 0, right = 0;
+      bool usable = true;
+      for (int i = 0; i < kBlock * kBlock && usable; ++i) {
+        const int px = x + i % kBlock, py = y + i / kBlock;
+        const Rgb8& p = reference.at(px, py);
+        usable = std::min({p.r, p.g, p.b}) > 30 && std::max({p.r, p.g, p.b}) < 225;
+        ours += double(merged.at(px, py).g);
+        right += double(curve.decode(1, p.g)) / time;
+      }
+      if (!usable) continue;
+      ++all;
+      off += std::abs(ours / right - 1) > .05;
+    }
+  EXPECT_GT(all, 500);
+  return double(off) / all;
+}
+
+TEST(RealStack, PersonInPingpongLeavesNoGhost) {
+  PENUMBRA_NEED_SHARED(first, "eval-only/stacks/pingpong/Img1.JPG");
+  const auto folder = first.parent_path();
+  ExposureStack stack =
+      read_stack({first, folder / "Img2.JPG", folder / "Img3.JPG"}, {1. / 1000, 1. / 250, 1. / 60});
+  ExposureStack naive = stack;
+  const Image<Rgb8> reference = bytes(stack.frames[1]);
+  const auto alignment = align_stack(stack, 1);
+  ASSERT_TRUE(alignment) << alignment.error().detail;
+  const auto response = response_of(stack);
+  ASSERT_TRUE(response) << response.error().detail;
+  stack.response = naive.response = *response;
+  stack.trust = {1, 0, 2};
+  const auto merged = merge(stack), plain = merge(naive);
+  ASSERT_TRUE(merged && plain);
+  const CodeCurve curve = make_code_curve(*response, 8, 0);
+  const double ours = ghosts(merged->radiance, reference, curve, 1. / 250),
+               without = ghosts(plain->radiance, reference, curve, 1. / 250);
+  std::printf(
+      "pingpong: moved by %.0f and %.0f px; %.2f %% of the blocks differ from the reference by "
+      "more than 5 %%, "
+      "%.0f %% without alignment and rejection\n",
+      alignment->moved_px[0], alignment->moved_px[2], 100 * ours, 100 * without);
+  EXPECT_LE(ours, .003);
+  EXPECT_GT(without, .1);
+}
+
+TEST(RealStack, TaipeiMergesOverItsWholeRange) {
+  PENUMBRA_NEED_SHARED(first, "eval-only/stacks/taipei/DSC_0058.png");
+  std::vector<std::filesystem::path> paths;
+  std::vector<double> times;
+  for (int k = 58; k <= 67; ++k) {
+    paths.push_back(first.parent_path() / ("DSC_00" + std::to_string(k) + ".png"));
+    times.push_back(std::exp2(63 - k));
+  }
+  ExposureStack stack = read_stack(paths, times);
+  const auto response = response_of(stack);
+  ASSERT_TRUE(response) << response.error().detail;
+  stack.response = *response;
+  const auto merged = merge(stack);
+  ASSERT_TRUE(merged);
+  EXPECT_LT(merged->clipped_fraction, .001);
+  // Each picture is what the merge predicts for its exposure, where it is well exposed.
+  const CodeCurve curve = make_code_curve(*response, 8, 0);
+  for (std::size_t k = 0; k < paths.size(); ++k) {
+    double square = 0, n = 0;
+    for (std::size_t i = 0; i < merged->radiance.area(); ++i) {
+      const unsigned code = bytes(stack.frames[k]).pixels()[i].g;
+      if (code < 30 || code > 225) continue;
+      const double predicted = double(merged->radiance.pixels()[i].g) * times[k];
+      square += std::pow(std::log10(predicted / double(curve.decode(1, code))), 2), ++n;
+    }
+    if (n < 20000) continue;  // lamps and their halos, which traffic changed
+    std::printf("taipei %.3g s: log10 RMSE %.4f over %.0f pixels\n", times[k],
+                std::sqrt(square / n), n);
+    EXPECT_LT(std::sqrt(square / n), .08) << times[k];
+  }
+}
+
+TEST(RealStack, BridesRatioIsToldWithItsInterval) {
+  PENUMBRA_NEED_SHARED(first, "eval-only/exposure-video/bride/001_0.jpg");
+  std::vector<ExposureRatio> ratios;
+  for (int n = 1; n <= 14; ++n) {
+    char name[16];
+    std::snprintf(name, sizeof name, "%03d_", n);
+    const ExposureStack stack = read_stack({first.parent_path() / (std::string(name) + "0.jpg"),
+                                            first.parent_path() / (std::string(name) + "1.jpg")},
+                                           {1, 1});
+    const auto ratio =
+        estimate_exposure_ratio(bytes(stack.frames[0]), bytes(stack.frames[1]), srgb());
+    ASSERT_TRUE(ratio) << ratio.error().detail;
+    std::printf("bride %s: ratio %.0f, 95 %% %.0f to %.0f, %zu blocks (as if sRGB)\n", name,
+                ratio->ratio, ratio->low, ratio->high, ratio->blocks);
+    ratios.push_back(*ratio);
+    ExposureStack known = stack;
+    known.response = calib::Response::srgb();
+    known.exposures[1].time = Seconds(ratio->ratio);
+    EXPECT_TRUE(merge(known));
+  }
+  // Little overlaps at more than eight stops, and the curve is not known: the intervals say so.
+  std::vector<double> sorted;
+  for (const ExposureRatio& r : ratios) sorted.push_back(r.ratio);
+  std::ranges::sort(sorted);
+  const double middle = sorted[sorted.size() / 2];
+  const auto holding = std::ranges::count_if(
+      ratios, [&](const ExposureRatio& r) { return r.low <= middle && middle <= r.high; });
+  std::printf("bride: median ratio %.0f, held by %td of 14 intervals\n", middle, holding);
+  EXPECT_GE(holding, 12);
+}
+
+}  // namespace
+}  // namespace penumbra::capture
