@@ -10,6 +10,7 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   // A new device counts from the start and follows as late as the old one did.
   labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
   counter_ = {};
+  told_ = false;
   lost_before_ = counts_.lost;
   if (auto_schedule_ && schedule_.empty()) take(auto_schedule_->probe(limits()));
   if (schedule_.empty()) return {};
@@ -48,7 +49,7 @@ ExposureLimits BracketedCamera::limits() const {
 Result<void> BracketedCamera::ask() {
   const Exposure wanted = device_->nearest(schedule_[next_++ % schedule_.size()]);
   PENUMBRA_TRY(device_->request(wanted));
-  labels_.requested(counter_.at(device_->now()), wanted);
+  if (!told_) labels_.requested(counter_.at(device_->now()), wanted);
   return {};
 }
 
@@ -68,6 +69,7 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   counts_.lost = lost_before_ + counter_.lost();
   if (!pixels) return std::nullopt;
   ++counts_.arrived;
+  if (raw.applied) take_told(number, *raw.applied);
   const ExposureLabels::Label label = label_of(raw.time, number, *pixels);
   if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.refused;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
@@ -84,6 +86,12 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
                info_.world_from_camera,
                std::make_shared<const FramePixels>(std::move(*pixels)),
                device_->jpeg()};
+}
+
+// A frame that tells its exposure needs no delay; what it tells is checked like any label.
+void BracketedCamera::take_told(std::uint64_t number, Exposure exposure) {
+  if (!std::exchange(told_, true)) labels_ = ExposureLabels(0);
+  labels_.requested(number, exposure);
 }
 
 ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t number,

@@ -127,6 +127,7 @@ class BracketedCamera {
  private:
   Result<void> ask();
   ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
+  void take_told(std::uint64_t number, Exposure exposure);
   ExposureLimits limits() const;
   void take(std::vector<Exposure> planned);
   bool asks_each_frame() const { return auto_schedule_ || schedule_.size() > 1; }
@@ -141,6 +142,7 @@ class BracketedCamera {
   std::unique_ptr<CameraDevice> device_;
   std::size_t next_ = 0;  // in the schedule
   std::uint64_t sent_ = 0, lost_before_ = 0;
+  bool told_ = false;  // the camera's frames tell their exposures
   CameraCounts counts_;
 };
 

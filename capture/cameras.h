@@ -28,14 +28,14 @@ struct Range {
 
 /// A camera as the system shows it.
 struct CameraListing {
-  std::string device;        // what `device` in rig.toml takes: /dev/video0
+  std::string device;        // what `device` in rig.toml takes: /dev/video0, libcamera:...
   std::string name, driver;  // as the driver gives them
   std::vector<CameraMode> modes;
   std::optional<Range> exposure_s;  // seconds; nothing: the exposure cannot be set
   std::optional<Range> gain;        // in the driver's own unit
 };
 
-/// All cameras that can stream, in the order of their devices; what cannot be opened is left out with its reason in
+/// All cameras that can stream, by V4L2 and then by libcamera, which may show the same ones; what cannot be opened is left out with its reason in
 /// `refused`.
 struct CameraList {
   std::vector<CameraListing> cameras;
@@ -50,7 +50,7 @@ struct CameraSettings {
   std::string format;         // empty: the best that reaches `fps`
   int width = 0, height = 0;  // as the camera offers it
   double fps = 30;
-  double unit_gain = 0;  // the driver's value that counts as gain 1; 0: where it stands
+  double unit_gain = 0;  // the driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
 };
 
 /// The driver's account of a frame.
@@ -58,6 +58,7 @@ struct CameraFrame {
   std::uint64_t sequence = 0;  // as the driver counts, gaps included
   TimestampNs time;            // CLOCK_MONOTONIC
   int damaged_before = 0;      // frames passed over since the last one: their transfer failed
+  std::optional<Exposure> applied{};  // where the frame says so itself
 };
 
 /// A camera that streams from start to destruction.

@@ -6,6 +6,7 @@
 #include <stop_token>
 
 #include "capture/bracketed_camera.h"
+#include "capture/libcamera_device.h"
 
 namespace penumbra::capture {
 
@@ -22,7 +23,9 @@ Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
   auto device = open(settings);
   if (device || name.empty()) return device;
   for (const CameraListing& other : list_cameras().cameras) {
-    if (other.name != name || other.device == settings.device) continue;
+    if (other.name != name || other.device == settings.device ||
+        is_libcamera(other.device) != is_libcamera(settings.device))
+      continue;
     CameraSettings there = settings;
     there.device = other.device;
     if (auto found = open(there)) return found;

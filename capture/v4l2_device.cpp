@@ -216,7 +216,7 @@ Result<RawLayout> negotiate(const V4l2Node& node, const CameraMode& mode, double
 
 }  // namespace
 
-Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& s) {
+Result<std::unique_ptr<CameraDevice>> open_v4l2(const CameraSettings& s) {
   PENUMBRA_ASSIGN(node, V4l2Node::open(s.device));
   PENUMBRA_ASSIGN(mode, choose_mode(node.modes(), s));
   PENUMBRA_ASSIGN(layout, negotiate(node, mode, s.fps));

@@ -171,8 +171,7 @@ Result<CameraListing> describe(const std::string& device) {
 
 }  // namespace
 
-CameraList list_cameras() {
-  CameraList out;
+void list_v4l2(CameraList& list) {
   std::vector<std::pair<int, std::string>> nodes;
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator("/dev", error)) {
@@ -185,12 +184,11 @@ CameraList list_cameras() {
   for (const auto& [number, device] : nodes) {
     auto listing = describe(device);
     if (listing)
-      out.cameras.push_back(std::move(*listing));
+      list.cameras.push_back(std::move(*listing));
     else if (listing.error().code !=
              ErrorCode::kInvalid)  // metadata and output nodes are no cameras
-      out.refused.push_back(listing.error());
+      list.refused.push_back(listing.error());
   }
-  return out;
 }
 
 Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes, const CameraSettings& s) {

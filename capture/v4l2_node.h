@@ -69,4 +69,10 @@ V4l2Exposure exposure_of(const V4l2Node& node);
 Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes,
                                const CameraSettings& settings);
 
+/// Adds the cameras that V4L2 shows, in the order of their nodes.
+void list_v4l2(CameraList& list);
+
+/// As open_camera(), for a device node.
+Result<std::unique_ptr<CameraDevice>> open_v4l2(const CameraSettings& settings);
+
 }  // namespace penumbra::capture

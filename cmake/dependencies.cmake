@@ -18,6 +18,7 @@ find_package(PkgConfig REQUIRED)
 pkg_check_modules(Eigen3 REQUIRED IMPORTED_TARGET eigen3)
 pkg_check_modules(TinyGLTF REQUIRED IMPORTED_TARGET tinygltf)
 pkg_check_modules(FFmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
+pkg_check_modules(Libcamera REQUIRED IMPORTED_TARGET libcamera)
 pkg_check_modules(GLES REQUIRED IMPORTED_TARGET egl glesv2)
 # With the definitions that the library was built with: without them its Client is larger than its header says.
 pkg_check_modules(Httplib REQUIRED IMPORTED_TARGET cpp-httplib)

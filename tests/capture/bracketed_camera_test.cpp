@@ -100,6 +100,22 @@ TEST_P(Delay, IsMeasuredAndEveryLabelIsRight) {
 }
 INSTANTIATE_TEST_SUITE_P(Frames, Delay, testing::Values(1, 2, 3, 5));
 
+// Sensors that say in each frame's metadata what was applied, as through libcamera.
+TEST(ExposureLabels, FramesThatTellTheirExposureNeedNoDelayAndAreCheckedAllTheSame) {
+  FakeCameraBehaviour b;
+  b.delay_at = [](std::uint64_t frame) { return 1 + static_cast<int>(frame / 7 % 4); };
+  b.tells = [](Exposure applied) { return applied; };
+  const Outcome honest = run_camera(b, 100);
+  EXPECT_EQ(honest.good, 100);
+  EXPECT_EQ(honest.wrong, 0);
+  b.tells = [n = 0](Exposure applied) mutable {
+    return ++n % 17 ? applied : Exposure{4 * applied.time, applied.gain};
+  };
+  const Outcome lying = run_camera(b, 170);
+  EXPECT_EQ(lying.wrong, 0);
+  EXPECT_GE(lying.counts.refused, 9u);
+}
+
 TEST(ExposureLabels, ASlipOfOneFrameIsRefused) {
   FakeCameraBehaviour b;
   b.slips = [](std::uint64_t frame) { return frame > 40 && frame % 17 == 0; };

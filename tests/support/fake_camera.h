@@ -18,6 +18,7 @@ struct FakeCameraBehaviour {
   std::function<bool(std::uint64_t)> damaged;
   std::function<double(double)> light;           // factor on the scene at a time in seconds
   std::function<bool(std::uint64_t)> deaf;       // keeps its first exposure
+  std::function<Exposure(Exposure)> tells;       // frames say so of the exposure that was applied
   std::uint64_t gone_after = ~std::uint64_t{0};  // frames
   bool paced = false;                            // frames take their time; else they come at once
 };
@@ -48,6 +49,7 @@ class FakeCamera : public capture::CameraDevice {
     out.sequence = ++delivered_;
     out.time = TimestampNs{} + Seconds(static_cast<double>(sensor_frame_) / behaviour_.fps);
     shown_ = in_force(yes(behaviour_.slips) ? 1 : 0);
+    if (behaviour_.tells) out.applied = behaviour_.tells(shown_);
     light_ = behaviour_.light ? behaviour_.light((out.time - TimestampNs{}).count()) : 1;
     return out;
   }

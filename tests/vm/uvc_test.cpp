@@ -34,6 +34,13 @@ RigCamera environment() {
   return out;
 }
 
+RigCamera through_libcamera() {
+  RigCamera out = environment();
+  out.settings.device = list_cameras().cameras.back().device;
+  out.settings.unit_gain = 0;
+  return out;
+}
+
 // The exposure that a frame really shows: its brightness over that of the scene.
 double shown(const FramePixels& pixels) {
   static const Image<Rgb> scene = test::uvc_scene();
@@ -51,6 +58,11 @@ double shown(const FramePixels& pixels) {
 }
 
 class Uvc : public testing::Test {
+ public:
+  static void fault(test::UvcFault which) {
+    if (auto node = V4l2Node::open(kDevice)) node->set(V4L2_CID_SHARPNESS, which);
+  }
+
  protected:
   void SetUp() override {
     const char* const guest = std::getenv("PENUMBRA_GUEST");
@@ -61,9 +73,6 @@ class Uvc : public testing::Test {
     fault(test::kNoFault);
   }
   void TearDown() override { fault(test::kNoFault); }
-  static void fault(test::UvcFault which) {
-    if (auto node = V4l2Node::open(kDevice)) node->set(V4L2_CID_SHARPNESS, which);
-  }
 
   struct Tally {
     int good = 0, wrong = 0;
@@ -88,8 +97,7 @@ class Uvc : public testing::Test {
     EXPECT_EQ(watch(camera, 60).wrong, 0);
     return camera;
   }
-  static BracketedCamera connected() {
-    const RigCamera rig = environment();
+  static BracketedCamera connected(const RigCamera& rig = environment()) {
     BracketedCamera camera(rig.info, rig.schedule, {});
     auto device = open_camera(rig.settings);
     EXPECT_TRUE(device) << device.error().detail;
@@ -100,17 +108,21 @@ class Uvc : public testing::Test {
 
 TEST_F(Uvc, SaysWhatItCanDo) {
   const CameraList list = list_cameras();
-  ASSERT_EQ(list.cameras.size(), 1u);
+  ASSERT_EQ(list.cameras.size(), 2u) << "one camera, two ways to it";
   EXPECT_TRUE(list.refused.empty()) << list.refused[0].detail;
-  const CameraListing& c = list.cameras[0];
-  EXPECT_EQ(c.driver, "uvcvideo");
-  ASSERT_TRUE(c.exposure_s && c.gain);
-  EXPECT_NEAR(c.exposure_s->low, 1e-4, 1e-9);
-  EXPECT_NEAR(c.exposure_s->high, .5, 1e-9);
+  EXPECT_EQ(list.cameras[0].driver, "uvcvideo");
+  EXPECT_EQ(list.cameras[1].driver, "libcamera");
+  for (const CameraListing& c : list.cameras) {
+    ASSERT_TRUE(c.exposure_s && c.gain) << c.device;
+    EXPECT_NEAR(c.exposure_s->low, 1e-4, 1e-9);
+    EXPECT_NEAR(c.exposure_s->high, .5, 1e-9);
+    EXPECT_TRUE(std::ranges::any_of(c.modes, [](const CameraMode& m) {
+      return m.readable && m.format == "YUYV" && m.width == test::kUvcWidth;
+    })) << c.device;
+  }
 }
 
-TEST_F(Uvc, ExposuresInTurnBecomeTheScenesRadiance) {
-  BracketedCamera camera = connected();
+void becomes_the_scenes_radiance(BracketedCamera& camera) {
   HdrRing ring(environment().info, 3);
   const MergedImage* merged = nullptr;
   int frames = 0;
@@ -142,9 +154,19 @@ TEST_F(Uvc, ExposuresInTurnBecomeTheScenesRadiance) {
     }
   ASSERT_GT(errors.size(), 1000u);
   std::ranges::sort(errors);
-  RecordProperty("median_error", std::to_string(errors[errors.size() / 2]));
+  testing::Test::RecordProperty("median_error", std::to_string(errors[errors.size() / 2]));
   EXPECT_LT(errors[errors.size() / 2], .01);
   EXPECT_LT(errors[errors.size() * 95 / 100], .06);
+}
+
+TEST_F(Uvc, ExposuresInTurnBecomeTheScenesRadiance) {
+  BracketedCamera camera = connected();
+  becomes_the_scenes_radiance(camera);
+}
+
+TEST_F(Uvc, ThroughLibcameraExposuresInTurnBecomeTheScenesRadiance) {
+  BracketedCamera camera = connected(through_libcamera());
+  becomes_the_scenes_radiance(camera);
 }
 
 TEST_F(Uvc, ACameraThatBeginsToIgnoreExposureIsNotBelieved) {
@@ -195,8 +217,8 @@ TEST_F(Uvc, ATransferThatFailsIsPassedOver) {
   EXPECT_GT(camera.counts().damaged, 0u);
 }
 
-TEST_F(Uvc, AfterAReplugFramesComeAgainWithinTwoSeconds) {
-  auto rig = Rig::open({environment()});
+void comes_again_after_a_replug(const RigCamera& camera) {
+  auto rig = Rig::open({camera});
   ASSERT_TRUE(rig) << rig.error().detail;
   using Clock = std::chrono::steady_clock;
   const auto next_good = [&] {
@@ -205,7 +227,7 @@ TEST_F(Uvc, AfterAReplugFramesComeAgainWithinTwoSeconds) {
     return Clock::now();
   };
   for (int i = 0; i < 30; ++i) next_good();
-  fault(test::kUnplugsForASecond);
+  Uvc::fault(test::kUnplugsForASecond);
   Clock::duration longest{};
   for (auto before = Clock::now(), end = before + std::chrono::seconds(6); before < end;) {
     const auto now = next_good();
@@ -216,6 +238,14 @@ TEST_F(Uvc, AfterAReplugFramesComeAgainWithinTwoSeconds) {
   // It stays away for one second.
   EXPECT_GT(longest, std::chrono::milliseconds(900));
   EXPECT_LT(longest, std::chrono::seconds(3));
+}
+
+TEST_F(Uvc, AfterAReplugFramesComeAgainWithinTwoSeconds) {
+  comes_again_after_a_replug(environment());
+}
+
+TEST_F(Uvc, ThroughLibcameraFramesComeAgainAfterAReplug) {
+  comes_again_after_a_replug(through_libcamera());
 }
 
 }  // namespace
