@@ -1,0 +1,13 @@
+// The service's configuration with its cameras.
+#include "fuzz/file_input.h"
+#include "service/rig_config.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  using namespace penumbra;
+  const auto path = test::as_file({data, size}, ".toml");
+  for (const bool to_composite : {true, false})
+    if (const auto config = service::read_rig_config(path, to_composite))
+      for (const auto& camera : config->cameras)
+        if (camera.settings.width < 1 || !(camera.settings.fps > 0)) __builtin_trap();
+  return 0;
+}
