@@ -173,3 +173,4 @@ struct NoiseModel {
 // The calibrations are about the cameras above, so they come after them.
 #include "calib/boards.h"              // IWYU pragma: export
 #include "calib/camera_calibration.h"  // IWYU pragma: export
+#include "calib/colour_calibration.h"  // IWYU pragma: export

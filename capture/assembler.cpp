@@ -20,11 +20,20 @@ bool is_identity_latlong(const calib::Projection& p, const Pose& pose, int width
          std::abs(std::abs(pose.rotation.w) - 1) < 1e-9;
 }
 
+void carry_colour(const glm::mat3& colour, std::span<Rgb> row) {
+  for (Rgb& p : row) {
+    const glm::vec3 v = colour * glm::vec3(p.r, p.g, p.b);
+    p = {v.r, v.g, v.b};
+  }
+}
+
 }  // namespace
 
 EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
-                                           const Pose& world_from_camera, int width, int height)
-    : source_width_(projection.width),
+                                           const Pose& world_from_camera, int width, int height,
+                                           const glm::dmat3& colour)
+    : colour_(colour),
+      source_width_(projection.width),
       source_height_(projection.height),
       width_(width),
       height_(height),
@@ -121,6 +130,8 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     } else {
       gather_rows(rows.begin(), rows.end(), source, merged.scale, out.radiance);
     }
+    if (colour_ != glm::mat3(1))
+      for (int y = rows.begin(); y < rows.end(); ++y) carry_colour(colour_, out.radiance.row(y));
   });
   double total = 0;
   for (int y = 0; y < height_; ++y) {

@@ -152,7 +152,7 @@ struct GatherTap;  // private: gather_kernel.h
 class EnvironmentAssembler {
  public:
   EnvironmentAssembler(const calib::Projection& projection, const Pose& world_from_camera,
-                       int width, int height);
+                       int width, int height, const glm::dmat3& colour = glm::dmat3(1));
   ~EnvironmentAssembler();
   EnvironmentAssembler(EnvironmentAssembler&&) noexcept;
   EnvironmentAssembler& operator=(EnvironmentAssembler&&) noexcept;
@@ -168,6 +168,7 @@ class EnvironmentAssembler {
   struct Span {
     int first, last;  // columns [first, last) of a row hold everything that is seen
   };
+  glm::mat3 colour_;
   int source_width_, source_height_, width_, height_;
   bool complete_ = true;
   std::vector<Span> spans_;      // one a row

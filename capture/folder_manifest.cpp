@@ -32,7 +32,8 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "world_from_camera",
                                             "full_well_electrons",
                                             "read_fraction",
-                                            "psf_sigma_px"};
+                                            "psf_sigma_px",
+                                            "colour"};
 
 Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(values, keys.numbers(key, 2));
@@ -169,6 +170,24 @@ Result<calib::Response> read_response(const TomlKeys& keys, const fs::path& fold
   return response;
 }
 
+/// Nine numbers by rows, or a file of `calibrate colour`.
+Result<void> read_colour(const TomlKeys& keys, const fs::path& folder, CameraInfo& info) {
+  if (!keys.has("colour")) return {};
+  if (info.role != Role::kEnvironment)
+    return keys.invalid("colour", "carries an environment camera's radiance to the view camera's");
+  if (const auto name = keys.text("colour")) {
+    PENUMBRA_ASSIGN(bytes, read_bytes(folder / *name));
+    PENUMBRA_ASSIGN(
+        matrix, calib::parse_colour_file(
+                    {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, folder / *name));
+    info.colour = matrix;
+    return {};
+  }
+  PENUMBRA_ASSIGN(m, keys.numbers("colour", 9));
+  for (int i = 0; i < 9; ++i) info.colour[i % 3][i / 3] = m[static_cast<std::size_t>(i)];
+  return {};
+}
+
 /// All of a camera but its frames and, since that may depend on them, its response. Keys are the caller's to check.
 Result<CameraInfo> read_camera_info(const TomlKeys& keys, const fs::path& folder) {
   CameraInfo info;
@@ -176,6 +195,7 @@ Result<CameraInfo> read_camera_info(const TomlKeys& keys, const fs::path& folder
   PENUMBRA_ASSIGN(projection, read_projection(keys, folder));
   info.projection = projection;
   PENUMBRA_TRY(read_sensor(keys, info));
+  PENUMBRA_TRY(read_colour(keys, folder, info));
   if (keys.has("world_from_camera")) {
     PENUMBRA_ASSIGN(pose, read_pose(keys));
     info.world_from_camera = pose;
@@ -393,6 +413,10 @@ std::string print_camera(const CameraInfo& c, const std::string& response) {
   if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
     text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
   if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
+  if (c.colour != glm::dmat3(1)) {
+    const glm::dmat3 rows = glm::transpose(c.colour);
+    text += fmt::format("colour = [{}]\n", fmt::join(&rows[0][0], &rows[0][0] + 9, ", "));
+  }
   const glm::dmat4 m = c.world_from_camera.matrix();
   text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
   return text;

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <glm/mat3x3.hpp>
 #include <memory>
 #include <optional>
 #include <string>
@@ -30,6 +31,7 @@ struct CameraInfo {
   double psf_sigma_px = 0;   // Gaussian blur of the picture, pixels; 0 = sharp or unknown
   double black_level = 0;    // fraction of full scale
   Pose world_from_camera;
+  glm::dmat3 colour{1};  // of an environment camera: radiance of the view camera = colour * its own
 };
 
 /// One frame with its own truth. Pixels are shared and never changed after capture.

@@ -119,6 +119,40 @@ std::string response_table(const calib::ResponseCalibration& c) {
 }
 
 // Plots are a comfort: a machine without gnuplot still calibrates.
+std::string colour_plot(const calib::ColourCalibration& c,
+                        std::span<const calib::ColourPair> pairs) {
+  std::string script = fmt::format(
+      "set terminal svg size 720,720 font 'sans,13' background rgb 'white'\n"
+      "set title 'Surfaces as carried over, against the view camera: {:.2f} % RMS (grey: left "
+      "out)' "
+      "noenhanced\nset logscale xy\nset size square\nset format xy '%g'\nset grid lc rgb "
+      "'#dddddd'\nset xlabel 'radiance in the view camera'\nset ylabel 'matrix * radiance in the "
+      "environment camera'\nset key off\n"
+      "plot x with lines lc rgb '#888888' dt 2, '-' using 1:2:3 with points pt 7 ps .4 lc rgb "
+      "variable\n",
+      100 * c.rms);
+  constexpr int kColours[] = {0xc0392b, 0x27ae60, 0x2980b9}, kLeftOut = 0xbbbbbb;
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    const Rgb &s = pairs[i].source, &t = pairs[i].target;
+    const glm::dvec3 carried = c.matrix * glm::dvec3(s.r, s.g, s.b);
+    for (int n = 0; n < 3; ++n)
+      if (carried[n] > 0)
+        script += fmt::format("{} {} {}\n", t[n], carried[n], c.used[i] ? kColours[n] : kLeftOut);
+  }
+  return script + "e\n";
+}
+
+std::string colour_table(const calib::ColourCalibration& c,
+                         std::span<const calib::ColourPair> pairs) {
+  std::string text = "used,source_r,source_g,source_b,target_r,target_g,target_b,residual\n";
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    const Rgb &s = pairs[i].source, &t = pairs[i].target;
+    text += fmt::format("{},{},{},{},{},{},{},{}\n", c.used[i] ? 1 : 0, s.r, s.g, s.b, t.r, t.g,
+                        t.b, c.residuals[i]);
+  }
+  return text;
+}
+
 Result<void> draw(const std::filesystem::path& folder,
                   std::initializer_list<std::pair<const char*, std::string>> plots) {
   for (const auto& [name, script] : plots) {
@@ -148,6 +182,14 @@ Result<void> write_camera_report(const std::filesystem::path& folder,
   return draw(folder, {{"coverage.svg", coverage_plot(c, views)},
                        {"residuals.svg", residual_plot(c)},
                        {"boards.svg", board_plot(c)}});
+}
+
+Result<void> write_colour_report(const std::filesystem::path& folder,
+                                 const calib::ColourCalibration& c,
+                                 std::span<const calib::ColourPair> pairs) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "colours.csv", colour_table(c, pairs)));
+  return draw(folder, {{"colours.svg", colour_plot(c, pairs)}});
 }
 
 }  // namespace penumbra::service

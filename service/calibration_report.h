@@ -21,4 +21,10 @@ Result<void> write_camera_report(const std::filesystem::path& folder,
 Result<void> write_response_report(const std::filesystem::path& folder,
                                    const calib::ResponseCalibration& calibration);
 
+/// colours.svg (each surface's channels as carried over the view camera's), colours.csv. Without gnuplot only the last.
+/// errors: kUnwritable
+Result<void> write_colour_report(const std::filesystem::path& folder,
+                                 const calib::ColourCalibration& calibration,
+                                 std::span<const calib::ColourPair> pairs);
+
 }  // namespace penumbra::service

@@ -109,6 +109,15 @@ struct CalibrateResponseOptions {
 };
 Result<void> calibrate_response(const CalibrateResponseOptions& options);
 
+struct CalibrateColourOptions {
+  std::string capture;  // of a still scene
+  std::string environment = "environment", view = "view", model = "matrix", output;
+  bool chart = false;  // a ColorChecker stands in both pictures
+  std::optional<std::string> report;
+  bool json = false;
+};
+Result<void> calibrate_colour(const CalibrateColourOptions& options);
+
 struct CompareOptions {
   std::string a, b;
   std::optional<std::string>

@@ -61,6 +61,25 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   c->add_option("--report", camera.report, "Folder for plots and a table of the residuals");
   add_json(c, camera.json);
   c->callback([&] { action = [] { return calibrate_camera(camera); }; });
+
+  static CalibrateColourOptions colour;
+  c = calibrate->add_subcommand(
+      "colour", "Matrix that carries an environment camera's radiance into a view camera's");
+  c->add_option(
+       "capture", colour.capture,
+       "Recording or capture folder of a still scene that both cameras see, with their poses")
+      ->required();
+  c->add_option("--environment", colour.environment, "Name of the environment camera")
+      ->capture_default_str();
+  c->add_option("--view", colour.view, "Name of the view camera")->capture_default_str();
+  c->add_flag("--chart", colour.chart,
+              "A ColorChecker of 24 patches stands in both pictures; poses do not matter");
+  c->add_option("--model", colour.model, "matrix, gains (one a channel) or scale (one in all)")
+      ->capture_default_str();
+  c->add_option("-o,--output", colour.output, "Colour file to write, .toml")->required();
+  c->add_option("--report", colour.report, "Folder for a plot and a table of the surfaces");
+  add_json(c, colour.json);
+  c->callback([&] { action = [] { return calibrate_colour(colour); }; });
 }
 
 void add_image_commands(CLI::App& app, Action& action) {

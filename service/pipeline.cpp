@@ -24,7 +24,7 @@ int environment_rows(const calib::Projection& p) {
 
 capture::EnvironmentAssembler make_assembler(const capture::CameraInfo& info) {
   const int rows = environment_rows(info.projection);
-  return {info.projection, info.world_from_camera, 2 * rows, rows};
+  return {info.projection, info.world_from_camera, 2 * rows, rows, info.colour};
 }
 
 // Noise of a camera that nobody measured is none of ours to invent.

@@ -1,11 +1,12 @@
-// The texts of captures, recordings and calibrations: cameras.toml, a line of a frame list, a response file, a board.
+// The texts of captures, recordings and calibrations: cameras.toml, a line of a frame list, a response file, a colour file, a board.
 #include <toml++/toml.h>
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <string_view>
 
-#include "calib/boards.h"
+#include "calib/calib.h"
 #include "capture/folder_format.h"
 #include "core/toml_keys.h"
 
@@ -14,7 +15,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   using namespace penumbra;
   if (size == 0) return 0;
   const std::string_view text(reinterpret_cast<const char*>(data + 1), size - 1);
-  switch (data[0] % 4) {
+  switch (data[0] % 5) {
     case 0:
       if (const auto row = capture::parse_row(text, size % 2, "fuzz")) {
         if (!(row->exposure.product() > 0)) __builtin_trap();
@@ -31,6 +32,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     case 2:
       if (const auto response = calib::parse_response_file(text, "fuzz"))
         if (!(response->decode(1, 0) <= 1)) __builtin_trap();
+      break;
+    case 3:
+      if (const auto colour = calib::parse_colour_file(text, "fuzz"))
+        if (!(std::abs((*colour)[0][0]) <= 1e6)) __builtin_trap();
       break;
     default:
       if (const auto board = calib::parse_board(text))

@@ -445,6 +445,63 @@ class Calibrate(CliTest):
                             self.root / "no.toml")
         self.assertFalse((self.root / "no.toml").exists())
 
+    MATRIX = ((1.6, -.2, .05), (-.1, 1.3, -.15), (0, -.3, 1.8))
+
+    def two_cameras(self, folder, light):
+        """A lat-long and a view camera of other colours in far surroundings, as a capture folder."""
+        folder.mkdir()
+        encode = lambda v: round(255 * min(1, max(0, v)) ** (1 / 2.2))
+
+        def environment(x, y):
+            east, theta = 2 * math.pi * (x + .5) / 192 - math.pi, math.pi * (y + .5) / 96
+            return light(math.sin(theta) * math.sin(east), math.cos(theta), -math.sin(theta) * math.cos(east))
+
+        def view(x, y):
+            d = ((x + .5 - 64) / 60, (40 - y - .5) / 60, -1)
+            n = math.sqrt(sum(v * v for v in d))
+            seen = light(*(v / n for v in d))
+            return [encode(sum(m * s for m, s in zip(row, seen))) for row in self.MATRIX]
+
+        files.write_png(folder / "e.png", 192, 96, lambda x, y: [encode(v) for v in environment(x, y)])
+        files.write_png(folder / "v.png", 128, 80, view)
+        for c in "ev":
+            (folder / f"{c}.csv").write_text(f"file,time_s,exposure_s,gain\n{c}.png,0,1,1\n")
+        (folder / "capture.toml").write_text(
+            'version = 1\n[[camera]]\nname = "environment"\nrole = "environment"\nwidth = 192\nheight = 96\n'
+            'projection = "latlong"\nresponse = "gamma:2.2"\nframes = "e.csv"\n[[camera]]\nname = "view"\n'
+            'role = "view"\nwidth = 128\nheight = 80\nprojection = "pinhole"\nfocal_px = [60, 60]\n'
+            'response = "gamma:2.2"\nframes = "v.csv"\n')
+        return folder
+
+    def test_colours_of_two_cameras_are_one_that_a_capture_reads(self):
+        def coloured(x, y, z):
+            return [.3 + .2 * math.sin(a) for a in (7 * x + 3 * y, 6 * y - 5 * x + z, 4 * z + 8 * x * y)]
+
+        capture, report, out = self.two_cameras(self.root / "two", coloured), self.root / "colours", self.root / "c.toml"
+        printed = self.run_json("calibrate", "colour", capture, "-o", out, "--report", report)
+        self.assertEqual(printed["surfaces"], printed["used"])
+        for row, expected in zip(printed["matrix"], self.MATRIX):
+            for value, truth in zip(row, expected):
+                self.assertAlmostEqual(value, truth, delta=.03)
+        self.assertEqual(sorted(p.name for p in report.iterdir()), ["colours.csv", "colours.svg"])
+        manifest = (capture / "capture.toml").read_text()
+        (capture / "colour.toml").write_text(out.read_text())
+        (capture / "capture.toml").write_text(manifest.replace('role = "environment"\n',
+                                                               'role = "environment"\ncolour = "colour.toml"\n'))
+        self.assertEqual(self.run_json("inspect", capture)["cameras"][0]["name"], "environment")
+        (capture / "capture.toml").write_text(manifest.replace('role = "view"\n',
+                                                               'role = "view"\ncolour = "colour.toml"\n'))
+        self.expect_refusal(["capture.toml", "colour", "environment camera"], "inspect", capture)
+
+    def test_colours_of_even_surroundings_are_refused(self):
+        capture, out = self.two_cameras(self.root / "even", lambda x, y, z: (.3 + .02 * y, .3, .28)), self.root / "e.toml"
+        self.expect_refusal(["colour", "chart"], "calibrate", "colour", capture, "-o", out)
+        self.expect_refusal(["environment", "ColorChecker"], "calibrate", "colour", capture, "--chart", "-o", out)
+        self.expect_refusal(["side", "no camera"], "calibrate", "colour", capture, "--view", "side", "-o", out)
+        self.expect_refusal(["tint", "matrix, gains or scale"], "calibrate", "colour", capture, "--model", "tint", "-o",
+                            out)
+        self.assertFalse(out.exists())
+
     def test_what_cannot_be_calibrated_is_refused(self):
         out = self.root / "none.toml"
         grey = self.root / "grey.png"
