@@ -33,7 +33,8 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "full_well_electrons",
                                             "read_fraction",
                                             "psf_sigma_px",
-                                            "colour"};
+                                            "colour",
+                                            "pose"};
 
 Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(values, keys.numbers(key, 2));
@@ -188,6 +189,27 @@ Result<void> read_colour(const TomlKeys& keys, const fs::path& folder, CameraInf
   return {};
 }
 
+/// From a file of `calibrate rig`, by the camera's name.
+Result<void> read_pose_file(const TomlKeys& keys, const fs::path& folder, CameraInfo& info) {
+  if (!keys.has("pose")) return {};
+  if (keys.has("world_from_camera")) return keys.invalid("pose", "world_from_camera is there, too");
+  PENUMBRA_ASSIGN(name, keys.text("pose"));
+  const fs::path path = folder / name;
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys file(path, root);
+  PENUMBRA_TRY(file.version(1));
+  PENUMBRA_ASSIGN(cameras, file.tables("camera"));
+  for (const toml::table* table : cameras) {
+    const TomlKeys camera(path, *table);
+    PENUMBRA_ASSIGN(other, camera.text("name"));
+    if (other != info.name) continue;
+    PENUMBRA_ASSIGN(pose, read_pose(camera));
+    info.world_from_camera = pose;
+    return {};
+  }
+  return keys.invalid("pose", fmt::format("{} has no camera \"{}\"", name, info.name));
+}
+
 /// All of a camera but its frames and, since that may depend on them, its response. Keys are the caller's to check.
 Result<CameraInfo> read_camera_info(const TomlKeys& keys, const fs::path& folder) {
   CameraInfo info;
@@ -196,6 +218,7 @@ Result<CameraInfo> read_camera_info(const TomlKeys& keys, const fs::path& folder
   info.projection = projection;
   PENUMBRA_TRY(read_sensor(keys, info));
   PENUMBRA_TRY(read_colour(keys, folder, info));
+  PENUMBRA_TRY(read_pose_file(keys, folder, info));
   if (keys.has("world_from_camera")) {
     PENUMBRA_ASSIGN(pose, read_pose(keys));
     info.world_from_camera = pose;

@@ -57,6 +57,13 @@ std::string residual_plot(const calib::CameraCalibration& c) {
   return script + "e\n";
 }
 
+// As gnuplot reads a word of inline data.
+std::string one_word(std::string name) {
+  for (char& letter : name)
+    if (letter == ' ' || letter == '"') letter = '_';
+  return name;
+}
+
 std::string board_plot(const calib::CameraCalibration& c) {
   std::string script =
       "set terminal svg size 1000,480 font 'sans,13' background rgb 'white'\n"
@@ -65,9 +72,7 @@ std::string board_plot(const calib::CameraCalibration& c) {
       "set boxwidth .8\nset xtics rotate by -50 noenhanced\nset grid y lc rgb '#dddddd'\n"
       "plot '-' using 1:3:($4>0?0x2c3e50:0xc0392b):xtic(2) with boxes lc rgb variable\n";
   for (std::size_t b = 0; b < c.boards.size(); ++b) {
-    std::string name = std::filesystem::path(c.boards[b].name).stem().string();
-    for (char& letter : name)
-      if (letter == ' ' || letter == '"') letter = '_';
+    const std::string name = one_word(std::filesystem::path(c.boards[b].name).stem().string());
     script += fmt::format("{} {} {} {}\n", b, name, c.boards[b].rms_px, c.boards[b].used ? 1 : 0);
   }
   return script + "e\n";
@@ -153,6 +158,56 @@ std::string colour_table(const calib::ColourCalibration& c,
   return text;
 }
 
+// From above (x to the right, -z up) and from the side (-z to the right, y up); arrows look where a camera looks.
+std::string rig_plot(std::span<const calib::RigCameraInput> cameras, std::span<const Pose> poses) {
+  double reach = .02;
+  glm::dvec3 middle(0);
+  for (const Pose& p : poses) middle += p.translation / static_cast<double>(poses.size());
+  for (const Pose& p : poses) reach = std::max(reach, glm::length(p.translation - middle));
+  const double arrow = .6 * reach, shown = 1.9 * reach;
+  std::string script =
+      "set terminal svg size 1000,520 font 'sans,13' background rgb 'white'\n"
+      "set multiplot layout 1,2\nset key off\nset grid lc rgb '#dddddd'\nset size ratio -1\n";
+  const auto panel = [&](const char* title, const char* x, const char* y, const auto& project) {
+    const glm::dvec2 centre = 1000. * project(middle);
+    script += fmt::format(
+        "set title '{}'\nset xlabel '{}'\nset ylabel '{}'\nset xrange [{}:{}]\nset yrange "
+        "[{}:{}]\nplot '-' with vectors lw 2 lc rgb '#c0392b', '-' with labels left offset 1,.7 "
+        "noenhanced point pt 7 ps .8 lc rgb '#2c3e50'\n",
+        title, x, y, centre.x - 1000 * shown, centre.x + 1000 * shown, centre.y - 1000 * shown,
+        centre.y + 1000 * shown);
+    std::string labels;
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      const glm::dvec2 at = 1000. * project(poses[i].translation),
+                       look = 1000. * arrow * project(poses[i].rotation * glm::dvec3(0, 0, -1));
+      script += fmt::format("{} {} {} {}\n", at.x, at.y, look.x, look.y);
+      labels += fmt::format("{} {} {}\n", at.x, at.y, one_word(cameras[i].name));
+    }
+    script += "e\n" + labels + "e\n";
+  };
+  panel("From above", "x, mm", "-z, mm", [](const glm::dvec3& p) { return glm::dvec2(p.x, -p.z); });
+  panel("From the side", "-z, mm", "y, mm",
+        [](const glm::dvec3& p) { return glm::dvec2(-p.z, p.y); });
+  return script + "unset multiplot\n";
+}
+
+std::string rig_table(std::span<const calib::RigCameraInput> cameras, std::span<const Pose> poses,
+                      const calib::RigCalibration& c) {
+  std::string text =
+      "camera,x_m,y_m,z_m,qx,qy,qz,qw,sigma_x_m,sigma_y_m,sigma_z_m,sigma_turn_x_rad,sigma_turn_y_"
+      "rad,sigma_turn_z_rad,boards,rms_px\n";
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const auto& [rotation, at] = poses[i];
+    const calib::RigCameraPose& k = c.cameras[i];
+    text += fmt::format("\"{}\",{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n", cameras[i].name,
+                        at.x, at.y, at.z, rotation.x, rotation.y, rotation.z, rotation.w,
+                        k.position_sigma_m.x, k.position_sigma_m.y, k.position_sigma_m.z,
+                        k.rotation_sigma_rad.x, k.rotation_sigma_rad.y, k.rotation_sigma_rad.z,
+                        k.boards, k.rms_px);
+  }
+  return text;
+}
+
 Result<void> draw(const std::filesystem::path& folder,
                   std::initializer_list<std::pair<const char*, std::string>> plots) {
   for (const auto& [name, script] : plots) {
@@ -190,6 +245,14 @@ Result<void> write_colour_report(const std::filesystem::path& folder,
   PENUMBRA_TRY(make_folder(folder));
   PENUMBRA_TRY(write_bytes(folder / "colours.csv", colour_table(c, pairs)));
   return draw(folder, {{"colours.svg", colour_plot(c, pairs)}});
+}
+
+Result<void> write_rig_report(const std::filesystem::path& folder,
+                              std::span<const calib::RigCameraInput> cameras,
+                              std::span<const Pose> poses, const calib::RigCalibration& c) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "rig.csv", rig_table(cameras, poses, c)));
+  return draw(folder, {{"rig.svg", rig_plot(cameras, poses)}});
 }
 
 }  // namespace penumbra::service

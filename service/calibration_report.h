@@ -27,4 +27,11 @@ Result<void> write_colour_report(const std::filesystem::path& folder,
                                  const calib::ColourCalibration& calibration,
                                  std::span<const calib::ColourPair> pairs);
 
+/// rig.svg (the cameras from above and from the side, with where they look), rig.csv. Without gnuplot only the last.
+/// errors: kUnwritable
+Result<void> write_rig_report(const std::filesystem::path& folder,
+                              std::span<const calib::RigCameraInput> cameras,
+                              std::span<const Pose> poses,
+                              const calib::RigCalibration& calibration);
+
 }  // namespace penumbra::service

@@ -63,6 +63,7 @@ Result<Found> look_at_capture(const CalibrateCameraOptions& o, const calib::Boar
     return fail(ErrorCode::kNotFound, *o.capture, fmt::format("no camera \"{}\"", o.camera));
   Found found;
   std::optional<TimestampNs> last;
+  const auto progress = progress_count("pictures looked at");
   for (;;) {
     PENUMBRA_ASSIGN(frame, source->next());
     if (!frame) return found;
@@ -71,6 +72,7 @@ Result<Found> look_at_capture(const CalibrateCameraOptions& o, const calib::Boar
     last = frame->time;
     PENUMBRA_TRY(look_at_picture(*frame->pixels, board,
                                  fmt::format("{} frame {}", o.camera, frame->sequence), found));
+    progress(found.pictures);
   }
 }
 

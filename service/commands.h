@@ -118,6 +118,19 @@ struct CalibrateColourOptions {
 };
 Result<void> calibrate_colour(const CalibrateColourOptions& options);
 
+struct CalibrateRigOptions {
+  std::string capture;  // cameras that are fixed to each other, and a board
+  std::string board, output;
+  std::vector<std::string> cameras;    // the first is the rig's frame; empty: all
+  std::optional<std::string> tracker;  // poses of the body that the cameras are fixed to, .csv
+  double tracker_sigma_mm = 1, tracker_sigma_deg = .05;
+  std::string board_lies;  // "floor" or "wall": the board is the world
+  double every_s = .5, simultaneous_s = .005;
+  std::optional<std::string> report;
+  bool json = false;
+};
+Result<void> calibrate_rig(const CalibrateRigOptions& options);
+
 struct CompareOptions {
   std::string a, b;
   std::optional<std::string>

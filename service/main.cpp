@@ -62,6 +62,35 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   add_json(c, camera.json);
   c->callback([&] { action = [] { return calibrate_camera(camera); }; });
 
+  static CalibrateRigOptions rig;
+  c = calibrate->add_subcommand(
+      "rig", "Poses of cameras that are fixed to each other, from a board that they see at once");
+  c->add_option("capture", rig.capture, "Recording or capture folder with the cameras' intrinsics")
+      ->required();
+  c->add_option("--board", rig.board, "As for calibrate camera")->required();
+  c->add_option("--cameras", rig.cameras, "Names; the first is the rig's frame (all, as they come)")
+      ->delimiter(',');
+  c->add_option(
+      "--tracker", rig.tracker,
+      "Poses of the body that carries the cameras, before a board that stands still: CSV of "
+      "time_s,tx,ty,tz,qx,qy,qz,qw");
+  c->add_option("--tracker-sigma-mm", rig.tracker_sigma_mm, "Noise of a tracked position")
+      ->capture_default_str();
+  c->add_option("--tracker-sigma-deg", rig.tracker_sigma_deg, "Noise of a tracked rotation")
+      ->capture_default_str();
+  c->add_option("--board-lies", rig.board_lies,
+                "floor or wall: cameras and board stand still, and the board's first corner is the "
+                "world's origin");
+  c->add_option("--every", rig.every_s, "Seconds between two moments, at least")
+      ->capture_default_str();
+  c->add_option("--simultaneous", rig.simultaneous_s,
+                "Seconds that frames of one moment may lie apart")
+      ->capture_default_str();
+  c->add_option("-o,--output", rig.output, "Pose file to write, .toml")->required();
+  c->add_option("--report", rig.report, "Folder for a plot and a table of the boards");
+  add_json(c, rig.json);
+  c->callback([&] { action = [] { return calibrate_rig(rig); }; });
+
   static CalibrateColourOptions colour;
   c = calibrate->add_subcommand(
       "colour", "Matrix that carries an environment camera's radiance into a view camera's");

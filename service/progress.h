@@ -3,6 +3,7 @@
 
 #include <unistd.h>
 
+#include <cstddef>
 #include <cstdio>
 #include <functional>
 #include <string>
@@ -18,6 +19,15 @@ inline std::function<void(double)> progress_bar(const std::string& what) {
     const std::string bar(static_cast<std::size_t>(percent * 30 / 100), '#');
     std::fprintf(stderr, "\r%-24.24s [%-30s] %3d %%%s", what.c_str(), bar.c_str(), percent,
                  percent >= 100 ? "\n" : "");
+    std::fflush(stderr);
+  };
+}
+
+/// For work whose end is not known: a count.
+inline std::function<void(std::size_t)> progress_count(const std::string& what) {
+  if (!isatty(STDERR_FILENO)) return [](std::size_t) {};
+  return [what](std::size_t done) {
+    std::fprintf(stderr, "\r%-24.24s %zu ", what.c_str(), done);
     std::fflush(stderr);
   };
 }

@@ -8,6 +8,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   for (const bool to_composite : {true, false})
     if (const auto config = service::read_rig_config(path, to_composite))
       for (const auto& camera : config->cameras)
-        if (camera.settings.width < 1 || !(camera.settings.fps > 0)) __builtin_trap();
+        if (camera.info.projection.width < 1 || !(camera.settings.fps > 0)) __builtin_trap();
   return 0;
 }

@@ -502,6 +502,82 @@ class Calibrate(CliTest):
                             out)
         self.assertFalse(out.exists())
 
+    def stereo(self, folder):
+        """Two cameras 120 mm apart, the right one turned inwards by 6 degrees, and a chessboard that a hand moves."""
+        folder.mkdir()
+        width, height, focal, square = 320, 240, 330, .04
+        inwards = math.radians(6)
+
+        def render(camera, turn, tilt, at):
+            # Board to camera; x right, y up, -z ahead.
+            cy, sy, cx, sx = math.cos(turn), math.sin(turn), math.cos(tilt), math.sin(tilt)
+            u, v = (cy, sx * sy, -cx * sy), (0, cx, sx)
+            centre = at
+            if camera == "right":
+                c, s = math.cos(inwards), math.sin(inwards)
+                into = lambda p: (c * p[0] - s * p[2], p[1], s * p[0] + c * p[2])
+                u, v, centre = into(u), into(v), into((at[0] - .12, at[1], at[2]))
+            n = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+            reach = sum(a * b for a, b in zip(n, centre))
+
+            def pixel(x, y):
+                d = ((x + .5 - width / 2) / focal, (height / 2 - y - .5) / focal, -1)
+                away = sum(a * b for a, b in zip(n, d))
+                p = [reach / away * a - b for a, b in zip(d, centre)]
+                a = sum(i * j for i, j in zip(p, u)) / square
+                b = sum(i * j for i, j in zip(p, v)) / square
+                if abs(a) > 4 or abs(b) > 3:
+                    return (235, 235, 235)
+                # Eight by six squares with soft edges; the inner corners stand at whole numbers.
+                light = math.sin(math.pi * a) * math.sin(math.pi * b)
+                return (round(128 + 100 * max(-1, min(1, 4 * light))),) * 3
+            return pixel
+
+        for camera in ("left", "right"):
+            rows = ["file,time_s,exposure_s,gain"]
+            for n, (turn, tilt, x, y, z) in enumerate([(.1, .2, .06, 0, -.75), (-.5, .1, .02, .03, -.8),
+                                                       (.5, -.3, .1, -.02, -.85), (.1, .6, .06, -.04, -.7)]):
+                files.write_png(folder / f"{camera}{n}.png", width, height, render(camera, turn, tilt, (x, y, z)))
+                rows.append(f"{camera}{n}.png,{n},0.01,1")
+            (folder / f"{camera}.csv").write_text("\n".join(rows) + "\n")
+        (folder / "capture.toml").write_text("version = 1\n" + "".join(
+            f'[[camera]]\nname = "{c}"\nrole = "view"\nwidth = {width}\nheight = {height}\nprojection = "pinhole"\n'
+            f'focal_px = [{focal}, {focal}]\nresponse = "linear"\nframes = "{c}.csv"\n' for c in ("left", "right")))
+        return folder
+
+    def test_poses_of_two_cameras_are_one_file_that_a_rig_reads(self):
+        capture, out, report = self.stereo(self.root / "stereo"), self.root / "poses.toml", self.root / "rig"
+        board = ["--board", "chessboard:7x5:0.04"]
+        printed = self.run_json("calibrate", "rig", capture, *board, "-o", out, "--report", report)
+        self.assertEqual([c["name"] for c in printed["cameras"]], ["left", "right"])
+        right = printed["cameras"][1]
+        for found, truth, sigma in zip(right["position_m"], (.12, 0, 0), right["position_sigma_m"]):
+            self.assertAlmostEqual(found, truth, delta=.004)
+            self.assertLess(sigma, .004)
+        for found, truth in zip(right["rotation_xyzw"], (0, math.sin(math.radians(3)), 0, math.cos(math.radians(3)))):
+            self.assertAlmostEqual(abs(found), truth, delta=.004)
+        self.assertEqual(sorted(p.name for p in report.iterdir()), ["rig.csv", "rig.svg"])
+        (capture / "poses.toml").write_text(out.read_text())
+        manifest = (capture / "capture.toml").read_text()
+        (capture / "capture.toml").write_text(manifest.replace('role = "view"\n', 'role = "view"\npose = "poses.toml"\n'))
+        self.run_json("inspect", capture)
+        (capture / "poses.toml").write_text(out.read_text().replace('"right"', '"other"'))
+        self.expect_refusal(["capture.toml", "pose", '"right"'], "inspect", capture)
+        # On the floor: the cameras look at the board from above its plane.
+        (capture / "capture.toml").write_text(manifest)
+        floor = self.run_json("calibrate", "rig", capture, *board, "--board-lies", "floor", "-o", out)
+        self.assertGreater(floor["cameras"][0]["position_m"][1], .6)
+        tracker = self.root / "tracker.csv"
+        refused = ["calibrate", "rig", capture, *board, "-o", self.root / "no.toml"]
+        tracker.write_text("time_s,tx,ty,tz,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n0,0,0,0,0,0,0,1\n")
+        self.expect_refusal(["tracker.csv:3", "later"], *refused, "--tracker", tracker)
+        tracker.write_text("time_s,tx,ty,tz,qx,qy,qz,qw\n0,0,0,0,0,0,0,2\n")
+        self.expect_refusal(["tracker.csv:2", "quaternion"], *refused, "--tracker", tracker)
+        self.expect_refusal(["--board-lies", "floor or wall"], *refused, "--board-lies", "table")
+        self.expect_refusal(["none of 8 pictures"], *refused[:3], "--board", "chessboard:11x8:0.04", *refused[5:])
+        self.expect_refusal(["middle", "no camera"], *refused, "--cameras", "left,middle")
+        self.assertFalse((self.root / "no.toml").exists())
+
     def test_what_cannot_be_calibrated_is_refused(self):
         out = self.root / "none.toml"
         grey = self.root / "grey.png"
