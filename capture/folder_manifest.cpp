@@ -34,7 +34,8 @@ constexpr std::string_view kCameraKeys[] = {"name",
                                             "read_fraction",
                                             "psf_sigma_px",
                                             "colour",
-                                            "pose"};
+                                            "pose",
+                                            "noise"};
 
 Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(values, keys.numbers(key, 2));
@@ -118,6 +119,22 @@ Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
   if (!eye.empty() && eye != "left" && eye != "right")
     return keys.invalid("eye", fmt::format("\"{}\", expected left or right", eye));
   info.eye = eye;
+  return {};
+}
+
+/// A file of `calibrate noise`.
+Result<void> read_noise(const TomlKeys& keys, const fs::path& folder, CameraInfo& info) {
+  if (!keys.has("noise")) return {};
+  for (const std::string_view key : {"black_level", "full_well_electrons", "read_fraction"})
+    if (keys.has(key)) return keys.invalid(key, "noise has it already");
+  PENUMBRA_ASSIGN(name, keys.text("noise"));
+  PENUMBRA_ASSIGN(bytes, read_bytes(folder / name));
+  PENUMBRA_ASSIGN(
+      noise, calib::parse_noise_file({reinterpret_cast<const char*>(bytes.data()), bytes.size()},
+                                     folder / name));
+  info.noise = noise.model;
+  info.noise_known = true;
+  info.black_level = noise.black_level;
   return {};
 }
 
@@ -216,6 +233,7 @@ Result<CameraInfo> read_camera_info(const TomlKeys& keys, const fs::path& folder
   PENUMBRA_TRY(read_identity(keys, info));
   PENUMBRA_ASSIGN(projection, read_projection(keys, folder));
   info.projection = projection;
+  PENUMBRA_TRY(read_noise(keys, folder, info));
   PENUMBRA_TRY(read_sensor(keys, info));
   PENUMBRA_TRY(read_colour(keys, folder, info));
   PENUMBRA_TRY(read_pose_file(keys, folder, info));

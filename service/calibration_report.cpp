@@ -158,6 +158,37 @@ std::string colour_table(const calib::ColourCalibration& c,
   return text;
 }
 
+std::string noise_plot(const calib::NoiseCalibration& c) {
+  std::string script = fmt::format(
+      "set terminal svg size 760,560 font 'sans,13' background rgb 'white'\n"
+      "set title 'Noise: full well {:.0f} electrons, read noise {:.2g} of full scale' noenhanced\n"
+      "set logscale xy\nset format xy '%g'\nset grid lc rgb '#dddddd'\nset key left top\n"
+      "set xlabel 'signal, full scale = 1'\nset ylabel 'standard deviation over gain'\n"
+      "plot '-' with points pt 7 ps .6 lc rgb '#2c3e50' title 'measured', '-' with lines lw 2 lc "
+      "rgb "
+      "'#c0392b' title 'model, gain 1'\n",
+      c.model.full_well_electrons, c.model.read_fraction);
+  double lowest = 1;
+  for (const calib::NoisePoint& p : c.points) {
+    if (p.signal <= 0) continue;
+    lowest = std::min(lowest, p.signal);
+    // At gain 1 the same electrons are 1/g of the signal.
+    script += fmt::format("{} {}\n", p.signal / p.gain, std::sqrt(p.variance) / p.gain);
+  }
+  script += "e\n";
+  for (double y = lowest / 2; y < 1; y *= 1.1)
+    script += fmt::format("{} {}\n", y, std::sqrt(c.model.variance(y, 1)));
+  return script + "e\n";
+}
+
+std::string noise_table(const calib::NoiseCalibration& c) {
+  std::string text = "signal,gain,variance,model_variance,samples\n";
+  for (const calib::NoisePoint& p : c.points)
+    text += fmt::format("{},{},{},{},{}\n", p.signal, p.gain, p.variance,
+                        c.model.variance(p.signal, p.gain), p.samples);
+  return text;
+}
+
 // From above (x to the right, -z up) and from the side (-z to the right, y up); arrows look where a camera looks.
 std::string rig_plot(std::span<const calib::RigCameraInput> cameras, std::span<const Pose> poses) {
   double reach = .02;
@@ -245,6 +276,13 @@ Result<void> write_colour_report(const std::filesystem::path& folder,
   PENUMBRA_TRY(make_folder(folder));
   PENUMBRA_TRY(write_bytes(folder / "colours.csv", colour_table(c, pairs)));
   return draw(folder, {{"colours.svg", colour_plot(c, pairs)}});
+}
+
+Result<void> write_noise_report(const std::filesystem::path& folder,
+                                const calib::NoiseCalibration& c) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "noise.csv", noise_table(c)));
+  return draw(folder, {{"noise.svg", noise_plot(c)}});
 }
 
 Result<void> write_rig_report(const std::filesystem::path& folder,

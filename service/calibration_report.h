@@ -27,6 +27,11 @@ Result<void> write_colour_report(const std::filesystem::path& folder,
                                  const calib::ColourCalibration& calibration,
                                  std::span<const calib::ColourPair> pairs);
 
+/// noise.svg (standard deviation over signal, measured and as modelled), noise.csv. Without gnuplot only the last.
+/// errors: kUnwritable
+Result<void> write_noise_report(const std::filesystem::path& folder,
+                                const calib::NoiseCalibration& calibration);
+
 /// rig.svg (the cameras from above and from the side, with where they look), rig.csv. Without gnuplot only the last.
 /// errors: kUnwritable
 Result<void> write_rig_report(const std::filesystem::path& folder,

@@ -118,6 +118,15 @@ struct CalibrateColourOptions {
 };
 Result<void> calibrate_colour(const CalibrateColourOptions& options);
 
+struct CalibrateNoiseOptions {
+  std::string capture;                // of a still scene
+  std::optional<std::string> capped;  // the same camera with its lens capped
+  std::string camera = "camera", output;
+  std::optional<std::string> report;
+  bool json = false;
+};
+Result<void> calibrate_noise(const CalibrateNoiseOptions& options);
+
 struct CalibrateRigOptions {
   std::string capture;  // cameras that are fixed to each other, and a board
   std::string board, output;

@@ -62,6 +62,23 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   add_json(c, camera.json);
   c->callback([&] { action = [] { return calibrate_camera(camera); }; });
 
+  static CalibrateNoiseOptions noise;
+  c = calibrate->add_subcommand(
+      "noise",
+      "Full well, read noise and black level from frames of a still scene (photon transfer)");
+  c->add_option(
+       "capture", noise.capture,
+       "Recording or capture folder: a still scene from dark to bright, eight frames or more of "
+       "each exposure and gain")
+      ->required();
+  c->add_option("--capped", noise.capped,
+                "The same camera with its lens capped, for the black level");
+  c->add_option("--camera", noise.camera, "Its name in the captures")->capture_default_str();
+  c->add_option("-o,--output", noise.output, "Noise file to write, .toml")->required();
+  c->add_option("--report", noise.report, "Folder for a plot and a table of the points");
+  add_json(c, noise.json);
+  c->callback([&] { action = [] { return calibrate_noise(noise); }; });
+
   static CalibrateRigOptions rig;
   c = calibrate->add_subcommand(
       "rig", "Poses of cameras that are fixed to each other, from a board that they see at once");

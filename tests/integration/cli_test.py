@@ -5,6 +5,7 @@ import json
 import math
 import os
 import pathlib
+import random
 import re
 import signal
 import shutil
@@ -442,6 +443,39 @@ class Calibrate(CliTest):
             self.assertAlmostEqual(float(rows[code][2]) / top, (code / 240) ** 2.2, delta=.01)
         self.run_well("hdr", "merge", *pictures, *given, "--response", out, "-o", self.root / "m.exr")
         self.expect_refusal(["equal"], "calibrate", "response", *pictures, "--times", "1,1,1", "-o",
+                            self.root / "no.toml")
+        self.assertFalse((self.root / "no.toml").exists())
+
+    def test_noise_of_a_still_scene_is_one_file_that_a_capture_reads(self):
+        folder, out, report = self.root / "still", self.root / "noise.toml", self.root / "noise"
+        folder.mkdir()
+        draw, full_well, read = random.Random(1), 2500, .004
+        rows = ["file,time_s,exposure_s,gain"]
+        for n in range(12):
+            def codes(x, y):
+                light = .9 * .002 ** (x / 63)
+                noise = math.sqrt(light / full_well + read ** 2)
+                return [round(255 * min(1, max(0, light * g + noise * draw.gauss(0, 1)))  ** (1 / 2.2))
+                        for g in (1, 1, 1)]
+            files.write_png(folder / f"f{n}.png", 64, 60, codes)
+            rows.append(f"f{n}.png,{n},0.01,1")
+        (folder / "camera.csv").write_text("\n".join(rows) + "\n")
+        manifest = ('version = 1\n[[camera]]\nname = "camera"\nrole = "view"\nwidth = 64\nheight = 60\n'
+                    'projection = "pinhole"\nresponse = "gamma:2.2"\nframes = "camera.csv"\n')
+        (folder / "capture.toml").write_text(manifest)
+        printed = self.run_json("calibrate", "noise", folder, "-o", out, "--report", report)
+        self.assertAlmostEqual(printed["full_well_electrons"], full_well, delta=.1 * full_well)
+        self.assertAlmostEqual(printed["read_fraction"], read, delta=.25 * read)
+        self.assertEqual(sorted(p.name for p in report.iterdir()), ["noise.csv", "noise.svg"])
+        (folder / "noise.toml").write_text(out.read_text())
+        (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\n')
+        self.run_json("inspect", folder)
+        (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\nread_fraction = 0.1\n')
+        self.expect_refusal(["capture.toml", "read_fraction", "noise has it"], "inspect", folder)
+        (folder / "capture.toml").write_text(manifest)
+        (folder / "camera.csv").write_text("\n".join(rows[:5]) + "\n")
+        self.expect_refusal(["8 are needed"], "calibrate", "noise", folder, "-o", self.root / "no.toml")
+        self.expect_refusal(["no camera", "side"], "calibrate", "noise", folder, "--camera", "side", "-o",
                             self.root / "no.toml")
         self.assertFalse((self.root / "no.toml").exists())
 

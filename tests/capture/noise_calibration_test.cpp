@@ -1,0 +1,153 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "calib/calib.h"
+#include "capture/capture.h"
+#include "tests/support/brackets.h"
+
+namespace penumbra::calib {
+namespace {
+
+capture::Sensor sensor(int bits, Response response, NoiseModel noise, double black_level) {
+  capture::Sensor out;
+  out.bits = bits;
+  out.response = std::move(response);
+  out.noise = noise;
+  out.black_level = black_level;
+  return out;
+}
+
+// A still scene of four decades.
+Image<Rgb> scene() {
+  Image<Rgb> out(160, 96);
+  for (int y = 0; y < 96; ++y)
+    for (int x = 0; x < 160; ++x) {
+      const auto v = static_cast<float>(1.2 * std::pow(1e-4, x / 159.));
+      out.at(x, y) = {v, v * .8f, v * .6f};
+    }
+  return out;
+}
+
+StillSeries film(const capture::Sensor& s, const Image<Rgb>& radiance, int frames, unsigned seed,
+                 double gain = 1, double flicker = 0) {
+  StillSeries out(gain);
+  for (int n = 0; n < frames; ++n) {
+    Image<Rgb> lit = radiance;
+    const auto light = static_cast<float>(1 + flicker * std::sin(2.4 * n));
+    for (Rgb& p : lit.pixels()) p = light * p;
+    const auto frame =
+        test::shot(s, lit, {Seconds(1 / gain), Gain(gain)}, seed * 1000 + static_cast<unsigned>(n));
+    EXPECT_TRUE(out.add(*frame, "frame"));
+  }
+  return out;
+}
+
+TEST(NoiseCalibration, FindsFullWellReadNoiseAndBlackOfARawCamera) {
+  const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, .02);
+  const std::vector<StillSeries> still = {film(raw, scene(), 24, 1), film(raw, scene(), 24, 2, 4)};
+  const std::vector<StillSeries> capped = {film(raw, Image<Rgb>(160, 96), 24, 3)};
+  const auto found = calibrate_noise(still, capped, raw.response, 0);
+  ASSERT_TRUE(found) << found.error().detail;
+  EXPECT_NEAR(found->model.full_well_electrons / 8000, 1, .02);
+  EXPECT_NEAR(found->model.read_fraction / 2e-3, 1, .03);
+  EXPECT_NEAR(found->black_level, .02, 2e-5);
+  EXPECT_LT(found->error, .03);
+}
+
+TEST(NoiseCalibration, SeesNoiseThroughTheCodesOfAnEightBitCamera) {
+  const auto eight = sensor(8, Response::srgb(), {3000, 4e-3}, 0);
+  const std::vector<StillSeries> still = {film(eight, scene(), 32, 1)};
+  const auto found = calibrate_noise(still, {}, eight.response, 0);
+  ASSERT_TRUE(found) << found.error().detail;
+  EXPECT_NEAR(found->model.full_well_electrons / 3000, 1, .05);
+  EXPECT_NEAR(found->model.read_fraction / 4e-3, 1, .15);
+}
+
+TEST(NoiseCalibration, LampsThatFlickerAreNoNoiseOfTheCamera) {
+  const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, 0);
+  const std::vector<StillSeries> still = {film(raw, scene(), 24, 1, 1, .05)};
+  const auto found = calibrate_noise(still, {}, raw.response, 0);
+  ASSERT_TRUE(found) << found.error().detail;
+  EXPECT_NEAR(found->model.full_well_electrons / 8000, 1, .03);
+  // Taken as it is, the light's changes are ten times the camera's noise in the bright.
+  const auto& codes = still[0].codes();
+  double sum = 0, square = 0;
+  constexpr std::size_t kPixel = std::size_t{3} * 20;  // of about .4
+  for (const auto& frame : codes)
+    sum += frame[kPixel] / 65535., square += std::pow(frame[kPixel] / 65535., 2);
+  const auto n = static_cast<double>(codes.size());
+  const double naive = (square - sum * sum / n) / (n - 1), signal = sum / n;
+  EXPECT_GT(naive, 5 * signal / 8000);
+}
+
+TEST(NoiseCalibration, SomeoneWhoWalksThroughChangesLittle) {
+  const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, 0);
+  StillSeries series(1);
+  for (int n = 0; n < 24; ++n) {
+    Image<Rgb> now = scene();
+    for (int y = 30; y < 50; ++y)
+      for (int x = 6 * n; x < 6 * n + 12 && x < 160; ++x) now.at(x, y) = {.3f, .3f, .3f};
+    ASSERT_TRUE(series.add(*test::shot(raw, now, {Seconds(1), Gain(1)}, 77 + n), "frame"));
+  }
+  const auto found = calibrate_noise({&series, 1}, {}, raw.response, 0);
+  ASSERT_TRUE(found) << found.error().detail;
+  EXPECT_NEAR(found->model.full_well_electrons / 8000, 1, .1);
+}
+
+TEST(NoiseCalibration, TheStatedUncertaintyCoversTheTruth) {
+  const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, .02);
+  int well = 0, read = 0;
+  constexpr int kRuns = 200;
+  for (int run = 0; run < kRuns; ++run) {
+    const auto seed = static_cast<unsigned>(run);
+    const std::vector<StillSeries> still = {film(raw, scene(), 8, 10 + seed)};
+    const std::vector<StillSeries> capped = {film(raw, Image<Rgb>(160, 96), 8, 500 + seed)};
+    const auto found = calibrate_noise(still, capped, raw.response, 0);
+    ASSERT_TRUE(found) << found.error().detail;
+    well += std::abs(found->model.full_well_electrons - 8000) < 1.96 * found->full_well_sigma;
+    read += std::abs(found->model.read_fraction - 2e-3) < 1.96 * found->read_sigma;
+  }
+  // No less often than stated; the sigmas hold 2 % for what a real camera does between the points.
+  EXPECT_GE(well, .93 * kRuns);
+  EXPECT_GE(read, .93 * kRuns);
+}
+
+TEST(NoiseCalibration, RefusesWhatCannotTellTheAnswer) {
+  const auto raw = sensor(16, Response::linear(), {8000, 2e-3}, 0);
+  const auto refused = [](const StillSeries& series, const Response& response,
+                          const std::string& word) {
+    const auto found = calibrate_noise({&series, 1}, {}, response, 0);
+    ASSERT_FALSE(found) << word;
+    EXPECT_EQ(found.error().code, ErrorCode::kUndetermined);
+    EXPECT_NE(found.error().detail.find(word), std::string::npos) << found.error().detail;
+  };
+  refused(film(raw, scene(), 5, 1), raw.response, "8 are needed");
+  refused(film(raw, Image<Rgb>(160, 96, {.3f, .3f, .3f}), 16, 1), raw.response, "noise");
+  const auto quiet = sensor(8, Response::srgb(), {1e9, 1e-7}, 0);
+  refused(film(quiet, scene(), 16, 1), quiet.response, "steps of the codes");
+  StillSeries series(1);
+  EXPECT_TRUE(series.add(FramePixels(Image<Rgb8>(8, 8)), "a"));
+  EXPECT_FALSE(series.add(FramePixels(Image<Rgb8>(9, 8)), "b"));
+  EXPECT_FALSE(series.add(FramePixels(Image<Rgb>(8, 8)), "c"));
+}
+
+TEST(NoiseFile, ComesBackAndDamagedOnesAreRefused) {
+  NoiseCalibration c;
+  c.model = {12345, .00123};
+  c.black_level = .0625;
+  const auto back = parse_noise_file(print_noise_file(c), "noise.toml");
+  ASSERT_TRUE(back) << back.error().detail;
+  EXPECT_NEAR(back->model.full_well_electrons, 12345, .1);
+  EXPECT_NEAR(back->model.read_fraction, .00123, 1e-8);
+  EXPECT_EQ(back->black_level, .0625);
+  for (const char* const text :
+       {"", "version = 1", "version = 1\n[noise]\nfull_well_electrons = 5\n",
+        "version = 1\n[noise]\nfull_well_electrons = 0\nread_fraction = 0\nblack_level = 0\n",
+        "version = 1\n[noise]\nfull_well_electrons = 9\nread_fraction = 2\nblack_level = 0\n",
+        "version = 1\n[noise]\nfull_well_electrons = 9\nread_fraction = 0\nblack_level = inf\n"})
+    EXPECT_FALSE(parse_noise_file(text, "noise.toml")) << text;
+}
+
+}  // namespace
+}  // namespace penumbra::calib
