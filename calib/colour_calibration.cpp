@@ -18,7 +18,6 @@ namespace {
 
 constexpr std::size_t kFewestPairs = 8;
 constexpr double kMostUncertain = .05;  // of an element, against the mean of the diagonal
-constexpr double kFewestAgree = .5;     // of the pairs
 constexpr const char* kChannels[] = {"red", "green", "blue"};
 
 using Vector = Eigen::Vector3d;
@@ -194,16 +193,35 @@ Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, Co
   }
   constexpr double kFarOff = .1;
   out.rms = std::sqrt(square / static_cast<double>(std::max<std::size_t>(used, 1)));
-  if (static_cast<double>(used) < kFewestAgree * static_cast<double>(pairs.size()) ||
-      out.rms > kFarOff)
-    return fail(ErrorCode::kUndetermined, "colour calibration",
-                fmt::format("the cameras do not see the same: {} of {} surfaces agree, within "
-                            "{:.0f} %; are the poses right, and did nothing move?",
-                            used, pairs.size(), 100 * out.rms));
+  if (out.rms > kFarOff)
+    return fail(
+        ErrorCode::kUndetermined, "colour calibration",
+        fmt::format("{} surfaces disagree by {:.0f} %: are the poses right, did nothing move, and "
+                    "do the cameras need a fuller --model?",
+                    pairs.size(), 100 * out.rms));
   PENUMBRA_TRY(check_determined(fit));
   out.matrix = to_glm(fit.matrix);
   out.sigma = to_glm(fit.sigma);
   return out;
+}
+
+Result<void> check_colour_matrix(const glm::dmat3& m) {
+  constexpr double kLargest = 1e6, kSmallest = 1e-6, kFlat = 1e-6;
+  const auto refuse = [](const char* why) {
+    return fail(ErrorCode::kInvalid, "colour matrix", why);
+  };
+  for (int r = 0; r < 3; ++r) {
+    double white = 0;
+    for (int c = 0; c < 3; ++c) {
+      if (!(std::abs(m[c][r]) <= kLargest)) return refuse("carries no colours: beyond a million");
+      white += m[c][r];
+    }
+    if (!(white >= kSmallest)) return refuse("carries no colours: white does not stay positive");
+  }
+  const double size = std::max({std::abs(m[0][0]), std::abs(m[1][1]), std::abs(m[2][2])});
+  if (!(glm::determinant(m) > kFlat * size * size * size))
+    return refuse("carries no colours: flat, or mirrored");
+  return {};
 }
 
 std::string print_colour_file(const ColourCalibration& c, std::string_view source,
@@ -219,8 +237,8 @@ std::string print_colour_file(const ColourCalibration& c, std::string_view sourc
       "version = 1\n\n[colour]  # radiance of {} = matrix * radiance of {}\nmatrix = [{}]\n"
       "sigma  = [{}]  # one standard deviation each\nrms = {:.4g}  # relative, of {} surfaces of "
       "{}\n",
-      target, source, rows(c.matrix), rows(c.sigma), c.rms, std::ranges::count(c.used, true),
-      c.used.size());
+      toml_quoted(std::string(target)), toml_quoted(std::string(source)), rows(c.matrix),
+      rows(c.sigma), c.rms, std::ranges::count(c.used, true), c.used.size());
 }
 
 Result<glm::dmat3> parse_colour_file(std::string_view text, const std::filesystem::path& path) {
@@ -238,11 +256,8 @@ Result<glm::dmat3> parse_colour_file(std::string_view text, const std::filesyste
   glm::dmat3 out;
   for (int r = 0; r < 3; ++r)
     for (int c = 0; c < 3; ++c) out[c][r] = m[static_cast<std::size_t>(3 * r + c)];
-  constexpr double kLargest = 1e6, kFlat = 1e-9;
-  const bool small = std::ranges::all_of(m, [](double v) { return std::abs(v) <= kLargest; });
-  const double size = std::max({std::abs(m[0]), std::abs(m[4]), std::abs(m[8])});
-  if (!small || !(std::abs(glm::determinant(out)) > kFlat * size * size * size))
-    return colour.invalid("matrix", "carries no colours: singular, or beyond a million");
+  const auto carries = check_colour_matrix(out);
+  if (!carries) return colour.invalid("matrix", carries.error().detail);
   return out;
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <glm/mat3x3.hpp>
 #include <optional>
@@ -36,20 +37,27 @@ struct ColourCalibration {
 };
 
 /// Least squares of relative residuals, with Tukey's weights from a start by medians: pairs that do not show the same
-/// surface (parallax, something that moved, a reflection) have no say while they are fewer than a third.
-/// errors: kUndetermined (fewer than 8 pairs; too few colours for the model: which number stays unknown; hardly any
-/// pair agrees), kNonFinite (a pair)
+/// surface (parallax, something that moved, a reflection) have no say while they are clearly fewer than a half.
+/// errors: kUndetermined (fewer than 8 pairs; too few colours for the model: which number stays unknown; the pairs
+/// disagree by more than a tenth), kNonFinite (a pair)
 /// source: IRLS with Tukey's biweight, Beaton & Tukey 1974; scale by the median absolute deviation
 Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, ColourModel model);
 
-/// Mean radiance of the 24 patches of a ColorChecker in a picture, dark skin first, row by row.
+/// Mean radiance of the 24 patches of a ColorChecker in a picture, dark skin first, row by row; nothing where a patch is
+/// clipped or black. `clipped` may be empty.
 /// errors: kUndetermined (no chart, one too small or cut off)
-Result<std::vector<Rgb>> find_colour_chart(const Image<Rgb>& radiance, const std::string& picture);
+Result<std::vector<std::optional<Rgb>>> find_colour_chart(const Image<Rgb>& radiance,
+                                                          const Image<std::uint8_t>& clipped,
+                                                          const std::string& picture);
 
 /// "version = 1" and [colour] with `matrix` by rows; how sure it is beside it.
 std::string print_colour_file(const ColourCalibration& calibration, std::string_view source,
                               std::string_view target);
-/// errors: kInvalid (line, key; not finite, singular), kUnreadable; `path` names the text in errors
+/// Whether a matrix carries colours: finite, white stays positive, no colour becomes its mirror image.
+/// errors: kInvalid
+Result<void> check_colour_matrix(const glm::dmat3& matrix);
+
+/// errors: kInvalid (line, key; as check_colour_matrix), kUnreadable; `path` names the text in errors
 Result<glm::dmat3> parse_colour_file(std::string_view text, const std::filesystem::path& path);
 
 }  // namespace penumbra::calib

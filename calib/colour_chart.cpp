@@ -35,10 +35,12 @@ cv::Mat for_detector(const Image<Rgb>& radiance) {
 }
 
 // Over the middle of each patch, away from the frame between them.
-std::vector<Rgb> patch_means(const Image<Rgb>& radiance, const cv::Mat& picture_from_chart) {
+std::vector<std::optional<Rgb>> patch_means(const Image<Rgb>& radiance,
+                                            const Image<std::uint8_t>& clipped,
+                                            const cv::Mat& picture_from_chart) {
   constexpr int kSamples = 9;  // a side
   constexpr double kMiddle = .4;
-  std::vector<Rgb> out;
+  std::vector<std::optional<Rgb>> out;
   for (int row = 0; row < kRows; ++row)
     for (int column = 0; column < kColumns; ++column) {
       std::vector<cv::Point2d> chart, picture;
@@ -47,30 +49,45 @@ std::vector<Rgb> patch_means(const Image<Rgb>& radiance, const cv::Mat& picture_
                            row + .5 + kMiddle * ((double(i / kSamples) + .5) / kSamples - .5));
       cv::perspectiveTransform(chart, picture, picture_from_chart);
       Rgb sum{};
-      for (const cv::Point2d& p : picture)
-        sum = sum + radiance.at(std::clamp(static_cast<int>(p.x), 0, radiance.width() - 1),
-                                std::clamp(static_cast<int>(p.y), 0, radiance.height() - 1));
-      out.push_back(sum * (1.f / (kSamples * kSamples)));
+      bool good = true;
+      for (const cv::Point2d& p : picture) {
+        const int x = static_cast<int>(p.x), y = static_cast<int>(p.y);
+        good &= x >= 0 && y >= 0 && x < radiance.width() && y < radiance.height() &&
+                (clipped.empty() || !clipped.at(x, y));
+        if (good) sum = sum + radiance.at(x, y);
+      }
+      good &= sum.r > 0 && sum.g > 0 && sum.b > 0;
+      out.push_back(good ? std::optional(sum * (1.f / (kSamples * kSamples))) : std::nullopt);
     }
   return out;
 }
 
 }  // namespace
 
-Result<std::vector<Rgb>> find_colour_chart(const Image<Rgb>& radiance, const std::string& picture) {
+// The detector's exceptions end here. It brings the short side to a size of its own: of a strip it would make a huge picture.
+Result<std::vector<std::optional<Rgb>>> find_colour_chart(const Image<Rgb>& radiance,
+                                                          const Image<std::uint8_t>& clipped,
+                                                          const std::string& picture) {
+  constexpr int kShortest = 100, kLongest = 4;  // pixels of a side; long side over short side
   const auto not_found = [&] {
     return fail(
         ErrorCode::kUndetermined, picture,
         "no ColorChecker of 24 patches found: hold it flat, filling a tenth of the picture at "
         "least, evenly lit");
   };
-  const auto detector = cv::mcc::CCheckerDetector::create();
-  if (!detector->process(for_detector(radiance), cv::mcc::MCC24)) return not_found();
-  const auto chart = detector->getBestColorChecker();
-  if (!chart || chart->getBox().size() != 4) return not_found();
-  const auto corners = chart->getBox();  // of the chart's frame, from dark skin clockwise
-  const std::vector<cv::Point2f> unit = {{0, 0}, {kColumns, 0}, {kColumns, kRows}, {0, kRows}};
-  return patch_means(radiance, cv::getPerspectiveTransform(unit, corners));
+  const auto [low, high] = std::minmax({radiance.width(), radiance.height()});
+  if (low < kShortest || high > kLongest * low) return not_found();
+  try {
+    const auto detector = cv::mcc::CCheckerDetector::create();
+    if (!detector->process(for_detector(radiance), cv::mcc::MCC24)) return not_found();
+    const auto chart = detector->getBestColorChecker();
+    if (!chart || chart->getBox().size() != 4) return not_found();
+    const auto corners = chart->getBox();  // of the chart's frame, from dark skin clockwise
+    const std::vector<cv::Point2f> unit = {{0, 0}, {kColumns, 0}, {kColumns, kRows}, {0, kRows}};
+    return patch_means(radiance, clipped, cv::getPerspectiveTransform(unit, corners));
+  } catch (const cv::Exception&) {
+    return not_found();
+  }
 }
 
 }  // namespace penumbra::calib

@@ -4,6 +4,7 @@
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
 #include <fmt/format.h>
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
@@ -185,8 +186,8 @@ class Adjustment {
       if (out.cameras[c].boards == 0)
         return undetermined(fmt::format("no board of {} agrees with the others", cameras[c].name));
     }
-    out.rig_from_board = tracked() ? pose_of(moments_[0]).inverse() * pose_of(world_from_board_)
-                                   : pose_of(moments_[0]);
+    PENUMBRA_TRY(check_fit(out));
+    set_boards(out);
     if (tracked()) out.tracker_offset_s = offset_s_;
     PENUMBRA_TRY(estimate_sigmas(out));
     return out;
@@ -197,6 +198,7 @@ class Adjustment {
     std::size_t camera, moment;
     std::vector<Corner> corners;
   };
+  static constexpr double kLongestGap = .25;  // seconds that the tracker may be silent for
   bool tracked() const { return !options_.tracker.empty(); }
 
   void build(ceres::Problem& problem, bool robust) {
@@ -226,6 +228,7 @@ class Adjustment {
     for (std::size_t m = 0; m < moments_.size(); ++m) {
       if (!problem.HasParameterBlock(moments_[m].data())) continue;
       const TrackerReading now = read_tracker(options_.tracker, start_.times_s[m] + offset_s_);
+      if (now.spanned_s > kLongestGap) continue;  // nobody knows where the body was
       problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Tracked, 6, 6, 1>(
                                    new Tracked{now.pose, now.velocity, now.turning, offset_s_,
                                                1 / (now.noise * options_.tracker_sigma_m),
@@ -260,6 +263,55 @@ class Adjustment {
     }
     return {sum, o.corners.size()};
   }
+  // Of the tracker's poses, in their own standard deviations.
+  double tracker_rms() const {
+    double sum = 0;
+    std::size_t count = 0;
+    for (std::size_t m = 0; m < moments_.size(); ++m) {
+      const TrackerReading now = read_tracker(options_.tracker, start_.times_s[m] + offset_s_);
+      if (now.spanned_s > kLongestGap) continue;
+      double r[6];
+      Tracked{now.pose,
+              now.velocity,
+              now.turning,
+              offset_s_,
+              1 / (now.noise * options_.tracker_sigma_m),
+              1 / (now.noise * options_.tracker_sigma_rad)}(moments_[m].data(), &offset_s_, r);
+      for (const double v : r) sum += v * v;
+      count += 6;
+    }
+    return count ? std::sqrt(sum / static_cast<double>(count)) : 0;
+  }
+  Result<void> check_fit(const RigCalibration& out) const {
+    constexpr double kMost_px = 2, kMostSigmas = 3;
+    if (out.rms_px > kMost_px || 3 * out.left_out.size() > observed_.size())
+      return undetermined(fmt::format(
+          "the boards contradict each other ({:.1f} px RMS, {} of {} left out): is --board's size "
+          "right, "
+          "were the frames of a moment taken at once, and are the lenses calibrated{}?",
+          out.rms_px, out.left_out.size(), observed_.size(),
+          tracked() ? ", did the board stand still, and are quaternions x, y, z, w" : ""));
+    const double sigmas = tracked() ? tracker_rms() : 0;
+    if (sigmas > kMostSigmas)
+      return undetermined(fmt::format(
+          "the tracker contradicts the cameras by {:.1f} times its stated noise: are its metres "
+          "and "
+          "quaternions (x, y, z, w) right, is --board's size, and did the board stand still?",
+          sigmas));
+    return {};
+  }
+  void set_boards(RigCalibration& out) const {
+    std::vector<bool> seen(moments_.size(), false);
+    for (std::size_t v = 0; v < observed_.size(); ++v)
+      if (used_[v]) seen[observed_[v].moment] = true;
+    for (std::size_t m = 0; m < moments_.size(); ++m)
+      if (seen[m])
+        out.rig_from_board.push_back(
+            {start_.times_s[m], tracked()
+                                    ? pose_of(moments_[m]).inverse() * pose_of(world_from_board_)
+                                    : pose_of(moments_[m])});
+  }
+
   // Of a coordinate, pixels.
   double rms(std::optional<std::size_t> camera = {}) const {
     double sum = 0;
@@ -318,8 +370,21 @@ class Adjustment {
     }
   }
 
+  Result<void> set_offset_sigma(ceres::Covariance& covariance, RigCalibration& out) const {
+    constexpr double kMostOffsetSigma = .005;
+    double variance = 0;
+    covariance.GetCovarianceBlock(&offset_s_, &offset_s_, &variance);
+    out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance));
+    if (out.tracker_offset_sigma_s > kMostOffsetSigma)
+      return undetermined(
+          fmt::format("the clocks' offset stays uncertain by {:.0f} ms: move the rig "
+                      "faster, half a metre and 30 degrees a second",
+                      1000 * out.tracker_offset_sigma_s));
+    return {};
+  }
+
   Result<void> estimate_sigmas(RigCalibration& out) {
-    constexpr double kMostOffsetSigma = .005, kMostPosition_m = .05, kMostTurn = .02;
+    constexpr double kMostPosition_m = .05, kMostTurn = .02;
     ceres::Problem problem;
     build(problem, false);
     ceres::Covariance::Options options;
@@ -334,6 +399,7 @@ class Adjustment {
       return undetermined(tracked() ? "the poses are left open: turn the rig about two axes, by 30 "
                                       "degrees at least, while it sees the board"
                                     : "the poses are left open: show the board closer");
+    if (tracked()) PENUMBRA_TRY(set_offset_sigma(covariance, out));
     for (std::size_t c = tracked() ? 0 : 1; c < cameras_.size(); ++c) {
       double block[36];
       covariance.GetCovarianceBlock(cameras_[c].data(), cameras_[c].data(), block);
@@ -347,15 +413,6 @@ class Adjustment {
                         tracked() ? "turn the rig about two axes, by 30 degrees at least"
                                   : "show the board closer, tilted, to both cameras at once"));
     }
-    if (!tracked()) return {};
-    double variance = 0;
-    covariance.GetCovarianceBlock(&offset_s_, &offset_s_, &variance);
-    out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance));
-    if (out.tracker_offset_sigma_s > kMostOffsetSigma)
-      return undetermined(
-          fmt::format("the clocks' offset stays uncertain by {:.0f} ms: move the rig "
-                      "faster, half a metre and 30 degrees a second",
-                      1000 * out.tracker_offset_sigma_s));
     return {};
   }
 
@@ -374,6 +431,7 @@ Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options) {
   if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig calibration", "no camera");
+  FLAGS_minloglevel = google::GLOG_FATAL;  // Ceres' own words; what matters comes back as errors
   for (const RigObservation& o : observations)
     if (o.camera >= cameras.size())
       return fail(ErrorCode::kInvalid, o.view.name, "of a camera that is not there");

@@ -48,8 +48,11 @@ struct RigCameraPose {
 
 struct RigCalibration {
   std::vector<RigCameraPose> cameras;
-  Pose
-      rig_from_board;  // at the first moment; the board's axes: x right, y up, z towards who looks at it
+  struct BoardAt {
+    double time_s;
+    Pose rig_from_board;  // the board's axes: x right, y up, z towards who looks at it
+  };
+  std::vector<BoardAt> rig_from_board;  // at each moment that counted
   std::optional<double>
       tracker_offset_s;  // a frame of camera time t was taken at t + offset of the tracker's
   double tracker_offset_sigma_s = 0;
@@ -60,7 +63,8 @@ struct RigCalibration {
 /// The rig's frame is the first camera's; with tracker poses it is the tracked body, and the board must stand still.
 /// Without, the board or the rig may move. The lenses are taken as exact.
 /// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (says what to capture instead: a camera
-/// that never sees the board together with the others, a rig that turns about one axis alone or too slowly)
+/// that never sees the board together with the others, a rig that turns about one axis alone or too slowly, boards or a
+/// tracker that contradict the rest)
 Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options = {});

@@ -127,7 +127,14 @@ Result<double> find_offset(const std::vector<double>& times,
       least = sum / static_cast<double>(count), best = offset;
   }
   if (!std::isfinite(least))
-    return undetermined("fewer than six frames with the board lie within the tracker's times");
+    return undetermined(
+        "fewer than six pairs of frames, within a second of each other, show the board within the "
+        "tracker's times: film for longer, or look at more frames (--every)");
+  if (std::abs(best) > options.most_offset_s - 1.5 * kStep)
+    return undetermined(
+        fmt::format("the clocks differ by {} s or more, or the tracker follows another "
+                    "body: bring its times nearer to the frames'",
+                    options.most_offset_s));
   return best;
 }
 
@@ -197,17 +204,28 @@ Result<void> place_on_body(const RigOptions& options, RigStart& start) {
 
 }  // namespace
 
-// A parabola through the poses around the time: differences of neighbours would be mostly noise.
+// A parabola through the poses around the time: differences of neighbours would be mostly noise. Poses far off are no help,
+// since a hand does not move along a parabola for long.
 TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s) {
-  constexpr std::ptrdiff_t kPoses = 9;
-  const auto after = std::ranges::upper_bound(tracker, time_s, {}, &TrackerPose::time_s);
-  const std::ptrdiff_t count = std::min(std::ssize(tracker), kPoses);
-  const std::ptrdiff_t first = std::clamp(after - tracker.begin() - count / 2, std::ptrdiff_t{0},
-                                          std::ssize(tracker) - count);
+  constexpr double kReach = .04;  // seconds to both sides
+  constexpr std::ptrdiff_t kFewest = 3, kMost = 41;
+  const auto first_of = [&](double t) {
+    return std::ranges::lower_bound(tracker, t, {}, &TrackerPose::time_s) - tracker.begin();
+  };
+  std::ptrdiff_t first = first_of(time_s - kReach), last = first_of(time_s + kReach);
+  while (last - first < kFewest && last - first < std::ssize(tracker)) {
+    const bool back = last == std::ssize(tracker) ||
+                      (first > 0 && time_s - tracker[static_cast<std::size_t>(first - 1)].time_s <
+                                        tracker[static_cast<std::size_t>(last)].time_s - time_s);
+    back ? --first : ++last;
+  }
+  last = std::min(last, first + kMost);
+  const std::ptrdiff_t count = last - first;
   const auto around =
       tracker.subspan(static_cast<std::size_t>(first), static_cast<std::size_t>(count));
+  const double spanned = around.back().time_s - around.front().time_s;
   const Pose& middle = around[around.size() / 2].world_from_body;
-  if (count < 3) return {middle, {}, {}, 1};
+  if (count < kFewest) return {middle, {}, {}, 1, spanned};
   Eigen::MatrixXd basis(count, 3), values(count, 6);
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const TrackerPose& p = around[static_cast<std::size_t>(i)];
@@ -230,13 +248,38 @@ TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s)
   return {{glm::normalize(moved * middle.rotation), vector(0, 0)},
           vector(1, 0),
           vector(1, 3),
-          std::sqrt(std::max(0., inverse(0, 0)))};
+          std::sqrt(std::max(0., inverse(0, 0))),
+          spanned};
 }
+
+namespace {
+
+Result<void> check_tracker(std::span<const RigObservation> observations,
+                           const RigOptions& options) {
+  constexpr std::size_t kFewest = 10;
+  const auto& tracker = options.tracker;
+  if (tracker.size() < kFewest)
+    return undetermined(
+        fmt::format("the tracker has {} poses, at least {} are needed", tracker.size(), kFewest));
+  if (observations.empty()) return {};
+  const auto [first, last] = std::ranges::minmax(observations, {}, &RigObservation::time_s);
+  const double from = tracker.front().time_s, to = tracker.back().time_s;
+  if (last.time_s + options.most_offset_s < from || first.time_s - options.most_offset_s > to)
+    return undetermined(
+        fmt::format("the tracker's times ({:.3f} to {:.3f} s) and the frames' ({:.3f} to {:.3f} s) "
+                    "lie more than "
+                    "{} s apart",
+                    from, to, first.time_s, last.time_s, options.most_offset_s));
+  return {};
+}
+
+}  // namespace
 
 Result<RigStart> start_rig(std::span<const RigCameraInput> cameras,
                            std::span<const RigObservation> observations,
                            const RigOptions& options) {
   constexpr std::size_t kFewest = 2;
+  if (!options.tracker.empty()) PENUMBRA_TRY(check_tracker(observations, options));
   std::vector<Posed> posed;
   for (const RigObservation& o : observations) {
     if (!options.tracker.empty() &&

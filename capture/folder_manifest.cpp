@@ -109,6 +109,8 @@ Result<Pose> read_pose(const TomlKeys& keys) {
 Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
   PENUMBRA_ASSIGN(name, keys.text("name"));
   if (name.empty()) return keys.invalid("name", "empty");
+  if (std::ranges::any_of(name, [](unsigned char c) { return std::iscntrl(c); }))
+    return keys.invalid("name", "has control characters");
   PENUMBRA_ASSIGN(role, keys.text("role"));
   if (role != "environment" && role != "view")
     return keys.invalid("role", fmt::format("\"{}\", expected environment or view", role));
@@ -203,6 +205,8 @@ Result<void> read_colour(const TomlKeys& keys, const fs::path& folder, CameraInf
   }
   PENUMBRA_ASSIGN(m, keys.numbers("colour", 9));
   for (int i = 0; i < 9; ++i) info.colour[i % 3][i / 3] = m[static_cast<std::size_t>(i)];
+  if (const auto carries = calib::check_colour_matrix(info.colour); !carries)
+    return keys.invalid("colour", carries.error().detail);
   return {};
 }
 

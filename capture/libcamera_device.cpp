@@ -30,20 +30,28 @@ namespace {
 constexpr unsigned kBuffers = 4;
 constexpr double kMicrosecond = 1e-6;  // seconds of libcamera's ExposureTime
 
-// One a process, as libcamera wants it; it stops when nobody uses it any more.
+// One a process, as libcamera wants it; it stops when nobody uses it any more, and the next begins only then.
 Result<std::shared_ptr<lc::CameraManager>> manager() {
   static std::mutex mutex;
-  static std::weak_ptr<lc::CameraManager> running;
+  static lc::CameraManager* running = nullptr;  // guarded by mutex, like users
+  static int users = 0;
   const std::scoped_lock lock(mutex);
-  if (auto found = running.lock()) return found;
-  // What matters comes back as errors; who looks deeper sets libcamera's own variables.
-  if (!std::getenv("LIBCAMERA_LOG_LEVELS")) lc::logSetTarget(lc::LoggingTargetNone);
-  auto made = std::make_shared<lc::CameraManager>();
-  if (const int e = made->start())
-    return fail(ErrorCode::kUnavailable, "libcamera",
-                fmt::format("does not start: {}", std::strerror(-e)));
-  running = made;
-  return made;
+  if (!running) {
+    // What matters comes back as errors; who looks deeper sets libcamera's own variables.
+    if (!std::getenv("LIBCAMERA_LOG_LEVELS")) lc::logSetTarget(lc::LoggingTargetNone);
+    auto made = std::make_unique<lc::CameraManager>();
+    if (const int e = made->start())
+      return fail(ErrorCode::kUnavailable, "libcamera",
+                  fmt::format("does not start: {}", std::strerror(-e)));
+    running = made.release();
+  }
+  ++users;
+  return std::shared_ptr<lc::CameraManager>(running, [](lc::CameraManager* used) {
+    const std::scoped_lock last(mutex);
+    if (--users > 0) return;
+    delete used;
+    running = nullptr;
+  });
 }
 
 // libcamera names formats as DRM does, which orders RGB the other way round and counts from the lowest bits.
@@ -170,9 +178,9 @@ class LibcameraDevice : public CameraDevice {
     if (unit_gain_ <= 0) unit_gain_ = limits_.gain ? std::max(1., limits_.gain->low) : 1;
   }
   ~LibcameraDevice() override {
+    if (started_) camera_->stop();  // no signal comes after it
     camera_->requestCompleted.disconnect(this);
     camera_->disconnected.disconnect(this);
-    if (started_) camera_->stop();
     requests_.clear();
     pictures_.clear();
     allocator_.reset();

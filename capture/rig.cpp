@@ -7,6 +7,7 @@
 
 #include "capture/bracketed_camera.h"
 #include "capture/libcamera_device.h"
+#include "capture/v4l2_node.h"
 
 namespace penumbra::capture {
 
@@ -22,10 +23,10 @@ Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
                                                  const std::string& name, OpenCamera open) {
   auto device = open(settings);
   if (device || name.empty()) return device;
-  for (const CameraListing& other : list_cameras().cameras) {
-    if (other.name != name || other.device == settings.device ||
-        is_libcamera(other.device) != is_libcamera(settings.device))
-      continue;
+  CameraList list;
+  is_libcamera(settings.device) ? list_libcamera(list) : list_v4l2(list);
+  for (const CameraListing& other : list.cameras) {
+    if (other.name != name || other.device == settings.device) continue;
     CameraSettings there = settings;
     there.device = other.device;
     if (auto found = open(there)) return found;

@@ -24,9 +24,12 @@ Result<StillPicture> merge_latest(const CameraInfo& camera, const Latest& frames
     stack.exposures.push_back(frame.exposure);
     out.camera.world_from_camera = frame.world_from_camera;
   }
-  PENUMBRA_ASSIGN(merged, merge(stack));
-  out.radiance = std::move(merged.radiance);
-  out.clipped = std::move(merged.clipped);
+  auto merged = merge(stack);
+  if (!merged)
+    return fail(merged.error().code, camera.name + ": " + merged.error().where,
+                merged.error().detail);
+  out.radiance = std::move(merged->radiance);
+  out.clipped = std::move(merged->clipped);
   return out;
 }
 

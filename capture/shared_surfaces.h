@@ -10,11 +10,11 @@ namespace penumbra::capture {
 
 /// A camera's light, merged from all the exposures of its still scene.
 struct StillPicture {
-  CameraInfo camera;  // with the pose of its last frame
+  CameraInfo camera;  // with the pose of its longest exposure's last frame
   Image<Rgb> radiance;
   Image<std::uint8_t> clipped;  // 1 where clipped in every exposure
 };
-/// The newest frame of each exposure of one camera of a capture, merged; the scene must stand still.
+/// The newest frame of each exposure (of 16, the longest) of cameras of a capture, merged; the scene must stand still.
 /// errors: kNotFound (no such camera), kUndetermined (no frame), as FrameSource::next and merge()
 Result<std::vector<StillPicture>> merge_still(FrameSource& source,
                                               const std::vector<std::string>& cameras);

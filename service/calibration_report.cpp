@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <cctype>
 #include <cmath>
 #include <initializer_list>
 
@@ -60,7 +61,8 @@ std::string residual_plot(const calib::CameraCalibration& c) {
 // As gnuplot reads a word of inline data.
 std::string one_word(std::string name) {
   for (char& letter : name)
-    if (letter == ' ' || letter == '"') letter = '_';
+    if (!std::isalnum(static_cast<unsigned char>(letter)) && letter != '-' && letter != '.')
+      letter = '_';
   return name;
 }
 

@@ -19,10 +19,21 @@ namespace {
 
 Result<std::vector<calib::ColourPair>> pairs_of_chart(const capture::StillPicture& environment,
                                                       const capture::StillPicture& view) {
-  PENUMBRA_ASSIGN(source, calib::find_colour_chart(environment.radiance, environment.camera.name));
-  PENUMBRA_ASSIGN(target, calib::find_colour_chart(view.radiance, view.camera.name));
+  constexpr std::size_t kFewest = 12;
+  const auto find = [](const capture::StillPicture& p) {
+    return calib::find_colour_chart(p.radiance, p.clipped, p.camera.name);
+  };
+  PENUMBRA_ASSIGN(source, find(environment));
+  PENUMBRA_ASSIGN(target, find(view));
   std::vector<calib::ColourPair> out;
-  for (std::size_t i = 0; i < source.size(); ++i) out.push_back({source[i], target[i]});
+  for (std::size_t i = 0; i < source.size(); ++i)
+    if (source[i] && target[i]) out.push_back({*source[i], *target[i]});
+  if (out.size() < kFewest)
+    return fail(
+        ErrorCode::kUndetermined, "colour calibration",
+        fmt::format("only {} patches of the chart are neither clipped nor black in both pictures, "
+                    "{} are needed: add shorter and longer exposures",
+                    out.size(), kFewest));
   return out;
 }
 
@@ -77,6 +88,10 @@ Result<void> calibrate_colour(const CalibrateColourOptions& o) {
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   PENUMBRA_ASSIGN(pictures, capture::merge_still(*source, {o.environment, o.view}));
   const capture::StillPicture &environment = pictures[0], &view = pictures[1];
+  if (environment.camera.role != capture::Role::kEnvironment ||
+      view.camera.role != capture::Role::kView)
+    return fail(ErrorCode::kInvalid, "--environment, --view",
+                fmt::format("{} and {} have other roles in the capture", o.environment, o.view));
   PENUMBRA_ASSIGN(pairs, o.chart ? pairs_of_chart(environment, view)
                                  : Result<std::vector<calib::ColourPair>>(
                                        pairs_of_surroundings(environment, view)));

@@ -50,15 +50,19 @@ Result<Seen> look(const CalibrateRigOptions& o, const calib::Board& board) {
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   Seen seen;
   PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
+  if (seen.cameras.size() == 1 && !o.tracker && o.board_lies.empty())
+    return fail(ErrorCode::kInvalid, seen.cameras[0].name,
+                "one camera alone has no place: give --tracker or --board-lies");
   const auto progress = progress_count("pictures looked at");
   std::optional<double> moment;
+  constexpr double kJitter = .0005;  // seconds
   while (true) {
     PENUMBRA_ASSIGN(frame, source->next());
     if (!frame) return seen;
     const auto camera = index_of[static_cast<std::size_t>(frame->camera)];
     if (!camera) continue;
     const double time = (frame->time - TimestampNs{}).count();
-    if (!moment || time - *moment >= o.every_s) moment = time;
+    if (!moment || time - *moment >= o.every_s - kJitter) moment = time;
     if (time - *moment > o.simultaneous_s) continue;
     progress(++seen.pictures);
     const std::string name =
@@ -73,6 +77,29 @@ Result<Pose> world_from_board(const std::string& lies) {
   if (lies == "floor") return Pose{glm::angleAxis(-kPi / 2, glm::dvec3(1, 0, 0)), {0, 0, 0}};
   if (lies == "wall") return Pose{};
   return fail(ErrorCode::kInvalid, "--board-lies", lies + ": expected floor or wall");
+}
+
+// The mean of a board that stood still.
+Result<Pose> still_board(const calib::RigCalibration& c) {
+  constexpr double kMoved_m = .01, kTurned = .5 * kPi / 180;
+  const Pose& first = c.rig_from_board.front().rig_from_board;
+  glm::dvec3 place(0);
+  glm::dquat turn(0, 0, 0, 0);
+  for (const auto& [time_s, board] : c.rig_from_board) {
+    const glm::dquat q =
+        glm::dot(board.rotation, first.rotation) < 0 ? -board.rotation : board.rotation;
+    const double angle = 2 * std::acos(std::min(1., glm::dot(q, first.rotation)));
+    if (glm::length(board.translation - first.translation) > kMoved_m || angle > kTurned)
+      return fail(
+          ErrorCode::kUndetermined, "--board-lies",
+          fmt::format("the board or the cameras moved: at {:.2f} s it lies {:.0f} mm and {:.1f} "
+                      "degrees from where it lay first",
+                      time_s, 1000 * glm::length(board.translation - first.translation),
+                      angle * 180 / kPi));
+    place += board.translation / static_cast<double>(c.rig_from_board.size());
+    turn = turn + q;
+  }
+  return Pose{glm::normalize(turn), place};
 }
 
 std::string_view frame_name(const CalibrateRigOptions& o) {
@@ -99,7 +126,8 @@ std::string print_pose_file(const CalibrateRigOptions& o, const Seen& seen,
         "\n[[camera]]\nname = {}\nworld_from_camera = [{}]\nposition_sigma_mm = {}  # one standard "
         "deviation, against {}\nrotation_sigma_deg = {}\n",
         toml_quoted(seen.cameras[i].name), fmt::join(&m[0][0], &m[0][0] + 16, ", "),
-        list(camera.position_sigma_m, 1000), o.tracker ? "the tracked body" : "the first camera",
+        list(camera.position_sigma_m, 1000),
+        o.tracker ? "the tracked body" : "the first camera, in its axes",
         list(camera.rotation_sigma_rad, 180 / kPi));
   }
   return text;
@@ -163,8 +191,13 @@ Result<calib::RigOptions> solver_options(const CalibrateRigOptions& o) {
     return fail(ErrorCode::kInvalid, "--every", "not a number of seconds");
   if (!(o.simultaneous_s >= 0 && o.simultaneous_s <= 1))
     return fail(ErrorCode::kInvalid, "--simultaneous", "not within 0..1 seconds");
-  if (!(out.tracker_sigma_m > 0 && out.tracker_sigma_rad > 0))
-    return fail(ErrorCode::kInvalid, "--tracker-sigma-mm, --tracker-sigma-deg", "not positive");
+  const auto sensible = [](double v) { return v > 0 && v < 10; };  // metres, radian
+  if (!sensible(out.tracker_sigma_m) || !sensible(out.tracker_sigma_rad))
+    return fail(ErrorCode::kInvalid, "--tracker-sigma-mm, --tracker-sigma-deg",
+                "not positive, or beyond all sense");
+  if (o.tracker && o.simultaneous_s > calib::RigOptions().simultaneous_s)
+    return fail(ErrorCode::kInvalid, "--simultaneous",
+                "not above .005 s with --tracker: the rig moves meanwhile");
   if (!o.tracker) return out;
   if (!o.board_lies.empty())
     return fail(ErrorCode::kInvalid, "--board-lies", "not with --tracker, which has a world");
@@ -193,11 +226,14 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
                     "counts?",
                     seen.pictures));
   PENUMBRA_ASSIGN(result, calib::calibrate_rig(seen.cameras, seen.boards, options));
+  Pose file_from_rig;
+  if (board_in_world) {
+    PENUMBRA_ASSIGN(board_pose, still_board(result));
+    file_from_rig = *board_in_world * board_pose.inverse();
+  }
   std::vector<Pose> poses;
   for (const calib::RigCameraPose& c : result.cameras)
-    poses.push_back(board_in_world
-                        ? *board_in_world * result.rig_from_board.inverse() * c.rig_from_camera
-                        : c.rig_from_camera);
+    poses.push_back(file_from_rig * c.rig_from_camera);
   PENUMBRA_TRY(write_bytes(o.output, print_pose_file(o, seen, result, poses)));
   if (o.report) PENUMBRA_TRY(write_rig_report(*o.report, seen.cameras, poses, result));
   if (o.json)

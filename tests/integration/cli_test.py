@@ -597,10 +597,14 @@ class Calibrate(CliTest):
         self.run_json("inspect", capture)
         (capture / "poses.toml").write_text(out.read_text().replace('"right"', '"other"'))
         self.expect_refusal(["capture.toml", "pose", '"right"'], "inspect", capture)
-        # On the floor: the cameras look at the board from above its plane.
         (capture / "capture.toml").write_text(manifest)
-        floor = self.run_json("calibrate", "rig", capture, *board, "--board-lies", "floor", "-o", out)
+        # On the floor: the cameras look at the board from above its plane. A hand that moves it is found out.
+        self.expect_refusal(["--board-lies", "moved"], "calibrate", "rig", capture, *board, "--board-lies", "floor",
+                            "-o", self.root / "no.toml")
+        floor = self.run_json("calibrate", "rig", capture, *board, "--board-lies", "floor", "--every", 100, "-o", out)
         self.assertGreater(floor["cameras"][0]["position_m"][1], .6)
+        self.expect_refusal(["left", "one camera alone"], "calibrate", "rig", capture, *board, "--cameras", "left", "-o",
+                            self.root / "no.toml")
         tracker = self.root / "tracker.csv"
         refused = ["calibrate", "rig", capture, *board, "-o", self.root / "no.toml"]
         tracker.write_text("time_s,tx,ty,tz,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n0,0,0,0,0,0,0,1\n")
