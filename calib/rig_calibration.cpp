@@ -198,7 +198,6 @@ class Adjustment {
     std::size_t camera, moment;
     std::vector<Corner> corners;
   };
-  static constexpr double kLongestGap = .25;  // seconds that the tracker may be silent for
   bool tracked() const { return !options_.tracker.empty(); }
 
   void build(ceres::Problem& problem, bool robust) {
@@ -228,7 +227,7 @@ class Adjustment {
     for (std::size_t m = 0; m < moments_.size(); ++m) {
       if (!problem.HasParameterBlock(moments_[m].data())) continue;
       const TrackerReading now = read_tracker(options_.tracker, start_.times_s[m] + offset_s_);
-      if (now.spanned_s > kLongestGap) continue;  // nobody knows where the body was
+      if (!now.known) continue;
       problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Tracked, 6, 6, 1>(
                                    new Tracked{now.pose, now.velocity, now.turning, offset_s_,
                                                1 / (now.noise * options_.tracker_sigma_m),
@@ -263,24 +262,25 @@ class Adjustment {
     }
     return {sum, o.corners.size()};
   }
-  // Of the tracker's poses, in their own standard deviations.
-  double tracker_rms() const {
-    double sum = 0;
-    std::size_t count = 0;
+  // Of the usual one of the tracker's poses, in their own standard deviations.
+  double tracker_misfit() const {
+    std::vector<double> all;
     for (std::size_t m = 0; m < moments_.size(); ++m) {
       const TrackerReading now = read_tracker(options_.tracker, start_.times_s[m] + offset_s_);
-      if (now.spanned_s > kLongestGap) continue;
-      double r[6];
+      if (!now.known) continue;
+      double r[6], sum = 0;
       Tracked{now.pose,
               now.velocity,
               now.turning,
               offset_s_,
               1 / (now.noise * options_.tracker_sigma_m),
               1 / (now.noise * options_.tracker_sigma_rad)}(moments_[m].data(), &offset_s_, r);
-      for (const double v : r) sum += v * v;
-      count += 6;
+      for (const double v : r) sum += v * v / 6;
+      all.push_back(std::sqrt(sum));
     }
-    return count ? std::sqrt(sum / static_cast<double>(count)) : 0;
+    if (all.empty()) return 0;
+    std::ranges::nth_element(all, all.begin() + std::ssize(all) / 2);
+    return all[all.size() / 2];
   }
   Result<void> check_fit(const RigCalibration& out) const {
     constexpr double kMost_px = 2, kMostSigmas = 3;
@@ -291,7 +291,7 @@ class Adjustment {
           "were the frames of a moment taken at once, and are the lenses calibrated{}?",
           out.rms_px, out.left_out.size(), observed_.size(),
           tracked() ? ", did the board stand still, and are quaternions x, y, z, w" : ""));
-    const double sigmas = tracked() ? tracker_rms() : 0;
+    const double sigmas = tracked() ? tracker_misfit() : 0;
     if (sigmas > kMostSigmas)
       return undetermined(fmt::format(
           "the tracker contradicts the cameras by {:.1f} times its stated noise: are its metres "

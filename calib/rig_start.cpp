@@ -112,13 +112,13 @@ Result<double> find_offset(const std::vector<double>& times,
     double sum = 0;
     std::size_t count = 0;
     for (std::size_t m = 1; m < times.size(); ++m) {
-      const double from = times[m - 1] + offset, to = times[m] + offset;
-      if (to - from > kLongest || from < tracker.front().time_s || to > tracker.back().time_s)
-        continue;
+      if (times[m] - times[m - 1] > kLongest) continue;
+      const TrackerReading from = read_tracker(tracker, times[m - 1] + offset),
+                           to = read_tracker(tracker, times[m] + offset);
+      if (!from.known || !to.known) continue;
       const double seen = angle_between(first_from_board[m].rotation,
                                         first_from_board[m - 1].rotation),
-                   told = angle_between(read_tracker(tracker, to).pose.rotation,
-                                        read_tracker(tracker, from).pose.rotation);
+                   told = angle_between(to.pose.rotation, from.pose.rotation);
       sum += (seen - told) * (seen - told);
       ++count;
     }
@@ -189,16 +189,20 @@ Result<void> place_on_body(const RigOptions& options, RigStart& start) {
   std::vector<Pose>& first_from_board = start.moments;
   PENUMBRA_ASSIGN(offset, find_offset(start.times_s, first_from_board, options));
   start.offset_s = offset;
-  std::vector<Pose> world_from_body;
-  for (const double time : start.times_s)
-    world_from_body.push_back(read_tracker(options.tracker, time + offset).pose);
-  PENUMBRA_ASSIGN(body_from_first, hand_eye(world_from_body, first_from_board));
+  std::vector<Pose> known_body, known_board;  // where the tracker tells
+  for (std::size_t m = 0; m < start.times_s.size(); ++m) {
+    const TrackerReading now = read_tracker(options.tracker, start.times_s[m] + offset);
+    if (!now.known) continue;
+    known_body.push_back(now.pose);
+    known_board.push_back(first_from_board[m]);
+  }
+  PENUMBRA_ASSIGN(body_from_first, hand_eye(known_body, known_board));
   std::vector<Pose> boards;
-  for (std::size_t m = 0; m < world_from_body.size(); ++m)
-    boards.push_back(world_from_body[m] * body_from_first * first_from_board[m]);
+  for (std::size_t m = 0; m < known_body.size(); ++m)
+    boards.push_back(known_body[m] * body_from_first * known_board[m]);
   start.world_from_board = medoid(boards);
   for (Pose& p : start.rig_from_camera) p = body_from_first * p;
-  start.moments = std::move(world_from_body);
+  for (Pose& p : start.moments) p = start.world_from_board * (body_from_first * p).inverse();
   return {};
 }
 
@@ -207,7 +211,8 @@ Result<void> place_on_body(const RigOptions& options, RigStart& start) {
 // A parabola through the poses around the time: differences of neighbours would be mostly noise. Poses far off are no help,
 // since a hand does not move along a parabola for long.
 TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s) {
-  constexpr double kReach = .04;  // seconds to both sides
+  constexpr double kReach = .04;       // seconds to both sides
+  constexpr double kLongestGap = .25;  // seconds that the tracker may be silent for
   constexpr std::ptrdiff_t kFewest = 3, kMost = 41;
   const auto first_of = [&](double t) {
     return std::ranges::lower_bound(tracker, t, {}, &TrackerPose::time_s) - tracker.begin();
@@ -223,9 +228,10 @@ TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s)
   const std::ptrdiff_t count = last - first;
   const auto around =
       tracker.subspan(static_cast<std::size_t>(first), static_cast<std::size_t>(count));
-  const double spanned = around.back().time_s - around.front().time_s;
+  const double from = around.front().time_s, to = around.back().time_s;
+  const bool known = to - from <= kLongestGap && time_s >= from && time_s <= to;
   const Pose& middle = around[around.size() / 2].world_from_body;
-  if (count < kFewest) return {middle, {}, {}, 1, spanned};
+  if (count < kFewest) return {middle, {}, {}, 1, known};
   Eigen::MatrixXd basis(count, 3), values(count, 6);
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const TrackerPose& p = around[static_cast<std::size_t>(i)];
@@ -249,7 +255,7 @@ TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s)
           vector(1, 0),
           vector(1, 3),
           std::sqrt(std::max(0., inverse(0, 0))),
-          spanned};
+          known};
 }
 
 namespace {

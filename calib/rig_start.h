@@ -26,7 +26,7 @@ struct TrackerReading {
   Pose pose;
   glm::dvec3 velocity{0}, turning{0};  // metres and radian a second, in the world
   double noise = 1;                    // of the pose, over that of one of the tracker's
-  double spanned_s = 0;                // by the poses that it comes from
+  bool known = true;                   // false in a gap, before the first pose and after the last
 };
 /// What the poses around a time say of it: of a tenth of a second, three at least.
 TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s);

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <functional>
 #include <glm/geometric.hpp>
 #include <random>
 
@@ -214,6 +215,26 @@ TEST(RigCalibration, ASlowTrackerTellsTheClockAsWell) {
     ASSERT_TRUE(found) << found.error().detail;
     EXPECT_NEAR(*found->tracker_offset_s, kOffset_s, .002) << every;
   }
+}
+
+TEST(RigCalibration, ATrackerThatWasSilentOrJumpedCostsLittle) {
+  const Scene scene = moving_rig(10);
+  const auto with = [&](const std::function<bool(TrackerPose&)>& keep) {
+    RigOptions options;
+    for (TrackerPose p : scene.tracker)
+      if (keep(p)) options.tracker.push_back(p);
+    const auto found = calibrate_rig(lenses(), scene.views, options);
+    EXPECT_TRUE(found) << found.error().detail;
+    if (!found) return;
+    EXPECT_NEAR(*found->tracker_offset_s, kOffset_s, .0015);
+    EXPECT_LT(distance(found->cameras[0].rig_from_camera, kBodyFromLeft).place_m, .005);
+  };
+  with([](const TrackerPose& p) { return p.time_s < 2 || p.time_s > 3.2; });
+  with([](const TrackerPose& p) { return p.time_s < 3; });
+  with([](TrackerPose& p) {
+    if (p.time_s > 4 && p.time_s < 4.3) p.world_from_body.translation.x += .2;
+    return true;
+  });
 }
 
 TEST(RigCalibration, ABoardThatMovedBetweenTheCamerasIsNamed) {
