@@ -6,10 +6,10 @@ extern "C" {
 // Window libraries load and unload drivers; what stays loaded can be named in a report.
 int dlclose(void*) { return 0; }
 
-// The GL stack and the libraries below it keep some memory for the life of the process.
+// The GL stack and the libraries below it keep some memory for the life of the process, OpenCV what its workers last used.
 const char* __lsan_default_suppressions() {
   return "leak:swrast_dri.so\nleak:libEGL\nleak:libLLVM\nleak:libgallium\nleak:libembree3.so\n"
-         "leak:libtbb.so\nleak:libglapi\nleak:libdrm\n";
+         "leak:libtbb.so\nleak:libglapi\nleak:libdrm\nleak:libopencv_core.so\n";
 }
 
 // Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work (core/parallel.h). Its search for
