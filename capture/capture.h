@@ -14,11 +14,12 @@
 #include <vector>
 
 #include "calib/calib.h"
-#include "capture/cameras.h"    // IWYU pragma: export
-#include "capture/frames.h"     // IWYU pragma: export
-#include "capture/recording.h"  // IWYU pragma: export
-#include "capture/rig.h"        // IWYU pragma: export
-#include "capture/stacks.h"     // IWYU pragma: export
+#include "capture/cameras.h"          // IWYU pragma: export
+#include "capture/frames.h"           // IWYU pragma: export
+#include "capture/recording.h"        // IWYU pragma: export
+#include "capture/rig.h"              // IWYU pragma: export
+#include "capture/shared_surfaces.h"  // IWYU pragma: export
+#include "capture/stacks.h"           // IWYU pragma: export
 #include "core/code_curve.h"
 #include "core/environment.h"
 #include "core/image.h"

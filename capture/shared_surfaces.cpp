@@ -9,6 +9,8 @@
 #include <map>
 #include <optional>
 
+#include "capture/capture.h"
+
 namespace penumbra::capture {
 
 namespace {

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "calib/calib.h"
-#include "capture/capture.h"
+#include "capture/frames.h"
 
 namespace penumbra::capture {
 

@@ -5,8 +5,6 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "capture/recording.h"
-#include "capture/shared_surfaces.h"
 #include "core/conventions.h"
 #include "core/files.h"
 #include "service/calibration_report.h"

@@ -5,7 +5,6 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "capture/recording.h"
 #include "core/files.h"
 #include "service/calibration_report.h"
 #include "service/commands.h"

@@ -6,7 +6,6 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "capture/recording.h"
 #include "core/conventions.h"
 #include "core/files.h"
 #include "core/toml_keys.h"
