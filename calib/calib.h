@@ -174,5 +174,6 @@ struct NoiseModel {
 #include "calib/boards.h"              // IWYU pragma: export
 #include "calib/camera_calibration.h"  // IWYU pragma: export
 #include "calib/colour_calibration.h"  // IWYU pragma: export
+#include "calib/mirror_ball.h"         // IWYU pragma: export
 #include "calib/noise_calibration.h"   // IWYU pragma: export
 #include "calib/rig_calibration.h"     // IWYU pragma: export

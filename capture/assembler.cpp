@@ -29,28 +29,34 @@ void carry_colour(const glm::mat3& colour, std::span<Rgb> row) {
 
 }  // namespace
 
-EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
-                                           const Pose& world_from_camera, int width, int height,
-                                           const glm::dmat3& colour)
+EnvironmentAssembler::EnvironmentAssembler(const Sight& sight, const Pose& world_from_camera,
+                                           int width, int height, const glm::dmat3& colour)
     : colour_(colour),
-      source_width_(projection.width),
-      source_height_(projection.height),
+      source_width_(sight.width),
+      source_height_(sight.height),
       width_(width),
       height_(height),
       seen_(static_cast<std::size_t>(height)),
       alpha_(static_cast<std::size_t>(height)) {
-  if (is_identity_latlong(projection, world_from_camera, width, height)) {
+  if (sight.whole && is_identity_latlong(*sight.whole, world_from_camera, width, height))
     std::ranges::fill(seen_, width);
-    return;
-  }
-  const glm::dquat camera_from_world = glm::conjugate(world_from_camera.rotation);
-  taps_.reserve(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
-  for (int y = 0; y < height; ++y) {
-    Span span{width, 0};
-    for (int x = 0; x < width; ++x) {
-      const glm::dvec3 d = camera_from_world * latlong_direction(x + .5, y + .5, width, height);
-      const auto pixel = calib::pixel_from_direction(projection, d);
-      if (!pixel) {
+  else
+    make_taps(sight.look, glm::conjugate(world_from_camera.rotation));
+}
+
+EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
+                                           const Pose& world_from_camera, int width, int height,
+                                           const glm::dmat3& colour)
+    : EnvironmentAssembler(plain_sight(projection), world_from_camera, width, height, colour) {}
+
+void EnvironmentAssembler::make_taps(const Look& look, const glm::dquat& camera_from_world) {
+  taps_.reserve(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_));
+  for (int y = 0; y < height_; ++y) {
+    Span span{width_, 0};
+    for (int x = 0; x < width_; ++x) {
+      const auto seen =
+          look(camera_from_world * latlong_direction(x + .5, y + .5, width_, height_));
+      if (!seen) {
         taps_.push_back({-1, 0, 0});
         complete_ = false;
         continue;
@@ -58,8 +64,8 @@ EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
       span = {std::min(span.first, x), x + 1};
       ++seen_[static_cast<std::size_t>(y)];
       // From pixel centres; the border repeats its last pixel.
-      const double px = std::clamp(pixel->x - .5, 0., source_width_ - 1.);
-      const double py = std::clamp(pixel->y - .5, 0., source_height_ - 1.);
+      const double px = std::clamp(seen->px.x - .5, 0., source_width_ - 1.);
+      const double py = std::clamp(seen->px.y - .5, 0., source_height_ - 1.);
       const int ix = std::min(static_cast<int>(px), source_width_ - 2);
       const int iy = std::min(static_cast<int>(py), source_height_ - 2);
       taps_.push_back(

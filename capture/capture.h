@@ -14,12 +14,14 @@
 #include <vector>
 
 #include "calib/calib.h"
-#include "capture/cameras.h"          // IWYU pragma: export
-#include "capture/frames.h"           // IWYU pragma: export
-#include "capture/recording.h"        // IWYU pragma: export
-#include "capture/rig.h"              // IWYU pragma: export
-#include "capture/shared_surfaces.h"  // IWYU pragma: export
-#include "capture/stacks.h"           // IWYU pragma: export
+#include "capture/cameras.h"            // IWYU pragma: export
+#include "capture/environment_blend.h"  // IWYU pragma: export
+#include "capture/frames.h"             // IWYU pragma: export
+#include "capture/recording.h"          // IWYU pragma: export
+#include "capture/rig.h"                // IWYU pragma: export
+#include "capture/shared_surfaces.h"    // IWYU pragma: export
+#include "capture/sights.h"             // IWYU pragma: export
+#include "capture/stacks.h"             // IWYU pragma: export
 #include "core/code_curve.h"
 #include "core/environment.h"
 #include "core/image.h"
@@ -154,6 +156,8 @@ class EnvironmentAssembler {
  public:
   EnvironmentAssembler(const calib::Projection& projection, const Pose& world_from_camera,
                        int width, int height, const glm::dmat3& colour = glm::dmat3(1));
+  EnvironmentAssembler(const Sight& sight, const Pose& world_from_camera, int width, int height,
+                       const glm::dmat3& colour = glm::dmat3(1));
   ~EnvironmentAssembler();
   EnvironmentAssembler(EnvironmentAssembler&&) noexcept;
   EnvironmentAssembler& operator=(EnvironmentAssembler&&) noexcept;
@@ -163,6 +167,7 @@ class EnvironmentAssembler {
   void assemble(const MergedImage& merged, Environment& out);
 
  private:
+  void make_taps(const Look& look, const glm::dquat& camera_from_world);
   void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
                    Image<Rgb>& out);
   void list_clipped(const Image<HalfRgba>& source, std::vector<std::uint32_t>& out) const;

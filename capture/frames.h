@@ -3,7 +3,10 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <glm/gtc/quaternion.hpp>
 #include <glm/mat3x3.hpp>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
 #include <memory>
 #include <optional>
 #include <string>
@@ -20,6 +23,26 @@ namespace penumbra::capture {
 
 enum class Role { kEnvironment, kView };
 
+/// A part of a picture that has a lens of its own, as 360-degree cameras have two.
+struct Lens {
+  int x_px = 0, y_px = 0;        // of the part in the picture
+  calib::Projection projection;  // of the part, whose size it has
+  glm::dquat camera_from_lens{1, 0, 0, 0};
+  double half_field_rad = 0;  // what is further off the lens's axis shows nothing
+};
+
+/// A mirror ball that stands in a camera's picture.
+struct Ball {
+  struct Outline {
+    glm::dvec2 centre;
+    double radius;
+  };
+  std::optional<Outline>
+      outline_px;                // in the camera's picture, which does not move; else by its place:
+  glm::dvec3 centre_m{0, 0, 0};  // in the world
+  double radius_m = 0;
+};
+
 struct CameraInfo {
   std::string name;
   Role role = Role::kEnvironment;
@@ -32,6 +55,10 @@ struct CameraInfo {
   double black_level = 0;    // fraction of full scale
   Pose world_from_camera;
   glm::dmat3 colour{1};  // of an environment camera: radiance of the view camera = colour * its own
+  std::vector<Lens>
+      lenses;  // parts of the picture that count; empty: all of it. `projection` is then the first one's
+  std::optional<Ball> ball;  // shows the surroundings in a view camera's picture
+  Rgb ball_reflectance{1, 1, 1};
 };
 
 /// One frame with its own truth. Pixels are shared and never changed after capture.

@@ -52,7 +52,8 @@ std::optional<Rgb> sample(const StillPicture& picture, glm::dvec2 at) {
 }
 
 // Means of one patch in both pictures; nothing where either clips, ends, or is uneven.
-std::optional<calib::ColourPair> patch(const StillPicture& environment, const StillPicture& view,
+std::optional<calib::ColourPair> patch(const StillPicture& environment,
+                                       std::span<const Sight> sights, const StillPicture& view,
                                        const glm::dquat& environment_from_view, int left, int top,
                                        int side) {
   constexpr int kSamples = 6;  // a side
@@ -63,8 +64,7 @@ std::optional<calib::ColourPair> patch(const StillPicture& environment, const St
                         top + (double(i / kSamples) + .5) * side / kSamples);
     const auto direction = calib::direction_from_pixel(view.camera.projection, at);
     if (!direction) return std::nullopt;
-    const auto there = calib::pixel_from_direction(environment.camera.projection,
-                                                   environment_from_view * *direction);
+    const auto there = find_in_picture(sights, environment_from_view * *direction);
     const auto seen = there ? sample(environment, *there) : std::nullopt, own = sample(view, at);
     if (!seen || !own) return std::nullopt;
     for (int c = 0; c < 3; ++c) {
@@ -127,9 +127,12 @@ std::vector<SharedSurface> shared_surfaces(const StillPicture& environment,
       glm::conjugate(environment.camera.world_from_camera.rotation) *
       view.camera.world_from_camera.rotation;
   std::vector<SharedSurface> out;
+  const auto sights = sights_of(environment.camera, environment.camera.world_from_camera);
+  if (!sights) return out;
   for (int top = 0; top + side <= view.radiance.height(); top += side)
     for (int left = 0; left + side <= view.radiance.width(); left += side)
-      if (const auto colours = patch(environment, view, environment_from_view, left, top, side))
+      if (const auto colours =
+              patch(environment, *sights, view, environment_from_view, left, top, side))
         out.push_back({{left + side / 2., top + side / 2.}, *colours});
   return out;
 }

@@ -105,6 +105,14 @@ class TomlKeys {
     return out;
   }
 
+  /// The table [key].
+  Result<TomlKeys> table(std::string_view key) const {
+    const toml::table* table = table_.get_as<toml::table>(key);
+    if (!table) return invalid(key, fmt::format("no [{}] table", key));
+    return TomlKeys(path_, *table);
+  }
+  const std::filesystem::path& path() const { return path_; }
+
   Result<void> version(int expected) const {
     const toml::node* node = table_.get("version");
     if (!node || !node->is_integer() || node->value_or(std::int64_t{0}) != expected)

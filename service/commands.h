@@ -26,6 +26,13 @@ struct HdrMergeOptions {
 };
 Result<void> hdr_merge(const HdrMergeOptions& options);
 
+struct HdrEnvironmentOptions {
+  std::string capture, output;
+  double at_s = 0;  // after the first frame: the surroundings as they were then; 0: at the end
+  bool json = false;
+};
+Result<void> hdr_environment(const HdrEnvironmentOptions& options);
+
 struct LightEstimateOptions {
   std::string environment;
   std::optional<std::string> projection;

@@ -153,6 +153,18 @@ void add_image_commands(CLI::App& app, Action& action) {
   add_json(c, merge.json);
   c->callback([&] { action = [] { return hdr_merge(merge); }; });
 
+  static HdrEnvironmentOptions surroundings;
+  c = hdr->add_subcommand(
+      "environment",
+      "What the cameras of a capture show of their surroundings, as one lat-long picture");
+  c->add_option("capture", surroundings.capture, "Capture folder or recording")->required();
+  c->add_option("--at", surroundings.at_s,
+                "As it was so many seconds after the first frame; at the end without it")
+      ->check(CLI::PositiveNumber);
+  c->add_option("-o,--output", surroundings.output, "Output .exr or .hdr")->required();
+  add_json(c, surroundings.json);
+  c->callback([&] { action = [] { return hdr_environment(surroundings); }; });
+
   static CompareOptions compare_options;
   c = app.add_subcommand("compare", "Error figures between two pictures of the same size");
   c->add_option("a", compare_options.a, "Picture")->required();

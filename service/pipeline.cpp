@@ -12,21 +12,6 @@ namespace penumbra::service {
 
 namespace {
 
-constexpr int kRingSlots = 8;
-constexpr int kLongestSide = 1024;  // rows: above, a light estimate of 9 bands gains nothing
-
-// As many rows as the camera resolves over half a turn.
-int environment_rows(const calib::Projection& p) {
-  int rows = p.height;
-  if (calib::has_intrinsics(p.kind)) rows = static_cast<int>(kPi * p.focal_px.y);
-  return std::clamp(rows / 2 * 2, 16, kLongestSide);
-}
-
-capture::EnvironmentAssembler make_assembler(const capture::CameraInfo& info) {
-  const int rows = environment_rows(info.projection);
-  return {info.projection, info.world_from_camera, 2 * rows, rows, info.colour};
-}
-
 // Noise of a camera that nobody measured is none of ours to invent.
 compositor::CameraLook look_of(const capture::CameraInfo& info, const capture::Frame& frame) {
   compositor::CameraLook look;
@@ -41,76 +26,7 @@ compositor::CameraLook look_of(const capture::CameraInfo& info, const capture::F
   return look;
 }
 
-constexpr double kSamePose = 1 - 1e-7;  // cosine of half the angle: within .05 degrees
-
 }  // namespace
-
-Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& cameras,
-                                      const lighting::EstimateOptions& options, StageTimes& times) {
-  const auto found =
-      std::ranges::find(cameras, capture::Role::kEnvironment, &capture::CameraInfo::role);
-  if (found == cameras.end())
-    return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
-  if (found->projection.width < 2 || found->projection.height < 2)
-    return fail(ErrorCode::kInvalid, found->name,
-                "an environment camera needs two pixels a side at least");
-  return LightStage(static_cast<int>(found - cameras.begin()), *found, options, times);
-}
-
-LightStage::LightStage(int camera, const capture::CameraInfo& info,
-                       const lighting::EstimateOptions& options, StageTimes& times)
-    : camera_(camera),
-      info_(info),
-      ring_(info, kRingSlots),
-      assembler_(make_assembler(info)),
-      estimator_(options),
-      times_(times) {}
-
-Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame) {
-  // A camera that turned sees the same light elsewhere; its position does not matter to far light.
-  if (std::abs(glm::dot(frame.world_from_camera.rotation, info_.world_from_camera.rotation)) <
-      kSamePose) {
-    info_.world_from_camera = frame.world_from_camera;
-    assembler_ = make_assembler(info_);
-    environment_ = {};  // other pixels are seen now
-  }
-  Result<const capture::MergedImage*> merged = nullptr;
-  {
-    const StageTimer timer(times_, "merge");
-    merged = ring_.add(frame);
-  }
-  settled_ = ring_.knows_bracket() || (merged && (*merged)->clipped_fraction == 0);
-  if (!merged) return std::unexpected(merged.error());
-  {
-    const StageTimer timer(times_, "assemble");
-    assembler_.assemble(**merged, environment_);
-  }
-  environment_.time = frame.time;
-  // What the first exposures saturate a shorter one may still resolve.
-  if (!ring_.knows_bracket()) environment_.clipped.clear();
-  auto estimate = [&] {
-    const StageTimer timer(times_, "light");
-    return estimator_.estimate(environment_);
-  }();
-  if (estimate && !warned_ && std::ranges::any_of(estimate->discs, &lighting::Disc::clipped)) {
-    warned_ = true;
-    spdlog::warn(
-        "{}: a light source is saturated in every exposure; its light is a lower bound until a "
-        "floor completes it",
-        info_.name);
-  }
-  return estimate;
-}
-
-void LightStage::complete(std::span<const lighting::Completion> completions) {
-  for (const lighting::Completion& c : completions) {
-    const auto taken = estimator_.complete(c);
-    if (taken)
-      spdlog::info("{}: source {} completed from the floor", info_.name, c.disc);
-    else  // it has moved on, or the floor says less than the camera
-      spdlog::warn("{}: source {} not completed: {}", info_.name, c.disc, taken.error().detail);
-  }
-}
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
     const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,

@@ -14,45 +14,13 @@
 #include "service/disc_stage.h"
 #include "service/floor_completion.h"
 #include "service/lamp_stage.h"
+#include "service/light_stage.h"  // IWYU pragma: export
 #include "service/real_stage.h"
 #include "service/scene.h"
 #include "service/stage_times.h"
 #include "service/surroundings.h"
 
 namespace penumbra::service {
-
-/// Bracketed frames in, light out.
-class LightStage {
- public:
-  /// errors: kInvalid (no environment camera)
-  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras,
-                                   const lighting::EstimateOptions& options, StageTimes& times);
-
-  int camera() const { return camera_; }
-  /// Whether the light may be shown: false while exposures that the bracket still owes could resolve what is saturated so
-  /// far, for a few frames at the start. Half a bracket's light is too dim, and the picture would jump when it is whole.
-  bool settled() const { return settled_; }
-  /// Different exposures that the light comes from.
-  std::size_t exposures() const { return ring_.exposures(); }
-  void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
-  /// errors: as HdrRing::add (kUndetermined is an ordinary state: all black or all clipped)
-  Result<lighting::LightEstimate> process(const capture::Frame& frame);
-  /// From the next map on.
-  void complete(std::span<const lighting::Completion> completions);
-
- private:
-  LightStage(int camera, const capture::CameraInfo& info, const lighting::EstimateOptions& options,
-             StageTimes& times);
-  int camera_;
-  capture::CameraInfo info_;  // with the newest pose
-  capture::HdrRing ring_;
-  capture::EnvironmentAssembler assembler_;
-  Environment environment_;
-  lighting::LightEstimator estimator_;
-  StageTimes& times_;
-  bool warned_ = false;  // that a source is clipped
-  bool settled_ = false;
-};
 
 struct Composited {
   FramePixels pixels;

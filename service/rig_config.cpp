@@ -132,12 +132,14 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
     return keys.invalid("camera", "is for source = \"cameras\" alone");
   if (c.source != "cameras") return c;
   PENUMBRA_ASSIGN(cameras, capture::read_rig_cameras(path));
-  for (const capture::Role role : {capture::Role::kEnvironment, capture::Role::kView})
-    if (to_composite &&
-        std::ranges::none_of(cameras, [&](const auto& k) { return k.info.role == role; }))
-      return keys.invalid("camera", role == capture::Role::kView
-                                        ? "no [[camera]] with role = \"view\""
-                                        : "no [[camera]] with role = \"environment\"");
+  const auto has_none = [&](const auto& predicate) {
+    return to_composite &&
+           std::ranges::none_of(cameras, [&](const auto& k) { return predicate(k.info); });
+  };
+  if (has_none(capture::shows_surroundings))
+    return keys.invalid("camera", "no [[camera]] with role = \"environment\" or a mirror ball");
+  if (has_none([](const auto& info) { return info.role == capture::Role::kView; }))
+    return keys.invalid("camera", "no [[camera]] with role = \"view\"");
   c.cameras = std::move(cameras);
   return c;
 }

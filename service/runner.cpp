@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "service/frame_mailbox.h"
+
 namespace penumbra::service {
 
 namespace {
@@ -38,6 +40,10 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
   counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
   go_on = sink({frame, std::make_shared<const FramePixels>(std::move(composited->pixels)), light});
   return {};
+}
+
+bool is_view(const capture::FrameSource& source, const capture::Frame& frame) {
+  return source.cameras()[static_cast<std::size_t>(frame.camera)].role == capture::Role::kView;
 }
 
 Result<void> never_any_light(const RunCounts& counts, const std::optional<Error>& last) {
@@ -118,12 +124,8 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
     }();
     if (!frame) return std::unexpected(frame.error());
     if (!*frame) break;
-    if ((*frame)->camera == light.camera()) {
-      PENUMBRA_TRY(replay.add_environment(**frame));
-    } else if (source.cameras()[static_cast<std::size_t>((*frame)->camera)].role ==
-               capture::Role::kView) {
-      PENUMBRA_TRY(replay.add_view(**frame));
-    }
+    if (light.takes((*frame)->camera)) PENUMBRA_TRY(replay.add_environment(**frame));
+    if (is_view(source, **frame)) PENUMBRA_TRY(replay.add_view(**frame));
   }
   PENUMBRA_TRY(replay.compose_waiting());
   counts.seconds = since(start);
@@ -136,7 +138,8 @@ namespace {
 
 // What the threads of a live run share. Every queue closes when anyone stops.
 struct Live {
-  Latest<capture::Frame> environment, view;
+  FrameMailbox environment;
+  Latest<capture::Frame> view;
   Latest<lighting::LightEstimate> light;
   Latest<std::vector<lighting::Completion>> completions;
   std::mutex mutex;
@@ -168,7 +171,7 @@ bool wait_until(Clock::time_point due, const Live& live, const std::atomic<bool>
   return true;
 }
 
-void produce(Live& live, capture::FrameSource& source, int environment_camera, StageTimes& times,
+void produce(Live& live, capture::FrameSource& source, const LightStage& light, StageTimes& times,
              const std::atomic<bool>& stop) noexcept {
   try {
     constexpr int kMostFailures = 8;
@@ -195,12 +198,10 @@ void produce(Live& live, capture::FrameSource& source, int environment_camera, S
           !wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
                       live, stop))
         break;
-      const bool is_view =
-          source.cameras()[static_cast<std::size_t>((*frame)->camera)].role == capture::Role::kView;
-      if ((*frame)->camera == environment_camera)
-        live.environment.put(std::move(**frame));
-      else if (is_view)
-        live.view.put(std::move(**frame));
+      // A ball in its picture makes a view camera both.
+      const bool viewed = is_view(source, **frame);
+      if (light.takes((*frame)->camera)) live.environment.put(**frame);
+      if (viewed) live.view.put(std::move(**frame));
     }
     live.environment.close();
     live.view.close();
@@ -248,7 +249,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
   compose.warm_up();
   const auto start = Clock::now();
   {
-    const std::jthread producer([&] { produce(live, source, light.camera(), times, stop); });
+    const std::jthread producer([&] { produce(live, source, light, times, stop); });
     const std::jthread measurer([&] { measure(live, light); });
     // Also when something throws here: the threads are released before they are joined.
     const auto let_go = [&](Live* l) {

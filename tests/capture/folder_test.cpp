@@ -7,6 +7,7 @@
 
 #include "capture/capture.h"
 #include "codec/codec.h"
+#include "core/conventions.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::capture {
@@ -111,6 +112,66 @@ TEST(CaptureFolder, ReadsIntrinsicsAndNoise) {
   EXPECT_EQ(camera.projection.principal_px, glm::dvec2(8, 4));
   EXPECT_EQ(camera.noise.full_well_electrons, 9000);
   EXPECT_EQ(camera.noise.read_fraction, 1e-3);
+}
+
+// The hand-made camera, 16 x 8, with two lenses side by side; `change` replaces a part of the text.
+std::string with_lenses(const std::string& from = "", const std::string& to = "") {
+  const std::string text =
+      replaced(kManifest, "projection = \"latlong\"\n", "") +
+      "\n[[camera.lens]]\ncrop_px = [0, 0, 8, 8]\nprojection = \"equidistant\"\nfield_deg = 200\n"
+      "\n[[camera.lens]]\ncrop_px = [8, 0, 8, 8]\nprojection = \"kb4\"\nfocal_px = [3, 3]\n"
+      "distortion = [0.01]\nfield_deg = 190\n"
+      "camera_from_lens = [-1,0,0,0, 0,1,0,0, 0,0,-1,0, 0,0,0,1]\n";
+  return from.empty() ? text : replaced(text, from, to);
+}
+
+TEST(CaptureFolder, ReadsLenses) {
+  const HandMade made;
+  write_text(made.path() / "capture.toml", with_lenses());
+  const auto source = open_capture_folder(made.path());
+  ASSERT_TRUE(source.has_value()) << source.error().where << ": " << source.error().detail;
+  const CameraInfo& camera = (*source)->cameras()[0];
+  ASSERT_EQ(camera.lenses.size(), 2u);
+  EXPECT_EQ(camera.projection.width, 16);
+  EXPECT_EQ(camera.lenses[1].x_px, 8);
+  EXPECT_EQ(camera.lenses[1].projection.width, 8);
+  EXPECT_EQ(camera.lenses[1].projection.distortion[0], .01);
+  EXPECT_NEAR(camera.lenses[1].half_field_rad, 95 * kPi / 180, 1e-12);
+  EXPECT_NEAR(std::abs(camera.lenses[1].camera_from_lens.y), 1, 1e-12);
+}
+
+TEST(CaptureFolder, RefusesBadLensesAndBalls) {
+  const HandMade made;
+  const auto expect_refused = [&](const std::string& text, const std::string& detail) {
+    write_text(made.path() / "capture.toml", text);
+    const auto source = open_capture_folder(made.path());
+    ASSERT_FALSE(source.has_value()) << detail;
+    EXPECT_EQ(source.error().code, ErrorCode::kInvalid);
+    EXPECT_NE(source.error().where.find("capture.toml:"), std::string::npos);
+    EXPECT_NE(source.error().detail.find(detail), std::string::npos) << source.error().detail;
+  };
+  expect_refused(with_lenses("[8, 0, 8, 8]", "[9, 0, 8, 8]"), "crop_px: x, y, width, height");
+  expect_refused(with_lenses("[8, 0, 8, 8]", "[8, 0, 7.5, 8]"), "crop_px: x, y, width, height");
+  expect_refused(with_lenses("field_deg = 190", "field_deg = 0"), "field_deg: not within");
+  expect_refused(with_lenses("field_deg = 190", ""), "field_deg: missing");
+  expect_refused(with_lenses("\"kb4\"", "\"latlong\""), "projection");
+  expect_refused(with_lenses("field_deg = 190", "field_deg = 190\nname = \"x\""), "unknown key");
+  expect_refused(with_lenses("height = 8", "height = 8\nprojection = \"latlong\""),
+                 "projection: each [[camera.lens]] has its own");
+  expect_refused(with_lenses("role = \"environment\"", "role = \"view\""), "lens: is for");
+  const auto ball = [](const std::string& keys) {
+    return replaced(replaced(kManifest, "\"latlong\"", "\"pinhole\""), "role = \"environment\"",
+                    "role = \"view\"") +
+           "\n[camera.ball]\n" + keys;
+  };
+  expect_refused(ball(""), "either outline_px or centre_m");
+  expect_refused(ball("outline_px = [4, 4, 2]\ncentre_m = [0, 0, 0]"), "either outline_px");
+  expect_refused(ball("outline_px = [4, 4]"), "outline_px: 2 numbers, expected 3");
+  expect_refused(ball("centre_m = [0, 0, 0]"), "radius_m: missing");
+  expect_refused(ball("centre_m = [0, 0, 0]\nradius_m = 0"), "radius_m: not positive");
+  expect_refused(ball("outline_px = [4, 4, 2]\nreflectance = [1, 1, 1.1]"), "reflectance: not");
+  expect_refused(std::string(kManifest) + "\n[camera.ball]\noutline_px = [4, 4, 2]",
+                 "ball: stands in a view camera");
 }
 
 TEST(CaptureFolder, TimesInAnyDecimalFormAreNanoseconds) {

@@ -56,6 +56,15 @@ std::vector<CameraInfo> three_cameras() {
   std::array<std::vector<float>, 3> decode{{{0, .2f, 1}, {0, .3f, 1}, {0, .4f, 1}}};
   cameras[1].response = calib::Response::from_table(decode).value_or(calib::Response::linear());
   cameras[1].noise = {12345, 2.5e-4};
+  for (const int i : {0, 1})
+    cameras[1].lenses.push_back(
+        {8 * i, 0, *calib::make_projection(calib::ProjectionKind::kKannalaBrandt, 8, 8),
+         glm::normalize(glm::dquat(.1, .2, .9, -.1 * i)), 1.6 + i});
+  cameras[1].lenses[1].projection.distortion = {.01, -.002, 0, 1e-4};
+  cameras[1].projection = cameras[1].lenses[0].projection;
+  cameras[1].projection.width = kWidth;
+  cameras[0].ball = Ball{{}, {.25, 1. / 3, -2}, .05};
+  cameras[0].ball_reflectance = {.6f, .55f, .5f};
   return cameras;
 }
 
@@ -147,6 +156,22 @@ TEST(CaptureFolderWriter, CamerasReadBackIdentically) {
     EXPECT_EQ(p.kind, q.kind);
     EXPECT_EQ(p.focal_px, q.focal_px);
     EXPECT_EQ(p.principal_px, q.principal_px);
+    ASSERT_EQ(found[i].lenses.size(), expected[i].lenses.size());
+    for (std::size_t k = 0; k < found[i].lenses.size(); ++k) {
+      const Lens &a = found[i].lenses[k], &b = expected[i].lenses[k];
+      EXPECT_EQ(a.x_px, b.x_px);
+      EXPECT_EQ(a.projection.width, b.projection.width);
+      EXPECT_EQ(a.projection.focal_px, b.projection.focal_px);
+      EXPECT_EQ(a.projection.distortion, b.projection.distortion);
+      EXPECT_NEAR(a.half_field_rad, b.half_field_rad, 1e-14);
+      EXPECT_NEAR(std::abs(glm::dot(a.camera_from_lens, b.camera_from_lens)), 1, 1e-14);
+    }
+    ASSERT_EQ(found[i].ball.has_value(), expected[i].ball.has_value());
+    if (found[i].ball) {
+      EXPECT_EQ(found[i].ball->centre_m, expected[i].ball->centre_m);
+      EXPECT_EQ(found[i].ball->radius_m, expected[i].ball->radius_m);
+      EXPECT_EQ(found[i].ball_reflectance, expected[i].ball_reflectance);
+    }
     const glm::dmat4 m = found[i].world_from_camera.matrix(),
                      n = expected[i].world_from_camera.matrix();
     for (int k = 0; k < 4; ++k) EXPECT_LT(glm::length(m[k] - n[k]), 1e-14);

@@ -171,6 +171,10 @@ class BadCaptures(CliTest):
                       self.root / "good", "--bands", 2)
         self.assertEqual(len(list((self.root / "good").glob("frame_*.png"))), 3)
 
+    def test_surroundings_of_no_capture(self):
+        for words, capture in ((["nowhere"], self.root / "nowhere"), (["scene.toml"], self.root / "scene.toml")):
+            self.expect_refusal(words, "hdr", "environment", capture, "-o", self.root / "out" / "seen.exr")
+
     def test_missing_folder_and_files(self):
         self.refuse(["nowhere"], self.root / "nowhere")
         folder = self.capture()

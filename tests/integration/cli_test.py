@@ -53,6 +53,10 @@ class DemoAndComposite(CliTest):
             self.assertEqual((runs[0] / name).read_bytes(), (runs[1] / name).read_bytes(), name)
         self.assertEqual((demo / "video.mp4").read_bytes(), (runs[0] / "video.mp4").read_bytes())
         self.assertEqual(files.read_png(demo / "still.png"), files.read_png(runs[0] / frames[-1]))
+        seen = self.run_json("hdr", "environment", record, "-o", self.root / "seen.exr")
+        self.assertEqual((seen["coverage"], seen["width"]), (1, 2 * seen["height"]))
+        light = self.run_json("light", "estimate", self.root / "seen.exr")["mean_radiance"]
+        self.assertTrue(all(40 < c < 80 for c in light), f"the studio's mean luminance is 60: {light}")
         self.assertNotEqual(files.read_png(demo / "still.png"), files.read_png(demo / "camera.png"), "nothing drawn")
 
     def test_record_is_refused_before_the_work_and_leftovers_are_not_results(self):

@@ -68,7 +68,7 @@ TEST(Allocations, OfALightUpdateAndAFrame) {
   std::size_t seen = 0, moved = 0;
   while (auto frame = *studio.next()) {
     ++seen;
-    if (frame->camera == light.camera()) {
+    if (light.takes(frame->camera)) {
       const Counted c = count([&] { estimate = *light.process(*frame); });
       if (seen <= kWarm) continue;
       judge.expect(c, kLists, kSmall, "light " + std::to_string(seen));

@@ -46,7 +46,7 @@ Watched watch(ClippedSun& c, FloorCompletion& completion,
   const CodeCurve curve = capture::make_code_curve(c.options.sensor.response, 8, 0);
   Watched out;
   while (auto frame = *studio.next()) {
-    if (frame->camera == light.camera()) {
+    if (light.takes(frame->camera)) {
       out.last = *light.process(*frame);
       if (!out.first.valid) out.first = out.last;
       continue;

@@ -1,0 +1,50 @@
+// Several pictures of the surroundings made one, without seams.
+// threads: thread-bound
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "core/environment.h"
+#include "core/image.h"
+
+namespace penumbra::capture {
+
+/// Mean of several lat-long maps, each weighted by the square of how far from its rim it was seen, after gains that their
+/// overlaps tell. What is clipped in one and not in another counts there alone.
+/// source: gains from overlaps, Brown & Lowe 2007, section 6, here the median ratio of each pair and channel
+class EnvironmentBlend {
+ public:
+  /// from_rim[i]: how view i sees each pixel of the map, 0 (not) to 1; all of one size.
+  explicit EnvironmentBlend(std::vector<Image<float>> from_rim);
+
+  /// One map a view, in their order; null: nothing of it yet.
+  void blend(std::span<const Environment* const> views, Environment& out);
+  /// What each view is multiplied by; the first is 1.
+  const std::vector<Rgb>& gains() const { return gains_; }
+  /// Whether a view's gain is known: it overlaps, by way of others perhaps, with the first.
+  bool tied(std::size_t view) const { return tied_[view]; }
+
+ private:
+  struct Pair {
+    std::size_t a, b;
+    std::vector<std::uint32_t> pixels;  // some that both see well
+  };
+  using Channels = std::array<double, 3>;
+  std::vector<std::optional<Channels>> solve(std::span<const Environment* const> views) const;
+  void follow_gains(std::span<const Environment* const> views);
+  void add(std::size_t view, const Environment& map, std::uint32_t pixel, Environment& out);
+  void add_measured(std::size_t view, const Environment& map, Environment& out);
+  void add_bounds(std::span<const Environment* const> views, Environment& out);
+  std::vector<Image<float>> weights_;
+  std::vector<Pair> pairs_;
+  std::vector<Rgb> gains_;
+  std::vector<bool> tied_;
+  Image<float> total_;  // of the weights that count
+};
+
+}  // namespace penumbra::capture

@@ -1,0 +1,161 @@
+#include "capture/sights.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+
+#include "core/conventions.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+// Distance to the nearest edge over half the shorter side.
+double from_edge(const glm::dvec2& px, int width, int height) {
+  const double nearest = std::min(std::min(px.x, width - px.x), std::min(px.y, height - px.y));
+  return std::clamp(2 * nearest / std::min(width, height), 0., 1.);
+}
+
+// As many rows as are resolved over half a turn.
+int rows_of(const calib::Projection& p) {
+  return calib::has_intrinsics(p.kind) ? static_cast<int>(kPi * p.focal_px.y) : p.height;
+}
+
+Result<void> check_size(const CameraInfo& camera, int width, int height) {
+  if (width >= 2 && height >= 2) return {};
+  return fail(ErrorCode::kInvalid, camera.name,
+              "an environment camera needs two pixels a side at least");
+}
+
+Sight lens_sight(const Lens& lens) {
+  const glm::dquat lens_from_camera = glm::conjugate(lens.camera_from_lens);
+  const Look look = [lens, lens_from_camera](const glm::dvec3& d) -> std::optional<SeenAt> {
+    const glm::dvec3 in_lens = lens_from_camera * d;
+    const double off_axis = std::atan2(std::hypot(in_lens.x, in_lens.y), -in_lens.z);
+    if (off_axis > lens.half_field_rad) return std::nullopt;
+    const auto px = calib::pixel_from_direction(lens.projection, in_lens);
+    if (!px) return std::nullopt;
+    const auto& p = lens.projection;
+    return SeenAt{*px,
+                  std::min(from_edge(*px, p.width, p.height), 1 - off_axis / lens.half_field_rad)};
+  };
+  return {lens.x_px,
+          lens.y_px,
+          lens.projection.width,
+          lens.projection.height,
+          rows_of(lens.projection),
+          look,
+          std::nullopt};
+}
+
+Result<calib::MirrorBall> find_ball(const CameraInfo& camera, const Pose& world_from_camera) {
+  const Ball& ball = *camera.ball;
+  if (ball.outline_px)
+    return calib::MirrorBall::from_outline(camera.projection, ball.outline_px->centre,
+                                           ball.outline_px->radius);
+  return calib::MirrorBall::at(world_from_camera.inverse() * ball.centre_m, ball.radius_m);
+}
+
+// Of the outline in the picture, whatever the lens makes of it.
+struct Bounds {
+  glm::dvec2 low{1e9}, high{-1e9};
+};
+std::optional<Bounds> bounds_of(const calib::MirrorBall& ball, const calib::Projection& camera) {
+  const glm::dvec3 axis = ball.direction();
+  const glm::dvec3 any = std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0);
+  const glm::dvec3 u = glm::normalize(glm::cross(axis, any)), v = glm::cross(u, axis);
+  const double angle = ball.angular_radius_rad();
+  Bounds bounds;
+  constexpr int kPoints = 64;
+  for (int i = 0; i < kPoints; ++i) {
+    const double turn = 2 * kPi * i / kPoints;
+    const auto px = calib::pixel_from_direction(
+        camera,
+        axis * std::cos(angle) + (u * std::cos(turn) + v * std::sin(turn)) * std::sin(angle));
+    if (!px) return std::nullopt;
+    bounds = {glm::min(bounds.low, *px), glm::max(bounds.high, *px)};
+  }
+  return bounds;
+}
+
+Result<Sight> ball_sight(const CameraInfo& camera, const Pose& world_from_camera) {
+  PENUMBRA_ASSIGN(ball, find_ball(camera, world_from_camera));
+  const auto bounds = bounds_of(ball, camera.projection);
+  if (!bounds)
+    return fail(ErrorCode::kUndetermined, camera.name,
+                "the mirror ball is not whole in its picture");
+  const int x = static_cast<int>(bounds->low.x), y = static_cast<int>(bounds->low.y);
+  const int width =
+      std::min(static_cast<int>(std::ceil(bounds->high.x)), camera.projection.width) - x;
+  const int height =
+      std::min(static_cast<int>(std::ceil(bounds->high.y)), camera.projection.height) - y;
+  PENUMBRA_TRY(check_size(camera, width, height));
+  const Look look = [ball, projection = camera.projection, x,
+                     y](const glm::dvec3& d) -> std::optional<SeenAt> {
+    const auto seen = ball.ray_from_light(d);
+    if (!seen) return std::nullopt;
+    const auto px = calib::pixel_from_direction(projection, seen->ray);
+    if (!px) return std::nullopt;
+    return SeenAt{*px - glm::dvec2(x, y), seen->from_rim};
+  };
+  // In the middle a ball of radius r shows r / 2 pixels a radian.
+  return Sight{x, y, width, height, static_cast<int>(kPi * width / 4), look, std::nullopt};
+}
+
+template <class Pixel>
+Image<Pixel> cut(const Image<Pixel>& picture, const Sight& part) {
+  Image<Pixel> out(part.width, part.height);
+  for (int y = 0; y < part.height; ++y)
+    std::ranges::copy(
+        picture.row(part.y_px + y)
+            .subspan(static_cast<std::size_t>(part.x_px), static_cast<std::size_t>(part.width)),
+        out.row(y).begin());
+  return out;
+}
+
+}  // namespace
+
+Sight plain_sight(const calib::Projection& p) {
+  const bool whole_sphere = !calib::has_intrinsics(p.kind);
+  const Look look = [p, whole_sphere](const glm::dvec3& d) -> std::optional<SeenAt> {
+    const auto px = calib::pixel_from_direction(p, d);
+    if (!px) return std::nullopt;
+    return SeenAt{*px, whole_sphere ? 1 : from_edge(*px, p.width, p.height)};
+  };
+  return {0, 0, p.width, p.height, rows_of(p), look, p};
+}
+
+bool shows_surroundings(const CameraInfo& camera) {
+  return camera.role == Role::kEnvironment || camera.ball;
+}
+
+Result<std::vector<Sight>> sights_of(const CameraInfo& camera, const Pose& world_from_camera) {
+  std::vector<Sight> out;
+  if (camera.ball) {
+    PENUMBRA_ASSIGN(sight, ball_sight(camera, world_from_camera));
+    out.push_back(std::move(sight));
+    return out;
+  }
+  for (const Lens& lens : camera.lenses) out.push_back(lens_sight(lens));
+  if (out.empty()) out.push_back(plain_sight(camera.projection));
+  for (const Sight& s : out) PENUMBRA_TRY(check_size(camera, s.width, s.height));
+  return out;
+}
+
+std::optional<glm::dvec2> find_in_picture(std::span<const Sight> sights,
+                                          const glm::dvec3& direction) {
+  std::optional<glm::dvec2> found;
+  double best = -1;
+  for (const Sight& s : sights)
+    if (const auto seen = s.look(direction); seen && seen->from_rim > best) {
+      best = seen->from_rim;
+      found = seen->px + glm::dvec2(s.x_px, s.y_px);
+    }
+  return found;
+}
+
+FramePixels cut_out(const FramePixels& picture, const Sight& part) {
+  return std::visit([&](const auto& image) -> FramePixels { return cut(image, part); }, picture);
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,53 @@
+// The ways in which a camera shows its surroundings: its whole picture, parts of it behind lenses of their own (a
+// 360-degree camera), or a mirror ball that stands in it.
+// threads: reentrant
+#pragma once
+
+#include <functional>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "capture/frames.h"
+#include "core/pose.h"
+#include "core/result.h"
+
+namespace penumbra::capture {
+
+struct SeenAt {
+  glm::dvec2 px;        // continuous, in the part
+  double from_rim = 1;  // 1 in the middle, 0 where the part or what the lens sees ends
+};
+/// Where a direction of the camera's frame is seen; nothing where it is not.
+using Look = std::function<std::optional<SeenAt>(const glm::dvec3& direction)>;
+
+/// A part of a camera's picture.
+struct Sight {
+  int x_px = 0, y_px = 0, width = 0, height = 0;
+  int rows = 0;  // of a lat-long map that resolves as much as the middle of the part
+  Look look;
+  /// The whole of a plain camera; nothing where `look` does more than its projection.
+  std::optional<calib::Projection> whole;
+};
+
+/// The whole picture of a camera with this projection.
+Sight plain_sight(const calib::Projection& projection);
+
+/// Whether light can be measured with it.
+bool shows_surroundings(const CameraInfo& camera);
+
+/// All sights of a camera that shows_surroundings(). A ball that has its place in the world is looked for from `world_from_camera`.
+/// errors: kInvalid (fewer than two pixels a side), kUndetermined (the ball is not in the picture)
+Result<std::vector<Sight>> sights_of(const CameraInfo& camera, const Pose& world_from_camera);
+
+/// Where in the whole picture a direction of the camera's frame is seen: of several sights in the one whose rim is
+/// farthest from it.
+std::optional<glm::dvec2> find_in_picture(std::span<const Sight> sights,
+                                          const glm::dvec3& direction);
+
+/// That part of a picture alone.
+FramePixels cut_out(const FramePixels& picture, const Sight& part);
+
+}  // namespace penumbra::capture

@@ -1,0 +1,67 @@
+#include <fmt/format.h>
+
+#include <optional>
+
+#include "capture/capture.h"
+#include "codec/codec.h"
+#include "core/files.h"
+#include "service/commands.h"
+#include "service/light_stage.h"
+#include "service/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// The newest light at that time; frames that show none are passed over.
+Result<std::optional<lighting::LightEstimate>> replay(capture::FrameSource& source,
+                                                      LightStage& stage, double at_s) {
+  std::optional<lighting::LightEstimate> light;
+  std::optional<TimestampNs> first;
+  while (true) {
+    PENUMBRA_ASSIGN(frame, source.next());
+    if (!frame) break;
+    if (!first) first = frame->time;
+    if (at_s > 0 && (frame->time - *first).count() > at_s) break;
+    if (!stage.takes(frame->camera)) continue;
+    auto estimate = stage.process(*frame);
+    if (estimate)
+      light = std::move(*estimate);
+    else if (estimate.error().code != ErrorCode::kUndetermined)
+      return std::unexpected(estimate.error());
+  }
+  return light;
+}
+
+}  // namespace
+
+Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  StageTimes times;
+  PENUMBRA_ASSIGN(stage, LightStage::create(source->cameras(), {.bands = 3}, times));
+  PENUMBRA_ASSIGN(light, replay(*source, stage, o.at_s));
+  if (!light)
+    return fail(ErrorCode::kUndetermined, o.capture, "no usable frame of its surroundings");
+  const Environment& map = stage.environment();
+  PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));
+  if (!o.json) {
+    fmt::print(
+        "{}: {}x{} from {} views of {} exposures, {:.1f} % of the sphere seen, {:.3f} % clipped\n",
+        o.output, map.radiance.width(), map.radiance.height(), stage.gains().size(),
+        stage.exposures(), 100 * light->coverage, 100 * map.clipped_fraction);
+    return {};
+  }
+  nlohmann::json views = nlohmann::json::array();
+  for (const auto& [camera, g, known] : stage.gains())
+    views.push_back({{"camera", camera}, {"gain", {g.r, g.g, g.b}}, {"gain_known", known}});
+  print_json({{"width", map.radiance.width()},
+              {"height", map.radiance.height()},
+              {"exposures_used", stage.exposures()},
+              {"coverage", light->coverage},
+              {"clipped_fraction", map.clipped_fraction},
+              {"views", views}});
+  return {};
+}
+
+}  // namespace penumbra::service
