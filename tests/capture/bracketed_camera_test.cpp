@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "core/conventions.h"
 #include "tests/support/fake_camera.h"
@@ -215,6 +216,26 @@ TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
   };
   EXPECT_GT(flicker(false), .05);
   EXPECT_LT(flicker(true), .005);
+}
+
+// A camera whose times are not what it says: each by itself could be true, but their pictures tell the ratios.
+TEST(ExposureLabels, RatiosThatTheCameraGetsWrongAreFoundFromOverlaps) {
+  FakeCameraBehaviour b;
+  b.really = [](Exposure asked) {
+    const double factor = asked.time.count() > .01 ? 1 : asked.time.count() > .002 ? .9 : 1.1;
+    return Exposure{asked.time * factor, asked.gain};
+  };
+  const Outcome r = run_camera(b, 150);
+  EXPECT_EQ(r.counts.refused, 0u);
+  std::map<double, double> told_over_asked;
+  for (std::size_t i = 100; i < r.frames.size(); ++i) {
+    const Exposure& told = r.frames[i].exposure;
+    told_over_asked[told.time.count()] = told.gain.value();
+  }
+  ASSERT_EQ(told_over_asked.size(), 3u);
+  const double longest = told_over_asked[.016];  // one scale for all is the camera's own
+  EXPECT_NEAR(told_over_asked[.004] / longest, .9, .01);
+  EXPECT_NEAR(told_over_asked[.001] / longest, 1.1, .012);
 }
 
 TEST(BracketedCamera, DamagedFramesAreCountedAndNeverShown) {

@@ -18,8 +18,10 @@ struct FakeCameraBehaviour {
   std::function<bool(std::uint64_t)> damaged;
   std::function<double(double)> light;           // factor on the scene at a time in seconds
   std::function<bool(std::uint64_t)> deaf;       // keeps its first exposure
+  std::function<Exposure(Exposure)> really;      // applied instead of the one that was asked for
   std::function<Exposure(Exposure)> tells;       // frames say so of the exposure that was applied
   std::uint64_t gone_after = ~std::uint64_t{0};  // frames
+  double begins_s = 0;                           // its clock at the first frame
   bool paced = false;                            // frames take their time; else they come at once
 };
 
@@ -47,8 +49,9 @@ class FakeCamera : public capture::CameraDevice {
     if (sensor_frame_ > behaviour_.gone_after)
       return fail(ErrorCode::kClosed, "fake", "was unplugged");
     out.sequence = ++delivered_;
-    out.time = TimestampNs{} + Seconds(static_cast<double>(sensor_frame_) / behaviour_.fps);
+    out.time = clock_at(static_cast<double>(sensor_frame_));
     shown_ = in_force(yes(behaviour_.slips) ? 1 : 0);
+    if (behaviour_.really) shown_ = behaviour_.really(shown_);
     if (behaviour_.tells) out.applied = behaviour_.tells(shown_);
     light_ = behaviour_.light ? behaviour_.light((out.time - TimestampNs{}).count()) : 1;
     return out;
@@ -60,14 +63,15 @@ class FakeCamera : public capture::CameraDevice {
     capture::expose(sensor_, radiance, shown_, sensor_frame_, out);
     return out;
   }
-  TimestampNs now() const override {
-    return TimestampNs{} + Seconds((static_cast<double>(sensor_frame_) + .01) / behaviour_.fps);
-  }
+  TimestampNs now() const override { return clock_at(static_cast<double>(sensor_frame_) + .01); }
   /// What the last frame was really exposed with.
   Exposure shown() const { return shown_; }
   std::uint64_t sensor_frame() const { return sensor_frame_; }
 
  private:
+  TimestampNs clock_at(double frame) const {
+    return TimestampNs{} + Seconds(behaviour_.begins_s + frame / behaviour_.fps);
+  }
   Exposure in_force(int earlier) const {
     if (requests_.empty()) return {Seconds(.01), Gain(1)};
     if (behaviour_.deaf && behaviour_.deaf(sensor_frame_)) return requests_.front().exposure;
