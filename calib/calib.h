@@ -146,7 +146,7 @@ struct ResponseCalibration {
   Response response;
   double sigma = 0;  // one standard deviation of the curve, RMS over the codes, of full scale
   std::optional<double>
-      between_places;  // RMS difference between the curves of the left and the right half, if both have one
+      between_places;  // RMS difference between the curves of the left and the right half over the codes that both hold
 };
 
 /// estimate_response with how sure it is.
@@ -171,9 +171,10 @@ struct NoiseModel {
 }  // namespace penumbra::calib
 
 // The calibrations are about the cameras above, so they come after them.
-#include "calib/boards.h"              // IWYU pragma: export
-#include "calib/camera_calibration.h"  // IWYU pragma: export
-#include "calib/colour_calibration.h"  // IWYU pragma: export
-#include "calib/mirror_ball.h"         // IWYU pragma: export
-#include "calib/noise_calibration.h"   // IWYU pragma: export
-#include "calib/rig_calibration.h"     // IWYU pragma: export
+#include "calib/boards.h"                  // IWYU pragma: export
+#include "calib/camera_calibration.h"      // IWYU pragma: export
+#include "calib/colour_calibration.h"      // IWYU pragma: export
+#include "calib/mirror_ball.h"             // IWYU pragma: export
+#include "calib/noise_calibration.h"       // IWYU pragma: export
+#include "calib/rig_calibration.h"         // IWYU pragma: export
+#include "calib/vignetting_calibration.h"  // IWYU pragma: export

@@ -392,18 +392,38 @@ Result<Response> estimate_from(Pictures pictures, std::span<const Seconds> times
   return estimate_response(pointers, times);
 }
 
+struct CodeRange {
+  int low = kBlack + 1, high = kLastTrusted;
+};
+
+// What a part's pictures hold, without the outermost hundredth: beyond it its curve is a guess.
+CodeRange codes_of(Pictures pictures, Part part) {
+  std::array<std::size_t, 256> counts{};
+  std::size_t all = 0;
+  for (const Picture* whole : pictures)
+    for (const Rgb8& p : part_of(*whole, part).pixels())
+      for (const int code : {p.r, p.g, p.b})
+        if (code > kBlack && code <= kLastTrusted) ++counts[static_cast<std::size_t>(code)], ++all;
+  CodeRange range;
+  for (std::size_t seen = 0; range.low < kLastTrusted; ++range.low)
+    if ((seen += counts[static_cast<std::size_t>(range.low)]) * 100 > all) break;
+  for (std::size_t seen = 0; range.high > kBlack; --range.high)
+    if ((seen += counts[static_cast<std::size_t>(range.high)]) * 100 > all) break;
+  return range;
+}
+
 // RMS over the codes that can be told, of full scale, after the best common factor.
-double difference(const Response& a, const Response& b) {
+double difference(const Response& a, const Response& b, const CodeRange& range = {}) {
   double sum = 0;
   int count = 0;
   for (int c = 0; c < 3; ++c) {
     double ab = 0, bb = 0;
     const auto at = [&](const Response& r, int code) { return r.decode(code / 255., c); };
-    for (int code = kBlack + 1; code <= kLastTrusted; ++code) {
+    for (int code = range.low; code <= range.high; ++code) {
       ab += at(a, code) * at(b, code);
       bb += at(b, code) * at(b, code);
     }
-    for (int code = kBlack + 1; code <= kLastTrusted; ++code, ++count)
+    for (int code = range.low; code <= range.high; ++code, ++count)
       sum += std::pow(at(a, code) - at(b, code) * ab / bb, 2);
   }
   return std::sqrt(sum / count);
@@ -423,8 +443,11 @@ Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* cons
   out.sigma = difference(*even, *odd) / 2;
   const auto left = estimate_from(pictures, times, Part::kLeft),
              right = estimate_from(pictures, times, Part::kRight);
-  if (!left || !right) return out;
-  out.between_places = difference(*left, *right);
+  const CodeRange l = codes_of(pictures, Part::kLeft), r = codes_of(pictures, Part::kRight);
+  const CodeRange both{std::max(l.low, r.low), std::min(l.high, r.high)};
+  constexpr int kTooFew = 64;  // codes
+  if (!left || !right || both.high - both.low < kTooFew) return out;
+  out.between_places = difference(*left, *right, both);
   constexpr double kMost = .05;
   if (*out.between_places > kMost && *out.between_places > 4 * out.sigma)
     return undetermined(fmt::format(

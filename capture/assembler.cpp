@@ -50,7 +50,8 @@ EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
     : EnvironmentAssembler(plain_sight(projection), world_from_camera, width, height, colour) {}
 
 void EnvironmentAssembler::make_taps(const Look& look, const glm::dquat& camera_from_world) {
-  taps_.reserve(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_));
+  const auto area = static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_);
+  taps_.reserve(area);
   for (int y = 0; y < height_; ++y) {
     Span span{width_, 0};
     for (int x = 0; x < width_; ++x) {
@@ -63,6 +64,10 @@ void EnvironmentAssembler::make_taps(const Look& look, const glm::dquat& camera_
       }
       span = {std::min(span.first, x), x + 1};
       ++seen_[static_cast<std::size_t>(y)];
+      if (seen->light_left != 1) {
+        gains_.resize(area, 1.f);
+        gains_[taps_.size()] = static_cast<float>(1 / seen->light_left);
+      }
       // From pixel centres; the border repeats its last pixel.
       const double px = std::clamp(seen->px.x - .5, 0., source_width_ - 1.);
       const double py = std::clamp(seen->px.y - .5, 0., source_height_ - 1.);
@@ -135,6 +140,10 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
                                merged.scale, &out.radiance.row(y)[0].r));
     } else {
       gather_rows(rows.begin(), rows.end(), source, merged.scale, out.radiance);
+    }
+    for (int y = rows.begin(); y < rows.end() && !gains_.empty(); ++y) {
+      const float* gain = &gains_[static_cast<std::size_t>(y) * static_cast<std::size_t>(width_)];
+      for (Rgb& p : out.radiance.row(y)) p = p * *gain++;
     }
     if (colour_ != glm::mat3(1))
       for (int y = rows.begin(); y < rows.end(); ++y) carry_colour(colour_, out.radiance.row(y));

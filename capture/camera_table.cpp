@@ -168,6 +168,29 @@ bool is_float_file(const FrameRow& row) {
   return extension == ".exr" || extension == ".hdr";
 }
 
+/// Three terms, or a file of `calibrate vignetting`.
+Result<void> read_vignetting(const TomlKeys& keys, CameraInfo& info) {
+  if (!keys.has("vignetting")) return {};
+  if (const auto name = keys.text("vignetting")) {
+    const fs::path path = keys.path().parent_path() / *name;
+    PENUMBRA_ASSIGN(bytes, read_bytes(path));
+    PENUMBRA_ASSIGN(terms, calib::parse_vignetting_file(
+                               {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path));
+    info.vignetting = terms;
+  } else {
+    PENUMBRA_ASSIGN(terms, keys.numbers("vignetting", 3));
+    info.vignetting = {terms[0], terms[1], terms[2]};
+  }
+  const auto plausible = [&](const calib::Projection& p) {
+    return calib::is_plausible(calib::vignetting_of(p, info.vignetting), p);
+  };
+  if (info.lenses.empty() ? plausible(info.projection)
+                          : std::ranges::all_of(info.lenses, plausible, &Lens::projection))
+    return {};
+  return keys.invalid("vignetting",
+                      "leaves less than 2 % or more than 150 % of the light somewhere");
+}
+
 /// Nine numbers by rows, or a file of `calibrate colour`.
 Result<void> read_colour(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("colour")) return {};
@@ -326,6 +349,7 @@ Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   PENUMBRA_TRY(read_sights(keys, info));
   PENUMBRA_TRY(read_noise(keys, info));
   PENUMBRA_TRY(read_sensor(keys, info));
+  PENUMBRA_TRY(read_vignetting(keys, info));
   PENUMBRA_TRY(read_colour(keys, info));
   PENUMBRA_TRY(read_pose_file(keys, info));
   if (keys.has("world_from_camera")) {
@@ -404,6 +428,8 @@ std::string print_camera(const CameraInfo& c, const std::string& response,
   if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
     text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
   if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
+  if (c.vignetting != std::array<double, 3>{})
+    text += fmt::format("vignetting = [{}]\n", fmt::join(c.vignetting, ", "));
   if (c.colour != glm::dmat3(1)) {
     const glm::dmat3 rows = glm::transpose(c.colour);
     text += fmt::format("colour = [{}]\n", fmt::join(&rows[0][0], &rows[0][0] + 9, ", "));

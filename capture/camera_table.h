@@ -12,7 +12,7 @@
 
 namespace penumbra::capture {
 
-inline constexpr std::array<std::string_view, 23> kCameraKeys{"name",
+inline constexpr std::array<std::string_view, 24> kCameraKeys{"name",
                                                               "role",
                                                               "eye",
                                                               "width",
@@ -34,7 +34,8 @@ inline constexpr std::array<std::string_view, 23> kCameraKeys{"name",
                                                               "pose",
                                                               "noise",
                                                               "lens",
-                                                              "ball"};
+                                                              "ball",
+                                                              "vignetting"};
 
 /// All of a camera but its frames and, since that may depend on them, its response and its white balance. Keys are the
 /// caller's to check.

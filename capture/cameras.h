@@ -50,7 +50,8 @@ struct CameraSettings {
   std::string format;         // empty: the best that reaches `fps`
   int width = 0, height = 0;  // as the camera offers it
   double fps = 30;
-  double unit_gain = 0;  // the driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
+  double unit_gain =
+      0;  // the driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
 };
 
 /// The driver's account of a frame.

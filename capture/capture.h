@@ -181,6 +181,7 @@ class EnvironmentAssembler {
   std::vector<int> seen_;        // pixels a row
   std::vector<double> alpha_;    // sum of the confidence a row, of the newest image
   std::vector<GatherTap> taps_;  // empty: the source is the environment already
+  std::vector<float> gains_;     // by pixel of the map, against vignetting; empty: all 1
 };
 
 /// An environment file in any supported projection as directions, solid angles and radiance. The

@@ -1,6 +1,7 @@
 // What all sources of frames share: cameras as they are known, frames with their own truth.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <glm/gtc/quaternion.hpp>
@@ -53,6 +54,7 @@ struct CameraInfo {
   bool noise_known = false;  // of this camera; else `noise` only weighs exposures in a merge
   double psf_sigma_px = 0;   // Gaussian blur of the picture, pixels; 0 = sharp or unknown
   double black_level = 0;    // fraction of full scale
+  std::array<double, 3> vignetting{};  // terms of Vignetting, of each lens's own picture
   Pose world_from_camera;
   glm::dmat3 colour{1};  // of an environment camera: radiance of the view camera = colour * its own
   std::vector<Lens>

@@ -1,10 +1,12 @@
 #include <algorithm>
 #include <cmath>
+#include <glm/geometric.hpp>
 #include <numbers>
 #include <numeric>
 
 #include "capture/capture.h"
 #include "core/parallel.h"
+#include "core/vignetting.h"
 
 namespace penumbra::capture {
 
@@ -85,8 +87,9 @@ struct Exposer {
 };
 
 float light_left(const Sensor& sensor, int x, int y, int width, int height) {
-  const double dx = (x + .5) / width * 2 - 1, dy = (y + .5) / height * 2 - 1;
-  return static_cast<float>(1 - sensor.vignetting * (dx * dx + dy * dy) / 2);
+  const glm::dvec2 size(width, height);
+  const Vignetting v{{-sensor.vignetting, 0, 0}, size / 2., glm::length(size) / 2};
+  return static_cast<float>(v.at({x + .5, y + .5}));
 }
 
 template <class Pixel>

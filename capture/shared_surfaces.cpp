@@ -17,6 +17,16 @@ namespace {
 
 using Latest = std::map<double, Frame>;  // by exposure time times gain
 
+// A part of a picture as if its lens let all light through.
+void undo_vignetting(const calib::Projection& lens, const std::array<double, 3>& terms, int x0,
+                     int y0, Image<Rgb>& radiance) {
+  const Vignetting left = calib::vignetting_of(lens, terms);
+  for (int y = 0; y < lens.height && !left.none(); ++y)
+    for (int x = 0; x < lens.width; ++x)
+      radiance.at(x0 + x, y0 + y) =
+          radiance.at(x0 + x, y0 + y) * static_cast<float>(1 / left.at({x + .5, y + .5}));
+}
+
 Result<StillPicture> merge_latest(const CameraInfo& camera, const Latest& frames) {
   if (frames.empty()) return fail(ErrorCode::kUndetermined, camera.name, "no frame of it");
   StillPicture out{camera, {}, {}};
@@ -32,6 +42,10 @@ Result<StillPicture> merge_latest(const CameraInfo& camera, const Latest& frames
                 merged.error().detail);
   out.radiance = std::move(merged->radiance);
   out.clipped = std::move(merged->clipped);
+  if (camera.lenses.empty())
+    undo_vignetting(camera.projection, camera.vignetting, 0, 0, out.radiance);
+  for (const Lens& lens : camera.lenses)
+    undo_vignetting(lens.projection, camera.vignetting, lens.x_px, lens.y_px, out.radiance);
   return out;
 }
 

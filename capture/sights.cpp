@@ -27,9 +27,10 @@ Result<void> check_size(const CameraInfo& camera, int width, int height) {
               "an environment camera needs two pixels a side at least");
 }
 
-Sight lens_sight(const Lens& lens) {
+Sight lens_sight(const Lens& lens, const std::array<double, 3>& vignetting) {
+  const Vignetting left = calib::vignetting_of(lens.projection, vignetting);
   const glm::dquat lens_from_camera = glm::conjugate(lens.camera_from_lens);
-  const Look look = [lens, lens_from_camera](const glm::dvec3& d) -> std::optional<SeenAt> {
+  const Look look = [lens, lens_from_camera, left](const glm::dvec3& d) -> std::optional<SeenAt> {
     const glm::dvec3 in_lens = lens_from_camera * d;
     const double off_axis = std::atan2(std::hypot(in_lens.x, in_lens.y), -in_lens.z);
     if (off_axis > lens.half_field_rad) return std::nullopt;
@@ -37,7 +38,8 @@ Sight lens_sight(const Lens& lens) {
     if (!px) return std::nullopt;
     const auto& p = lens.projection;
     return SeenAt{*px,
-                  std::min(from_edge(*px, p.width, p.height), 1 - off_axis / lens.half_field_rad)};
+                  std::min(from_edge(*px, p.width, p.height), 1 - off_axis / lens.half_field_rad),
+                  left.at(*px)};
   };
   return {lens.x_px,
           lens.y_px,
@@ -90,13 +92,14 @@ Result<Sight> ball_sight(const CameraInfo& camera, const Pose& world_from_camera
   const int height =
       std::min(static_cast<int>(std::ceil(bounds->high.y)), camera.projection.height) - y;
   PENUMBRA_TRY(check_size(camera, width, height));
-  const Look look = [ball, projection = camera.projection, x,
+  const Look look = [ball, projection = camera.projection,
+                     left = calib::vignetting_of(camera.projection, camera.vignetting), x,
                      y](const glm::dvec3& d) -> std::optional<SeenAt> {
     const auto seen = ball.ray_from_light(d);
     if (!seen) return std::nullopt;
     const auto px = calib::pixel_from_direction(projection, seen->ray);
     if (!px) return std::nullopt;
-    return SeenAt{*px - glm::dvec2(x, y), seen->from_rim};
+    return SeenAt{*px - glm::dvec2(x, y), seen->from_rim, left.at(*px)};
   };
   // In the middle a ball of radius r shows r / 2 pixels a radian.
   return Sight{x, y, width, height, static_cast<int>(kPi * width / 4), look, std::nullopt};
@@ -115,14 +118,15 @@ Image<Pixel> cut(const Image<Pixel>& picture, const Sight& part) {
 
 }  // namespace
 
-Sight plain_sight(const calib::Projection& p) {
+Sight plain_sight(const calib::Projection& p, const std::array<double, 3>& vignetting) {
+  const Vignetting left = calib::vignetting_of(p, vignetting);
   const bool whole_sphere = !calib::has_intrinsics(p.kind);
-  const Look look = [p, whole_sphere](const glm::dvec3& d) -> std::optional<SeenAt> {
+  const Look look = [p, whole_sphere, left](const glm::dvec3& d) -> std::optional<SeenAt> {
     const auto px = calib::pixel_from_direction(p, d);
     if (!px) return std::nullopt;
-    return SeenAt{*px, whole_sphere ? 1 : from_edge(*px, p.width, p.height)};
+    return SeenAt{*px, whole_sphere ? 1 : from_edge(*px, p.width, p.height), left.at(*px)};
   };
-  return {0, 0, p.width, p.height, rows_of(p), look, p};
+  return {0, 0, p.width, p.height, rows_of(p), look, left.none() ? std::optional(p) : std::nullopt};
 }
 
 bool shows_surroundings(const CameraInfo& camera) {
@@ -136,8 +140,8 @@ Result<std::vector<Sight>> sights_of(const CameraInfo& camera, const Pose& world
     out.push_back(std::move(sight));
     return out;
   }
-  for (const Lens& lens : camera.lenses) out.push_back(lens_sight(lens));
-  if (out.empty()) out.push_back(plain_sight(camera.projection));
+  for (const Lens& lens : camera.lenses) out.push_back(lens_sight(lens, camera.vignetting));
+  if (out.empty()) out.push_back(plain_sight(camera.projection, camera.vignetting));
   for (const Sight& s : out) PENUMBRA_TRY(check_size(camera, s.width, s.height));
   return out;
 }

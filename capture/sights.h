@@ -3,6 +3,7 @@
 // threads: reentrant
 #pragma once
 
+#include <array>
 #include <functional>
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
@@ -17,8 +18,9 @@
 namespace penumbra::capture {
 
 struct SeenAt {
-  glm::dvec2 px;        // continuous, in the part
-  double from_rim = 1;  // 1 in the middle, 0 where the part or what the lens sees ends
+  glm::dvec2 px;          // continuous, in the part
+  double from_rim = 1;    // 1 in the middle, 0 where the part or what the lens sees ends
+  double light_left = 1;  // by the lens's vignetting
 };
 /// Where a direction of the camera's frame is seen; nothing where it is not.
 using Look = std::function<std::optional<SeenAt>(const glm::dvec3& direction)>;
@@ -33,7 +35,8 @@ struct Sight {
 };
 
 /// The whole picture of a camera with this projection.
-Sight plain_sight(const calib::Projection& projection);
+Sight plain_sight(const calib::Projection& projection,
+                  const std::array<double, 3>& vignetting = {});
 
 /// Whether light can be measured with it.
 bool shows_surroundings(const CameraInfo& camera);

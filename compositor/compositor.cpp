@@ -46,7 +46,7 @@ std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& 
                           RowBuffers& rows) {
   const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
   if (!has_objects && !has_shadows) return 0;
-  if (has_objects) load_row(in.objects, y, rows.object);
+  if (has_objects) load_objects(in, y, rows.object);
   const auto part = [&](int x0, int x1, const float* object) -> std::size_t {
     if (x0 >= x1) return 0;
     const auto i = static_cast<std::size_t>(x0 - in.area.x0);
@@ -207,7 +207,8 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
   const Rect receiver_area = impl_->receivers.prepare(view.camera);
   PENUMBRA_TRY(impl_->layers->draw(view, receiver_area, impl_->objects, impl_->hidden));
   const Layered in{impl_->objects, impl_->hidden, impl_->receivers,
-                   united(united(impl_->objects.rect, receiver_area), impl_->hidden.rect)};
+                   united(united(impl_->objects.rect, receiver_area), impl_->hidden.rect),
+                   view.vignetting};
   Touched touched;
   if (!view.look.none())
     touched.pixels = composite_look(view, frame, in, impl_->look);

@@ -18,6 +18,7 @@
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
+#include "core/vignetting.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 
@@ -46,6 +47,7 @@ struct View {
   const CodeCurve* curve = nullptr;  // of 8 or 16 bit as the frame; unused for float frames
   float signal_per_radiance = 1;     // sensor signal (fraction of full scale) per unit of radiance
   CameraLook look{};
+  Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
 };
 
 struct Touched {

@@ -10,6 +10,7 @@
 #include "compositor/layers.h"
 #include "compositor/receivers.h"
 #include "core/code_curve.h"
+#include "core/vignetting.h"
 
 namespace penumbra::compositor {
 
@@ -52,7 +53,19 @@ struct Layered {
   const Layer &objects, &hidden;
   const Receivers& receivers;
   Rect area;  // all that is touched at most
+  const Vignetting& vignetting;
 };
+
+/// The objects' row as the lens lets it through.
+inline void load_objects(const Layered& in, int y, std::vector<float>& out) {
+  load_row(in.objects, y, out);
+  if (in.vignetting.none()) return;
+  for (int x = in.objects.rect.x0; x < in.objects.rect.x1; ++x) {
+    const auto left = static_cast<float>(in.vignetting.at({x + .5, y + .5}));
+    float* const pixel = &out[static_cast<std::size_t>(x - in.objects.rect.x0) * 4];
+    for (int c = 0; c < 3; ++c) pixel[c] *= left;
+  }
+}
 
 /// Ratios of the row; real geometry in front of the receiver brings its own. False when no shadow
 /// reaches it: then they are 1.

@@ -63,7 +63,7 @@ Loaded load_planes(const Layered& in, int y, std::size_t stride, LookBuffers& ro
     for (std::size_t i = 0; i < width; ++i) taken[i] = 1 - ratio[c][i];
   }
   if (!loaded.objects) return loaded;
-  load_row(in.objects, y, layers.object);
+  load_objects(in, y, layers.object);
   const auto first = static_cast<std::size_t>(in.objects.rect.x0 - in.area.x0),
              count = static_cast<std::size_t>(in.objects.rect.width());
   for (std::size_t c = 0; c < 3; ++c) {

@@ -42,7 +42,81 @@ Result<std::vector<double>> parse_times(const std::string& text, bool unknown_al
   return out;
 }
 
+// Sums of codes of the frames of one exposure.
+struct Average {
+  Exposure exposure;
+  Image<Rgb> sum{};
+  int frames = 0;
+
+  void add(const Image<Rgb8>& frame) {
+    if (frames++ == 0) sum = Image<Rgb>(frame.width(), frame.height());
+    for (std::size_t i = 0; i < frame.area(); ++i) {
+      const Rgb8& p = frame.pixels()[i];
+      sum.pixels()[i] += {float(p.r), float(p.g), float(p.b)};
+    }
+  }
+  Image<Rgb8> mean() const {
+    Image<Rgb8> out(sum.width(), sum.height());
+    const auto code = [&](float v) {
+      return static_cast<std::uint8_t>(std::lround(v / static_cast<float>(frames)));
+    };
+    for (std::size_t i = 0; i < sum.area(); ++i) {
+      const Rgb& p = sum.pixels()[i];
+      out.pixels()[i] = {code(p.r), code(p.g), code(p.b)};
+    }
+    return out;
+  }
+};
+
+// Frames of a capture into the average of their exposure.
+Result<void> add_frames(const std::string& path, const std::string& name,
+                        std::vector<Average>& averages) {
+  constexpr std::size_t kMost = 16;
+  PENUMBRA_ASSIGN(source, capture::open_capture(path));
+  const auto& cameras = source->cameras();
+  const auto camera = std::ranges::find(cameras, name, &capture::CameraInfo::name);
+  if (camera == cameras.end())
+    return fail(ErrorCode::kNotFound, path, fmt::format("no camera \"{}\"", name));
+  while (true) {
+    PENUMBRA_ASSIGN(frame, source->next());
+    if (!frame) return {};
+    if (frame->camera != camera - cameras.begin()) continue;
+    const auto* codes = std::get_if<Image<Rgb8>>(frame->pixels.get());
+    if (!codes)
+      return fail(ErrorCode::kInvalid, path, "only the response of 8-bit pictures is estimated");
+    auto average = std::ranges::find_if(averages, [&](const Average& a) {
+      return std::abs(a.exposure.product() / frame->exposure.product() - 1) < .01;
+    });
+    if (average == averages.end()) {
+      if (averages.size() == kMost)
+        return fail(ErrorCode::kUndetermined, path, fmt::format("more than {} exposures", kMost));
+      averages.push_back({frame->exposure});
+      average = averages.end() - 1;
+    }
+    if (average->frames > 0 && !average->sum.same_size(*codes))
+      return fail(ErrorCode::kInvalid, path, "has pictures of another size");
+    average->add(*codes);
+  }
+}
+
 }  // namespace
+
+Result<capture::ExposureStack> average_clips(const std::vector<std::string>& captures,
+                                             const std::string& camera) {
+  std::vector<Average> averages;
+  for (const std::string& path : captures) PENUMBRA_TRY(add_frames(path, camera, averages));
+  if (averages.size() < 2)
+    return fail(
+        ErrorCode::kUndetermined, captures[0],
+        fmt::format("{} exposure: film the same still scene with another one, two stops away",
+                    averages.size()));
+  capture::ExposureStack stack;
+  for (const Average& a : averages) {
+    stack.frames.push_back(std::make_shared<const FramePixels>(a.mean()));
+    stack.exposures.push_back({Seconds(a.exposure.product()), Gain(1)});
+  }
+  return stack;
+}
 
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
                                             const std::string& times_text, bool unknown_allowed) {

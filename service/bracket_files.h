@@ -16,6 +16,13 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
                                             const std::string& times, bool unknown_allowed = false);
 inline constexpr Seconds kUnknownTime{0};
 
+/// Captures of one still scene by one camera as a bracket: the frames of each exposure time and gain averaged, which takes
+/// the noise and, over some seconds, the mains' flicker out.
+/// errors: as capture::open_capture; kNotFound (no such camera), kUndetermined (fewer than two exposures, more than 16),
+/// kInvalid (sizes, not 8 bits)
+Result<capture::ExposureStack> average_clips(const std::vector<std::string>& captures,
+                                             const std::string& camera);
+
 /// An exposure against the one before it (of those that are told, by time), by what both pictures show.
 struct CheckedTime {
   std::size_t picture, against;  // in the stack

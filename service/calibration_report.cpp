@@ -191,6 +191,33 @@ std::string noise_table(const calib::NoiseCalibration& c) {
   return text;
 }
 
+std::string vignetting_plot(const calib::VignettingCalibration& c) {
+  std::string script = fmt::format(
+      "set terminal svg size 760,520 font 'sans,13' background rgb 'white'\n"
+      "set title 'Vignetting: {:.1f} %% of the light in the corners' noenhanced\n"
+      "set grid lc rgb '#dddddd'\nset key left bottom\nset yrange [0:*]\nset xrange [0:1]\n"
+      "set xlabel 'distance from the centre, half diagonals'\nset ylabel 'share of the light'\n"
+      "plot '-' with points pt 7 ps .6 lc rgb '#2c3e50' title 'seen', '-' with lines lw 2 lc rgb "
+      "'#c0392b' title 'fitted'\n",
+      100 * c.corner);
+  for (const auto& ring : c.rings) script += fmt::format("{} {}\n", ring.distance, ring.seen);
+  script += "e\n";
+  constexpr int kSteps = 50;
+  for (int i = 0; i <= kSteps; ++i) {
+    const double p = double(i) / kSteps;
+    script += fmt::format("{} {}\n", p, c.vignetting.at_squared(p * p));
+  }
+  return script + "e\n";
+}
+
+std::string vignetting_table(const calib::VignettingCalibration& c) {
+  std::string text = "distance,seen,fitted\n";
+  for (const auto& ring : c.rings)
+    text += fmt::format("{},{},{}\n", ring.distance, ring.seen,
+                        c.vignetting.at_squared(ring.distance * ring.distance));
+  return text;
+}
+
 // From above (x to the right, -z up) and from the side (-z to the right, y up); arrows look where a camera looks.
 std::string rig_plot(std::span<const calib::RigCameraInput> cameras, std::span<const Pose> poses) {
   double reach = .02;
@@ -285,6 +312,13 @@ Result<void> write_noise_report(const std::filesystem::path& folder,
   PENUMBRA_TRY(make_folder(folder));
   PENUMBRA_TRY(write_bytes(folder / "noise.csv", noise_table(c)));
   return draw(folder, {{"noise.svg", noise_plot(c)}});
+}
+
+Result<void> write_vignetting_report(const std::filesystem::path& folder,
+                                     const calib::VignettingCalibration& c) {
+  PENUMBRA_TRY(make_folder(folder));
+  PENUMBRA_TRY(write_bytes(folder / "vignetting.csv", vignetting_table(c)));
+  return draw(folder, {{"vignetting.svg", vignetting_plot(c)}});
 }
 
 Result<void> write_rig_report(const std::filesystem::path& folder,

@@ -32,6 +32,12 @@ Result<void> write_colour_report(const std::filesystem::path& folder,
 Result<void> write_noise_report(const std::filesystem::path& folder,
                                 const calib::NoiseCalibration& calibration);
 
+/// vignetting.svg (light over the distance from the centre, seen and as fitted), vignetting.csv. Without gnuplot only the
+/// last.
+/// errors: kUnwritable
+Result<void> write_vignetting_report(const std::filesystem::path& folder,
+                                     const calib::VignettingCalibration& calibration);
+
 /// rig.svg (the cameras from above and from the side, with where they look), rig.csv. Without gnuplot only the last.
 /// errors: kUnwritable
 Result<void> write_rig_report(const std::filesystem::path& folder,

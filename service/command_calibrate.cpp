@@ -188,25 +188,30 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
 Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   if (o.report) PENUMBRA_TRY(make_folder(*o.report));
-  PENUMBRA_ASSIGN(stack, read_bracket(o.images, o.times));
+  if (o.captures.empty() && (o.images.empty() || o.times.empty()))
+    return fail(ErrorCode::kInvalid, "calibrate response",
+                "needs images with --times, or --capture with --camera");
+  PENUMBRA_ASSIGN(stack, o.captures.empty() ? read_bracket(o.images, o.times)
+                                            : average_clips(o.captures, o.camera));
+  const std::string& first = o.captures.empty() ? o.images[0] : o.captures[0];
   if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
-    return fail(ErrorCode::kUndetermined, o.images[0],
+    return fail(ErrorCode::kUndetermined, first,
                 "only the response of 8-bit pictures is estimated");
   const EightBitBracket bracket = eight_bit_bracket(stack);
   PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
   const std::string text =
       fmt::format("# from {} pictures; one standard deviation, of full scale: {:.5f}\n{}",
-                  o.images.size(), result.sigma, calib::print_response_file(result.response));
+                  stack.frames.size(), result.sigma, calib::print_response_file(result.response));
   PENUMBRA_TRY(write_bytes(o.output, text));
   if (o.report) PENUMBRA_TRY(write_response_report(*o.report, result));
   if (o.json)
-    print_json({{"pictures", o.images.size()},
+    print_json({{"pictures", stack.frames.size()},
                 {"sigma", result.sigma},
                 {"between_places", result.between_places ? nlohmann::json(*result.between_places)
                                                          : nlohmann::json()}});
   else
     fmt::print("{}: response of {} pictures, uncertain by {:.2f} % of full scale\n", o.output,
-               o.images.size(), 100 * result.sigma);
+               stack.frames.size(), 100 * result.sigma);
   return {};
 }
 

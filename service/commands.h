@@ -26,6 +26,15 @@ struct HdrMergeOptions {
 };
 Result<void> hdr_merge(const HdrMergeOptions& options);
 
+struct CalibrateVignettingOptions {
+  std::vector<std::string> pictures;
+  std::string response = "srgb", output;
+  std::optional<std::string> camera, report;
+  double black_level = 0;
+  bool json = false;
+};
+Result<void> calibrate_vignetting(const CalibrateVignettingOptions& options);
+
 struct HdrEnvironmentOptions {
   std::string capture, output;
   double at_s = 0;  // after the first frame: the surroundings as they were then; 0: at the end
@@ -110,6 +119,9 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& options);
 struct CalibrateResponseOptions {
   std::vector<std::string> images;
   std::string times;  // seconds, separated by commas
+  std::vector<std::string>
+      captures;        // instead of both: of a still scene, two exposures at least in all
+  std::string camera;  // in the captures
   std::string output;
   std::optional<std::string> report;
   bool json = false;

@@ -67,6 +67,7 @@ std::optional<lighting::KnownPatch> FloorCompletion::measure(const capture::Fram
                                                              const CodeCurve* curve) const {
   const PixelReader read{curve, 1 / static_cast<float>(frame.exposure.product())};
   const calib::Projection& p = camera.projection;
+  const Vignetting vignetting = calib::vignetting_of(p, camera.vignetting);
   const glm::dvec3 eye = frame.world_from_camera.translation;
   const double height = glm::dot(eye - floor_->point, floor_->normal);
   if (!(height > 0)) return std::nullopt;  // its underside
@@ -83,7 +84,8 @@ std::optional<lighting::KnownPatch> FloorCompletion::measure(const capture::Fram
         continue;
       const auto radiance =
           std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
-      radiance ? seen.push_back(*radiance) : static_cast<void>(++clipped);
+      const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
+      radiance ? seen.push_back(*radiance * (1 / left)) : static_cast<void>(++clipped);
     }
   if (seen.size() < kLeastPixels ||
       static_cast<double>(clipped) > kMostClipped * static_cast<double>(seen.size() + clipped))

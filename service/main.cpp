@@ -33,9 +33,16 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   auto* c = calibrate->add_subcommand(
       "response",
       "Response curve from a bracket of a still scene that has everything from dark to bright");
-  c->add_option("images", response.images, "8-bit PNG, JPEG or TIFF, the camera still")->required();
+  auto* images =
+      c->add_option("images", response.images, "8-bit PNG, JPEG or TIFF, the camera still");
   c->add_option("--times", response.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
-      ->required();
+      ->needs(images);
+  c->add_option(
+       "--capture", response.captures,
+       "Instead of images: recordings or capture folders of one still scene, two exposures at "
+       "least in all; the frames of an exposure are averaged")
+      ->excludes(images);
+  c->add_option("--camera", response.camera, "Its name in the captures");
   c->add_option("-o,--output", response.output, "Response file to write, .toml")->required();
   c->add_option("--report", response.report, "Folder for a plot and a table of the curves");
   add_json(c, response.json);
@@ -61,6 +68,25 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   c->add_option("--report", camera.report, "Folder for plots and a table of the residuals");
   add_json(c, camera.json);
   c->callback([&] { action = [] { return calibrate_camera(camera); }; });
+
+  static CalibrateVignettingOptions vignetting;
+  c = calibrate->add_subcommand(
+      "vignetting",
+      "What a lens takes of the light towards the borders, from pictures of an even surface");
+  c->add_option("pictures", vignetting.pictures,
+                "Of white paper out of focus, or a sky through it; turn the camera between them")
+      ->required();
+  c->add_option("--camera", vignetting.camera,
+                "Camera file of calibrate camera: its principal point is the centre, else the "
+                "picture's middle");
+  c->add_option("--response", vignetting.response, "linear, srgb, gamma:2.2 or a response file")
+      ->capture_default_str();
+  c->add_option("--black-level", vignetting.black_level, "Fraction of full scale")
+      ->check(CLI::Range(0., .9));
+  c->add_option("-o,--output", vignetting.output, "Vignetting file to write, .toml")->required();
+  c->add_option("--report", vignetting.report, "Folder for a plot");
+  add_json(c, vignetting.json);
+  c->callback([&] { action = [] { return calibrate_vignetting(vignetting); }; });
 
   static CalibrateNoiseOptions noise;
   c = calibrate->add_subcommand(

@@ -235,7 +235,8 @@ Result<Composited> ComposeStage::process(const capture::Frame& frame,
       {p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
       curve_for(camera, out.pixels),
       static_cast<float>(frame.exposure.product()),
-      look_of(camera.info, frame)};
+      look_of(camera.info, frame),
+      calib::vignetting_of(p, camera.info.vignetting)};
   auto touched = compositor_->composite(view, out.pixels);
   if (!touched) return std::unexpected(touched.error());
   out.touched = *touched;

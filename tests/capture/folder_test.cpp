@@ -228,6 +228,8 @@ TEST(CaptureFolder, RefusesABadManifestNamingFileLineAndKey) {
            {"response = \"srgb\"", "response = \"gamma:x\"", ":8", "response: \"gamma:x\""},
            {"response = \"srgb\"\n", "", ":2", "response: missing"},
            {"black_level = 0.0", "black_level = 1.0", ":9", "black_level: not within 0..1"},
+           {"black_level = 0.0", "vignetting = [-1, 0]", ":9", "vignetting: 2 numbers"},
+           {"black_level = 0.0", "vignetting = [-1.5, 0, 0]", ":9", "vignetting: leaves less"},
            {"black_level = 0.0", "full_well_electrons = 0", ":9",
             "full_well_electrons: not positive"},
            {"black_level = 0.0", "read_fraction = -1", ":9", "read_fraction: not within"},

@@ -63,6 +63,7 @@ std::vector<CameraInfo> three_cameras() {
   cameras[1].lenses[1].projection.distortion = {.01, -.002, 0, 1e-4};
   cameras[1].projection = cameras[1].lenses[0].projection;
   cameras[1].projection.width = kWidth;
+  cameras[0].vignetting = {-.3, 1. / 7, 0};
   cameras[0].ball = Ball{{}, {.25, 1. / 3, -2}, .05};
   cameras[0].ball_reflectance = {.6f, .55f, .5f};
   return cameras;
@@ -156,6 +157,7 @@ TEST(CaptureFolderWriter, CamerasReadBackIdentically) {
     EXPECT_EQ(p.kind, q.kind);
     EXPECT_EQ(p.focal_px, q.focal_px);
     EXPECT_EQ(p.principal_px, q.principal_px);
+    EXPECT_EQ(found[i].vignetting, expected[i].vignetting);
     ASSERT_EQ(found[i].lenses.size(), expected[i].lenses.size());
     for (std::size_t k = 0; k < found[i].lenses.size(); ++k) {
       const Lens &a = found[i].lenses[k], &b = expected[i].lenses[k];

@@ -152,6 +152,32 @@ TEST_F(CameraLookTest, WithoutALookEveryPixelIsTheFormulaBitForBit) {
   EXPECT_GT(shadows, 500);
 }
 
+// An object in the border of the picture is as dim there as what is real; a shadow is a ratio and stays.
+TEST_F(CameraLookTest, VignettingDimsTheObjectAndNotItsShadow) {
+  test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  const View plain = view();
+  View dim = plain;
+  dim.vignetting = {{-.3, -.1, 0}, {20, 30}, 200};
+  const Image<Rgb> bright = added(plain), less = added(dim);
+  int objects = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      if (bright.at(x, y) == Rgb{}) continue;
+      ++objects;
+      const double left = dim.vignetting.at({x + .5, y + .5});
+      for (int c = 0; c < 3; ++c)
+        ASSERT_NEAR(less.at(x, y)[c], left * double(bright.at(x, y)[c]), 1e-5) << x << ' ' << y;
+    }
+  EXPECT_GT(objects, 1000);
+  EXPECT_TRUE(this->left(plain) == this->left(dim));
+  // With noise the other pass draws it.
+  View noisy = dim;
+  noisy.look = {0, 1e-9f, 0, 1};
+  const Image<Rgb> again = added(noisy);
+  for (std::size_t i = 0; i < less.area(); ++i)
+    ASSERT_NEAR(again.pixels()[i].g, less.pixels()[i].g, 2e-3) << i;
+}
+
 // ------------------------------------------------------------------------------------- noise
 
 TEST_F(CameraLookTest, ObjectHasTheNoiseOfTheSensorAtTheSameSignal) {

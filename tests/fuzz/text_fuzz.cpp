@@ -1,4 +1,4 @@
-// The texts of captures, recordings and calibrations: cameras.toml, a line of a frame list, a response file, a colour file, a board.
+// The texts of captures, recordings and calibrations: cameras.toml, a line of a frame list, a response file, a colour file, a vignetting file, a board.
 #include <toml++/toml.h>
 
 #include <cmath>
@@ -15,7 +15,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   using namespace penumbra;
   if (size == 0) return 0;
   const std::string_view text(reinterpret_cast<const char*>(data + 1), size - 1);
-  switch (data[0] % 5) {
+  switch (data[0] % 6) {
     case 0:
       if (const auto row = capture::parse_row(text, size % 2, "fuzz")) {
         if (!(row->exposure.product() > 0)) __builtin_trap();
@@ -36,6 +36,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     case 3:
       if (const auto colour = calib::parse_colour_file(text, "fuzz"))
         if (!(std::abs((*colour)[0][0]) <= 1e6)) __builtin_trap();
+      break;
+    case 4:
+      if (const auto terms = calib::parse_vignetting_file(text, "fuzz"))
+        for (const double t : *terms)
+          if (!std::isfinite(t)) __builtin_trap();
       break;
     default:
       if (const auto board = calib::parse_board(text))

@@ -450,6 +450,64 @@ class Calibrate(CliTest):
                             self.root / "no.toml")
         self.assertFalse((self.root / "no.toml").exists())
 
+    def test_response_of_two_clips_is_one_that_the_merge_reads(self):
+        draw = random.Random(3)
+        clips = []
+        for k, t in enumerate((1 / 64, 1 / 16)):
+            folder = self.root / f"clip{k}"
+            folder.mkdir()
+            (folder / "capture.toml").write_text(
+                'version = 1\n[[camera]]\nname = "c"\nrole = "view"\nwidth = 96\nheight = 48\n'
+                'projection = "pinhole"\nresponse = "srgb"\nframes = "c.csv"\n')
+            rows = ["file,time_s,exposure_s,gain"]
+            for n in range(4):
+                def codes(x, y, t=t):
+                    light = .02 * 1500 ** (x / 95) * (1 + y / 48)
+                    return [round(255 * min(1, max(0, light * t * g + draw.gauss(0, .004))) ** (1 / 2.2))
+                            for g in (.9, 1, 1.1)]
+                files.write_png(folder / f"{n}.png", 96, 48, codes)
+                rows.append(f"{n}.png,{n / 30},{t},1")
+            (folder / "c.csv").write_text("\n".join(rows) + "\n")
+            clips.append(folder)
+        out, report = self.root / "clips.toml", self.root / "clips"
+        captures = ["--capture", clips[0], "--capture", clips[1], "--camera", "c"]
+        printed = self.run_json("calibrate", "response", *captures, "-o", out, "--report", report)
+        self.assertEqual(printed["pictures"], 2)
+        rows = [line.split(",") for line in (report / "response.csv").read_text().splitlines()[1:]]
+        top = float(rows[230][2])
+        for code in (60, 90, 180):
+            self.assertAlmostEqual(float(rows[code][2]) / top, (code / 230) ** 2.2, delta=.02)
+        no = ["-o", self.root / "no.toml"]
+        self.expect_refusal(["1 exposure"], "calibrate", "response", *captures[:2], "--camera", "c", *no)
+        self.expect_refusal(["no camera"], "calibrate", "response", *captures[:4], "--camera", "d", *no)
+        self.expect_refusal(["needs images"], "calibrate", "response", *no)
+
+    def test_vignetting_of_even_paper_is_one_that_a_capture_reads(self):
+        pictures = []
+        for k, slope in enumerate((.1, -.1)):
+            pictures.append(self.root / f"paper{k}.png")
+
+            def codes(x, y, slope=slope):
+                dx, dy = (x - 79.5) / 100, (y - 59.5) / 100
+                light = .5 * (1 + slope * dx) * (1 - .4 * (dx * dx + dy * dy))
+                return [round(255 * light ** (1 / 2.2))] * 3
+            files.write_png(pictures[-1], 160, 120, codes)
+        out, report = self.root / "vignetting.toml", self.root / "vignetting"
+        printed = self.run_json("calibrate", "vignetting", *pictures, "--response", "gamma:2.2", "-o", out,
+                                "--report", report)
+        self.assertAlmostEqual(printed["corner"], .6, delta=.01)
+        self.assertEqual(sorted(p.name for p in report.iterdir()), ["vignetting.csv", "vignetting.svg"])
+        camera = self.root / "camera.toml"
+        camera.write_text('version = 1\n[[camera]]\nname = "c"\nrole = "view"\nwidth = 160\nheight = 120\n'
+                          'projection = "pinhole"\nvignetting = "vignetting.toml"\n')
+        self.run_well("inspect", camera)
+        camera.write_text(camera.read_text().replace("vignetting.toml", "nowhere.toml"))
+        self.expect_refusal(["nowhere.toml"], "inspect", camera)
+        files.write_png(pictures[0], 160, 120, lambda x, y: (1, 1, 1))
+        self.expect_refusal(["paper0.png", "too dark"], "calibrate", "vignetting", *pictures, "-o",
+                            self.root / "no.toml")
+        self.assertFalse((self.root / "no.toml").exists())
+
     def test_noise_of_a_still_scene_is_one_file_that_a_capture_reads(self):
         folder, out, report = self.root / "still", self.root / "noise.toml", self.root / "noise"
         folder.mkdir()

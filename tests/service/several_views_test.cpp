@@ -142,6 +142,27 @@ TEST(SeveralViews, TwoLensesOfOnePictureShowTheWholeRoom) {
   EXPECT_GT(difference(estimate_with(apart, kOther), truth), .05);
 }
 
+TEST(SeveralViews, VignettedLensesMakeAConstantMapOnceTheirVignettingIsKnown) {
+  CameraInfo camera = two_lenses(200);
+  const std::array<double, 3> terms{-.35, .1, -.15};
+  Image<Rgb> picture = picture_of(camera, grey(2), {kOne, kOne});
+  for (const capture::Lens& lens : camera.lenses) {
+    const Vignetting left = calib::vignetting_of(lens.projection, terms);
+    for (int y = 0; y < 240; ++y)
+      for (int x = 0; x < 240; ++x)
+        picture.at(lens.x_px + x, y) =
+            picture.at(lens.x_px + x, y) * static_cast<float>(left.at({x + .5, y + .5}));
+  }
+  const auto estimate = [&] {
+    StageTimes times;
+    auto stage = *LightStage::create({camera}, {3, {0, .02}}, times);
+    return stage.process(frame_of(0, picture))->light;
+  };
+  EXPECT_GT(difference(estimate(), truth_of(grey(2))), .05);
+  camera.vignetting = terms;
+  EXPECT_LT(difference(estimate(), truth_of(grey(2))), .003);
+}
+
 TEST(SeveralViews, TwoCamerasAreBlendedAndTheStalestTellsTheTime) {
   std::vector<CameraInfo> cameras(2);
   for (int i = 0; i < 2; ++i) {
