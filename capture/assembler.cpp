@@ -4,6 +4,7 @@
 
 #include "capture/capture.h"
 #include "capture/gather_kernel.h"
+#include "capture/seen_grid.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
 
@@ -38,7 +39,8 @@ EnvironmentAssembler::EnvironmentAssembler(const Sight& sight, const Pose& world
       height_(height),
       seen_(static_cast<std::size_t>(height)),
       alpha_(static_cast<std::size_t>(height)) {
-  if (sight.whole && is_identity_latlong(*sight.whole, world_from_camera, width, height))
+  if (sight.projection && !sight.vignetted &&
+      is_identity_latlong(*sight.projection, world_from_camera, width, height))
     std::ranges::fill(seen_, width);
   else
     make_taps(sight.look, glm::conjugate(world_from_camera.rotation));
@@ -50,31 +52,40 @@ EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
     : EnvironmentAssembler(plain_sight(projection), world_from_camera, width, height, colour) {}
 
 void EnvironmentAssembler::make_taps(const Look& look, const glm::dquat& camera_from_world) {
-  const auto area = static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_);
-  taps_.reserve(area);
+  taps_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_), {-1, 0, 0});
+  std::vector<float> gains(taps_.size(), 1.f);
+  std::atomic<bool> vignetted = false;
+  const auto where = [&](const glm::dvec2& px) {
+    return look(camera_from_world * latlong_direction(px.x, px.y, width_, height_));
+  };
+  see_each_pixel(width_, height_, where, [&](int x, int y, const SeenAt* seen) {
+    if (!seen) return;
+    const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) +
+                   static_cast<std::size_t>(x);
+    gains[i] = static_cast<float>(1 / seen->light_left);
+    if (seen->light_left != 1) vignetted = true;
+    // From pixel centres; the border repeats its last pixel.
+    const double px = std::clamp(seen->px.x - .5, 0., source_width_ - 1.);
+    const double py = std::clamp(seen->px.y - .5, 0., source_height_ - 1.);
+    const int ix = std::min(static_cast<int>(px), source_width_ - 2);
+    const int iy = std::min(static_cast<int>(py), source_height_ - 2);
+    taps_[i] = {iy * source_width_ + ix, static_cast<float>(px - ix), static_cast<float>(py - iy)};
+  });
+  if (vignetted) gains_ = std::move(gains);
+  list_seen();
+}
+
+void EnvironmentAssembler::list_seen() {
+  const GatherTap* tap = taps_.data();
   for (int y = 0; y < height_; ++y) {
     Span span{width_, 0};
-    for (int x = 0; x < width_; ++x) {
-      const auto seen =
-          look(camera_from_world * latlong_direction(x + .5, y + .5, width_, height_));
-      if (!seen) {
-        taps_.push_back({-1, 0, 0});
+    for (int x = 0; x < width_; ++x, ++tap) {
+      if (tap->offset < 0) {
         complete_ = false;
         continue;
       }
       span = {std::min(span.first, x), x + 1};
       ++seen_[static_cast<std::size_t>(y)];
-      if (seen->light_left != 1) {
-        gains_.resize(area, 1.f);
-        gains_[taps_.size()] = static_cast<float>(1 / seen->light_left);
-      }
-      // From pixel centres; the border repeats its last pixel.
-      const double px = std::clamp(seen->px.x - .5, 0., source_width_ - 1.);
-      const double py = std::clamp(seen->px.y - .5, 0., source_height_ - 1.);
-      const int ix = std::min(static_cast<int>(px), source_width_ - 2);
-      const int iy = std::min(static_cast<int>(py), source_height_ - 2);
-      taps_.push_back(
-          {iy * source_width_ + ix, static_cast<float>(px - ix), static_cast<float>(py - iy)});
     }
     spans_.push_back({std::min(span.first, span.last), span.last});
   }

@@ -111,7 +111,8 @@ class TableMerger;  // private: table_merger.h
 /// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new image. What moved or
 /// changed since an older exposure was taken leaves no ghost: older samples that contradict newer ones by the noise
 /// model are left out, and light that thereby vanished from one place while another became brighter than the newest
-/// exposure can tell stays whole (a lamp that moves; frames of 8 bits) until a shorter exposure has seen it.
+/// exposure can tell stays whole (a lamp that moves; frames of 8 bits) until a shorter exposure has seen it. When the camera
+/// turns (Frame::world_from_camera) older exposures are turned with it; what they did not see is taken from the newest.
 /// source: sample rejection at 3.5 sigma, Granados et al. 2010
 class HdrRing {
  public:
@@ -133,13 +134,22 @@ class HdrRing {
     Exposure nominal;          // as its exposure came first; flicker moves the frames' own
     double gain_log = 0;       // of late, in the mean
     std::uint64_t placed = 0;  // frames that the ring had taken before
+    // As the camera would have seen it from where it looks now; null: as it is.
+    std::shared_ptr<const FramePixels> turned{};
+    Image<std::uint8_t> valid{};  // of `turned`
+    const std::shared_ptr<const FramePixels>& pixels() const {
+      return turned ? turned : frame.pixels;
+    }
   };
+  bool turn_to(const Frame& newest);
+  void fill_unseen(Slot& slot, const Frame& newest) const;
   Slot* slot_of(const Exposure& exposure);
   Result<void> merge_now(const std::optional<Frame>& replaced);
   Result<void> merge_all();
   CameraInfo camera_;
   std::size_t most_slots_;
-  bool came_back_ = false;  // an exposure
+  bool came_back_ = false;   // an exposure
+  bool was_turned_ = false;  // some slot, at the last merge
   std::uint64_t taken_ = 0;
   std::vector<Slot> slots_;  // longest exposure first
   std::vector<Exposure> table_exposures_;
@@ -168,6 +178,7 @@ class EnvironmentAssembler {
 
  private:
   void make_taps(const Look& look, const glm::dquat& camera_from_world);
+  void list_seen();
   void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
                    Image<Rgb>& out);
   void list_clipped(const Image<HalfRgba>& source, std::vector<std::uint32_t>& out) const;

@@ -1,9 +1,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <glm/geometric.hpp>
 
 #include "capture/contradiction.h"
+#include "capture/pose_warp.h"
 #include "capture/table_merger.h"
 #include "core/half.h"
 
@@ -75,7 +78,10 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   }
   // An exposure that the schedule has left behind must not go on lighting the scene.
   std::erase_if(slots_, [&](const Slot& s) { return s.placed + 3 * slots_.size() < taken_; });
-  PENUMBRA_TRY(merge_now(replaced));
+  const bool turned = turn_to(frame);
+  // What was merged before was seen from elsewhere.
+  PENUMBRA_TRY(merge_now(turned || was_turned_ ? std::nullopt : replaced));
+  was_turned_ = turned;
   if (merged_.clipped_fraction == 1)
     return fail(ErrorCode::kUndetermined, camera_.name, "every pixel is clipped in every exposure");
   if (merged_.black_fraction == 1)
@@ -83,9 +89,51 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   return &merged_;
 }
 
+// True when a slot was taken with the camera turned otherwise, by more than a quarter of a pixel.
+bool HdrRing::turn_to(const Frame& newest) {
+  constexpr double kSeen_px = .25;
+  bool any = false;
+  for (Slot& s : slots_) {
+    const glm::dquat before_from_now =
+        glm::conjugate(s.frame.world_from_camera.rotation) * newest.world_from_camera.rotation;
+    const double angle =
+        2 * std::asin(std::min(1., glm::length(glm::dvec3(before_from_now.x, before_from_now.y,
+                                                          before_from_now.z))));
+    if (angle < kSeen_px * pixel_angle(camera_.projection)) {
+      s.turned.reset();
+      continue;
+    }
+    s.turned = turned(*s.frame.pixels, camera_.projection, before_from_now, s.valid);
+    fill_unseen(s, newest);
+    any = true;
+  }
+  return any;
+}
+
+// Tables have no place for what was not seen: there a slot says what the newest frame makes one expect.
+void HdrRing::fill_unseen(Slot& slot, const Frame& newest) const {
+  const auto* now = std::get_if<Image<Rgb8>>(newest.pixels.get());
+  const auto* seen = std::get_if<Image<Rgb8>>(slot.turned.get());
+  if (!now || !seen) return;
+  const CodeCurve curve = make_code_curve(camera_.response, 8, camera_.black_level);
+  const double ratio = slot.frame.exposure.product() / newest.exposure.product();
+  std::array<std::array<std::uint8_t, 256>, 3> expected{};
+  for (int c = 0; c < 3; ++c)
+    for (unsigned code = 0; code < 256; ++code)
+      expected[static_cast<std::size_t>(c)][code] =
+          curve.encode8(c, curve.decode(c, code) * static_cast<float>(ratio));
+  Image<Rgb8> filled = *seen;
+  for (std::size_t i = 0; i < filled.area(); ++i) {
+    if (slot.valid.pixels()[i]) continue;
+    const Rgb8& p = now->pixels()[i];
+    filled.pixels()[i] = {expected[0][p.r], expected[1][p.g], expected[2][p.b]};
+  }
+  slot.turned = std::make_shared<const FramePixels>(std::move(filled));
+}
+
 Result<void> HdrRing::merge_now(const std::optional<Frame>& replaced) {
-  const auto bytes = [](const Frame& f) { return std::get_if<Image<Rgb8>>(f.pixels.get()); };
-  if (!std::ranges::all_of(slots_, [&](const Slot& s) { return bytes(s.frame); }))
+  const auto bytes = [](const FramePixels& p) { return std::get_if<Image<Rgb8>>(&p); };
+  if (!std::ranges::all_of(slots_, [&](const Slot& s) { return bytes(*s.pixels()); }))
     return merge_all();
   std::vector<Exposure> exposures;
   for (const Slot& s : slots_) exposures.push_back(s.nominal);
@@ -100,9 +148,9 @@ Result<void> HdrRing::merge_now(const std::optional<Frame>& replaced) {
   }
   if (!table_) return merge_all();
   std::vector<TableMerger::Slot> slots;
-  for (const Slot& s : slots_) slots.push_back({bytes(s.frame), s.frame.exposure, s.placed});
-  if (!anew && replaced && bytes(*replaced)) {
-    const TableMerger::Slot before{bytes(*replaced), replaced->exposure, 0};
+  for (const Slot& s : slots_) slots.push_back({bytes(*s.pixels()), s.frame.exposure, s.placed});
+  if (!anew && replaced && bytes(*replaced->pixels)) {
+    const TableMerger::Slot before{bytes(*replaced->pixels), replaced->exposure, 0};
     table_->update(slots, &before, merged_);
   } else {
     table_->update(slots, nullptr, merged_);
@@ -115,7 +163,8 @@ Result<void> HdrRing::merge_all() {
   ExposureStack stack{
       {}, {}, camera_.response, camera_.noise, camera_.black_level, {}, camera_.noise_known};
   for (const Slot& s : slots_) {
-    stack.frames.push_back(s.frame.pixels);
+    stack.frames.push_back(s.pixels());
+    stack.valid.push_back(s.turned ? s.valid : Image<std::uint8_t>{});
     stack.exposures.push_back(s.frame.exposure);
     stack.trust.push_back(stack.trust.size());
   }

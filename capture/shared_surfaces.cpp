@@ -10,6 +10,7 @@
 #include <optional>
 
 #include "capture/capture.h"
+#include "capture/pose_warp.h"
 
 namespace penumbra::capture {
 
@@ -47,14 +48,6 @@ Result<StillPicture> merge_latest(const CameraInfo& camera, const Latest& frames
   for (const Lens& lens : camera.lenses)
     undo_vignetting(lens.projection, camera.vignetting, lens.x_px, lens.y_px, out.radiance);
   return out;
-}
-
-// Angle that a pixel in the middle of the picture sees, radian.
-double pixel_angle(const calib::Projection& p) {
-  const glm::dvec2 middle(p.width / 2., p.height / 2.);
-  const auto a = calib::direction_from_pixel(p, middle),
-             b = calib::direction_from_pixel(p, middle + glm::dvec2(1, 0));
-  return a && b ? std::acos(std::clamp(glm::dot(*a, *b), -1., 1.)) : 1e-3;
 }
 
 std::optional<Rgb> sample(const StillPicture& picture, glm::dvec2 at) {

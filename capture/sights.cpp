@@ -47,7 +47,9 @@ Sight lens_sight(const Lens& lens, const std::array<double, 3>& vignetting) {
           lens.projection.height,
           rows_of(lens.projection),
           look,
-          std::nullopt};
+          lens.projection,
+          lens.camera_from_lens,
+          !left.none()};
 }
 
 Result<calib::MirrorBall> find_ball(const CameraInfo& camera, const Pose& world_from_camera) {
@@ -102,7 +104,9 @@ Result<Sight> ball_sight(const CameraInfo& camera, const Pose& world_from_camera
     return SeenAt{*px - glm::dvec2(x, y), seen->from_rim, left.at(*px)};
   };
   // In the middle a ball of radius r shows r / 2 pixels a radian.
-  return Sight{x, y, width, height, static_cast<int>(kPi * width / 4), look, std::nullopt};
+  return Sight{
+      x,    y, width, height, static_cast<int>(kPi * width / 4), look, std::nullopt, {1, 0, 0, 0},
+      false};
 }
 
 template <class Pixel>
@@ -126,7 +130,7 @@ Sight plain_sight(const calib::Projection& p, const std::array<double, 3>& vigne
     if (!px) return std::nullopt;
     return SeenAt{*px, whole_sphere ? 1 : from_edge(*px, p.width, p.height), left.at(*px)};
   };
-  return {0, 0, p.width, p.height, rows_of(p), look, left.none() ? std::optional(p) : std::nullopt};
+  return {0, 0, p.width, p.height, rows_of(p), look, p, {1, 0, 0, 0}, !left.none()};
 }
 
 bool shows_surroundings(const CameraInfo& camera) {

@@ -30,8 +30,9 @@ struct Sight {
   int x_px = 0, y_px = 0, width = 0, height = 0;
   int rows = 0;  // of a lat-long map that resolves as much as the middle of the part
   Look look;
-  /// The whole of a plain camera; nothing where `look` does more than its projection.
-  std::optional<calib::Projection> whole;
+  std::optional<calib::Projection> projection;  // of the part; nothing for a ball
+  glm::dquat camera_from_part{1, 0, 0, 0};
+  bool vignetted = false;
 };
 
 /// The whole picture of a camera with this projection.

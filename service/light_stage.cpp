@@ -39,6 +39,7 @@ glm::dmat3 colour_of(const capture::CameraInfo& camera) {
 // The part of the camera that a sight is.
 capture::CameraInfo camera_of(const capture::CameraInfo& info, const capture::Sight& sight) {
   capture::CameraInfo part = info;
+  if (sight.projection) part.projection = *sight.projection;
   part.projection.width = sight.width, part.projection.height = sight.height;
   return part;
 }
@@ -154,6 +155,11 @@ Result<void> LightStage::follow(const capture::Frame& frame) {
 
 Result<void> LightStage::merge(View& view, const capture::Frame& frame) {
   capture::Frame part = frame;
+  // A ball's picture does not turn with the camera.
+  part.world_from_camera = {};
+  if (view.sight.projection)
+    part.world_from_camera.rotation =
+        frame.world_from_camera.rotation * view.sight.camera_from_part;
   const capture::Sight& s = view.sight;
   if (s.width != capture::width(*frame.pixels) || s.height != capture::height(*frame.pixels))
     part.pixels = std::make_shared<const FramePixels>(capture::cut_out(*frame.pixels, s));

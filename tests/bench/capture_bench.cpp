@@ -190,6 +190,57 @@ BENCHMARK(ring)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
 
+// A head-mounted fisheye of 1280x720 that turns by a degree a frame: the ring with its three older exposures turned, and where
+// each pixel of the map lies now.
+void turning_camera(benchmark::State& state) {
+  const Threads threads(static_cast<int>(state.range(0)));
+  constexpr int kWidth = 1280, kHeight = 720, kRows = 640;
+  const Bracket& b = bracket();
+  CameraInfo camera = test::environment_camera(b.sensor, kWidth, kHeight);
+  camera.projection = *calib::make_projection(calib::ProjectionKind::kEquidistant, kWidth, kHeight);
+  std::vector<Frame> frames;
+  for (std::uint64_t n = 0; n < 4; ++n) {
+    Image<Rgb> shown(kWidth, kHeight);
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x) shown.at(x, y) = b.truth.at(x, y);
+    Frame f;
+    f.exposure = b.exposures[n];
+    FramePixels pixels;
+    expose(b.sensor, shown, f.exposure, n, pixels);
+    f.pixels = std::make_shared<const FramePixels>(std::move(pixels));
+    frames.push_back(std::move(f));
+  }
+  HdrRing ring(camera, 8);
+  std::uint64_t count = 0;
+  const auto ms = [](auto since) {
+    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - since)
+        .count();
+  };
+  double ring_ms = 0, map_ms = 0;
+  for (auto _ : state) {
+    Frame f = frames[count % frames.size()];
+    f.world_from_camera.rotation =
+        glm::angleAxis(static_cast<double>(count) / 180 * kPi, glm::dvec3(0, 1, 0));
+    f.sequence = count++;
+    const auto start = std::chrono::steady_clock::now();
+    benchmark::DoNotOptimize(ring.add(f));
+    ring_ms += ms(start);
+    const auto again = std::chrono::steady_clock::now();
+    const EnvironmentAssembler assembler(camera.projection, f.world_from_camera, 2 * kRows, kRows);
+    benchmark::DoNotOptimize(&assembler);
+    map_ms += ms(again);
+  }
+  state.counters["ring_ms"] = ring_ms / static_cast<double>(count);
+  state.counters["map_ms"] = map_ms / static_cast<double>(count);
+}
+BENCHMARK(turning_camera)
+    ->Name("capture/turning_fisheye_1280x720")
+    ->Arg(1)
+    ->Arg(2)
+    ->ArgName("threads")
+    ->Iterations(12)
+    ->Unit(benchmark::kMillisecond);
+
 // What an automatic schedule looks at in each frame, beside reading the frame once.
 void light_histogram(benchmark::State& state) {
   constexpr int kWidth = 1920, kHeight = 1080;
