@@ -1,8 +1,12 @@
 #include "calib/mirror_ball.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
+#include <vector>
 
 #include "core/conventions.h"
 
@@ -58,7 +62,7 @@ std::optional<MirrorBall::Seen> MirrorBall::ray_from_light(const glm::dvec3& lig
     return std::atan2(ratio_ * std::sin(t), 1 - ratio_ * std::cos(t));
   };
   double t = std::min(wanted / 2, rim);
-  constexpr int kNewtonSteps = 6;  // quadratic from a start within 30 degrees
+  constexpr int kNewtonSteps = 6;  // exact to 1e-7 for a camera that is not at the ball itself
   for (int i = 0; i < kNewtonSteps; ++i) {
     const double c = ratio_ * std::cos(t);
     const double slope = 2 + (c - ratio_ * ratio_) / (1 - 2 * c + ratio_ * ratio_);
@@ -70,6 +74,48 @@ std::optional<MirrorBall::Seen> MirrorBall::ray_from_light(const glm::dvec3& lig
   const double length = glm::length(side);
   side = length > 1e-12 ? side / length : glm::dvec3(0);
   return Seen{axis_ * std::cos(b) + side * std::sin(b), 1 - t / rim};
+}
+
+Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radius_m,
+                              double sigma_px) {
+  if (outlines.empty() || !(radius_m > 0))
+    return fail(ErrorCode::kInvalid, "mirror ball", "needs an outline and a positive radius");
+  struct Seen {
+    glm::dvec3 centre;
+    glm::dmat3 information;  // inverse of the covariance
+  };
+  std::vector<Seen> seen;
+  glm::dmat3 all(0);
+  glm::dvec3 sum(0);
+  for (const BallOutline& o : outlines) {
+    const auto ball = MirrorBall::from_outline(o.projection, o.centre_px, o.radius_px);
+    if (!ball) return fail(ball.error().code, o.camera, ball.error().detail);
+    const double distance = radius_m / std::sin(ball->angular_radius_rad());
+    const double sideways = distance * ball->angular_radius_rad() / o.radius_px * sigma_px,
+                 along = distance * sigma_px / o.radius_px;
+    const glm::dvec3 d = o.world_from_camera.rotation * ball->direction();
+    const glm::dmat3 towards = glm::outerProduct(d, d);
+    seen.push_back({o.world_from_camera.translation + distance * d,
+                    (glm::dmat3(1) - towards) * (1 / (sideways * sideways)) +
+                        towards * (1 / (along * along))});
+    all += seen.back().information;
+    sum += seen.back().information * seen.back().centre;
+  }
+  const glm::dmat3 covariance = glm::inverse(all);
+  const glm::dvec3 centre = covariance * sum;
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    const glm::dvec3 off = seen[i].centre - centre;
+    constexpr double kMostSigmas = 5;
+    if (glm::dot(off, seen[i].information * off) > kMostSigmas * kMostSigmas)
+      return fail(
+          ErrorCode::kUndetermined, outlines[i].camera,
+          fmt::format("sees the ball {:.0f} mm from where all together do: check the circles, the "
+                      "radius and the cameras' poses",
+                      1000 * glm::length(off)));
+  }
+  return BallPlace{
+      centre,
+      {std::sqrt(covariance[0][0]), std::sqrt(covariance[1][1]), std::sqrt(covariance[2][2])}};
 }
 
 }  // namespace penumbra::calib

@@ -5,8 +5,11 @@
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
+#include <span>
+#include <string>
 
 #include "calib/calib.h"
+#include "core/pose.h"
 #include "core/result.h"
 
 namespace penumbra::calib {
@@ -42,5 +45,22 @@ class MirrorBall {
   glm::dvec3 axis_;
   double ratio_;  // radius / distance
 };
+
+/// A ball's outline in the picture of a camera that stands, as someone laid a circle over it.
+struct BallOutline {
+  std::string camera;  // names it in errors
+  Projection projection;
+  Pose world_from_camera;
+  glm::dvec2 centre_px;
+  double radius_px = 0;
+};
+struct BallPlace {
+  glm::dvec3 centre_m, sigma_m;  // in the world; one standard deviation along each axis
+};
+/// Where a ball of known radius stands: each outline tells its direction and, less well, its distance.
+/// sigma_px: of the outlines' centres and radii
+/// errors: kInvalid (no outline, as MirrorBall::from_outline), kUndetermined (outlines that contradict each other)
+Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radius_m,
+                              double sigma_px = 1);
 
 }  // namespace penumbra::calib

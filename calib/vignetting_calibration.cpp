@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <type_traits>
 
 #include "core/toml_keys.h"
 
@@ -14,34 +15,44 @@ namespace penumbra::calib {
 
 namespace {
 
-constexpr int kBlocks = 48;                  // along the longer side
-constexpr double kDark = .03, kBright = .9;  // of full scale
-constexpr double kMostUneven = .02;          // RMS that is left, relative
+constexpr int kBlocks = 48;                    // along the longer side
+constexpr double kDark = .03, kClipped = .95;  // of full scale
+constexpr double kMostClipped = .005;          // of a block's samples: noise reaches there first
+constexpr double kMostUneven = .02;            // RMS that is left, relative
 
 // Mean linear signal of a block of pixels about `at`.
 struct Block {
-  glm::dvec2 at;      // pixels
   glm::dvec2 off;     // from the centre, in half diagonals
   double log_signal;  // of the mean over the channels
 };
 
+// A pixel's channel as the sensor gave it, black level and all.
 struct Reader {
   const Response& response;
   double black_level;
-  double operator()(const Rgb8& p, int c) const { return decode((&p.r)[c] / 255., c); }
-  double operator()(const Rgb16& p, int c) const { return decode((&p.r)[c] / 65535., c); }
+  double operator()(const Rgb8& p, int c) const { return response.decode((&p.r)[c] / 255., c); }
+  double operator()(const Rgb16& p, int c) const { return response.decode((&p.r)[c] / 65535., c); }
   double operator()(const Rgb& p, int c) const { return double(p[c]); }
-  double decode(double code, int c) const { return response.decode(code, c) - black_level; }
+};
+
+struct BlockSum {
+  double mean = 0;     // of the channels, without the black level
+  double clipped = 0;  // share of the samples
 };
 
 template <class Pixel>
-double block_mean(const Image<Pixel>& image, const Reader& read, const glm::ivec2& low,
-                  const glm::ivec2& high) {
-  double sum = 0;
-  for (int y = low.y; y < high.y; ++y)
-    for (int x = low.x; x < high.x; ++x)
-      for (int c = 0; c < 3; ++c) sum += read(image.at(x, y), c);
-  return sum / (3. * (high.x - low.x) * (high.y - low.y));
+BlockSum sum_block(const Image<Pixel>& image, const Reader& read, const glm::ivec2& low, int side) {
+  BlockSum out;
+  for (int y = low.y; y < low.y + side; ++y)
+    for (int x = low.x; x < low.x + side; ++x)
+      for (int c = 0; c < 3; ++c) {
+        const double signal = read(image.at(x, y), c);
+        out.mean += signal - read.black_level;
+        if (!std::is_same_v<Pixel, Rgb> && signal > kClipped) ++out.clipped;
+      }
+  out.mean /= 3. * side * side;
+  out.clipped /= 3. * side * side;
+  return out;
 }
 
 Result<std::vector<Block>> blocks_of(const EvenPicture& picture, const Projection& camera,
@@ -51,26 +62,32 @@ Result<std::vector<Block>> blocks_of(const EvenPicture& picture, const Projectio
   if (width != camera.width || height != camera.height)
     return fail(ErrorCode::kInvalid, picture.name,
                 fmt::format("{}x{}, expected {}x{}", width, height, camera.width, camera.height));
+  const auto undetermined = [&](const std::string& why) {
+    return fail(ErrorCode::kUndetermined, picture.name, why);
+  };
   const bool is_linear = std::holds_alternative<Image<Rgb>>(picture.pixels);
-  const int side = std::max(1, std::max(width, height) / kBlocks);
+  const int side = std::clamp(std::max(width, height) / kBlocks, 1, std::min(width, height));
+  constexpr int kFewest = 12;  // blocks a side
+  if (std::min(width, height) / side < kFewest)
+    return undetermined("is too small or too narrow to tell a lens from");
   std::vector<Block> out;
   for (int y = 0; y + side <= height; y += side)
     for (int x = 0; x + side <= width; x += side) {
-      const double mean = std::visit(
+      const auto [mean, clipped] = std::visit(
           [&](const auto& i) {
-            return block_mean(i, read, {x, y}, {x + side, y + side});
+            return sum_block(i, read, {x, y}, side);
           },
           picture.pixels);
-      if (!(mean > 0) || (!is_linear && mean < kDark))
-        return fail(
-            ErrorCode::kUndetermined, picture.name,
+      if (!std::isfinite(mean)) return undetermined("has pixels that are no numbers");
+      if (mean <= 0 || (!is_linear && mean < kDark))
+        return undetermined(
             "is too dark in places: expose longer, until the middle is at half of full scale");
-      if (!is_linear && mean > kBright)
-        return fail(
-            ErrorCode::kUndetermined, picture.name,
-            "is clipped in places: expose shorter, until the middle is at half of full scale");
+      if (clipped > kMostClipped)
+        return undetermined(
+            "is clipped in places, in one colour at least: expose shorter, until the middle is at "
+            "half of full scale");
       const glm::dvec2 at(x + side / 2., y + side / 2.);
-      out.push_back({at, (at - frame.centre_px) / frame.half_diagonal_px, std::log(mean)});
+      out.push_back({(at - frame.centre_px) / frame.half_diagonal_px, std::log(mean)});
     }
   return out;
 }
@@ -130,12 +147,12 @@ Result<Fit> fit(std::span<const std::vector<Block>> pictures) {
   double c[9] = {};
   const std::vector<std::pair<const double*, const double*>> wanted{
       {out.terms.data(), out.terms.data()}};
-  if (covariance.Compute(wanted, &problem) &&
-      covariance.GetCovarianceBlock(out.terms.data(), out.terms.data(), c)) {
-    double sum = 0;  // V in the corner is 1 + a1 + a2 + a3
-    for (const double v : c) sum += v;
-    out.corner_sigma = out.residual * std::sqrt(std::max(0., sum));
-  }
+  if (!covariance.Compute(wanted, &problem) ||
+      !covariance.GetCovarianceBlock(out.terms.data(), out.terms.data(), c))
+    return fail(ErrorCode::kUndetermined, "vignetting", "these pictures do not determine a lens");
+  double sum = 0;  // V in the corner is 1 + a1 + a2 + a3
+  for (const double v : c) sum += v;
+  out.corner_sigma = out.residual * std::sqrt(std::max(0., sum));
   return out;
 }
 

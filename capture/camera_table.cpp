@@ -9,6 +9,7 @@
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 
+#include "capture/sights.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
 
@@ -62,20 +63,34 @@ Result<calib::Projection> read_own_projection(const TomlKeys& keys, const Size& 
   return distorted;
 }
 
-/// A file of `calibrate camera`; other keys of it are its own.
+/// A file of `calibrate camera`: one camera with a projection of its own; its other keys are its own, too.
+Result<calib::Projection> read_lens_file(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys file(path, root);
+  PENUMBRA_TRY(file.version(1));
+  PENUMBRA_ASSIGN(list, file.tables("camera"));
+  if (list.size() != 1)
+    return file.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
+  const TomlKeys keys(path, *list[0]);
+  for (const std::string_view key : {"intrinsics", "lens"})
+    if (keys.has(key)) return keys.invalid(key, "a file of intrinsics has its own projection");
+  PENUMBRA_ASSIGN(size, read_size(keys));
+  return read_own_projection(keys, size);
+}
+
 Result<calib::Projection> read_intrinsics(const TomlKeys& keys) {
   for (const std::string_view key : {"projection", "focal_px", "principal_px", "distortion"})
     if (keys.has(key)) return keys.invalid(key, "intrinsics has it already");
   PENUMBRA_ASSIGN(name, keys.text("intrinsics"));
-  PENUMBRA_ASSIGN(camera, read_camera_file(keys.path().parent_path() / name));
+  PENUMBRA_ASSIGN(projection, read_lens_file(keys.path().parent_path() / name));
   for (const auto& [key, size] :
-       {std::pair{"width", camera.projection.width}, {"height", camera.projection.height}}) {
+       {std::pair{"width", projection.width}, {"height", projection.height}}) {
     if (!keys.has(key)) continue;
     PENUMBRA_ASSIGN(asked, keys.integer(key, 1, codec::kMaxSide));
     if (asked != size)
       return keys.invalid(key, fmt::format("{}, but {} is for {}", asked, name, size));
   }
-  return camera.projection;
+  return projection;
 }
 
 Result<calib::Projection> read_projection(const TomlKeys& keys) {
@@ -181,6 +196,10 @@ Result<void> read_vignetting(const TomlKeys& keys, CameraInfo& info) {
     PENUMBRA_ASSIGN(terms, keys.numbers("vignetting", 3));
     info.vignetting = {terms[0], terms[1], terms[2]};
   }
+  if (!calib::has_intrinsics(info.projection.kind))
+    return keys.invalid(
+        "vignetting", "the projection " +
+                          std::string(calib::projection_name(info.projection.kind)) + " has none");
   const auto plausible = [&](const calib::Projection& p) {
     return calib::is_plausible(calib::vignetting_of(p, info.vignetting), p);
   };
@@ -270,7 +289,8 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
 /// Where a camera has them; its projection is then the first lens's, in the coordinates of the whole picture.
 Result<void> read_lenses(const TomlKeys& keys, CameraInfo& info) {
   constexpr std::size_t kMost = 16;
-  for (const std::string_view key : {"projection", "intrinsics"})
+  for (const std::string_view key :
+       {"projection", "intrinsics", "focal_px", "principal_px", "distortion"})
     if (keys.has(key)) return keys.invalid(key, "each [[camera.lens]] has its own");
   PENUMBRA_ASSIGN(tables, keys.tables("lens"));
   if (tables.empty() || tables.size() > kMost)
@@ -295,7 +315,13 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
                         "a ball needs either outline_px or centre_m and radius_m");
   if (keys.has("outline_px")) {
     PENUMBRA_ASSIGN(o, keys.numbers("outline_px", 3));
+    if (keys.has("radius_m"))
+      return keys.invalid("radius_m", "goes with centre_m: an outline needs none");
+    if (!(o[2] > 0)) return keys.invalid("outline_px", "its radius is not positive");
     ball.outline_px = Ball::Outline{{o[0], o[1]}, o[2]};
+    info.ball = ball;
+    if (const auto seen = sights_of(info, {}); !seen)
+      return keys.invalid("outline_px", seen.error().detail);
   } else {
     PENUMBRA_ASSIGN(c, keys.numbers("centre_m", 3));
     PENUMBRA_ASSIGN(radius, keys.number("radius_m"));

@@ -19,6 +19,7 @@
 #include "capture/frames.h"             // IWYU pragma: export
 #include "capture/recording.h"          // IWYU pragma: export
 #include "capture/rig.h"                // IWYU pragma: export
+#include "capture/seen_grid.h"          // IWYU pragma: export
 #include "capture/shared_surfaces.h"    // IWYU pragma: export
 #include "capture/sights.h"             // IWYU pragma: export
 #include "capture/stacks.h"             // IWYU pragma: export

@@ -48,26 +48,33 @@ std::optional<Channels> log_ratio(const Environment& a, const Environment& b,
 
 }  // namespace
 
-EnvironmentBlend::EnvironmentBlend(std::vector<Image<float>> from_rim)
-    : weights_(std::move(from_rim)),
-      gains_(weights_.size(), Rgb{1, 1, 1}),
-      tied_(weights_.size(), false),
-      total_(weights_[0].width(), weights_[0].height()) {
+EnvironmentBlend::EnvironmentBlend(std::size_t views)
+    : weights_(views), first_logs_(views), gains_(views, Rgb{1, 1, 1}), tied_(views, false) {
   tied_[0] = true;
+}
+
+void EnvironmentBlend::set_view(std::size_t view, Image<float> from_rim) {
+  if (!from_rim.empty() && !total_.same_size(from_rim))
+    total_ = Image<float>(from_rim.width(), from_rim.height());
+  weights_[view] = std::move(from_rim);
+  for (float& v : weights_[view].pixels()) v *= v;
+  paired_ = false;
+}
+
+void EnvironmentBlend::pair_views() {
+  pairs_.clear();
   for (std::size_t a = 0; a < weights_.size(); ++a)
     for (std::size_t b = a + 1; b < weights_.size(); ++b) {
-      Pair pair{a, b, {}};
+      if (weights_[a].empty() || weights_[b].empty()) continue;
+      std::vector<std::uint32_t> common;
       for (std::uint32_t i = 0; i < total_.area(); ++i)
-        if (std::min(weights_[a].pixels()[i], weights_[b].pixels()[i]) > 0)
-          pair.pixels.push_back(i);
-      const std::size_t step = pair.pixels.size() / kMostPixels + 1;
-      for (std::size_t i = 0; i * step < pair.pixels.size(); ++i)
-        pair.pixels[i] = pair.pixels[i * step];
-      pair.pixels.resize((pair.pixels.size() + step - 1) / step);
+        if (std::min(weights_[a].pixels()[i], weights_[b].pixels()[i]) > 0) common.push_back(i);
+      Pair pair{a, b, {}};
+      const std::size_t step = common.size() / kMostPixels + 1;
+      for (std::size_t i = 0; i < common.size(); i += step) pair.pixels.push_back(common[i]);
       if (pair.pixels.size() >= kFewestPixels) pairs_.push_back(std::move(pair));
     }
-  for (Image<float>& w : weights_)
-    for (float& v : w.pixels()) v *= v;
+  paired_ = true;
 }
 
 // Log gains by least squares of log g_a + log a = log g_b + log b over all overlaps, by Gauss-Seidel with the first fixed;
@@ -107,13 +114,17 @@ std::vector<std::optional<Channels>> EnvironmentBlend::solve(
   return logs;
 }
 
+// A gain that wanders off by two stops is a camera that somebody covered, not a gain.
 void EnvironmentBlend::follow_gains(std::span<const Environment* const> views) {
+  const double most = std::log(4.);
   const auto logs = solve(views);
   for (std::size_t v = 1; v < views.size(); ++v) {
     if (!logs[v]) continue;
-    for (int c = 0; c < 3; ++c) {
-      float& gain = gains_[v][c];
-      const double wanted = std::exp((*logs[v])[static_cast<std::size_t>(c)]);
+    if (!tied_[v]) first_logs_[v] = *logs[v];
+    for (std::size_t c = 0; c < 3; ++c) {
+      if (std::abs((*logs[v])[c] - first_logs_[v][c]) > most) continue;
+      float& gain = gains_[v][static_cast<int>(c)];
+      const double wanted = std::exp((*logs[v])[c]);
       gain = static_cast<float>(tied_[v] ? gain * std::pow(wanted / double(gain), kStep) : wanted);
     }
     tied_[v] = true;
@@ -129,10 +140,13 @@ void EnvironmentBlend::add(std::size_t view, const Environment& map, std::uint32
 
 void EnvironmentBlend::add_measured(std::size_t view, const Environment& map, Environment& out) {
   auto clipped = map.clipped.begin();
+  const auto seen = [&](std::uint32_t i) {
+    return map.confidence.empty() || map.confidence.pixels()[i] > 0;
+  };
   for (std::uint32_t i = 0; i < total_.area(); ++i) {
     if (clipped != map.clipped.end() && *clipped == i)
       ++clipped;
-    else if (weights_[view].pixels()[i] > 0)
+    else if (weights_[view].pixels()[i] > 0 && seen(i))
       add(view, map, i, out);
   }
 }
@@ -157,6 +171,7 @@ void EnvironmentBlend::add_bounds(std::span<const Environment* const> views, Env
 }
 
 void EnvironmentBlend::blend(std::span<const Environment* const> views, Environment& out) {
+  if (!paired_) pair_views();
   follow_gains(views);
   if (out.radiance.width() != total_.width() || out.radiance.height() != total_.height())
     out.radiance = Image<Rgb>(total_.width(), total_.height());

@@ -19,8 +19,9 @@ namespace penumbra::capture {
 /// source: gains from overlaps, Brown & Lowe 2007, section 6, here the median ratio of each pair and channel
 class EnvironmentBlend {
  public:
-  /// from_rim[i]: how view i sees each pixel of the map, 0 (not) to 1; all of one size.
-  explicit EnvironmentBlend(std::vector<Image<float>> from_rim);
+  explicit EnvironmentBlend(std::size_t views);
+  /// How a view sees each pixel of the map from now on, 0 (not) to 1; all of one size, empty: not at all. Gains stay.
+  void set_view(std::size_t view, Image<float> from_rim);
 
   /// One map a view, in their order; null: nothing of it yet.
   void blend(std::span<const Environment* const> views, Environment& out);
@@ -36,12 +37,15 @@ class EnvironmentBlend {
   };
   using Channels = std::array<double, 3>;
   std::vector<std::optional<Channels>> solve(std::span<const Environment* const> views) const;
+  void pair_views();
   void follow_gains(std::span<const Environment* const> views);
   void add(std::size_t view, const Environment& map, std::uint32_t pixel, Environment& out);
   void add_measured(std::size_t view, const Environment& map, Environment& out);
   void add_bounds(std::span<const Environment* const> views, Environment& out);
   std::vector<Image<float>> weights_;
   std::vector<Pair> pairs_;
+  bool paired_ = false;
+  std::vector<Channels> first_logs_;  // of the gains
   std::vector<Rgb> gains_;
   std::vector<bool> tied_;
   Image<float> total_;  // of the weights that count

@@ -6,6 +6,7 @@
 #include <glm/geometric.hpp>
 
 #include "capture/contradiction.h"
+#include "capture/merge_math.h"
 #include "capture/pose_warp.h"
 #include "capture/table_merger.h"
 #include "core/half.h"
@@ -103,14 +104,17 @@ bool HdrRing::turn_to(const Frame& newest) {
       s.turned.reset();
       continue;
     }
-    s.turned = turned(*s.frame.pixels, camera_.projection, before_from_now, s.valid);
+    s.turned = turned(*s.frame.pixels, camera_.projection,
+                      calib::vignetting_of(camera_.projection, camera_.vignetting), before_from_now,
+                      s.valid);
     fill_unseen(s, newest);
     any = true;
   }
   return any;
 }
 
-// Tables have no place for what was not seen: there a slot says what the newest frame makes one expect.
+// Tables have no place for what was not seen: there a slot says what the newest frame makes one expect, and that it is clipped
+// where that is.
 void HdrRing::fill_unseen(Slot& slot, const Frame& newest) const {
   const auto* now = std::get_if<Image<Rgb8>>(newest.pixels.get());
   const auto* seen = std::get_if<Image<Rgb8>>(slot.turned.get());
@@ -121,7 +125,9 @@ void HdrRing::fill_unseen(Slot& slot, const Frame& newest) const {
   for (int c = 0; c < 3; ++c)
     for (unsigned code = 0; code < 256; ++code)
       expected[static_cast<std::size_t>(c)][code] =
-          curve.encode8(c, curve.decode(c, code) * static_cast<float>(ratio));
+          double(curve.decode(c, code)) + camera_.black_level >= kClipLevel
+              ? 255
+              : curve.encode8(c, curve.decode(c, code) * static_cast<float>(ratio));
   Image<Rgb8> filled = *seen;
   for (std::size_t i = 0; i < filled.area(); ++i) {
     if (slot.valid.pixels()[i]) continue;

@@ -17,6 +17,7 @@ double pixel_angle(const calib::Projection& p) {
 
 std::shared_ptr<const FramePixels> turned(const FramePixels& picture,
                                           const calib::Projection& projection,
+                                          const Vignetting& vignetting,
                                           const glm::dquat& before_from_now,
                                           Image<std::uint8_t>& valid) {
   if (valid.width() != projection.width || valid.height() != projection.height)
@@ -30,8 +31,13 @@ std::shared_ptr<const FramePixels> turned(const FramePixels& picture,
   const auto turn = [&](const auto& image) -> FramePixels {
     std::decay_t<decltype(image)> out(image.width(), image.height());
     see_each_pixel(image.width(), image.height(), where, [&](int x, int y, const SeenAt* seen) {
-      valid.at(x, y) = seen ? 1 : 0;
-      if (!seen) return;
+      constexpr double kAlike = .03;
+      const bool alike =
+          seen &&
+          (vignetting.none() ||
+           std::abs(vignetting.at({x + .5, y + .5}) / vignetting.at(seen->px) - 1) < kAlike);
+      valid.at(x, y) = alike ? 1 : 0;
+      if (!alike) return;
       out.at(x, y) = image.at(std::clamp(static_cast<int>(seen->px.x), 0, image.width() - 1),
                               std::clamp(static_cast<int>(seen->px.y), 0, image.height() - 1));
     });

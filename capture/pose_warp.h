@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "capture/frames.h"
+#include "core/vignetting.h"
 
 namespace penumbra::capture {
 
@@ -13,9 +14,10 @@ namespace penumbra::capture {
 double pixel_angle(const calib::Projection& projection);
 
 /// Each pixel takes the nearest one's codes, so that their noise stays theirs; places are far away. `valid` becomes 0 where the
-/// picture did not reach.
+/// picture did not reach, and where the lens dimmed it by 3 % more or less than it dims its new place.
 std::shared_ptr<const FramePixels> turned(const FramePixels& picture,
                                           const calib::Projection& projection,
+                                          const Vignetting& vignetting,
                                           const glm::dquat& before_from_now,
                                           Image<std::uint8_t>& valid);
 

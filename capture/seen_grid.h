@@ -1,4 +1,4 @@
-// Private to capture: a smooth map from pixels of one picture to places in another, at a fraction of its price.
+// A smooth map from pixels of one picture to places in another, at a fraction of its price.
 #pragma once
 
 #include <algorithm>

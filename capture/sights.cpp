@@ -1,5 +1,7 @@
 #include "capture/sights.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
@@ -18,7 +20,9 @@ double from_edge(const glm::dvec2& px, int width, int height) {
 
 // As many rows as are resolved over half a turn.
 int rows_of(const calib::Projection& p) {
-  return calib::has_intrinsics(p.kind) ? static_cast<int>(kPi * p.focal_px.y) : p.height;
+  const double rows = calib::has_intrinsics(p.kind) ? kPi * p.focal_px.y : p.height;
+  constexpr double kMost = 1 << 20;
+  return static_cast<int>(std::min(rows, kMost));
 }
 
 Result<void> check_size(const CameraInfo& camera, int width, int height) {
@@ -83,17 +87,23 @@ std::optional<Bounds> bounds_of(const calib::MirrorBall& ball, const calib::Proj
 }
 
 Result<Sight> ball_sight(const CameraInfo& camera, const Pose& world_from_camera) {
-  PENUMBRA_ASSIGN(ball, find_ball(camera, world_from_camera));
+  const auto undetermined = [&](const std::string& why) {
+    return fail(ErrorCode::kUndetermined, camera.name, "the mirror ball " + why);
+  };
+  const auto found = find_ball(camera, world_from_camera);
+  // A tracker that jumps may put the camera anywhere.
+  if (!found) return undetermined("is not to be seen: " + found.error().detail);
+  const calib::MirrorBall& ball = *found;
   const auto bounds = bounds_of(ball, camera.projection);
-  if (!bounds)
-    return fail(ErrorCode::kUndetermined, camera.name,
-                "the mirror ball is not whole in its picture");
+  if (!bounds) return undetermined("is not whole in its picture");
   const int x = static_cast<int>(bounds->low.x), y = static_cast<int>(bounds->low.y);
   const int width =
       std::min(static_cast<int>(std::ceil(bounds->high.x)), camera.projection.width) - x;
   const int height =
       std::min(static_cast<int>(std::ceil(bounds->high.y)), camera.projection.height) - y;
-  PENUMBRA_TRY(check_size(camera, width, height));
+  constexpr int kSmallest_px = 8;
+  if (std::min(width, height) < kSmallest_px)
+    return undetermined(fmt::format("is only {} x {} pixels large", width, height));
   const Look look = [ball, projection = camera.projection,
                      left = calib::vignetting_of(camera.projection, camera.vignetting), x,
                      y](const glm::dvec3& d) -> std::optional<SeenAt> {

@@ -13,10 +13,16 @@ namespace penumbra::service {
 
 namespace {
 
-// The newest light at that time; frames that show none are passed over.
-Result<std::optional<lighting::LightEstimate>> replay(capture::FrameSource& source,
-                                                      LightStage& stage, double at_s) {
-  std::optional<lighting::LightEstimate> light;
+struct Seen {
+  Environment map;
+  double coverage = 0;
+};
+
+// The newest map at that time; frames that show no light are passed over.
+Result<Seen> replay(capture::FrameSource& source, LightStage& stage, const std::string& name,
+                    double at_s) {
+  std::optional<Seen> seen;
+  std::string why = "no frame of its surroundings";
   std::optional<TimestampNs> first;
   while (true) {
     PENUMBRA_ASSIGN(frame, source.next());
@@ -26,11 +32,14 @@ Result<std::optional<lighting::LightEstimate>> replay(capture::FrameSource& sour
     if (!stage.takes(frame->camera)) continue;
     auto estimate = stage.process(*frame);
     if (estimate)
-      light = std::move(*estimate);
+      seen = {stage.environment(), estimate->coverage};
     else if (estimate.error().code != ErrorCode::kUndetermined)
       return std::unexpected(estimate.error());
+    else
+      why = estimate.error().where + ": " + estimate.error().detail;
   }
-  return light;
+  if (!seen) return fail(ErrorCode::kUndetermined, name, why);
+  return std::move(*seen);
 }
 
 }  // namespace
@@ -40,16 +49,14 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   StageTimes times;
   PENUMBRA_ASSIGN(stage, LightStage::create(source->cameras(), {.bands = 3}, times));
-  PENUMBRA_ASSIGN(light, replay(*source, stage, o.at_s));
-  if (!light)
-    return fail(ErrorCode::kUndetermined, o.capture, "no usable frame of its surroundings");
-  const Environment& map = stage.environment();
+  PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
+  const Environment& map = seen.map;
   PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));
   if (!o.json) {
     fmt::print(
         "{}: {}x{} from {} views of {} exposures, {:.1f} % of the sphere seen, {:.3f} % clipped\n",
         o.output, map.radiance.width(), map.radiance.height(), stage.gains().size(),
-        stage.exposures(), 100 * light->coverage, 100 * map.clipped_fraction);
+        stage.exposures(), 100 * seen.coverage, 100 * map.clipped_fraction);
     return {};
   }
   nlohmann::json views = nlohmann::json::array();
@@ -58,7 +65,7 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   print_json({{"width", map.radiance.width()},
               {"height", map.radiance.height()},
               {"exposures_used", stage.exposures()},
-              {"coverage", light->coverage},
+              {"coverage", seen.coverage},
               {"clipped_fraction", map.clipped_fraction},
               {"views", views}});
   return {};

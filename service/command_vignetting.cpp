@@ -26,6 +26,7 @@ Result<calib::Projection> projection_of(const CalibrateVignettingOptions& o,
 
 Result<void> calibrate_vignetting(const CalibrateVignettingOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
   PENUMBRA_ASSIGN(response, calib::parse_response(o.response));
   std::vector<calib::EvenPicture> pictures;
   for (const std::string& name : o.pictures) {

@@ -35,6 +35,14 @@ struct CalibrateVignettingOptions {
 };
 Result<void> calibrate_vignetting(const CalibrateVignettingOptions& options);
 
+struct CalibrateBallOptions {
+  std::string cameras;                // capture folder, recording or rig.toml
+  std::vector<std::string> outlines;  // NAME:x,y,radius in pixels
+  double radius_m = 0, sigma_px = 1;
+  bool json = false;
+};
+Result<void> calibrate_ball(const CalibrateBallOptions& options);
+
 struct HdrEnvironmentOptions {
   std::string capture, output;
   double at_s = 0;  // after the first frame: the surroundings as they were then; 0: at the end

@@ -48,14 +48,16 @@ capture::CameraInfo camera_of(const capture::CameraInfo& info, const capture::Si
 Image<float> rims(const capture::Sight& sight, const Pose& world_from_camera, int rows) {
   const glm::dquat camera_from_world = glm::conjugate(world_from_camera.rotation);
   Image<float> out(2 * rows, rows);
-  for (int y = 0; y < rows; ++y)
-    for (int x = 0; x < 2 * rows; ++x) {
-      const auto seen =
-          sight.look(camera_from_world * latlong_direction(x + .5, y + .5, 2 * rows, rows));
-      // On the rim itself it counts a little where nothing else is seen.
-      constexpr double kLeast = 1e-3;
-      out.at(x, y) = seen ? static_cast<float>(std::max(seen->from_rim, kLeast)) : 0.f;
-    }
+  // On the rim itself a view counts a little where nothing else sees.
+  constexpr double kLeast = 1e-3;
+  capture::see_each_pixel(
+      2 * rows, rows,
+      [&](const glm::dvec2& px) {
+        return sight.look(camera_from_world * latlong_direction(px.x, px.y, 2 * rows, rows));
+      },
+      [&](int x, int y, const capture::SeenAt* seen) {
+        out.at(x, y) = seen ? static_cast<float>(std::max(seen->from_rim, kLeast)) : 0.f;
+      });
   return out;
 }
 
@@ -72,27 +74,33 @@ Result<LightStage> LightStage::create(const std::vector<capture::CameraInfo>& ca
   LightStage stage(cameras, options, times);
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     if (!capture::shows_surroundings(cameras[i])) continue;
+    const std::size_t count =
+        cameras[i].ball ? 1 : std::max<std::size_t>(1, cameras[i].lenses.size());
+    for (std::size_t k = 0; k < count; ++k)
+      stage.views_.emplace_back().camera = static_cast<int>(i);
     const auto looked = stage.look(static_cast<int>(i), cameras[i].world_from_camera);
     // A ball may come into the picture later.
     if (!looked && looked.error().code != ErrorCode::kUndetermined)
       return std::unexpected(looked.error());
   }
-  if (std::ranges::none_of(cameras, capture::shows_surroundings))
+  if (stage.views_.empty())
     return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+  if (stage.views_.size() > 1) stage.blend_.emplace(stage.views_.size());
   stage.lay_out();
   return stage;
 }
 
 bool LightStage::settled() const {
   const bool all = std::ranges::all_of(views_, [](const View& v) {
-    return v.ring.knows_bracket() || (v.fresh && v.map.clipped_fraction == 0);
+    return v.knows_bracket() || (v.fresh && v.map.clipped_fraction == 0);
   });
   return all || frames_ >= kPatience * cameras_.size();
 }
 
 std::size_t LightStage::exposures() const {
   std::size_t most = 0;
-  for (const View& v : views_) most = std::max(most, v.ring.exposures());
+  for (const View& v : views_)
+    if (v.ring) most = std::max(most, v.ring->exposures());
   return most;
 }
 
@@ -101,53 +109,51 @@ Result<void> LightStage::look(int camera, const Pose& world_from_camera) {
   capture::CameraInfo& info = cameras_[static_cast<std::size_t>(camera)];
   info.world_from_camera = world_from_camera;
   auto sights = capture::sights_of(info, world_from_camera);
-  if (!sights) {
-    std::erase_if(views_, [&](const View& v) { return v.camera == camera; });
-    return std::unexpected(sights.error());
-  }
-  auto at = std::ranges::find(views_, camera, &View::camera);
-  for (capture::Sight& sight : *sights) {
-    const bool known = at != views_.end() && at->camera == camera;
-    if (known && at->sight.width == sight.width && at->sight.height == sight.height) {
-      at->sight = std::move(sight);
-      at->assembler.reset();
-    } else {  // of another size, what the ring holds is of no use
-      capture::HdrRing ring(camera_of(info, sight), kRingSlots);
-      View view{camera, std::move(sight), std::move(ring), {}};
-      known ? void(*at = std::move(view)) : void(at = views_.insert(at, std::move(view)));
+  std::size_t next = 0;
+  for (View& view : views_) {
+    if (view.camera != camera) continue;
+    view.assembler.reset();
+    view.fresh = false;
+    if (!sights) {
+      view.sight.reset();
+      continue;
     }
-    ++at;
+    capture::Sight& sight = (*sights)[next++];
+    const bool same_size =
+        view.sight && view.sight->width == sight.width && view.sight->height == sight.height;
+    if (!same_size || !view.ring) view.ring.emplace(camera_of(info, sight), kRingSlots);
+    view.sight = std::move(sight);
   }
-  return {};
+  return sights ? Result<void>{} : std::unexpected(sights.error());
 }
 
-// One map for all views, as fine as the finest.
+// One map for all views, as fine as the finest has been.
 void LightStage::lay_out() {
   const int before = rows_;
-  rows_ = 0;
-  for (const View& v : views_) rows_ = std::max(rows_, v.sight.rows);
+  for (const View& v : views_)
+    if (v.sight) rows_ = std::max(rows_, v.sight->rows);
   rows_ = std::clamp(rows_ / 2 * 2, 16, kLongestSide);
-  for (View& v : views_) {
+  for (std::size_t i = 0; i < views_.size(); ++i) {
+    View& v = views_[i];
     if (v.assembler && rows_ == before) continue;
-    const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(v.camera)];
-    v.assembler.emplace(v.sight, info.world_from_camera, 2 * rows_, rows_, colour_of(info));
     v.map = {};
     v.fresh = false;
+    v.assembler.reset();
+    const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(v.camera)];
+    if (v.sight)
+      v.assembler.emplace(*v.sight, info.world_from_camera, 2 * rows_, rows_, colour_of(info));
+    if (blend_)
+      blend_->set_view(i, v.sight ? rims(*v.sight, info.world_from_camera, rows_) : Image<float>{});
   }
-  blend_.reset();
-  if (views_.size() < 2) return;
-  std::vector<Image<float>> from_rim;
-  for (const View& v : views_)
-    from_rim.push_back(
-        rims(v.sight, cameras_[static_cast<std::size_t>(v.camera)].world_from_camera, rows_));
-  blend_.emplace(std::move(from_rim));
 }
 
 Result<void> LightStage::follow(const capture::Frame& frame) {
-  const bool has_views = std::ranges::find(views_, frame.camera, &View::camera) != views_.end();
-  if (has_views &&
-      stands(cameras_[static_cast<std::size_t>(frame.camera)], frame.world_from_camera))
-    return {};
+  const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(frame.camera)];
+  const auto& view = *std::ranges::find(views_, frame.camera, &View::camera);
+  if (stands(info, frame.world_from_camera)) {
+    if (view.sight) return {};
+    return fail(ErrorCode::kUndetermined, info.name, "the mirror ball is not whole in its picture");
+  }
   const auto looked = look(frame.camera, frame.world_from_camera);
   lay_out();
   return looked;
@@ -157,16 +163,15 @@ Result<void> LightStage::merge(View& view, const capture::Frame& frame) {
   capture::Frame part = frame;
   // A ball's picture does not turn with the camera.
   part.world_from_camera = {};
-  if (view.sight.projection)
-    part.world_from_camera.rotation =
-        frame.world_from_camera.rotation * view.sight.camera_from_part;
-  const capture::Sight& s = view.sight;
+  const capture::Sight& s = *view.sight;
+  if (s.projection)
+    part.world_from_camera.rotation = frame.world_from_camera.rotation * s.camera_from_part;
   if (s.width != capture::width(*frame.pixels) || s.height != capture::height(*frame.pixels))
     part.pixels = std::make_shared<const FramePixels>(capture::cut_out(*frame.pixels, s));
   Result<const capture::MergedImage*> merged = nullptr;
   {
     const StageTimer timer(times_, "merge");
-    merged = view.ring.add(part);
+    merged = view.ring->add(part);
   }
   if (!merged) return std::unexpected(merged.error());
   const StageTimer timer(times_, "assemble");
@@ -206,8 +211,8 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
   if (!any) return std::unexpected(failed.error());
   Environment& environment = whole();
   // What the first exposures saturate a shorter one may still resolve.
-  const auto knows_bracket = [](const View& v) { return v.ring.knows_bracket(); };
-  if (!std::ranges::all_of(views_, knows_bracket)) environment.clipped.clear();
+  const auto owes = [](const View& v) { return v.fresh && !v.knows_bracket(); };
+  if (std::ranges::any_of(views_, owes)) environment.clipped.clear();
   auto estimate = [&] {
     const StageTimer timer(times_, "light");
     return estimator_.estimate(environment);
@@ -219,10 +224,13 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
 void LightStage::say_once(const lighting::LightEstimate& estimate) {
   if (!warned_ && std::ranges::any_of(estimate.discs, &lighting::Disc::clipped)) {
     warned_ = true;
+    const auto clips = std::ranges::find_if(
+        views_, [](const View& v) { return v.fresh && v.map.clipped_fraction > 0; });
+    const View& view = clips == views_.end() ? views_[0] : *clips;
     spdlog::warn(
         "{}: a light source is saturated in every exposure; its light is a lower bound until a "
         "floor completes it",
-        cameras_[static_cast<std::size_t>(views_[0].camera)].name);
+        cameras_[static_cast<std::size_t>(view.camera)].name);
   }
   if (!blend_ || told_gains_ || !settled()) return;
   told_gains_ = true;

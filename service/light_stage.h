@@ -34,7 +34,7 @@ class LightStage {
   /// errors: as HdrRing::add and capture::sights_of (kUndetermined is an ordinary state: all black or all clipped, a ball
   /// out of the picture)
   Result<lighting::LightEstimate> process(const capture::Frame& frame);
-  /// The map that the newest light came from, lat-long in world directions.
+  /// The map that the newest light came from, lat-long in world directions; as process() left it, also when it failed.
   const Environment& environment() const { return blend_ ? environment_ : views_[0].map; }
   struct ViewGain {
     std::string camera;
@@ -46,14 +46,15 @@ class LightStage {
   void complete(std::span<const lighting::Completion> completions);
 
  private:
-  // One sight of one camera.
+  // One sight of one camera; of a ball also while it is out of the picture.
   struct View {
-    int camera;
-    capture::Sight sight;
-    capture::HdrRing ring;
-    std::optional<capture::EnvironmentAssembler> assembler;  // made with the map's size
+    int camera = 0;
+    std::optional<capture::Sight> sight{};
+    std::optional<capture::HdrRing> ring{};
+    std::optional<capture::EnvironmentAssembler> assembler{};  // made with the map's size
     Environment map{};
     bool fresh = false;  // `map` shows something
+    bool knows_bracket() const { return ring && ring->knows_bracket(); }
   };
   LightStage(const std::vector<capture::CameraInfo>& cameras,
              const lighting::EstimateOptions& options, StageTimes& times);

@@ -37,12 +37,13 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
       c->add_option("images", response.images, "8-bit PNG, JPEG or TIFF, the camera still");
   c->add_option("--times", response.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
       ->needs(images);
+  auto* name = c->add_option("--camera", response.camera, "Its name in the captures");
   c->add_option(
        "--capture", response.captures,
        "Instead of images: recordings or capture folders of one still scene, two exposures at "
        "least in all; the frames of an exposure are averaged")
-      ->excludes(images);
-  c->add_option("--camera", response.camera, "Its name in the captures");
+      ->excludes(images)
+      ->needs(name);
   c->add_option("-o,--output", response.output, "Response file to write, .toml")->required();
   c->add_option("--report", response.report, "Folder for a plot and a table of the curves");
   add_json(c, response.json);
@@ -87,6 +88,25 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
   c->add_option("--report", vignetting.report, "Folder for a plot");
   add_json(c, vignetting.json);
   c->callback([&] { action = [] { return calibrate_vignetting(vignetting); }; });
+
+  static CalibrateBallOptions ball;
+  c = calibrate->add_subcommand("ball",
+                                "Where a mirror ball of known radius stands, from its outline in "
+                                "pictures of cameras with known poses");
+  c->add_option("cameras", ball.cameras, "Capture folder, recording or rig.toml with the cameras")
+      ->required();
+  c->add_option(
+       "--outline", ball.outlines,
+       "NAME:x,y,radius: a circle over the ball in that camera's picture, pixels; once a camera")
+      ->required();
+  c->add_option("--radius", ball.radius_m, "Of the ball, metres")
+      ->required()
+      ->check(CLI::PositiveNumber);
+  c->add_option("--sigma-px", ball.sigma_px, "How exact the circles are")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  add_json(c, ball.json);
+  c->callback([&] { action = [] { return calibrate_ball(ball); }; });
 
   static CalibrateNoiseOptions noise;
   c = calibrate->add_subcommand(

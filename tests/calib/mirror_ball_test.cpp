@@ -2,7 +2,10 @@
 
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <glm/gtc/quaternion.hpp>
 #include <random>
+#include <string>
+#include <vector>
 
 #include "calib/calib.h"
 #include "core/conventions.h"
@@ -72,6 +75,62 @@ TEST(MirrorBall, OutlineInThePictureGivesItsDirectionAndSize) {
   ASSERT_TRUE(found);
   EXPECT_NEAR(glm::length(found->direction() - axis), 0, 1e-9);
   EXPECT_NEAR(found->angular_radius_rad(), a, 1e-9);
+}
+
+// Outlines from the truth, with noise of half a pixel in centre and radius.
+std::vector<BallOutline> outlines_of(const dvec3& centre_m, double radius_m, int cameras,
+                                     std::mt19937& rng, double sigma_px) {
+  std::normal_distribution<double> noise(0, sigma_px);
+  std::vector<BallOutline> out;
+  for (int i = 0; i < cameras; ++i) {
+    BallOutline o;
+    o.camera = "camera " + std::to_string(i);
+    o.projection = *make_projection(ProjectionKind::kPinhole, 1280, 720);
+    o.world_from_camera = {glm::angleAxis(.3 * i, dvec3(0, 1, 0)), dvec3(.6 * i, .1, .05 * i)};
+    const auto ball = *MirrorBall::at(o.world_from_camera.inverse() * centre_m, radius_m);
+    const dvec3 axis = ball.direction(),
+                radial = glm::normalize(dvec3(axis.x, axis.y, 0) + dvec3(1e-9, 0, 0)),
+                across = glm::normalize(radial - glm::dot(radial, axis) * axis);
+    const double a = ball.angular_radius_rad();
+    const auto near =
+                   *pixel_from_direction(o.projection, axis * std::cos(a) - across * std::sin(a)),
+               far = *pixel_from_direction(o.projection, axis * std::cos(a) + across * std::sin(a));
+    o.centre_px = (near + far) / 2. + glm::dvec2(noise(rng), noise(rng));
+    o.radius_px = glm::length(far - near) / 2 + noise(rng);
+    out.push_back(o);
+  }
+  return out;
+}
+
+TEST(MirrorBall, ItsPlaceFollowsFromItsOutlinesWithAnHonestUncertainty) {
+  std::mt19937 rng(4);
+  const dvec3 truth(.25, -.1, -1.3);
+  for (const int cameras : {1, 2}) {
+    int covered = 0, all = 0;
+    for (int run = 0; run < 200; ++run) {
+      const auto place = locate_ball(outlines_of(truth, .06, cameras, rng, .5), .06, .5);
+      ASSERT_TRUE(place) << place.error().detail;
+      for (int k = 0; k < 3; ++k, ++all) {
+        covered += std::abs(place->centre_m[k] - truth[k]) < 1.96 * place->sigma_m[k];
+        EXPECT_NEAR(place->centre_m[k], truth[k], cameras == 1 ? .1 : .02);
+      }
+    }
+    EXPECT_GE(covered, .92 * all) << cameras;
+    EXPECT_LE(covered, .985 * all) << cameras;
+  }
+}
+
+TEST(MirrorBall, OutlinesThatContradictEachOtherAreRefusedByName) {
+  std::mt19937 rng(5);
+  auto outlines = outlines_of({.25, -.1, -1.3}, .06, 2, rng, 0);
+  EXPECT_TRUE(locate_ball(outlines, .06));
+  EXPECT_FALSE(locate_ball(outlines, .09)) << "another radius";
+  outlines[1].centre_px.x += 40;
+  const auto refused = locate_ball(outlines, .06);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kUndetermined);
+  EXPECT_NE(refused.error().where.find("camera"), std::string::npos);
+  EXPECT_FALSE(locate_ball({}, .06));
 }
 
 TEST(MirrorBall, WhatIsNoBallIsRefused) {

@@ -58,7 +58,8 @@ TEST(Vignetting, LightThatIsBrighterInItsMiddleIsToldFromALensByASecondPicture) 
   const std::vector<EvenPicture> one{paper(.4, {0, 0}, 3, .25)};
   const auto fooled = calibrate_vignetting(one, lens(), Response::srgb(), 0);
   EXPECT_TRUE(!fooled || std::abs(fooled->corner - .65) > .03) << "one picture cannot tell";
-  const std::vector<EvenPicture> two{paper(.4, {0, 0}, 4, .25), paper(.4, {0, 0}, 5, .25, {.6, .3})};
+  const std::vector<EvenPicture> two{paper(.4, {0, 0}, 4, .25),
+                                     paper(.4, {0, 0}, 5, .25, {.6, .3})};
   const auto refused = calibrate_vignetting(two, lens(), Response::srgb(), 0);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, ErrorCode::kUndetermined);
@@ -75,6 +76,11 @@ TEST(Vignetting, PicturesThatTellNothingAreRefusedByName) {
   refuse(paper(.02, {0, 0}, 6), "too dark");
   refuse(paper(1.1, {0, 0}, 7), "clipped");
   refuse({"small", Image<Rgb8>(64, 48, {99, 99, 99})}, "expected 640x480");
+  refuse({"narrow", Image<Rgb8>(4000, 1, {99, 99, 99})}, "expected 640x480");
+  EvenPicture warm = paper(.5, {0, 0}, 9);
+  for (Rgb8& p : std::get<Image<Rgb8>>(warm.pixels).pixels())
+    p.r = static_cast<std::uint8_t>(std::min(255, p.r * 3 / 2));
+  refuse(std::move(warm), "clipped");
   EvenPicture stripes = paper(.4, {0, 0}, 8);
   auto& image = std::get<Image<Rgb8>>(stripes.pixels);
   for (int y = 0; y < kHeight; ++y)
@@ -82,6 +88,16 @@ TEST(Vignetting, PicturesThatTellNothingAreRefusedByName) {
       if (x / 60 % 2 == 0) image.at(x, y) = {90, 90, 90};
   refuse(std::move(stripes), "no lens explains");
   EXPECT_FALSE(calibrate_vignetting({}, lens(), Response::srgb(), 0));
+}
+
+TEST(Vignetting, PicturesWithoutRoomForALensAreRefused) {
+  for (const auto& [w, h] : {std::pair{4000, 1}, {1, 1}, {3, 3}, {8, 2}}) {
+    const std::vector<EvenPicture> pictures{{"small", Image<Rgb8>(w, h, {140, 140, 140})}};
+    const auto camera = *make_projection(ProjectionKind::kPinhole, w, h);
+    const auto found = calibrate_vignetting(pictures, camera, Response::srgb(), 0);
+    ASSERT_FALSE(found) << w << ' ' << h;
+    EXPECT_EQ(found.error().code, ErrorCode::kUndetermined);
+  }
 }
 
 TEST(Vignetting, FileReadsBackAndBadOnesAreRefused) {

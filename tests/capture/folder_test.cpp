@@ -147,7 +147,7 @@ TEST(CaptureFolder, RefusesBadLensesAndBalls) {
     const auto source = open_capture_folder(made.path());
     ASSERT_FALSE(source.has_value()) << detail;
     EXPECT_EQ(source.error().code, ErrorCode::kInvalid);
-    EXPECT_NE(source.error().where.find("capture.toml:"), std::string::npos);
+    EXPECT_NE(source.error().where.find(".toml:"), std::string::npos);
     EXPECT_NE(source.error().detail.find(detail), std::string::npos) << source.error().detail;
   };
   expect_refused(with_lenses("[8, 0, 8, 8]", "[9, 0, 8, 8]"), "crop_px: x, y, width, height");
@@ -158,6 +158,8 @@ TEST(CaptureFolder, RefusesBadLensesAndBalls) {
   expect_refused(with_lenses("field_deg = 190", "field_deg = 190\nname = \"x\""), "unknown key");
   expect_refused(with_lenses("height = 8", "height = 8\nprojection = \"latlong\""),
                  "projection: each [[camera.lens]] has its own");
+  expect_refused(with_lenses("height = 8", "height = 8\nfocal_px = [3, 3]"),
+                 "focal_px: each [[camera.lens]] has its own");
   expect_refused(with_lenses("role = \"environment\"", "role = \"view\""), "lens: is for");
   const auto ball = [](const std::string& keys) {
     return replaced(replaced(kManifest, "\"latlong\"", "\"pinhole\""), "role = \"environment\"",
@@ -167,9 +169,18 @@ TEST(CaptureFolder, RefusesBadLensesAndBalls) {
   expect_refused(ball(""), "either outline_px or centre_m");
   expect_refused(ball("outline_px = [4, 4, 2]\ncentre_m = [0, 0, 0]"), "either outline_px");
   expect_refused(ball("outline_px = [4, 4]"), "outline_px: 2 numbers, expected 3");
+  expect_refused(ball("outline_px = [4, 4, -2]"), "outline_px: its radius is not positive");
+  expect_refused(ball("outline_px = [4, 4, 1e9]"), "outline_px: the mirror ball is not to be seen");
+  expect_refused(ball("outline_px = [8, 4, 0.5]"), "pixels large");
+  expect_refused(ball("outline_px = [4, 4, 2]\nradius_m = 1"), "radius_m: goes with centre_m");
   expect_refused(ball("centre_m = [0, 0, 0]"), "radius_m: missing");
   expect_refused(ball("centre_m = [0, 0, 0]\nradius_m = 0"), "radius_m: not positive");
-  expect_refused(ball("outline_px = [4, 4, 2]\nreflectance = [1, 1, 1.1]"), "reflectance: not");
+  expect_refused(ball("centre_m = [0, 0, 0]\nradius_m = 1\nreflectance = [1, 1, 1.1]"),
+                 "reflectance: not");
+  write_text(made.path() / "self.toml",
+             replaced(kManifest, "projection = \"latlong\"", "intrinsics = \"self.toml\""));
+  expect_refused(replaced(kManifest, "projection = \"latlong\"", "intrinsics = \"self.toml\""),
+                 "has its own projection");
   expect_refused(std::string(kManifest) + "\n[camera.ball]\noutline_px = [4, 4, 2]",
                  "ball: stands in a view camera");
 }
@@ -229,7 +240,10 @@ TEST(CaptureFolder, RefusesABadManifestNamingFileLineAndKey) {
            {"response = \"srgb\"\n", "", ":2", "response: missing"},
            {"black_level = 0.0", "black_level = 1.0", ":9", "black_level: not within 0..1"},
            {"black_level = 0.0", "vignetting = [-1, 0]", ":9", "vignetting: 2 numbers"},
-           {"black_level = 0.0", "vignetting = [-1.5, 0, 0]", ":9", "vignetting: leaves less"},
+           {"black_level = 0.0", "vignetting = [0, 0, 0]", ":9",
+            "vignetting: the projection latlong has none"},
+           {"projection = \"latlong\"", "projection = \"pinhole\"\nvignetting = [-1.5, 0, 0]", ":8",
+            "vignetting: leaves less"},
            {"black_level = 0.0", "full_well_electrons = 0", ":9",
             "full_well_electrons: not positive"},
            {"black_level = 0.0", "read_fraction = -1", ":9", "read_fraction: not within"},

@@ -482,6 +482,25 @@ class Calibrate(CliTest):
         self.expect_refusal(["no camera"], "calibrate", "response", *captures[:4], "--camera", "d", *no)
         self.expect_refusal(["needs images"], "calibrate", "response", *no)
 
+    def test_place_of_a_ball_is_one_that_a_camera_reads(self):
+        rig = self.root / "balls.toml"
+        rig.write_text('version = 1\n' + "".join(
+            f'[[camera]]\nname = "{name}"\nrole = "view"\ndevice = "/dev/{name}"\nresponse = "srgb"\n'
+            f'projection = "pinhole"\nwidth = 1280\nheight = 720\nfocal_px = [1000, 1000]\n'
+            f'world_from_camera = [1,0,0,0, 0,1,0,0, 0,0,1,0, {x},0,0,1]\n' for name, x in (("a", 0), ("b", 0.5))))
+        # 2 m ahead, halfway between the two: 125 px to the right of one's middle and to the left of the other's.
+        one = self.run_json("calibrate", "ball", rig, "--outline", "a:765,360,25.2", "--radius", "0.05")
+        self.assertAlmostEqual(one["centre_m"][2], -2, delta=.05)
+        two = self.run_json("calibrate", "ball", rig, "--outline", "a:765,360,25.2", "--outline", "b:515,360,25.2",
+                            "--radius", "0.05")
+        self.assertAlmostEqual(two["centre_m"][0], .25, delta=.003)
+        self.assertLess(max(two["sigma_m"]), .02)
+        for words, outline in ((["no camera"], "c:1,2,3"), (["NAME:x,y,radius"], "a:1,2"),
+                               (["NAME:x,y,radius"], "a:1,2,3,4"), (["outline leaves"], "a:1,2,30")):
+            self.expect_refusal(words, "calibrate", "ball", rig, "--outline", outline, "--radius", "0.05")
+        self.expect_refusal(["sees the ball"], "calibrate", "ball", rig, "--outline", "a:765,360,25.2", "--outline",
+                            "b:700,360,25.2", "--radius", "0.05")
+
     def test_vignetting_of_even_paper_is_one_that_a_capture_reads(self):
         pictures = []
         for k, slope in enumerate((.1, -.1)):

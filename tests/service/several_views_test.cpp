@@ -310,7 +310,9 @@ TEST(SeveralViews, BallIsFollowedWhenTheCameraMovesAndMissedWhenItLeaves) {
     CameraInfo moved = scene.view;
     moved.world_from_camera = pose;
     const auto ball = calib::MirrorBall::at(pose.inverse() * scene.view.ball->centre_m, .05);
-    capture::Frame frame = frame_of(0, picture_with_ball(moved, *ball, room()));
+    const auto& size = moved.projection;
+    capture::Frame frame = frame_of(0, ball ? picture_with_ball(moved, *ball, room())
+                                            : Image<Rgb>(size.width, size.height, {.3f, .3f, .3f}));
     frame.world_from_camera = pose;
     return stage.process(frame);
   };
@@ -324,7 +326,57 @@ TEST(SeveralViews, BallIsFollowedWhenTheCameraMovesAndMissedWhenItLeaves) {
   const auto gone = look({pose.rotation * kBack, pose.translation});
   ASSERT_FALSE(gone);
   EXPECT_EQ(gone.error().code, ErrorCode::kUndetermined);
+  EXPECT_TRUE(stage.environment().radiance.empty());
+  const auto inside = look({pose.rotation, scene.view.ball->centre_m + dvec3(.01, 0, 0)});
+  ASSERT_FALSE(inside);
+  EXPECT_EQ(inside.error().code, ErrorCode::kUndetermined) << "a tracker's jump ends nothing";
+  EXPECT_EQ(inside.error().where, "view");
   EXPECT_TRUE(look(pose)) << "back in the picture";
+}
+
+// The measure stays the first view's while it is away.
+TEST(SeveralViews, GainsStayWhenAViewComesAndGoesOrIsCovered) {
+  Environment one, two, dark;
+  one.radiance = Image<Rgb>(64, 32, {1, 1, 1});
+  two.radiance = Image<Rgb>(64, 32, {.25f, .25f, .25f});
+  dark.radiance = Image<Rgb>(64, 32, {1e-3f, 1e-3f, 1e-3f});
+  capture::EnvironmentBlend blend(2);
+  for (const std::size_t i : {0, 1}) blend.set_view(i, Image<float>(64, 32, 1.f));
+  Environment out;
+  const auto mean = [&](const Environment* a, const Environment* b) {
+    const Environment* const views[] = {a, b};
+    blend.blend(views, out);
+    return out.radiance.at(30, 15).g;
+  };
+  EXPECT_NEAR(mean(&one, &two), 1, 1e-3);
+  blend.set_view(0, {});
+  EXPECT_NEAR(mean(nullptr, &two), 1, 1e-3);
+  blend.set_view(0, Image<float>(64, 32, 1.f));
+  EXPECT_NEAR(mean(&one, &two), 1, 1e-3);
+  for (int i = 0; i < 50; ++i) mean(&one, &dark);
+  EXPECT_NEAR(blend.gains()[1].g, 4, .01) << "a covered camera is not amplified";
+}
+
+TEST(SeveralViews, ACameraThatIsSilentDoesNotHideWhatSaturatesTheOther) {
+  std::vector<CameraInfo> cameras(2);
+  for (CameraInfo& c : cameras) {
+    c.projection = fisheye(64, 180);
+    c.response = calib::Response::srgb();
+  }
+  StageTimes times;
+  auto stage = *LightStage::create(cameras, {3, {4, .02}}, times);
+  Image<Rgb8> picture(64, 64, {90, 90, 90});
+  for (int y = 20; y < 28; ++y)
+    for (int x = 30; x < 38; ++x) picture.at(x, y) = {255, 255, 255};
+  Result<lighting::LightEstimate> last = fail(ErrorCode::kClosed, "", "");
+  for (int i = 0; i < 6; ++i) {
+    capture::Frame frame = frame_of(0, {}, .03 * i);
+    frame.pixels = std::make_shared<const FramePixels>(picture);
+    last = stage.process(frame);
+  }
+  ASSERT_TRUE(last);
+  EXPECT_FALSE(stage.environment().clipped.empty());
+  EXPECT_GT(last->clipped_fraction, 0);
 }
 
 TEST(SeveralViews, WhatSaturatesOneCameraCountsInTheOtherAlone) {
@@ -333,7 +385,8 @@ TEST(SeveralViews, WhatSaturatesOneCameraCountsInTheOtherAlone) {
   bright.radiance.at(7, 7) = {40, 40, 40};
   dark.radiance.at(7, 7) = {5, 5, 5};
   dark.clipped = {7 * 32 + 7};
-  capture::EnvironmentBlend blend({Image<float>(32, 16, 1.f), Image<float>(32, 16, 1.f)});
+  capture::EnvironmentBlend blend(2);
+  for (const std::size_t i : {0, 1}) blend.set_view(i, Image<float>(32, 16, 1.f));
   const Environment* const views[] = {&dark, &bright};
   Environment out;
   blend.blend(views, out);
@@ -352,7 +405,8 @@ TEST(SeveralViews, SomeoneBeforeOneCameraDoesNotMoveTheGains) {
   b.radiance = Image<Rgb>(64, 32, {.5f, .5f, .5f});
   for (int y = 0; y < 32; ++y)
     for (int x = 0; x < 16; ++x) b.radiance.at(x, y) = {3, 3, 3};
-  capture::EnvironmentBlend blend({Image<float>(64, 32, 1.f), Image<float>(64, 32, 1.f)});
+  capture::EnvironmentBlend blend(2);
+  for (const std::size_t i : {0, 1}) blend.set_view(i, Image<float>(64, 32, 1.f));
   const Environment* const views[] = {&a, &b};
   Environment out;
   blend.blend(views, out);
