@@ -340,7 +340,7 @@ struct Plan {
 class Governor {
  public:
   /// 1.76 holds the promise of the shadow (`chart --governor`); what it is more pays for the objects' own shading, which
-  /// the prediction does not see: with 1.76 the room's lamps were left in harmonics and an object 3.6 % off.
+  /// the prediction does not see: with 2.15 one of the room's lamps was left in harmonics and an object 3.5 % off.
   static constexpr double kCalibrated = 2.3;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
