@@ -13,6 +13,9 @@
 #include "service/commands.h"
 #include "service/progress.h"
 #include "service/report.h"
+#include "service/rig_config.h"
+#include "service/rig_source.h"
+#include "service/stop_signal.h"
 
 namespace penumbra::service {
 
@@ -54,26 +57,67 @@ Result<Found> look_at_pictures(const std::vector<std::string>& pictures,
   return found;
 }
 
-// Of a recording or capture folder: pictures of one camera, so far apart in time that the board has moved.
+// Ninths of the picture without a corner, as one would tell somebody who holds the board.
+std::string empty_parts(const Found& found) {
+  constexpr const char* kRows[] = {"top", "middle", "bottom"};
+  constexpr const char* kColumns[] = {"left", "centre", "right"};
+  bool seen[3][3] = {};
+  for (const calib::BoardView& view : found.views)
+    for (const glm::dvec2& px : view.pixels) {
+      const auto third = [](double at, int size) {
+        return std::clamp(static_cast<int>(3 * at / size), 0, 2);
+      };
+      seen[third(px.y, found.height)][third(px.x, found.width)] = true;
+    }
+  std::string text;
+  for (int y = 0; y < 3; ++y)
+    for (int x = 0; x < 3; ++x)
+      if (!seen[y][x])
+        text += fmt::format("{}{} {}", text.empty() ? "" : ", ", kRows[y], kColumns[x]);
+  return text.empty() ? "corners everywhere" : "no corners yet: " + text;
+}
+
+struct Film {
+  std::unique_ptr<capture::FrameSource> source;
+  bool endless = false;  // a rig's
+};
+
+Result<Film> open_film(const std::string& path) {
+  if (!path.ends_with(".toml")) {
+    PENUMBRA_ASSIGN(source, capture::open_capture(path));
+    return Film{std::move(source), false};
+  }
+  PENUMBRA_ASSIGN(config, read_rig_config(path, false));
+  PENUMBRA_ASSIGN(rig, open_rig(config));
+  return Film{std::move(rig.source), true};
+}
+
+// Pictures of one camera of a capture or a live rig, so far apart in time that the board has moved.
 Result<Found> look_at_capture(const CalibrateCameraOptions& o, const calib::Board& board) {
-  PENUMBRA_ASSIGN(source, capture::open_capture(*o.capture));
-  const auto& cameras = source->cameras();
+  PENUMBRA_ASSIGN(film, open_film(*o.capture));
+  const auto& cameras = film.source->cameras();
   const auto camera = std::ranges::find(cameras, o.camera, &capture::CameraInfo::name);
   if (camera == cameras.end())
     return fail(ErrorCode::kNotFound, *o.capture, fmt::format("no camera \"{}\"", o.camera));
   Found found;
-  std::optional<TimestampNs> last;
-  const auto progress = progress_count("pictures looked at");
+  std::optional<TimestampNs> first, last;
+  const auto progress = progress_line();
+  const std::atomic<bool>* const stop = film.endless ? &catch_stop_signals() : nullptr;
   for (;;) {
-    PENUMBRA_ASSIGN(frame, source->next());
-    if (!frame) return found;
+    PENUMBRA_ASSIGN(frame, film.source->next());
+    if (!frame || (stop && *stop)) break;
+    if (!first) first = frame->time;
+    if (film.endless && (frame->time - *first).count() > o.seconds) break;
     if (frame->camera != camera - cameras.begin()) continue;
     if (last && (frame->time - *last).count() < o.every_s) continue;
     last = frame->time;
     PENUMBRA_TRY(look_at_picture(*frame->pixels, board,
                                  fmt::format("{} frame {}", o.camera, frame->sequence), found));
-    progress(found.pictures);
+    progress(fmt::format("{} pictures, board in {}; {}", found.pictures, found.views.size(),
+                         empty_parts(found)));
   }
+  progress("");
+  return found;
 }
 
 std::string list(const glm::dvec2& v) {

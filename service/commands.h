@@ -114,9 +114,11 @@ Result<void> record(const RecordOptions& options);
 
 struct CalibrateCameraOptions {
   std::vector<std::string> pictures;
-  std::optional<std::string> capture;  // instead: a recording or capture folder, of it `camera`
-  std::string camera = "camera";       // its name, there and in the output
-  double every_s = .5;                 // of a capture: at least so long between two pictures
+  std::optional<std::string>
+      capture;          // instead: a recording, capture folder or rig.toml, of it `camera`
+  double seconds = 60;  // of a rig: how long it is looked at
+  std::string camera = "camera";  // its name, there and in the output
+  double every_s = .5;            // of a capture: at least so long between two pictures
   std::string board, projection = "pinhole", output;
   bool undistorted = false;
   std::optional<std::string> report;

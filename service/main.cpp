@@ -54,7 +54,14 @@ void add_calibrate_commands(CLI::App& app, Action& action) {
       "camera",
       "Intrinsics from pictures of a board: ten to thirty, tilted to all sides, up to the borders");
   c->add_option("pictures", camera.pictures, "PNG, JPEG or TIFF pictures of the board");
-  c->add_option("--capture", camera.capture, "Instead of pictures: a recording or capture folder");
+  c->add_option(
+      "--capture", camera.capture,
+      "Instead of pictures: a recording, a capture folder, or a rig.toml whose camera is looked "
+      "at live");
+  c->add_option("--seconds", camera.seconds,
+                "Of a live rig: how long; an interrupt ends it earlier")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
   c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output");
   c->add_option("--every", camera.every_s, "Of a capture: seconds between two pictures, at least");
   c->add_option("--board", camera.board,

@@ -32,4 +32,13 @@ inline std::function<void(std::size_t)> progress_count(const std::string& what) 
   };
 }
 
+/// A line that is written over itself.
+inline std::function<void(const std::string&)> progress_line() {
+  if (!isatty(STDERR_FILENO)) return [](const std::string&) {};
+  return [](const std::string& text) {
+    std::fprintf(stderr, "\r%-100.100s", text.c_str());
+    std::fflush(stderr);
+  };
+}
+
 }  // namespace penumbra::service

@@ -426,6 +426,27 @@ class Calibrate(CliTest):
         rig.write_text(rig.read_text().replace('role = "environment"\n', 'role = "environment"\nwidth = 640\n'))
         self.expect_refusal(["rig.toml", "width", "1000"], "inspect", rig)
 
+    def test_a_rig_is_looked_at_for_so_many_seconds(self):
+        folder, out = self.root / "boards", self.root / "live.toml"
+        folder.mkdir()
+        rows = ["file,time_s,exposure_s,gain"]
+        for n, board in enumerate(self.boards()):
+            shutil.copy(board, folder / f"{n}.jpg")
+            rows.append(f"{n}.jpg,{n},0.01,1")
+        (folder / "c.csv").write_text("\n".join(rows) + "\n")
+        width, height = 1000, 750
+        (folder / "capture.toml").write_text(
+            f'version = 1\n[[camera]]\nname = "c"\nrole = "view"\nwidth = {width}\nheight = {height}\n'
+            'projection = "pinhole"\nresponse = "srgb"\nframes = "c.csv"\n')
+        rig = self.root / "rig-live.toml"
+        rig.write_text(f'version = 1\n[capture]\nsource = "{folder}"\n')
+        printed = self.run_json("calibrate", "camera", "--capture", rig, "--camera", "c", "--seconds", "5.5", "--board",
+                                "chessboard:15x9:0.026", "--projection", "kb4", "-o", out)
+        self.assertLess(printed["rms_px"], .4)
+        self.assertGreaterEqual(len(printed["boards"]), 4)
+        self.expect_refusal(["no camera"], "calibrate", "camera", "--capture", rig, "--camera", "d", "--board",
+                            "chessboard:15x9:0.026", "-o", out)
+
     def test_response_of_a_bracket_is_one_that_the_merge_reads(self):
         times = [1 / 64, 1 / 16, 1 / 4]
         pictures = []
