@@ -194,7 +194,7 @@ std::string noise_table(const calib::NoiseCalibration& c) {
 std::string vignetting_plot(const calib::VignettingCalibration& c) {
   std::string script = fmt::format(
       "set terminal svg size 760,520 font 'sans,13' background rgb 'white'\n"
-      "set title 'Vignetting: {:.1f} %% of the light in the corners' noenhanced\n"
+      "set title 'Vignetting: {:.1f} % of the light in the corners' noenhanced\n"
       "set grid lc rgb '#dddddd'\nset key left bottom\nset yrange [0:*]\nset xrange [0:1]\n"
       "set xlabel 'distance from the centre, half diagonals'\nset ylabel 'share of the light'\n"
       "plot '-' with points pt 7 ps .6 lc rgb '#2c3e50' title 'seen', '-' with lines lw 2 lc rgb "
