@@ -149,6 +149,11 @@ void LightStage::lay_out() {
 
 Result<void> LightStage::follow(const capture::Frame& frame) {
   const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(frame.camera)];
+  const int w = capture::width(*frame.pixels), h = capture::height(*frame.pixels);
+  if (w != info.projection.width || h != info.projection.height)
+    return fail(
+        ErrorCode::kInvalid, fmt::format("{} frame {}", info.name, frame.sequence),
+        fmt::format("{}x{}, expected {}x{}", w, h, info.projection.width, info.projection.height));
   const auto& view = *std::ranges::find(views_, frame.camera, &View::camera);
   if (stands(info, frame.world_from_camera)) {
     if (view.sight) return {};

@@ -121,6 +121,16 @@ TEST(SeveralViews, ConstantRadianceThroughTwoUnequalLensesHasNoSeam) {
   }
 }
 
+TEST(SeveralViews, APictureOfAnotherSizeIsRefusedByName) {
+  StageTimes times;
+  auto stage = *LightStage::create({two_lenses(200)}, {3, {0, .02}}, times);
+  const auto small = stage.process(frame_of(0, Image<Rgb>(240, 120, {1, 1, 1})));
+  ASSERT_FALSE(small);
+  EXPECT_EQ(small.error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(small.error().where, "dual frame 0");
+  EXPECT_EQ(small.error().detail, "240x120, expected 480x240");
+}
+
 TEST(SeveralViews, TwoLensesOfOnePictureShowTheWholeRoom) {
   CameraInfo camera = two_lenses(200);
   camera.world_from_camera.rotation = glm::angleAxis(.7, glm::normalize(dvec3(.2, 1, .1)));
