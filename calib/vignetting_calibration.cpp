@@ -20,7 +20,7 @@ constexpr double kDark = .03, kClipped = .95;  // of full scale
 constexpr double kMostClipped = .005;          // of a block's samples: noise reaches there first
 constexpr double kMostUneven = .02;            // RMS that is left, relative
 
-// Mean linear signal of a block of pixels about `at`.
+// Mean linear signal of a block of pixels.
 struct Block {
   glm::dvec2 off;     // from the centre, in half diagonals
   double log_signal;  // of the mean over the channels

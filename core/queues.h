@@ -1,4 +1,4 @@
-// The two ways in which stages meet across threads. Both have a close and a drop counter.
+// The ways in which stages meet across threads. All have a close and a drop counter.
 #pragma once
 
 #include <condition_variable>
@@ -12,10 +12,39 @@
 
 namespace penumbra {
 
+/// What all ways of meeting share: closing lets everyone go who waits.
+/// threads: thread-safe
+class Closable {
+ public:
+  void close() {
+    {
+      const std::scoped_lock lock(mutex_);
+      closed_ = true;
+    }
+    changed_.notify_all();
+  }
+  bool closed() const {
+    const std::scoped_lock lock(mutex_);
+    return closed_;
+  }
+  std::uint64_t dropped() const {
+    const std::scoped_lock lock(mutex_);
+    return dropped_;
+  }
+
+ protected:
+  Closable() = default;
+  ~Closable() = default;
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::uint64_t dropped_ = 0;  // guarded by mutex_
+  bool closed_ = false;        // guarded by mutex_
+};
+
 /// One-slot mailbox: the newest value wins, an unread one is dropped and counted.
 /// threads: thread-safe, any number of writers and readers
 template <class T>
-class Latest {
+class Latest : public Closable {
  public:
   void put(T value) {
     {
@@ -24,7 +53,7 @@ class Latest {
       if (slot_) ++dropped_;
       slot_ = std::move(value);
     }
-    ready_.notify_one();
+    changed_.notify_one();
   }
 
   /// Takes the value if there is one; never waits.
@@ -36,38 +65,18 @@ class Latest {
   /// Waits for a value until `timeout`; nothing after the timeout or once closed and empty.
   std::optional<T> wait(Seconds timeout) {
     std::unique_lock lock(mutex_);
-    ready_.wait_for(lock, timeout, [&] { return slot_.has_value() || closed_; });
+    changed_.wait_for(lock, timeout, [&] { return slot_.has_value() || closed_; });
     return std::exchange(slot_, std::nullopt);
   }
 
-  void close() {
-    {
-      const std::scoped_lock lock(mutex_);
-      closed_ = true;
-    }
-    ready_.notify_all();
-  }
-  bool closed() const {
-    const std::scoped_lock lock(mutex_);
-    return closed_;
-  }
-  std::uint64_t dropped() const {
-    const std::scoped_lock lock(mutex_);
-    return dropped_;
-  }
-
  private:
-  mutable std::mutex mutex_;
-  std::condition_variable ready_;
   std::optional<T> slot_;  // guarded by mutex_
-  std::uint64_t dropped_ = 0;
-  bool closed_ = false;
 };
 
 /// First-in first-out queue of at most `capacity` values.
 /// threads: thread-safe, any number of writers and readers
 template <class T>
-class Bounded {
+class Bounded : public Closable {
  public:
   explicit Bounded(std::size_t capacity) : capacity_(capacity) {}
 
@@ -109,25 +118,9 @@ class Bounded {
     return value;
   }
 
-  void close() {
-    {
-      const std::scoped_lock lock(mutex_);
-      closed_ = true;
-    }
-    changed_.notify_all();
-  }
-  std::uint64_t dropped() const {
-    const std::scoped_lock lock(mutex_);
-    return dropped_;
-  }
-
  private:
   const std::size_t capacity_;
-  mutable std::mutex mutex_;
-  std::condition_variable changed_;
   std::deque<T> items_;  // guarded by mutex_
-  std::uint64_t dropped_ = 0;
-  bool closed_ = false;
 };
 
 }  // namespace penumbra

@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "codec/codec.h"
+#include "service/camera_film.h"
 
 namespace penumbra::service {
 
@@ -72,15 +73,10 @@ struct Average {
 Result<void> add_frames(const std::string& path, const std::string& name,
                         std::vector<Average>& averages) {
   constexpr std::size_t kMost = 16;
-  PENUMBRA_ASSIGN(source, capture::open_capture(path));
-  const auto& cameras = source->cameras();
-  const auto camera = std::ranges::find(cameras, name, &capture::CameraInfo::name);
-  if (camera == cameras.end())
-    return fail(ErrorCode::kNotFound, path, fmt::format("no camera \"{}\"", name));
+  PENUMBRA_ASSIGN(film, CameraFilm::open(path, name));
   while (true) {
-    PENUMBRA_ASSIGN(frame, source->next());
+    PENUMBRA_ASSIGN(frame, film.next());
     if (!frame) return {};
-    if (frame->camera != camera - cameras.begin()) continue;
     const auto* codes = std::get_if<Image<Rgb8>>(frame->pixels.get());
     if (!codes)
       return fail(ErrorCode::kInvalid, path, "only the response of 8-bit pictures is estimated");

@@ -10,6 +10,7 @@
 #include "core/toml_keys.h"
 #include "service/bracket_files.h"
 #include "service/calibration_report.h"
+#include "service/camera_film.h"
 #include "service/commands.h"
 #include "service/progress.h"
 #include "service/report.h"
@@ -77,38 +78,30 @@ std::string empty_parts(const Found& found) {
   return text.empty() ? "corners everywhere" : "no corners yet: " + text;
 }
 
-struct Film {
-  std::unique_ptr<capture::FrameSource> source;
-  bool endless = false;  // a rig's
-};
+bool is_rig(const std::string& path) {
+  return path.ends_with(".toml");
+}
 
-Result<Film> open_film(const std::string& path) {
-  if (!path.ends_with(".toml")) {
-    PENUMBRA_ASSIGN(source, capture::open_capture(path));
-    return Film{std::move(source), false};
-  }
+Result<CameraFilm> open_film(const std::string& path, const std::string& camera) {
+  if (!is_rig(path)) return CameraFilm::open(path, camera);
   PENUMBRA_ASSIGN(config, read_rig_config(path, false));
   PENUMBRA_ASSIGN(rig, open_rig(config));
-  return Film{std::move(rig.source), true};
+  return CameraFilm::of(std::move(rig.source), path, camera);
 }
 
 // Pictures of one camera of a capture or a live rig, so far apart in time that the board has moved.
 Result<Found> look_at_capture(const CalibrateCameraOptions& o, const calib::Board& board) {
-  PENUMBRA_ASSIGN(film, open_film(*o.capture));
-  const auto& cameras = film.source->cameras();
-  const auto camera = std::ranges::find(cameras, o.camera, &capture::CameraInfo::name);
-  if (camera == cameras.end())
-    return fail(ErrorCode::kNotFound, *o.capture, fmt::format("no camera \"{}\"", o.camera));
+  PENUMBRA_ASSIGN(film, open_film(*o.capture, o.camera));
+  const bool endless = is_rig(*o.capture);
   Found found;
   std::optional<TimestampNs> first, last;
   const auto progress = progress_line();
-  const std::atomic<bool>* const stop = film.endless ? &catch_stop_signals() : nullptr;
+  const std::atomic<bool>* const stop = endless ? &catch_stop_signals() : nullptr;
   for (;;) {
-    PENUMBRA_ASSIGN(frame, film.source->next());
+    PENUMBRA_ASSIGN(frame, film.next());
     if (!frame || (stop && *stop)) break;
     if (!first) first = frame->time;
-    if (film.endless && (frame->time - *first).count() > o.seconds) break;
-    if (frame->camera != camera - cameras.begin()) continue;
+    if (endless && (frame->time - *first).count() > o.seconds) break;
     if (last && (frame->time - *last).count() < o.every_s) continue;
     last = frame->time;
     PENUMBRA_TRY(look_at_picture(*frame->pixels, board,

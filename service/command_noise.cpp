@@ -7,6 +7,7 @@
 #include "capture/capture.h"
 #include "core/files.h"
 #include "service/calibration_report.h"
+#include "service/camera_film.h"
 #include "service/commands.h"
 #include "service/progress.h"
 #include "service/report.h"
@@ -22,18 +23,13 @@ struct Film {
 
 Result<Film> read_film(const std::string& path, const std::string& name) {
   constexpr std::size_t kMostExposures = 16;
-  PENUMBRA_ASSIGN(source, capture::open_capture(path));
-  const auto& cameras = source->cameras();
-  const auto camera = std::ranges::find(cameras, name, &capture::CameraInfo::name);
-  if (camera == cameras.end())
-    return fail(ErrorCode::kNotFound, path, fmt::format("no camera \"{}\"", name));
+  PENUMBRA_ASSIGN(frames, CameraFilm::open(path, name));
   std::map<std::pair<double, double>, calib::StillSeries> by_exposure;  // time, gain
   const auto progress = progress_count("frames looked at");
   std::size_t count = 0;
   while (true) {
-    PENUMBRA_ASSIGN(frame, source->next());
+    PENUMBRA_ASSIGN(frame, frames.next());
     if (!frame) break;
-    if (frame->camera != camera - cameras.begin()) continue;
     const double gain = frame->exposure.gain.value();
     const auto [series, added] = by_exposure.try_emplace(
         std::pair(frame->exposure.time.count(), gain), calib::StillSeries(gain));
@@ -45,7 +41,7 @@ Result<Film> read_film(const std::string& path, const std::string& name) {
         series->second.add(*frame->pixels, fmt::format("{} frame {}", name, frame->sequence)));
     progress(++count);
   }
-  Film out{*camera, {}};
+  Film out{frames.camera(), {}};
   for (auto& [exposure, series] : by_exposure) out.series.push_back(std::move(series));
   return out;
 }

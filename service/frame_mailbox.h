@@ -3,14 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <condition_variable>
-#include <cstdint>
-#include <mutex>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "capture/capture.h"
+#include "core/queues.h"
 #include "core/units.h"
 
 namespace penumbra::service {
@@ -18,7 +16,7 @@ namespace penumbra::service {
 /// Holds the newest frame of each camera and exposure and hands them out in turn, so that no exposure of a bracket is
 /// always the one that is dropped. A camera's frames stay in order of time.
 /// threads: thread-safe, any number of writers and readers
-class FrameMailbox {
+class FrameMailbox : public Closable {
  public:
   void put(capture::Frame frame) {
     {
@@ -34,13 +32,13 @@ class FrameMailbox {
         waiting_.push_back(std::move(frame));
       }
     }
-    ready_.notify_one();
+    changed_.notify_one();
   }
 
   /// Waits for a frame until `timeout`; nothing after the timeout or once closed and empty.
   std::optional<capture::Frame> wait(Seconds timeout) {
     std::unique_lock lock(mutex_);
-    ready_.wait_for(lock, timeout, [&] { return !waiting_.empty() || closed_; });
+    changed_.wait_for(lock, timeout, [&] { return !waiting_.empty() || closed_; });
     if (waiting_.empty()) return std::nullopt;
     capture::Frame frame = std::move(waiting_.front());
     waiting_.erase(waiting_.begin());
@@ -50,22 +48,6 @@ class FrameMailbox {
     return frame;
   }
 
-  void close() {
-    {
-      const std::scoped_lock lock(mutex_);
-      closed_ = true;
-    }
-    ready_.notify_all();
-  }
-  bool closed() const {
-    const std::scoped_lock lock(mutex_);
-    return closed_;
-  }
-  std::uint64_t dropped() const {
-    const std::scoped_lock lock(mutex_);
-    return dropped_;
-  }
-
  private:
   static constexpr std::size_t kMost = 16;
   // Within a quarter of a stop: labels that frames tell themselves vary a little.
@@ -73,11 +55,7 @@ class FrameMailbox {
     return a.camera == b.camera &&
            std::abs(std::log2(a.exposure.product() / b.exposure.product())) < .25;
   }
-  mutable std::mutex mutex_;
-  std::condition_variable ready_;
   std::vector<capture::Frame> waiting_;  // whose turn came first stands first; guarded by mutex_
-  std::uint64_t dropped_ = 0;
-  bool closed_ = false;
 };
 
 }  // namespace penumbra::service
