@@ -147,6 +147,11 @@ int Compositor::add_object(const prt::BakedObject& object) {
   return impl_->layers->add_object(object);
 }
 
+void Compositor::set_form(int object, const prt::Mesh& mesh) {
+  impl_->context->make_current();
+  impl_->layers->set_form(object, mesh);
+}
+
 void Compositor::set_pose(int object, const Pose& world_from_bake) {
   impl_->layers->set_pose(object, world_from_bake);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)

@@ -78,6 +78,8 @@ class Compositor {
 
   /// Uploads geometry once; the number names the object from then on.
   int add_object(const prt::BakedObject& object);
+  /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of them are drawn.
+  void set_form(int object, const prt::Mesh& mesh);
   /// Rigid placement of the bake frame in the world.
   void set_pose(int object, const Pose& world_from_bake);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty

@@ -106,6 +106,15 @@ int Layers::add_object(const prt::BakedObject& baked) {
   return static_cast<int>(objects_.size()) - 1;
 }
 
+void Layers::set_form(int object, const prt::Mesh& mesh) {
+  Object& o = objects_[static_cast<std::size_t>(object)];
+  o.moves = true;
+  o.bounds = bounds_of(mesh);
+  glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(mesh.positions), mesh.positions.data());
+  drawn_.reset();
+}
+
 void Layers::set_pose(int object, const Pose& world_from_bake) {
   Pose& pose = objects_[static_cast<std::size_t>(object)].world_from_bake;
   if (pose == world_from_bake) return;
@@ -260,7 +269,8 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
   for (Object& o : objects_) {
     const double distance =
         distance_to_box(o.world_from_bake.inverse() * view.camera.world_from_camera, o.bounds);
-    choose_triangles(o, !fine_ && o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
+    choose_triangles(
+        o, !fine_ && !o.moves && o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
     // The black back of a closed surface shows only from within.
     if (o.triangles.closed() && distance > kNearPlane) glEnable(GL_CULL_FACE);
     set_matrix(object_program_.get(), clip_from_world * o.world_from_bake.matrix());

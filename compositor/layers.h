@@ -19,6 +19,7 @@ class Layers {
   static Result<Layers> create(int width, int height, int oversampling);
 
   int add_object(const prt::BakedObject& object);
+  void set_form(int object, const prt::Mesh& mesh);
   void set_pose(int object, const Pose& world_from_bake);
   void set_light(int object, std::span<const float> relit);
   int add_occluder(const prt::Mesh& mesh);
@@ -41,6 +42,7 @@ class Layers {
     GLsizei index_count = 0;
     bool every_triangle = true;  // in `indices`; otherwise those selected for `colours`
     bool selection_stale = true;
+    bool moves = false;  // has been given another form: what the list of triangles tells of is gone
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
     float tolerance;  // of `triangles`, metres

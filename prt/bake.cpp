@@ -40,6 +40,7 @@ struct BounceHit {
 struct PointResult {
   std::vector<float> blocked;  // sum over blocked rays of w Y_n
   float group_blocked[4] = {};
+  float behind = 0;  // weight of rays that met a back face
   std::vector<BounceHit> hits;
   float all_hits = 0;  // weight of all hits, kept or not
 };
@@ -57,7 +58,7 @@ class Baker {
     for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
     if (options.receiver) add_receiver_points(options.receiver->grid);
-    if (options.bounces > 0) bands_ = std::max(bands_, kIndirectBands);
+    if (options.bounces > 0) bands_ = std::max(bands_, options.indirect_bands);
     coefficients_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
 
@@ -74,6 +75,7 @@ class Baker {
   void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
                  const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
                  PointResult& out) const;
+  glm::mat3 material_frame(std::size_t index, const glm::vec3& normal) const;
   std::uint32_t ground_mask(const RayScene::Packet& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
@@ -81,7 +83,9 @@ class Baker {
   void add_further_bounces(const std::array<double, 3>& share);
   void add_ground_bounce(const BounceHit& hit, int channel, float* sum) const;
   void report_progress(double share);
-  double standard_error(const std::vector<PointResult>& results) const;
+  std::vector<PointQuality> quality(const std::vector<PointResult>& results) const;
+  double standard_error(const std::vector<PointResult>& results,
+                        const std::vector<PointQuality>& quality) const;
   Transfer packed_vertices() const;
   Transfer packed_deficit() const;
   Transfer packed_indirect(std::size_t first, std::size_t count) const;
@@ -126,6 +130,13 @@ bool Baker::grey() const {
          (!options_.receiver || is_grey(options_.receiver->albedo));
 }
 
+// Rays about the normal, turned with the material where it turns.
+glm::mat3 Baker::material_frame(std::size_t index, const glm::vec3& normal) const {
+  if (index >= options_.turns.size()) return frame_around(normal);
+  const glm::mat3& turn = options_.turns[index];
+  return turn * frame_around(glm::normalize(glm::transpose(turn) * normal));
+}
+
 std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
   std::uint32_t mask = 0;
   for (int i = 0; i < kLanes; ++i)
@@ -141,7 +152,11 @@ void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, c
   for (; blocked; blocked &= blocked - 1) {
     const int i = std::countr_zero(blocked);
     const bool on_object = packet.triangle[i] != RayScene::kMiss;
-    if (on_object ? !packet.front[i] : ground_point) continue;
+    if (on_object && !packet.front[i]) {
+      out.behind += weight[i];
+      continue;
+    }
+    if (!on_object && ground_point) continue;
     out.all_hits += weight[i];
     if (groups && groups[i] != 0) continue;
     if (on_object) {
@@ -168,7 +183,8 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   const float distance = glm::length(origin);
   const bool cone = ground_point && distance > 1.15f;
   const float cos_half = cone ? std::sqrt(1 - 1 / (distance * distance)) : 0;
-  const glm::mat3 frame = frame_around(cone ? -origin / distance : point.normal);
+  const glm::mat3 frame =
+      cone ? frame_around(-origin / distance) : material_frame(index, point.normal);
   const float uniform_weight = cone ? 2 * (1 - cos_half) / static_cast<float>(patterns.rays())
                                     : 1 / static_cast<float>(patterns.rays());
 
@@ -176,6 +192,7 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   out.hits.clear();
   out.all_hits = 0;
   std::fill_n(out.group_blocked, 4, 0.f);
+  out.behind = 0;
   alignas(64) float sum[kMaxCoefficients * kLanes];
   std::fill_n(sum, coefficients_ * kLanes, 0.f);
   RayScene::Packet packet;
@@ -317,20 +334,30 @@ void Baker::report_progress(double share) {
   options_.progress(std::min(1., progress_));
 }
 
-double Baker::standard_error(const std::vector<PointResult>& results) const {
+std::vector<PointQuality> Baker::quality(const std::vector<PointResult>& results) const {
   // t_0 of each group is (1 - its blocked share) times a constant; the mean of four has variance
   // s^2/4.
-  double variance = 0, mean = 0;
-  const std::size_t count = mesh_.positions.size();
-  for (std::size_t i = 0; i < count; ++i) {
+  std::vector<PointQuality> out;
+  for (std::size_t i = 0; i < mesh_.positions.size(); ++i) {
     double m = 0, s = 0;
     for (float g : results[i].group_blocked) m += g;  // each group holds a quarter of the weight
     for (float g : results[i].group_blocked) s += std::pow(4 * g - m, 2);
-    variance += s / 3 / 4;
-    mean += 1 - m;
+    out.push_back({static_cast<float>(std::sqrt(s / 3 / 4)), results[i].behind});
   }
-  mean /= static_cast<double>(count);
-  return mean > 0 ? std::sqrt(variance / static_cast<double>(count)) / mean : 0;
+  return out;
+}
+
+double Baker::standard_error(const std::vector<PointResult>& results,
+                             const std::vector<PointQuality>& quality) const {
+  double variance = 0, mean = 0;
+  for (std::size_t i = 0; i < quality.size(); ++i) {
+    variance += std::pow(double(quality[i].standard_error), 2);
+    mean += 1;
+    for (float g : results[i].group_blocked) mean -= g;
+  }
+  const auto count = static_cast<double>(quality.size());
+  mean /= count;
+  return mean > 0 ? std::sqrt(variance / count) / mean : 0;
 }
 
 Transfer Baker::packed_vertices() const {
@@ -356,7 +383,7 @@ Transfer Baker::packed_deficit() const {
 
 // What the bounces added.
 Transfer Baker::packed_indirect(std::size_t first, std::size_t count) const {
-  const int bands = options_.bounces > 0 ? kIndirectBands : 1;
+  const int bands = options_.bounces > 0 ? options_.indirect_bands : 1;
   Transfer out(bands, channels_, count);
   for (std::size_t p = 0; p < count; ++p)
     for (int c = 0; c < channels_; ++c) {
@@ -439,7 +466,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   }
   out.mesh = std::move(mesh);
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
-  out.report = {rays, seconds.count(), standard_error(results)};
+  std::vector<PointQuality> by_vertex = quality(results);
+  out.report = {rays, seconds.count(), standard_error(results, by_vertex), std::move(by_vertex)};
   return out;
 }
 
@@ -466,6 +494,11 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
+  if (o.indirect_bands < 1 || o.indirect_bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "bands of reflected light",
+                fmt::format("{} is not in 1..{}", o.indirect_bands, kMaxBands));
+  if (!o.turns.empty() && o.turns.size() != mesh.positions.size())
+    return fail(ErrorCode::kInvalid, "turns", "and vertices differ in number");
   if (o.bounces < 0 || o.bounces > kMostBounces)
     return fail(ErrorCode::kInvalid, "bounces",
                 fmt::format("{} is not in 0..{}", o.bounces, kMostBounces));

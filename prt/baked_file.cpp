@@ -297,8 +297,8 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
     const double v = get(*extras, key);
     return v >= 0 && v < 1e18 ? v : 0;
   };
-  o.report = {static_cast<std::uint64_t>(figure("rays")), figure("seconds"),
-              figure("standard_error")};
+  o.report = {
+      static_cast<std::uint64_t>(figure("rays")), figure("seconds"), figure("standard_error"), {}};
   return o;
 }
 

@@ -59,6 +59,8 @@ class Subdivider {
     mesh_.triangles = std::move(out);
     return mesh_.triangles.size() != before;
   }
+  // Of what edge each new vertex is the middle.
+  std::vector<std::array<std::uint32_t, 2>> ends() && { return std::move(ends_); }
 
  private:
   static constexpr std::uint32_t kNone = 0xffffffffu;
@@ -72,6 +74,7 @@ class Subdivider {
     const glm::vec3 n = mesh_.normals[a] + mesh_.normals[b];
     mesh_.normals.push_back(glm::length(n) > 1e-6f ? glm::normalize(n) : mesh_.normals[a]);
     mesh_.albedo.push_back((mesh_.albedo[a] + mesh_.albedo[b]) * .5f);
+    ends_.push_back({a, b});
     return found->second = index;
   }
 
@@ -100,15 +103,18 @@ class Subdivider {
 
   Mesh& mesh_;
   float longest_;
+  std::vector<std::array<std::uint32_t, 2>> ends_;
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> midpoints_;
 };
 
 }  // namespace
 
-void subdivide(Mesh& mesh, float longest_edge, std::size_t triangle_limit) {
+std::vector<std::array<std::uint32_t, 2>> subdivide(Mesh& mesh, float longest_edge,
+                                                    std::size_t triangle_limit) {
   Subdivider subdivider(mesh, longest_edge);
   while (mesh.triangles.size() * 2 < triangle_limit && subdivider.round()) {
   }
+  return std::move(subdivider).ends();
 }
 
 Mesh make_sphere(const glm::vec3& centre, float radius, int subdivisions, Rgb albedo) {

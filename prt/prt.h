@@ -22,13 +22,17 @@
 #include "core/pose.h"
 #include "core/result.h"
 #include "core/sh.h"
+#include "prt/animation.h"  // IWYU pragma: export
+#include "prt/receiver.h"   // IWYU pragma: export
+#include "prt/sequence.h"   // IWYU pragma: export
 
 namespace penumbra::prt {
 
 // ---------------------------------------------------------------------------------- geometry
 
 struct Mesh {
-  std::vector<glm::vec3> positions;
+  std::vector<glm::vec3>
+      positions;  // those that no triangle uses are points to be baked and lit, e.g. texels
   std::vector<glm::vec3> normals;                       // unit, one per position
   std::vector<Rgb> albedo;                              // 0..1, one per position
   std::vector<std::array<std::uint32_t, 3>> triangles;  // counter-clockwise seen from outside
@@ -46,7 +50,9 @@ void transform(Mesh& mesh, const glm::dmat4& matrix);
 void append(Mesh& mesh, const Mesh& other);
 /// Splits every edge longer than `longest_edge` (shared edges alike, so no cracks); at most
 /// `triangle_limit` triangles. Vertex transfer needs edges shorter than the shading features.
-void subdivide(Mesh& mesh, float longest_edge, std::size_t triangle_limit = 400'000);
+/// Returns of what edge each new vertex is the middle, in their order.
+std::vector<std::array<std::uint32_t, 2>> subdivide(Mesh& mesh, float longest_edge,
+                                                    std::size_t triangle_limit = 400'000);
 
 /// Sphere from a subdivided icosahedron, unit outward normals.
 Mesh make_sphere(const glm::vec3& centre, float radius, int subdivisions, Rgb albedo);
@@ -120,6 +126,8 @@ class RayWorld {
   /// errors: kInvalid (no triangles), kUnavailable
   Result<int> add(const Mesh& mesh);
   void set_pose(int mesh, const Pose& world_from_mesh);
+  /// Another form of the same mesh: as many vertices, the same triangles.
+  void set_form(int mesh, const Mesh& form);
   bool empty() const;
 
   static constexpr int kPacket = 16;
@@ -141,30 +149,11 @@ class RayWorld {
 
 // ---------------------------------------------------------------------------------- bake
 
-/// Sample points of a receiving plane around an object: size x size texels, dense near the centre.
-/// Along each axis, with p in -1..1 the position in half extents and w in -1..1 the texture
-/// coordinate 2u - 1:
-///   w = (1 + k) p / (1 + k |p|),  p = w / (1 + k - k |w|),  k = 3
-/// so the centre is sampled 1 + k times as densely as an even grid and the rim 1/(1 + k) times.
-struct GroundGrid {
-  static constexpr float kStretch = 3;
-  int size = 128;
-  glm::vec2 centre{0, 0};  // x, z in the bake frame, metres
-  float half_extent = 1;   // metres from the centre to the rim
-  float height = 0;        // y of the plane in the bake frame
-
-  glm::vec2 position(glm::vec2 uv) const;  // x, z
-  glm::vec2 uv(glm::vec2 position) const;  // outside 0..1 beyond the rim
-};
 /// The grid that an object needs: out to five radii of its bounding sphere, where an upright object
 /// takes less than 1 % of the light (deficit R^2 h/d^3).
 GroundGrid fit_ground_grid(const Mesh& mesh, float plane_height, int size = 128);
 
-struct Receiver {
-  GroundGrid grid;
-  Rgb albedo;  // its reflection lights the object; 0 = none
-};
-
+inline constexpr int kIndirectBands = 9;
 inline constexpr int kMostBounces = 256;
 
 struct BakeOptions {
@@ -175,6 +164,11 @@ struct BakeOptions {
   int rays = 1024;         // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
   std::optional<Receiver> receiver;
+  /// Bands of what comes by reflection (BakedObject::indirect).
+  int indirect_bands = kIndirectBands;
+  /// One a vertex, or none: from its material to the bake frame. Rays keep their places in the material, so that what
+  /// only turns gets the same transfer to the last bits of a float.
+  std::span<const glm::mat3> turns{};
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
 };
 
@@ -200,7 +194,11 @@ struct Transfer {
   void set(int channel, int n, std::size_t point, float v);
 };
 
-inline constexpr int kIndirectBands = 9;
+/// How well a vertex is known; not kept in files.
+struct PointQuality {
+  float standard_error = 0;  // of t_0, share of an open point's
+  float behind = 0;  // share of its rays that met a surface from behind: it lies within something
+};
 
 struct BakeReport {
   std::uint64_t rays = 0;
@@ -208,6 +206,7 @@ struct BakeReport {
   /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of
   /// four quarters of the rays; an upper bound, since together they are stratified finer.
   double standard_error = 0;
+  std::vector<PointQuality> quality;  // by vertex
 };
 
 struct BakedObject {

@@ -1,6 +1,7 @@
 #include <embree3/rtcore.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "prt/embree_mesh.h"
 #include "prt/prt.h"
@@ -47,6 +48,7 @@ struct RayWorld::Impl {
     Pose world_from_mesh;
     glm::mat3 turn;  // mesh from world
     glm::vec3 shift;
+    bool moves;  // was given another form
 
     std::uint32_t occluded(const Rays& rays, int count, std::uint32_t wanted) const;
   };
@@ -100,7 +102,7 @@ Result<int> RayWorld::add(const Mesh& mesh) {
   if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   const glm::vec3 centre = bounds_of(mesh).centre();
   impl_->bodies.push_back(
-      {scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}});
+      {scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}, false});
   return static_cast<int>(impl_->bodies.size()) - 1;
 }
 
@@ -110,6 +112,25 @@ void RayWorld::set_pose(int mesh, const Pose& world_from_mesh) {
   body.world_from_mesh = world_from_mesh;
   body.turn = glm::mat3(mesh_from_world.rotation_matrix());
   body.shift = glm::vec3(mesh_from_world.translation);
+}
+
+void RayWorld::set_form(int mesh, const Mesh& form) {
+  Impl::Body& body = impl_->bodies[static_cast<std::size_t>(mesh)];
+  RTCGeometry geometry = rtcGetGeometry(body.scene, 0);
+  if (!std::exchange(body.moves, true)) {
+    // From now on built fast, not well: it lasts for one frame.
+    rtcSetSceneFlags(body.scene, RTC_SCENE_FLAG_DYNAMIC);
+    rtcSetSceneBuildQuality(body.scene, RTC_BUILD_QUALITY_LOW);
+    rtcSetGeometryBuildQuality(geometry, RTC_BUILD_QUALITY_LOW);
+  }
+  auto* vertices =
+      static_cast<float*>(rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_VERTEX, 0));
+  std::copy_n(&form.positions[0].x, 3 * form.positions.size(), vertices);
+  rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0);
+  rtcCommitGeometry(geometry);
+  rtcCommitScene(body.scene);
+  body.centre = bounds_of(form).centre();
+  body.radius = radius_around(form, body.centre);
 }
 
 bool RayWorld::empty() const {

@@ -3,12 +3,15 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cstdlib>
 #include <optional>
 #include <vector>
 
 #include "core/files.h"
+#include "core/hash.h"
 
 namespace penumbra::service {
 
@@ -16,31 +19,21 @@ namespace fs = std::filesystem;
 
 namespace {
 
-std::uint64_t hash(std::uint64_t h, const void* data, std::size_t bytes) {  // FNV-1a
-  const auto* p = static_cast<const unsigned char*>(data);
-  for (std::size_t i = 0; i < bytes; ++i) h = (h ^ p[i]) * 0x100000001b3ull;
-  return h;
-}
+constexpr const char *kClipKind = ".shlm", *kJournalKind = ".journal";
 
 // Everything that the bake's result depends on; the version changes with the bake's own code.
 std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
-  constexpr std::uint64_t kBakeVersion = 8;
-  std::uint64_t h = hash(0xcbf29ce484222325ull, &kBakeVersion, sizeof kBakeVersion);
-  h = hash(h, mesh.positions.data(), mesh.positions.size() * sizeof(glm::vec3));
-  h = hash(h, mesh.normals.data(), mesh.normals.size() * sizeof(glm::vec3));
-  h = hash(h, mesh.albedo.data(), mesh.albedo.size() * sizeof(Rgb));
-  h = hash(h, mesh.triangles.data(), mesh.triangles.size() * sizeof(mesh.triangles[0]));
-  const int numbers[] = {o.bands, o.bounces, o.rays, o.ground_rays,
-                         o.receiver ? o.receiver->grid.size : 0};
-  h = hash(h, numbers, sizeof numbers);
+  constexpr std::uint64_t kBakeVersion = 9;
+  Fnv1a h;
+  h.add(kBakeVersion).add(mesh.positions).add(mesh.normals).add(mesh.albedo).add(mesh.triangles);
+  for (const int n :
+       {o.bands, o.bounces, o.rays, o.ground_rays, o.receiver ? o.receiver->grid.size : 0})
+    h.add(n);
   if (o.receiver) {
     const prt::GroundGrid& g = o.receiver->grid;
-    const float floats[] = {
-        g.centre.x,           g.centre.y,           g.half_extent,       g.height,
-        o.receiver->albedo.r, o.receiver->albedo.g, o.receiver->albedo.b};
-    h = hash(h, floats, sizeof floats);
+    h.add(g.centre).add(g.half_extent).add(g.height).add(o.receiver->albedo);
   }
-  return fmt::format("{:016x}.glb", h);
+  return fmt::format("{:016x}.glb", h.value());
 }
 
 std::optional<fs::path> cache_folder() {
@@ -63,7 +56,8 @@ void prune_cache(const fs::path& folder, std::uintmax_t most_bytes) {
   std::error_code error;
   for (fs::directory_iterator file(folder, error), end; !error && file != end;
        file.increment(error)) {
-    if (file->path().extension() != ".glb") continue;
+    const fs::path kind = file->path().extension();
+    if (kind != ".glb" && kind != kClipKind && kind != kJournalKind) continue;
     std::error_code gone;
     const Entry e{file->last_write_time(gone), file->file_size(gone), file->path()};
     if (!gone) entries.push_back(e);
@@ -96,6 +90,50 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
     prune_cache(*folder, kCacheBytes);
   }
   return baked;
+}
+
+Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
+                                          int clip, const prt::SequenceOptions& options,
+                                          bool use_cache) {
+  const auto named = [&](const Error& e) { return fail(e.code, name, e.where + ": " + e.detail); };
+  std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
+  if (folder && !make_folder(*folder)) folder.reset();
+  const bool keep = folder.has_value();
+  std::error_code ignored;
+  if (!keep) folder = fs::temp_directory_path(ignored);
+  const auto key = prt::bake_key(character, clip, options);
+  if (!key) return named(key.error());
+  const fs::path stem =
+      *folder / fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).value());
+  const fs::path file = stem.string() + kClipKind;
+  // Without a cache two programs must not write the same journal.
+  const fs::path journal =
+      keep ? fs::path(stem.string() + kJournalKind)
+           : fs::path(fmt::format("{}-{}{}", stem.string(), ::getpid(), kJournalKind));
+  if (keep)
+    if (auto recalled = prt::read_sequence(file, character, clip)) {
+      fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
+      return recalled;
+    }
+  const auto baked = prt::bake_frames(character, clip, options, {}, journal);
+  if (!baked) return named(baked.error());
+  const fs::path journals[] = {journal};
+  auto sequence = prt::compress_frames(character, clip, options, journals);
+  fs::remove(journal, ignored);
+  if (!sequence) return named(sequence.error());
+  const prt::SequenceReport& r = sequence->report;
+  spdlog::info(
+      "{}: baked {} frames of {} points, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of "
+      "t_0, "
+      "compressed within {:.2f} %",
+      name, sequence->surface.frames(), sequence->surface.points(),
+      static_cast<double>(r.rays) * 1e-6, r.seconds, 100 * r.standard_error,
+      100 * r.compression_error);
+  if (!keep) return sequence;
+  if (const auto written = prt::write_sequence(file, character, clip, *sequence); !written)
+    spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
+  prune_cache(*folder, kCacheBytes);
+  return sequence;
 }
 
 }  // namespace penumbra::service

@@ -14,6 +14,12 @@ namespace penumbra::service {
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
                                         const prt::BakeOptions& options, bool use_cache);
 
+/// The same for a clip. Frames that a bake finished before it was stopped are kept there as well.
+/// errors: of prt::bake_frames, naming `name`
+Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
+                                          int clip, const prt::SequenceOptions& options,
+                                          bool use_cache);
+
 inline constexpr std::uintmax_t kCacheBytes = std::uintmax_t{1} << 30;
 
 /// Removes the baked files that were used longest ago until the rest is within `most_bytes`.

@@ -97,6 +97,7 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
   StudioRequest request;
   request.environment = o.environment;
   request.asset = o.asset;
+  request.animation = o.animation;
   request.prop = o.prop;
   request.animated = o.animated;
   request.width = o.width;

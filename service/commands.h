@@ -90,7 +90,7 @@ struct DemoOptions {
   bool headless = false, live = false, json = false, animated = true;
   int frames = 90;
   std::string output = "out/demo";
-  std::optional<std::string> environment, asset, prop, record;
+  std::optional<std::string> environment, asset, animation, prop, record;
   int width = 1280, height = 720;
   double fps = 30;
   int bands = 5;

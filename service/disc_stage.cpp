@@ -86,6 +86,14 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   virtual_.set_pose(static_cast<int>(object), world_from_bake);
 }
 
+void DiscStage::set_form(std::size_t object) {
+  const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
+  virtual_.set_form(static_cast<int>(object), mesh);
+  const glm::vec3 centre = prt::bounds_of(mesh).centre();
+  spheres_[object] = {glm::dvec3(centre), double(prt::radius_around(mesh, centre))};
+  if (!moved_from_[object]) moved_from_[object] = poses_[object];
+}
+
 // Of the floor that a side would see alone, and that the object itself does not shade: what of its disc light is there and
 // in sight.
 std::array<float, kSides> DiscStage::floor_share(std::size_t object, const lighting::Disc& disc,

@@ -26,6 +26,8 @@ class DiscStage {
   static Result<DiscStage> create(const PreparedScene& scene, const DiscTaps& taps);
 
   void set_pose(std::size_t object, const Pose& world_from_bake);
+  /// Follows the mesh of an object that moves by itself.
+  void set_form(std::size_t object);
   /// Brings everything up to date with the discs and with what stands around. True when anything was traced or a radiance
   /// changed visibly, relative to `mean_irradiance`.
   bool update(std::span<const lighting::Disc> discs, double mean_irradiance,

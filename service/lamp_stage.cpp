@@ -11,8 +11,9 @@ namespace {
 constexpr int kVertexTaps = 4, kMapTaps = 8;
 }
 
-bool LampStage::update(const shadows::Blockers& blockers, std::span<const Pose> poses) {
-  if (!any() || (known_ && std::ranges::equal(poses, poses_))) return false;
+bool LampStage::update(const shadows::Blockers& blockers, std::span<const Pose> poses,
+                       bool other_form) {
+  if (!any() || (known_ && !other_form && std::ranges::equal(poses, poses_))) return false;
   known_ = true;
   poses_.assign(poses.begin(), poses.end());
   const prt::Mesh& real = scene_->real_mesh;

@@ -17,8 +17,8 @@ class LampStage {
   explicit LampStage(const PreparedScene& scene) : scene_(&scene), traced_(scene.lamps.size()) {}
 
   bool any() const { return !traced_.empty(); }
-  /// True when anything was traced: at first, and when an object has moved.
-  bool update(const shadows::Blockers& blockers, std::span<const Pose> poses);
+  /// True when anything was traced: at first, and when an object has moved or taken another form.
+  bool update(const shadows::Blockers& blockers, std::span<const Pose> poses, bool other_form);
 
   /// Adds to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;

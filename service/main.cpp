@@ -341,7 +341,10 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_option("--out", demo_options.output, "Output folder")->capture_default_str();
   c->add_option("--environment", demo_options.environment,
                 "HDR environment; the built-in room by default");
-  c->add_option("--asset", demo_options.asset, "Object; the built-in knot by default");
+  c->add_option("--asset", demo_options.asset,
+                "Object; the built-in knot by default, or with --animation builtin:walker");
+  c->add_option("--animation", demo_options.animation,
+                "Clip that the asset plays, by name or number; its frames are baked first");
   c->add_option("--prop", demo_options.prop,
                 "Mesh of something that really stands in the studio, or builtin:box");
   c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");

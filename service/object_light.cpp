@@ -171,16 +171,16 @@ void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& e
 
 // The open light everywhere, and on each side what differs there.
 void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t index) const {
-  const prt::BakedObject& baked = o.prepared->baked;
+  using Part = PreparedObject::Part;
   o.more.resize(o.relit.size());
   const bool discs = light.discs.bands() > 1;
   const auto difference = [](RadianceSh a, const RadianceSh& b) {
     add(a, b, -1);
     return a;
   };
-  prt::relight(baked.transfer, light.open, o.relit);
+  o.prepared->relight(Part::kSurface, light.open, o.relit);
   if (discs) {
-    prt::relight(baked.indirect, light.discs, o.more);
+    o.prepared->relight(Part::kReflected, light.discs, o.more);
     for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.more[i];
   }
   const RadianceSh no_discs(prt::kIndirectBands);
@@ -188,8 +188,8 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     const auto s = static_cast<std::size_t>(k);
     const auto vertices = surroundings_.vertices(index, k);
     if (!(light.side[s] == light.open)) {
-      prt::relight(baked.transfer, difference(light.side[s], light.open).with_bands(kSideBands),
-                   o.more);
+      o.prepared->relight(Part::kSurface,
+                          difference(light.side[s], light.open).with_bands(kSideBands), o.more);
       add_to_side(vertices, o.more, {}, o.relit);
     }
     // Of what object and floor reflect to each other, the floor that is hidden or in shade is missing.
@@ -197,7 +197,7 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     if (!shaded && light.floor_hidden[s] == 0) continue;
     RadianceSh missing = shaded ? difference(light.side_discs[s], light.discs) : no_discs;
     add(missing, light.open.with_bands(prt::kIndirectBands), -light.floor_hidden[s]);
-    prt::relight(baked.indirect, missing.with_bands(kFloorBands), o.more);
+    o.prepared->relight(Part::kReflected, missing.with_bands(kFloorBands), o.more);
     add_to_side(vertices, o.more, light.instead[s], o.relit);
   }
   if (discs) discs_.add_light(index, o.relit);

@@ -29,9 +29,14 @@ compositor::CameraLook look_of(const capture::CameraInfo& info, const capture::F
 }  // namespace
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
-    const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
+    const std::vector<capture::CameraInfo>& cameras, const PreparedScene& given,
     compositor::Compositor::Surface surface, StageTimes& times, int oversampling,
     const DiscTaps& taps) {
+  // What moves by itself moves in a copy: the caller's scene stays as it is.
+  std::unique_ptr<PreparedScene> moving;
+  if (std::ranges::any_of(given.objects, [](const auto& o) { return o.animation != nullptr; }))
+    moving = std::make_unique<PreparedScene>(given);
+  const PreparedScene& scene = moving ? *moving : given;
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
@@ -49,8 +54,9 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   if (!discs) return std::unexpected(discs.error());
   auto completion = FloorCompletion::create(scene);
   if (!completion) return std::unexpected(completion.error());
-  auto stage = std::unique_ptr<ComposeStage>(new ComposeStage(
-      std::move(*compositor), std::move(*discs), std::move(*completion), scene, times));
+  auto stage = std::unique_ptr<ComposeStage>(
+      new ComposeStage(std::move(*compositor), std::move(*discs), std::move(*completion), scene,
+                       std::move(moving), times));
   for (const capture::CameraInfo& c : cameras)
     stage->views_.push_back({c, std::nullopt, std::nullopt});
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
@@ -61,8 +67,9 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
     stage->compositor_->add_plane(plane.point, plane.normal);
   for (const PreparedObject& o : scene.objects) {
     const int handle = stage->compositor_->add_object(o.baked);
-    stage->objects_.push_back(
-        {&o, handle, std::nullopt, std::vector<float>(3 * o.baked.transfer.stride), {}, {}, {}});
+    stage->objects_.push_back({.prepared = &o,
+                               .handle = handle,
+                               .relit = std::vector<float>(3 * o.baked.transfer.stride)});
   }
   return stage;
 }
@@ -74,7 +81,24 @@ Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& norm
   return sum;
 }
 
+// Brings all that moves by itself to a time. Where shadows can meet others their coefficients are needed.
+bool ComposeStage::move_to(double seconds) {
+  if (!moving_) return false;
+  const StageTimer timer(times_, "animation");
+  const bool alone = objects_.size() == 1 && !real_.any();
+  bool moved = false;
+  for (std::size_t i = 0; i < objects_.size(); ++i) {
+    PreparedObject& o = moving_->objects[i];
+    if (!o.move_to(seconds, !alone)) continue;
+    compositor_->set_form(objects_[i].handle, o.baked.mesh);
+    discs_.set_form(i);
+    moved = true;
+  }
+  return moved;
+}
+
 bool ComposeStage::update_light(const lighting::LightEstimate& light, double seconds) {
+  const bool other_form = move_to(seconds);
   std::vector<Pose> poses;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     poses.push_back(objects_[i].prepared->pose_at(seconds));
@@ -92,7 +116,7 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
-    discs_changed |= lamps_.update(discs_.blockers(), poses);
+    discs_changed |= lamps_.update(discs_.blockers(), poses, other_form);
   }
   bool measured = false;
   if (real_.any()) {
@@ -104,7 +128,7 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   const int rounds = !lit_before_ && objects_.size() > 1 ? 2 : 1;
   for (int round = 0; round < rounds; ++round)
     for (std::size_t i = 0; i < objects_.size(); ++i)
-      relit |= update_object(i, poses, light, discs_changed);
+      relit |= update_object(i, poses, light, discs_changed, other_form);
   lit_before_ = true;
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
   const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_;
@@ -169,10 +193,13 @@ void ComposeStage::share_shadows(const std::vector<Pose>& poses) {
 }
 
 bool ComposeStage::update_object(std::size_t index, const std::vector<Pose>& poses,
-                                 const lighting::LightEstimate& estimate, bool discs_changed) {
+                                 const lighting::LightEstimate& estimate, bool discs_changed,
+                                 bool moved) {
   Object& o = objects_[index];
   ObjectLight light = light_at(index, estimate, poses);
-  if (!discs_changed && o.light_used && !differs_visibly(*o.light_used, light)) return false;
+  const bool other_form = moved && o.prepared->animation;
+  if (!discs_changed && !other_form && o.light_used && !differs_visibly(*o.light_used, light))
+    return false;
   if (!estimate.discs.empty() || lamps_.any()) add_discs(index, estimate, poses[index], light);
   {
     const StageTimer timer(times_, "relight");
@@ -180,14 +207,28 @@ bool ComposeStage::update_object(std::size_t index, const std::vector<Pose>& pos
   }
   if (o.prepared->baked.receiver) {
     const StageTimer timer(times_, "shadow");
-    shadows::ReceiverLight on_receiver(light.receiver);
-    on_receiver.discs = light.receiver_discs;
-    on_receiver.disc_irradiance = light.disc_irradiance;
-    // Cannot fail: the object has a receiver.
-    (void)shadows::compose_planar_shadow(o.prepared->baked, on_receiver, o.shadow);
+    compose_shadow(o, light);
   }
   o.light_used = light;
   return true;
+}
+
+void ComposeStage::compose_shadow(Object& o, const ObjectLight& light) const {
+  shadows::ReceiverLight on_receiver(light.receiver);
+  on_receiver.discs = light.receiver_discs;
+  on_receiver.disc_irradiance = light.disc_irradiance;
+  const PreparedObject& object = *o.prepared;
+  const prt::Transfer& deficit = object.baked.ground_deficit;
+  o.taken.resize(3 * deficit.stride);
+  object.relight(PreparedObject::Part::kGround, light.receiver, o.taken);
+  o.reflected.clear();
+  if (luminance(light.disc_irradiance) > 0) {
+    o.reflected.resize(o.taken.size());
+    object.relight(PreparedObject::Part::kGroundReflected, light.receiver_discs, o.reflected);
+  }
+  shadows::compose_planar_shadow(
+      {object.baked.receiver->grid, deficit.bands, deficit.stride, o.taken, o.reflected},
+      on_receiver, o.shadow);
 }
 
 const CodeCurve* ComposeStage::curve_for(ViewCamera& camera, const FramePixels& pixels) {

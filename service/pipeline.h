@@ -84,8 +84,9 @@ class ComposeStage {
   struct Object {
     const PreparedObject* prepared;
     int handle;
-    std::optional<ObjectLight> light_used;
-    std::vector<float> relit, more;
+    std::optional<ObjectLight> light_used{};
+    std::vector<float> relit{}, more{};
+    std::vector<float> taken{}, reflected{};  // of the receiver
     // Alone, without what real things take already, and without what other objects take.
     shadows::PlanarShadow shadow{}, past_real{}, shared{};
   };
@@ -95,8 +96,10 @@ class ComposeStage {
   };
 
   ComposeStage(std::unique_ptr<compositor::Compositor> compositor, DiscStage discs,
-               FloorCompletion completion, const PreparedScene& scene, StageTimes& times)
+               FloorCompletion completion, const PreparedScene& scene,
+               std::unique_ptr<PreparedScene> moving, StageTimes& times)
       : compositor_(std::move(compositor)),
+        moving_(std::move(moving)),
         scene_(scene),
         discs_(std::move(discs)),
         completion_(std::move(completion)),
@@ -114,12 +117,15 @@ class ComposeStage {
   Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
                              const std::vector<Pose>& poses) const;
   void relight(Object& object, const ObjectLight& light, std::size_t index) const;
+  void compose_shadow(Object& object, const ObjectLight& light) const;
   void share_shadows(const std::vector<Pose>& poses);
+  bool move_to(double seconds);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
-                     const lighting::LightEstimate& light, bool discs_changed);
+                     const lighting::LightEstimate& light, bool discs_changed, bool moved);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
 
   std::unique_ptr<compositor::Compositor> compositor_;
+  std::unique_ptr<PreparedScene> moving_;  // the scene itself where something in it moves by itself
   const PreparedScene& scene_;
   DiscStage discs_;
   FloorCompletion completion_;

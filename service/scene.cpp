@@ -9,6 +9,7 @@
 #include <glm/gtx/quaternion.hpp>
 
 #include "core/conventions.h"
+#include "service/animated.h"
 #include "service/bake_cache.h"
 #include "service/depth_mesh.h"
 
@@ -32,14 +33,14 @@ prt::Mesh make_twist(Rgb albedo) {
   return mesh;
 }
 
-// World frame of a plane's bake frame: y along the normal, at the foot of `position`.
+}  // namespace
+
 Pose frame_on_plane(const prt::Plane& plane, const glm::dvec3& position) {
   const glm::dquat up = glm::rotation(glm::dvec3(0, 1, 0), plane.normal);
   const double height = glm::dot(position - plane.point, plane.normal);
   return {up, position - height * plane.normal};
 }
 
-// The plane that an object stands on: the nearest one that it is in front of, with a part of it at least.
 const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::Bounds& bounds) {
   constexpr double kBelow = 1e-3;  // metres: what lies flat on it stands on it
   const prt::Plane* best = nullptr;
@@ -52,6 +53,8 @@ const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::
   }
   return best;
 }
+
+namespace {
 
 // A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
 // and shifting its frame is all.
@@ -88,6 +91,7 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
 Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
                                       const BakeSettings& settings,
                                       const std::function<void(double)>& progress) {
+  if (!o.animation.empty()) return prepare_animated(o, scene.planes, settings, progress);
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o,
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
@@ -147,9 +151,13 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
     mesh = make_twist(albedo);
   } else if (asset == "builtin:box") {
     mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
+  } else if (asset == "builtin:walker") {
+    const prt::Character walker = prt::make_walker(albedo);
+    prt::deform(walker, prt::rest_pose(walker), mesh);
   } else if (asset.starts_with("builtin:")) {
     return fail(ErrorCode::kNotFound, asset,
-                "no such built-in asset; there are builtin:knot, builtin:twist and builtin:box");
+                "no such built-in asset; there are builtin:knot, builtin:twist, builtin:box and "
+                "builtin:walker");
   } else {
     auto imported = prt::import_mesh(asset, albedo);
     if (!imported) return std::unexpected(imported.error());

@@ -25,7 +25,8 @@ struct Placement {
 
 struct SceneObject : Placement {
   std::string name;
-  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box"
+  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box", "builtin:walker"
+  std::string animation;  // a clip by name or number, which loops; empty: it stands at rest
   Rgb albedo{.7f, .7f, .7f};
   double spin_rpm = 0;  // turntable about the receiver's normal
 };
@@ -55,16 +56,34 @@ struct BakeSettings {
   bool use_cache = true;
 };
 
+/// A character in its bake frame, and its clip's transfer.
+struct Animation {
+  prt::Character character;
+  int clip = 0;
+  prt::BakedSequence sequence;
+};
+
 /// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.
 struct PreparedObject {
   std::string name;
+  /// Of an animation as it is at `frame`: mesh, receiver and transfer; the latter is kept up to date by move_to on demand.
   prt::BakedObject baked;
   Pose world_from_bake;  // at time 0
   double spin_rpm = 0;
   /// What it takes from the space around it; baked where real meshes can catch its shadow.
   std::shared_ptr<const shadows::OcclusionField> field{};
+  std::shared_ptr<const Animation> animation{};  // null: it does not move by itself
+  double frame = 0;                              // of the animation
+  std::vector<glm::mat3> turns{};                // of its bones then
+
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;
+  /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what relight() needs alone.
+  /// Returns false where nothing moved.
+  bool move_to(double seconds, bool transfer);
+  /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and its reflected part.
+  enum class Part { kSurface, kReflected, kGround, kGroundReflected };
+  void relight(Part part, const RadianceSh& light, std::span<float> out) const;
 };
 
 /// The real meshes as one, baked like an object on the plane that they stand on: vertex i is that of real_mesh.

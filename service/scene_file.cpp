@@ -93,8 +93,11 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
       return keys.invalid("spin_rpm", fmt::format("not within +-{}", kFastest_rpm));
     o.spin_rpm = spin;
   }
-  if (keys.has("animation"))
-    return keys.invalid("animation", "clips are not played yet; use spin_rpm for a turntable");
+  if (keys.has("animation")) {
+    PENUMBRA_ASSIGN(animation, keys.text("animation"));
+    if (animation.empty()) return keys.invalid("animation", "names no clip");
+    o.animation = animation;
+  }
   return o;
 }
 
@@ -206,6 +209,7 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name),
                         toml_quoted(absolute(o.asset)), list(o.albedo.r, o.albedo.g, o.albedo.b));
     text += placed(o);
+    if (!o.animation.empty()) text += fmt::format("animation = {}\n", toml_quoted(o.animation));
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
   }
   for (const RealGeometry& r : scene.real) {

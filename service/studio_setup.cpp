@@ -81,11 +81,12 @@ Result<StudioSetup> set_up_studio(
     out.world = std::move(*furnished);
   }
   SceneObject still;
-  still.asset = r.asset.value_or("builtin:knot");
+  still.asset = r.asset.value_or(r.animation ? "builtin:walker" : "builtin:knot");
+  still.animation = r.animation.value_or("");
   still.name = name_of(still.asset);
   still.albedo = {.62f, .60f, .57f};
   still.stand = true;
-  still.stand_size_m = .5;
+  still.stand_size_m = r.animation ? .8 : .5;
   if (r.animated) still.position = {-.22, 0, .05};
   out.scene.objects.push_back(still);
   if (r.animated) {

@@ -18,7 +18,7 @@ struct StudioSetup {
 };
 
 struct StudioRequest {
-  std::optional<std::string> environment{}, asset{}, prop{};
+  std::optional<std::string> environment{}, asset{}, animation{}, prop{};
   bool animated = true;
   int width = 1280, height = 720;
   double fps = 30;
@@ -26,8 +26,8 @@ struct StudioRequest {
   int view_clip = 0;
 };
 
-/// Environment (the built-in room without one), cameras and the scene: a static object (the knot,
-/// or the asset stood on the floor half a metre large) and a turning one, with a prop among them if one is wanted.
+/// Environment (the built-in room without one), cameras and the scene: an object (the knot, or the asset, half a metre
+/// large; with a clip .8 m) and a turning one, with a prop among them if one is wanted.
 Result<StudioSetup> set_up_studio(
     const StudioRequest& request,
     const std::function<std::function<void(double)>(const std::string&)>& progress);

@@ -25,8 +25,6 @@ float rim_fade(int x, int y, int size) {
 Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
                                    PlanarShadow& out) {
   if (!object.receiver) return fail(ErrorCode::kInvalid, "object", "was baked without a receiver");
-  const int size = object.receiver->grid.size;
-  if (out.ratio.width() != size || out.ratio.height() != size) out.ratio = Image<Rgb>(size, size);
   thread_local std::vector<float> deficit, reflected;  // grow once per thread
   const std::size_t stride = object.ground_deficit.stride;
   deficit.resize(3 * stride);
@@ -34,11 +32,20 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
   if (luminance(light.disc_irradiance) > 0) {
     reflected.resize(3 * stride);
     prt::relight(object.ground_indirect, light.discs, reflected);
-    for (std::size_t i = 0; i < 3 * stride; ++i) deficit[i] -= reflected[i];
+  } else {
+    reflected.clear();
   }
+  compose_planar_shadow(
+      {object.receiver->grid, object.ground_deficit.bands, stride, deficit, reflected}, light, out);
+  return {};
+}
 
+void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
+                           PlanarShadow& out) {
+  const int size = change.grid.size;
+  if (out.ratio.width() != size || out.ratio.height() != size) out.ratio = Image<Rgb>(size, size);
   // All in units of irradiance/pi, like the deficit.
-  const RadianceSh used = light.rest.with_bands(object.ground_deficit.bands);
+  const RadianceSh used = light.rest.with_bands(change.bands);
   const Rgb open =
       (lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) + light.disc_irradiance) *
       static_cast<float>(1 / kPi);
@@ -55,8 +62,10 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
       const float fade = rim_fade(x, y, size);
       float d[3], largest = 0;
       for (int c = 0; c < 3; ++c) {
-        d[c] = fade * inverse[c] *
-               deficit[static_cast<std::size_t>(c) * object.ground_deficit.stride + i];
+        const std::size_t at = static_cast<std::size_t>(c) * change.stride + i;
+        const float taken =
+            change.taken[at] - (change.reflected.empty() ? 0 : change.reflected[at]);
+        d[c] = fade * inverse[c] * taken;
         largest = std::max(largest, std::abs(d[c]));
       }
       const bool visible = largest > kInvisibleRatio && std::isfinite(d[0] + d[1] + d[2]);
@@ -69,7 +78,6 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
       out.x1 = std::max(out.x1, x + 1);
       out.y1 = std::max(out.y1, y + 1);
     }
-  return {};
 }
 
 }  // namespace penumbra::shadows

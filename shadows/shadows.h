@@ -40,6 +40,17 @@ struct ReceiverLight {
   Rgb disc_irradiance;  // E of all discs on the open receiver, W/m^2 relative
 };
 
+/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, and what it reflects of
+/// `discs` (empty without discs), in prt::relight's layout.
+struct ReceiverChange {
+  const prt::GroundGrid& grid;
+  int bands;  // of the deficit
+  std::size_t stride;
+  std::span<const float> taken, reflected;
+};
+void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
+                           PlanarShadow& out);
+
 /// s = 1 - (sum l_n S_n - light reflected from discs)/E0 from the baked deficit basis S_n, clamped to 0..1.5,
 /// faded to 1 over the outer tenth of the grid. E0 counts the discs; what of them the object blocks is
 /// DiscShadow's. `light` in the bake frame: a yaw of the object is a rotation of the light.

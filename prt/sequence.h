@@ -1,0 +1,149 @@
+// Transfer over an animation: baked frame by frame, compressed for rendered error, relit at any time.
+// A surface point's transfer is kept in the frame of its strongest bone, where it hardly changes; so the light is what is
+// turned. threads: free functions reentrant and internally parallel; a TransferSequence's queries reentrant
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/result.h"
+#include "core/sh.h"
+#include "prt/animation.h"
+#include "prt/light_map.h"  // IWYU pragma: export
+#include "prt/receiver.h"
+
+namespace penumbra::prt {
+
+struct BakedObject;
+struct Transfer;
+
+/// Transfer at points over the frames of a clip, compressed.
+///   t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green, red - green and
+///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks.
+/// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and the cut of components
+///         by reverse water-filling (Cover & Thomas 2006, 10.3.3)
+class TransferSequence {
+ public:
+  int bands() const { return bands_; }
+  int channels() const { return channels_; }
+  int frames() const { return frames_; }
+  std::size_t points() const { return points_; }
+  std::size_t stride() const { return (points_ + 63) / 64 * 64; }
+  /// Most components of any group, the mean not counted.
+  int most_components() const;
+
+  /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo, as prt::relight.
+  /// in: frame 0..frames(), between frames on a straight line, beyond the last to the first; light in the bake frame;
+  ///     turns as bone_turns at that time
+  /// out: 3 * stride() floats. No allocation after the first call of a thread.
+  void relight(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
+               std::span<float> out) const;
+  /// All coefficients at a time, in the bake frame. No allocation once `out` has its size.
+  void decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const;
+
+  /// Points that kernels take at once: what a map is padded to.
+  static constexpr std::size_t kLanes = 32;
+
+ private:
+  friend class SequenceCodec;
+  // A map over the points of a group: one for each coefficient that is not zero everywhere.
+  struct Component {
+    std::vector<float> weight;          // by frame; the mean has none: 1
+    std::vector<std::uint32_t> offset;  // by coefficient, into values_; kNone: zero
+  };
+  static constexpr std::uint32_t kNone = 0xffffffffu;
+  struct Group {
+    int bone;
+    int plane;                 // 0: green or grey, 1: red - green, 2: blue - green
+    std::size_t first, count;  // in order_
+    std::vector<Component> components;
+  };
+  float weight_at(const Component& c, double frame) const;
+
+  int bands_ = 0, channels_ = 1, frames_ = 0;
+  std::size_t points_ = 0;
+  std::vector<float> step_;           // by band: what one unit of a value is
+  std::vector<std::uint32_t> order_;  // points by bone
+  std::vector<Group> groups_;
+  std::vector<std::int16_t> values_;  // padded to kernels' width a map
+};
+
+/// Mean square of a coefficient of light in band l, beside that of band 0, over the eight measured environments of
+/// docs/accuracy.md, suns and lamps counted in. What transfer in a band is worth.
+std::span<const float> mean_band_energy();
+
+struct SequenceOptions {
+  double frames_per_second = 30;
+  int bands = 5;
+  int bounces = 2;
+  int rays = 256, ground_rays = 256;  // a point and frame; multiples of 64
+  int map_width = 0, map_height = 0;  // of a light map, texels; 0: vertices alone
+  std::optional<int> ground_size;     // texels of the receiver's side; none: no receiver
+  Rgb ground_albedo;
+  bool denoise = true;
+  /// Rendered error that compression may add: RMS over points and frames of the exit radiance under light of
+  /// mean_band_energy, relative.
+  double error = .005;
+  std::function<void(double done)> progress;  // 0..1
+};
+
+struct SequenceReport {
+  std::uint64_t rays = 0;
+  double seconds = 0;            // of baking, over all runs and shards
+  double standard_error = 0;     // of t_0, relative to its mean, as BakeReport
+  double compression_error = 0;  // as SequenceOptions::error
+  double interpolation_error =
+      0;  // by an eighth of the second differences in time, the same measure
+  std::size_t surface_bytes = 0, ground_bytes = 0;
+};
+
+/// A character's clip, baked.
+struct BakedSequence {
+  std::string clip;
+  double seconds = 0;  // of the clip; frame f stands at f / frames * seconds
+  int map_width = 0, map_height = 0;
+  TransferSequence surface, surface_indirect;  // at the layout's points
+  std::optional<Receiver> receiver;            // its grid holds for all frames
+  TransferSequence ground_deficit, ground_indirect;
+  SequenceReport report;
+  double frame_at(double time_s) const;
+};
+
+/// Frames index, index + count, ... of a clip.
+struct Shard {
+  int index = 0, count = 1;
+};
+/// Bakes a clip's frames into `journal`: a bake that was cut off goes on where it stopped, and shards are baked apart.
+/// errors: kInvalid (options, clip, a journal of another bake), kUnwritable, kUnavailable
+Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
+                         Shard shard, const std::filesystem::path& journal);
+/// A fingerprint of everything that a bake of the clip depends on.
+/// errors: as bake_frames
+Result<std::uint64_t> bake_key(const Character& character, int clip,
+                               const SequenceOptions& options);
+/// Joins journals that together hold every frame. The result does not depend on how frames were shared out.
+/// errors: kNotFound, kUnreadable, kInvalid (frames missing: which; a journal of another bake)
+Result<BakedSequence> compress_frames(const Character& character, int clip,
+                                      const SequenceOptions& options,
+                                      std::span<const std::filesystem::path> journals);
+
+/// The baked file of a clip. It belongs to its asset, which is needed to read it.
+/// errors: kUnwritable / kNotFound, kUnreadable (damaged: offset), kInvalid (not ours, another version, baked from
+/// another mesh or clip)
+Result<void> write_sequence(const std::filesystem::path& path, const Character& character, int clip,
+                            const BakedSequence& sequence);
+Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,
+                                    int clip);
+/// The same from memory, without the checksum over all of it; `name` stands in errors. For fuzzing.
+Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
+                                      const Character& character, int clip,
+                                      const std::string& name);
+
+}  // namespace penumbra::prt

@@ -1,0 +1,186 @@
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "prt/sequence_relight.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
+#ifndef PENUMBRA_SEQUENCE_TERM
+#define PENUMBRA_SEQUENCE_TERM
+namespace penumbra::prt {
+// A map of whole numbers and what one unit of it adds to each colour.
+struct RelightTerm {
+  const std::int16_t* map;
+  float r, g, b;
+};
+}  // namespace penumbra::prt
+#endif
+
+HWY_BEFORE_NAMESPACE();
+namespace penumbra::prt {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+// out[p] = sum over terms of colour times map[p], for three colours, two vectors at a time. `count` is a multiple of
+// TransferSequence::kLanes.
+HWY_ATTR void SumTerms(const RelightTerm* terms, std::size_t term_count, std::size_t count,
+                       float* r, float* g, float* b) {
+  const hn::CappedTag<float, 16> d;
+  const hn::Rebind<std::int16_t, decltype(d)> d16;
+  const hn::Rebind<std::int32_t, decltype(d)> d32;
+  const std::size_t lanes = hn::Lanes(d);
+  for (std::size_t p = 0; p < count; p += 2 * lanes) {
+    auto r0 = hn::Zero(d), g0 = hn::Zero(d), b0 = hn::Zero(d);
+    auto r1 = hn::Zero(d), g1 = hn::Zero(d), b1 = hn::Zero(d);
+    for (std::size_t k = 0; k < term_count; ++k) {
+      const RelightTerm& t = terms[k];
+      const auto v0 = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d16, t.map + p)));
+      const auto v1 = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d16, t.map + p + lanes)));
+      const auto lr = hn::Set(d, t.r), lg = hn::Set(d, t.g), lb = hn::Set(d, t.b);
+      r0 = hn::MulAdd(v0, lr, r0);
+      r1 = hn::MulAdd(v1, lr, r1);
+      g0 = hn::MulAdd(v0, lg, g0);
+      g1 = hn::MulAdd(v1, lg, g1);
+      b0 = hn::MulAdd(v0, lb, b0);
+      b1 = hn::MulAdd(v1, lb, b1);
+    }
+    hn::StoreU(r0, d, r + p);
+    hn::StoreU(r1, d, r + p + lanes);
+    hn::StoreU(g0, d, g + p);
+    hn::StoreU(g1, d, g + p + lanes);
+    hn::StoreU(b0, d, b + p);
+    hn::StoreU(b1, d, b + p + lanes);
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace penumbra::prt
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+#include "core/parallel.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+
+namespace penumbra::prt {
+HWY_EXPORT(SumTerms);
+
+namespace {
+
+const glm::mat3 kNoTurn(1);
+
+const glm::mat3& turn_of(std::span<const glm::mat3> turns, int bone) {
+  return turns.empty() ? kNoTurn : turns[static_cast<std::size_t>(bone)];
+}
+
+}  // namespace
+
+std::span<const float> mean_band_energy() {
+  static constexpr float kEnergy[kMaxBands] = {1, .31f, .26f, .23f, .18f, .20f, .18f, .17f, .18f};
+  return kEnergy;
+}
+
+int TransferSequence::most_components() const {
+  std::size_t most = 1;
+  for (const Group& g : groups_) most = std::max(most, g.components.size());
+  return static_cast<int>(most) - 1;
+}
+
+float TransferSequence::weight_at(const Component& c, double frame) const {
+  if (c.weight.empty()) return 1;
+  const double inside = frame - std::floor(frame / frames_) * frames_;
+  const auto first = std::min(static_cast<std::size_t>(inside), c.weight.size() - 1);
+  const std::size_t second = first + 1 == c.weight.size() ? 0 : first + 1;
+  return std::lerp(c.weight[first], c.weight[second],
+                   static_cast<float>(inside - static_cast<double>(first)));
+}
+
+void TransferSequence::relight(double frame, const RadianceSh& light,
+                               std::span<const glm::mat3> turns, std::span<float> out) const {
+  assert(out.size() >= 3 * stride());
+  const int bands = std::min(bands_, light.bands());
+  const auto planes = static_cast<std::size_t>(channels_);
+  parallel_for(std::size_t{0}, groups_.size() / planes, 4, [&](const auto& range) {
+    thread_local std::vector<RelightTerm> terms;
+    thread_local std::vector<float> sums;
+    for (std::size_t part = range.begin(); part < range.end(); ++part) {
+      const Group& first = groups_[part * planes];
+      // The light as the bone sees it.
+      const RadianceSh seen =
+          lighting::ShRotation(glm::dmat3(glm::transpose(turn_of(turns, first.bone))), bands) *
+          light.with_bands(bands);
+      terms.clear();
+      for (std::size_t plane = 0; plane < planes; ++plane)
+        for (const Component& c : groups_[part * planes + plane].components) {
+          const float weight = weight_at(c, frame);
+          for (int l = 0, n = 0; l < bands; ++l)
+            for (int m = -l; m <= l; ++m, ++n) {
+              const std::uint32_t offset = c.offset[static_cast<std::size_t>(n)];
+              if (offset == kNone) continue;
+              const Rgb k = seen[n] * (weight * step_[static_cast<std::size_t>(l)]);
+              terms.push_back({&values_[offset], plane == 2 ? 0 : k.r, plane == 0 ? k.g : 0,
+                               plane == 1 ? 0 : k.b});
+            }
+        }
+      const std::size_t count = (first.count + kLanes - 1) / kLanes * kLanes;
+      sums.resize(3 * count);
+      HWY_DYNAMIC_DISPATCH(SumTerms)
+      (terms.data(), terms.size(), count, &sums[0], &sums[count], &sums[2 * count]);
+      for (std::size_t c = 0; c < 3; ++c)
+        for (std::size_t i = 0; i < first.count; ++i)
+          out[c * stride() + order_[first.first + i]] = sums[c * count + i];
+    }
+  });
+}
+
+void TransferSequence::decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const {
+  if (out.bands != bands_ || out.channels != channels_ || out.points != points_)
+    out = Transfer(bands_, channels_, points_);
+  const auto planes = static_cast<std::size_t>(channels_);
+  parallel_for(std::size_t{0}, groups_.size() / planes, [&](std::size_t part) {
+    constexpr std::size_t kBlock = 64;
+    const Group& first = groups_[part * planes];
+    const bool turned = !turns.empty();
+    const lighting::ShRotation turn(glm::dmat3(turn_of(turns, first.bone)), bands_);
+    const auto count = static_cast<std::size_t>(coefficient_count(bands_));
+    std::vector<float> values(planes * count * kBlock);
+    for (std::size_t begin = 0; begin < first.count; begin += kBlock) {
+      const std::size_t block = std::min(kBlock, first.count - begin);
+      std::ranges::fill(values, 0.f);
+      for (std::size_t plane = 0; plane < planes; ++plane)
+        for (const Component& c : groups_[part * planes + plane].components) {
+          const float weight = weight_at(c, frame);
+          for (int l = 0, n = 0; l < bands_; ++l)
+            for (int m = -l; m <= l; ++m, ++n) {
+              if (c.offset[static_cast<std::size_t>(n)] == kNone) continue;
+              const std::int16_t* map = &values_[c.offset[static_cast<std::size_t>(n)] + begin];
+              const float k = weight * step_[static_cast<std::size_t>(l)];
+              float* const sum = &values[(plane * count + static_cast<std::size_t>(n)) * kBlock];
+              for (std::size_t i = 0; i < block; ++i) sum[i] += k * static_cast<float>(map[i]);
+            }
+        }
+      for (std::size_t i = 0; i < block; ++i) {
+        TransferSh t(bands_);
+        for (int n = 0; n < t.size(); ++n) {
+          const auto at = [&](std::size_t plane) {
+            return values[(plane * count + static_cast<std::size_t>(n)) * kBlock + i];
+          };
+          const float green = at(0);
+          t[n] = planes == 1 ? Rgb{green, green, green} : Rgb{green + at(1), green, green + at(2)};
+        }
+        if (turned) t = turn * t;
+        const std::uint32_t point = order_[first.first + begin + i];
+        for (int c = 0; c < channels_; ++c)
+          for (int n = 0; n < t.size(); ++n) out.set(c, n, point, t[n][c]);
+      }
+    }
+  });
+}
+
+}  // namespace penumbra::prt
+#endif
