@@ -10,6 +10,8 @@
 #include <span>
 #include <vector>
 
+#include "codec/range_coder.h"  // IWYU pragma: export
+#include "codec/rgbe_video.h"   // IWYU pragma: export
 #include "core/image.h"
 #include "core/result.h"
 

@@ -141,10 +141,10 @@ Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Su
   return std::unique_ptr<Compositor>(new Compositor(std::move(impl)));
 }
 
-int Compositor::add_object(const prt::BakedObject& object) {
+int Compositor::add_object(const prt::BakedObject& object, const Appearance& appearance) {
   impl_->context->make_current();
   impl_->receiver_of.push_back(object.receiver ? impl_->receivers.add(object.receiver->grid) : -1);
-  return impl_->layers->add_object(object);
+  return impl_->layers->add_object(object, appearance);
 }
 
 void Compositor::set_form(int object, const prt::Mesh& mesh) {

@@ -50,6 +50,19 @@ struct View {
   Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
 };
 
+/// How an object looks beyond its vertices.
+struct Appearance {
+  /// A picture of its albedo, coded in sRGB, and where each vertex lies in it. `tint` is what else there is of albedo, by
+  /// vertex.
+  const Image<Rgb8>* texture = nullptr;
+  std::span<const glm::vec2> texture_coordinates{};
+  std::span<const Rgb> tint{};
+  /// A light map: its texels are the points behind the mesh's vertices, in order.
+  int light_width = 0, light_height = 0;
+  std::span<const glm::vec2> light_coordinates{};
+  std::span<const prt::SurfaceLayout::Texel> texels{};
+};
+
 struct Touched {
   std::size_t pixels = 0;  // written
   double fraction = 0;     // of the frame
@@ -77,7 +90,7 @@ class Compositor {
   ~Compositor();
 
   /// Uploads geometry once; the number names the object from then on.
-  int add_object(const prt::BakedObject& object);
+  int add_object(const prt::BakedObject& object, const Appearance& appearance = {});
   /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of them are drawn.
   void set_form(int object, const prt::Mesh& mesh);
   /// Rigid placement of the bake frame in the world.

@@ -28,6 +28,34 @@ out vec4 colour;
 void main() { colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1); }
 )";
 
+// With pictures of albedo, of light, or of both; what is not a picture is white, or comes by vertex.
+constexpr const char* kTexturedVertex = R"(#version 310 es
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 radiance;
+layout(location = 2) in vec2 albedo_place;
+layout(location = 3) in vec2 light_place;
+uniform mat4 clip_from_object;
+uniform float signal_per_radiance;
+out vec3 signal;
+out vec2 in_albedo, in_light;
+void main() {
+  signal = signal_per_radiance * radiance;
+  in_albedo = albedo_place;
+  in_light = light_place;
+  gl_Position = clip_from_object * vec4(position, 1);
+})";
+constexpr const char* kTexturedFragment = R"(#version 310 es
+precision highp float;
+in vec3 signal;
+in vec2 in_albedo, in_light;
+uniform sampler2D albedo_map, light_map;
+out vec4 colour;
+void main() {
+  vec3 shown = signal * texture(albedo_map, in_albedo).rgb * texture(light_map, in_light).rgb;
+  colour = vec4(gl_FrontFacing ? min(shown, 1000.0) : vec3(0), 1);
+}
+)";
+
 constexpr const char* kOccluderVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 deficit;
@@ -73,15 +101,100 @@ GLsizeiptr bytes_of(const auto& v) {
 
 }  // namespace
 
+namespace {
+
+GlTexture one_texel() {
+  GlTexture texture;
+  const std::uint8_t white[4] = {255, 255, 255, 255};
+  glBindTexture(GL_TEXTURE_2D, texture.get());
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGBA8, 1, 1);
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, 1, 1, GL_RGBA, GL_UNSIGNED_BYTE, white);
+  return texture;
+}
+
+GlTexture albedo_texture(const Image<Rgb8>& picture) {
+  GlTexture texture;
+  int levels = 1;
+  while ((std::max(picture.width(), picture.height()) >> levels) > 0) ++levels;
+  glBindTexture(GL_TEXTURE_2D, texture.get());
+  glTexStorage2D(GL_TEXTURE_2D, levels, GL_SRGB8_ALPHA8, picture.width(), picture.height());
+  std::vector<std::uint8_t> codes;
+  codes.reserve(4 * picture.area());
+  for (const Rgb8& c : picture.pixels()) codes.insert(codes.end(), {c.r, c.g, c.b, 255});
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, picture.width(), picture.height(), GL_RGBA,
+                  GL_UNSIGNED_BYTE, codes.data());
+  glGenerateMipmap(GL_TEXTURE_2D);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR_MIPMAP_LINEAR);
+  return texture;
+}
+
+void upload_coordinates(GLuint buffer, GLuint location, std::span<const glm::vec2> coordinates) {
+  if (coordinates.empty()) return;  // the attribute stays one constant place
+  glBindBuffer(GL_ARRAY_BUFFER, buffer);
+  glBufferData(GL_ARRAY_BUFFER, bytes_of(coordinates), coordinates.data(), GL_STATIC_DRAW);
+  attribute(location, 2, 0);
+}
+
+}  // namespace
+
 Result<Layers> Layers::create(int width, int height, int oversampling) {
   auto object = make_program(kObjectVertex, kObjectFragment);
   if (!object) return std::unexpected(object.error());
+  auto textured = make_program(kTexturedVertex, kTexturedFragment);
+  if (!textured) return std::unexpected(textured.error());
   auto occluder = make_program(kOccluderVertex, kOccluderFragment);
   if (!occluder) return std::unexpected(occluder.error());
-  return Layers(width, height, oversampling, std::move(*object), std::move(*occluder));
+  return Layers(width, height, oversampling, std::move(*object), std::move(*textured),
+                std::move(*occluder), one_texel());
 }
 
-int Layers::add_object(const prt::BakedObject& baked) {
+// In the object's vertex array.
+void Layers::add_pictures(Object& o, const prt::BakedObject& baked, const Appearance& look) {
+  if (!look.texture && look.texels.empty()) return;
+  if (look.texture) {
+    o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
+    std::ranges::copy(look.tint, o.albedo.begin());
+    o.albedo_map = albedo_texture(*look.texture);
+    upload_coordinates(o.texture_coordinates.get(), 2, look.texture_coordinates);
+  } else {
+    o.albedo_map = one_texel();
+  }
+  if (look.texels.empty()) return;
+  LightMap map{.width = look.light_width,
+               .height = look.light_height,
+               .first = baked.mesh.positions.size() - look.texels.size()};
+  for (const prt::SurfaceLayout::Texel& t : look.texels) map.places.push_back({t.x, t.y});
+  map.pixels.resize(static_cast<std::size_t>(map.width) * static_cast<std::size_t>(map.height));
+  glBindTexture(GL_TEXTURE_2D, map.texture.get());
+  glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB16F, map.width, map.height);
+  glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
+  for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
+    glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
+  upload_coordinates(o.light_coordinates.get(), 3, look.light_coordinates);
+  // Light comes from the map; vertices tint it where a picture gives the albedo.
+  o.colours.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
+  if (look.texture) std::ranges::copy(look.tint, o.colours.begin());
+  glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
+  glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
+  o.light_map = std::move(map);
+}
+
+void Layers::fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
+                            const std::vector<Rgb>& albedo) {
+  for (std::size_t i = 0; i < map.places.size(); ++i) {
+    const std::size_t point = map.first + i;
+    const auto [x, y] = map.places[i];
+    const Rgb lit{std::max(relit[point], 0.f), std::max(relit[stride + point], 0.f),
+                  std::max(relit[2 * stride + point], 0.f)};
+    map.pixels[static_cast<std::size_t>(y) * static_cast<std::size_t>(map.width) +
+               static_cast<std::size_t>(x)] = albedo[point] * lit;
+  }
+  glBindTexture(GL_TEXTURE_2D, map.texture.get());
+  glTexSubImage2D(GL_TEXTURE_2D, 0, 0, 0, map.width, map.height, GL_RGB, GL_FLOAT,
+                  map.pixels.data());
+}
+
+int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearance) {
   const prt::Mesh& mesh = baked.mesh;
   const prt::Bounds bounds = bounds_of(mesh);
   const float tolerance = fine_ ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
@@ -99,6 +212,7 @@ int Layers::add_object(const prt::BakedObject& baked) {
   glBufferData(GL_ARRAY_BUFFER, bytes_of(o.colours), o.colours.data(), GL_DYNAMIC_DRAW);
   attribute(1, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
+  add_pictures(o, baked, appearance);
   glBindVertexArray(0);
   fill_indices(o, o.triangles.all());
   objects_.push_back(std::move(o));
@@ -131,6 +245,11 @@ void Layers::fill_indices(Object& o, std::span<const DrawList::Triangle> triangl
 
 void Layers::set_light(int object, std::span<const float> relit) {
   Object& o = objects_[static_cast<std::size_t>(object)];
+  if (o.light_map) {
+    fill_light_map(*o.light_map, relit, o.stride, o.albedo);
+    drawn_.reset();
+    return;
+  }
   bool changed = false;
   for (std::size_t i = 0; i < o.colours.size(); ++i) {
     const auto lit = [&](std::size_t c) { return std::max(relit[c * o.stride + i], 0.f); };
@@ -262,18 +381,28 @@ void Layers::choose_triangles(Object& o, bool coarse_is_fine) {
   }
 }
 
+void Layers::bind_pictures(const Object& o, GLuint program) const {
+  glActiveTexture(GL_TEXTURE1);
+  glBindTexture(GL_TEXTURE_2D, o.light_map ? o.light_map->texture.get() : white_.get());
+  glActiveTexture(GL_TEXTURE0);
+  glBindTexture(GL_TEXTURE_2D, o.albedo_map->get());
+  glUniform1i(glGetUniformLocation(program, "albedo_map"), 0);
+  glUniform1i(glGetUniformLocation(program, "light_map"), 1);
+}
+
 void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
-  glUseProgram(object_program_.get());
-  glUniform1f(glGetUniformLocation(object_program_.get(), "signal_per_radiance"),
-              view.signal_per_radiance);
   for (Object& o : objects_) {
+    const GLuint program = (o.albedo_map ? textured_program_ : object_program_).get();
+    glUseProgram(program);
+    glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
+    if (o.albedo_map) bind_pictures(o, program);
     const double distance =
         distance_to_box(o.world_from_bake.inverse() * view.camera.world_from_camera, o.bounds);
-    choose_triangles(
-        o, !fine_ && !o.moves && o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
+    choose_triangles(o, !fine_ && !o.moves && !o.light_map &&
+                            o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
     // The black back of a closed surface shows only from within.
     if (o.triangles.closed() && distance > kNearPlane) glEnable(GL_CULL_FACE);
-    set_matrix(object_program_.get(), clip_from_world * o.world_from_bake.matrix());
+    set_matrix(program, clip_from_world * o.world_from_bake.matrix());
     glBindVertexArray(o.geometry.get());
     glDrawElements(GL_TRIANGLES, o.index_count, GL_UNSIGNED_INT, nullptr);
     glDisable(GL_CULL_FACE);

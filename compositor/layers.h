@@ -18,7 +18,7 @@ class Layers {
  public:
   static Result<Layers> create(int width, int height, int oversampling);
 
-  int add_object(const prt::BakedObject& object);
+  int add_object(const prt::BakedObject& object, const Appearance& appearance);
   void set_form(int object, const prt::Mesh& mesh);
   void set_pose(int object, const Pose& world_from_bake);
   void set_light(int object, std::span<const float> relit);
@@ -34,9 +34,18 @@ class Layers {
   Result<void> draw(const View& view, const Rect& receiver_area, Layer& objects, Layer& hidden);
 
  private:
+  struct LightMap {
+    GlTexture texture{};
+    int width = 0, height = 0;
+    std::size_t first = 0;                     // point of its first texel
+    std::vector<std::array<int, 2>> places{};  // of the texels
+    std::vector<Rgb> pixels{};
+  };
   struct Object {
     GlVertexArray geometry{};
-    GlBuffer vertices{}, indices{}, light{};
+    GlBuffer vertices{}, indices{}, light{}, texture_coordinates{}, light_coordinates{};
+    std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
+    std::optional<LightMap> light_map{};
     DrawList triangles;
     std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
     GLsizei index_count = 0;
@@ -67,18 +76,26 @@ class Layers {
     Rect receiver_area;
   };
 
-  Layers(int width, int height, int oversampling, GlProgram object, GlProgram occluder)
+  Layers(int width, int height, int oversampling, GlProgram object, GlProgram textured,
+         GlProgram occluder, GlTexture white)
       : width_(width),
         height_(height),
         fine_(oversampling > 2),
         objects_canvas_(oversampling),
         hidden_canvas_(oversampling),
         object_program_(std::move(object)),
-        occluder_program_(std::move(occluder)) {}
+        textured_program_(std::move(textured)),
+        occluder_program_(std::move(occluder)),
+        white_(std::move(white)) {}
   void draw_occluders(const glm::dmat4& clip_from_world);
   void draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world);
+  static void add_pictures(Object& object, const prt::BakedObject& baked,
+                           const Appearance& appearance);
+  static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
+                             const std::vector<Rgb>& albedo);
   static Occluder upload(const prt::Mesh& mesh);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world);
+  void bind_pictures(const Object& object, GLuint program) const;
   static void choose_triangles(Object& object, bool coarse_is_fine);
   static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
   Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
@@ -89,7 +106,8 @@ class Layers {
   int width_, height_;
   bool fine_;  // stills: every triangle
   Canvas objects_canvas_, hidden_canvas_;
-  GlProgram object_program_, occluder_program_;
+  GlProgram object_program_, textured_program_, occluder_program_;
+  GlTexture white_;  // of one texel
   std::vector<Object> objects_;
   std::vector<Occluder> occluders_;
   std::vector<RealPlane> planes_;

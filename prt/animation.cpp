@@ -218,8 +218,9 @@ void subdivide(Character& c, float longest_edge, std::size_t triangle_limit) {
   }
   for (const auto& [a, b] : ends) {
     c.influences.push_back(mean_influence(c.influences[a], c.influences[b]));
-    if (!c.texture_coordinates.empty())
-      c.texture_coordinates.push_back(.5f * (c.texture_coordinates[a] + c.texture_coordinates[b]));
+    for (auto* uv : {&c.texture_coordinates, &c.light_coordinates})
+      if (!uv->empty()) uv->push_back(.5f * ((*uv)[a] + (*uv)[b]));
+    if (!c.tint.empty()) c.tint.push_back((c.tint[a] + c.tint[b]) * .5f);
   }
 }
 

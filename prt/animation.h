@@ -10,6 +10,7 @@
 #include <glm/mat4x4.hpp>
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
@@ -89,6 +90,11 @@ struct Character {
   std::vector<glm::vec3> positions, normals;
   std::vector<Rgb> albedo;
   std::vector<glm::vec2> texture_coordinates;  // v down; empty where the asset has none
+  std::vector<glm::vec2> light_coordinates;    // of a light map; empty: as texture_coordinates
+  /// Base colour, coded in sRGB, where one picture serves the whole asset; `albedo` are its means then. What colours the
+  /// picture further is in `tint`.
+  std::shared_ptr<const Image<Rgb8>> texture;
+  std::vector<Rgb> tint;  // by vertex; empty without texture
   std::vector<std::array<std::uint32_t, 3>> triangles;
   std::vector<Influence> influences;
   std::vector<Node> nodes;
@@ -104,7 +110,7 @@ struct Character {
 
 /// glTF, FBX or COLLADA with joints, clips and base colour textures, which become an albedo a vertex. A mesh that has
 /// nothing to move it is a character of one bone.
-/// errors: as import_mesh; kInvalid (more bones than 65535)
+/// errors: as import_mesh; kInvalid (more than 65535 bones)
 Result<Character> import_character(const std::filesystem::path& path, Rgb default_albedo);
 
 /// The built-in mannequin, 1.75 m tall, with the clips "Walk" (in place, 1.1 s a cycle, feet on y = 0), "Wave" and

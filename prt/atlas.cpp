@@ -150,7 +150,7 @@ Character with_atlas(const Character& c, int width, int height) {
   for (Chart& chart : charts) measure(c, chart);
   const float scale = best_scale(charts, width, height);
   Character out = c;
-  out.texture_coordinates.assign(c.positions.size(), glm::vec2(0));
+  out.light_coordinates.assign(c.positions.size(), glm::vec2(0));
   std::vector<std::uint32_t> first_use(c.positions.size(), kNone);
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> copies;  // of a vertex, by chart
   std::vector<std::uint32_t> original(c.positions.size());
@@ -170,10 +170,10 @@ Character with_atlas(const Character& c, int width, int height) {
       for (std::size_t j = 0; j < 3; ++j) {
         const std::uint32_t v = vertex_for(c.triangles[i][j], k);
         out.triangles[i][j] = v;
-        out.texture_coordinates.resize(original.size());
+        out.light_coordinates.resize(original.size());
         const glm::vec3& p = c.positions[c.triangles[i][j]];
         const glm::vec2 flat(glm::dot(p, plane.x), glm::dot(p, plane.y));
-        out.texture_coordinates[v] = (charts[k].corner + scale * (flat - charts[k].low)) / texels;
+        out.light_coordinates[v] = (charts[k].corner + scale * (flat - charts[k].low)) / texels;
       }
   }
   for (std::size_t v = c.positions.size(); v < original.size(); ++v) {
@@ -181,6 +181,9 @@ Character with_atlas(const Character& c, int width, int height) {
     out.normals.push_back(c.normals[original[v]]);
     out.albedo.push_back(c.albedo[original[v]]);
     out.influences.push_back(c.influences[original[v]]);
+    if (!c.texture_coordinates.empty())
+      out.texture_coordinates.push_back(c.texture_coordinates[original[v]]);
+    if (!c.tint.empty()) out.tint.push_back(c.tint[original[v]]);
   }
   for (Character::MorphTarget& t : out.morph_targets) {
     const auto widen = [&](std::vector<glm::vec3>& deltas) {

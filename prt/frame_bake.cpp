@@ -45,8 +45,8 @@ void add_clip(Fnv1a& h, const Clip& clip) {
 
 std::uint64_t fingerprint(const Character& c, int clip) {
   Fnv1a h;
-  h.add(c.positions).add(c.normals).add(c.albedo).add(c.texture_coordinates).add(c.triangles);
-  h.add(c.frame);
+  h.add(c.positions).add(c.normals).add(c.albedo).add(c.triangles);
+  h.add(c.texture_coordinates).add(c.light_coordinates);
   for (const Character::Influence& f : c.influences) h.add(f.bone).add(f.weight);
   for (const Character::Node& n : c.nodes)
     h.add(n.parent).add(n.rest.translation).add(n.rest.rotation).add(n.rest.scale);
@@ -55,6 +55,11 @@ std::uint64_t fingerprint(const Character& c, int clip) {
     h.add(t.rest_weight).add(t.first).add(t.positions).add(t.normals);
   add_clip(h, c.clips[static_cast<std::size_t>(clip)]);
   return h.value();
+}
+
+bool has_light_coordinates(const Character& c) {
+  const auto& uv = c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
+  return uv.size() == c.positions.size();
 }
 
 Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const SequenceOptions& o) {
@@ -74,7 +79,7 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
   if (o.map_width < 0 || o.map_width > 4096 || o.map_height < 0 || o.map_height > 4096 ||
       (o.map_width == 0) != (o.map_height == 0))
     return fail(ErrorCode::kInvalid, "light map", "its sides are not within 1..4096 texels");
-  if (o.map_width > 0 && c.texture_coordinates.size() != c.positions.size())
+  if (o.map_width > 0 && !has_light_coordinates(c))
     return fail(ErrorCode::kInvalid, "light map", "the asset has no texture coordinates for one");
   if (!(o.error > 0 && o.error < 1))
     return fail(ErrorCode::kInvalid, "error", "of compression is not within 0..1");
@@ -123,7 +128,8 @@ int FrameBaker::channels() const {
 JournalKey FrameBaker::key() const {
   const SequenceOptions& o = options_;
   Fnv1a h;
-  h.add(kBakeVersion).add(fingerprint(character_, clip_)).add(o.frames_per_second);
+  h.add(kBakeVersion).add(fingerprint(character_, clip_)).add(character_.frame);
+  h.add(o.frames_per_second);
   for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, o.map_width, o.map_height,
                       o.ground_size.value_or(0), int{o.denoise}})
     h.add(n);

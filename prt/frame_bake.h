@@ -14,6 +14,8 @@ namespace penumbra::prt {
 
 /// Of everything that a clip's transfer depends on in the asset.
 std::uint64_t fingerprint(const Character& character, int clip);
+/// Whether a light map could be laid out.
+bool has_light_coordinates(const Character& character);
 
 /// What a frame is baked with, the same in all frames.
 class FrameBaker {

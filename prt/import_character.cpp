@@ -103,6 +103,8 @@ class Importer {
     if (out_.bones.size() > kMostBones)
       return fail(ErrorCode::kInvalid, file_,
                   fmt::format("has {} bones, more than {}", out_.bones.size(), kMostBones));
+    if (!one_texture_) out_.texture.reset();
+    if (!out_.texture) out_.tint.clear();
     for (unsigned i = 0; i < scene_.mNumAnimations; ++i)
       PENUMBRA_TRY(add_clip(*scene_.mAnimations[i], i));
     return std::move(out_);
@@ -143,7 +145,9 @@ class Importer {
 
   Result<void> add_vertices(const aiMesh& in) {
     const Rgb albedo = albedo_of(scene_, in, fallback_);
-    const auto texture = texture_of(in);
+    const auto pixels = texture_of(in);
+    std::optional<CoarseTexture> texture;
+    if (pixels) texture.emplace(*pixels, in.mNumVertices);
     for (unsigned i = 0; i < in.mNumVertices; ++i) {
       const glm::vec3 p = to_glm(in.mVertices[i]);
       glm::vec3 n = in.mNormals ? to_glm(in.mNormals[i]) : glm::vec3(0, 1, 0);
@@ -160,30 +164,53 @@ class Importer {
       if (!std::isfinite(uv.x + uv.y)) uv = {0, 0};
       out_.texture_coordinates.push_back(uv);
       Rgb a = texture ? albedo * texture->at(uv) : albedo;
-      if (in.mColors[0]) a = a * Rgb{in.mColors[0][i].r, in.mColors[0][i].g, in.mColors[0][i].b};
+      Rgb tint = albedo;
+      if (in.mColors[0]) {
+        const Rgb colour{in.mColors[0][i].r, in.mColors[0][i].g, in.mColors[0][i].b};
+        a = a * colour;
+        tint = tint * colour;
+      }
       out_.albedo.push_back(clamped_albedo(a, albedo));
+      out_.tint.push_back(clamped_albedo(tint, albedo));
     }
     return {};
   }
 
   // None where the material has none, or it cannot be read: the material's factor is what remains.
-  std::optional<CoarseTexture> texture_of(const aiMesh& in) const {
+  std::optional<FramePixels> texture_of(const aiMesh& in) {
+    const auto name = texture_name(in);
+    note_texture(name);
+    if (!name) return {};
+    if (const aiTexture* embedded = scene_.GetEmbeddedTexture(name->c_str())) {
+      if (embedded->mHeight != 0) return {};  // uncompressed, which no exporter writes
+      const auto* bytes = reinterpret_cast<const unsigned char*>(embedded->pcData);
+      return keep(codec::decode_frame({bytes, embedded->mWidth}, file_));
+    }
+    return keep(codec::read_frame(path_.parent_path() / *name));
+  }
+
+  std::optional<std::string> texture_name(const aiMesh& in) const {
     if (in.mMaterialIndex >= scene_.mNumMaterials || !in.HasTextureCoords(0)) return {};
     const aiMaterial& material = *scene_.mMaterials[in.mMaterialIndex];
     aiString name;
     if (material.GetTexture(aiTextureType_BASE_COLOR, 0, &name) != AI_SUCCESS &&
         material.GetTexture(aiTextureType_DIFFUSE, 0, &name) != AI_SUCCESS)
       return {};
-    if (const aiTexture* embedded = scene_.GetEmbeddedTexture(name.C_Str())) {
-      if (embedded->mHeight != 0) return {};  // uncompressed, which no exporter writes
-      const auto* bytes = reinterpret_cast<const unsigned char*>(embedded->pcData);
-      const auto pixels = codec::decode_frame({bytes, embedded->mWidth}, file_);
-      if (!pixels) return {};
-      return CoarseTexture(*pixels, in.mNumVertices);
-    }
-    const auto pixels = codec::read_frame(path_.parent_path() / name.C_Str());
+    return name.C_Str();
+  }
+
+  // One picture is drawn as it is where it serves all meshes.
+  void note_texture(const std::optional<std::string>& name) {
+    const std::string known = name.value_or("");
+    one_texture_ &= !texture_name_ || *texture_name_ == known;
+    texture_name_ = known;
+  }
+
+  std::optional<FramePixels> keep(Result<FramePixels> pixels) {
     if (!pixels) return {};
-    return CoarseTexture(*pixels, in.mNumVertices);
+    if (const auto* codes = std::get_if<Image<Rgb8>>(&*pixels))
+      out_.texture = std::make_shared<const Image<Rgb8>>(*codes);
+    return std::move(*pixels);
   }
 
   Result<void> add_rigid(const aiMesh& in, int node) {
@@ -336,6 +363,8 @@ class Importer {
   std::string file_;
   Rgb fallback_;
   Character out_;
+  std::optional<std::string> texture_name_;
+  bool one_texture_ = true;
   std::map<std::string, int> by_name_;
   std::map<const aiNode*, int> by_node_;
   std::map<std::pair<int, unsigned>, std::vector<int>> targets_;  // by node and number

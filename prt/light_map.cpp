@@ -52,11 +52,15 @@ Nearest nearest_point(const glm::vec2& p, const Corners& t) {
   return best;
 }
 
+const std::vector<glm::vec2>& light_coordinates_of(const Character& c) {
+  return c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
+}
+
 Corners corners_of(const Character& c, std::size_t triangle, int width, int height) {
   const glm::vec2 size(static_cast<float>(width), static_cast<float>(height));
   Corners out;
   for (std::size_t k = 0; k < 3; ++k)
-    out[k] = size * c.texture_coordinates[c.triangles[triangle][k]];
+    out[k] = size * light_coordinates_of(c)[c.triangles[triangle][k]];
   return out;
 }
 
@@ -87,7 +91,7 @@ float surface_area(const Character& c, std::size_t triangle) {
 
 TextureUse texture_use(const Character& c, int width, int height) {
   TextureUse use;
-  if (c.texture_coordinates.empty()) return {1, 1, 1};
+  if (light_coordinates_of(c).empty()) return {1, 1, 1};
   constexpr float kInside = 1e-3f;  // of a triangle's weights: shared edges are no overlap
   std::vector<std::uint32_t> owner(
       static_cast<std::size_t>(width) * static_cast<std::size_t>(height), SurfaceLayout::kNone);
@@ -98,7 +102,7 @@ TextureUse texture_use(const Character& c, int width, int height) {
     all += surface_area(c, i);
     if (!(std::abs(cross(t[1] - t[0], t[2] - t[0])) > 1e-5f)) flat += surface_area(c, i);
     outside += std::ranges::any_of(c.triangles[i], [&](std::uint32_t v) {
-      const glm::vec2 uv = c.texture_coordinates[v];
+      const glm::vec2 uv = light_coordinates_of(c)[v];
       return !(uv.x >= -1e-4f && uv.x <= 1.0001f && uv.y >= -1e-4f && uv.y <= 1.0001f);
     });
     for_texels_near(t, 0, width, height, [&](int x, int y, const Nearest& n) {
@@ -117,6 +121,10 @@ TextureUse texture_use(const Character& c, int width, int height) {
   use.overlap = covered > 0 ? static_cast<double>(twice) / static_cast<double>(covered) : 1;
   use.no_area = all > 0 ? double(flat) / double(all) : 1;
   return use;
+}
+
+Character for_light_map(Character c, int width, int height) {
+  return texture_use(c, width, height).usable() ? c : with_atlas(c, width, height);
 }
 
 namespace {

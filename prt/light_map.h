@@ -20,10 +20,12 @@ struct TextureUse {
 };
 TextureUse texture_use(const Character& character, int width, int height);
 
-/// The same character with texture coordinates of its own for a light map: charts of triangles that face one way,
+/// The same character with coordinates of its own for a light map: charts of triangles that face one way,
 /// flattened along it, side by side with room between. Vertices on charts' borders stand once for each chart.
 /// errors: none; very small charts share texels when the map is too small for all
 Character with_atlas(const Character& character, int width, int height);
+/// With an atlas where its texture coordinates are not usable.
+Character for_light_map(Character character, int width, int height);
 
 /// Every texel that bilinear lookups on the surface can touch stands for the nearest point of the surface.
 struct SurfaceLayout {

@@ -175,10 +175,30 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
   return out;
 }
 
+Result<std::vector<Transfer>> baked_surface(const Character& character, int clip,
+                                            const SequenceOptions& options,
+                                            std::span<const std::filesystem::path> journals) {
+  auto baker = FrameBaker::create(character, clip, options);
+  if (!baker) return std::unexpected(baker.error());
+  auto records = gather(baker->key(), journals);
+  if (!records) return std::unexpected(records.error());
+  return frames_of(*baker, *records, FrameBaker::kSurface);
+}
+
+CompressedSurface compress_surface(const SurfaceLayout& layout, std::span<const Transfer> frames,
+                                   double relative_error) {
+  const StreamLayout stream = layout_of_surface(layout);
+  auto outcome =
+      SequenceCodec::encode(frames, stream, relative_error * SequenceCodec::rendered_rms(frames));
+  const std::size_t bytes = SequenceCodec::write(outcome.sequence, stream).size();
+  return {std::move(outcome.sequence), bytes};
+}
+
 // ---------------------------------------------------------------------------------- file
 
 namespace {
 
+constexpr std::uint32_t kMostTexels = 4096;  // of a light map's side
 constexpr char kMagic[8] = {'P', 'N', 'B', 'S', 'H', 'L', 'M', '1'};
 
 struct FileHead {
@@ -247,11 +267,11 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
     return fail(ErrorCode::kInvalid, name, "is not a baked clip of this version");
   std::memcpy(&head, bytes.data(), sizeof head);
   if (head.asset != prt::fingerprint(character, clip))
-    return fail(ErrorCode::kInvalid, name, "was baked from another mesh or clip");
-  if (head.map_width > 4096 || head.map_height > 4096 ||
+    return fail(ErrorCode::kInvalid, name, "was baked from another mesh, albedo or clip");
+  if (head.map_width > kMostTexels || head.map_height > kMostTexels ||
       (head.map_width == 0) != (head.map_height == 0) || head.ground_size > 4096)
     return fail(ErrorCode::kUnreadable, name, "damaged at byte 24: sizes out of range");
-  if (head.map_width > 0 && character.texture_coordinates.size() != character.positions.size())
+  if (head.map_width > 0 && !has_light_coordinates(character))
     return fail(ErrorCode::kInvalid, name, "has a light map, and the asset no texture coordinates");
   const SurfaceLayout layout =
       lay_out(character, static_cast<int>(head.map_width), static_cast<int>(head.map_height));
@@ -303,6 +323,19 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
         (s->frames() != out.surface.frames() || s->channels() != out.surface.channels()))
       return fail(ErrorCode::kUnreadable, name, "damaged: streams of different clips");
   return out;
+}
+
+Result<LightMapSize> light_map_size(const std::filesystem::path& path) {
+  auto bytes = read_bytes(path);
+  if (!bytes) return std::unexpected(bytes.error());
+  FileHead head{};
+  if (bytes->size() < sizeof head || std::memcmp(bytes->data(), kMagic, sizeof kMagic) != 0)
+    return fail(ErrorCode::kInvalid, path.string(), "is not a baked clip of this version");
+  std::memcpy(&head, bytes->data(), sizeof head);
+  if (head.map_width > kMostTexels || head.map_height > kMostTexels ||
+      (head.map_width == 0) != (head.map_height == 0))
+    return fail(ErrorCode::kUnreadable, path.string(), "damaged: the light map's size is none");
+  return LightMapSize{static_cast<int>(head.map_width), static_cast<int>(head.map_height)};
 }
 
 Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,

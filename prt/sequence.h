@@ -134,6 +134,18 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,
                                       std::span<const std::filesystem::path> journals);
 
+/// The surface's frames as baked, in the materials' frames, and what their compression alone comes to: for charts.
+/// errors: as compress_frames
+Result<std::vector<Transfer>> baked_surface(const Character& character, int clip,
+                                            const SequenceOptions& options,
+                                            std::span<const std::filesystem::path> journals);
+struct CompressedSurface {
+  TransferSequence sequence;
+  std::size_t bytes = 0;
+};
+CompressedSurface compress_surface(const SurfaceLayout& layout, std::span<const Transfer> frames,
+                                   double relative_error);
+
 /// The baked file of a clip. It belongs to its asset, which is needed to read it.
 /// errors: kUnwritable / kNotFound, kUnreadable (damaged: offset), kInvalid (not ours, another version, baked from
 /// another mesh or clip)
@@ -141,6 +153,12 @@ Result<void> write_sequence(const std::filesystem::path& path, const Character& 
                             const BakedSequence& sequence);
 Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,
                                     int clip);
+/// The light map's size in texels, 0 without one: what the asset has to be prepared for before it can be read.
+/// errors: as read_sequence
+struct LightMapSize {
+  int width = 0, height = 0;
+};
+Result<LightMapSize> light_map_size(const std::filesystem::path& path);
 /// The same from memory, without the checksum over all of it; `name` stands in errors. For fuzzing.
 Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
                                       const Character& character, int clip,

@@ -8,9 +8,9 @@
 #include <cstring>
 #include <numeric>
 
+#include "codec/codec.h"
 #include "core/half.h"
 #include "core/parallel.h"
-#include "prt/range_coder.h"
 
 namespace penumbra::prt {
 
@@ -334,8 +334,8 @@ class MapCoder {
 
 // A number's models by how restless it is around, by band and by component.
 struct Models {
-  NumberModel number[4][3][MapCoder::kActivities];
-  NumberModel& at(std::size_t component, int band, int activity) {
+  codec::NumberModel number[4][3][MapCoder::kActivities];
+  codec::NumberModel& at(std::size_t component, int band, int activity) {
     return number[std::min<std::size_t>(component, 3)][std::min(band, 2)][activity];
   }
 };
@@ -408,8 +408,8 @@ std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
   const std::vector<std::uint32_t> place = places_in_groups(s.order_, groups);
   MapCoder coder(layout, s.order_, place);
   auto models = std::make_unique<Models>();
-  BitModel zero_map, predicted;
-  RangeEncoder range;
+  codec::BitModel zero_map, predicted;
+  codec::RangeEncoder range;
   for (std::size_t i = 0; i < s.groups_.size(); ++i) {
     const TransferSequence::Group& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];
@@ -487,8 +487,8 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
   const std::vector<std::uint32_t> place = places_in_groups(s.order_, groups);
   MapCoder coder(layout, s.order_, place);
   auto models = std::make_unique<Models>();
-  BitModel zero_map, predicted;
-  RangeDecoder range(in.rest());
+  codec::BitModel zero_map, predicted;
+  codec::RangeDecoder range(in.rest());
   for (std::size_t i = 0; i < s.groups_.size(); ++i) {
     TransferSequence::Group& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];

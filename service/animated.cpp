@@ -44,6 +44,27 @@ Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
   return character;
 }
 
+Result<StandingCharacter> standing_character(const std::string& asset, Rgb albedo,
+                                             const std::string& animation, int map_width,
+                                             int map_height) {
+  PENUMBRA_ASSIGN(character, load_character(asset, albedo));
+  const auto clip = prt::find_clip(character, animation);
+  if (!clip) return fail(clip.error().code, asset, clip.error().detail);
+  const prt::Bounds room =
+      prt::bounds_of(room_of(character, character.clips[static_cast<std::size_t>(*clip)]));
+  character.frame = glm::mat4(1);
+  character.frame[3] = glm::vec4(-room.centre().x, -room.low.y, -room.centre().z, 1);
+  if (map_width > 0) {
+    character = prt::for_light_map(std::move(character), map_width, map_height);
+  } else {
+    // Edges are measured where the vertices are kept, in units of the asset.
+    prt::Mesh rest;
+    rest.positions = character.positions;
+    prt::subdivide(character, kEdgeShare * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+  }
+  return StandingCharacter{std::move(character), *clip};
+}
+
 prt::SequenceOptions sequence_options(const BakeSettings& settings) {
   prt::SequenceOptions o;
   o.bands = settings.bands;
@@ -53,18 +74,74 @@ prt::SequenceOptions sequence_options(const BakeSettings& settings) {
   return o;
 }
 
+namespace {
+
+// Sets the object to the clip's begin.
+void start(std::shared_ptr<Animation> animation, PreparedObject& out) {
+  animation->layout = prt::lay_out(animation->character, animation->sequence.map_width,
+                                   animation->sequence.map_height);
+  out.baked.receiver = animation->sequence.receiver;
+  out.animation = std::move(animation);
+  out.frame = -1;  // none yet
+  out.move_to(0, true);
+}
+
+// A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling is all.
+Result<PreparedObject> place_baked_clip(const SceneObject& o,
+                                        const std::vector<prt::Plane>& planes) {
+  PENUMBRA_ASSIGN(size, prt::light_map_size(o.transfer));
+  PENUMBRA_ASSIGN(standing,
+                  standing_character(o.asset, o.albedo, o.animation, size.width, size.height));
+  PENUMBRA_ASSIGN(sequence, prt::read_sequence(o.transfer, standing.character, standing.clip));
+  auto animation = std::make_shared<Animation>();
+  animation->character = std::move(standing.character);
+  animation->clip = standing.clip;
+  animation->sequence = std::move(sequence);
+  const prt::Bounds room = prt::bounds_of(room_of(
+      animation->character, animation->character.clips[static_cast<std::size_t>(animation->clip)]));
+  const glm::vec3 extent = room.high - room.low;
+  const double scale =
+      o.stand ? o.stand_size_m / std::max({extent.x, extent.y, extent.z, 1e-9f}) : o.scale;
+  animation->character.frame =
+      glm::mat4(glm::mat3(static_cast<float>(scale))) * animation->character.frame;
+  const prt::Plane* const plane =
+      plane_under(planes, {glm::vec3(o.position), glm::vec3(o.position)});
+  PreparedObject out;
+  out.name = o.name;
+  out.spin_rpm = o.spin_rpm;
+  const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
+  if (plane && up.y < .9999)
+    return fail(
+        ErrorCode::kInvalid, o.name,
+        "its clip is baked for standing upright and cannot be tilted; leave `transfer` out");
+  out.world_from_bake = {o.rotation, frame.translation};
+  if (std::optional<prt::Receiver>& receiver = animation->sequence.receiver) {
+    const auto k = static_cast<float>(scale);
+    receiver->grid.centre *= k;
+    receiver->grid.half_extent *= k;
+    receiver->grid.height *= k;
+    if (!plane) receiver.reset();  // nothing there to take the shadow
+  }
+  start(std::move(animation), out);
+  return out;
+}
+
+}  // namespace
+
 Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<prt::Plane>& planes,
                                         const BakeSettings& settings,
                                         const std::function<void(double)>& progress) {
-  auto loaded = load_character(o.asset, o.albedo);
-  if (!loaded) return std::unexpected(loaded.error());
+  if (!o.transfer.empty()) return place_baked_clip(o, planes);
+  auto standing =
+      standing_character(o.asset, o.albedo, o.animation, o.light_map[0], o.light_map[1]);
+  if (!standing) return std::unexpected(standing.error());
   auto animation = std::make_shared<Animation>();
-  animation->character = std::move(*loaded);
+  animation->character = std::move(standing->character);
+  animation->clip = standing->clip;
   prt::Character& character = animation->character;
-  const auto clip = prt::find_clip(character, o.animation);
-  if (!clip) return fail(clip.error().code, o.asset, clip.error().detail);
-  animation->clip = *clip;
-  const prt::Clip& played = character.clips[static_cast<std::size_t>(*clip)];
+  character.frame = glm::mat4(1);  // placed by the scene
+  const prt::Clip& played = character.clips[static_cast<std::size_t>(animation->clip)];
   const prt::Mesh room = room_of(character, played);
   character.frame = glm::mat4(world_from_mesh(o, room)) * character.frame;
   const prt::Bounds in_world = prt::bounds_of(room_of(character, played));
@@ -74,19 +151,19 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
   out.spin_rpm = o.spin_rpm;
   out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   character.frame = glm::mat4(out.world_from_bake.inverse().matrix()) * character.frame;
-  // Edges are measured where the vertices are kept, in units of the asset.
-  prt::Mesh rest;
-  rest.positions = character.positions;
-  prt::subdivide(character, kEdgeShare * prt::radius_around(rest, prt::bounds_of(rest).centre()));
   prt::SequenceOptions options = sequence_options(settings);
+  options.map_width = o.light_map[0];
+  options.map_height = o.light_map[1];
   if (plane) {
     options.ground_size = kGroundSize;
     options.ground_albedo = plane->albedo;
   }
   options.progress = progress;
-  auto sequence = bake_or_recall(o.name, character, *clip, options, settings.use_cache);
+  auto sequence = bake_or_recall(o.name, character, animation->clip, options, settings.use_cache);
   if (!sequence) return std::unexpected(sequence.error());
   animation->sequence = std::move(*sequence);
+  animation->layout =
+      prt::lay_out(character, animation->sequence.map_width, animation->sequence.map_height);
   out.baked.receiver = animation->sequence.receiver;
   out.animation = std::move(animation);
   out.frame = -1;  // none yet
@@ -103,6 +180,7 @@ bool PreparedObject::move_to(double seconds, bool transfer) {
   frame = wanted;
   const prt::CharacterPose pose = prt::sample(animation->character, clip, seconds);
   prt::deform(animation->character, pose, baked.mesh);
+  prt::add_texels(animation->character, animation->layout, baked.mesh);
   turns = prt::bone_turns(animation->character, pose);
   if (!transfer) return true;
   s.surface.decode(frame, turns, baked.transfer);

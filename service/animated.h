@@ -19,6 +19,17 @@ const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::
 /// errors: as prt::import_character; kNotFound (no such built-in character)
 Result<prt::Character> load_character(const std::string& asset, Rgb albedo);
 
+/// A character as baked files know it: it stands on y = 0, in the middle of the room that its clip takes, with vertices dense
+/// enough for transfer, or with coordinates for a light map of that size.
+/// errors: as load_character; the clip's
+struct StandingCharacter {
+  prt::Character character;
+  int clip = 0;
+};
+Result<StandingCharacter> standing_character(const std::string& asset, Rgb albedo,
+                                             const std::string& animation, int map_width,
+                                             int map_height);
+
 /// Frames a second, rays and the like that a clip is baked with for a scene.
 prt::SequenceOptions sequence_options(const BakeSettings& settings);
 

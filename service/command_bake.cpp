@@ -11,7 +11,15 @@
 
 namespace penumbra::service {
 
+Rgb albedo_of(const BakeCommandOptions& o) {
+  return {static_cast<float>(o.albedo[0]), static_cast<float>(o.albedo[1]),
+          static_cast<float>(o.albedo[2])};
+}
+
 Result<void> bake(const BakeCommandOptions& o) {
+  if (!o.shard.empty() || o.merge != 0 || !o.light_map.empty())
+    return fail(ErrorCode::kInvalid, "--animation",
+                "is missing: shards and light maps are of clips");
   if (o.samples < 64 || o.samples % 64 != 0)
     return fail(ErrorCode::kInvalid, "--samples",
                 fmt::format("{} is not a positive multiple of 64", o.samples));
@@ -23,7 +31,7 @@ Result<void> bake(const BakeCommandOptions& o) {
     return fail(ErrorCode::kInvalid, "--bounces",
                 fmt::format("not within 0..{}", prt::kMostBounces));
   PENUMBRA_TRY(check_writable(o.output));
-  auto mesh = load_asset(o.asset, {.7f, .7f, .7f}, .04f);
+  auto mesh = load_asset(o.asset, albedo_of(o), .04f);
   if (!mesh) return std::unexpected(mesh.error());
   prt::BakeOptions options;
   options.bands = o.bands;

@@ -3,10 +3,12 @@
 // elsewhere.
 #pragma once
 
+#include <array>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "core/image.h"
 #include "core/result.h"
 
 namespace penumbra::service {
@@ -61,10 +63,20 @@ Result<void> light_estimate(const LightEstimateOptions& options);
 struct BakeCommandOptions {
   std::string asset, output;
   int bands = 5, bounces = 4, samples = 1024;
+  std::vector<double> albedo{.7, .7, .7};
   double receiver_albedo = 0;
   bool json = false;
+  // Of a clip:
+  std::string animation;
+  double fps = 30, error = .005;
+  std::string light_map;  // "256x128", or empty: at vertices
+  std::string shard;      // "i/n"
+  int merge = 0;          // so many shards
+  int ground_texels = 64;
 };
 Result<void> bake(const BakeCommandOptions& options);
+Result<void> bake_clip(const BakeCommandOptions& options);
+Rgb albedo_of(const BakeCommandOptions& options);
 
 struct RenderOptions {
   std::string scene, environment, camera, output;
@@ -195,8 +207,16 @@ struct ChartOptions {
   int governor = 0;        // prove the governor on so many scenes instead
   double budget = .05;     // of the shadow's RMS error in s, for that
   bool truncated = false;  // compare under the same truncated light instead of the whole light
+  std::string animation;   // of the first asset: chart the compression of its transfer instead
+  std::string light_map = "128x128";
+  int frames = 100, samples = 512;
   bool json = false;
 };
 Result<void> chart(const ChartOptions& options);
+/// Bytes against rendered error of ways to code transfer over a clip.
+Result<void> chart_clip(const ChartOptions& options);
+/// "WIDTHxHEIGHT" within 8..4096.
+/// errors: kInvalid
+Result<std::array<int, 2>> read_map_size(const std::string& option, const std::string& text);
 
 }  // namespace penumbra::service

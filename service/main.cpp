@@ -258,21 +258,52 @@ void add_light_commands(CLI::App& app, Action& action) {
   c = app.add_subcommand(
       "bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
   c->add_option("asset", bake_options.asset,
-                "glTF, OBJ or PLY (or builtin:knot, builtin:twist, builtin:box)")
+                "glTF, OBJ or PLY (or builtin:knot, builtin:twist, builtin:box, builtin:walker)")
       ->required();
-  c->add_option("-o,--output", bake_options.output, "Baked .glb")->required();
+  c->add_option("-o,--output", bake_options.output, "Baked .glb, of a clip .shlm")->required();
   c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
   c->add_option("--bounces", bake_options.bounces,
                 "Traced bounces of light between the parts; from 2 on the rest is extrapolated")
       ->capture_default_str();
   c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")
       ->capture_default_str();
+  c->add_option("--albedo", bake_options.albedo, "R G B where the asset has no material")
+      ->expected(3)
+      ->check(CLI::Range(0., 1.))
+      ->capture_default_str();
   c->add_option("--receiver-albedo", bake_options.receiver_albedo,
                 "Of the plane under it; 0 reflects nothing")
       ->check(CLI::Range(0., 1.))
       ->capture_default_str();
   add_json(c, bake_options.json);
-  c->callback([&] { action = [] { return bake(bake_options); }; });
+  const char* const kClip = "A clip of a character";
+  c->add_option("--animation", bake_options.animation,
+                "Clip, by name or number: transfer over its frames instead of one pose")
+      ->group(kClip);
+  c->add_option("--fps", bake_options.fps, "Baked frames a second of the clip")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--light-map", bake_options.light_map,
+                "WIDTHxHEIGHT texels instead of vertices, laid out by the asset's texture "
+                "coordinates or, where "
+                "those are not usable, by an atlas of its own")
+      ->group(kClip);
+  c->add_option("--error", bake_options.error, "Relative rendered error that compression may add")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--ground-texels", bake_options.ground_texels,
+                "Side of the shadow basis on the floor; 0: none")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--shard", bake_options.shard,
+                "i/n: only every n-th frame from the i-th on, kept beside the output for --merge")
+      ->group(kClip);
+  c->add_option("--merge", bake_options.merge, "n: join n shards to the output")->group(kClip);
+  c->callback([&] {
+    action = [] {
+      return bake_options.animation.empty() ? bake(bake_options) : bake_clip(bake_options);
+    };
+  });
 }
 
 void add_picture_commands(CLI::App& app, Action& action) {
@@ -329,8 +360,27 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_flag(
       "--truncated", chart_options.truncated,
       "Against the reference under the same truncated light: what bake, shadow and composite cost");
+  const char* const kClip = "Compression of a clip's transfer instead";
+  c->add_option("--animation", chart_options.animation,
+                "Clip of the first --asset (builtin:walker without one): bytes against rendered "
+                "error of ways to "
+                "code its transfer")
+      ->group(kClip);
+  c->add_option("--light-map", chart_options.light_map, "WIDTHxHEIGHT texels")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--frames", chart_options.frames, "Of the clip")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--samples", chart_options.samples, "Rays a texel and frame, a multiple of 64")
+      ->capture_default_str()
+      ->group(kClip);
   add_json(c, chart_options.json);
-  c->callback([&] { action = [] { return chart(chart_options); }; });
+  c->callback([&] {
+    action = [] {
+      return chart_options.animation.empty() ? chart(chart_options) : chart_clip(chart_options);
+    };
+  });
 }
 
 void add_running_commands(CLI::App& app, Action& action) {

@@ -26,6 +26,22 @@ compositor::CameraLook look_of(const capture::CameraInfo& info, const capture::F
   return look;
 }
 
+compositor::Appearance appearance_of(const PreparedObject& o) {
+  compositor::Appearance look;
+  if (!o.animation) return look;
+  const prt::Character& c = o.animation->character;
+  const prt::SurfaceLayout& layout = o.animation->layout;
+  look.texture = c.texture.get();
+  look.texture_coordinates = c.texture_coordinates;
+  look.tint = c.tint;
+  look.light_width = layout.width;
+  look.light_height = layout.height;
+  look.light_coordinates =
+      c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
+  look.texels = layout.texels;
+  return look;
+}
+
 }  // namespace
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
@@ -66,7 +82,7 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   for (const prt::Plane& plane : scene.planes)
     stage->compositor_->add_plane(plane.point, plane.normal);
   for (const PreparedObject& o : scene.objects) {
-    const int handle = stage->compositor_->add_object(o.baked);
+    const int handle = stage->compositor_->add_object(o.baked, appearance_of(o));
     stage->objects_.push_back({.prepared = &o,
                                .handle = handle,
                                .relit = std::vector<float>(3 * o.baked.transfer.stride)});

@@ -3,6 +3,8 @@
 
 #include <unistd.h>
 
+#include <chrono>
+#include <cmath>
 #include <cstddef>
 #include <cstdio>
 #include <functional>
@@ -12,13 +14,22 @@ namespace penumbra::service {
 
 inline std::function<void(double)> progress_bar(const std::string& what) {
   if (!isatty(STDERR_FILENO)) return {};
-  return [what, last = -1](double done) mutable {
+  using Clock = std::chrono::steady_clock;
+  return [what, last = -1, first = -1., start = Clock::now()](double done) mutable {
     const int percent = static_cast<int>(done * 100);
     if (percent == last) return;
     last = percent;
+    // Work that goes on where it stopped begins further on: only what was done since then tells the pace.
+    if (first < 0) first = done;
+    const double since = std::chrono::duration<double>(Clock::now() - start).count();
+    const long left = done > first ? std::lround(since * (1 - done) / (done - first)) : 0;
     const std::string bar(static_cast<std::size_t>(percent * 30 / 100), '#');
-    std::fprintf(stderr, "\r%-24.24s [%-30s] %3d %%%s", what.c_str(), bar.c_str(), percent,
-                 percent >= 100 ? "\n" : "");
+    std::fprintf(stderr, "\r%-24.24s [%-30s] %3d %%", what.c_str(), bar.c_str(), percent);
+    if (percent < 100 && left > 0) {
+      std::fprintf(stderr, "  %ld:%02ld left ", left / 60, left % 60);
+    } else {
+      std::fprintf(stderr, "%14s%s", "", percent >= 100 ? "\n" : "");
+    }
     std::fflush(stderr);
   };
 }

@@ -1,6 +1,7 @@
 // Scenes: scene.toml, placing, and baking what is not baked yet into the cache.
 #pragma once
 
+#include <array>
 #include <filesystem>
 #include <functional>
 #include <memory>
@@ -27,6 +28,8 @@ struct SceneObject : Placement {
   std::string name;
   std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box", "builtin:walker"
   std::string animation;  // a clip by name or number, which loops; empty: it stands at rest
+  std::string transfer;   // of the clip, by `penumbra bake`; empty: baked first, into the cache
+  std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
   Rgb albedo{.7f, .7f, .7f};
   double spin_rpm = 0;  // turntable about the receiver's normal
 };
@@ -61,6 +64,7 @@ struct Animation {
   prt::Character character;
   int clip = 0;
   prt::BakedSequence sequence;
+  prt::SurfaceLayout layout{};
 };
 
 /// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.

@@ -8,9 +8,9 @@ namespace penumbra::service {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",
-                                            "position", "rotation",  "scale",
-                                            "spin_rpm", "animation", "stand_size_m"};
+constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",      "position",
+                                            "rotation", "scale",     "spin_rpm",    "animation",
+                                            "transfer", "light_map", "stand_size_m"};
 constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "stand_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",      "albedo",
                                           "position", "rotation", "scale", "stand_size_m"};
@@ -97,6 +97,21 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     PENUMBRA_ASSIGN(animation, keys.text("animation"));
     if (animation.empty()) return keys.invalid("animation", "names no clip");
     o.animation = animation;
+  }
+  for (const std::string_view key : {"transfer", "light_map"})
+    if (keys.has(key) && o.animation.empty()) return keys.invalid(key, "is of an animation");
+  if (keys.has("transfer")) {
+    if (keys.has("light_map")) return keys.invalid("light_map", "is told by the transfer");
+    PENUMBRA_ASSIGN(transfer, keys.text("transfer"));
+    o.transfer = resolve(transfer, folder);
+  }
+  if (keys.has("light_map")) {
+    PENUMBRA_ASSIGN(size, keys.numbers("light_map", 2));
+    for (std::size_t i = 0; i < 2; ++i) {
+      if (!(size[i] >= 8 && size[i] <= 4096 && size[i] == std::floor(size[i])))
+        return keys.invalid("light_map", "not two whole numbers of texels within 8..4096");
+      o.light_map[i] = static_cast<int>(size[i]);
+    }
   }
   return o;
 }
@@ -210,6 +225,10 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
                         toml_quoted(absolute(o.asset)), list(o.albedo.r, o.albedo.g, o.albedo.b));
     text += placed(o);
     if (!o.animation.empty()) text += fmt::format("animation = {}\n", toml_quoted(o.animation));
+    if (!o.transfer.empty())
+      text += fmt::format("transfer = {}\n", toml_quoted(absolute(o.transfer)));
+    if (o.light_map[0] > 0)
+      text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
   }
   for (const RealGeometry& r : scene.real) {

@@ -1,0 +1,144 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <charconv>
+#include <filesystem>
+
+#include "core/files.h"
+#include "service/animated.h"
+#include "service/commands.h"
+#include "service/progress.h"
+#include "service/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+// Two numbers with a sign between them.
+bool read_pair(const std::string& text, char sign, int& a, int& b) {
+  const char* const end = text.data() + text.size();
+  const auto first = std::from_chars(text.data(), end, a);
+  if (first.ec != std::errc() || first.ptr == end || *first.ptr != sign) return false;
+  const auto second = std::from_chars(first.ptr + 1, end, b);
+  return second.ec == std::errc() && second.ptr == end;
+}
+
+fs::path shard_file(const std::string& output, int index, int count) {
+  return fmt::format("{}.shard-{}-of-{}", output, index + 1, count);
+}
+
+Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
+  prt::SequenceOptions out;
+  out.frames_per_second = o.fps;
+  out.bands = o.bands;
+  out.bounces = o.bounces;
+  out.rays = out.ground_rays = o.samples;
+  out.error = o.error;
+  if (!o.light_map.empty()) {
+    PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
+    out.map_width = size[0];
+    out.map_height = size[1];
+  }
+  if (o.ground_texels != 0) {
+    if (o.ground_texels < 8 || o.ground_texels > 1024)
+      return fail(ErrorCode::kInvalid, "--ground-texels",
+                  fmt::format("{} is neither 0 nor within 8..1024", o.ground_texels));
+    out.ground_size = o.ground_texels;
+  }
+  const auto a = static_cast<float>(o.receiver_albedo);
+  out.ground_albedo = {a, a, a};
+  return out;
+}
+
+void report(const BakeCommandOptions& o, const prt::BakedSequence& s) {
+  const prt::SequenceReport& r = s.report;
+  const auto bytes = fs::file_size(o.output);
+  const double raw = 4. * static_cast<double>(s.surface.points()) * s.surface.frames() *
+                     s.surface.channels() * coefficient_count(s.surface.bands());
+  if (o.json) {
+    print_json({{"clip", s.clip},
+                {"frames", s.surface.frames()},
+                {"points", s.surface.points()},
+                {"texels", s.ground_deficit.points()},
+                {"coefficients", coefficient_count(s.surface.bands())},
+                {"channels", s.surface.channels()},
+                {"components", s.surface.most_components()},
+                {"rays", r.rays},
+                {"seconds", r.seconds},
+                {"rays_per_second", static_cast<double>(r.rays) / r.seconds},
+                {"standard_error", r.standard_error},
+                {"compression_error", r.compression_error},
+                {"interpolation_error", r.interpolation_error},
+                {"raw_bytes", raw},
+                {"bytes", bytes}});
+    return;
+  }
+  fmt::print(
+      "{}: {} frames of {} points and {} receiver texels, {} coefficients, {:.1f} M rays in {:.1f} "
+      "s "
+      "({:.1f} M/s), standard error {:.2f} % of t_0\n"
+      "rendered error {:.2f} % by compression, {:.2f} % between frames; up to {} components; "
+      "{:.2f} MB "
+      "of {:.0f} MB\n",
+      o.output, s.surface.frames(), s.surface.points(), s.ground_deficit.points(),
+      coefficient_count(s.surface.bands()), static_cast<double>(r.rays) * 1e-6, r.seconds,
+      static_cast<double>(r.rays) * 1e-6 / r.seconds, 100 * r.standard_error,
+      100 * r.compression_error, 100 * r.interpolation_error, s.surface.most_components(),
+      static_cast<double>(bytes) * 1e-6, raw * 1e-6);
+}
+
+}  // namespace
+
+Result<std::array<int, 2>> read_map_size(const std::string& option, const std::string& text) {
+  std::array<int, 2> size{};
+  const auto good = [](int side) { return side >= 8 && side <= 4096; };
+  if (!read_pair(text, 'x', size[0], size[1]) || !good(size[0]) || !good(size[1]))
+    return fail(ErrorCode::kInvalid, option,
+                fmt::format("\"{}\" is no size like 256x128 within 8..4096", text));
+  return size;
+}
+
+Result<void> bake_clip(const BakeCommandOptions& o) {
+  if (fs::path(o.output).extension() != ".shlm")
+    return fail(ErrorCode::kInvalid, o.output, "a baked clip ends in .shlm");
+  PENUMBRA_ASSIGN(options, options_of(o));
+  int index = 1, count = 1;
+  if (!o.shard.empty() &&
+      (!read_pair(o.shard, '/', index, count) || index < 1 || index > count || count > 4096))
+    return fail(ErrorCode::kInvalid, "--shard",
+                fmt::format("\"{}\" is not i/n with i in 1..n", o.shard));
+  if (o.merge < 0 || o.merge > 4096 || (o.merge > 0 && !o.shard.empty()))
+    return fail(ErrorCode::kInvalid, "--merge", "joins 1..4096 shards, and bakes none");
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(character, standing_character(o.asset, albedo_of(o), o.animation,
+                                                options.map_width, options.map_height));
+  options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
+  std::vector<fs::path> journals;
+  for (int i = 0; i < o.merge; ++i) journals.push_back(shard_file(o.output, i, o.merge));
+  if (o.merge == 0) {
+    // Kept until all is done: a bake that is stopped goes on where it was.
+    journals = {o.shard.empty() ? fs::path(o.output + ".journal")
+                                : shard_file(o.output, index - 1, count)};
+    PENUMBRA_TRY(prt::bake_frames(character.character, character.clip, options, {index - 1, count},
+                                  journals[0]));
+    if (!o.shard.empty()) {
+      if (!o.json) fmt::print("{}\n", journals[0].string());
+      return {};
+    }
+  }
+  PENUMBRA_ASSIGN(sequence,
+                  prt::compress_frames(character.character, character.clip, options, journals));
+  PENUMBRA_TRY(prt::write_sequence(o.output, character.character, character.clip, sequence));
+  std::error_code ignored;
+  for (const fs::path& journal : journals) fs::remove(journal, ignored);
+  if (sequence.report.interpolation_error > 2 * o.error)
+    spdlog::warn(
+        "{}: the clip moves fast: between frames the error is {:.1f} %; a higher --fps lowers it",
+        o.output, 100 * sequence.report.interpolation_error);
+  report(o, sequence);
+  return {};
+}
+
+}  // namespace penumbra::service
