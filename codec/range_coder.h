@@ -57,10 +57,8 @@ class RangeEncoder {
   void shift() {
     if (low_ < 0xff000000ull || low_ > 0xffffffffull) {
       const auto carry = static_cast<unsigned char>(low_ >> 32);
-      if (pending_ > 0) {
-        out_.push_back(static_cast<unsigned char>(cache_ + carry));
-        while (--pending_ > 0) out_.push_back(static_cast<unsigned char>(0xff + carry));
-      }
+      out_.push_back(static_cast<unsigned char>(cache_ + carry));
+      while (--pending_ > 0) out_.push_back(static_cast<unsigned char>(0xff + carry));
       cache_ = static_cast<unsigned char>(low_ >> 24);
     }
     ++pending_;
@@ -69,7 +67,7 @@ class RangeEncoder {
   std::uint64_t low_ = 0;
   std::uint32_t range_ = 0xffffffffu;
   unsigned char cache_ = 0;
-  std::uint64_t pending_ = 0;
+  std::uint64_t pending_ = 1;  // the first byte is always 0
   std::vector<unsigned char> out_;
 };
 
@@ -77,7 +75,7 @@ class RangeEncoder {
 class RangeDecoder {
  public:
   explicit RangeDecoder(std::span<const unsigned char> bytes) : bytes_(bytes) {
-    for (int i = 0; i < 4; ++i) code_ = code_ << 8 | next();
+    for (int i = 0; i < 5; ++i) code_ = code_ << 8 | next();
   }
   bool bit(BitModel& model) {
     const std::uint32_t bound = (range_ >> 12) * model.zero;

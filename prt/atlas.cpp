@@ -5,6 +5,7 @@
 #include <map>
 #include <numeric>
 #include <queue>
+#include <set>
 #include <tuple>
 
 #include "prt/light_map.h"
@@ -53,7 +54,65 @@ std::vector<std::array<std::uint32_t, 3>> neighbours_of(const Character& c) {
   return out;
 }
 
-// Grown from the largest triangle left, as far as all face about one way at rest.
+struct Plane2 {
+  glm::vec3 x, y;
+};
+Plane2 plane_of(const glm::vec3& direction) {
+  const glm::vec3 any = std::abs(direction.y) < .9f ? glm::vec3(0, 1, 0) : glm::vec3(1, 0, 0);
+  const glm::vec3 x = glm::normalize(glm::cross(any, direction));
+  return {x, glm::cross(direction, x)};
+}
+
+// What of a chart's plane is taken: surfaces that wind around come back over themselves.
+class Occupied {
+ public:
+  Occupied(const Character& c, const glm::vec3& direction, float cell)
+      : character_(c), plane_(plane_of(direction)), cell_(cell) {}
+
+  /// False, and nothing taken, where the triangle would lie on another.
+  bool take(std::uint32_t triangle) {
+    std::vector<std::pair<int, int>> cells;
+    glm::vec2 p[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const glm::vec3& at = character_.positions[character_.triangles[triangle][k]];
+      p[k] = glm::vec2(glm::dot(at, plane_.x), glm::dot(at, plane_.y)) / cell_;
+    }
+    const glm::vec2 low = glm::floor(glm::min(glm::min(p[0], p[1]), p[2])),
+                    high = glm::ceil(glm::max(glm::max(p[0], p[1]), p[2]));
+    for (int y = static_cast<int>(low.y); y < static_cast<int>(high.y); ++y)
+      for (int x = static_cast<int>(low.x); x < static_cast<int>(high.x); ++x) {
+        const glm::vec2 at(static_cast<float>(x) + .5f, static_cast<float>(y) + .5f);
+        if (!inside(p, at)) continue;
+        if (taken_.contains({x, y})) return false;
+        cells.emplace_back(x, y);
+      }
+    taken_.insert(cells.begin(), cells.end());
+    return true;
+  }
+
+ private:
+  static bool inside(const glm::vec2* p, const glm::vec2& at) {
+    for (int k = 0; k < 3; ++k) {
+      const glm::vec2 edge = p[(k + 1) % 3] - p[k], to = at - p[k];
+      if (edge.x * to.y - edge.y * to.x <= 0) return false;
+    }
+    return true;
+  }
+  const Character& character_;
+  Plane2 plane_;
+  float cell_;
+  std::set<std::pair<int, int>> taken_;
+};
+
+// Cells as small as a few to a triangle.
+float cell_of(const std::vector<glm::vec3>& area_normals) {
+  double sum = 0;
+  for (const glm::vec3& n : area_normals) sum += glm::length(n) / 2;
+  return std::max(
+      1e-9f, static_cast<float>(std::sqrt(sum / static_cast<double>(area_normals.size())) / 4));
+}
+
+// Grown from the largest triangle left, as far as all face about one way at rest and none covers another.
 std::vector<Chart> find_charts(const Character& c) {
   const auto neighbours = neighbours_of(c);
   std::vector<std::uint32_t> order(c.triangles.size());
@@ -62,6 +121,7 @@ std::vector<Chart> find_charts(const Character& c) {
   for (std::uint32_t i = 0; i < order.size(); ++i) normal.push_back(area_normal(c, i));
   std::ranges::stable_sort(order, std::ranges::greater(),
                            [&](auto i) { return glm::length(normal[i]); });
+  const float cell = cell_of(normal);
   std::vector<char> taken(c.triangles.size());
   std::vector<Chart> charts;
   for (const std::uint32_t seed : order) {
@@ -69,9 +129,11 @@ std::vector<Chart> find_charts(const Character& c) {
     Chart chart;
     const float length = glm::length(normal[seed]);
     chart.direction = length > 0 ? normal[seed] / length : glm::vec3(0, 1, 0);
+    Occupied occupied(c, chart.direction, cell);
     std::queue<std::uint32_t> next;
     next.push(seed);
     taken[seed] = 1;
+    occupied.take(seed);
     while (!next.empty()) {
       const std::uint32_t i = next.front();
       next.pop();
@@ -79,6 +141,7 @@ std::vector<Chart> find_charts(const Character& c) {
       for (const std::uint32_t n : neighbours[i]) {
         if (n == kNone || taken[n]) continue;
         if (glm::dot(normal[n], chart.direction) <= kLeastCosine * glm::length(normal[n])) continue;
+        if (!occupied.take(n)) continue;
         taken[n] = 1;
         next.push(n);
       }
@@ -88,17 +151,8 @@ std::vector<Chart> find_charts(const Character& c) {
   return charts;
 }
 
-struct Plane2 {
-  glm::vec3 x, y;
-};
-Plane2 plane_of(const Chart& chart) {
-  const glm::vec3 any = std::abs(chart.direction.y) < .9f ? glm::vec3(0, 1, 0) : glm::vec3(1, 0, 0);
-  const glm::vec3 x = glm::normalize(glm::cross(any, chart.direction));
-  return {x, glm::cross(chart.direction, x)};
-}
-
 void measure(const Character& c, Chart& chart) {
-  const Plane2 plane = plane_of(chart);
+  const Plane2 plane = plane_of(chart.direction);
   glm::vec2 low(HUGE_VALF), high(-HUGE_VALF);
   for (const std::uint32_t i : chart.triangles)
     for (const std::uint32_t v : c.triangles[i]) {
@@ -165,7 +219,7 @@ Character with_atlas(const Character& c, int width, int height) {
   };
   const glm::vec2 texels(static_cast<float>(width), static_cast<float>(height));
   for (std::uint32_t k = 0; k < charts.size(); ++k) {
-    const Plane2 plane = plane_of(charts[k]);
+    const Plane2 plane = plane_of(charts[k].direction);
     for (const std::uint32_t i : charts[k].triangles)
       for (std::size_t j = 0; j < 3; ++j) {
         const std::uint32_t v = vertex_for(c.triangles[i][j], k);

@@ -75,7 +75,6 @@ class Baker {
   void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
                  const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
                  PointResult& out) const;
-  glm::mat3 material_frame(std::size_t index, const glm::vec3& normal) const;
   std::uint32_t ground_mask(const RayScene::Packet& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
@@ -130,13 +129,6 @@ bool Baker::grey() const {
          (!options_.receiver || is_grey(options_.receiver->albedo));
 }
 
-// Rays about the normal, turned with the material where it turns.
-glm::mat3 Baker::material_frame(std::size_t index, const glm::vec3& normal) const {
-  if (index >= options_.turns.size()) return frame_around(normal);
-  const glm::mat3& turn = options_.turns[index];
-  return turn * frame_around(glm::normalize(glm::transpose(turn) * normal));
-}
-
 std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
   std::uint32_t mask = 0;
   for (int i = 0; i < kLanes; ++i)
@@ -183,8 +175,9 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   const float distance = glm::length(origin);
   const bool cone = ground_point && distance > 1.15f;
   const float cos_half = cone ? std::sqrt(1 - 1 / (distance * distance)) : 0;
-  const glm::mat3 frame =
-      cone ? frame_around(-origin / distance) : material_frame(index, point.normal);
+  const glm::mat3 frame = cone                                 ? frame_around(-origin / distance)
+                          : index < options_.ray_frames.size() ? options_.ray_frames[index]
+                                                               : frame_around(point.normal);
   const float uniform_weight = cone ? 2 * (1 - cos_half) / static_cast<float>(patterns.rays())
                                     : 1 / static_cast<float>(patterns.rays());
 
@@ -497,8 +490,8 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
   if (o.indirect_bands < 1 || o.indirect_bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands of reflected light",
                 fmt::format("{} is not in 1..{}", o.indirect_bands, kMaxBands));
-  if (!o.turns.empty() && o.turns.size() != mesh.positions.size())
-    return fail(ErrorCode::kInvalid, "turns", "and vertices differ in number");
+  if (!o.ray_frames.empty() && o.ray_frames.size() != mesh.positions.size())
+    return fail(ErrorCode::kInvalid, "ray frames", "and vertices differ in number");
   if (o.bounces < 0 || o.bounces > kMostBounces)
     return fail(ErrorCode::kInvalid, "bounces",
                 fmt::format("{} is not in 0..{}", o.bounces, kMostBounces));

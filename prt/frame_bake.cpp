@@ -5,12 +5,14 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <glm/gtx/quaternion.hpp>
 #include <numeric>
 
 #include "core/half.h"
 #include "core/hash.h"
 #include "core/parallel.h"
 #include "lighting/lighting.h"
+#include "prt/ray_pattern.h"
 
 namespace penumbra::prt {
 
@@ -272,10 +274,11 @@ void FrameBaker::complete_in_time(std::size_t p, std::span<Transfer> frames) con
 }
 
 // A joint bilateral step on what is blocked (the open part is exact). Neighbours count as far as their t_0 differs by no
-// more than their noise explains, so where there is none nothing changes.
+// more than their noise explains, so where there is none nothing changes. Texels alone: vertices lie too far apart to tell
+// noise from form (64 rays a point: texels' error falls by a fifth, that of vertices by a twentieth or grows).
 // source: a-trous weights of Dammertz et al. 2010 with the variance of Schied et al. 2017
 void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const {
-  constexpr float kSigmas = 1.5f, kNormalPower = 32;
+  constexpr float kSigmas = .7f, kNormalPower = 256;
   const int count = coefficient_count(transfer.bands);
   const std::vector<float> before = floats_of(transfer);
   std::vector<float> open(layout_.points() * static_cast<std::size_t>(count));
@@ -289,7 +292,7 @@ void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& t
               static_cast<float>(lighting::cosine_coefficient(l) / kPi * basis[sh_index(l, m)]);
     }
   });
-  parallel_for(std::size_t{0}, layout_.points(), 256, [&](const auto& range) {
+  parallel_for(layout_.vertices, layout_.points(), 256, [&](const auto& range) {
     std::vector<float> weights;
     for (std::size_t p = range.begin(); p < range.end(); ++p) {
       const auto variance_of = [&](std::size_t q) {
@@ -346,6 +349,21 @@ void to_materials(const SurfaceLayout& layout, const std::vector<glm::mat3>& tur
 
 }  // namespace
 
+// The patterns at rest turned with the bones, and by no more than needed onto normals that skins or morphs turn further.
+std::vector<glm::mat3> FrameBaker::ray_frames(const Mesh& mesh,
+                                              const std::vector<glm::mat3>& bones) const {
+  Mesh rest{character_.positions, character_.normals, character_.albedo, {}};
+  add_texels(character_, layout_, rest);
+  std::vector<glm::mat3> out;
+  for (std::size_t p = 0; p < layout_.points(); ++p) {
+    const glm::mat3& turn = bones[layout_.bone[p]];
+    const glm::vec3 at_rest = glm::normalize(rest.normals[p]),
+                    now = glm::normalize(glm::transpose(turn) * mesh.normals[p]);
+    out.push_back(turn * glm::mat3_cast(glm::rotation(at_rest, now)) * frame_around(at_rest));
+  }
+  return out;
+}
+
 Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)>& progress) const {
   const CharacterPose pose =
       sample(character_, character_.clips[static_cast<std::size_t>(clip_)], seconds_at(frame));
@@ -353,8 +371,7 @@ Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)
   deform(character_, pose, mesh);
   add_texels(character_, layout_, mesh);
   const std::vector<glm::mat3> bones = bone_turns(character_, pose);
-  std::vector<glm::mat3> turns;
-  for (const std::uint16_t bone : layout_.bone) turns.push_back(bones[bone]);
+  const std::vector<glm::mat3> frames = ray_frames(mesh, bones);
   BakeOptions o;
   o.bands = options_.bands;
   o.bounces = options_.bounces;
@@ -362,12 +379,13 @@ Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)
   o.rays = options_.rays;
   o.ground_rays = options_.ground_rays;
   o.receiver = receiver_;
-  o.turns = turns;
+  o.ray_frames = frames;
   o.progress = progress;
   auto baked = prt::bake(std::move(mesh), o);
   if (!baked) return std::unexpected(baked.error());
   // In one frame, where neighbours on different bones can be compared.
-  if (options_.denoise) denoise(baked->report, baked->mesh, baked->transfer);
+  if (options_.denoise && !layout_.texels.empty())
+    denoise(baked->report, baked->mesh, baked->transfer);
   for (Transfer* t : {&baked->transfer, &baked->indirect}) {
     to_materials(layout_, bones, *t);
     mark_hidden(baked->report, *t);

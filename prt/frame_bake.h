@@ -46,6 +46,7 @@ class FrameBaker {
   void find_receiver();
   int channels() const;
   void link_points();
+  std::vector<glm::mat3> ray_frames(const Mesh& mesh, const std::vector<glm::mat3>& bones) const;
   void mark_hidden(const BakeReport& report, Transfer& transfer) const;
   void complete_in_time(std::size_t point, std::span<Transfer> frames) const;
   void denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const;

@@ -166,9 +166,9 @@ struct BakeOptions {
   std::optional<Receiver> receiver;
   /// Bands of what comes by reflection (BakedObject::indirect).
   int indirect_bands = kIndirectBands;
-  /// One a vertex, or none: from its material to the bake frame. Rays keep their places in the material, so that what
-  /// only turns gets the same transfer to the last bits of a float.
-  std::span<const glm::mat3> turns{};
+  /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places. Turned with the
+  /// material they give what only turns the same transfer in all poses, but for single rays that graze an edge.
+  std::span<const glm::mat3> ray_frames{};
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
 };
 

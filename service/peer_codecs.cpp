@@ -129,6 +129,7 @@ class VideoCoder {
       : mosaic_(mosaic), ranges_(std::move(ranges)) {}
 
   Result<void> open(int crf) {
+    av_log_set_level(AV_LOG_ERROR);
     const AVCodec* encoder = avcodec_find_encoder_by_name("libx264");
     const AVCodec* decoder = avcodec_find_decoder(AV_CODEC_ID_H264);
     if (!encoder || !decoder) return fail(ErrorCode::kUnavailable, "FFmpeg", "has no H.264 coder");
@@ -141,7 +142,6 @@ class VideoCoder {
     encoder_->thread_count = 2;
     av_opt_set_int(encoder_->priv_data, "crf", crf, 0);
     av_opt_set(encoder_->priv_data, "preset", "slow", 0);
-    encoder_->log_level_offset = -24;  // it tells its statistics otherwise
     decoder_.reset(avcodec_alloc_context3(decoder));
     decoder_->thread_count = 1;
     if (avcodec_open2(encoder_.get(), encoder, nullptr) < 0 ||

@@ -1,0 +1,219 @@
+#include "prt/animation.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/gtc/matrix_transform.hpp>
+
+#include "prt/prt.h"
+#include "tests/support/gltf_files.h"
+#include "tests/support/shared_data.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::prt {
+namespace {
+
+constexpr Rgb kGrey{.5f, .5f, .5f};
+
+const Character& walker() {
+  static const Character c = make_walker(kGrey);
+  return c;
+}
+
+Mesh mesh_at(const Character& c, int clip, double seconds) {
+  Mesh mesh;
+  deform(c, sample(c, c.clips[static_cast<std::size_t>(clip)], seconds), mesh);
+  return mesh;
+}
+
+float largest_move(const Mesh& a, const Mesh& b) {
+  float largest = 0;
+  for (std::size_t i = 0; i < a.positions.size(); ++i)
+    largest = std::max(largest, glm::distance(a.positions[i], b.positions[i]));
+  return largest;
+}
+
+TEST(Animation, RestPoseIsTheMeshAtRest) {
+  Mesh mesh;
+  deform(walker(), rest_pose(walker()), mesh);
+  for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
+    EXPECT_LT(glm::distance(mesh.positions[i], walker().positions[i]), 1e-5f);
+    EXPECT_LT(glm::distance(mesh.normals[i], walker().normals[i]), 1e-4f);
+  }
+}
+
+TEST(Animation, ClipsGoOnFromTheirEndToTheirBegin) {
+  const double length = walker().clips[0].seconds;
+  EXPECT_LT(largest_move(mesh_at(walker(), 0, .3), mesh_at(walker(), 0, .3 + 3 * length)), 1e-5f);
+  EXPECT_LT(largest_move(mesh_at(walker(), 0, length - 1e-4), mesh_at(walker(), 0, 0)), .005f);
+  EXPECT_LT(largest_move(mesh_at(walker(), 0, -.2), mesh_at(walker(), 0, length - .2)), 1e-5f);
+}
+
+TEST(Animation, TheWalkerStandsOnTheFloorAndFacesOutwards) {
+  for (double t = 0; t < 1.1; t += .09) {
+    const Mesh mesh = mesh_at(walker(), 0, t);
+    EXPECT_NEAR(bounds_of(mesh).low.y, 0, .012f) << t;
+    double volume = 0;
+    for (const auto& tri : mesh.triangles)
+      volume += glm::dot(mesh.positions[tri[0]],
+                         glm::cross(mesh.positions[tri[1]], mesh.positions[tri[2]])) /
+                6;
+    EXPECT_GT(volume, .05) << t;  // cubic metres, of parts that overlap
+  }
+}
+
+TEST(Animation, BlendingEndsAtItsPosesAndStaysOnTheArc) {
+  const CharacterPose a = sample(walker(), walker().clips[0], .2),
+                      b = sample(walker(), walker().clips[1], .7);
+  const CharacterPose none = blend(a, b, 0), all = blend(a, b, 1), half = blend(a, b, .5f);
+  for (std::size_t i = 0; i < a.nodes.size(); ++i) {
+    EXPECT_GT(std::abs(glm::dot(none.nodes[i].rotation, a.nodes[i].rotation)), 1 - 1e-6f);
+    EXPECT_GT(std::abs(glm::dot(all.nodes[i].rotation, b.nodes[i].rotation)), 1 - 1e-6f);
+    EXPECT_NEAR(glm::length(half.nodes[i].rotation), 1, 1e-5f);
+    EXPECT_NEAR(std::abs(glm::dot(half.nodes[i].rotation, a.nodes[i].rotation)),
+                std::abs(glm::dot(half.nodes[i].rotation, b.nodes[i].rotation)), 1e-4f);
+  }
+}
+
+TEST(Animation, BonesTurnAsTheirVerticesDo) {
+  Character c = walker();
+  CharacterPose pose = rest_pose(c);
+  pose.nodes[0].rotation = glm::angleAxis(.7f, glm::vec3(0, 1, 0));
+  const auto turns = bone_turns(c, pose);
+  const glm::mat3 expected = glm::mat3_cast(pose.nodes[0].rotation);
+  for (const glm::mat3& turn : turns)
+    for (int k = 0; k < 3; ++k) EXPECT_LT(glm::distance(turn[k], expected[k]), 1e-5f);
+  Mesh mesh;
+  deform(c, pose, mesh);
+  for (std::size_t i = 0; i < mesh.normals.size(); i += 37)
+    EXPECT_LT(glm::distance(mesh.normals[i], expected * c.normals[i]), 1e-4f);
+  // Neither scale nor mirroring makes them anything but rotations.
+  c.frame = glm::scale(glm::mat4(1), glm::vec3(2, .5f, -3));
+  for (const glm::mat3& turn : bone_turns(c, pose)) EXPECT_NEAR(glm::determinant(turn), 1, 1e-4f);
+}
+
+TEST(Animation, AMirroringFrameKeepsTheOutsideOut) {
+  Character c = walker();
+  c.frame = glm::scale(glm::mat4(1), glm::vec3(-1, 1, 1));
+  const Mesh mesh = mesh_at(c, 0, .4);
+  std::size_t agree = 0;
+  for (const auto& t : mesh.triangles) {
+    const glm::vec3 n = glm::cross(mesh.positions[t[1]] - mesh.positions[t[0]],
+                                   mesh.positions[t[2]] - mesh.positions[t[0]]);
+    agree += glm::dot(n, mesh.normals[t[0]]) > 0;
+  }
+  EXPECT_GT(static_cast<double>(agree), .98 * static_cast<double>(mesh.triangles.size()));
+}
+
+TEST(Animation, SubdividingMovesNoVertex) {
+  Character fine = walker();
+  subdivide(fine, .03f);
+  ASSERT_GT(fine.positions.size(), walker().positions.size());
+  EXPECT_EQ(fine.influences.size(), fine.positions.size());
+  EXPECT_EQ(fine.texture_coordinates.size(), fine.positions.size());
+  const Mesh a = mesh_at(walker(), 0, .5), b = mesh_at(fine, 0, .5);
+  EXPECT_LT(largest_move(a, b), 1e-6f);
+  for (const Character::Influence& f : fine.influences) {
+    float sum = 0;
+    for (const float w : f.weight) sum += w;
+    EXPECT_NEAR(sum, 1, 1e-5f);
+  }
+}
+
+TEST(CharacterImport, ASkinBends) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "quad.gltf";
+  test::write_bending_quad(file, {1, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, .5f, .5f, 0, 0});
+  const auto c = import_character(file, kGrey);
+  ASSERT_TRUE(c) << c.error().detail;
+  ASSERT_EQ(c->clips.size(), 1u);
+  EXPECT_EQ(c->clips[0].name, "Bend");
+  EXPECT_DOUBLE_EQ(c->clips[0].seconds, 1);
+  EXPECT_EQ(c->unbound_vertices, 0u);
+  const Mesh mesh = mesh_at(*c, 0, 1 - 1e-9);
+  // (0, 2, 0) hangs on the upper joint at (0, 1, 0), which has turned by a quarter: up became left.
+  EXPECT_LT(glm::distance(mesh.positions[0], {0, 0, 0}), 1e-5f);
+  EXPECT_LT(glm::distance(mesh.positions[2], {-1, 1, 0}), 1e-5f);
+  // Half by each: the mean of (1, 2, 0) and (-1, 2, 0).
+  EXPECT_LT(glm::distance(mesh.positions[3], {0, 2, 0}), 1e-5f);
+}
+
+TEST(CharacterImport, VerticesWithoutWeightsFollowTheFirstJoint) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "quad.gltf";
+  test::write_bending_quad(file, {0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0});
+  const auto c = import_character(file, kGrey);
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_EQ(c->unbound_vertices, 2u);
+  const Mesh mesh = mesh_at(*c, 0, .5);
+  EXPECT_LT(glm::distance(mesh.positions[2], {0, 2, 0}), 1e-5f);
+  for (const glm::vec3& p : mesh.positions) EXPECT_TRUE(std::isfinite(p.x + p.y + p.z));
+}
+
+TEST(CharacterImport, NodesMoveAndMorphTargetsGrow) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "triangle.gltf";
+  test::write_morphing_triangle(file);
+  const auto c = import_character(file, kGrey);
+  ASSERT_TRUE(c) << c.error().detail;
+  ASSERT_EQ(c->morph_targets.size(), 1u);
+  const Mesh mesh = mesh_at(*c, 0, .25);
+  EXPECT_LT(glm::distance(mesh.positions[0], {1, 0, .5f}), 1e-4f);
+  Character fine = *c;
+  subdivide(fine, .3f);
+  ASSERT_GT(fine.positions.size(), 3u);
+  for (const glm::vec3& p : mesh_at(fine, 0, .5).positions) EXPECT_NEAR(p.z, 1, 1e-4f);
+}
+
+TEST(CharacterImport, AThingWithoutClipsSaysSo) {
+  const test::TempFolder folder;
+  const auto file = folder.path() / "plain.obj";
+  std::ofstream(file) << "v 0 0 0\nv 1 0 0\nv 0 0 -1\nf 1 2 3\n";
+  const auto c = import_character(file, kGrey);
+  ASSERT_TRUE(c) << c.error().detail;
+  EXPECT_EQ(c->bones.size(), 1u);
+  const auto clip = find_clip(*c, "Walk");
+  ASSERT_FALSE(clip);
+  EXPECT_THAT(clip.error().detail, testing::HasSubstr("none"));
+}
+
+TEST(Animation, AClipIsFoundByNameOrNumber) {
+  EXPECT_EQ(find_clip(walker(), "Wave").value(), 1);
+  EXPECT_EQ(find_clip(walker(), "2").value(), 2);
+  for (const char* wrong : {"Run", "3", "-1", "1x", ""}) {
+    const auto clip = find_clip(walker(), wrong);
+    ASSERT_FALSE(clip) << wrong;
+    EXPECT_THAT(clip.error().detail, testing::HasSubstr("Walk, Wave, Rest"));
+  }
+}
+
+TEST(CharacterImport, RealCharactersComeWhole) {
+  struct Expected {
+    const char* file;
+    std::size_t vertices, bones, clips;
+    bool textured;
+  };
+  for (const Expected& e : {Expected{"characters/CesiumMan.glb", 3273, 19, 1, true},
+                            Expected{"characters/Fox.glb", 1728, 24, 3, true}}) {
+    PENUMBRA_NEED_SHARED(path, e.file);
+    const auto c = import_character(path, kGrey);
+    ASSERT_TRUE(c) << c.error().detail;
+    EXPECT_EQ(c->positions.size(), e.vertices);
+    EXPECT_EQ(c->bones.size(), e.bones);
+    EXPECT_EQ(c->clips.size(), e.clips);
+    EXPECT_EQ(c->texture != nullptr, e.textured);
+    EXPECT_EQ(c->tint.size(), e.vertices);
+    for (const Clip& clip : c->clips) {
+      Mesh mesh;
+      deform(*c, sample(*c, clip, .4 * clip.seconds), mesh);
+      const Bounds b = bounds_of(mesh);
+      EXPECT_TRUE(std::isfinite(b.low.x + b.high.x));
+      EXPECT_NEAR(b.low.y / (b.high.y - b.low.y), 0, .08f) << clip.name;  // stands on its feet
+    }
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::prt

@@ -1,0 +1,416 @@
+#include "prt/sequence.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <glm/geometric.hpp>
+#include <random>
+
+#include "core/files.h"
+#include "prt/frame_bake.h"
+#include "prt/prt.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::prt {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr Rgb kGrey{.5f, .5f, .5f};
+
+const Character& walker() {
+  static const Character c = make_walker(kGrey);
+  return c;
+}
+
+SequenceOptions quick(double fps = 6) {
+  SequenceOptions o;
+  o.frames_per_second = fps;
+  o.bands = 3;
+  o.bounces = 1;
+  o.rays = o.ground_rays = 64;
+  return o;
+}
+
+// Of a clip: raw frames and what they compress to.
+struct Baked {
+  std::vector<Transfer> frames;
+  BakedSequence sequence;
+};
+Baked bake_clip(const Character& c, int clip, const SequenceOptions& o) {
+  const test::TempFolder folder;
+  const fs::path journal = folder.path() / "j";
+  const auto baked = bake_frames(c, clip, o, {}, journal);
+  EXPECT_TRUE(baked) << (baked ? "" : baked.error().detail);
+  const fs::path journals[] = {journal};
+  auto frames = baked_surface(c, clip, o, journals);
+  auto sequence = compress_frames(c, clip, o, journals);
+  EXPECT_TRUE(sequence) << (sequence ? "" : sequence.error().detail);
+  return {std::move(*frames), std::move(*sequence)};
+}
+
+RadianceSh some_light(int bands, unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<float> normal;
+  RadianceSh light(bands);
+  for (int l = 0; l < bands; ++l)
+    for (int m = -l; m <= l; ++m)
+      for (int c = 0; c < 3; ++c)
+        light[sh_index(l, m)][c] = std::sqrt(mean_band_energy()[static_cast<std::size_t>(l)]) *
+                                   (l == 0 ? 1 : normal(random));
+  return light;
+}
+
+double relative_rms(std::span<const float> a, std::span<const float> b) {
+  double wrong = 0, all = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    wrong += std::pow(double(a[i]) - b[i], 2);
+    all += std::pow(double(a[i]), 2);
+  }
+  return std::sqrt(wrong / all);
+}
+
+// A knot that turns about an axis askew.
+Character spinning_knot() {
+  const Mesh mesh = make_knot(.5f, 60, 12, kGrey);
+  Character c;
+  c.positions = mesh.positions;
+  c.normals = mesh.normals;
+  c.albedo = mesh.albedo;
+  c.triangles = mesh.triangles;
+  c.nodes.push_back({"root", -1, {}});
+  c.bones.push_back({0, glm::mat4(1)});
+  c.influences.assign(mesh.positions.size(), {{0}, {1}});
+  Clip clip{"Spin", 1, {{0, {}, {}, {}}}, {}};
+  const glm::vec3 axis = glm::normalize(glm::vec3(.3f, 1, -.2f));
+  for (int k = 0; k <= 8; ++k)
+    clip.nodes[0].rotation.push_back(
+        {k / 8., glm::angleAxis(.7853982f * static_cast<float>(k), axis)});
+  c.clips.push_back(clip);
+  c.clips.push_back({"Rest", 0, {}, {}});
+  return c;
+}
+
+TEST(Sequence, ARigidSpinLeavesTransferAsItIsInTheMaterial) {
+  const Baked b = bake_clip(spinning_knot(), 0, quick(8));
+  ASSERT_EQ(b.frames.size(), 8u);
+  // A ray in a hundred thousand grazes an edge and falls to the other side by the last bit of a float.
+  double sum = 0, values = 0, away = 0;
+  for (const Transfer& t : b.frames)
+    for (int n = 0; n < 9; ++n)
+      for (std::size_t p = 0; p < t.points; ++p) {
+        const double change = std::abs(double(t.value(0, n, p)) - b.frames[0].value(0, n, p));
+        sum += change * change;
+        away += change > 1e-3;
+        ++values;
+      }
+  EXPECT_LT(std::sqrt(sum / values), 1e-3);
+  EXPECT_LT(away / values, 2e-3);
+  EXPECT_EQ(b.sequence.surface.most_components(), 0);
+  // Without the material's frame the same light map would turn with the knot: two frames differ by all there is.
+  const CharacterPose pose = sample(spinning_knot(), spinning_knot().clips[0], .5);
+  const auto turns = bone_turns(spinning_knot(), pose);
+  std::vector<float> with(3 * b.sequence.surface.stride()), without(with.size());
+  const RadianceSh light = some_light(3, 1);
+  b.sequence.surface.relight(4, light, turns, with);
+  b.sequence.surface.relight(4, light, {}, without);
+  EXPECT_GT(relative_rms(with, without), .3);
+  // And with it is what a bake of the turned knot gives.
+  Mesh mesh;
+  deform(spinning_knot(), pose, mesh);
+  BakeOptions options;
+  options.bands = 3;
+  options.bounces = 1;
+  options.rays = 1024;
+  const auto direct = bake(mesh, options);
+  std::vector<float> expected(with.size());
+  relight(direct->transfer, light, expected);
+  EXPECT_LT(relative_rms(expected, with), .05);  // noise of 64 rays
+}
+
+TEST(Sequence, AClipAtRestGivesTheSameBitsInEveryFrame) {
+  Character still = walker();
+  still.clips[2].seconds = 1;  // "Rest" for a second
+  const Baked b = bake_clip(still, 2, quick(4));
+  ASSERT_EQ(b.frames.size(), 4u);
+  for (const Transfer& t : b.frames) EXPECT_EQ(t.values, b.frames[0].values);
+  EXPECT_EQ(b.sequence.surface.most_components(), 0);
+  EXPECT_EQ(b.sequence.report.interpolation_error, 0);
+}
+
+TEST(Sequence, AClipOfOnePoseIsOneFrame) {
+  const Baked b = bake_clip(walker(), 2, quick());
+  EXPECT_EQ(b.sequence.surface.frames(), 1);
+  EXPECT_EQ(b.sequence.frame_at(3.7), 0);
+  std::vector<float> out(3 * b.sequence.surface.stride()), later(out.size());
+  b.sequence.surface.relight(0, some_light(3, 2), {}, out);
+  b.sequence.surface.relight(.6, some_light(3, 2), {}, later);
+  EXPECT_EQ(out, later);
+}
+
+TEST(Sequence, CompressionKeepsItsError) {
+  SequenceOptions o = quick(12);
+  o.ground_size = 32;
+  o.ground_albedo = {.4f, .4f, .4f};
+  for (const double error : {.05, .01}) {
+    o.error = error;
+    const Baked b = bake_clip(walker(), 0, o);
+    EXPECT_LE(b.sequence.report.compression_error, error * 1.001);
+    EXPECT_GT(b.sequence.report.compression_error, error * .8);
+    // Promised for light of the mean energies: random light of them errs about as much.
+    double sum = 0;
+    int count = 0;
+    std::vector<float> ours(3 * b.sequence.surface.stride()), exact(ours.size());
+    for (std::size_t f = 0; f < b.frames.size(); f += 3)
+      for (unsigned seed = 0; seed < 4; ++seed) {
+        const RadianceSh light = some_light(3, seed);
+        b.sequence.surface.relight(static_cast<double>(f), light, {}, ours);
+        relight(b.frames[f], light, exact);
+        sum += std::pow(relative_rms(exact, ours), 2);
+        ++count;
+      }
+    EXPECT_LT(std::sqrt(sum / count), 1.3 * error);
+    EXPECT_GT(std::sqrt(sum / count), .5 * error);
+  }
+}
+
+TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
+  Character coloured = walker();
+  for (std::size_t i = 0; i < coloured.albedo.size(); ++i)
+    coloured.albedo[i] = i % 2 ? Rgb{.8f, .3f, .2f} : Rgb{.2f, .4f, .7f};
+  const Baked b = bake_clip(coloured, 0, quick(8));
+  EXPECT_EQ(b.sequence.surface.channels(), 3);
+  const auto turns = bone_turns(coloured, sample(coloured, coloured.clips[0], .41));
+  const double frame = b.sequence.frame_at(.41);
+  const RadianceSh light = some_light(3, 5);
+  std::vector<float> fused(3 * b.sequence.surface.stride()), decoded(fused.size());
+  b.sequence.surface.relight(frame, light, turns, fused);
+  Transfer t;
+  b.sequence.surface.decode(frame, turns, t);
+  relight(t, light, decoded);
+  EXPECT_LT(relative_rms(decoded, fused), 1e-3);  // halves
+  // Fewer bands of light than were baked, and frames beyond the end.
+  b.sequence.surface.relight(frame, light.with_bands(2), turns, fused);
+  relight(t, light.with_bands(2), decoded);
+  EXPECT_LT(relative_rms(decoded, fused), 1e-3);
+  b.sequence.surface.relight(frame + 5 * b.sequence.surface.frames(), light, turns, decoded);
+  b.sequence.surface.relight(frame, light, turns, fused);
+  EXPECT_LT(relative_rms(decoded, fused), 1e-5);
+}
+
+TEST(Sequence, ShardsMergeToTheSameBytes) {
+  const test::TempFolder folder;
+  const SequenceOptions o = quick(7);
+  const auto bytes_of = [&](int shards, const std::string& name) {
+    std::vector<fs::path> journals;
+    for (int i = shards - 1; i >= 0; --i) {
+      journals.push_back(folder.path() / (name + std::to_string(i)));
+      EXPECT_TRUE(bake_frames(walker(), 0, o, {i, shards}, journals.back()));
+    }
+    const auto sequence = compress_frames(walker(), 0, o, journals);
+    EXPECT_TRUE(sequence);
+    EXPECT_TRUE(write_sequence(folder.path() / name, walker(), 0, *sequence));
+    return *read_bytes(folder.path() / name);
+  };
+  const auto whole = bytes_of(1, "whole");
+  EXPECT_EQ(bytes_of(3, "three"), whole);
+  EXPECT_EQ(bytes_of(8, "eight"), whole);
+  // A shard that is missing is named by its frames.
+  const fs::path some[] = {folder.path() / "three0", folder.path() / "three2"};
+  const auto incomplete = compress_frames(walker(), 0, o, some);
+  ASSERT_FALSE(incomplete);
+  EXPECT_THAT(incomplete.error().detail, testing::HasSubstr("frame 1 of 8"));
+  EXPECT_FALSE(bake_frames(walker(), 0, o, {3, 3}, folder.path() / "none"));
+}
+
+TEST(Sequence, AKilledBakeGoesOnWhereItStopped) {
+  const test::TempFolder folder;
+  SequenceOptions o = quick(6);
+  const fs::path journal = folder.path() / "j";
+  ASSERT_TRUE(bake_frames(walker(), 0, o, {}, journal));
+  const auto whole = *read_bytes(journal);
+  const fs::path journals[] = {journal};
+  const auto expected = compress_frames(walker(), 0, o, journals);
+  ASSERT_TRUE(write_sequence(folder.path() / "a", walker(), 0, *expected));
+  // Cut in the middle of the fourth frame, as a kill while writing leaves it.
+  const std::size_t head = 40, record = (whole.size() - head) / 7;
+  ASSERT_EQ(expected->surface.frames(), 7);
+  fs::resize_file(journal, head + 3 * record + record / 2);
+  double first = -1;
+  o.progress = [&](double done) {
+    if (first < 0 && done > 0) first = done;
+  };
+  ASSERT_TRUE(bake_frames(walker(), 0, o, {}, journal));
+  const auto again = compress_frames(walker(), 0, o, journals);
+  ASSERT_TRUE(again) << again.error().detail;
+  ASSERT_TRUE(write_sequence(folder.path() / "b", walker(), 0, *again));
+  EXPECT_EQ(*read_bytes(folder.path() / "a"), *read_bytes(folder.path() / "b"));
+  EXPECT_EQ(again->report.rays, expected->report.rays);
+  // The journal of another bake is not gone on with, nor lost.
+  SequenceOptions other = quick(6);
+  other.rays = 128;
+  const auto refused = bake_frames(walker(), 0, other, {}, journal);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().detail, testing::HasSubstr("another"));
+  EXPECT_EQ(fs::file_size(journal), whole.size());
+}
+
+TEST(Sequence, AFileComesBackWhole) {
+  const test::TempFolder folder;
+  SequenceOptions o = quick(8);
+  o.ground_size = 16;
+  o.map_width = o.map_height = 64;
+  const Baked b = bake_clip(walker(), 0, o);
+  const fs::path file = folder.path() / "walk.shlm";
+  ASSERT_TRUE(write_sequence(file, walker(), 0, b.sequence));
+  const auto read = read_sequence(file, walker(), 0);
+  ASSERT_TRUE(read) << read.error().detail;
+  const RadianceSh light = some_light(3, 9);
+  const auto turns = bone_turns(walker(), sample(walker(), walker().clips[0], .5));
+  for (const auto member : {&BakedSequence::surface, &BakedSequence::surface_indirect,
+                            &BakedSequence::ground_deficit, &BakedSequence::ground_indirect}) {
+    const TransferSequence &x = b.sequence.*member, &y = (*read).*member;
+    ASSERT_EQ(x.points(), y.points());
+    const bool ground = x.points() == 256;
+    std::vector<float> p(3 * x.stride()), q(p.size());
+    x.relight(3.3, light, ground ? std::span<const glm::mat3>() : turns, p);
+    y.relight(3.3, light, ground ? std::span<const glm::mat3>() : turns, q);
+    EXPECT_EQ(p, q);
+  }
+  EXPECT_EQ(read->seconds, b.sequence.seconds);
+  EXPECT_EQ(read->map_width, 64);
+  EXPECT_EQ(read->receiver->grid.half_extent, b.sequence.receiver->grid.half_extent);
+  EXPECT_EQ(light_map_size(file)->height, 64);
+  // Of another mesh, and of another clip of the same.
+  Character other = walker();
+  other.positions[17].x += .01f;
+  for (const auto& refused : {read_sequence(file, other, 0), read_sequence(file, walker(), 1)}) {
+    ASSERT_FALSE(refused);
+    EXPECT_THAT(refused.error().detail, testing::HasSubstr("another mesh"));
+  }
+  // Where it stands is the scene's affair.
+  other = walker();
+  other.frame[3] = glm::vec4(5, 0, 1, 1);
+  EXPECT_TRUE(read_sequence(file, other, 0));
+}
+
+TEST(Sequence, DamageIsTold) {
+  const test::TempFolder folder;
+  SequenceOptions o = quick(4);
+  o.ground_size = 8;
+  const Baked b = bake_clip(walker(), 0, o);
+  const fs::path file = folder.path() / "walk.shlm";
+  ASSERT_TRUE(write_sequence(file, walker(), 0, b.sequence));
+  const auto bytes = *read_bytes(file);
+  const auto write = [&](std::span<const unsigned char> part) {
+    std::ofstream(file, std::ios::binary)
+        .write(reinterpret_cast<const char*>(part.data()),
+               static_cast<std::streamsize>(part.size()));
+  };
+  for (std::size_t cut = 0; cut < bytes.size(); cut += 1 + bytes.size() / 97) {
+    write(std::span(bytes).first(cut));
+    const auto read = read_sequence(file, walker(), 0);
+    ASSERT_FALSE(read) << cut;
+    EXPECT_EQ(read.error().where, file.string());
+  }
+  std::mt19937 random(3);
+  for (int i = 0; i < 40; ++i) {
+    auto wrong = bytes;
+    wrong[random() % wrong.size()] ^= static_cast<unsigned char>(1 + random() % 255);
+    write(wrong);
+    EXPECT_FALSE(read_sequence(file, walker(), 0));
+    // Without the checksum's help damage is found or harmless, and never ends the program.
+    const auto decoded = decode_sequence(wrong, walker(), 0, "damaged");
+    if (!decoded) continue;
+    std::vector<float> out(3 * decoded->surface.stride());
+    decoded->surface.relight(1.5, some_light(3, 1), {}, out);
+  }
+}
+
+TEST(Sequence, WhatLiesWithinAnotherPartDoesNotFlicker) {
+  // A ball that dips into a box and comes out again: while it is inside its points see only backs of walls.
+  Mesh mesh = make_box({-1, -1, -1}, {1, 1, 1}, 6, kGrey);
+  const std::size_t box = mesh.positions.size();
+  append(mesh, make_sphere({0, 0, 0}, .5f, 2, kGrey));
+  Character c = spinning_knot();
+  c.positions = mesh.positions;
+  c.normals = mesh.normals;
+  c.albedo = mesh.albedo;
+  c.triangles = mesh.triangles;
+  c.nodes = {{"box", -1, {}}, {"ball", -1, {}}};
+  c.bones = {{0, glm::mat4(1)}, {1, glm::mat4(1)}};
+  c.influences.assign(mesh.positions.size(), {{0}, {1}});
+  for (std::size_t i = box; i < mesh.positions.size(); ++i) c.influences[i].bone[0] = 1;
+  Clip clip{"Dip", 2, {{1, {{0, {0, 3, 0}}, {1, {0, 0, 0}}, {2, {0, 3, 0}}}, {}, {}}}, {}};
+  c.clips = {clip};
+  const Baked b = bake_clip(c, 0, quick(5));
+  ASSERT_EQ(b.frames.size(), 10u);
+  // Inside in the middle; left to itself such a point would go to black and back.
+  for (std::size_t p = box; p < mesh.positions.size(); p += 7)
+    for (const Transfer& t : b.frames) {
+      EXPECT_TRUE(std::isfinite(t.value(0, 0, p)));
+      EXPECT_GT(t.value(0, 0, p), .05f);
+    }
+  // Points of the box that never show its inside are finite too.
+  std::vector<float> out(3 * b.sequence.surface.stride());
+  b.sequence.surface.relight(4.5, some_light(3, 2), {}, out);
+  for (const float v : out) EXPECT_TRUE(std::isfinite(v));
+}
+
+TEST(Sequence, DenoisingHelpsAndLeavesExactThingsAlone) {
+  SequenceOptions o = quick(2);
+  o.map_width = o.map_height = 96;
+  const auto error_against = [](const Baked& a, const Baked& reference) {
+    double wrong = 0, all = 0;
+    for (std::size_t f = 0; f < a.frames.size(); ++f)
+      for (int n = 0; n < 9; ++n)
+        for (std::size_t p = walker().positions.size(); p < a.frames[f].points; ++p) {
+          const double exact = reference.frames[f].value(0, n, p);
+          wrong += std::pow(a.frames[f].value(0, n, p) - exact, 2);
+          all += exact * exact;
+        }
+    return std::sqrt(wrong / all);
+  };
+  const Baked with = bake_clip(walker(), 0, o);
+  o.denoise = false;
+  const Baked without = bake_clip(walker(), 0, o);
+  o.rays = 2048;
+  const Baked reference = bake_clip(walker(), 0, o);
+  EXPECT_LT(error_against(with, reference), .85 * error_against(without, reference));
+  // A convex thing blocks nothing: no noise, no change.
+  Character ball = spinning_knot();
+  const Mesh sphere = make_sphere({0, 0, 0}, 1, 3, kGrey);
+  ball.positions = sphere.positions;
+  ball.normals = sphere.normals;
+  ball.albedo = sphere.albedo;
+  ball.triangles = sphere.triangles;
+  ball.influences.assign(sphere.positions.size(), {{0}, {1}});
+  ball = for_light_map(ball, 64, 64);
+  o = quick();
+  o.map_width = o.map_height = 64;
+  const Baked denoised = bake_clip(ball, 1, o);
+  o.denoise = false;
+  EXPECT_EQ(denoised.frames[0].values, bake_clip(ball, 1, o).frames[0].values);
+}
+
+TEST(Sequence, BadOptionsAreNamed) {
+  const test::TempFolder folder;
+  const auto refusal = [&](const std::function<void(SequenceOptions&)>& change, int clip = 0) {
+    SequenceOptions o = quick();
+    change(o);
+    const auto baked = bake_frames(walker(), clip, o, {}, folder.path() / "j");
+    return baked ? std::string() : baked.error().where;
+  };
+  EXPECT_EQ(refusal([](auto& o) { o.bands = 0; }), "bands");
+  EXPECT_EQ(refusal([](auto& o) { o.rays = 65; }), "rays");
+  EXPECT_EQ(refusal([](auto& o) { o.frames_per_second = 0; }), "frames per second");
+  EXPECT_EQ(refusal([](auto& o) { o.frames_per_second = 9e3; }), "frames per second");
+  EXPECT_EQ(refusal([](auto& o) { o.map_width = 64; }), "light map");
+  EXPECT_EQ(refusal([](auto& o) { o.error = 0; }), "error");
+  EXPECT_EQ(refusal([](auto&) {}, 3), "animation");
+}
+
+}  // namespace
+}  // namespace penumbra::prt
