@@ -225,7 +225,8 @@ void subdivide(Character& c, float longest_edge, std::size_t triangle_limit) {
 }
 
 Result<int> find_clip(const Character& character, const std::string& wanted) {
-  if (character.clips.empty()) return fail(ErrorCode::kInvalid, "animation", "the asset has none");
+  if (character.clips.empty())
+    return fail(ErrorCode::kInvalid, "animation", "the asset has no animation");
   const auto named = std::ranges::find(character.clips, wanted, &Clip::name);
   if (named != character.clips.end()) return static_cast<int>(named - character.clips.begin());
   int index = 0;

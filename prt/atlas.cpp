@@ -79,6 +79,9 @@ class Occupied {
     }
     const glm::vec2 low = glm::floor(glm::min(glm::min(p[0], p[1]), p[2])),
                     high = glm::ceil(glm::max(glm::max(p[0], p[1]), p[2]));
+    // A sliver across the whole mesh: not worth its box of cells.
+    constexpr float kMostCells = 1 << 16;
+    if (!((high.x - low.x) * (high.y - low.y) < kMostCells)) return true;
     for (int y = static_cast<int>(low.y); y < static_cast<int>(high.y); ++y)
       for (int x = static_cast<int>(low.x); x < static_cast<int>(high.x); ++x) {
         const glm::vec2 at(static_cast<float>(x) + .5f, static_cast<float>(y) + .5f);

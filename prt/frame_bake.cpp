@@ -83,6 +83,18 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
     return fail(ErrorCode::kInvalid, "light map", "its sides are not within 1..4096 texels");
   if (o.map_width > 0 && !has_light_coordinates(c))
     return fail(ErrorCode::kInvalid, "light map", "the asset has no texture coordinates for one");
+  if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
+    return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
+  if (o.bounces < 0 || o.bounces > kMostBounces)
+    return fail(ErrorCode::kInvalid, "bounces",
+                fmt::format("{} is not in 0..{}", o.bounces, kMostBounces));
+  const auto is_albedo = [](const Rgb& a) {
+    return a.r >= 0 && a.r <= 1 && a.g >= 0 && a.g <= 1 && a.b >= 0 && a.b <= 1;
+  };
+  if (!is_albedo(o.ground_albedo) || !std::ranges::all_of(c.albedo, is_albedo))
+    return fail(ErrorCode::kInvalid, "albedo", "not within 0..1");
+  if (o.ground_size && (*o.ground_size < 2 || *o.ground_size > 4096))
+    return fail(ErrorCode::kInvalid, "receiver", "size not within 2..4096");
   if (!(o.error > 0 && o.error < 1))
     return fail(ErrorCode::kInvalid, "error", "of compression is not within 0..1");
   return FrameBaker(c, clip, o);

@@ -38,7 +38,8 @@ Result<std::uintmax_t> scan(const std::filesystem::path& path, const JournalKey&
     return fail(ErrorCode::kUnreadable, path.string(), "is not a journal of a bake");
   if (JournalKey{head.bake, head.frames, head.values} != key)
     return fail(ErrorCode::kInvalid, path.string(),
-                "is the journal of a bake of another asset, clip or setting");
+                "is the journal of a bake of another asset, clip or setting: remove it, or choose "
+                "another output");
   std::uintmax_t good = sizeof head;
   FrameRecord record;
   record.values.resize(static_cast<std::size_t>(key.values));
@@ -65,8 +66,9 @@ Result<Journal> Journal::open(const std::filesystem::path& path, const JournalKe
   Journal out;
   out.path_ = path;
   std::error_code error;
+  // One without a whole frame holds nothing that could be lost.
   if (!std::filesystem::exists(path, error) ||
-      std::filesystem::file_size(path, error) < sizeof(Head)) {
+      std::filesystem::file_size(path, error) <= sizeof(Head)) {
     out.out_.open(path, std::ios::binary | std::ios::trunc);
     Head head{};
     std::memcpy(head.magic, kMagic, sizeof kMagic);

@@ -69,9 +69,11 @@ template <class Visit>
 void for_texels_near(const Corners& t, float reach, int width, int height, const Visit& visit) {
   const glm::vec2 low = glm::min(glm::min(t[0], t[1]), t[2]) - reach,
                   high = glm::max(glm::max(t[0], t[1]), t[2]) + reach;
-  const auto first = [](float v) { return std::max(0, static_cast<int>(std::ceil(v - .5f))); };
+  const auto first = [](float v) {
+    return static_cast<int>(std::ceil(std::clamp(v - .5f, 0.f, 1e6f)));
+  };
   const auto last = [](float v, int size) {
-    return std::min(size - 1, static_cast<int>(std::floor(v - .5f)));
+    return std::min(size - 1, static_cast<int>(std::floor(std::clamp(v - .5f, -1.f, 1e6f))));
   };
   for (int y = first(low.y); y <= last(high.y, height); ++y)
     for (int x = first(low.x); x <= last(high.x, width); ++x) {

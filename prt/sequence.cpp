@@ -275,6 +275,12 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
     return fail(ErrorCode::kInvalid, name, "has a light map, and the asset no texture coordinates");
   const SurfaceLayout layout =
       lay_out(character, static_cast<int>(head.map_width), static_cast<int>(head.map_height));
+  const auto share = [](double v) { return v >= 0 && v < 1e6; };  // NaN is none
+  if (head.seconds != character.clips[static_cast<std::size_t>(clip)].seconds ||
+      !share(head.standard_error) || !share(head.compression_error) ||
+      !share(head.interpolation_error) || !share(head.ground_albedo[0]) ||
+      !share(head.ground_albedo[1]) || !share(head.ground_albedo[2]))
+    return fail(ErrorCode::kUnreadable, name, "damaged: its figures are out of range");
   if (head.layout != fingerprint(layout))
     return fail(ErrorCode::kInvalid, name, "lays its texels out otherwise than this program does");
   BakedSequence out;

@@ -82,7 +82,7 @@ std::span<const float> mean_band_energy();
 struct SequenceOptions {
   double frames_per_second = 30;
   int bands = 5;
-  int bounces = 2;
+  int bounces = 4;
   int rays = 256, ground_rays = 256;  // a point and frame; multiples of 64
   int map_width = 0, map_height = 0;  // of a light map, texels; 0: vertices alone
   std::optional<int> ground_size;     // texels of the receiver's side; none: no receiver

@@ -98,11 +98,13 @@ class SequenceCodec::Encoder {
     const double samples =
         3. * static_cast<double>(frames_.size()) * static_cast<double>(frames_[0].points);
     const double allowed = error * error * samples;
-    float low = 1e-7f, high = 1;  // of the step
-    while (error_at(high) < allowed && high < 1e3f) high *= 2;
+    // No value may leave its sixteen bits; and where the components end, so does what finer steps can win.
+    float low = finest_step(), high = std::max(1.f, 2 * low);
+    const double reachable = std::max(allowed, 1.1 * error_at(low));
+    while (error_at(high) < reachable && high < 1e3f) high *= 2;
     for (int i = 0; i < 24; ++i) {
       const float middle = std::sqrt(low * high);
-      (error_at(middle) <= allowed ? low : high) = middle;
+      (error_at(middle) <= reachable ? low : high) = middle;
     }
     return {quantise(low), std::sqrt(error_at(low) / samples)};
   }
@@ -193,10 +195,14 @@ class SequenceCodec::Encoder {
     return std::accumulate(errors.begin(), errors.end(), 0.);
   }
 
-  TransferSequence quantise(float step) {
-    // No value may leave its sixteen bits.
+  float finest_step() const {
+    float largest = 0;
     for (const Part& part : parts_)
-      if (part.maps.size() > 0) step = std::max(step, part.maps.cwiseAbs().maxCoeff() / 32000.f);
+      if (part.maps.size() > 0) largest = std::max(largest, part.maps.cwiseAbs().maxCoeff());
+    return std::max(1e-7f, largest / 32000);
+  }
+
+  TransferSequence quantise(float step) const {
     TransferSequence out;
     out.bands_ = frames_[0].bands;
     out.channels_ = frames_[0].channels;
@@ -484,6 +490,11 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
         }
       s.groups_.push_back(std::move(g));
     }
+  std::size_t most = 0;
+  for (const TransferSequence::Group& g : s.groups_)
+    most += g.components.size() * static_cast<std::size_t>(coefficient_count(s.bands_)) *
+            padded(g.count);
+  if (most > kMostValues) return damaged("more values than any bake has");
   const std::vector<std::uint32_t> place = places_in_groups(s.order_, groups);
   MapCoder coder(layout, s.order_, place);
   auto models = std::make_unique<Models>();
@@ -500,7 +511,6 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
         }
         const bool predict = range.bit(predicted);
         const std::size_t offset = s.values_.size();
-        if (offset > kMostValues) return damaged("more values than any bake has");
         g.components[k].offset.push_back(static_cast<std::uint32_t>(offset));
         s.values_.resize(offset + padded(g.count));
         coder.for_values(points, predict, s.values_.data() + offset,

@@ -8,14 +8,14 @@
 
 namespace penumbra::service {
 
-Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view) {
+Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view, double seconds) {
   // Sixteen samples a pixel call some full that are not: the sky behind them would count as the object's error.
   constexpr int kFiner = 4;
   prt::PinholeView fine = view;
   fine.width *= kFiner, fine.height *= kFiner;
   fine.focal_px *= double(kFiner), fine.principal_px *= double(kFiner);
   const Image<Rgb> white(64, 32, {1, 1, 1});
-  const StillScene in{&scene, &white, fine};
+  const StillScene in{&scene, &white, fine, seconds};
   lighting::LightEstimate light;
   light.light[0] = light.floor_light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
   light.valid = true;

@@ -13,7 +13,8 @@ struct Masks {
   std::vector<bool> object, floor;
 };
 /// errors: as render_composite
-Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view);
+Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view,
+                         double seconds = 0);
 
 struct Accuracy {
   double object_rel_rmse = 0;  // luminance, relative to the object's mean

@@ -12,9 +12,9 @@ namespace penumbra::service {
 namespace {
 
 constexpr float kEdgeShare =
-    .06f;                        // of the radius: longest edge where transfer is kept at vertices
+    .03f;                        // of the radius: longest edge where transfer is kept at vertices
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
-constexpr int kMostRays = 512, kMostBounces = 2;
+constexpr int kMostRays = 512;
 
 // The room that a clip takes, as a mesh of corners.
 prt::Mesh room_of(const prt::Character& character, const prt::Clip& clip) {
@@ -68,7 +68,7 @@ Result<StandingCharacter> standing_character(const std::string& asset, Rgb albed
 prt::SequenceOptions sequence_options(const BakeSettings& settings) {
   prt::SequenceOptions o;
   o.bands = settings.bands;
-  o.bounces = std::min(settings.bounces, kMostBounces);
+  o.bounces = settings.bounces;
   o.rays = std::min(settings.rays, kMostRays);
   o.ground_rays = std::min(settings.ground_rays, kMostRays);
   return o;
@@ -94,6 +94,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
                   standing_character(o.asset, o.albedo, o.animation, size.width, size.height));
   PENUMBRA_ASSIGN(sequence, prt::read_sequence(o.transfer, standing.character, standing.clip));
   auto animation = std::make_shared<Animation>();
+  const glm::mat4 standing_frame = standing.character.frame;
   animation->character = std::move(standing.character);
   animation->clip = standing.clip;
   animation->sequence = std::move(sequence);
@@ -115,7 +116,13 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
     return fail(
         ErrorCode::kInvalid, o.name,
         "its clip is baked for standing upright and cannot be tilted; leave `transfer` out");
-  out.world_from_bake = {o.rotation, frame.translation};
+  // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the middle.
+  const glm::vec4 middle = -standing_frame[3];
+  const glm::dvec3 aside =
+      o.stand ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
+  out.world_from_bake = {o.rotation, frame.translation + aside};
+  if (plane && std::abs(glm::dot(o.position - plane->point, plane->normal)) > 1e-3)
+    spdlog::warn("{}: its clip is baked for standing on the floor, and there it stands", o.name);
   if (std::optional<prt::Receiver>& receiver = animation->sequence.receiver) {
     const auto k = static_cast<float>(scale);
     receiver->grid.centre *= k;
@@ -169,6 +176,14 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
   out.frame = -1;  // none yet
   out.move_to(0, true);
   return out;
+}
+
+prt::Mesh PreparedObject::mesh_at(double seconds) const {
+  if (!animation) return baked.mesh;
+  prt::Mesh mesh;
+  const prt::Clip& clip = animation->character.clips[static_cast<std::size_t>(animation->clip)];
+  prt::deform(animation->character, prt::sample(animation->character, clip, seconds), mesh);
+  return mesh;
 }
 
 bool PreparedObject::move_to(double seconds, bool transfer) {

@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <fcntl.h>
+#include <sys/file.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -92,44 +94,99 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
   return baked;
 }
 
+namespace {
+
+// A folder of this run's own, gone with it.
+class PrivateFolder {
+ public:
+  PrivateFolder() {
+    std::error_code ignored;
+    std::string name = (fs::temp_directory_path(ignored) / "penumbra-bake-XXXXXX").string();
+    if (::mkdtemp(name.data())) path_ = name;
+  }
+  ~PrivateFolder() {
+    std::error_code ignored;
+    if (!path_.empty()) fs::remove_all(path_, ignored);
+  }
+  PrivateFolder(const PrivateFolder&) = delete;
+  PrivateFolder& operator=(const PrivateFolder&) = delete;
+  const fs::path& path() const { return path_; }
+
+ private:
+  fs::path path_;
+};
+
+// Held by the one program that bakes into a journal of the cache.
+class Lock {
+ public:
+  explicit Lock(const fs::path& file)
+      : descriptor_(::open(file.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0644)),
+        held_(descriptor_ >= 0 && ::flock(descriptor_, LOCK_EX | LOCK_NB) == 0) {}
+  ~Lock() {
+    if (descriptor_ >= 0) ::close(descriptor_);
+  }
+  Lock(const Lock&) = delete;
+  Lock& operator=(const Lock&) = delete;
+  bool held() const { return held_; }
+
+ private:
+  int descriptor_;
+  bool held_;
+};
+
+Result<prt::BakedSequence> bake_into(const fs::path& journal, const prt::Character& character,
+                                     int clip, const prt::SequenceOptions& options) {
+  PENUMBRA_TRY(prt::bake_frames(character, clip, options, {}, journal));
+  const fs::path journals[] = {journal};
+  auto sequence = prt::compress_frames(character, clip, options, journals);
+  std::error_code ignored;
+  fs::remove(journal, ignored);
+  return sequence;
+}
+
+}  // namespace
+
 Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
                                           int clip, const prt::SequenceOptions& options,
                                           bool use_cache) {
   const auto named = [&](const Error& e) { return fail(e.code, name, e.where + ": " + e.detail); };
-  std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
-  if (folder && !make_folder(*folder)) folder.reset();
-  const bool keep = folder.has_value();
-  std::error_code ignored;
-  if (!keep) folder = fs::temp_directory_path(ignored);
   const auto key = prt::bake_key(character, clip, options);
   if (!key) return named(key.error());
-  const fs::path stem =
-      *folder / fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).value());
-  const fs::path file = stem.string() + kClipKind;
-  // Without a cache two programs must not write the same journal.
-  const fs::path journal =
-      keep ? fs::path(stem.string() + kJournalKind)
-           : fs::path(fmt::format("{}-{}{}", stem.string(), ::getpid(), kJournalKind));
-  if (keep)
+  std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
+  if (folder && !make_folder(*folder)) folder.reset();
+  const std::string stem = fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).value());
+  const fs::path file = folder ? *folder / (stem + kClipKind) : fs::path();
+  std::error_code ignored;
+  if (folder)
     if (auto recalled = prt::read_sequence(file, character, clip)) {
       fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
       return recalled;
     }
-  const auto baked = prt::bake_frames(character, clip, options, {}, journal);
-  if (!baked) return named(baked.error());
-  const fs::path journals[] = {journal};
-  auto sequence = prt::compress_frames(character, clip, options, journals);
-  fs::remove(journal, ignored);
+  Result<prt::BakedSequence> sequence =
+      fail(ErrorCode::kUnwritable, name, "there is no room to keep frames in");
+  bool ours = false;
+  {
+    const std::optional<Lock> lock =
+        folder ? std::optional<Lock>(std::in_place, *folder / (stem + ".lock")) : std::nullopt;
+    ours = lock && lock->held();
+    if (ours) sequence = bake_into(*folder / (stem + kJournalKind), character, clip, options);
+    if (ours) fs::remove(*folder / (stem + ".lock"), ignored);
+  }
+  if (!sequence) {
+    // Without a cache, beside another program that bakes the same, or past a journal that cannot be used.
+    if (ours) fs::remove(*folder / (stem + kJournalKind), ignored);
+    const PrivateFolder own;
+    sequence = bake_into(own.path() / (stem + kJournalKind), character, clip, options);
+  }
   if (!sequence) return named(sequence.error());
   const prt::SequenceReport& r = sequence->report;
   spdlog::info(
       "{}: baked {} frames of {} points, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of "
-      "t_0, "
-      "compressed within {:.2f} %",
+      "t_0, compressed within {:.2f} %",
       name, sequence->surface.frames(), sequence->surface.points(),
       static_cast<double>(r.rays) * 1e-6, r.seconds, 100 * r.standard_error,
       100 * r.compression_error);
-  if (!keep) return sequence;
+  if (!folder) return sequence;
   if (const auto written = prt::write_sequence(file, character, clip, *sequence); !written)
     spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
   prune_cache(*folder, kCacheBytes);

@@ -47,6 +47,12 @@ Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
                   fmt::format("{} is neither 0 nor within 8..1024", o.ground_texels));
     out.ground_size = o.ground_texels;
   }
+  for (const double a : {o.receiver_albedo, o.albedo[0], o.albedo[1], o.albedo[2]})
+    if (!(a >= 0 && a <= 1))
+      return fail(ErrorCode::kInvalid, "--albedo", "or --receiver-albedo is not within 0..1");
+  if (o.samples < 64 || o.samples % 64 != 0)
+    return fail(ErrorCode::kInvalid, "--samples",
+                fmt::format("{} is not a positive multiple of 64", o.samples));
   const auto a = static_cast<float>(o.receiver_albedo);
   out.ground_albedo = {a, a, a};
   return out;
@@ -61,6 +67,7 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s) {
     print_json({{"clip", s.clip},
                 {"frames", s.surface.frames()},
                 {"points", s.surface.points()},
+                {"vertices", s.surface.points()},
                 {"texels", s.ground_deficit.points()},
                 {"coefficients", coefficient_count(s.surface.bands())},
                 {"channels", s.surface.channels()},
@@ -124,7 +131,11 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
     PENUMBRA_TRY(prt::bake_frames(character.character, character.clip, options, {index - 1, count},
                                   journals[0]));
     if (!o.shard.empty()) {
-      if (!o.json) fmt::print("{}\n", journals[0].string());
+      if (o.json) {
+        print_json({{"shard", journals[0].string()}});
+      } else {
+        fmt::print("{}\n", journals[0].string());
+      }
       return {};
     }
   }
@@ -137,6 +148,15 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
     spdlog::warn(
         "{}: the clip moves fast: between frames the error is {:.1f} %; a higher --fps lowers it",
         o.output, 100 * sequence.report.interpolation_error);
+  if (sequence.report.compression_error > 1.02 * o.error)
+    spdlog::warn(
+        "{}: --error {:.2g} % is not met, {:.2f} % is what the most components leave: shorter "
+        "clips or "
+        "fewer frames a second compress better",
+        o.output, 100 * o.error, 100 * sequence.report.compression_error);
+  if (sequence.surface.frames() < 3 && sequence.seconds > 0)
+    spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
+                 o.output);
   report(o, sequence);
   return {};
 }

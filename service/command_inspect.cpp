@@ -187,6 +187,13 @@ Result<json> describe(const std::string& file) {
   if (extension == ".mkv") return inspect_capture(file, "recording");
   if (extension == ".toml") return inspect_toml(file);
   if (extension == ".glb" && prt::is_baked_file(file)) return inspect_baked(file);
+  if (extension == ".shlm") {
+    auto size = prt::light_map_size(file);
+    if (!size) return std::unexpected(size.error());
+    return json{{"kind", "baked clip"},
+                {"light_map", {size->width, size->height}},
+                {"bytes", fs::file_size(file, error)}};
+  }
   for (const char* mesh : {".glb", ".gltf", ".obj", ".ply", ".fbx"})
     if (extension == mesh) return inspect_mesh(file);
   return inspect_picture(file);

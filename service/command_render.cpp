@@ -34,6 +34,7 @@ Result<void> render(const RenderOptions& o) {
   const std::string extension = std::filesystem::path(o.output).extension().string();
   if (extension != ".exr" && extension != ".hdr")
     return fail(ErrorCode::kInvalid, o.output, "linear radiance goes to .exr or .hdr");
+  if (!(std::abs(o.time_s) < 1e6)) return fail(ErrorCode::kInvalid, "--time", "not within +-1e6 s");
   PENUMBRA_TRY(check_writable(o.output));
   auto light = read_light(o.environment, o.projection);
   if (!light) return std::unexpected(light.error());
@@ -54,7 +55,7 @@ Result<void> render(const RenderOptions& o) {
   auto prepared = prepare(*scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
 
-  const StillScene in{&*prepared, &*map, *view};
+  const StillScene in{&*prepared, &*map, *view, o.time_s};
   std::size_t used_discs = 0;
   const auto still = [&]() -> Result<Still> {
     if (o.reference) {

@@ -83,7 +83,7 @@ struct RenderOptions {
   std::optional<std::string> projection;
   std::string bands = "auto", discs = "auto";
   bool reference = false, without_objects = false;
-  double error = .01;
+  double error = .01, time_s = 0;
   std::optional<int> truncated_to;  // reference under light cut to so many bands
   bool json = false;
 };

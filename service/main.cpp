@@ -318,6 +318,8 @@ void add_picture_commands(CLI::App& app, Action& action) {
   c->add_option("--discs", render_options.discs, kDiscsHelp)->capture_default_str();
   c->add_flag("--reference", render_options.reference,
               "Path-trace the picture with the objects really there");
+  c->add_option("--time", render_options.time_s, "Seconds: where clips and turntables are then")
+      ->capture_default_str();
   c->add_option("--error", render_options.error, "Relative error at which the reference stops")
       ->capture_default_str();
   c->add_option("--truncated-to", render_options.truncated_to,

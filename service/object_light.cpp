@@ -38,10 +38,11 @@ RadianceSh reflected_for(const lighting::Disc& disc, bool level) {
                : lighting::project_disc(disc, prt::kIndirectBands);
 }
 
-RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake) {
-  const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()),
-                                  prt::kIndirectBands);
-  return turn * (level ? lighting::floor_light(sum, prt::kIndirectBands) : sum);
+RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
+                                   int bands) {
+  const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()), bands);
+  return (turn * (level ? lighting::floor_light(sum, bands) : sum.with_bands(bands)))
+      .with_bands(prt::kIndirectBands);
 }
 
 bool ComposeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
@@ -155,7 +156,8 @@ void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& e
     for (RadianceSh& s : side) add(s, own, 1);
   }
   const auto in_bake_frame = [&](const RadianceSh& light) {
-    return reflected_in_bake_frame(light, level, pose);
+    return reflected_in_bake_frame(light, level, pose,
+                                   objects_[index].prepared->baked.indirect.bands);
   };
   out.discs = in_bake_frame(sum);
   bool all_open = true;

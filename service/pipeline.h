@@ -38,7 +38,9 @@ inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_b
 const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
 RadianceSh reflected_for(const lighting::Disc& disc, bool level);
 /// A sum of reflected_for turned into the bake frame.
-RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake);
+/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave out part of its own
+RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
+                                   int bands = prt::kIndirectBands);
 /// Irradiance of an open plane of this orientation, discs included.
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 

@@ -247,12 +247,12 @@ Result<PreparedScene> prepare(
   return out;
 }
 
-prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects) {
+prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds) {
   prt::Mesh all = scene.real_mesh;
   if (!with_objects) return all;
   for (const PreparedObject& o : scene.objects) {
-    prt::Mesh mesh = o.baked.mesh;
-    prt::transform(mesh, o.world_from_bake.matrix());
+    prt::Mesh mesh = o.mesh_at(seconds);
+    prt::transform(mesh, o.pose_at(seconds).matrix());
     append(all, mesh);
   }
   return all;

@@ -82,6 +82,8 @@ struct PreparedObject {
 
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;
+  /// In the bake frame.
+  prt::Mesh mesh_at(double seconds) const;
   /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what relight() needs alone.
   /// Returns false where nothing moved.
   bool move_to(double seconds, bool transfer);
@@ -118,7 +120,7 @@ glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh);
 /// share of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share);
 
-/// All meshes of a scene in the world frame at time 0, for the reference.
-prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects);
+/// All meshes of a scene in the world frame at a time, for the reference.
+prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);
 
 }  // namespace penumbra::service

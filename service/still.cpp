@@ -81,7 +81,8 @@ Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scen
 }
 
 Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
-                              const lighting::LightEstimate& light, const Still& real) {
+                              const lighting::LightEstimate& light, const Still& real,
+                              double seconds) {
   // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or a column.
   constexpr double kShifts[4][2] = {{-3, -1}, {-1, 3}, {1, -3}, {3, 1}}, kUnit = 1. / 32;  // pixels
   Still out{Image<Rgb>(view.width, view.height), real.error, real.samples, {}, {}};
@@ -89,6 +90,7 @@ Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
   for (const auto& [right, down] : kShifts) {
     capture::Frame frame;
     frame.exposure = {Seconds(1), Gain(1)};
+    frame.time = TimestampNs{static_cast<std::int64_t>(std::llround(1e9 * seconds))};
     frame.pixels = picture;
     frame.world_from_camera = view.world_from_camera;
     frame.world_from_camera.rotation *= glm::dquat(
@@ -106,7 +108,7 @@ Result<Still> render_composite(const StillScene& in, const lighting::LightEstima
                                const Still& real, const DiscTaps& taps) {
   auto stage = make_still_stage(*in.scene, in.view, taps);
   if (!stage) return std::unexpected(stage.error());
-  return composite_still(**stage, in.view, light, real);
+  return composite_still(**stage, in.view, light, real, in.seconds);
 }
 
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
@@ -126,7 +128,7 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
       truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated))
                 : *map_light;
   prt::World world;
-  world.mesh = world_mesh(*in.scene, with_objects);
+  world.mesh = world_mesh(*in.scene, with_objects, in.seconds);
   world.planes = in.scene->planes;
   if (with_objects)
     for (const shadows::Lamp& lamp : in.scene->lamps)

@@ -24,6 +24,7 @@ struct StillScene {
   const PreparedScene* scene = nullptr;
   const Image<Rgb>* environment = nullptr;  // lat-long
   prt::PinholeView view;
+  double seconds = 0;  // of what moves by itself or turns
 };
 
 using Progress = std::function<void(double)>;
@@ -43,7 +44,8 @@ Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scen
 /// The mean of four pictures a fraction of a pixel apart: edges get 64 samples a pixel.
 /// errors: as ComposeStage::process
 Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
-                              const lighting::LightEstimate& light, const Still& real);
+                              const lighting::LightEstimate& light, const Still& real,
+                              double seconds = 0);
 
 /// Our method over the real picture, under `light`.
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,

@@ -176,7 +176,7 @@ TEST(CharacterImport, AThingWithoutClipsSaysSo) {
   EXPECT_EQ(c->bones.size(), 1u);
   const auto clip = find_clip(*c, "Walk");
   ASSERT_FALSE(clip);
-  EXPECT_THAT(clip.error().detail, testing::HasSubstr("none"));
+  EXPECT_THAT(clip.error().detail, testing::HasSubstr("no animation"));
 }
 
 TEST(Animation, AClipIsFoundByNameOrNumber) {
