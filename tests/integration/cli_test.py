@@ -184,6 +184,47 @@ class Bake(CliTest):
         known = self.run_json("inspect", out)
         self.assertEqual((known["kind"], known["bands"], known["vertices"]), ("baked object", 2, report["vertices"]))
 
+    def bake_clip(self, name, *more):
+        return ("bake", "builtin:walker", "--animation", "Walk", "-o", self.root / name, "--fps", 6, "--bands", 2,
+                "--bounces", 1, "--samples", 64, "--ground-texels", 16, *more)
+
+    def test_a_clip_in_shards_is_the_same_file(self):
+        whole = self.run_json(*self.bake_clip("whole.shlm"))
+        self.assertEqual((whole["clip"], whole["frames"], whole["coefficients"]), ("Walk", 7, 4))
+        self.assertLess(whole["compression_error"], 0.0051)
+        self.assertEqual(whole["bytes"], (self.root / "whole.shlm").stat().st_size)
+        for shard in (2, 1):
+            self.run_json(*self.bake_clip("merged.shlm", "--shard", f"{shard}/2"))
+        self.run_json(*self.bake_clip("merged.shlm", "--merge", 2))
+        self.assertEqual((self.root / "merged.shlm").read_bytes(), (self.root / "whole.shlm").read_bytes())
+        self.assertEqual([p.name for p in self.root.glob("*.shlm*") if "shard" in p.name or "journal" in p.name], [])
+        self.assertEqual(self.run_json("inspect", self.root / "whole.shlm")["kind"], "baked clip")
+
+    def test_a_clip_that_cannot_be_baked_is_refused_and_leaves_nothing(self):
+        for words, more in ((["--shard", "3/2"], ["--shard", "3/2"]), (["--light-map", "12"], ["--light-map", "12"]),
+                            (["--samples"], ["--samples", 65]), (["--albedo"], ["--receiver-albedo", "nan"]),
+                            (["Walk, Wave, Rest"], ["--animation", "Fly"]), (["bad.glb", ".shlm"], ["-o", "bad.glb"])):
+            arguments = list(self.bake_clip("bad.shlm"))
+            for key, value in zip(more[::2], more[1::2]):
+                if key in arguments:
+                    arguments[arguments.index(key) + 1] = value
+                else:
+                    arguments += [key, value]
+            self.expect_refusal(words, *arguments)
+            self.assertEqual(list(self.root.glob("bad*")), [])
+        self.expect_refusal(["shard-1-of-2"], *self.bake_clip("none.shlm", "--merge", 2))
+
+    def test_coders_of_a_clip_are_charted(self):
+        out = self.root / "clip"
+        chart = self.run_json("chart", "--animation", "Walk", "--frames", 6, "--samples", 64, "--light-map", "48x48",
+                              "--out", out)
+        coders = {row["coder"] for row in chart["rows"]}
+        self.assertEqual(len(coders), 4)
+        for coder in coders:
+            rows = sorted((row["bytes"], row["rendered_rel_rmse"]) for row in chart["rows"] if row["coder"] == coder)
+            self.assertGreater(rows[0][1], rows[-1][1], coder)  # more bytes, less error
+        self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
+
 
 class Render(CliTest):
     @classmethod
