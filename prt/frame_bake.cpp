@@ -20,7 +20,9 @@ namespace {
 
 constexpr int kMostFrames = 4096;
 constexpr std::uint64_t kBakeVersion = 1;  // changes with what a bake computes
-constexpr int kReflectedBands = 3;         // reflected light is smooth
+// Reflected light is smooth, but where discs are split off their whole reflection comes from these bands: under a sharp sun
+// three leave 3.4 % of the light out, five 1.2 %, seven none (walker, rustig_koppie).
+constexpr int kReflectedBands = 6;
 constexpr float kOpenT0 = .28209479f;      // Y_0: of a point that sees all
 constexpr std::uint16_t kHidden = 0x7e00;  // a half that is no number
 constexpr float kHiddenShare = .25f;  // a point that sees more back faces lies within something
@@ -108,7 +110,9 @@ FrameBaker::FrameBaker(const Character& character, int clip, const SequenceOptio
       frames_(std::max(
           1, static_cast<int>(std::lround(character.clips[static_cast<std::size_t>(clip)].seconds *
                                           options.frames_per_second)))),
-      indirect_bands_(options.bounces > 0 ? std::min(options.bands, kReflectedBands) : 1) {
+      indirect_bands_(options.bounces == 0 ? 1
+                      : options.bands > 3  ? kReflectedBands
+                                           : options.bands) {
   if (options.ground_size) find_receiver();
   link_points();
 }

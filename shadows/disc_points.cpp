@@ -93,10 +93,13 @@ class VertexTracer {
   glm::vec3 shift_;
 };
 
-// Marks the corners of triangles whose corners do not agree that all, or that none, of the light arrives.
+// Marks the corners of triangles whose corners do not agree that all, or that none, of the light arrives, and points
+// that no triangle joins to others (texels of a light map).
 void mark_edges(const prt::Mesh& mesh, const std::vector<float>& seen,
                 const std::vector<float>& open, std::vector<char>& edge) {
-  edge.assign(seen.size(), 0);
+  edge.assign(seen.size(), 1);
+  for (const auto& t : mesh.triangles)
+    for (const std::uint32_t v : t) edge[v] = 0;
   for (const auto& t : mesh.triangles) {
     bool all = true, none = true;
     for (const std::uint32_t v : t) {
