@@ -8,6 +8,7 @@
 #include "compositor/camera_look.h"
 #include "compositor/code_row.h"
 #include "compositor/gl.h"
+#include "compositor/gpu_relight.h"
 #include "compositor/layered_rows.h"
 #include "core/parallel.h"
 
@@ -103,6 +104,7 @@ struct Compositor::Impl {
   std::unique_ptr<Layers> layers;
   std::unique_ptr<GlProgram> show;
   std::unique_ptr<GlTexture> picture;
+  std::vector<std::optional<GpuRelight>> clips;  // empty where removed
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
   Layer objects, hidden;
@@ -164,6 +166,25 @@ void Compositor::set_light(int object, std::span<const float> relit,
   impl_->layers->set_light(object, relit);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
     impl_->receivers.set_shadow(r, shadow);
+}
+
+Result<int> Compositor::add_clip(const prt::TransferSequence& sequence) {
+  impl_->context->make_current();
+  auto clip = GpuRelight::create(sequence);
+  if (!clip) return std::unexpected(clip.error());
+  impl_->clips.push_back(std::move(*clip));
+  return static_cast<int>(impl_->clips.size()) - 1;
+}
+
+Result<void> Compositor::relight(int clip, double frame, const RadianceSh& light,
+                                 std::span<const glm::mat3> turns, std::span<float> out) {
+  impl_->context->make_current();
+  return impl_->clips[static_cast<std::size_t>(clip)]->relight(frame, light, turns, out);
+}
+
+void Compositor::remove_clip(int clip) {
+  impl_->context->make_current();
+  impl_->clips[static_cast<std::size_t>(clip)].reset();
 }
 
 void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {

@@ -98,6 +98,14 @@ class Compositor {
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
+  /// A clip that the drawing device relights instead of the CPU: as prt::TransferSequence::relight, but for rounding. The
+  /// sequence must outlive it here; the number names it.
+  /// errors: kUnavailable (larger than the device's buffers)
+  Result<int> add_clip(const prt::TransferSequence& sequence);
+  void remove_clip(int clip);
+  /// errors: kUnavailable (GL)
+  Result<void> relight(int clip, double frame, const RadianceSh& light,
+                       std::span<const glm::mat3> turns, std::span<float> out);
   /// A plane that real things shade: its grid and place, once, and what they take of the light beside the discs. The picture
   /// shows that already; what virtual things take is taken from what is left.
   void add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid);

@@ -116,10 +116,9 @@ Result<void> attach(GLuint program, GLenum kind, const char* source) {
 
 }  // namespace
 
-Result<GlProgram> make_program(const char* vertex, const char* fragment) {
-  GlProgram program;
-  PENUMBRA_TRY(attach(program.get(), GL_VERTEX_SHADER, vertex));
-  PENUMBRA_TRY(attach(program.get(), GL_FRAGMENT_SHADER, fragment));
+namespace {
+
+Result<GlProgram> linked(GlProgram program) {
   glLinkProgram(program.get());
   GLint ok = 0;
   glGetProgramiv(program.get(), GL_LINK_STATUS, &ok);
@@ -127,6 +126,21 @@ Result<GlProgram> make_program(const char* vertex, const char* fragment) {
   char log[1024] = {};
   glGetProgramInfoLog(program.get(), sizeof log, nullptr, log);
   return fail(ErrorCode::kUnavailable, "GL program", log);
+}
+
+}  // namespace
+
+Result<GlProgram> make_program(const char* vertex, const char* fragment) {
+  GlProgram program;
+  PENUMBRA_TRY(attach(program.get(), GL_VERTEX_SHADER, vertex));
+  PENUMBRA_TRY(attach(program.get(), GL_FRAGMENT_SHADER, fragment));
+  return linked(std::move(program));
+}
+
+Result<GlProgram> make_compute_program(const char* compute) {
+  GlProgram program;
+  PENUMBRA_TRY(attach(program.get(), GL_COMPUTE_SHADER, compute));
+  return linked(std::move(program));
 }
 
 }  // namespace penumbra::compositor

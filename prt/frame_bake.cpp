@@ -19,7 +19,7 @@ namespace penumbra::prt {
 namespace {
 
 constexpr int kMostFrames = 4096;
-constexpr std::uint64_t kBakeVersion = 1;  // changes with what a bake computes
+constexpr std::uint64_t kBakeVersion = 2;  // changes with what a bake computes
 // Reflected light is smooth, but where discs are split off their whole reflection comes from these bands: under a sharp sun
 // three leave 3.4 % of the light out, five 1.2 %, seven none (walker, rustig_koppie).
 constexpr int kReflectedBands = 6;
@@ -107,6 +107,7 @@ FrameBaker::FrameBaker(const Character& character, int clip, const SequenceOptio
       clip_(clip),
       options_(options),
       layout_(lay_out(character, options.map_width, options.map_height)),
+      seams_(character, layout_),
       frames_(std::max(
           1, static_cast<int>(std::lround(character.clips[static_cast<std::size_t>(clip)].seconds *
                                           options.frames_per_second)))),
@@ -343,6 +344,17 @@ void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& t
   });
 }
 
+// Before the materials' frames, which may differ across a seam. Points within others would pull it dark.
+void FrameBaker::equalise_seams(const BakeReport& report, Transfer& transfer) const {
+  if (seams_.empty()) return;
+  std::vector<char> hidden(layout_.points());
+  for (std::size_t p = 0; p < hidden.size(); ++p)
+    hidden[p] = report.quality[p].behind > kHiddenShare;
+  std::vector<float> values = floats_of(transfer);
+  seams_.equalise(hidden, transfer.stride, values);
+  std::ranges::transform(values, transfer.values.begin(), half_from_float);
+}
+
 namespace {
 
 // Into the frame of each point's bone.
@@ -403,6 +415,7 @@ Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)
   if (options_.denoise && !layout_.texels.empty())
     denoise(baked->report, baked->mesh, baked->transfer);
   for (Transfer* t : {&baked->transfer, &baked->indirect}) {
+    equalise_seams(baked->report, *t);
     to_materials(layout_, bones, *t);
     mark_hidden(baked->report, *t);
   }

@@ -9,6 +9,7 @@
 #include "prt/journal.h"
 #include "prt/light_map.h"
 #include "prt/prt.h"
+#include "prt/seams.h"
 
 namespace penumbra::prt {
 
@@ -50,11 +51,13 @@ class FrameBaker {
   void mark_hidden(const BakeReport& report, Transfer& transfer) const;
   void complete_in_time(std::size_t point, std::span<Transfer> frames) const;
   void denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const;
+  void equalise_seams(const BakeReport& report, Transfer& transfer) const;
 
   const Character& character_;
   int clip_;
   const SequenceOptions& options_;
   SurfaceLayout layout_;
+  Seams seams_;
   int frames_;
   int indirect_bands_;
   std::optional<Receiver> receiver_;

@@ -23,6 +23,7 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "prt/animation.h"  // IWYU pragma: export
+#include "prt/live_bake.h"  // IWYU pragma: export
 #include "prt/receiver.h"   // IWYU pragma: export
 #include "prt/sequence.h"   // IWYU pragma: export
 
@@ -79,7 +80,7 @@ struct Hit {
   bool front;            // seen against the geometric normal
 };
 
-/// Triangle rays over Embree. A committed scene is immutable.
+/// Triangle rays over Embree.
 class RayScene {
  public:
   /// errors: kInvalid (no triangles), kUnavailable (Embree says why)
@@ -87,6 +88,9 @@ class RayScene {
   ~RayScene();
   RayScene(RayScene&&) noexcept;
   RayScene& operator=(RayScene&&) noexcept;
+
+  /// Another form of the same mesh: as many vertices, the same triangles. Only while no ray is under way.
+  void set_form(const Mesh& form);
 
   std::optional<Hit> intersect(const glm::vec3& origin, const glm::vec3& direction, float near,
                                float far = 1e30f) const;

@@ -48,7 +48,6 @@ struct RayWorld::Impl {
     Pose world_from_mesh;
     glm::mat3 turn;  // mesh from world
     glm::vec3 shift;
-    bool moves;  // was given another form
 
     std::uint32_t occluded(const Rays& rays, int count, std::uint32_t wanted) const;
   };
@@ -102,7 +101,7 @@ Result<int> RayWorld::add(const Mesh& mesh) {
   if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   const glm::vec3 centre = bounds_of(mesh).centre();
   impl_->bodies.push_back(
-      {scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}, false});
+      {scene, centre, radius_around(mesh, centre), {}, glm::mat3(1), {0, 0, 0}});
   return static_cast<int>(impl_->bodies.size()) - 1;
 }
 
@@ -116,19 +115,7 @@ void RayWorld::set_pose(int mesh, const Pose& world_from_mesh) {
 
 void RayWorld::set_form(int mesh, const Mesh& form) {
   Impl::Body& body = impl_->bodies[static_cast<std::size_t>(mesh)];
-  RTCGeometry geometry = rtcGetGeometry(body.scene, 0);
-  if (!std::exchange(body.moves, true)) {
-    // From now on built fast, not well: it lasts for one frame.
-    rtcSetSceneFlags(body.scene, RTC_SCENE_FLAG_DYNAMIC);
-    rtcSetSceneBuildQuality(body.scene, RTC_BUILD_QUALITY_LOW);
-    rtcSetGeometryBuildQuality(geometry, RTC_BUILD_QUALITY_LOW);
-  }
-  auto* vertices =
-      static_cast<float*>(rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_VERTEX, 0));
-  std::copy_n(&form.positions[0].x, 3 * form.positions.size(), vertices);
-  rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0);
-  rtcCommitGeometry(geometry);
-  rtcCommitScene(body.scene);
+  set_embree_form(body.scene, form);
   body.centre = bounds_of(form).centre();
   body.radius = radius_around(form, body.centre);
 }

@@ -45,6 +45,19 @@ RTCScene build_embree_scene(RTCDevice device, const Mesh& mesh, RTCSceneFlags fl
   return nullptr;
 }
 
+void set_embree_form(RTCScene scene, const Mesh& form) {
+  RTCGeometry geometry = rtcGetGeometry(scene, 0);
+  rtcSetSceneFlags(scene, rtcGetSceneFlags(scene) | RTC_SCENE_FLAG_DYNAMIC);
+  rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_LOW);
+  rtcSetGeometryBuildQuality(geometry, RTC_BUILD_QUALITY_LOW);
+  auto* vertices =
+      static_cast<float*>(rtcGetGeometryBufferData(geometry, RTC_BUFFER_TYPE_VERTEX, 0));
+  std::copy_n(&form.positions[0].x, 3 * form.positions.size(), vertices);
+  rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0);
+  rtcCommitGeometry(geometry);
+  rtcCommitScene(scene);
+}
+
 Result<RayScene> RayScene::build(const Mesh& mesh) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
   auto impl = std::make_unique<Impl>();
@@ -92,6 +105,10 @@ RTCIntersectContext coherent_context() {
 }
 
 }  // namespace
+
+void RayScene::set_form(const Mesh& form) {
+  set_embree_form(impl_->scene, form);
+}
 
 std::optional<Hit> RayScene::intersect(const glm::vec3& o, const glm::vec3& d, float near,
                                        float far) const {

@@ -24,6 +24,20 @@ namespace penumbra::prt {
 struct BakedObject;
 struct Transfer;
 
+/// What relighting a clip comes to at one moment, for whoever does the sums: point i of a part, which is point
+/// order()[first_point + i], shines with the sum of colour times values()[offset + i] over the part's terms.
+struct RelightPlan {
+  struct Term {
+    std::uint32_t offset;
+    float r, g, b;
+  };
+  struct Part {
+    std::uint32_t first_term, term_count, first_point, point_count;
+  };
+  std::vector<Term> terms;
+  std::vector<Part> parts;  // no point in two
+};
+
 /// Transfer at points over the frames of a clip, compressed.
 ///   t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green, red - green and
 ///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks.
@@ -45,6 +59,12 @@ class TransferSequence {
   /// out: 3 * stride() floats. No allocation after the first call of a thread.
   void relight(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
                std::span<float> out) const;
+  /// The sums of relight(), not done. No allocation once `out` has its size.
+  void plan(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
+            RelightPlan& out) const;
+  /// Maps over a part's points, each padded to kLanes.
+  std::span<const std::int16_t> values() const { return values_; }
+  std::span<const std::uint32_t> order() const { return order_; }
   /// All coefficients at a time, in the bake frame. No allocation once `out` has its size.
   void decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const;
 

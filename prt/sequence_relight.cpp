@@ -10,16 +10,7 @@
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 
-#ifndef PENUMBRA_SEQUENCE_TERM
-#define PENUMBRA_SEQUENCE_TERM
-namespace penumbra::prt {
-// A map of whole numbers and what one unit of it adds to each colour.
-struct RelightTerm {
-  const std::int16_t* map;
-  float r, g, b;
-};
-}  // namespace penumbra::prt
-#endif
+#include "prt/sequence.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace penumbra::prt {
@@ -28,8 +19,8 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 // out[p] = sum over terms of colour times map[p], for three colours, two vectors at a time. `count` is a multiple of
 // TransferSequence::kLanes.
-HWY_ATTR void SumTerms(const RelightTerm* terms, std::size_t term_count, std::size_t count,
-                       float* r, float* g, float* b) {
+HWY_ATTR void SumTerms(const std::int16_t* values, const RelightPlan::Term* terms,
+                       std::size_t term_count, std::size_t count, float* r, float* g, float* b) {
   const hn::CappedTag<float, 16> d;
   const hn::Rebind<std::int16_t, decltype(d)> d16;
   const hn::Rebind<std::int32_t, decltype(d)> d32;
@@ -38,9 +29,10 @@ HWY_ATTR void SumTerms(const RelightTerm* terms, std::size_t term_count, std::si
     auto r0 = hn::Zero(d), g0 = hn::Zero(d), b0 = hn::Zero(d);
     auto r1 = hn::Zero(d), g1 = hn::Zero(d), b1 = hn::Zero(d);
     for (std::size_t k = 0; k < term_count; ++k) {
-      const RelightTerm& t = terms[k];
-      const auto v0 = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d16, t.map + p)));
-      const auto v1 = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d16, t.map + p + lanes)));
+      const RelightPlan::Term& t = terms[k];
+      const std::int16_t* const map = values + t.offset + p;
+      const auto v0 = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d16, map)));
+      const auto v1 = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d16, map + lanes)));
       const auto lr = hn::Set(d, t.r), lg = hn::Set(d, t.g), lb = hn::Set(d, t.b);
       r0 = hn::MulAdd(v0, lr, r0);
       r1 = hn::MulAdd(v1, lr, r1);
@@ -100,40 +92,55 @@ float TransferSequence::weight_at(const Component& c, double frame) const {
                    static_cast<float>(inside - static_cast<double>(first)));
 }
 
+void TransferSequence::plan(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
+                            RelightPlan& out) const {
+  const int bands = std::min(bands_, light.bands());
+  const auto planes = static_cast<std::size_t>(channels_);
+  out.terms.clear();
+  out.parts.clear();
+  for (std::size_t first = 0; first < groups_.size(); first += planes) {
+    const Group& group = groups_[first];
+    // The light as the bone sees it.
+    const RadianceSh seen =
+        lighting::ShRotation(glm::dmat3(glm::transpose(turn_of(turns, group.bone))), bands) *
+        light.with_bands(bands);
+    const auto begin = static_cast<std::uint32_t>(out.terms.size());
+    for (std::size_t plane = 0; plane < planes; ++plane)
+      for (const Component& c : groups_[first + plane].components) {
+        const float weight = weight_at(c, frame);
+        for (int l = 0, n = 0; l < bands; ++l)
+          for (int m = -l; m <= l; ++m, ++n) {
+            const std::uint32_t offset = c.offset[static_cast<std::size_t>(n)];
+            if (offset == kNone) continue;
+            const Rgb k = seen[n] * (weight * step_[static_cast<std::size_t>(l)]);
+            out.terms.push_back(
+                {offset, plane == 2 ? 0 : k.r, plane == 0 ? k.g : 0, plane == 1 ? 0 : k.b});
+          }
+      }
+    out.parts.push_back({begin, static_cast<std::uint32_t>(out.terms.size()) - begin,
+                         static_cast<std::uint32_t>(group.first),
+                         static_cast<std::uint32_t>(group.count)});
+  }
+}
+
 void TransferSequence::relight(double frame, const RadianceSh& light,
                                std::span<const glm::mat3> turns, std::span<float> out) const {
   assert(out.size() >= 3 * stride());
-  const int bands = std::min(bands_, light.bands());
-  const auto planes = static_cast<std::size_t>(channels_);
-  parallel_for(std::size_t{0}, groups_.size() / planes, 4, [&](const auto& range) {
-    thread_local std::vector<RelightTerm> terms;
+  thread_local RelightPlan scratch;
+  plan(frame, light, turns, scratch);
+  const RelightPlan& todo = scratch;  // workers must not look up their own
+  parallel_for(std::size_t{0}, todo.parts.size(), 4, [&](const auto& range) {
     thread_local std::vector<float> sums;
-    for (std::size_t part = range.begin(); part < range.end(); ++part) {
-      const Group& first = groups_[part * planes];
-      // The light as the bone sees it.
-      const RadianceSh seen =
-          lighting::ShRotation(glm::dmat3(glm::transpose(turn_of(turns, first.bone))), bands) *
-          light.with_bands(bands);
-      terms.clear();
-      for (std::size_t plane = 0; plane < planes; ++plane)
-        for (const Component& c : groups_[part * planes + plane].components) {
-          const float weight = weight_at(c, frame);
-          for (int l = 0, n = 0; l < bands; ++l)
-            for (int m = -l; m <= l; ++m, ++n) {
-              const std::uint32_t offset = c.offset[static_cast<std::size_t>(n)];
-              if (offset == kNone) continue;
-              const Rgb k = seen[n] * (weight * step_[static_cast<std::size_t>(l)]);
-              terms.push_back({&values_[offset], plane == 2 ? 0 : k.r, plane == 0 ? k.g : 0,
-                               plane == 1 ? 0 : k.b});
-            }
-        }
-      const std::size_t count = (first.count + kLanes - 1) / kLanes * kLanes;
+    for (std::size_t k = range.begin(); k < range.end(); ++k) {
+      const RelightPlan::Part& part = todo.parts[k];
+      const std::size_t count = (part.point_count + kLanes - 1) / kLanes * kLanes;
       sums.resize(3 * count);
       HWY_DYNAMIC_DISPATCH(SumTerms)
-      (terms.data(), terms.size(), count, &sums[0], &sums[count], &sums[2 * count]);
+      (values_.data(), todo.terms.data() + part.first_term, part.term_count, count, &sums[0],
+       &sums[count], &sums[2 * count]);
       for (std::size_t c = 0; c < 3; ++c)
-        for (std::size_t i = 0; i < first.count; ++i)
-          out[c * stride() + order_[first.first + i]] = sums[c * count + i];
+        for (std::size_t i = 0; i < part.point_count; ++i)
+          out[c * stride() + order_[part.first_point + i]] = sums[c * count + i];
     }
   });
 }

@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 
 #include "service/bake_cache.h"
@@ -15,13 +16,28 @@ constexpr float kEdgeShare =
     .03f;                        // of the radius: longest edge where transfer is kept at vertices
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
 constexpr int kMostRays = 512;
+// Of live transfer.
+constexpr int kLiveGroundSize = 32;
+constexpr std::size_t kFirstVisits = 16,
+                      kVisits = 2;  // a point: before the first frame, and a frame
 
-// The room that a clip takes, as a mesh of corners.
-prt::Mesh room_of(const prt::Character& character, const prt::Clip& clip) {
+// What is played by default of a character that has just been loaded.
+Animation playing(prt::Character character, int clip) {
+  Animation out;
+  out.character = std::move(character);
+  out.clip = clip;
+  return out;
+}
+
+// The room that an animation takes, as a mesh of corners.
+prt::Mesh room_of(const Animation& animation) {
   constexpr int kLooks = 32;
   prt::Mesh mesh, room;
-  for (int i = 0; i < (clip.seconds > 0 ? kLooks : 1); ++i) {
-    prt::deform(character, prt::sample(character, clip, clip.seconds * i / kLooks), mesh);
+  double seconds = 0;
+  for (const int clip : {animation.clip, animation.blend.value_or(animation.clip)})
+    seconds = std::max(seconds, animation.character.clips[static_cast<std::size_t>(clip)].seconds);
+  for (int i = 0; i < (seconds > 0 ? kLooks : 1); ++i) {
+    prt::deform(animation.character, animation.pose_at(seconds * i / kLooks), mesh);
     const prt::Bounds b = prt::bounds_of(mesh);
     room.positions.insert(room.positions.end(), {b.low, b.high});
   }
@@ -29,6 +45,13 @@ prt::Mesh room_of(const prt::Character& character, const prt::Clip& clip) {
 }
 
 }  // namespace
+
+prt::CharacterPose Animation::pose_at(double seconds) const {
+  const auto sampled = [&](int number) {
+    return prt::sample(character, character.clips[static_cast<std::size_t>(number)], seconds);
+  };
+  return blend ? prt::blend(sampled(clip), sampled(*blend), blend_share) : sampled(clip);
+}
 
 Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
   if (asset == "builtin:walker") return prt::make_walker(albedo);
@@ -44,23 +67,31 @@ Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
   return character;
 }
 
+namespace {
+
+// Edges are measured where the vertices are kept, in units of the asset.
+void refine(prt::Character& character) {
+  prt::Mesh rest;
+  rest.positions = character.positions;
+  prt::subdivide(character, kEdgeShare * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+}
+
+}  // namespace
+
 Result<StandingCharacter> standing_character(const std::string& asset, Rgb albedo,
                                              const std::string& animation, int map_width,
                                              int map_height) {
   PENUMBRA_ASSIGN(character, load_character(asset, albedo));
   const auto clip = prt::find_clip(character, animation);
   if (!clip) return fail(clip.error().code, asset, clip.error().detail);
-  const prt::Bounds room =
-      prt::bounds_of(room_of(character, character.clips[static_cast<std::size_t>(*clip)]));
+  const Animation alone = playing(character, *clip);
+  const prt::Bounds room = prt::bounds_of(room_of(alone));
   character.frame = glm::mat4(1);
   character.frame[3] = glm::vec4(-room.centre().x, -room.low.y, -room.centre().z, 1);
   if (map_width > 0) {
     character = prt::for_light_map(std::move(character), map_width, map_height);
   } else {
-    // Edges are measured where the vertices are kept, in units of the asset.
-    prt::Mesh rest;
-    rest.positions = character.positions;
-    prt::subdivide(character, kEdgeShare * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+    refine(character);
   }
   return StandingCharacter{std::move(character), *clip};
 }
@@ -98,8 +129,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   animation->character = std::move(standing.character);
   animation->clip = standing.clip;
   animation->sequence = std::move(sequence);
-  const prt::Bounds room = prt::bounds_of(room_of(
-      animation->character, animation->character.clips[static_cast<std::size_t>(animation->clip)]));
+  const prt::Bounds room = prt::bounds_of(room_of(*animation));
   const glm::vec3 extent = room.high - room.low;
   const double scale =
       o.stand ? o.stand_size_m / std::max({extent.x, extent.y, extent.z, 1e-9f}) : o.scale;
@@ -136,28 +166,75 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
 
 }  // namespace
 
-Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<prt::Plane>& planes,
-                                        const BakeSettings& settings,
-                                        const std::function<void(double)>& progress) {
-  if (!o.transfer.empty()) return place_baked_clip(o, planes);
-  auto standing =
-      standing_character(o.asset, o.albedo, o.animation, o.light_map[0], o.light_map[1]);
-  if (!standing) return std::unexpected(standing.error());
-  auto animation = std::make_shared<Animation>();
-  animation->character = std::move(standing->character);
-  animation->clip = standing->clip;
-  prt::Character& character = animation->character;
-  character.frame = glm::mat4(1);  // placed by the scene
-  const prt::Clip& played = character.clips[static_cast<std::size_t>(animation->clip)];
-  const prt::Mesh room = room_of(character, played);
+namespace {
+
+// Puts a character where the scene wants it, on the plane under it; null: there is none.
+const prt::Plane* place(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                        Animation& animation, PreparedObject& out) {
+  prt::Character& character = animation.character;
+  character.frame = glm::mat4(1);
+  const prt::Mesh room = room_of(animation);
   character.frame = glm::mat4(world_from_mesh(o, room)) * character.frame;
-  const prt::Bounds in_world = prt::bounds_of(room_of(character, played));
-  const prt::Plane* const plane = plane_under(planes, in_world);
-  PreparedObject out;
+  const prt::Plane* const plane = plane_under(planes, prt::bounds_of(room_of(animation)));
   out.name = o.name;
   out.spin_rpm = o.spin_rpm;
   out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   character.frame = glm::mat4(out.world_from_bake.inverse().matrix()) * character.frame;
+  return plane;
+}
+
+// Nothing is baked but the first pose, so that there is something to begin with.
+Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                                    const BakeSettings& settings) {
+  PENUMBRA_ASSIGN(character, load_character(o.asset, o.albedo));
+  auto animation = std::make_shared<Animation>();
+  const auto clip_named = [&](const std::string& name) -> Result<int> {
+    const auto clip = prt::find_clip(character, name);
+    if (!clip) return fail(clip.error().code, o.asset, clip.error().detail);
+    return *clip;
+  };
+  PENUMBRA_ASSIGN(clip, clip_named(o.animation));
+  animation->clip = clip;
+  if (!o.blend.empty()) {
+    PENUMBRA_ASSIGN(blend, clip_named(o.blend));
+    animation->blend = blend;
+    animation->blend_share = static_cast<float>(o.blend_share);
+  }
+  refine(character);
+  animation->character = std::move(character);
+  animation->live = true;
+  animation->live_seconds = o.live_ms / 1e3;
+  animation->bands = settings.bands;
+  PreparedObject out;
+  const prt::Plane* const plane = place(o, planes, *animation, out);
+  animation->layout = prt::lay_out(animation->character, 0, 0);
+  if (plane)
+    out.baked.receiver =
+        prt::Receiver{prt::fit_ground_grid(room_of(*animation), 0, kLiveGroundSize), plane->albedo};
+  spdlog::info("{}: transfer of {} vertices is traced while it plays, {:g} ms a frame", o.name,
+               animation->layout.points(), o.live_ms);
+  out.animation = std::move(animation);
+  out.frame = -1;  // none yet
+  PENUMBRA_TRY(out.begin_live());
+  out.move_to(0, true);
+  out.live = nullptr;
+  return out;
+}
+
+}  // namespace
+
+Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                                        const BakeSettings& settings,
+                                        const std::function<void(double)>& progress) {
+  if (o.live || !o.blend.empty()) return prepare_live(o, planes, settings);
+  if (!o.transfer.empty()) return place_baked_clip(o, planes);
+  auto standing =
+      standing_character(o.asset, o.albedo, o.animation, o.light_map[0], o.light_map[1]);
+  if (!standing) return std::unexpected(standing.error());
+  auto animation =
+      std::make_shared<Animation>(playing(std::move(standing->character), standing->clip));
+  PreparedObject out;
+  const prt::Plane* const plane = place(o, planes, *animation, out);
   prt::SequenceOptions options = sequence_options(settings);
   options.map_width = o.light_map[0];
   options.map_height = o.light_map[1];
@@ -166,34 +243,68 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
     options.ground_albedo = plane->albedo;
   }
   options.progress = progress;
-  auto sequence = bake_or_recall(o.name, character, animation->clip, options, settings.use_cache);
+  auto sequence =
+      bake_or_recall(o.name, animation->character, animation->clip, options, settings.use_cache);
   if (!sequence) return std::unexpected(sequence.error());
   animation->sequence = std::move(*sequence);
-  animation->layout =
-      prt::lay_out(character, animation->sequence.map_width, animation->sequence.map_height);
-  out.baked.receiver = animation->sequence.receiver;
-  out.animation = std::move(animation);
-  out.frame = -1;  // none yet
-  out.move_to(0, true);
+  start(std::move(animation), out);
   return out;
 }
 
 prt::Mesh PreparedObject::mesh_at(double seconds) const {
   if (!animation) return baked.mesh;
   prt::Mesh mesh;
-  const prt::Clip& clip = animation->character.clips[static_cast<std::size_t>(animation->clip)];
-  prt::deform(animation->character, prt::sample(animation->character, clip, seconds), mesh);
+  prt::deform(animation->character, animation->pose_at(seconds), mesh);
   return mesh;
 }
 
-bool PreparedObject::move_to(double seconds, bool transfer) {
+Result<void> PreparedObject::begin_live() {
+  if (!animation || !animation->live) return {};
+  auto bake = prt::LiveBake::create(animation->character, {animation->bands, baked.receiver});
+  if (!bake) return std::unexpected(bake.error());
+  live = std::make_shared<LiveTransfer>(LiveTransfer{std::move(*bake)});
+  frame = -1;  // it knows of none
+  return {};
+}
+
+namespace {
+
+// As many as the time allows, by how long the last ones took; some at least, or nothing would ever change.
+std::size_t visits_within(double seconds, const LiveTransfer& live) {
+  const auto points = static_cast<double>(live.bake.points());
+  const double wanted = live.seconds_a_visit > 0 ? seconds / live.seconds_a_visit : .25 * points;
+  return static_cast<std::size_t>(std::clamp(wanted, .05 * points, kVisits * points));
+}
+
+void trace(const prt::CharacterPose& pose, double seconds, bool keep_time, LiveTransfer& live,
+           prt::BakedObject& out) {
+  using Clock = std::chrono::steady_clock;
+  const auto begin = Clock::now();
+  const std::size_t points = live.bake.points();
+  const std::size_t visits = !live.begun ? kFirstVisits * points
+                             : keep_time ? visits_within(seconds, live)
+                                         : kVisits * points;
+  live.bake.update(pose, visits, out);
+  const double each =
+      std::chrono::duration<double>(Clock::now() - begin).count() / static_cast<double>(visits);
+  live.seconds_a_visit =
+      live.seconds_a_visit > 0 ? std::lerp(live.seconds_a_visit, each, .2) : each;
+  live.begun = true;
+}
+
+}  // namespace
+
+bool PreparedObject::move_to(double seconds, bool transfer, bool keep_time) {
   if (!animation) return false;
   const prt::BakedSequence& s = animation->sequence;
-  const prt::Clip& clip = animation->character.clips[static_cast<std::size_t>(animation->clip)];
-  const double wanted = s.frame_at(seconds);
+  const double wanted = animation->live ? seconds : s.frame_at(seconds);
   if (wanted == frame) return false;
   frame = wanted;
-  const prt::CharacterPose pose = prt::sample(animation->character, clip, seconds);
+  const prt::CharacterPose pose = animation->pose_at(seconds);
+  if (animation->live) {
+    if (live) trace(pose, animation->live_seconds, keep_time, *live, baked);
+    return live != nullptr;
+  }
   prt::deform(animation->character, pose, baked.mesh);
   prt::add_texels(animation->character, animation->layout, baked.mesh);
   turns = prt::bone_turns(animation->character, pose);
@@ -206,20 +317,29 @@ bool PreparedObject::move_to(double seconds, bool transfer) {
   return true;
 }
 
-void PreparedObject::relight(Part part, const RadianceSh& light, std::span<float> out) const {
-  if (animation) {
-    const prt::BakedSequence& s = animation->sequence;
-    switch (part) {
-      case Part::kSurface:
-        return s.surface.relight(frame, light, turns, out);
-      case Part::kReflected:
-        return s.surface_indirect.relight(frame, light, turns, out);
-      case Part::kGround:
-        return s.ground_deficit.relight(frame, light, {}, out);
-      case Part::kGroundReflected:
-        return s.ground_indirect.relight(frame, light, {}, out);
-    }
+const prt::TransferSequence& PreparedObject::clip_of(Part part) const {
+  const prt::BakedSequence& s = animation->sequence;
+  switch (part) {
+    case Part::kSurface:
+      return s.surface;
+    case Part::kReflected:
+      return s.surface_indirect;
+    case Part::kGround:
+      return s.ground_deficit;
+    case Part::kGroundReflected:
+      break;
   }
+  return s.ground_indirect;
+}
+
+std::span<const glm::mat3> PreparedObject::turns_of(Part part) const {
+  const bool on_bones = part == Part::kSurface || part == Part::kReflected;
+  return on_bones ? std::span<const glm::mat3>(turns) : std::span<const glm::mat3>();
+}
+
+void PreparedObject::relight(Part part, const RadianceSh& light, std::span<float> out) const {
+  if (animation && !animation->live)
+    return clip_of(part).relight(frame, light, turns_of(part), out);
   switch (part) {
     case Part::kSurface:
       return prt::relight(baked.transfer, light, out);

@@ -180,9 +180,9 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     add(a, b, -1);
     return a;
   };
-  o.prepared->relight(Part::kSurface, light.open, o.relit);
+  relight_part(o, Part::kSurface, light.open, o.relit);
   if (discs) {
-    o.prepared->relight(Part::kReflected, light.discs, o.more);
+    relight_part(o, Part::kReflected, light.discs, o.more);
     for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.more[i];
   }
   const RadianceSh no_discs(prt::kIndirectBands);
@@ -190,8 +190,8 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     const auto s = static_cast<std::size_t>(k);
     const auto vertices = surroundings_.vertices(index, k);
     if (!(light.side[s] == light.open)) {
-      o.prepared->relight(Part::kSurface,
-                          difference(light.side[s], light.open).with_bands(kSideBands), o.more);
+      relight_part(o, Part::kSurface, difference(light.side[s], light.open).with_bands(kSideBands),
+                   o.more);
       add_to_side(vertices, o.more, {}, o.relit);
     }
     // Of what object and floor reflect to each other, the floor that is hidden or in shade is missing.
@@ -199,7 +199,7 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
     if (!shaded && light.floor_hidden[s] == 0) continue;
     RadianceSh missing = shaded ? difference(light.side_discs[s], light.discs) : no_discs;
     add(missing, light.open.with_bands(prt::kIndirectBands), -light.floor_hidden[s]);
-    o.prepared->relight(Part::kReflected, missing.with_bands(kFloorBands), o.more);
+    relight_part(o, Part::kReflected, missing.with_bands(kFloorBands), o.more);
     add_to_side(vertices, o.more, light.instead[s], o.relit);
   }
   if (discs) discs_.add_light(index, o.relit);

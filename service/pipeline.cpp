@@ -52,6 +52,8 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   std::unique_ptr<PreparedScene> moving;
   if (std::ranges::any_of(given.objects, [](const auto& o) { return o.animation != nullptr; }))
     moving = std::make_unique<PreparedScene>(given);
+  if (moving)
+    for (PreparedObject& o : moving->objects) PENUMBRA_TRY(o.begin_live());
   const PreparedScene& scene = moving ? *moving : given;
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
@@ -105,7 +107,7 @@ bool ComposeStage::move_to(double seconds) {
   bool moved = false;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     PreparedObject& o = moving_->objects[i];
-    if (!o.move_to(seconds, !alone)) continue;
+    if (!o.move_to(seconds, !alone, keeps_time_)) continue;
     compositor_->set_form(objects_[i].handle, o.baked.mesh);
     discs_.set_form(i);
     moved = true;
@@ -236,11 +238,11 @@ void ComposeStage::compose_shadow(Object& o, const ObjectLight& light) const {
   const PreparedObject& object = *o.prepared;
   const prt::Transfer& deficit = object.baked.ground_deficit;
   o.taken.resize(3 * deficit.stride);
-  object.relight(PreparedObject::Part::kGround, light.receiver, o.taken);
+  relight_part(o, PreparedObject::Part::kGround, light.receiver, o.taken);
   o.reflected.clear();
   if (luminance(light.disc_irradiance) > 0) {
     o.reflected.resize(o.taken.size());
-    object.relight(PreparedObject::Part::kGroundReflected, light.receiver_discs, o.reflected);
+    relight_part(o, PreparedObject::Part::kGroundReflected, light.receiver_discs, o.reflected);
   }
   shadows::compose_planar_shadow(
       {object.baked.receiver->grid, deficit.bands, deficit.stride, o.taken, o.reflected},

@@ -70,6 +70,9 @@ class ComposeStage {
                                              const lighting::LightEstimate& light);
   /// The light's share of process(): relights objects and renews shadows where something changed visibly.
   bool update_light(const lighting::LightEstimate& light, double seconds);
+  /// From now on time counts: what is traced live keeps to its own, and clips are relit by whatever does it fastest. Before,
+  /// results are the same on every machine.
+  void keep_time();
 
  private:
   // In the bake frame. Sides that nothing else is near see `open`.
@@ -87,6 +90,7 @@ class ComposeStage {
     const PreparedObject* prepared;
     int handle;
     std::optional<ObjectLight> light_used{};
+    std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
     std::vector<float> relit{}, more{};
     std::vector<float> taken{}, reflected{};  // of the receiver
     // Alone, without what real things take already, and without what other objects take.
@@ -119,6 +123,9 @@ class ComposeStage {
   Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
                              const std::vector<Pose>& poses) const;
   void relight(Object& object, const ObjectLight& light, std::size_t index) const;
+  void choose_device(Object& object);
+  void relight_part(const Object& object, PreparedObject::Part part, const RadianceSh& light,
+                    std::span<float> out) const;
   void compose_shadow(Object& object, const ObjectLight& light) const;
   void share_shadows(const std::vector<Pose>& poses);
   bool move_to(double seconds);
@@ -135,6 +142,7 @@ class ComposeStage {
   LampStage lamps_;
   RealStage real_;
   bool could_not_complete_ = false;  // was said
+  bool keeps_time_ = false;
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;

@@ -247,6 +247,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
   RunCounts counts;
   Result<void> composed;
   compose.warm_up();
+  compose.keep_time();
   const auto start = Clock::now();
   {
     const std::jthread producer([&] { produce(live, source, light, times, stop); });

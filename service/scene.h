@@ -6,6 +6,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -29,6 +30,10 @@ struct SceneObject : Placement {
   std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box", "builtin:walker"
   std::string animation;  // a clip by name or number, which loops; empty: it stands at rest
   std::string transfer;   // of the clip, by `penumbra bake`; empty: baked first, into the cache
+  std::string blend;      // a second clip that is mixed in; empty: none
+  double blend_share = .5;
+  bool live = false;   // transfer is traced while it plays: no bake, and always so of a blend
+  double live_ms = 5;  // a frame, for that
   std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
   Rgb albedo{.7f, .7f, .7f};
   double spin_rpm = 0;  // turntable about the receiver's normal
@@ -59,12 +64,26 @@ struct BakeSettings {
   bool use_cache = true;
 };
 
-/// A character in its bake frame, and its clip's transfer.
+/// A character in its bake frame, what it plays, and the clip's transfer unless that is traced live.
 struct Animation {
   prt::Character character;
   int clip = 0;
-  prt::BakedSequence sequence;
+  prt::BakedSequence sequence{};
   prt::SurfaceLayout layout{};
+  std::optional<int> blend{};  // a second clip
+  float blend_share = 0;
+  bool live = false;
+  double live_seconds = 0;  // a frame may take for its transfer
+  int bands = 5;            // of live transfer
+
+  prt::CharacterPose pose_at(double seconds) const;
+};
+
+/// Transfer that is traced while its character moves.
+struct LiveTransfer {
+  prt::LiveBake bake;
+  bool begun = false;
+  double seconds_a_visit = 0;  // as measured; 0: not yet
 };
 
 /// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.
@@ -77,8 +96,9 @@ struct PreparedObject {
   /// What it takes from the space around it; baked where real meshes can catch its shadow.
   std::shared_ptr<const shadows::OcclusionField> field{};
   std::shared_ptr<const Animation> animation{};  // null: it does not move by itself
-  double frame = 0;                              // of the animation
-  std::vector<glm::mat3> turns{};                // of its bones then
+  double frame = 0;                      // of the animation; seconds where its transfer is live
+  std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
+  std::vector<glm::mat3> turns{};        // of its bones then
 
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;
@@ -86,9 +106,17 @@ struct PreparedObject {
   prt::Mesh mesh_at(double seconds) const;
   /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what relight() needs alone.
   /// Returns false where nothing moved.
-  bool move_to(double seconds, bool transfer);
+  bool move_to(double seconds, bool transfer, bool keep_time = false);
+  /// A copy's own live transfer: two copies never share one. `keep_time`, above: its rays keep to the time that the animation
+  /// allows them, else their number is always the same.
+  /// errors: kUnavailable (Embree)
+  Result<void> begin_live();
   /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and its reflected part.
   enum class Part { kSurface, kReflected, kGround, kGroundReflected };
+  static constexpr std::size_t kParts = 4;
+  /// Of a baked animation.
+  const prt::TransferSequence& clip_of(Part part) const;
+  std::span<const glm::mat3> turns_of(Part part) const;
   void relight(Part part, const RadianceSh& light, std::span<float> out) const;
 };
 

@@ -8,9 +8,9 @@ namespace penumbra::service {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kObjectKeys[] = {"name",     "asset",     "albedo",      "position",
-                                            "rotation", "scale",     "spin_rpm",    "animation",
-                                            "transfer", "light_map", "stand_size_m"};
+constexpr std::string_view kObjectKeys[] = {
+    "name",      "asset",    "albedo",    "position",     "rotation", "scale",       "spin_rpm",
+    "animation", "transfer", "light_map", "stand_size_m", "blend",    "blend_share", "live_ms"};
 constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "stand_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",      "albedo",
                                           "position", "rotation", "scale", "stand_size_m"};
@@ -72,6 +72,32 @@ Result<void> read_placement(const TomlKeys& keys, Placement& o) {
   return {};
 }
 
+Result<void> read_blend(const TomlKeys& keys, SceneObject& o) {
+  if (keys.has("blend")) {
+    PENUMBRA_ASSIGN(blend, keys.text("blend"));
+    if (blend.empty()) return keys.invalid("blend", "names no clip");
+    if (!o.transfer.empty())
+      return keys.invalid("transfer", "is of one clip; a blend's is \"live\"");
+    if (keys.has("light_map"))
+      return keys.invalid("light_map", "is of a baked clip, not of a blend");
+    o.blend = blend;
+    o.live = true;
+  }
+  if (keys.has("blend_share")) {
+    if (o.blend.empty()) return keys.invalid("blend_share", "is of a blend");
+    PENUMBRA_ASSIGN(share, keys.number("blend_share"));
+    if (!(share >= 0 && share <= 1)) return keys.invalid("blend_share", "not within 0..1");
+    o.blend_share = share;
+  }
+  if (keys.has("live_ms")) {
+    if (!o.live) return keys.invalid("live_ms", "is of live transfer");
+    PENUMBRA_ASSIGN(ms, keys.number("live_ms"));
+    if (!(ms > 0 && ms <= 1000)) return keys.invalid("live_ms", "not within 0..1000");
+    o.live_ms = ms;
+  }
+  return {};
+}
+
 Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   PENUMBRA_TRY(keys.only(kObjectKeys));
   SceneObject o;
@@ -98,13 +124,15 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     if (animation.empty()) return keys.invalid("animation", "names no clip");
     o.animation = animation;
   }
-  for (const std::string_view key : {"transfer", "light_map"})
+  for (const std::string_view key : {"transfer", "light_map", "blend", "blend_share", "live_ms"})
     if (keys.has(key) && o.animation.empty()) return keys.invalid(key, "is of an animation");
   if (keys.has("transfer")) {
     if (keys.has("light_map")) return keys.invalid("light_map", "is told by the transfer");
     PENUMBRA_ASSIGN(transfer, keys.text("transfer"));
-    o.transfer = resolve(transfer, folder);
+    o.live = transfer == "live";
+    if (!o.live) o.transfer = resolve(transfer, folder);
   }
+  PENUMBRA_TRY(read_blend(keys, o));
   if (keys.has("light_map")) {
     PENUMBRA_ASSIGN(size, keys.numbers("light_map", 2));
     for (std::size_t i = 0; i < 2; ++i) {
@@ -227,6 +255,9 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     if (!o.animation.empty()) text += fmt::format("animation = {}\n", toml_quoted(o.animation));
     if (!o.transfer.empty())
       text += fmt::format("transfer = {}\n", toml_quoted(absolute(o.transfer)));
+    if (o.live) text += fmt::format("transfer = \"live\"\nlive_ms = {}\n", o.live_ms);
+    if (!o.blend.empty())
+      text += fmt::format("blend = {}\nblend_share = {}\n", toml_quoted(o.blend), o.blend_share);
     if (o.light_map[0] > 0)
       text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);

@@ -28,7 +28,8 @@ class Judge {
   void expect(const Counted& c, std::size_t calls, std::size_t bytes, const std::string& what) {
     if (c.calls <= calls && c.bytes <= bytes) return;
     ++exceeded_;
-    said_ += what + ": " + std::to_string(c.calls) + " blocks, " + std::to_string(c.bytes) + " bytes\n";
+    said_ +=
+        what + ": " + std::to_string(c.calls) + " blocks, " + std::to_string(c.bytes) + " bytes\n";
   }
   ~Judge() { EXPECT_LE(exceeded_, 2) << said_; }
 

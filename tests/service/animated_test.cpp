@@ -255,6 +255,55 @@ TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
   EXPECT_THAT(prepared.error().detail, HasSubstr("cannot be tilted"));
 }
 
+// Poses that no clip has: traced for the moment, they must be right in kind.
+TEST(AnimatedGroundTruth, ABlendOfClipsIsLitByLiveTransfer) {
+  Scene scene = walker_scene();
+  scene.objects[0].blend = "Wave";
+  scene.objects[0].blend_share = .4;
+  scene.objects[0].live = true;
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const PreparedObject& walker = prepared->objects[0];
+  EXPECT_FALSE(walker.live);                                 // each stage traces its own
+  EXPECT_GT(prt::bounds_of(walker.mesh_at(.3)).high.x, .5);  // an arm waves
+  for (const auto& map :
+       {capture::make_room_environment(512, 256), capture::make_sky_environment(512, 256, .8)}) {
+    const Figures f = compare_with_reference(*prepared, map, 2, .02);
+    std::printf("object %.2f %%, bias %.2f %%, shadow %.4f\n", 100 * f.object, 100 * f.bias,
+                f.shadow);
+    EXPECT_LT(f.object, .06);
+    EXPECT_LT(std::abs(f.bias), .03);
+    EXPECT_LT(f.shadow, .06);
+  }
+}
+
+TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
+  Scene scene = walker_scene();
+  scene.objects[0].live = true;
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared);
+  std::vector<std::uint16_t> first;
+  for (int run = 0; run < 2; ++run) {
+    PreparedObject o = prepared->objects[0];
+    ASSERT_TRUE(o.begin_live());
+    for (int frame = 0; frame < 4; ++frame) EXPECT_TRUE(o.move_to(frame / 60., true));
+    EXPECT_FALSE(o.move_to(3 / 60., true));  // there already
+    if (run == 0) first = o.baked.transfer.values;
+    EXPECT_EQ(o.baked.transfer.values, first);
+  }
+  // A budget of next to nothing leaves next to nothing to trace: frames may not stop for it.
+  auto hurried = std::make_shared<Animation>(*prepared->objects[0].animation);
+  hurried->live_seconds = 1e-6;
+  PreparedObject o = prepared->objects[0];
+  o.animation = hurried;
+  ASSERT_TRUE(o.begin_live());
+  o.move_to(0, true, true);
+  const double kept = o.live->bake.rays_kept();
+  for (int frame = 1; frame < 4; ++frame) o.move_to(frame / 60., true, true);
+  EXPECT_LT(o.live->bake.rays_kept(), kept);  // forgets faster than it traces
+  EXPECT_GT(o.live->bake.rays_kept(), 0);
+}
+
 TEST(Animated, WhatDoesNotMoveSaysSo) {
   Scene scene = walker_scene();
   scene.objects[0].asset = "builtin:knot";

@@ -113,6 +113,23 @@ TEST_F(SceneFile, NamesAndPathsMayHoldAnyCharacter) {
   }
 }
 
+TEST_F(SceneFile, BlendsOfClipsComeBackLive) {
+  const auto scene = read(
+      "version = 1\n[[object]]\nasset = \"a.glb\"\nanimation = \"Walk\"\nblend = \"Wave\"\n"
+      "blend_share = 0.25\nlive_ms = 3\n[[object]]\nasset = \"b.glb\"\nanimation = \"0\"\n"
+      "transfer = \"live\"\n");
+  ASSERT_TRUE(scene) << scene.error().detail;
+  const Scene back = round_trip(*scene);
+  ASSERT_EQ(back.objects.size(), 2u);
+  EXPECT_TRUE(back.objects[0].live);
+  EXPECT_EQ(back.objects[0].blend, "Wave");
+  EXPECT_EQ(back.objects[0].blend_share, .25);
+  EXPECT_EQ(back.objects[0].live_ms, 3);
+  EXPECT_TRUE(back.objects[1].live);
+  EXPECT_EQ(back.objects[1].transfer, "");
+  EXPECT_EQ(back.objects[1].blend, "");
+}
+
 TEST_F(SceneFile, RelativePathsAreMeantFromTheScene) {
   const auto scene =
       read("version = 1\n[[object]]\nasset = \"meshes/a.obj\"\n[[real]]\nmesh = \"b.ply\"\n");
@@ -155,6 +172,15 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
                                    {"animation = 1", "animation"}})
     expect_invalid(head + line + "\n", 4, word);
   expect_invalid(head + "scale = 2\nstand_size_m = 1\n", 5, "stand_size_m");
+  const std::string walks = head + "animation = \"Walk\"\n";
+  for (const std::string line :
+       {"blend_share = 0.5", "live_ms = 3", "blend = \"\"", "blend = 3", "light_map = [7, 64]"})
+    expect_invalid(walks + line + "\n", 5, line.substr(0, line.find(' ')));
+  expect_invalid(head + "blend = \"Wave\"\n", 4, "blend");
+  const std::string blends = walks + "blend = \"Wave\"\n";
+  for (const std::string line : {"blend_share = 1.5", "blend_share = nan", "live_ms = 0",
+                                 "live_ms = 1e9", "light_map = [64, 64]", "transfer = \"a.shlm\""})
+    expect_invalid(blends + line + "\n", 6, line.substr(0, line.find(' ')));
   expect_invalid("version = 2\n", 1, "version");
   expect_invalid("version = 1\nobject = 3\n", 2, "object");
   expect_invalid("version = 1\n[[real]]\nplane = { point = [0,0,0], normal = [0,0,0] }\n", 3,

@@ -1,0 +1,84 @@
+// Which of the machine's processors relights a clip.
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+
+#include "service/pipeline.h"
+
+namespace penumbra::service {
+
+namespace {
+
+using Part = PreparedObject::Part;
+
+// Median of a few, the first of which only warms up.
+double milliseconds_of(const auto& work) {
+  using Clock = std::chrono::steady_clock;
+  std::array<double, 5> times;
+  work();
+  for (double& t : times) {
+    const auto begin = Clock::now();
+    work();
+    t = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
+  }
+  std::ranges::nth_element(times, times.begin() + 2);
+  return times[2];
+}
+
+// Every band lit, and a time between frames: what a moment costs at most.
+RadianceSh some_light(int bands) {
+  RadianceSh light(bands);
+  for (int n = 0; n < light.size(); ++n) light[n] = {1, 1, 1};
+  return light;
+}
+
+}  // namespace
+
+void ComposeStage::keep_time() {
+  keeps_time_ = true;
+  for (Object& o : objects_) choose_device(o);
+}
+
+// Both are timed before the first frame, with the transfer that they will have to sum. The CPU does what the device does not
+// do faster, or at all.
+void ComposeStage::choose_device(Object& o) {
+  if (!o.prepared->animation || o.prepared->animation->live) return;
+  for (std::size_t i = 0; i < PreparedObject::kParts; ++i) {
+    const auto part = static_cast<Part>(i);
+    const prt::TransferSequence& clip = o.prepared->clip_of(part);
+    if (clip.points() == 0) continue;
+    const auto on_gpu = compositor_->add_clip(clip);
+    if (!on_gpu) {
+      spdlog::info("{}: relit on the CPU: {}", o.prepared->name, on_gpu.error().detail);
+      continue;
+    }
+    const RadianceSh light = some_light(clip.bands());
+    const auto turns = o.prepared->turns_of(part);
+    std::vector<float> out(3 * clip.stride());
+    bool works = true;
+    const double cpu_ms = milliseconds_of([&] { clip.relight(.5, light, turns, out); });
+    const double gpu_ms = milliseconds_of(
+        [&] { works &= compositor_->relight(*on_gpu, .5, light, turns, out).has_value(); });
+    const bool gpu = works && gpu_ms < cpu_ms;
+    if (gpu)
+      o.on_gpu[i] = *on_gpu;
+    else
+      compositor_->remove_clip(*on_gpu);
+    if (part == Part::kSurface)
+      spdlog::info("{}: relit on the {}: CPU {:.2f} ms, {} {:.2f} ms", o.prepared->name,
+                   gpu ? "GPU" : "CPU", cpu_ms, compositor_->renderer(), gpu_ms);
+  }
+}
+
+void ComposeStage::relight_part(const Object& o, Part part, const RadianceSh& light,
+                                std::span<float> out) const {
+  const PreparedObject& p = *o.prepared;
+  const std::optional<int>& clip = o.on_gpu[static_cast<std::size_t>(part)];
+  // A device that is lost says so when it is to draw.
+  if (clip && compositor_->relight(*clip, p.frame, light, p.turns_of(part), out)) return;
+  p.relight(part, light, out);
+}
+
+}  // namespace penumbra::service
