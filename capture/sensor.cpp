@@ -3,6 +3,7 @@
 #include <glm/geometric.hpp>
 #include <numbers>
 #include <numeric>
+#include <vector>
 
 #include "capture/capture.h"
 #include "core/parallel.h"
@@ -66,12 +67,14 @@ struct Exposer {
   std::uint64_t seed;
   const float* normal = normal_quantiles().data();
 
-  // Signal after noise, in fractions of full scale, without black level. `bits` are the pixel's, 16 a channel.
-  float noisy(float signal, std::uint64_t bits, int channel) const {
-    const float deviate = normal[bits >> (16 * channel) & 0xffff];
+  /// Few photons, whose noise no normal distribution has.
+  static constexpr float kFewPhotons = 30;
+
+  // Signal after noise, in fractions of full scale, without black level, where there are few photons. `bits` are the
+  // pixel's, 16 a channel.
+  float noisy_in_the_dark(float signal, std::uint64_t bits, int channel) const {
     const float photons = signal * electrons;
-    if (photons > 30) return signal + deviate * std::sqrt(shot_variance * signal + read_variance);
-    const float read = deviate * std::sqrt(read_variance);
+    const float read = normal[bits >> (16 * channel) & 0xffff] * std::sqrt(read_variance);
     if (photons <= 0) return signal + read;
     const auto own = mix(bits + static_cast<std::uint64_t>(channel));
     return static_cast<float>(small_poisson(photons, own)) / electrons + read;
@@ -92,26 +95,69 @@ float light_left(const Sensor& sensor, int x, int y, int width, int height) {
   return static_cast<float>(v.at({x + .5, y + .5}));
 }
 
+// One row, in passes that a compiler turns into vectors. Planes of red, green and blue.
+struct RowNoise {
+  std::vector<std::uint64_t> bits;
+  std::vector<float> signal[3], deviate[3];
+  void resize(std::size_t width) {
+    bits.resize(width);
+    for (auto* planes : {&signal, &deviate})
+      for (auto& plane : *planes) plane.resize(width);
+  }
+};
+
+void load_row(const Exposer& e, const Image<Rgb>& radiance, int y, RowNoise& row) {
+  const int width = radiance.width();
+  for (int x = 0; x < width; ++x) {
+    const float kept =
+        e.sensor.vignetting > 0 ? light_left(e.sensor, x, y, width, radiance.height()) : 1;
+    const Rgb signal = radiance.at(x, y) * (kept * e.signal_per_radiance);
+    // Far above full scale the noise cannot matter and floats would lose it anyway.
+    for (int c = 0; c < 3; ++c)
+      row.signal[c][static_cast<std::size_t>(x)] = std::clamp(signal[c], 0.f, 4.f);
+  }
+}
+
+void add_noise(const Exposer& e, std::uint64_t first, RowNoise& row) {
+  const std::size_t width = row.bits.size();
+  for (std::size_t x = 0; x < width; ++x) row.bits[x] = mix((e.seed + first + x) * kGolden);
+  for (std::size_t x = 0; x < width; ++x)
+    for (std::size_t c = 0; c < 3; ++c)
+      row.deviate[c][x] = e.normal[row.bits[x] >> (16 * c) & 0xffff];
+  for (std::size_t c = 0; c < 3; ++c) {
+    float* const signal = row.signal[c].data();
+    float darkest = e.kFewPhotons + 1;
+    for (std::size_t x = 0; x < width; ++x) darkest = std::min(darkest, signal[x] * e.electrons);
+    if (darkest <= e.kFewPhotons)
+      for (std::size_t x = 0; x < width; ++x) {
+        if (signal[x] * e.electrons > e.kFewPhotons) continue;
+        signal[x] = e.noisy_in_the_dark(signal[x], row.bits[x], static_cast<int>(c));
+        row.deviate[c][x] = 0;  // it has its noise
+      }
+    const float* const deviate = row.deviate[c].data();
+    for (std::size_t x = 0; x < width; ++x)
+      signal[x] +=
+          deviate[x] * std::sqrt(std::max(0.f, e.shot_variance * signal[x] + e.read_variance));
+  }
+}
+
 template <class Pixel>
 void expose_rows(const Exposer& e, const Image<Rgb>& radiance, Image<Pixel>& out) {
   using Code = decltype(out.at(0, 0).r);
-  const int width = out.width(), height = out.height();
-  parallel_for(0, height, 16, [&](const auto& rows) {
-    for (int y = rows.begin(); y < rows.end(); ++y)
+  const int width = out.width();
+  parallel_for(0, out.height(), 16, [&](const auto& rows) {
+    thread_local RowNoise row;  // grows once per thread
+    row.resize(static_cast<std::size_t>(width));
+    for (int y = rows.begin(); y < rows.end(); ++y) {
+      load_row(e, radiance, y, row);
+      if (e.sensor.noisy)
+        add_noise(e, static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(width), row);
       for (int x = 0; x < width; ++x) {
-        const float kept = e.sensor.vignetting > 0 ? light_left(e.sensor, x, y, width, height) : 1;
-        const Rgb signal = radiance.at(x, y) * (kept * e.signal_per_radiance);
-        const auto index = static_cast<std::uint64_t>(y) * static_cast<std::uint64_t>(width) +
-                           static_cast<std::uint64_t>(x);
-        const std::uint64_t bits = e.sensor.noisy ? mix((e.seed + index) * kGolden) : 0;
-        Code codes[3];
-        for (int c = 0; c < 3; ++c) {
-          // Far above full scale the noise cannot matter and floats would lose it anyway.
-          const float clipped = std::clamp(signal[c], 0.f, 4.f);
-          codes[c] = e.encode<Code>(c, e.sensor.noisy ? e.noisy(clipped, bits, c) : clipped);
-        }
-        out.at(x, y) = {codes[0], codes[1], codes[2]};
+        const auto i = static_cast<std::size_t>(x);
+        out.at(x, y) = {e.encode<Code>(0, row.signal[0][i]), e.encode<Code>(1, row.signal[1][i]),
+                        e.encode<Code>(2, row.signal[2][i])};
       }
+    }
   });
 }
 

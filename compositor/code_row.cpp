@@ -1,6 +1,7 @@
 #include "compositor/code_row.h"
 
 #include <algorithm>
+#include <type_traits>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "compositor/code_row.cpp"
@@ -89,6 +90,53 @@ HWY_ATTR std::size_t CompositeCodes(const CodeCurve::Tables8 (&t)[3], const floa
   return touched;
 }
 
+// Rows of any length: full vectors where there are as many pixels, the rest through room of its own.
+template <class Pixels, class Work>
+HWY_INLINE void ForLanes(Pixels* codes, std::size_t count, const Work& work) {
+  const std::size_t lanes = hn::Lanes(D());
+  std::size_t i = 0;
+  for (; i + lanes <= count; i += lanes) work(i, codes + 3 * i);
+  if (i == count) return;
+  HWY_ALIGN std::uint8_t last[3 * HWY_MAX_BYTES / sizeof(float)] = {};
+  std::copy_n(codes + 3 * i, 3 * (count - i), last);
+  work(i, last);
+  if constexpr (!std::is_const_v<Pixels>) std::copy_n(last, 3 * (count - i), codes + 3 * i);
+}
+
+HWY_ATTR void DecodeCodes(const CodeCurve::Tables8 (&t)[3], const float* const* roundings,
+                          const std::uint8_t* codes, std::size_t count, const SignalRows& out) {
+  const D d;
+  const DI di;
+  ForLanes(codes, count, [&](std::size_t i, const std::uint8_t* from) HWY_ATTR {
+    hn::Vec<DB> code[3];
+    hn::LoadInterleaved3(DB(), from, code[0], code[1], code[2]);
+    for (std::size_t c = 0; c < 3; ++c) {
+      const auto index = hn::PromoteTo(di, code[c]);
+      hn::StoreU(hn::GatherIndex(d, t[c].decode, index), d, out.signal + c * out.stride + i);
+      hn::StoreU(hn::GatherIndex(d, roundings[c], index), d, out.rounding + c * out.stride + i);
+    }
+  });
+}
+
+HWY_ATTR void EncodeCodes(const CodeCurve::Tables8 (&t)[3], const SignalRows& in,
+                          const std::uint32_t* touched, std::size_t count, std::uint8_t* codes) {
+  const D d;
+  const DU du;
+  const DI di;
+  ForLanes(codes, count, [&](std::size_t i, std::uint8_t* to) HWY_ATTR {
+    const auto changes = hn::Ne(hn::LoadU(du, touched + i), hn::Zero(du));
+    if (hn::AllFalse(du, changes)) return;
+    hn::Vec<DB> code[3];
+    hn::LoadInterleaved3(DB(), to, code[0], code[1], code[2]);
+    for (std::size_t c = 0; c < 3; ++c) {
+      const auto now = Encode(t[c], hn::LoadU(d, in.signal + c * in.stride + i));
+      code[c] = hn::DemoteTo(
+          DB(), hn::IfThenElse(hn::RebindMask(di, changes), now, hn::PromoteTo(di, code[c])));
+    }
+    hn::StoreInterleaved3(code[0], code[1], code[2], DB(), to);
+  });
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace penumbra::compositor
 HWY_AFTER_NAMESPACE();
@@ -96,6 +144,20 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace penumbra::compositor {
 HWY_EXPORT(CompositeCodes);
+HWY_EXPORT(DecodeCodes);
+HWY_EXPORT(EncodeCodes);
+
+void decode_codes(const CodeCurve& curve, const float* const* roundings, const Rgb8* pixels,
+                  std::size_t count, const SignalRows& out) {
+  const CodeCurve::Tables8 tables[3] = {curve.tables8(0), curve.tables8(1), curve.tables8(2)};
+  HWY_DYNAMIC_DISPATCH(DecodeCodes)(tables, roundings, &pixels->r, count, out);
+}
+
+void encode_codes(const CodeCurve& curve, const SignalRows& in, const std::uint32_t* touched,
+                  std::size_t count, Rgb8* pixels) {
+  const CodeCurve::Tables8 tables[3] = {curve.tables8(0), curve.tables8(1), curve.tables8(2)};
+  HWY_DYNAMIC_DISPATCH(EncodeCodes)(tables, in, touched, count, &pixels->r);
+}
 
 std::size_t composite_codes(const CodeCurve& curve, const float* object, const float* r,
                             const float* g, const float* b, Rgb8* pixels, std::size_t count) {

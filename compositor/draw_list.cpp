@@ -69,8 +69,9 @@ float longest_edge(const prt::Mesh& mesh, const Triangle& t) {
 /// Rounds of collapses that no colour forbids.
 class DrawList::Finder {
  public:
-  Finder(const prt::Mesh& mesh, float tolerance, DrawList& out)
+  Finder(const prt::Mesh& mesh, float tolerance, std::span<const prt::Mesh> forms, DrawList& out)
       : mesh_(mesh),
+        forms_(forms),
         tolerance_(tolerance),
         out_(out),
         triangles_(mesh.triangles),
@@ -160,17 +161,41 @@ class DrawList::Finder {
       if (has(before, into)) continue;
       Triangle after = before;
       std::ranges::replace(after, v, into);
-      const glm::vec3 n0 = area_normal(mesh_, before), n1 = area_normal(mesh_, after);
-      const float l0 = glm::length(n0), l1 = glm::length(n1);
-      if (l0 <= 0 || l1 <= 0 || glm::dot(n0, n1) < kLeastCosine * l0 * l1) return {};
+      if (!faces_alike(mesh_, before, after)) return {};
+      const glm::vec3 n1 = area_normal(mesh_, after);
+      const float l1 = glm::length(n1);
       c.longest = std::max(c.longest, longest_edge(mesh_, after));
       // A sliver shows nothing but its noise.
       if (l1 < .1f * c.longest * c.longest) return {};
       settle(c, after, n1 / (l1 * l1));
     }
+    for (const prt::Mesh& form : forms_) {
+      if (!(c.moved <= tolerance_)) return {};
+      c.moved = std::max(c.moved, moved_in(form, c.collapse));
+    }
     c.moved += moved_[v];
     if (!(c.moved <= tolerance_) || !joins_cleanly(v, into)) return {};
+    for (const prt::Mesh& form : forms_)
+      for (const std::uint32_t i : fan(v)) {
+        Triangle after = triangles_[i];
+        if (has(after, into)) continue;
+        std::ranges::replace(after, v, into);
+        if (!faces_alike(form, triangles_[i], after)) return {};
+      }
     return c;
+  }
+
+  static bool faces_alike(const prt::Mesh& mesh, const Triangle& before, const Triangle& after) {
+    const glm::vec3 n0 = area_normal(mesh, before), n1 = area_normal(mesh, after);
+    const float l0 = glm::length(n0), l1 = glm::length(n1);
+    return l0 > 0 && l1 > 0 && glm::dot(n0, n1) >= kLeastCosine * l0 * l1;
+  }
+
+  static float moved_in(const prt::Mesh& form, const Collapse& c) {
+    glm::vec3 over(0);
+    for (int k = 0; k < 3; ++k)
+      over += c.weights[k] * form.positions[c.corners[static_cast<std::size_t>(k)]];
+    return glm::distance(form.positions[c.vertex], over);
   }
 
   // Keeps the triangle over the vertex: where its projection has no negative weight.
@@ -202,6 +227,7 @@ class DrawList::Finder {
   }
 
   const prt::Mesh& mesh_;
+  const std::span<const prt::Mesh> forms_;
   const float tolerance_;
   DrawList& out_;
   std::vector<Triangle> triangles_;
@@ -210,12 +236,12 @@ class DrawList::Finder {
   std::vector<char> busy_;
 };
 
-DrawList::DrawList(const prt::Mesh& mesh, float tolerance)
+DrawList::DrawList(const prt::Mesh& mesh, float tolerance, std::span<const prt::Mesh> forms)
     : triangles_(mesh.triangles),
       stands_for_(mesh.positions.size()),
       needed_(mesh.positions.size()),
       closed_(every_edge_is_shared(mesh) && signed_volume(mesh) > 0) {
-  if (tolerance > 0) Finder(mesh, tolerance, *this).run();
+  if (tolerance > 0) Finder(mesh, tolerance, forms, *this).run();
 }
 
 bool DrawList::keeps_colour(const Collapse& c, std::span<const Rgb> colours, float floor) const {

@@ -19,8 +19,9 @@ class DrawList {
   using Triangle = std::array<std::uint32_t, 3>;
 
   /// `tolerance`: how far the surface may move, in metres of the mesh, by a bound; 0: not at all, every triangle stays.
-  /// Borders and creases keep all their vertices.
-  DrawList(const prt::Mesh& mesh, float tolerance);
+  /// Borders and creases keep all their vertices. `forms`: others that the same mesh takes, in which the surface may not move
+  /// further either.
+  DrawList(const prt::Mesh& mesh, float tolerance, std::span<const prt::Mesh> forms = {});
 
   /// Triangles of the mesh's own vertices whose interpolated colours leave what they are by 2 % in each round of
   /// collapses at most (of a quarter of the mean where they are darker). `colours`: one a vertex. Valid until the next call.

@@ -198,7 +198,8 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   const prt::Mesh& mesh = baked.mesh;
   const prt::Bounds bounds = bounds_of(mesh);
   const float tolerance = fine_ ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
-  Object o{.triangles = {mesh, tolerance},
+  Object o{.triangles = {mesh, tolerance, appearance.forms},
+           .changes_form = !appearance.forms.empty(),
            .albedo = mesh.albedo,
            .colours = std::vector<Rgb>(mesh.positions.size()),
            .stride = baked.transfer.stride,
@@ -398,7 +399,7 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world) {
     if (o.albedo_map) bind_pictures(o, program);
     const double distance =
         distance_to_box(o.world_from_bake.inverse() * view.camera.world_from_camera, o.bounds);
-    choose_triangles(o, !fine_ && !o.moves && !o.light_map &&
+    choose_triangles(o, !fine_ && (o.changes_form || !o.moves) && !o.albedo_map &&
                             o.tolerance * view.camera.focal_px.x < kMostMoved_px * distance);
     // The black back of a closed surface shows only from within.
     if (o.triangles.closed() && distance > kNearPlane) glEnable(GL_CULL_FACE);

@@ -47,6 +47,7 @@ class Layers {
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
     std::optional<LightMap> light_map{};
     DrawList triangles;
+    bool changes_form;
     std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
     GLsizei index_count = 0;
     bool every_triangle = true;  // in `indices`; otherwise those selected for `colours`

@@ -4,6 +4,7 @@
 #include <bit>
 
 #include "compositor/camera_look.h"
+#include "compositor/code_row.h"
 #include "compositor/layered_rows.h"
 #include "core/parallel.h"
 
@@ -33,7 +34,7 @@ Roundings<Code> roundings_of(const Codec&, Code) {
   return {};
 }
 
-// Rows of one worker: six planes of V and 1 - T, then real signal, its rounding and the result.
+// Rows of one worker: six planes of V and 1 - T, then three each of real signal, its rounding and the result.
 struct LookBuffers {
   RowBuffers layers;
   std::vector<float> planes, real, rounding, out;
@@ -41,7 +42,7 @@ struct LookBuffers {
   void resize(std::size_t width, std::size_t stride) {
     layers.resize(width);
     planes.resize(6 * stride);
-    for (auto* v : {&real, &rounding, &out}) v->resize(stride, 0.f);
+    for (auto* v : {&real, &rounding, &out}) v->resize(3 * stride, 0.f);
     touched.resize(stride);
   }
 };
@@ -102,36 +103,59 @@ std::pair<std::size_t, std::size_t> mark_touched(std::size_t width, std::size_t 
   return {first, last};
 }
 
+template <class Codec, class Pixel>
+void decode_row(const Codec& codec, const auto&, const Pixel* pixels, std::size_t count,
+                const SignalRows& out) {
+  for (std::size_t i = 0; i < count; ++i) {
+    out.signal[i] = codec.decode(0, pixels[i].r);
+    out.signal[out.stride + i] = codec.decode(1, pixels[i].g);
+    out.signal[2 * out.stride + i] = codec.decode(2, pixels[i].b);
+  }
+}
+template <class Codec, class Pixel>
+void encode_row(const Codec& codec, const SignalRows& in, const std::uint32_t* touched,
+                std::size_t count, Pixel* pixels) {
+  for (std::size_t i = 0; i < count; ++i)
+    if (touched[i])
+      pixels[i] = {codec.encode(0, in.signal[i]), codec.encode(1, in.signal[in.stride + i]),
+                   codec.encode(2, in.signal[2 * in.stride + i])};
+}
+
+// Eight bits are what cameras deliver live: in vectors.
+void decode_row(const Coded<std::uint8_t>& codec, const Roundings<std::uint8_t>& roundings,
+                const Rgb8* pixels, std::size_t count, const SignalRows& out) {
+  const float* const tables[] = {roundings[0].data(), roundings[1].data(), roundings[2].data()};
+  decode_codes(codec.curve, tables, pixels, count, out);
+}
+void encode_row(const Coded<std::uint8_t>& codec, const SignalRows& in,
+                const std::uint32_t* touched, std::size_t count, Rgb8* pixels) {
+  encode_codes(codec.curve, in, touched, count, pixels);
+}
+
 template <class Pixel, class Codec, class Code>
 std::size_t look_row(const Codec& codec, const Roundings<Code>& roundings, const CameraLook& look,
                      Pixel* row, int y, const Rect& area, std::size_t stride, LookBuffers& rows) {
   const auto [first, last] = mark_touched(static_cast<std::size_t>(area.width()), stride, rows);
   if (first == last) return 0;
-  constexpr Code Pixel::*kChannels[] = {&Pixel::r, &Pixel::g, &Pixel::b};
-  Pixel* const pixels = row + area.x0;
-  const std::uint32_t* const touched = rows.touched.data();
+  const std::size_t from = first / kLookLanes * kLookLanes,
+                    count = (last - from + kLookLanes - 1) / kLookLanes * kLookLanes;
+  Pixel* const pixels = row + area.x0 + first;
+  const std::uint32_t* const touched = &rows.touched[first];
+  decode_row(codec, roundings, pixels, last - first,
+             {&rows.real[first], &rows.rounding[first], stride});
   for (std::size_t c = 0; c < 3; ++c) {
-    const auto channel = kChannels[c];
-    const int number = static_cast<int>(c);
-    for (std::size_t i = first; i < last; ++i) {
-      const Code code = pixels[i].*channel;
-      rows.real[i] = codec.decode(number, code);
-      if constexpr (sizeof(Code) == 1) rows.rounding[i] = roundings[c][code];
-    }
-    const std::size_t from = first / kLookLanes * kLookLanes,
-                      count = (last - from + kLookLanes - 1) / kLookLanes * kLookLanes;
-    const auto key = noise_key(look.frame, y, number);
+    const auto key = noise_key(look.frame, y, static_cast<int>(c));
     add_with_noise({&rows.planes[c * stride + from],
                     &rows.planes[(3 + c) * stride + from],
-                    &rows.real[from],
-                    &rows.rounding[from],
+                    &rows.real[c * stride + from],
+                    &rows.rounding[c * stride + from],
                     {key[0], key[1]},
                     static_cast<std::uint32_t>(area.x0) + static_cast<std::uint32_t>(from)},
-                   look.shot_gain, look.read_noise * look.read_noise, count, &rows.out[from]);
-    for (std::size_t i = first; i < last; ++i)
-      if (touched[i]) pixels[i].*channel = codec.encode(number, rows.out[i]);
+                   look.shot_gain, look.read_noise * look.read_noise, count,
+                   &rows.out[c * stride + from]);
   }
-  return last - first - static_cast<std::size_t>(std::count(touched + first, touched + last, 0u));
+  encode_row(codec, {&rows.out[first], nullptr, stride}, touched, last - first, pixels);
+  return last - first - static_cast<std::size_t>(std::count(touched, touched + (last - first), 0u));
 }
 
 // Without blur one pass; with it the planes of all rows come first.
@@ -146,7 +170,8 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
     planes.taken.prepare(in.area, look.psf_sigma_px, frame.width(), frame.height());
   }
   const Rect area = blurs ? planes.taken.area() : in.area;
-  const std::size_t stride = padded_row(area.width()) + kLookLanes;  // room for load_row's excess
+  // Room for load_row's excess, and for that of vectors which start at any pixel.
+  const std::size_t stride = padded_row(area.width()) + 2 * kLookLanes;
   const auto each_row = [&](const Rect& rect, const auto& work) {
     parallel_for(rect.y0, rect.y0 + rect.height(), 8, [&](const auto& range) {
       thread_local LookBuffers rows;  // grow once per thread

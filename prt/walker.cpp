@@ -121,7 +121,9 @@ void add_tube(const Tube& tube, Rgb albedo, Character& out) {
     const float round = std::sqrt(std::max(0.f, 1 - std::pow(2 * at - 1, 8.f)));
     for (int i = 0; i < columns; ++i) {
       const float u = static_cast<float>(i) / static_cast<float>(tube.around);
-      const float a = static_cast<float>(2 * kPi) * u;
+      // Round to the same bits: what is one place must compare as one.
+      const float a = static_cast<float>(2 * kPi) * static_cast<float>(i % tube.around) /
+                      static_cast<float>(tube.around);
       out.positions.push_back(s.centre + round * (s.side * std::cos(a) * side_axis +
                                                   s.depth * std::sin(a) * depth_axis));
       out.texture_coordinates.push_back(tube.corner + tube.size * glm::vec2(u, v));

@@ -33,9 +33,7 @@ Animation playing(prt::Character character, int clip) {
 prt::Mesh room_of(const Animation& animation) {
   constexpr int kLooks = 32;
   prt::Mesh mesh, room;
-  double seconds = 0;
-  for (const int clip : {animation.clip, animation.blend.value_or(animation.clip)})
-    seconds = std::max(seconds, animation.character.clips[static_cast<std::size_t>(clip)].seconds);
+  const double seconds = animation.longest_clip_s();
   for (int i = 0; i < (seconds > 0 ? kLooks : 1); ++i) {
     prt::deform(animation.character, animation.pose_at(seconds * i / kLooks), mesh);
     const prt::Bounds b = prt::bounds_of(mesh);
@@ -51,6 +49,13 @@ prt::CharacterPose Animation::pose_at(double seconds) const {
     return prt::sample(character, character.clips[static_cast<std::size_t>(number)], seconds);
   };
   return blend ? prt::blend(sampled(clip), sampled(*blend), blend_share) : sampled(clip);
+}
+
+double Animation::longest_clip_s() const {
+  double seconds = 0;
+  for (const int number : {clip, blend.value_or(clip)})
+    seconds = std::max(seconds, character.clips[static_cast<std::size_t>(number)].seconds);
+  return seconds;
 }
 
 Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <utility>
 
 namespace penumbra::service {
 
@@ -59,6 +60,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     if (!index) return fail(index.error().code, o.name, index.error().detail);
     stage.poses_.push_back(o.world_from_bake);
     stage.moved_from_.emplace_back();
+    stage.other_form_.push_back(0);
     stage.virtual_.set_pose(*index, o.world_from_bake);
     const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
     const float radius = prt::radius_around(o.baked.mesh, centre);
@@ -88,10 +90,16 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
 
 void DiscStage::set_form(std::size_t object) {
   const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
-  virtual_.set_form(static_cast<int>(object), mesh);
+  other_form_[object] = 1;
   const glm::vec3 centre = prt::bounds_of(mesh).centre();
   spheres_[object] = {glm::dvec3(centre), double(prt::radius_around(mesh, centre))};
   if (!moved_from_[object]) moved_from_[object] = poses_[object];
+}
+
+void DiscStage::follow_forms() {
+  for (std::size_t i = 0; i < other_form_.size(); ++i)
+    if (std::exchange(other_form_[i], 0))
+      virtual_.set_form(static_cast<int>(i), scene_->objects[i].baked.mesh);
 }
 
 // Of the floor that a side would see alone, and that the object itself does not shade: what of its disc light is there and
@@ -174,22 +182,23 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
     if (!all && !may_have_changed(i, t.disc)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    shadows::trace_disc_light(blockers(), o.baked.mesh, poses_[i],
-                              o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
+    shadows::trace_disc_light(rays(), o.baked.mesh, poses_[i], o.baked.receiver ? &own : nullptr,
+                              t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
-    shadows::trace_disc_shadows(blockers(), casters_, scene_->planes[p], t.disc, taps_.plane,
+    shadows::trace_disc_shadows(rays(), casters_, scene_->planes[p], t.disc, taps_.plane,
                                 t.on_plane[p]);
     if (!real_.empty())
-      shadows::trace_real_shadow(blockers(), around_, scene_->planes[p], t.disc,
+      shadows::trace_real_shadow(rays(), around_, scene_->planes[p], t.disc,
                                  {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
   }
 }
 
 bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradiance,
                        const Surroundings& around) {
+  if (!discs.empty()) follow_forms();
   const bool poses_changed =
       std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
   std::swap(traced_, before_);
@@ -239,7 +248,7 @@ DiscStage::AtVertices DiscStage::at_vertices(const prt::Mesh& mesh) const {
   AtVertices out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
   shadows::DiscAtVertices one;
   for (const Traced& t : traced_) {
-    shadows::trace_disc_vertices(blockers(), mesh, t.disc, taps_.object, one);
+    shadows::trace_disc_vertices(rays(), mesh, t.disc, taps_.object, one);
     const Rgb scale = t.disc.radiance * static_cast<float>(t.disc.solid_angle_sr());
     for (std::size_t i = 0; i < count; ++i) {
       out.open[i] += scale * one.open[i];

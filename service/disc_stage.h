@@ -35,7 +35,10 @@ class DiscStage {
 
   /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
   /// there are several.
-  shadows::Blockers blockers() const { return {&virtual_, &real_, near_m_}; }
+  shadows::Blockers blockers() {
+    follow_forms();
+    return rays();
+  }
   /// How much of a disc's light (by its place in update()'s list) reaches the floor before a side of an object
   /// past everything else: what there is for the two to reflect.
   float reflected_share(std::size_t disc, std::size_t object, int side) const {
@@ -70,6 +73,9 @@ class DiscStage {
         taps_(taps),
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
+  shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
+  /// Building a moved mesh for rays takes a millisecond, which a frame without rays need not spend.
+  void follow_forms();
   /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
   void trace(Traced& traced, const Surroundings& around, bool all);
   bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
@@ -79,6 +85,7 @@ class DiscStage {
   const PreparedScene* scene_;
   DiscTaps taps_;
   prt::RayWorld virtual_, real_;
+  std::vector<char> other_form_;  // by object: rays do not meet its present mesh yet
   std::vector<Pose> poses_;
   std::vector<Traced> traced_, before_;
   std::vector<shadows::Caster> casters_;

@@ -42,6 +42,16 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
   return look;
 }
 
+// Poses over what it plays: the drawn triangles must serve all of them.
+std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
+  constexpr int kForms = 8;
+  std::vector<prt::Mesh> forms;
+  if (!o.animation || !o.animation->layout.texels.empty()) return forms;
+  for (int i = 0; i < kForms; ++i)
+    forms.push_back(o.mesh_at(o.animation->longest_clip_s() * i / kForms));
+  return forms;
+}
+
 }  // namespace
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
@@ -84,7 +94,10 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   for (const prt::Plane& plane : scene.planes)
     stage->compositor_->add_plane(plane.point, plane.normal);
   for (const PreparedObject& o : scene.objects) {
-    const int handle = stage->compositor_->add_object(o.baked, appearance_of(o));
+    const std::vector<prt::Mesh> forms = forms_of(o);
+    compositor::Appearance appearance = appearance_of(o);
+    appearance.forms = forms;
+    const int handle = stage->compositor_->add_object(o.baked, appearance);
     stage->objects_.push_back({.prepared = &o,
                                .handle = handle,
                                .relit = std::vector<float>(3 * o.baked.transfer.stride)});

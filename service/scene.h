@@ -77,6 +77,7 @@ struct Animation {
   int bands = 5;            // of live transfer
 
   prt::CharacterPose pose_at(double seconds) const;
+  double longest_clip_s() const;
 };
 
 /// Transfer that is traced while its character moves.

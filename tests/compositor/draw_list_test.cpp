@@ -124,6 +124,30 @@ TEST(DrawList, CreasesAndBordersStay) {
   EXPECT_FALSE(DrawList(inside_out, kTolerance).closed()) << "its backs are what is seen";
 }
 
+// A flat sheet that bends: what is flat in one form is not in another.
+TEST(DrawList, EveryFormKeepsItsForm) {
+  constexpr int kSide = 24;
+  prt::Mesh flat;
+  for (int y = 0; y <= kSide; ++y)
+    for (int x = 0; x <= kSide; ++x)
+      flat.positions.push_back({2.f * x / kSide - 1, 0, 2.f * y / kSide - 1});
+  flat.normals.assign(flat.positions.size(), {0, 1, 0});
+  for (std::uint32_t y = 0; y < kSide; ++y)
+    for (std::uint32_t x = 0; x < kSide; ++x) {
+      const std::uint32_t a = y * (kSide + 1) + x, b = a + kSide + 1;
+      flat.triangles.insert(flat.triangles.end(), {{a, b, a + 1}, {a + 1, b, b + 1}});
+    }
+  prt::Mesh bent = flat;  // along a crease at x = 0
+  for (glm::vec3& p : bent.positions) p.y = .5f * std::max(0.f, p.x);
+  const auto colours = coloured(flat, [](const glm::vec3&) { return 1.f; });
+  DrawList alone(flat, kTolerance), both(flat, kTolerance, std::span(&bent, 1));
+  const auto naive = alone.select(colours);
+  EXPECT_GT(worst_of(bent, naive, colours).moved, .01f);
+  const auto chosen = both.select(colours);
+  EXPECT_LT(chosen.size(), flat.triangles.size() / 3);
+  EXPECT_LT(worst_of(bent, chosen, colours).moved, 2 * kTolerance);
+}
+
 TEST(DrawList, NoLightAtAllAndOneTriangle) {
   prt::Mesh one;
   one.positions = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
