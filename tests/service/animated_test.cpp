@@ -143,6 +143,68 @@ TEST(AnimatedGroundTruth, TwentyMomentsUnderEightEnvironments) {
   EXPECT_LT(std::sqrt(square / count), .035);
 }
 
+// The same clip baked for every picture, with more rays, and kept whole.
+PreparedScene baked_finely(const PreparedScene& scene) {
+  PreparedScene out = scene;
+  PreparedObject& o = out.objects[0];
+  auto fine = std::make_shared<Animation>(*o.animation);
+  prt::SequenceOptions options;
+  options.frames_per_second = 60;
+  options.bands = 5;
+  options.rays = options.ground_rays = 512;
+  options.ground_size = o.baked.receiver->grid.size;
+  options.ground_albedo = o.baked.receiver->albedo;
+  options.error = 1e-4;
+  const test::TempFolder folder;
+  const std::filesystem::path journals[] = {folder.path() / "journal"};
+  EXPECT_TRUE(prt::bake_frames(fine->character, fine->clip, options, {}, journals[0]));
+  auto sequence = prt::compress_frames(fine->character, fine->clip, options, journals);
+  EXPECT_TRUE(sequence);
+  fine->sequence = std::move(*sequence);
+  o.animation = fine;
+  return out;
+}
+
+// F = RMS[(a_t - a_t-1) - (r_t - r_t-1)] / mean r on body and floor, sixty pictures a second.
+TEST(AnimatedGroundTruth, AWalkDoesNotFlickerUnderAStandingLight) {
+  const auto prepared = prepare_quickly(walker_scene());
+  ASSERT_TRUE(prepared);
+  const PreparedScene truth = baked_finely(*prepared);
+  const prt::PinholeView view = view_of(160, 214);
+  for (const auto& map :
+       {capture::make_room_environment(512, 256), capture::make_sky_environment(512, 256, .8)}) {
+    const auto estimate = lighting::estimate_map(map, {});
+    ASSERT_TRUE(estimate);
+    const auto real = render_real({&*prepared, &map, view, 0}, .05, {});
+    ASSERT_TRUE(real);
+    double flicker = 0, mean = 0, count = 0;
+    Image<Rgb> before[2];
+    for (int f = 0; f < 14; ++f) {
+      const double t = .31 + f / 60.;
+      const auto ours = render_composite({&*prepared, &map, view, t}, *estimate, *real),
+                 should = render_composite({&truth, &map, view, t}, *estimate, *real);
+      const auto masks = make_masks(*prepared, view, t);
+      ASSERT_TRUE(ours && should && masks);
+      for (std::size_t i = 0; f > 0 && i < masks->floor.size(); ++i) {
+        if (!masks->floor[i] && !masks->object[i]) continue;
+        const auto change = [&](const Image<Rgb>& now, const Image<Rgb>& past) {
+          return double(luminance(now.pixels()[i])) - double(luminance(past.pixels()[i]));
+        };
+        const double error =
+            change(ours->radiance, before[0]) - change(should->radiance, before[1]);
+        flicker += error * error;
+        mean += luminance(should->radiance.pixels()[i]);
+        ++count;
+      }
+      before[0] = ours->radiance;
+      before[1] = should->radiance;
+    }
+    flicker = std::sqrt(flicker / count) / (mean / count);
+    std::printf("flicker %.3f %%\n", 100 * flicker);
+    EXPECT_LT(flicker, .005);
+  }
+}
+
 TEST(Animated, StaticLightDoesNotFlickerOnAThingThatRests) {
   Scene scene = walker_scene();
   auto prepared = prepare_quickly(scene, 64);
