@@ -13,7 +13,7 @@ namespace penumbra::compositor {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-using D = hn::ScalableTag<float>;
+using D = hn::CappedTag<float, 16>;  // rows have room for so many
 using DI = hn::RebindToSigned<D>;
 using DU = hn::RebindToUnsigned<D>;
 using DB = hn::Rebind<std::uint8_t, D>;

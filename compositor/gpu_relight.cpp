@@ -40,6 +40,12 @@ void fill(GLuint buffer, const void* data, std::size_t bytes, GLenum usage) {
   glBufferData(GL_SHADER_STORAGE_BUFFER, static_cast<GLsizeiptr>(bytes), data, usage);
 }
 
+// Of others: they are theirs to tell.
+void forget_errors() {
+  while (glGetError() != GL_NO_ERROR) {
+  }
+}
+
 }  // namespace
 
 Result<GpuRelight> GpuRelight::create(const prt::TransferSequence& sequence) {
@@ -52,8 +58,14 @@ Result<GpuRelight> GpuRelight::create(const prt::TransferSequence& sequence) {
                             largest >> 20));
   auto program = make_compute_program(kRelight);
   if (!program) return std::unexpected(program.error());
+  constexpr std::size_t kMostPoints = 65535 / 2 * kBlocksInGroup * prt::TransferSequence::kLanes;
+  if (sequence.points() > kMostPoints)
+    return fail(ErrorCode::kUnavailable, "GL", "a clip has more points than one dispatch takes");
+  forget_errors();
   GpuRelight out(sequence, std::move(*program));
   fill(out.values_.get(), sequence.values().data(), bytes, GL_STATIC_DRAW);
+  if (glGetError() != GL_NO_ERROR)
+    return fail(ErrorCode::kUnavailable, "GL", "a clip does not fit into the device's memory");
   return out;
 }
 
@@ -66,6 +78,7 @@ Result<void> GpuRelight::relight(double frame, const RadianceSh& light,
       todo_.push_back({part.first_term, part.first_term + part.term_count, i / 2, 0});
   todo_.resize((todo_.size() + kBlocksInGroup - 1) / kBlocksInGroup * kBlocksInGroup);
   if (plan_.terms.empty()) return std::ranges::fill(out, 0.f), Result<void>{};
+  forget_errors();
   const std::size_t sums = todo_.size() * prt::TransferSequence::kLanes;
   fill(terms_.get(), plan_.terms.data(), plan_.terms.size() * sizeof(prt::RelightPlan::Term),
        GL_STREAM_DRAW);

@@ -345,14 +345,21 @@ void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& t
 }
 
 // Before the materials' frames, which may differ across a seam. Points within others would pull it dark.
-void FrameBaker::equalise_seams(const BakeReport& report, Transfer& transfer) const {
+void FrameBaker::equalise_seams(const BakeReport& report, Transfer& transfer,
+                                Transfer& indirect) const {
   if (seams_.empty()) return;
   std::vector<char> hidden(layout_.points());
   for (std::size_t p = 0; p < hidden.size(); ++p)
     hidden[p] = report.quality[p].behind > kHiddenShare;
   std::vector<float> values = floats_of(transfer);
+  const std::vector<float> more = floats_of(indirect);
+  values.insert(values.end(), more.begin(), more.end());
   seams_.equalise(hidden, transfer.stride, values);
-  std::ranges::transform(values, transfer.values.begin(), half_from_float);
+  const std::span<const float> done(values);
+  std::ranges::transform(done.first(transfer.values.size()), transfer.values.begin(),
+                         half_from_float);
+  std::ranges::transform(done.subspan(transfer.values.size()), indirect.values.begin(),
+                         half_from_float);
 }
 
 namespace {
@@ -414,8 +421,8 @@ Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)
   // In one frame, where neighbours on different bones can be compared.
   if (options_.denoise && !layout_.texels.empty())
     denoise(baked->report, baked->mesh, baked->transfer);
+  equalise_seams(baked->report, baked->transfer, baked->indirect);
   for (Transfer* t : {&baked->transfer, &baked->indirect}) {
-    equalise_seams(baked->report, *t);
     to_materials(layout_, bones, *t);
     mark_hidden(baked->report, *t);
   }

@@ -51,7 +51,7 @@ class FrameBaker {
   void mark_hidden(const BakeReport& report, Transfer& transfer) const;
   void complete_in_time(std::size_t point, std::span<Transfer> frames) const;
   void denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const;
-  void equalise_seams(const BakeReport& report, Transfer& transfer) const;
+  void equalise_seams(const BakeReport& report, Transfer& transfer, Transfer& indirect) const;
 
   const Character& character_;
   int clip_;

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <bit>
+#include <chrono>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/gtx/quaternion.hpp>
@@ -27,7 +28,7 @@ constexpr int kReflectedBands = 6;    // as a baked clip's
 // After vertices went so far (RMS, radii) an estimate counts 1/e: the material's own transfer, and what the floor sees of
 // feet that step over it.
 constexpr double kMemory = .1, kGroundMemory = .02;
-constexpr float kMostVisits = 128;    // an estimate never counts more; 4096 rays
+constexpr float kMostVisits = RayPatterns::kVariants;  // then rays repeat: 1024 a point
 constexpr float kFirstGuess = 1e-3f;  // what a hidden point's counts until the point is seen
 
 }  // namespace
@@ -79,7 +80,7 @@ struct LiveBake::Impl {
   std::vector<std::uint16_t> bone;  // by vertex
   std::vector<float> open_ground;   // transfer of the receiver where nothing stands
 
-  Mesh mesh;  // at the pose
+  Mesh mesh, other;  // at the pose, and room for the next
   std::vector<glm::mat3> turns;
   std::vector<lighting::ShRotation> to_bake, to_material;  // by bone
   glm::vec3 centre{};
@@ -128,8 +129,15 @@ LiveBake::Impl::Impl(const Character& c, const LiveBakeOptions& o, RayScene s, c
 }
 
 void LiveBake::Impl::move_to(const CharacterPose& pose) {
-  const std::vector<glm::vec3> before = mesh.positions;
-  deform(character, pose, mesh);
+  deform(character, pose, other);
+  double square = 0;
+  for (std::size_t i = 0; i < vertices; ++i) {
+    const glm::vec3 way = other.positions[i] - mesh.positions[i];
+    square += double(glm::dot(way, way));
+  }
+  // One such pose would stay in every estimate for good.
+  if (!std::isfinite(square)) return to_bake.empty() ? move_to(rest_pose(character)) : void();
+  std::swap(mesh, other);
   turns = bone_turns(character, pose);
   to_bake.clear();
   to_material.clear();
@@ -140,11 +148,6 @@ void LiveBake::Impl::move_to(const CharacterPose& pose) {
   scene.set_form(mesh);
   centre = bounds_of(mesh).centre();
   radius = std::max(radius_around(mesh, centre), 1e-30f);
-  double square = 0;
-  for (std::size_t i = 0; i < vertices; ++i) {
-    const glm::vec3 way = mesh.positions[i] - before[i];
-    square += double(glm::dot(way, way));
-  }
   travelled += std::sqrt(square / static_cast<double>(vertices)) / double(radius);
 }
 
@@ -358,11 +361,18 @@ std::size_t LiveBake::points() const {
   return impl_->size();
 }
 
-void LiveBake::update(const CharacterPose& pose, std::size_t visits, BakedObject& out) {
+LiveBake::Cost LiveBake::update(const CharacterPose& pose, std::size_t visits, BakedObject& out) {
+  using Clock = std::chrono::steady_clock;
+  const auto seconds_since = [](Clock::time_point begin) {
+    return std::chrono::duration<double>(Clock::now() - begin).count();
+  };
+  const auto begin = Clock::now();
+  Cost cost;
   Impl& s = *impl_;
   s.move_to(pose);
   // In rounds, so that no point is visited by two threads and light goes on from one to the next.
   for (std::size_t left = visits; left > 0;) {
+    const auto round_begin = Clock::now();
     const std::size_t round = std::min(left, s.size());
     parallel_for(std::size_t{0}, round, kChunk, [&](const auto& range) {
       thread_local Impl::Found found;  // grows once per thread
@@ -374,18 +384,22 @@ void LiveBake::update(const CharacterPose& pose, std::size_t visits, BakedObject
     });
     s.next = (s.next + round) % s.size();
     left -= round;
-    s.refresh();
+    if (left > 0) s.refresh();
+    cost.rays_s += seconds_since(round_begin);
   }
-  if (visits == 0) s.refresh();
+  s.refresh();
   out.mesh = s.mesh;
   out.receiver = s.options.receiver;
   s.write(out);
+  cost.fixed_s = seconds_since(begin) - cost.rays_s;
+  return cost;
 }
 
 double LiveBake::rays_kept() const {
   double sum = 0;
   for (std::size_t p = 0; p < impl_->size(); ++p)
-    sum += double(impl_->counts[p]) * std::exp((impl_->visited_at[p] - impl_->travelled) / kMemory);
+    sum += double(impl_->counts[p]) *
+           std::exp((impl_->visited_at[p] - impl_->travelled) / impl_->memory(p));
   return kRays * sum / static_cast<double>(impl_->size());
 }
 

@@ -141,6 +141,7 @@ void Seams::equalise(std::span<const char> hidden, std::size_t stride,
   Matrix normal(count, count);
   normal.setFromTriplets(terms.begin(), terms.end());
   const Eigen::SimplicialLDLT<Matrix> solver(normal);  // positive definite by the stiffness
+  if (solver.info() != Eigen::Success) return;
   parallel_for(std::size_t{0}, maps.size() / stride, [&](std::size_t m) {
     const std::span<float> map = maps.subspan(m * stride, stride);
     Eigen::VectorXd wanted = Eigen::VectorXd::Zero(count);

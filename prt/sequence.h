@@ -56,7 +56,7 @@ class TransferSequence {
   /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo, as prt::relight.
   /// in: frame 0..frames(), between frames on a straight line, beyond the last to the first; light in the bake frame;
   ///     turns as bone_turns at that time
-  /// out: 3 * stride() floats. No allocation after the first call of a thread.
+  /// out: 3 * stride() floats. No allocation after the first call of a thread. Parallel inside: not from within a parallel loop.
   void relight(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
                std::span<float> out) const;
   /// The sums of relight(), not done. No allocation once `out` has its size.

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 
 #include "service/bake_cache.h"
 
@@ -16,7 +17,10 @@ constexpr float kEdgeShare =
     .03f;                        // of the radius: longest edge where transfer is kept at vertices
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
 constexpr int kMostRays = 512;
-// Of live transfer.
+constexpr double kNone =
+    std::numeric_limits<double>::quiet_NaN();  // no frame yet: every time is another
+// Of live transfer: every point costs time in every frame.
+constexpr float kLiveEdgeShare = .06f;
 constexpr int kLiveGroundSize = 32;
 constexpr std::size_t kFirstVisits = 16,
                       kVisits = 2;  // a point: before the first frame, and a frame
@@ -75,10 +79,10 @@ Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
 namespace {
 
 // Edges are measured where the vertices are kept, in units of the asset.
-void refine(prt::Character& character) {
+void refine(prt::Character& character, float edge_share) {
   prt::Mesh rest;
   rest.positions = character.positions;
-  prt::subdivide(character, kEdgeShare * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+  prt::subdivide(character, edge_share * prt::radius_around(rest, prt::bounds_of(rest).centre()));
 }
 
 }  // namespace
@@ -96,7 +100,7 @@ Result<StandingCharacter> standing_character(const std::string& asset, Rgb albed
   if (map_width > 0) {
     character = prt::for_light_map(std::move(character), map_width, map_height);
   } else {
-    refine(character);
+    refine(character, kEdgeShare);
   }
   return StandingCharacter{std::move(character), *clip};
 }
@@ -118,7 +122,7 @@ void start(std::shared_ptr<Animation> animation, PreparedObject& out) {
                                    animation->sequence.map_height);
   out.baked.receiver = animation->sequence.receiver;
   out.animation = std::move(animation);
-  out.frame = -1;  // none yet
+  out.frame = kNone;
   out.move_to(0, true);
 }
 
@@ -193,19 +197,19 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
                                     const BakeSettings& settings) {
   PENUMBRA_ASSIGN(character, load_character(o.asset, o.albedo));
   auto animation = std::make_shared<Animation>();
-  const auto clip_named = [&](const std::string& name) -> Result<int> {
+  const auto clip_named = [&](const std::string& key, const std::string& name) -> Result<int> {
     const auto clip = prt::find_clip(character, name);
-    if (!clip) return fail(clip.error().code, o.asset, clip.error().detail);
+    if (!clip) return fail(clip.error().code, o.name + ": " + key, clip.error().detail);
     return *clip;
   };
-  PENUMBRA_ASSIGN(clip, clip_named(o.animation));
+  PENUMBRA_ASSIGN(clip, clip_named("animation", o.animation));
   animation->clip = clip;
   if (!o.blend.empty()) {
-    PENUMBRA_ASSIGN(blend, clip_named(o.blend));
+    PENUMBRA_ASSIGN(blend, clip_named("blend", o.blend));
     animation->blend = blend;
     animation->blend_share = static_cast<float>(o.blend_share);
   }
-  refine(character);
+  refine(character, kLiveEdgeShare);
   animation->character = std::move(character);
   animation->live = true;
   animation->live_seconds = o.live_ms / 1e3;
@@ -219,7 +223,7 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   spdlog::info("{}: transfer of {} vertices is traced while it plays, {:g} ms a frame", o.name,
                animation->layout.points(), o.live_ms);
   out.animation = std::move(animation);
-  out.frame = -1;  // none yet
+  out.frame = kNone;
   PENUMBRA_TRY(out.begin_live());
   out.move_to(0, true);
   out.live = nullptr;
@@ -266,34 +270,35 @@ prt::Mesh PreparedObject::mesh_at(double seconds) const {
 Result<void> PreparedObject::begin_live() {
   if (!animation || !animation->live) return {};
   auto bake = prt::LiveBake::create(animation->character, {animation->bands, baked.receiver});
-  if (!bake) return std::unexpected(bake.error());
+  if (!bake) return fail(bake.error().code, name, bake.error().detail);
   live = std::make_shared<LiveTransfer>(LiveTransfer{std::move(*bake)});
-  frame = -1;  // it knows of none
+  frame = kNone;
   return {};
 }
 
 namespace {
 
-// As many as the time allows, by how long the last ones took; some at least, or nothing would ever change.
+// As many as the time allows after what every frame costs; some at least, or nothing would ever change.
 std::size_t visits_within(double seconds, const LiveTransfer& live) {
   const auto points = static_cast<double>(live.bake.points());
-  const double wanted = live.seconds_a_visit > 0 ? seconds / live.seconds_a_visit : .25 * points;
-  return static_cast<std::size_t>(std::clamp(wanted, .05 * points, kVisits * points));
+  const double wanted = live.seconds_a_visit > 0
+                            ? (seconds - live.fixed_seconds) / live.seconds_a_visit
+                            : .25 * points;
+  return static_cast<std::size_t>(std::clamp(wanted, std::max(1., .05 * points), kVisits * points));
 }
 
 void trace(const prt::CharacterPose& pose, double seconds, bool keep_time, LiveTransfer& live,
            prt::BakedObject& out) {
-  using Clock = std::chrono::steady_clock;
-  const auto begin = Clock::now();
   const std::size_t points = live.bake.points();
   const std::size_t visits = !live.begun ? kFirstVisits * points
                              : keep_time ? visits_within(seconds, live)
                                          : kVisits * points;
-  live.bake.update(pose, visits, out);
-  const double each =
-      std::chrono::duration<double>(Clock::now() - begin).count() / static_cast<double>(visits);
-  live.seconds_a_visit =
-      live.seconds_a_visit > 0 ? std::lerp(live.seconds_a_visit, each, .2) : each;
+  const prt::LiveBake::Cost cost = live.bake.update(pose, visits, out);
+  const auto running = [&](double mean, double now) {
+    return live.seconds_a_visit > 0 ? std::lerp(mean, now, .2) : now;
+  };
+  live.fixed_seconds = running(live.fixed_seconds, cost.fixed_s);
+  live.seconds_a_visit = running(live.seconds_a_visit, cost.rays_s / static_cast<double>(visits));
   live.begun = true;
 }
 

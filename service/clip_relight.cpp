@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 
 #include "service/pipeline.h"
@@ -51,7 +52,8 @@ void ComposeStage::choose_device(Object& o) {
     if (clip.points() == 0) continue;
     const auto on_gpu = compositor_->add_clip(clip);
     if (!on_gpu) {
-      spdlog::info("{}: relit on the CPU: {}", o.prepared->name, on_gpu.error().detail);
+      if (part == Part::kSurface)
+        spdlog::info("{}: relit on the CPU: {}", o.prepared->name, on_gpu.error().detail);
       continue;
     }
     const RadianceSh light = some_light(clip.bands());
@@ -66,18 +68,25 @@ void ComposeStage::choose_device(Object& o) {
       o.on_gpu[i] = *on_gpu;
     else
       compositor_->remove_clip(*on_gpu);
-    if (part == Part::kSurface)
+    if (part != Part::kSurface) continue;
+    if (works)
       spdlog::info("{}: relit on the {}: CPU {:.2f} ms, {} {:.2f} ms", o.prepared->name,
                    gpu ? "GPU" : "CPU", cpu_ms, compositor_->renderer(), gpu_ms);
+    else
+      spdlog::info("{}: relit on the CPU: {} failed", o.prepared->name, compositor_->renderer());
   }
 }
 
-void ComposeStage::relight_part(const Object& o, Part part, const RadianceSh& light,
+void ComposeStage::relight_part(Object& o, Part part, const RadianceSh& light,
                                 std::span<float> out) const {
   const PreparedObject& p = *o.prepared;
-  const std::optional<int>& clip = o.on_gpu[static_cast<std::size_t>(part)];
-  // A device that is lost says so when it is to draw.
-  if (clip && compositor_->relight(*clip, p.frame, light, p.turns_of(part), out)) return;
+  std::optional<int>& clip = o.on_gpu[static_cast<std::size_t>(part)];
+  if (clip) {
+    const auto done = compositor_->relight(*clip, p.frame, light, p.turns_of(part), out);
+    if (done) return;
+    spdlog::warn("{}: relit on the CPU from now on: {}", p.name, done.error().detail);
+    clip.reset();
+  }
   p.relight(part, light, out);
 }
 

@@ -285,6 +285,7 @@ std::vector<lighting::Completion> ComposeStage::complete(const capture::Frame& f
 }
 
 void ComposeStage::warm_up() {
+  move_to(0);  // live transfer begins with many rays
   const auto camera = std::ranges::find(views_, capture::Role::kView,
                                         [](const ViewCamera& v) { return v.info.role; });
   const calib::Projection& p = camera->info.projection;

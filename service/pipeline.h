@@ -124,7 +124,7 @@ class ComposeStage {
                              const std::vector<Pose>& poses) const;
   void relight(Object& object, const ObjectLight& light, std::size_t index) const;
   void choose_device(Object& object);
-  void relight_part(const Object& object, PreparedObject::Part part, const RadianceSh& light,
+  void relight_part(Object& object, PreparedObject::Part part, const RadianceSh& light,
                     std::span<float> out) const;
   void compose_shadow(Object& object, const ObjectLight& light) const;
   void share_shadows(const std::vector<Pose>& poses);

@@ -84,7 +84,8 @@ struct Animation {
 struct LiveTransfer {
   prt::LiveBake bake;
   bool begun = false;
-  double seconds_a_visit = 0;  // as measured; 0: not yet
+  // As measured: what a frame costs whatever is traced, and each visit; 0: not yet.
+  double fixed_seconds = 0, seconds_a_visit = 0;
 };
 
 /// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.

@@ -77,7 +77,7 @@ Result<void> read_blend(const TomlKeys& keys, SceneObject& o) {
     PENUMBRA_ASSIGN(blend, keys.text("blend"));
     if (blend.empty()) return keys.invalid("blend", "names no clip");
     if (!o.transfer.empty())
-      return keys.invalid("transfer", "is of one clip; a blend's is \"live\"");
+      return keys.invalid("transfer", "is of one clip; a blend has none but \"live\"");
     if (keys.has("light_map"))
       return keys.invalid("light_map", "is of a baked clip, not of a blend");
     o.blend = blend;
@@ -92,7 +92,7 @@ Result<void> read_blend(const TomlKeys& keys, SceneObject& o) {
   if (keys.has("live_ms")) {
     if (!o.live) return keys.invalid("live_ms", "is of live transfer");
     PENUMBRA_ASSIGN(ms, keys.number("live_ms"));
-    if (!(ms > 0 && ms <= 1000)) return keys.invalid("live_ms", "not within 0..1000");
+    if (!(ms > 0 && ms <= 1000)) return keys.invalid("live_ms", "not above 0, or above 1000");
     o.live_ms = ms;
   }
   return {};
@@ -127,9 +127,10 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   for (const std::string_view key : {"transfer", "light_map", "blend", "blend_share", "live_ms"})
     if (keys.has(key) && o.animation.empty()) return keys.invalid(key, "is of an animation");
   if (keys.has("transfer")) {
-    if (keys.has("light_map")) return keys.invalid("light_map", "is told by the transfer");
     PENUMBRA_ASSIGN(transfer, keys.text("transfer"));
     o.live = transfer == "live";
+    if (keys.has("light_map"))
+      return keys.invalid("light_map", o.live ? "is of a baked clip" : "is told by the transfer");
     if (!o.live) o.transfer = resolve(transfer, folder);
   }
   PENUMBRA_TRY(read_blend(keys, o));

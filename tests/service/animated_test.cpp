@@ -333,8 +333,8 @@ TEST(AnimatedGroundTruth, ABlendOfClipsIsLitByLiveTransfer) {
     const Figures f = compare_with_reference(*prepared, map, 2, .02);
     std::printf("object %.2f %%, bias %.2f %%, shadow %.4f\n", 100 * f.object, 100 * f.bias,
                 f.shadow);
-    EXPECT_LT(f.object, .06);
-    EXPECT_LT(std::abs(f.bias), .03);
+    EXPECT_LT(f.object, .08);  // vertices stand twice as far apart as in a bake
+    EXPECT_LT(std::abs(f.bias), .04);
     EXPECT_LT(f.shadow, .06);
   }
 }
@@ -350,9 +350,11 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
     ASSERT_TRUE(o.begin_live());
     for (int frame = 0; frame < 4; ++frame) EXPECT_TRUE(o.move_to(frame / 60., true));
     EXPECT_FALSE(o.move_to(3 / 60., true));  // there already
+    EXPECT_TRUE(o.move_to(-1, true));        // a time like any other
     if (run == 0) first = o.baked.transfer.values;
     EXPECT_EQ(o.baked.transfer.values, first);
   }
+  EXPECT_FALSE(prepared->objects[0].live);
   // A budget of next to nothing leaves next to nothing to trace: frames may not stop for it.
   auto hurried = std::make_shared<Animation>(*prepared->objects[0].animation);
   hurried->live_seconds = 1e-6;
