@@ -197,7 +197,9 @@ void Layers::fill_light_map(LightMap& map, std::span<const float> relit, std::si
 int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearance) {
   const prt::Mesh& mesh = baked.mesh;
   const prt::Bounds bounds = bounds_of(mesh);
-  const float tolerance = fine_ ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
+  const bool pictures = appearance.texture || !appearance.texels.empty();
+  const float tolerance =
+      fine_ || pictures ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
   Object o{.triangles = {mesh, tolerance, appearance.forms},
            .changes_form = !appearance.forms.empty(),
            .albedo = mesh.albedo,

@@ -11,6 +11,7 @@
 
 #include "core/parallel.h"
 #include "lighting/lighting.h"
+#include "prt/bake_rules.h"
 #include "prt/prt.h"
 #include "prt/ray_pattern.h"
 
@@ -22,7 +23,6 @@ constexpr int kLanes = RayScene::kPacket;
 static_assert(kLanes == lighting::kBasisLanes);
 constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
 constexpr std::size_t kChunk = 64;  // points a task takes at once
-constexpr float kNear = 1e-4f;      // in radii of the object: rays start clear of their own surface
 
 struct Point {
   glm::vec3 position, normal;
@@ -122,9 +122,6 @@ void Baker::add_receiver_points(const GroundGrid& grid) {
 }
 
 bool Baker::grey() const {
-  const auto is_grey = [](const Rgb& c) {
-    return std::abs(c.r - c.g) < 1e-3f && std::abs(c.g - c.b) < 1e-3f;
-  };
   return std::ranges::all_of(mesh_.albedo, is_grey) &&
          (!options_.receiver || is_grey(options_.receiver->albedo));
 }
@@ -168,12 +165,12 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   const Point& point = points_[index];
   const bool ground_point = is_ground_point(index);
   const bool plane_blocks = options_.receiver && !ground_point;
-  const glm::vec3 origin = point.position + kNear * point.normal;
+  const glm::vec3 origin = point.position + kRayNear * point.normal;
   const RayPatterns::Turn turn = RayPatterns::turn_of(index);
 
   // From the receiver the object fills a cone; rays elsewhere would be wasted.
   const float distance = glm::length(origin);
-  const bool cone = ground_point && distance > 1.15f;
+  const bool cone = ground_point && distance > kConeFrom;
   const float cos_half = cone ? std::sqrt(1 - 1 / (distance * distance)) : 0;
   const glm::mat3 frame = cone                                 ? frame_around(-origin / distance)
                           : index < options_.ray_frames.size() ? options_.ray_frames[index]
@@ -200,11 +197,11 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
     }
     std::uint32_t blocked = 0;
     if (options_.bounces > 0) {
-      scene.intersect(origin, kNear, packet);
+      scene.intersect(origin, kRayNear, packet);
       for (int i = 0; i < kLanes; ++i)
         if (packet.triangle[i] != RayScene::kMiss) blocked |= 1u << i;
     } else {
-      blocked = scene.occluded(origin, kNear, packet);
+      blocked = scene.occluded(origin, kRayNear, packet);
     }
     if (plane_blocks) blocked |= ground_mask(packet);
     if (blocked == 0) continue;

@@ -12,6 +12,7 @@
 #include "core/hash.h"
 #include "core/parallel.h"
 #include "lighting/lighting.h"
+#include "prt/bake_rules.h"
 #include "prt/ray_pattern.h"
 
 namespace penumbra::prt {
@@ -20,12 +21,8 @@ namespace {
 
 constexpr int kMostFrames = 4096;
 constexpr std::uint64_t kBakeVersion = 2;  // changes with what a bake computes
-// Reflected light is smooth, but where discs are split off their whole reflection comes from these bands: under a sharp sun
-// three leave 3.4 % of the light out, five 1.2 %, seven none (walker, rustig_koppie).
-constexpr int kReflectedBands = 6;
 constexpr float kOpenT0 = .28209479f;      // Y_0: of a point that sees all
 constexpr std::uint16_t kHidden = 0x7e00;  // a half that is no number
-constexpr float kHiddenShare = .25f;  // a point that sees more back faces lies within something
 
 void add_clip(Fnv1a& h, const Clip& clip) {
   const auto add_track = [&](const auto& track) {
@@ -62,8 +59,7 @@ std::uint64_t fingerprint(const Character& c, int clip) {
 }
 
 bool has_light_coordinates(const Character& c) {
-  const auto& uv = c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
-  return uv.size() == c.positions.size();
+  return light_coordinates_of(c).size() == c.positions.size();
 }
 
 Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const SequenceOptions& o) {
@@ -111,9 +107,7 @@ FrameBaker::FrameBaker(const Character& character, int clip, const SequenceOptio
       frames_(std::max(
           1, static_cast<int>(std::lround(character.clips[static_cast<std::size_t>(clip)].seconds *
                                           options.frames_per_second)))),
-      indirect_bands_(options.bounces == 0 ? 1
-                      : options.bands > 3  ? kReflectedBands
-                                           : options.bands) {
+      indirect_bands_(options.bounces == 0 ? 1 : reflected_bands(options.bands)) {
   if (options.ground_size) find_receiver();
   link_points();
 }
@@ -136,11 +130,8 @@ void FrameBaker::find_receiver() {
 }
 
 int FrameBaker::channels() const {
-  const auto grey = [](const Rgb& c) {
-    return std::abs(c.r - c.g) < 1e-3f && std::abs(c.g - c.b) < 1e-3f;
-  };
   const bool all_grey =
-      std::ranges::all_of(character_.albedo, grey) && (!receiver_ || grey(receiver_->albedo));
+      std::ranges::all_of(character_.albedo, is_grey) && (!receiver_ || is_grey(receiver_->albedo));
   return options_.bounces > 0 && !all_grey ? 3 : 1;
 }
 

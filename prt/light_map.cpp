@@ -52,10 +52,6 @@ Nearest nearest_point(const glm::vec2& p, const Corners& t) {
   return best;
 }
 
-const std::vector<glm::vec2>& light_coordinates_of(const Character& c) {
-  return c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
-}
-
 Corners corners_of(const Character& c, std::size_t triangle, int width, int height) {
   const glm::vec2 size(static_cast<float>(width), static_cast<float>(height));
   Corners out;

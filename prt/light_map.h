@@ -11,6 +11,11 @@ namespace penumbra::prt {
 
 struct Mesh;
 
+/// Of its vertices in a light map: its own for that, or else its texture coordinates.
+inline const std::vector<glm::vec2>& light_coordinates_of(const Character& c) {
+  return c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
+}
+
 /// What a character's texture coordinates are worth as those of a light map.
 struct TextureUse {
   double outside = 0;  // share of triangles that leave 0..1

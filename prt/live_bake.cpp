@@ -13,6 +13,7 @@
 
 #include "core/parallel.h"
 #include "lighting/lighting.h"
+#include "prt/bake_rules.h"
 #include "prt/prt.h"
 #include "prt/ray_pattern.h"
 
@@ -22,9 +23,6 @@ namespace {
 
 constexpr int kLanes = RayScene::kPacket;
 constexpr std::size_t kChunk = 32;  // points a task takes at once
-constexpr float kNear = 1e-4f;  // in radii of the character: rays start clear of their own surface
-constexpr float kHiddenShare = .25f;  // a point that sees more back faces lies within something
-constexpr int kReflectedBands = 6;    // as a baked clip's
 // After vertices went so far (RMS, radii) an estimate counts 1/e: the material's own transfer, and what the floor sees of
 // feet that step over it.
 constexpr double kMemory = .1, kGroundMemory = .02;
@@ -100,15 +98,12 @@ LiveBake::Impl::Impl(const Character& c, const LiveBakeOptions& o, RayScene s, c
     : character(c),
       options(o),
       scene(std::move(s)),
-      traced_bands(o.bands > 3 ? std::max(o.bands, kReflectedBands) : o.bands),
+      traced_bands(std::max(o.bands, reflected_bands(o.bands))),
       coefficients(static_cast<std::size_t>(coefficient_count(traced_bands))),
       vertices(c.positions.size()),
       bone(lay_out(c, 0, 0).bone),
       mesh(form) {
-  const auto grey = [](const Rgb& a) {
-    return std::abs(a.r - a.g) < 1e-3f && std::abs(a.g - a.b) < 1e-3f;
-  };
-  if (!std::ranges::all_of(c.albedo, grey) || (o.receiver && !grey(o.receiver->albedo)))
+  if (!std::ranges::all_of(c.albedo, is_grey) || (o.receiver && !is_grey(o.receiver->albedo)))
     channels = 3;
   if (o.receiver) texels = static_cast<std::size_t>(o.receiver->grid.size * o.receiver->grid.size);
   double up[kMaxCoefficients];
@@ -160,7 +155,7 @@ LiveBake::Impl::Aim LiveBake::Impl::aim(std::size_t p) const {
     const glm::mat3& of_bone = turns[bone[p]];
     const glm::vec3 at_rest = glm::normalize(character.normals[p]),
                     here = glm::normalize(glm::transpose(of_bone) * mesh.normals[p]);
-    return {mesh.positions[p] + kNear * radius * mesh.normals[p],
+    return {mesh.positions[p] + kRayNear * radius * mesh.normals[p],
             of_bone * glm::mat3_cast(glm::rotation(at_rest, here)) * frame_around(at_rest), 0,
             turn};
   }
@@ -169,9 +164,9 @@ LiveBake::Impl::Aim LiveBake::Impl::aim(std::size_t p) const {
   const auto side = static_cast<std::size_t>(grid.size);
   const glm::vec2 at = grid.position({(static_cast<float>(t % side) + .5f) / float(grid.size),
                                       (static_cast<float>(t / side) + .5f) / float(grid.size)});
-  const glm::vec3 origin(at.x, grid.height + kNear * radius, at.y);
+  const glm::vec3 origin(at.x, grid.height + kRayNear * radius, at.y);
   const float distance = glm::distance(origin, centre) / radius;
-  if (distance <= 1.15f) return {origin, frame_around(kUp), 0, turn};
+  if (distance <= kConeFrom) return {origin, frame_around(kUp), 0, turn};
   return {origin, frame_around(glm::normalize(centre - origin)),
           std::sqrt(1 - 1 / (distance * distance)), turn};
 }
@@ -232,7 +227,7 @@ void LiveBake::Impl::trace(std::size_t p, Found& found) const {
       patterns.cone_block(a.turn, block, a.frame, a.cos_half, packet);
     else
       patterns.cosine_block(a.turn, block, a.frame, packet);
-    scene.intersect(a.origin, kNear * radius, packet);
+    scene.intersect(a.origin, kRayNear * radius, packet);
     std::uint32_t blocked = 0;
     for (int i = 0; i < kLanes; ++i)
       if (packet.triangle[i] != RayScene::kMiss || (plane_blocks && packet.y[i] < 0))

@@ -33,7 +33,7 @@ struct Edge {
 class Map {
  public:
   Map(const Character& c, const SurfaceLayout& layout)
-      : coordinates_(c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates),
+      : coordinates_(light_coordinates_of(c)),
         width_(layout.width),
         height_(layout.height),
         at_(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_),

@@ -116,14 +116,30 @@ prt::SequenceOptions sequence_options(const BakeSettings& settings) {
 
 namespace {
 
+// What the governor predicts truncation from: the floor under the first pose, which few rays tell well enough.
+Result<void> add_shadow_probes(PreparedObject& o) {
+  if (!o.baked.receiver) return {};
+  prt::BakeOptions options;
+  options.bands = 1;
+  options.bounces = 1;
+  options.rays = 64;
+  options.ground_rays = 256;
+  options.receiver = o.baked.receiver;
+  auto baked = prt::bake(o.mesh_at(0), options);
+  if (!baked) return fail(baked.error().code, o.name, baked.error().detail);
+  o.baked.shadow_probes = std::move(baked->shadow_probes);
+  return {};
+}
+
 // Sets the object to the clip's begin.
-void start(std::shared_ptr<Animation> animation, PreparedObject& out) {
+Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
   animation->layout = prt::lay_out(animation->character, animation->sequence.map_width,
                                    animation->sequence.map_height);
   out.baked.receiver = animation->sequence.receiver;
   out.animation = std::move(animation);
   out.frame = kNone;
   out.move_to(0, true);
+  return add_shadow_probes(out);
 }
 
 // A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling is all.
@@ -169,7 +185,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
     receiver->grid.height *= k;
     if (!plane) receiver.reset();  // nothing there to take the shadow
   }
-  start(std::move(animation), out);
+  PENUMBRA_TRY(start(std::move(animation), out));
   return out;
 }
 
@@ -227,6 +243,7 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   PENUMBRA_TRY(out.begin_live());
   out.move_to(0, true);
   out.live = nullptr;
+  PENUMBRA_TRY(add_shadow_probes(out));
   return out;
 }
 
@@ -256,7 +273,7 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
       bake_or_recall(o.name, animation->character, animation->clip, options, settings.use_cache);
   if (!sequence) return std::unexpected(sequence.error());
   animation->sequence = std::move(*sequence);
-  start(std::move(animation), out);
+  PENUMBRA_TRY(start(std::move(animation), out));
   return out;
 }
 

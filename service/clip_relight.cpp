@@ -2,10 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
-#include <array>
-#include <chrono>
-
+#include "service/median_time.h"
 #include "service/pipeline.h"
 
 namespace penumbra::service {
@@ -13,20 +10,7 @@ namespace penumbra::service {
 namespace {
 
 using Part = PreparedObject::Part;
-
-// Median of a few, the first of which only warms up.
-double milliseconds_of(const auto& work) {
-  using Clock = std::chrono::steady_clock;
-  std::array<double, 5> times;
-  work();
-  for (double& t : times) {
-    const auto begin = Clock::now();
-    work();
-    t = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
-  }
-  std::ranges::nth_element(times, times.begin() + 2);
-  return times[2];
-}
+constexpr int kTimings = 5;
 
 // Every band lit, and a time between frames: what a moment costs at most.
 RadianceSh some_light(int bands) {
@@ -60,9 +44,10 @@ void ComposeStage::choose_device(Object& o) {
     const auto turns = o.prepared->turns_of(part);
     std::vector<float> out(3 * clip.stride());
     bool works = true;
-    const double cpu_ms = milliseconds_of([&] { clip.relight(.5, light, turns, out); });
-    const double gpu_ms = milliseconds_of(
-        [&] { works &= compositor_->relight(*on_gpu, .5, light, turns, out).has_value(); });
+    const double cpu_ms = median_ms(kTimings, [&] { clip.relight(.5, light, turns, out); });
+    const double gpu_ms = median_ms(kTimings, [&] {
+      works &= compositor_->relight(*on_gpu, .5, light, turns, out).has_value();
+    });
     const bool gpu = works && gpu_ms < cpu_ms;
     if (gpu)
       o.on_gpu[i] = *on_gpu;

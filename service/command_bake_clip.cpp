@@ -2,14 +2,13 @@
 #include <oneapi/tbb/global_control.h>
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <charconv>
-#include <chrono>
 #include <filesystem>
 
 #include "core/files.h"
 #include "service/animated.h"
 #include "service/commands.h"
+#include "service/median_time.h"
 #include "service/progress.h"
 #include "service/report.h"
 
@@ -61,25 +60,14 @@ Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
   return out;
 }
 
-// Median time of decoding and relighting the surface at a moment between two frames, on one core.
+// Of decoding and relighting the surface at a moment between two frames, on one core.
 double relight_ms(const prt::BakedSequence& s, const StandingCharacter& of) {
-  using Clock = std::chrono::steady_clock;
   const tbb::global_control one_core(tbb::global_control::max_allowed_parallelism, 1);
-  const prt::Clip& clip = of.character.clips[static_cast<std::size_t>(of.clip)];
   RadianceSh light(s.surface.bands());
   for (int n = 0; n < light.size(); ++n) light[n] = {1, 1, 1};
+  const auto turns = prt::bone_turns(of.character, prt::rest_pose(of.character));
   std::vector<float> out(3 * s.surface.stride());
-  std::vector<double> times;
-  for (int i = 0; i < 9; ++i) {
-    const double frame = s.surface.frames() * (.1 * i + .05);
-    const auto turns = prt::bone_turns(
-        of.character, prt::sample(of.character, clip, s.seconds * frame / s.surface.frames()));
-    const auto begin = Clock::now();
-    s.surface.relight(frame, light, turns, out);
-    times.push_back(std::chrono::duration<double, std::milli>(Clock::now() - begin).count());
-  }
-  std::ranges::nth_element(times, times.begin() + 4);
-  return times[4];
+  return median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
 }
 
 void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double relight_ms) {

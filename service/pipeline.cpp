@@ -36,17 +36,17 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
   look.tint = c.tint;
   look.light_width = layout.width;
   look.light_height = layout.height;
-  look.light_coordinates =
-      c.light_coordinates.empty() ? c.texture_coordinates : c.light_coordinates;
+  look.light_coordinates = prt::light_coordinates_of(c);
   look.texels = layout.texels;
   return look;
 }
 
-// Poses over what it plays: the drawn triangles must serve all of them.
+// Poses over what it plays: the drawn triangles must serve all of them. With pictures every triangle is drawn anyway.
 std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
   constexpr int kForms = 8;
   std::vector<prt::Mesh> forms;
-  if (!o.animation || !o.animation->layout.texels.empty()) return forms;
+  if (!o.animation || o.animation->character.texture || !o.animation->layout.texels.empty())
+    return forms;
   for (int i = 0; i < kForms; ++i)
     forms.push_back(o.mesh_at(o.animation->longest_clip_s() * i / kForms));
   return forms;

@@ -8,25 +8,12 @@
 #include <set>
 
 #include "prt/prt.h"
+#include "tests/support/characters.h"
 
 namespace penumbra::prt {
 namespace {
 
 constexpr Rgb kGrey{.5f, .5f, .5f};
-
-// A mesh as a character that one bone holds.
-Character character_of(const Mesh& mesh) {
-  Character c;
-  c.positions = mesh.positions;
-  c.normals = mesh.normals;
-  c.albedo = mesh.albedo;
-  c.triangles = mesh.triangles;
-  c.nodes.push_back({"root", -1, {}});
-  c.bones.push_back({0, glm::mat4(1)});
-  c.influences.assign(mesh.positions.size(), {{0}, {1}});
-  c.clips.push_back({"Rest", 0, {}, {}});
-  return c;
-}
 
 // Every texel that a bilinear lookup at a random surface point reads stands for the surface near it.
 void expect_lookups_are_covered(const Character& c, int width, int height) {
@@ -73,7 +60,7 @@ TEST(LightMap, EveryLookupTouchesBakedTexels) {
 }
 
 TEST(LightMap, AnAtlasServesWhatHasNoTextureCoordinates) {
-  const Character knot = character_of(make_knot(.5f, 60, 12, kGrey));
+  const Character knot = test::resting(make_knot(.5f, 60, 12, kGrey));
   EXPECT_FALSE(texture_use(knot, 128, 128).usable());
   const Character with = for_light_map(knot, 128, 128);
   EXPECT_TRUE(texture_use(with, 128, 128).usable());
@@ -112,7 +99,7 @@ TEST(LightMap, TrianglesWithoutAreaInTheTextureAreNotLost) {
 TEST(LightMap, ACoarseSphereDoesNotShadeItself) {
   // Smooth normals on flat triangles: points of the flats see their neighbours above their own horizon.
   const Mesh sphere = make_sphere({0, 0, 0}, 1, 1, kGrey);
-  const Character c = for_light_map(character_of(sphere), 96, 96);
+  const Character c = for_light_map(test::resting(sphere), 96, 96);
   const SurfaceLayout layout = lay_out(c, 96, 96);
   Mesh mesh;
   deform(c, rest_pose(c), mesh);

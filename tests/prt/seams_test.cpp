@@ -7,6 +7,7 @@
 
 #include "prt/frame_bake.h"
 #include "prt/prt.h"
+#include "tests/support/characters.h"
 
 namespace penumbra::prt {
 namespace {
@@ -15,16 +16,7 @@ constexpr Rgb kGrey{.5f, .5f, .5f};
 constexpr int kSide = 64;
 
 Character character_of(const Mesh& mesh) {
-  Character c;
-  c.positions = mesh.positions;
-  c.normals = mesh.normals;
-  c.albedo = mesh.albedo;
-  c.triangles = mesh.triangles;
-  c.nodes.push_back({"root", -1, {}});
-  c.bones.push_back({0, glm::mat4(1)});
-  c.influences.assign(mesh.positions.size(), {{0}, {1}});
-  c.clips.push_back({"Rest", 0, {}, {}});
-  return for_light_map(std::move(c), kSide, kSide);
+  return for_light_map(test::resting(mesh), kSide, kSide);
 }
 
 // A sphere whose atlas has many charts, and a map over it.

@@ -12,6 +12,7 @@
 #include "core/files.h"
 #include "prt/frame_bake.h"
 #include "prt/prt.h"
+#include "tests/support/characters.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::prt {
@@ -75,15 +76,7 @@ double relative_rms(std::span<const float> a, std::span<const float> b) {
 
 // A knot that turns about an axis askew.
 Character spinning_knot() {
-  const Mesh mesh = make_knot(.5f, 60, 12, kGrey);
-  Character c;
-  c.positions = mesh.positions;
-  c.normals = mesh.normals;
-  c.albedo = mesh.albedo;
-  c.triangles = mesh.triangles;
-  c.nodes.push_back({"root", -1, {}});
-  c.bones.push_back({0, glm::mat4(1)});
-  c.influences.assign(mesh.positions.size(), {{0}, {1}});
+  Character c = test::one_bone(make_knot(.5f, 60, 12, kGrey));
   Clip clip{"Spin", 1, {{0, {}, {}, {}}}, {}};
   const glm::vec3 axis = glm::normalize(glm::vec3(.3f, 1, -.2f));
   for (int k = 0; k <= 8; ++k)

@@ -368,6 +368,20 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
   EXPECT_GT(o.live->bake.rays_kept(), 0);
 }
 
+// Without probes the governor predicts nothing of what left-out bands would have done.
+TEST(Animated, TheGovernorKnowsACharactersShadow) {
+  Scene scene = walker_scene();
+  for (const bool live : {false, true}) {
+    scene.objects[0].live = live;
+    const auto prepared = prepare_quickly(scene, 64);
+    ASSERT_TRUE(prepared);
+    const prt::Transfer& probes = prepared->objects[0].baked.shadow_probes;
+    ASSERT_EQ(probes.points, std::size_t{prt::BakedObject::kShadowProbes}) << live;
+    ASSERT_EQ(probes.bands, kMaxBands);
+    for (std::size_t p = 0; p < probes.points; ++p) EXPECT_GT(probes.value(0, 0, p), 0);
+  }
+}
+
 TEST(Animated, WhatDoesNotMoveSaysSo) {
   Scene scene = walker_scene();
   scene.objects[0].asset = "builtin:knot";
