@@ -37,13 +37,25 @@ std::span<const glm::dvec2> spread_points(int count, std::array<glm::dvec2, kMos
   return std::span(points).first(end);
 }
 
-std::uint32_t reversed(std::uint32_t v) {
-  std::uint32_t out = 0;
-  for (int bit = 0; bit < 32; ++bit) out |= (v >> bit & 1u) << (31 - bit);
-  return out;
-}
-
 }  // namespace
+
+// A uniform disc's points scatter by half its radius along every axis.
+double least_radius(const lighting::Disc& disc) {
+  if (disc.shape.empty()) return disc.radius.value();
+  const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
+  const auto count = static_cast<double>(disc.shape.size());
+  glm::dvec2 mean(0);
+  glm::dmat2 square(0);
+  for (const glm::dvec3& d : disc.shape) {
+    const glm::dvec2 p(glm::dot(frame[0], d), glm::dot(frame[2], d));
+    mean += p / count;
+    square += glm::outerProduct(p, p) / count;
+  }
+  const glm::dmat2 spread = square - glm::outerProduct(mean, mean);
+  const double middle = (spread[0][0] + spread[1][1]) / 2,
+               apart = std::hypot((spread[0][0] - spread[1][1]) / 2, spread[0][1]);
+  return 2 * std::sqrt(std::max(0., middle - apart));
+}
 
 void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
   assert(taps >= 1 && taps <= kMostTaps && turns >= 1);
@@ -68,14 +80,10 @@ void TapPattern::spread_over_cap(const lighting::Disc& disc) {
 
 // One point of each group of neighbours: its middle for one turn, else another one in every turn.
 void TapPattern::spread_over_shape(const lighting::Disc& disc) {
-  const int points = static_cast<int>(disc.shape.size()), group = std::max(1, points / taps_);
+  const int points = static_cast<int>(disc.shape.size());
   for (int turn = 0; turn < turns_; ++turn)
     for (int k = 0; k < taps_; ++k) {
-      // Groups in bit-reversed order: the first few lie far apart.
-      const int first =
-          static_cast<int>(
-              reversed(static_cast<unsigned>(k)) * static_cast<unsigned long long>(points) >> 32) /
-          group * group;
+      const int first = k * points / taps_, group = std::max(1, (k + 1) * points / taps_ - first);
       glm::dvec3 sum(0);
       for (int i = 0; i < group; ++i)
         if (turns_ == 1 || i == (turn * 5 + k * 3) % group)

@@ -17,6 +17,9 @@ inline bool is_narrow(const lighting::Disc& disc) {
   return disc.shape.empty() && disc.radius.value() < kNarrow;
 }
 
+/// Of a round disc its radius; of another form that of a round one as narrow as it is across.
+double least_radius(const lighting::Disc& disc);
+
 /// Directions over a disc in `turns` copies, each turned about its axis by another angle. The first few of a copy
 /// are far apart. threads: thread-bound; memory grows once
 class TapPattern {

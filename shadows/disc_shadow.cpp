@@ -11,13 +11,29 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr std::size_t kScouts = 4;  // taps that decide whether a node needs the others
-constexpr int kCoarse = 8;          // cells between the first nodes
-constexpr float kSame = .03f;       // a cell whose corners differ by less is flat
+constexpr float kSame = .07f;       // a cell whose corners differ by less is flat
 constexpr float kSteep = .6f;       // an edge may hide in a cell whose corners differ by more
-constexpr float kStraight = .06f;   // midpoints this close to the bilinear value need no refinement
 constexpr double kLongest = 10;     // radii of the caster: longest shadow
 constexpr double kLeastSine =
     .02;  // of a tap's elevation: lower ones throw their shadow like this one
+
+// How closely a map is looked at. A tap is a step of 1/24 of a wide disc's shadow: who refined what is smaller would follow
+// every tap's own hard shadow, for nothing.
+struct Detail {
+  int coarse;      // cells between the first nodes
+  float straight;  // midpoints this close to the bilinear value need no refinement
+};
+
+Detail detail_for(const lighting::Disc& disc) {
+  constexpr double kBroad =
+      .15;  // radians: no penumbra of interest fits between nodes sixteen cells apart
+  if (is_narrow(disc)) return {8, .06f};
+  return {least_radius(disc) < kBroad ? 8 : 16, .1f};
+}
+
+int taps_for(const lighting::Disc& disc, int taps) {
+  return is_narrow(disc) ? taps : std::min(kMostTaps, taps + taps / 2);
+}
 
 // Bounds of the casters' shadow in the plane frame.
 struct Extent {
@@ -68,8 +84,13 @@ Extent shadow_extent(std::span<const Caster> casters, const Pose& plane_from_wor
 // refinement ends where it should.
 class Refiner {
  public:
-  Refiner(const Blockers& blockers, const TapPattern& taps, bool narrow, DiscShadow& out)
-      : blockers_(blockers), out_(out), width_(out.taken.width()), narrow_(narrow) {
+  Refiner(const Blockers& blockers, const TapPattern& taps, const lighting::Disc& disc,
+          DiscShadow& out)
+      : blockers_(blockers),
+        out_(out),
+        width_(out.taken.width()),
+        narrow_(is_narrow(disc)),
+        detail_(detail_for(disc)) {
     known_.assign(out.taken.area(), false);
     const glm::mat3 axes(out.world_from_map.rotation_matrix());
     frame_ = axes * out.cell_m;
@@ -110,6 +131,7 @@ class Refiner {
   DiscShadow& out_;
   int width_;
   bool narrow_;
+  Detail detail_;
   glm::mat3 frame_;
   glm::vec3 origin_;
   Scratch::Scope scope_;
@@ -190,7 +212,7 @@ bool Refiner::is_straight(const Cell& c, int step) const {
                 e = m.at(c.x + step, c.y + step);
     const auto [low, high] = std::minmax({a, b, d, e});
     if (high - low > kSteep) return false;
-    const auto near = [](float u, float v) { return std::abs(u - v) < kStraight; };
+    const auto near = [&](float u, float v) { return std::abs(u - v) < detail_.straight; };
     return near(m.at(c.x + h, c.y), (a + b) / 2) && near(m.at(c.x + h, c.y + step), (d + e) / 2) &&
            near(m.at(c.x, c.y + h), (a + d) / 2) && near(m.at(c.x + step, c.y + h), (b + e) / 2) &&
            near(m.at(c.x + h, c.y + h), (a + b + d + e) / 4);
@@ -215,16 +237,16 @@ void Refiner::fill(const Cell& c, int step) {
 }
 
 void Refiner::run() {
-  const int columns = (out_.taken.width() - 1) / kCoarse,
-            rows = (out_.taken.height() - 1) / kCoarse;
+  const int coarse = detail_.coarse;
+  const int columns = (out_.taken.width() - 1) / coarse, rows = (out_.taken.height() - 1) / coarse;
   for (int y = 0; y <= rows; ++y)
-    for (int x = 0; x <= columns; ++x) want(x * kCoarse, y * kCoarse);
+    for (int x = 0; x <= columns; ++x) want(x * coarse, y * coarse);
   trace_wanted();
   // A cell next to one that varies may hold an edge that missed its corners.
   std::pmr::vector<char> vary(static_cast<std::size_t>(columns * rows), false, scope_.memory());
   const auto at = [&](int x, int y) { return static_cast<std::size_t>(y * columns + x); };
   for (int y = 0; y < rows; ++y)
-    for (int x = 0; x < columns; ++x) vary[at(x, y)] = varies({x * kCoarse, y * kCoarse}, kCoarse);
+    for (int x = 0; x < columns; ++x) vary[at(x, y)] = varies({x * coarse, y * coarse}, coarse);
   std::pmr::vector<Cell> cells(scope_.memory()), next(scope_.memory());
   for (int y = 0; y < rows; ++y)
     for (int x = 0; x < columns; ++x) {
@@ -232,10 +254,10 @@ void Refiner::run() {
       for (int j = std::max(0, y - 1); j <= std::min(rows - 1, y + 1); ++j)
         for (int i = std::max(0, x - 1); i <= std::min(columns - 1, x + 1); ++i)
           near |= vary[at(i, j)] != 0;
-      const Cell c{x * kCoarse, y * kCoarse};
-      near ? cells.push_back(c) : fill(c, kCoarse);
+      const Cell c{x * coarse, y * coarse};
+      near ? cells.push_back(c) : fill(c, coarse);
     }
-  for (int step = kCoarse; step > 1; step /= 2, std::swap(cells, next)) {
+  for (int step = coarse; step > 1; step /= 2, std::swap(cells, next)) {
     const int h = step / 2;
     for (const Cell& c : cells)
       for (int k = 0; k < 9; ++k) want(c.x + k % 3 * h, c.y + k / 3 * h);
@@ -295,8 +317,9 @@ void trace_extent(const Blockers& blockers, const TapPattern& taps, const lighti
                   DiscShadow& out) {
   const glm::dvec2 size = e.high - e.low;
   const double cell = std::max(size.x, size.y) / (options.size - 4);
+  const int coarse = detail_for(disc).coarse;
   const auto nodes = [&](double length) {
-    return (static_cast<int>(std::ceil(length / cell + 4)) + kCoarse - 1) / kCoarse * kCoarse + 1;
+    return (static_cast<int>(std::ceil(length / cell + 4)) + coarse - 1) / coarse * coarse + 1;
   };
   out.cell_m = static_cast<float>(cell);
   out.world_from_map =
@@ -304,7 +327,7 @@ void trace_extent(const Blockers& blockers, const TapPattern& taps, const lighti
   out.taken.reset(nodes(size.x), nodes(size.y));
   if (blockers.real_things && !blockers.real_things->empty())
     out.missing.reset(out.taken.width(), out.taken.height());
-  Refiner(blockers, taps, is_narrow(disc), out).run();
+  Refiner(blockers, taps, disc, out).run();
   if (e.cut) fade_end(out.taken);
   clear_rim(out.taken);
 }
@@ -331,7 +354,7 @@ void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters
   clear(out);
   if (casters.empty()) return;
   thread_local TapPattern taps;  // grows once per thread
-  taps.make(disc, options.taps, 1);
+  taps.make(disc, taps_for(disc, options.taps), 1);
   const auto setting = set_up(plane, disc, taps);
   if (!setting) return;
   const Extent e = shadow_extent(casters, setting->world_from_plane.inverse(), setting->reach);
@@ -343,7 +366,7 @@ void trace_real_shadow(const Blockers& blockers, std::span<const Neighbourhood> 
                        const DiscShadowOptions& options, DiscShadow& out) {
   clear(out);
   thread_local TapPattern taps;  // grows once per thread
-  taps.make(disc, options.taps, 1);
+  taps.make(disc, taps_for(disc, options.taps), 1);
   const auto setting = set_up(plane, disc, taps);
   if (!setting || around.empty() || blockers.real_things->empty()) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
@@ -361,7 +384,7 @@ void trace_disc_shadows(const Blockers& blockers, std::span<const Caster> caster
                         const prt::Plane& plane, const lighting::Disc& disc,
                         const DiscShadowOptions& options, std::vector<DiscShadow>& out) {
   thread_local TapPattern taps;  // grows once per thread
-  taps.make(disc, options.taps, 1);
+  taps.make(disc, taps_for(disc, options.taps), 1);
   const auto setting = set_up(plane, disc, taps);
   const Scratch::Scope scope;
   std::pmr::vector<Extent> groups(scope.memory());
