@@ -294,9 +294,8 @@ struct StudioOptions {
   int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none
   int view_frames = 120;
   std::uint64_t seed = 1;
-  /// Distinct noise patterns of the static view camera, filmed before the first frame; 0 = each
-  /// frame new.
-  int view_clip = 0;
+  /// Distinct noise patterns of either camera (of every exposure), filmed before the first frame; 0: each frame new.
+  int clip = 0;
 };
 
 /// The world seen by an environment camera (lat-long, at (0, 1, 0)) and a view camera (pinhole).
@@ -313,13 +312,15 @@ class Studio : public FrameSource {
   const Image<Rgb>& view_radiance() const { return view_radiance_; }
 
  private:
+  std::shared_ptr<const FramePixels> film(int camera, const Exposure& exposure,
+                                          std::uint64_t seed) const;
   Frame environment_frame(std::uint64_t index);
   Frame view_frame(std::uint64_t index);
   StudioOptions options_;
   std::shared_ptr<const World> world_;
   std::vector<CameraInfo> cameras_;
   Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras
-  std::vector<std::shared_ptr<const FramePixels>> clip_;
+  std::vector<std::shared_ptr<const FramePixels>> environment_clip_, view_clip_;
   std::uint64_t next_environment_ = 0, next_view_ = 0;
 };
 

@@ -146,12 +146,20 @@ Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
     options_.view_exposure =
         Exposure{Seconds(.3 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
   }
-  for (int i = 0; i < options_.view_clip; ++i) {
-    FramePixels pixels;
-    expose(options_.sensor, view_radiance_, *options_.view_exposure,
-           options_.seed + 1000003 * static_cast<std::uint64_t>(i), pixels);
-    clip_.push_back(std::make_shared<const FramePixels>(std::move(pixels)));
+  for (int i = 0; i < options_.clip; ++i) {
+    const std::uint64_t seed = options_.seed + 1000003 * static_cast<std::uint64_t>(i);
+    view_clip_.push_back(film(kViewCamera, *options_.view_exposure, seed));
+    for (const Exposure& e : options_.schedule)
+      environment_clip_.push_back(film(kEnvironmentCamera, e, 7919 * seed));
   }
+}
+
+std::shared_ptr<const FramePixels> Studio::film(int camera, const Exposure& exposure,
+                                                std::uint64_t seed) const {
+  FramePixels pixels;
+  expose(options_.sensor, camera == kViewCamera ? view_radiance_ : environment_radiance_, exposure,
+         seed, pixels);
+  return std::make_shared<const FramePixels>(std::move(pixels));
 }
 
 Frame Studio::environment_frame(std::uint64_t index) {
@@ -164,10 +172,9 @@ Frame Studio::environment_frame(std::uint64_t index) {
   frame.time = TimestampNs{0} + Seconds(static_cast<double>(index) / options_.environment_fps);
   frame.exposure = options_.schedule[request % options_.schedule.size()];
   frame.world_from_camera = cameras_[kEnvironmentCamera].world_from_camera;
-  FramePixels pixels;
-  expose(options_.sensor, environment_radiance_, frame.exposure, options_.seed * 7919 + 2 * index,
-         pixels);
-  frame.pixels = std::make_shared<const FramePixels>(std::move(pixels));
+  frame.pixels = environment_clip_.empty()
+                     ? film(kEnvironmentCamera, frame.exposure, options_.seed * 7919 + 2 * index)
+                     : environment_clip_[request % environment_clip_.size()];
   return frame;
 }
 
@@ -179,14 +186,9 @@ Frame Studio::view_frame(std::uint64_t index) {
   frame.time = TimestampNs{0} + Seconds((static_cast<double>(index) + .5) / options_.view_fps);
   frame.exposure = *options_.view_exposure;
   frame.world_from_camera = cameras_[kViewCamera].world_from_camera;
-  if (!clip_.empty()) {
-    frame.pixels = clip_[index % clip_.size()];
-  } else {
-    FramePixels pixels;
-    expose(options_.sensor, view_radiance_, frame.exposure, options_.seed * 104729 + 2 * index + 1,
-           pixels);
-    frame.pixels = std::make_shared<const FramePixels>(std::move(pixels));
-  }
+  frame.pixels = view_clip_.empty()
+                     ? film(kViewCamera, frame.exposure, options_.seed * 104729 + 2 * index + 1)
+                     : view_clip_[index % view_clip_.size()];
   return frame;
 }
 

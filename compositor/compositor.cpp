@@ -248,6 +248,10 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
   return touched;
 }
 
+bool Compositor::has_window() const {
+  return impl_->context->has_window();
+}
+
 bool Compositor::present(const Image<Rgb8>& picture) {
   if (!impl_->context->has_window()) return true;
   impl_->context->make_current();

@@ -133,6 +133,7 @@ class Compositor {
   /// source: Debevec 1998 in the ratio form
   Result<Touched> composite(const View& view, FramePixels& frame);
 
+  bool has_window() const;
   /// Shows an 8-bit picture; nothing without a window. False when the user has closed the window.
   bool present(const Image<Rgb8>& picture);
 
@@ -149,8 +150,9 @@ class Compositor {
 /// errors: kUnwritable, kUnavailable (no encoder)
 class VideoWriter {
  public:
+  /// `live`: half the time for half as many bytes again
   static Result<VideoWriter> create(const std::filesystem::path& path, int width, int height,
-                                    double frames_per_second);
+                                    double frames_per_second, bool live = false);
   ~VideoWriter();
   VideoWriter(VideoWriter&&) noexcept;
   VideoWriter& operator=(VideoWriter&&) noexcept;

@@ -47,12 +47,12 @@ struct VideoWriter::Impl {
   }
 
   Error error(int code) const { return {ErrorCode::kUnwritable, target.string(), reason(code)}; }
-  Result<void> open(double fps);
-  Result<void> open_encoder(double fps);
+  Result<void> open(double fps, bool live);
+  Result<void> open_encoder(double fps, bool live);
   Result<void> drain();
 };
 
-Result<void> VideoWriter::Impl::open_encoder(double fps) {
+Result<void> VideoWriter::Impl::open_encoder(double fps, bool live) {
   const AVCodec* encoder = avcodec_find_encoder_by_name("libx264");
   if (!encoder)
     return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg has no H.264 encoder");
@@ -68,18 +68,18 @@ Result<void> VideoWriter::Impl::open_encoder(double fps) {
   codec->color_trc = AVCOL_TRC_IEC61966_2_1;
   codec->thread_count = 1;  // identical bytes on every machine
   if (container->oformat->flags & AVFMT_GLOBALHEADER) codec->flags |= AV_CODEC_FLAG_GLOBAL_HEADER;
-  av_opt_set(codec->priv_data, "preset", "superfast", 0);
+  av_opt_set(codec->priv_data, "preset", live ? "ultrafast" : "superfast", 0);
   av_opt_set(codec->priv_data, "crf", "20", 0);
   if (const int e = avcodec_open2(codec, encoder, nullptr); e < 0) return std::unexpected(error(e));
   return {};
 }
 
-Result<void> VideoWriter::Impl::open(double fps) {
+Result<void> VideoWriter::Impl::open(double fps, bool live) {
   if (const int e = avformat_alloc_output_context2(&container, nullptr, "mp4", temporary.c_str());
       e < 0)
     return std::unexpected(error(e));
   container->flags |= AVFMT_FLAG_BITEXACT;
-  PENUMBRA_TRY(open_encoder(fps));
+  PENUMBRA_TRY(open_encoder(fps, live));
   stream = avformat_new_stream(container, nullptr);
   stream->time_base = codec->time_base;
   avcodec_parameters_from_context(stream->codecpar, codec);
@@ -120,7 +120,7 @@ VideoWriter::VideoWriter(VideoWriter&&) noexcept = default;
 VideoWriter& VideoWriter::operator=(VideoWriter&&) noexcept = default;
 
 Result<VideoWriter> VideoWriter::create(const std::filesystem::path& path, int width, int height,
-                                        double frames_per_second) {
+                                        double frames_per_second, bool live) {
   if (width < 2 || height < 2 || !(frames_per_second > 0))
     return fail(ErrorCode::kInvalid, path.string(), "size and frame rate must be positive");
   av_log_set_level(AV_LOG_ERROR);
@@ -130,7 +130,7 @@ Result<VideoWriter> VideoWriter::create(const std::filesystem::path& path, int w
                                           std::to_string(::getpid()) + path.extension().string());
   impl->source_width = width;
   impl->source_height = height;
-  PENUMBRA_TRY(impl->open(frames_per_second));
+  PENUMBRA_TRY(impl->open(frames_per_second, live));
   return VideoWriter(std::move(impl));
 }
 

@@ -76,6 +76,11 @@ Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::Ca
   return ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
 }
 
+// False when the user has closed the window.
+bool show(Compositor& output, const FramePixels& pixels) {
+  return !output.has_window() || output.present(to_display(pixels));
+}
+
 // The recording's folder, where one is asked for: refused before the long work when it holds a capture.
 Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
   std::optional<OutputFolder> out;
@@ -105,7 +110,7 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
   request.fps = o.fps;
   request.frames = o.frames;
   // A live camera costs the machine nothing; its frames are filmed before the clock starts.
-  request.view_clip = o.live ? 16 : 0;
+  request.clip = o.live ? 16 : 0;
   auto setup = set_up_studio(request, progress_bar);
   if (!setup) return std::unexpected(setup.error());
   BakeSettings settings;
@@ -140,7 +145,7 @@ Result<void> demo(const DemoOptions& o) {
   if (!compose) return std::unexpected(compose.error());
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(output->begin());
-  auto writer = FrameWriter::create({output->work(), false, true, o.fps}, times);
+  auto writer = FrameWriter::create({output->work(), false, true, o.fps, o.live}, times);
   if (!writer) return std::unexpected(writer.error());
   std::optional<RecordingSource> recording;
   if (o.record) {
@@ -153,7 +158,7 @@ Result<void> demo(const DemoOptions& o) {
   const Sink sink = [&](const Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
-    if (stop || !(*compose)->output().present(to_display(*out.pixels))) return false;
+    if (stop || !show((*compose)->output(), *out.pixels)) return false;
     return (*writer)->write("", out.pixels, true);
   };
   capture::FrameSource& source =

@@ -116,7 +116,7 @@ Result<void> FrameWriter::handle(const Job& job) {
   const Image<Rgb8>& picture = bytes ? *bytes : converted;
   if (!video_) {
     auto video = compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(),
-                                                 picture.height(), options_.fps);
+                                                 picture.height(), options_.fps, options_.live);
     if (!video) return std::unexpected(video.error());
     video_ = std::move(*video);
   }

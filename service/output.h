@@ -49,6 +49,7 @@ class FrameWriter {
     std::filesystem::path folder;
     bool stills = true, video = true;
     double fps = 30;
+    bool live = false;  // the video may be larger, not slower
   };
   /// errors: kUnwritable
   static Result<std::unique_ptr<FrameWriter>> create(const Options& options, StageTimes& times);

@@ -57,7 +57,7 @@ Result<RigSource> open_rig(const RigConfig& c) {
                                 .height = c.height,
                                 .fps = c.fps,
                                 .frames = 1 << 30,
-                                .view_clip = 16};
+                                .clip = 16};
     PENUMBRA_ASSIGN(setup, set_up_studio(request, progress_bar));
     rig.scene = std::move(setup.scene);
     rig.source = std::make_unique<capture::Studio>(setup.world, setup.options);

@@ -67,7 +67,7 @@ Result<StudioSetup> set_up_studio(
       capture::look_at({.25, capture::FloorWorld::kCaptureHeight, 1.75}, {.02, .3, 0});
   o.view_fps = r.fps;
   o.view_frames = r.frames;
-  o.view_clip = r.view_clip;
+  o.clip = r.clip;
   o.sensor.response = calib::Response::srgb();
 
   RealGeometry floor;

@@ -23,7 +23,7 @@ struct StudioRequest {
   int width = 1280, height = 720;
   double fps = 30;
   int frames = 90;
-  int view_clip = 0;
+  int clip = 0;
 };
 
 /// Environment (the built-in room without one), cameras and the scene: an object (the knot, or the asset, half a metre

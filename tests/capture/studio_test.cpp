@@ -117,13 +117,21 @@ TEST(Studio, SameSeedGivesTheSameBytesAndAnotherOneDoesNot) {
 
 TEST(Studio, ClipRepeatsItsFilmedFramesOnly) {
   StudioOptions options = small_options();
-  options.view_clip = 4;
-  std::vector<std::shared_ptr<const FramePixels>> views;
-  for (const Frame& f : frames_of(options))
-    if (f.camera == 1) views.push_back(f.pixels);
+  options.clip = 2;
+  std::vector<Frame> views, environments;
+  for (const Frame& f : frames_of(options)) (f.camera == 1 ? views : environments).push_back(f);
   ASSERT_EQ(views.size(), 12U);
-  for (std::size_t i = 4; i < views.size(); ++i) EXPECT_EQ(*views[i], *views[i - 4]);
-  EXPECT_NE(*views[0], *views[1]);
+  for (std::size_t i = 2; i < views.size(); ++i) EXPECT_EQ(*views[i].pixels, *views[i - 2].pixels);
+  EXPECT_NE(*views[0].pixels, *views[1].pixels);
+  const std::size_t exposures = options.schedule.size(), period = 2 * exposures;
+  ASSERT_GT(environments.size(), period);
+  for (std::size_t i = exposures; i < environments.size(); ++i) {
+    const Frame& f = environments[i];
+    EXPECT_EQ(f.exposure.time, environments[i - exposures].exposure.time);
+    EXPECT_NE(*f.pixels, *environments[i - exposures].pixels) << "each exposure is filmed anew";
+    if (i < period) continue;
+    EXPECT_EQ(*f.pixels, *environments[i - period].pixels);
+  }
 }
 
 // ------------------------------------------------------------------------------------- sensor

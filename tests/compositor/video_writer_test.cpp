@@ -65,6 +65,16 @@ TEST_F(VideoWriterTest, TenFramesAppearAsAWholeFileOnFinish) {
   EXPECT_EQ(std::distance(fs::directory_iterator(folder_.path()), fs::directory_iterator()), 1);
 }
 
+TEST_F(VideoWriterTest, LiveVideoIsWholeToo) {
+  auto writer = VideoWriter::create(path(), 64, 48, 30, true);
+  if (!writer && writer.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no video encoder: " << writer.error().detail;
+  ASSERT_TRUE(writer) << writer.error().detail;
+  for (int i = 0; i < 10; ++i) ASSERT_TRUE(writer->write(picture(64, 48, i)));
+  ASSERT_TRUE(writer->finish());
+  EXPECT_EQ(samples_in(content(path())), 10U);
+}
+
 TEST_F(VideoWriterTest, SameFramesGiveTheSameBytes) {
   write_all(path());
   write_all(folder_.path() / "again.mp4");

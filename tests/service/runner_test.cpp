@@ -228,7 +228,7 @@ TEST(Live, StopsAtAnyMomentAndJoinsItsThreads) {
     capture::Studio studio(bench().world, [&] {
       capture::StudioOptions endless = bench().options;
       endless.view_frames = 1 << 30;
-      endless.view_clip = 2;
+      endless.clip = 2;
       return endless;
     }());
     std::atomic<bool> stop = false;
