@@ -33,9 +33,16 @@ struct RelightPlan {
   };
   struct Part {
     std::uint32_t first_term, term_count, first_point, point_count;
+    std::uint32_t wide_count;  // terms whose maps do not fit eight bits; they come first
   };
   std::vector<Term> terms;
   std::vector<Part> parts;  // no point in two
+};
+
+/// A mean square over a part's points of what a term adds to the brightest colour.
+struct TermEnergy {
+  float energy;
+  bool wide;  // its map does not fit eight bits
 };
 
 /// Transfer at points over the frames of a clip, compressed.
@@ -59,7 +66,8 @@ class TransferSequence {
   /// out: 3 * stride() floats. No allocation after the first call of a thread. Parallel inside: not from within a parallel loop.
   void relight(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
                std::span<float> out) const;
-  /// The sums of relight(), not done. No allocation once `out` has its size.
+  /// The sums of relight(), not done; terms that together are below kUnseen of the whole are left out. No allocation once
+  /// `out` has its size.
   void plan(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
             RelightPlan& out) const;
   /// Maps over a part's points, each padded to kLanes.
@@ -68,17 +76,25 @@ class TransferSequence {
   /// All coefficients at a time, in the bake frame. No allocation once `out` has its size.
   void decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const;
 
+  /// RMS over a part's points, relative to it: a fifth of what compression may cost, and half of the work.
+  static constexpr float kUnseen = .001f;
   /// Points that kernels take at once: what a map is padded to.
   static constexpr std::size_t kLanes = 32;
 
  private:
   friend class SequenceCodec;
-  // A map over the points of a group: one for each coefficient that is not zero everywhere.
-  struct Component {
-    std::vector<float> weight;          // by frame; the mean has none: 1
-    std::vector<std::uint32_t> offset;  // by coefficient, into values_; kNone: zero
+  // Over the points of a group.
+  struct Map {
+    std::uint32_t offset;   // into values_; kNone: zero everywhere
+    float mean_square = 0;  // of its values
+    bool wide = false;      // does not fit narrow_
+    bool none() const { return offset == kNone; }
   };
   static constexpr std::uint32_t kNone = 0xffffffffu;
+  struct Component {
+    std::vector<float> weight;  // by frame; the mean has none: 1
+    std::vector<Map> maps;      // by coefficient
+  };
   struct Group {
     int bone;
     int plane;                 // 0: green or grey, 1: red - green, 2: blue - green
@@ -86,6 +102,10 @@ class TransferSequence {
     std::vector<Component> components;
   };
   float weight_at(const Component& c, double frame) const;
+  void add_terms(const Group& group, double frame, const RadianceSh& seen, bool wide,
+                 std::vector<RelightPlan::Term>& terms, std::vector<TermEnergy>& energies) const;
+  /// Fills in what follows from values_.
+  void finish_maps();
 
   int bands_ = 0, channels_ = 1, frames_ = 0;
   std::size_t points_ = 0;
@@ -93,6 +113,8 @@ class TransferSequence {
   std::vector<std::uint32_t> order_;  // points by bone
   std::vector<Group> groups_;
   std::vector<std::int16_t> values_;  // padded to kernels' width a map
+  std::vector<std::int8_t>
+      narrow_;  // the same once more where a map fits: relighting waits for memory
 };
 
 /// Mean square of a coefficient of light in band l, beside that of band 0, over the eight measured environments of

@@ -219,6 +219,7 @@ class SequenceCodec::Encoder {
           group.components.push_back(component(part, k, step, out));
       out.groups_.push_back(std::move(group));
     }
+    out.finish_maps();
     return out;
   }
 
@@ -238,8 +239,8 @@ class SequenceCodec::Encoder {
         map[static_cast<std::size_t>(p)] = static_cast<std::int16_t>(v);
         any |= v != 0;
       }
-      c.offset.push_back(any ? static_cast<std::uint32_t>(out.values_.size())
-                             : TransferSequence::kNone);
+      c.maps.push_back(
+          {any ? static_cast<std::uint32_t>(out.values_.size()) : TransferSequence::kNone});
       if (any) out.values_.insert(out.values_.end(), map.begin(), map.end());
     }
     return c;
@@ -420,13 +421,13 @@ std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
     const TransferSequence::Group& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];
     for (std::size_t k = 0; k < g.components.size(); ++k)
-      for (std::size_t n = 0; n < g.components[k].offset.size(); ++n) {
-        const std::uint32_t offset = g.components[k].offset[n];
-        range.bit(zero_map, offset == TransferSequence::kNone);
-        if (offset == TransferSequence::kNone) continue;
+      for (std::size_t n = 0; n < g.components[k].maps.size(); ++n) {
+        const TransferSequence::Map& kept = g.components[k].maps[n];
+        range.bit(zero_map, kept.none());
+        if (kept.none()) continue;
         std::vector<std::int16_t> map(
-            s.values_.begin() + offset,
-            s.values_.begin() + offset + static_cast<std::ptrdiff_t>(g.count));
+            s.values_.begin() + kept.offset,
+            s.values_.begin() + kept.offset + static_cast<std::ptrdiff_t>(g.count));
         long with = 0, without = 0;
         coder.for_values(points, true, map.data(), [&](int v, int base, int) {
           with += std::abs(v - base);
@@ -506,12 +507,12 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
     for (std::size_t k = 0; k < g.components.size(); ++k)
       for (int n = 0; n < coefficient_count(s.bands_); ++n) {
         if (range.bit(zero_map)) {
-          g.components[k].offset.push_back(TransferSequence::kNone);
+          g.components[k].maps.push_back({TransferSequence::kNone});
           continue;
         }
         const bool predict = range.bit(predicted);
         const std::size_t offset = s.values_.size();
-        g.components[k].offset.push_back(static_cast<std::uint32_t>(offset));
+        g.components[k].maps.push_back({static_cast<std::uint32_t>(offset)});
         s.values_.resize(offset + padded(g.count));
         coder.for_values(points, predict, s.values_.data() + offset,
                          [&](int, int base, int activity) {
@@ -520,6 +521,7 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
                          });
       }
   }
+  s.finish_maps();
   return s;
 }
 
