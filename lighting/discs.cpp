@@ -80,13 +80,26 @@ class Peeler {
   Peeler(const DiscOptions& options, std::span<const std::uint32_t> clipped, DiscSplit& split)
       : options_(options), clipped_(clipped), map_(split.rest), discs_(split.discs), split_(split) {
     weight_.reserve(static_cast<std::size_t>(map_.height()));
-    for (int y = 0; y < map_.height(); ++y)
-      weight_.push_back(latlong_solid_angle(y, map_.width(), map_.height()));
+    const int width = map_.width(), height = map_.height();
+    for (int y = 0; y < height; ++y) {
+      weight_.push_back(latlong_solid_angle(y, width, height));
+      const glm::dvec3 d = latlong_direction(.5, y + .5, width, height);
+      row_.emplace_back(std::hypot(d.x, d.z), d.y);
+    }
+    for (int x = 0; x < width; ++x) {
+      const glm::dvec3 d = latlong_direction(x + .5, .5 * height, width, height);
+      column_.emplace_back(d.x, d.z);
+    }
   }
 
   Result<void> run();
 
  private:
+  glm::dvec3 direction(int x, int y) const {
+    const auto [across, up] = row_[static_cast<std::size_t>(y)];
+    const glm::dvec2& around = column_[static_cast<std::size_t>(x)];
+    return {across * around.x, up, across * around.y};
+  }
   Result<double> measure();
   double mean_below(double level) const;
   Vector<Region> regions_above(float level) const;
@@ -109,7 +122,9 @@ class Peeler {
   Image<Rgb>& map_;
   std::vector<Disc>& discs_;
   DiscSplit& split_;
-  Vector<double> weight_{memory_};  // solid angle of a pixel, by row
+  Vector<double> weight_{memory_};                  // solid angle of a pixel, by row
+  Vector<std::pair<double, double>> row_{memory_};  // of a direction: across and up, by row
+  Vector<glm::dvec2> column_{memory_};              // its x and z where across is 1, by column
   Vector<float> row_peak_{memory_};
   Vector<Candidate> candidates_{memory_};
   double least_flux_ = 0;
@@ -257,8 +272,7 @@ void Peeler::cut(const Region& region, float level, bool clipped) {
       Rgb& c = map_.at(x, r.y);
       const float l = luminance(c);
       if (!(l > level)) continue;
-      above.push_back({x, r.y, c * (1 - level / l),
-                       latlong_direction(x + .5, r.y + .5, map_.width(), map_.height())});
+      above.push_back({x, r.y, c * (1 - level / l), direction(x, r.y)});
       c = c * (level / l);
     }
   add_candidate(std::move(above), clipped);
