@@ -40,6 +40,11 @@ struct NoisyRow {
 void add_with_noise(const NoisyRow& row, float shot_gain, float read_variance, std::size_t count,
                     float* out);
 
+/// Of six planes, `stride` apart: 0 where all are 0. Returns the pixels [first, last) outside which all are; empty where
+/// nothing is touched. Up to kLookLanes - 1 floats past the width are read, whatever they are, and written.
+std::pair<std::size_t, std::size_t> mark_touched(const float* planes, std::size_t stride,
+                                                 std::size_t width, std::uint32_t* touched);
+
 /// Keys of the noise of a row; those of different frames, rows and channels have nothing in common.
 std::array<std::uint32_t, 2> noise_key(std::uint64_t frame, int y, int channel);
 

@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <numbers>
 
@@ -80,6 +83,27 @@ HWY_ATTR void AddWithNoise(const NoisyRow& row, const float* normal, float shot_
   }
 }
 
+HWY_ATTR void MarkTouched(const float* planes, std::size_t stride, std::size_t width,
+                          std::uint32_t* touched, std::size_t* first, std::size_t* last) {
+  const D d;
+  const DU du;
+  *first = width, *last = 0;
+  for (std::size_t i = 0; i < width; i += hn::Lanes(d)) {
+    auto any = hn::Zero(du);
+    for (std::size_t p = 0; p < 6; ++p)
+      any = hn::Or(any, hn::BitCast(du, hn::LoadU(d, planes + p * stride + i)));
+    any = hn::ShiftLeft<1>(any);  // a zero's sign is no light
+    hn::StoreU(any, du, touched + i);
+    const auto marked = hn::Ne(any, hn::Zero(du));
+    if (hn::AllFalse(du, marked)) continue;
+    std::uint8_t bits[8] = {};
+    hn::StoreMaskBits(du, marked, bits);
+    const std::uint32_t lanes = bits[0] | static_cast<std::uint32_t>(bits[1]) << 8;
+    if (*first == width) *first = i + static_cast<std::size_t>(std::countr_zero(lanes));
+    *last = i + static_cast<std::size_t>(std::bit_width(lanes));
+  }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace penumbra::compositor
 HWY_AFTER_NAMESPACE();
@@ -88,6 +112,7 @@ HWY_AFTER_NAMESPACE();
 namespace penumbra::compositor {
 HWY_EXPORT(WeightedSum);
 HWY_EXPORT(AddWithNoise);
+HWY_EXPORT(MarkTouched);
 
 namespace {
 
@@ -128,6 +153,14 @@ void add_with_noise(const NoisyRow& row, float shot_gain, float read_variance, s
                     float* out) {
   HWY_DYNAMIC_DISPATCH(AddWithNoise)
   (row, normal_quantiles(), shot_gain, read_variance, count, out);
+}
+
+std::pair<std::size_t, std::size_t> mark_touched(const float* planes, std::size_t stride,
+                                                 std::size_t width, std::uint32_t* touched) {
+  std::size_t first = 0, last = 0;
+  HWY_DYNAMIC_DISPATCH(MarkTouched)(planes, stride, width, touched, &first, &last);
+  last = std::min(last, width);
+  return {std::min(first, last), last};
 }
 }  // namespace penumbra::compositor
 #endif

@@ -1,7 +1,6 @@
 // The pass over the touched pixels with the camera's look.
 
 #include <atomic>
-#include <bit>
 
 #include "compositor/camera_look.h"
 #include "compositor/code_row.h"
@@ -56,12 +55,13 @@ Loaded load_planes(const Layered& in, int y, std::size_t stride, LookBuffers& ro
   RowBuffers& layers = rows.layers;
   const Loaded loaded{has_row(in.objects, y), load_shadows(in, y, layers)};
   if (!loaded.objects && !loaded.shadows) return loaded;
-  std::ranges::fill(rows.planes, 0.f);
+  std::fill_n(rows.planes.begin(), 3 * stride, 0.f);
   const auto width = static_cast<std::size_t>(in.area.width());
   const float* const ratio[3] = {layers.r.data(), layers.g.data(), layers.b.data()};
   for (std::size_t c = 0; c < 3; ++c) {
     float* const taken = &rows.planes[(3 + c) * stride];
     for (std::size_t i = 0; i < width; ++i) taken[i] = 1 - ratio[c][i];
+    std::fill(taken + width, taken + stride, 0.f);
   }
   if (!loaded.objects) return loaded;
   load_objects(in, y, layers.object);
@@ -85,22 +85,6 @@ bool load_blurred(const LookPlanes& planes, int y, std::size_t stride, LookBuffe
   if (!objects.empty())
     planes.added.load_row(y, &rows.planes[static_cast<std::size_t>(objects.x0 - area.x0)], stride);
   return planes.taken.load_row(y, &rows.planes[3 * stride], stride);  // takes wherever it adds
-}
-
-// Marks the pixels where any plane is not 0; returns [first, last), empty without any.
-std::pair<std::size_t, std::size_t> mark_touched(std::size_t width, std::size_t stride,
-                                                 LookBuffers& rows) {
-  std::uint32_t* const touched = rows.touched.data();
-  std::fill_n(touched, width, 0u);
-  for (std::size_t p = 0; p < 6; ++p) {
-    const float* const plane = &rows.planes[p * stride];
-    for (std::size_t i = 0; i < width; ++i)
-      touched[i] |= std::bit_cast<std::uint32_t>(plane[i]) << 1;
-  }
-  std::size_t first = 0, last = width;
-  while (first < last && !touched[first]) ++first;
-  while (last > first && !touched[last - 1]) --last;
-  return {first, last};
 }
 
 template <class Codec, class Pixel>
@@ -135,7 +119,8 @@ void encode_row(const Coded<std::uint8_t>& codec, const SignalRows& in,
 template <class Pixel, class Codec, class Code>
 std::size_t look_row(const Codec& codec, const Roundings<Code>& roundings, const CameraLook& look,
                      Pixel* row, int y, const Rect& area, std::size_t stride, LookBuffers& rows) {
-  const auto [first, last] = mark_touched(static_cast<std::size_t>(area.width()), stride, rows);
+  const auto [first, last] = mark_touched(
+      rows.planes.data(), stride, static_cast<std::size_t>(area.width()), rows.touched.data());
   if (first == last) return 0;
   const std::size_t from = first / kLookLanes * kLookLanes,
                     count = (last - from + kLookLanes - 1) / kLookLanes * kLookLanes;

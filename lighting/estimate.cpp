@@ -90,6 +90,10 @@ void LightEstimator::govern(const Governance& governance) {
   governor_.emplace(governance_->limits, governance_->costs);
 }
 
+void LightEstimator::allow_discs(int most) {
+  if (governor_) governor_->allow_discs(most);
+}
+
 Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {
   const ErrorTable errors({&rest.above, split_.discs}, governance_->probes,
                           governance_->limits.most_bands, governance_->limits.most_discs);

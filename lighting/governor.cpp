@@ -79,13 +79,16 @@ ErrorTable::ErrorTable(const SplitLight& light, const ShadowProbes& probes, int 
 }
 
 Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
+  return cheapest(errors, budget, most_discs());
+}
+
+Plan Governor::cheapest(const ErrorTable& errors, double budget, int discs_allowed) const {
   Plan best, most_accurate;
   bool found = false;
   double least_error = HUGE_VAL;
-  for (int discs = 0; discs <= std::min(errors.most_discs(), limits_.most_discs); ++discs)
+  for (int discs = 0; discs <= std::min(errors.most_discs(), discs_allowed); ++discs)
     for (int bands = 1; bands <= std::min(errors.most_bands(), limits_.most_bands); ++bands) {
-      Plan plan{bands, discs, factor_ * errors.error(bands, discs), costs_.ms(bands, discs),
-                true};
+      Plan plan{bands, discs, factor_ * errors.error(bands, discs), costs_.ms(bands, discs), true};
       if (plan.error < least_error) least_error = plan.error, most_accurate = plan;
       if (plan.error > budget || (found && plan.ms >= best.ms)) continue;
       best = plan;
@@ -104,8 +107,15 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
 }
 
 Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
+  Plan plan = choose(errors, now);
+  plan.short_of_time = !plan.within_budget && most_discs() < limits_.most_discs &&
+                       cheapest(errors, limits_.budget, limits_.most_discs).discs > plan.discs;
+  return plan;
+}
+
+Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
   const Plan needed = cheapest(errors, limits_.budget);
-  if (!current_) return *(current_ = needed);
+  if (!current_ || current_->discs > most_discs()) return *(current_ = needed);
   const double present =
       factor_ * errors.error(current_->bands, std::min(current_->discs, errors.most_discs()));
   const bool too_little = present > limits_.budget && needed.error < present;

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -330,7 +331,8 @@ struct Plan {
   int bands = 5, discs = 0;
   double error = 0;  // predicted, with the factor that holds in 95 % of scenes
   double ms = 0;
-  bool within_budget = true;  // false: the most accurate there is
+  bool within_budget = true;   // false: the most accurate there is
+  bool short_of_time = false;  // another disc would be needed, and there is no time for it
 };
 
 /// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
@@ -356,9 +358,16 @@ class Governor {
   /// What this light needs by itself.
   Plan cheapest(const ErrorTable& errors, double budget) const;
   Plan update(const ErrorTable& errors, TimestampNs now);
+  /// From the next update on, at once: discs for which there is time, whatever the limits say.
+  void allow_discs(int most) { affordable_discs_ = most; }
 
  private:
+  int most_discs() const { return std::min(limits_.most_discs, affordable_discs_); }
+  Plan cheapest(const ErrorTable& errors, double budget, int most_discs) const;
+  Plan choose(const ErrorTable& errors, TimestampNs now);
+
   Limits limits_;
+  int affordable_discs_ = std::numeric_limits<int>::max();
   CostModel costs_;
   double factor_;
   std::optional<Plan> current_;
@@ -459,6 +468,8 @@ class LightEstimator {
   LightEstimator& operator=(LightEstimator&&) noexcept;
   /// From now on bands and discs are the governor's choice within the options'; estimates carry the plan.
   void govern(const Governance& governance);
+  /// As Governor::allow_discs; nothing without governance.
+  void allow_discs(int most);
   /// in: radiance 0 where the confidence is 0
   Result<LightEstimate> estimate(const Environment& environment);
   /// From the next map on, as long as the disc is tracked and clipped.

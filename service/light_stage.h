@@ -30,6 +30,7 @@ class LightStage {
   /// Different exposures that the light comes from.
   std::size_t exposures() const;
   void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
+  void allow_discs(int most) { estimator_.allow_discs(most); }
   /// The time of the light is that of its stalest camera.
   /// errors: as HdrRing::add and capture::sights_of (kUndetermined is an ordinary state: all black or all clipped, a ball
   /// out of the picture)

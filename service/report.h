@@ -37,8 +37,10 @@ inline nlohmann::json to_json(const lighting::Plan& p) {
           {"predicted_error", p.error},
           {"predicted_ms", p.ms},
           {"within_budget", p.within_budget},
+          {"short_of_time", p.short_of_time},
           {"why", p.within_budget ? "the cheapest whose predicted shadow error keeps to the budget"
-                                  : "the most accurate there is; none keeps to the budget"}};
+                  : p.short_of_time ? "the most accurate that a frame's time allows"
+                                    : "the most accurate there is; none keeps to the budget"}};
 }
 
 /// The whole light in harmonics, and beside it the split for who lights by discs: `rest` plus `discs` is all.

@@ -2,13 +2,16 @@
 
 #include <spdlog/spdlog.h>
 
+#include <atomic>
 #include <chrono>
+#include <limits>
 #include <mutex>
 #include <thread>
 #include <utility>
 #include <vector>
 
 #include "service/frame_mailbox.h"
+#include "service/pace.h"
 
 namespace penumbra::service {
 
@@ -44,6 +47,14 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
 
 bool is_view(const capture::FrameSource& source, const capture::Frame& frame) {
   return source.cameras()[static_cast<std::size_t>(frame.camera)].role == capture::Role::kView;
+}
+
+// Between view frames, of all cameras together; 0: unknown.
+double period_ms(const capture::FrameSource& source) {
+  const auto views =
+      std::ranges::count(source.cameras(), capture::Role::kView, &capture::CameraInfo::role);
+  const double rate = source.view_rate() * static_cast<double>(views);
+  return rate > 0 ? 1e3 / rate : 0;
 }
 
 Result<void> never_any_light(const RunCounts& counts, const std::optional<Error>& last) {
@@ -142,6 +153,7 @@ struct Live {
   Latest<capture::Frame> view;
   Latest<lighting::LightEstimate> light;
   Latest<std::vector<lighting::Completion>> completions;
+  std::atomic<int> affordable_discs = std::numeric_limits<int>::max();
   std::mutex mutex;
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
@@ -222,6 +234,7 @@ void measure(Live& live, LightStage& light) noexcept {
         continue;
       }
       if (const auto completions = live.completions.take()) light.complete(*completions);
+      light.allow_discs(live.affordable_discs);
       auto estimate = light.process(*frame);
       if (estimate) {
         held.reset();
@@ -259,6 +272,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
     };
     const std::unique_ptr<Live, decltype(let_go)> release(&live, let_go);
     lighting::LightEstimate estimate;
+    Pace pace(period_ms(source));
     bool go_on = true;
     while (go_on && !stop) {
       auto frame = live.view.wait(Seconds(.5));
@@ -266,11 +280,14 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
         if (live.view.closed()) break;
         continue;
       }
+      const auto began = Clock::now();
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (auto completions = compose.complete(*frame, estimate); !completions.empty())
         live.completions.put(std::move(completions));
       composed = compose_one(*frame, estimate, compose, sink, counts, go_on);
       if (!composed) break;
+      pace.add(1e3 * since(began), static_cast<int>(estimate.discs.size()));
+      live.affordable_discs = pace.most_discs();
     }
   }
   counts.seconds = since(start);

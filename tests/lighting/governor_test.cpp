@@ -220,6 +220,32 @@ TEST(Governor, NothingThatSufficesIsSaidSoWithTheMostAccurate) {
       EXPECT_LE(plan.error, Governor::kCalibrated * table.error(bands, discs));
 }
 
+TEST(Governor, DiscsThatThereIsNoTimeForGoAtOnceAndComeBackAtOnce) {
+  const ErrorTable table = sunny().table(some_probes());
+  Governor governor(limits(.1), kBandsCost);
+  ASSERT_EQ(governor.update(table, {}).discs, 1);
+  governor.allow_discs(0);
+  const Plan hurried = governor.update(table, TimestampNs{1'000'000});
+  EXPECT_EQ(hurried.discs, 0);
+  EXPECT_FALSE(hurried.within_budget);
+  EXPECT_TRUE(hurried.short_of_time);
+  EXPECT_DOUBLE_EQ(hurried.error, Governor::kCalibrated * table.error(hurried.bands, 0));
+  for (int bands = 1; bands <= 9; ++bands)
+    EXPECT_LE(hurried.error, Governor::kCalibrated * table.error(bands, 0)) << "the most accurate";
+  governor.allow_discs(1);
+  const Plan again = governor.update(table, TimestampNs{2'000'000});
+  EXPECT_EQ(again.discs, 1);
+  EXPECT_FALSE(again.short_of_time);
+}
+
+TEST(Governor, TimeIsNoReasonWhereNoDiscWouldHelp) {
+  Governor governor(limits(), kBandsCost);
+  governor.allow_discs(0);
+  const Plan plan = governor.update(uniform().table(some_probes()), {});
+  EXPECT_TRUE(plan.within_budget);
+  EXPECT_FALSE(plan.short_of_time);
+}
+
 TEST(Governor, NeverLeavesItsLimitsNorTheTables) {
   const ShadowProbes probes = some_probes();
   Light light = directional();

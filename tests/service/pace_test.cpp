@@ -1,0 +1,96 @@
+#include "service/pace.h"
+
+#include <gtest/gtest.h>
+
+namespace penumbra::service {
+namespace {
+
+// A machine on which a frame takes `base_ms` and each disc `disc_ms`, at 60 frames a second; it wants `wanted` discs.
+struct Machine {
+  double base_ms, disc_ms;
+  int wanted = 1;
+  Pace pace{1e3 / 60};
+  int discs = wanted;
+
+  void run(int frames) {
+    for (int i = 0; i < frames; ++i) {
+      pace.add(base_ms + disc_ms * discs, discs);
+      discs = std::min(wanted, pace.most_discs());
+    }
+  }
+};
+
+TEST(Pace, WhatFitsStays) {
+  Machine m{8, 8};
+  m.run(6000);
+  EXPECT_EQ(m.discs, 1);
+  EXPECT_EQ(m.pace.most_discs(), Pace::kAll);
+}
+
+TEST(Pace, WhatDoesNotFitGoesWithinHalfASecond) {
+  Machine m{10, 8};
+  m.run(30);
+  EXPECT_EQ(m.discs, 0);
+}
+
+TEST(Pace, DiscsGoOneByOneUntilTheRestFits) {
+  Machine m{8, 3, 5};
+  m.run(300);
+  EXPECT_EQ(m.discs, 2);
+}
+
+TEST(Pace, DoesNotTryAgainWhatItKnowsDoesNotFit) {
+  Machine m{10, 8};
+  m.run(30);
+  for (int i = 0; i < 36000; ++i) {
+    m.run(1);
+    ASSERT_EQ(m.discs, 0) << "frame " << i;
+  }
+}
+
+TEST(Pace, ADiscComesBackWhenTheMachineIsFree) {
+  Machine m{10, 8};
+  m.run(60);
+  ASSERT_EQ(m.discs, 0);
+  m.base_ms = 4;
+  m.run(120);
+  EXPECT_EQ(m.discs, 1);
+}
+
+TEST(Pace, OneSlowFrameIsNoReason) {
+  Machine m{6, 6};
+  m.run(50);
+  m.pace.add(60, 1);
+  m.run(100);
+  EXPECT_EQ(m.discs, 1);
+}
+
+TEST(Pace, ALoadThatComesAndGoesIsFollowedLessAndLess) {
+  // Every five seconds something else takes the time of the disc, or gives it back.
+  Machine m{4, 8};
+  int changes = 0, before = 1;
+  for (int i = 0; i < 60 * 600; ++i) {
+    m.base_ms = i / 300 % 2 == 0 ? 4 : 12;
+    m.run(1);
+    changes += m.discs != before;
+    before = m.discs;
+  }
+  EXPECT_LE(changes, 20) << "of ten minutes";
+  EXPECT_GE(changes, 2);
+}
+
+TEST(Pace, WithoutDiscsThereIsNothingToSpare) {
+  Machine m{30, 8, 0};
+  m.run(300);
+  EXPECT_EQ(m.discs, 0);
+  EXPECT_EQ(m.pace.most_discs(), Pace::kAll);
+}
+
+TEST(Pace, WithoutAPeriodEverythingIsAllowed) {
+  Pace pace(0);
+  for (int i = 0; i < 300; ++i) pace.add(1e6, 3);
+  EXPECT_EQ(pace.most_discs(), Pace::kAll);
+}
+
+}  // namespace
+}  // namespace penumbra::service
