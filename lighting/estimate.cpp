@@ -1,10 +1,15 @@
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "lighting/hole_fit.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {
+
+namespace {
+constexpr int kGlance = 8;  // maps between predictions where no disc would be used
+}
 
 LightEstimator::LightEstimator(const EstimateOptions& options) : options_(options) {}
 LightEstimator::~LightEstimator() = default;
@@ -30,23 +35,46 @@ Result<Projection> LightEstimator::project_whole(const Image<Rgb>& map) {
   return projector_->project(map);
 }
 
+// Into split_; returns what tracked discs leave over, as discs.
+Result<std::vector<Disc>> LightEstimator::peel(const Environment& environment) {
+  maps_since_split_ = 0;
+  DiscOptions found = options_.discs;
+  found.least_share /= 2;
+  PENUMBRA_TRY(split_discs(environment.radiance, found, split_, environment.clipped));
+  const double irradiance = kPi * split_.mean_luminance;
+  auto left_over =
+      tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs);
+  completions_.apply(split_.discs, left_over);
+  return left_over;
+}
+
+// As many as the plan says, and all that are clipped; returns the others after `left_over`.
+std::vector<Disc> LightEstimator::choose_discs(std::vector<Disc> left_over) {
+  auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan_->discs));
+  for (std::size_t i = used; i < split_.discs.size(); ++i)
+    if (split_.discs[i].clipped) used = i + 1;
+  plan_->discs = std::max(plan_->discs, static_cast<int>(used));
+  left_over.insert(left_over.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
+                   split_.discs.end());
+  split_.discs.resize(used);
+  return left_over;
+}
+
 Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   if (environment.radiance.empty())
     return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  const bool wants_discs = options_.discs.most > 0;
+  const bool no_discs =
+      wants_discs && governor_ && governor_->most_discs() == 0 && environment.clipped.empty();
+  const bool splits = wants_discs && !(no_discs && plan_ && ++maps_since_split_ < kGlance);
   std::vector<Disc> left_over;
-  const Image<Rgb>* map = &environment.radiance;
-  if (options_.discs.most > 0) {
-    DiscOptions found = options_.discs;
-    found.least_share /= 2;
-    PENUMBRA_TRY(split_discs(environment.radiance, found, split_, environment.clipped));
-    const double irradiance = kPi * split_.mean_luminance;
-    left_over =
-        tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs);
-    completions_.apply(split_.discs, left_over);
-    map = &split_.rest;
+  split_.discs.clear();
+  if (splits) {
+    PENUMBRA_ASSIGN(rest, peel(environment));
+    left_over = std::move(rest);
   }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  auto projection = project(*map, environment.confidence);
+  auto projection = project(splits ? split_.rest : environment.radiance, environment.confidence);
   if (!projection) return std::unexpected(projection.error());
   const auto add = [&](const Disc& disc) {
     const RadianceSh whole = project_disc(disc, kMaxBands),
@@ -60,24 +88,20 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   // What tracked ones leave over is not filtered: it completes the disc of this map.
   for (const Disc& disc : left_over)
     if (disc.id == 0) add(disc);
-  if (options_.filter) filter_.update(environment.time, *projection);
-  int bands = options_.bands;
-  std::optional<Plan> plan;
-  if (governor_) {
-    plan = plan_for(*projection, environment.time);
-    bands = plan->bands;
-    auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan->discs));
-    for (std::size_t i = used; i < split_.discs.size(); ++i)
-      if (split_.discs[i].clipped) used = i + 1;
-    plan->discs = std::max(plan->discs, static_cast<int>(used));
-    left_over.insert(left_over.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
-                     split_.discs.end());
-    split_.discs.resize(used);
+  std::erase_if(left_over, [](const Disc& disc) { return disc.id == 0; });
+  if (no_discs && splits) {
+    plan_ = plan_for(*projection, environment.time);
+    for (const Disc& disc : choose_discs(std::exchange(left_over, {}))) add(disc);
   }
-  for (const Disc& disc : left_over)
-    if (disc.id != 0) add(disc);
-  LightEstimate estimate = make_estimate(*projection, bands, split_.discs);
-  estimate.plan = plan;
+  if (options_.filter) filter_.update(environment.time, *projection);
+  if (governor_ && !no_discs) {
+    plan_ = plan_for(*projection, environment.time);
+    left_over = choose_discs(std::move(left_over));
+  }
+  for (const Disc& disc : left_over) add(disc);
+  LightEstimate estimate =
+      make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.discs);
+  estimate.plan = plan_;
   estimate.time = environment.time;
   estimate.clipped_fraction = environment.clipped_fraction;
   return estimate;
@@ -91,7 +115,10 @@ void LightEstimator::govern(const Governance& governance) {
 }
 
 void LightEstimator::allow_discs(int most) {
-  if (governor_) governor_->allow_discs(most);
+  if (!governor_) return;
+  const int before = governor_->most_discs();
+  governor_->allow_discs(most);
+  if (governor_->most_discs() != before) maps_since_split_ = kGlance;
 }
 
 Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {

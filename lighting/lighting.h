@@ -360,9 +360,9 @@ class Governor {
   Plan update(const ErrorTable& errors, TimestampNs now);
   /// From the next update on, at once: discs for which there is time, whatever the limits say.
   void allow_discs(int most) { affordable_discs_ = most; }
+  int most_discs() const { return std::min(limits_.most_discs, affordable_discs_); }
 
  private:
-  int most_discs() const { return std::min(limits_.most_discs, affordable_discs_); }
   Plan cheapest(const ErrorTable& errors, double budget, int most_discs) const;
   Plan choose(const ErrorTable& errors, TimestampNs now);
 
@@ -468,7 +468,8 @@ class LightEstimator {
   LightEstimator& operator=(LightEstimator&&) noexcept;
   /// From now on bands and discs are the governor's choice within the options'; estimates carry the plan.
   void govern(const Governance& governance);
-  /// As Governor::allow_discs; nothing without governance.
+  /// As Governor::allow_discs; nothing without governance. With none the map is split only now and then, for the
+  /// prediction, unless something in it is clipped.
   void allow_discs(int most);
   /// in: radiance 0 where the confidence is 0
   Result<LightEstimate> estimate(const Environment& environment);
@@ -480,6 +481,8 @@ class LightEstimator {
   Result<Projection> project(const Image<Rgb>& map, const Image<float>& confidence);
   Result<Projection> project_whole(const Image<Rgb>& map);
   Plan plan_for(const Projection& rest, TimestampNs time);
+  Result<std::vector<Disc>> peel(const Environment& environment);
+  std::vector<Disc> choose_discs(std::vector<Disc> left_over);
 
   std::unique_ptr<class HoleFit> hole_fit_;
   EstimateOptions options_;
@@ -489,6 +492,8 @@ class LightEstimator {
   LightFilter filter_;
   std::optional<Governance> governance_;
   std::optional<Governor> governor_;
+  std::optional<Plan> plan_;
+  int maps_since_split_ = 0;
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;
 };

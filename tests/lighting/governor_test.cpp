@@ -342,5 +342,79 @@ TEST(Governor, DoesNotFlapWhenTheErrorSwingsAroundTheBudget) {
   EXPECT_LE(changes, 1);
 }
 
+// -------------------------------------------------------------------------- the estimator's part
+
+constexpr int kMapWidth = 128, kMapHeight = 64;
+
+Environment even_map(float sun_radiance, std::int64_t number) {
+  Environment e;
+  e.radiance = Image<Rgb>(kMapWidth, kMapHeight, {1, 1, 1});
+  for (const int x : {40, 41})
+    for (const int y : {18, 19}) e.radiance.at(x, y) = Rgb{1, 1, 1} * std::max(1.f, sun_radiance);
+  e.time = TimestampNs{number * kMapNs};
+  return e;
+}
+
+LightEstimator governed_estimator(bool filter) {
+  LightEstimator estimator({.filter = filter});
+  estimator.govern({{}, kBandsCost, some_probes()});
+  return estimator;
+}
+
+TEST(GovernedEstimator, WithoutTimeForDiscsAllLightIsInHarmonics) {
+  for (const bool filter : {false, true}) {
+    LightEstimator estimator = governed_estimator(filter);
+    const auto before = estimator.estimate(even_map(3000, 0));
+    ASSERT_TRUE(before);
+    ASSERT_EQ(before->discs.size(), 1u);
+    estimator.allow_discs(0);
+    const double all = double(whole_light(*before)[0].g);
+    for (int i = 1; i < 30; ++i) {
+      const auto e = estimator.estimate(even_map(3000, i));
+      ASSERT_TRUE(e);
+      EXPECT_TRUE(e->discs.empty());
+      ASSERT_TRUE(e->plan);
+      EXPECT_EQ(e->plan->discs, 0);
+      EXPECT_TRUE(e->plan->short_of_time);
+      // A disc is not quite the pixels that it was cut from.
+      EXPECT_NEAR(e->light[0].g, all, .002 * all) << "map " << i;
+      for (int n = 0; n < 25; ++n)
+        EXPECT_NEAR(e->light[n].g, whole_light(*before)[n].g, .005 * all) << "map " << i;
+    }
+    estimator.allow_discs(8);
+    const auto after = estimator.estimate(even_map(3000, 30));
+    ASSERT_TRUE(after);
+    EXPECT_EQ(after->discs.size(), 1u);
+    EXPECT_FALSE(after->plan->short_of_time);
+  }
+}
+
+TEST(GovernedEstimator, WithoutTimeForDiscsASwitchedLampIsStillFollowedAtOnce) {
+  LightEstimator estimator = governed_estimator(false);
+  estimator.allow_discs(0);
+  for (int i = 0; i < 20; ++i) {
+    const float radiance = i % 3 == 0 ? 3000.f : 1.f;
+    const auto e = estimator.estimate(even_map(radiance, i));
+    ASSERT_TRUE(e);
+    const auto whole = project_latlong(even_map(radiance, i).radiance, kMaxBands);
+    ASSERT_TRUE(whole);
+    EXPECT_NEAR(e->light[0].g, whole->light[0].g, .002f * whole->light[0].g) << "map " << i;
+  }
+}
+
+TEST(GovernedEstimator, WhatIsClippedStaysADiscWhateverTheTime) {
+  LightEstimator estimator = governed_estimator(false);
+  estimator.allow_discs(0);
+  for (int i = 0; i < 12; ++i) {
+    Environment map = even_map(50, i);
+    for (const std::uint32_t y : {18u, 19u})
+      for (const std::uint32_t x : {40u, 41u}) map.clipped.push_back(y * kMapWidth + x);
+    const auto e = estimator.estimate(map);
+    ASSERT_TRUE(e);
+    ASSERT_EQ(e->discs.size(), 1u) << "map " << i;
+    EXPECT_TRUE(e->discs[0].clipped);
+  }
+}
+
 }  // namespace
 }  // namespace penumbra::lighting
