@@ -194,6 +194,63 @@ TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
   EXPECT_LT(relative_rms(decoded, fused), 1e-5);
 }
 
+TEST(Sequence, WhatNobodySeesIsLeftOut) {
+  const Character c = walker();
+  const Baked b = bake_clip(c, 0, quick(8));
+  const TransferSequence& s = b.sequence.surface;
+  const RadianceSh light = some_light(3, 5);
+  const auto turns = bone_turns(c, sample(c, c.clips[0], .41));
+  const double frame = b.sequence.frame_at(.41);
+  RelightPlan plan;
+  s.plan(frame, light, turns, plan);
+  // Every band but the first dark: as many maps, most of them multiplied by nothing.
+  RelightPlan even;
+  s.plan(frame, light.with_bands(1), turns, even);
+  EXPECT_LT(even.terms.size(), plan.terms.size());
+  Transfer t;
+  s.decode(frame, turns, t);
+  std::vector<float> fused(3 * s.stride()), decoded(fused.size());
+  s.relight(frame, light, turns, fused);
+  relight(t, light, decoded);
+  // In each part by itself: what is dark beside the rest is not lost.
+  for (const RelightPlan::Part& part : plan.parts) {
+    double error = 0, all = 0;
+    for (std::uint32_t i = 0; i < part.point_count; ++i)
+      for (std::size_t k = 0; k < 3; ++k) {
+        const std::size_t at = k * s.stride() + s.order()[part.first_point + i];
+        error += std::pow(fused[at] - decoded[at], 2);
+        all += std::pow(decoded[at], 2);
+      }
+    EXPECT_LT(std::sqrt(error / all), 3 * TransferSequence::kUnseen);
+  }
+}
+
+TEST(Sequence, MapsThatDoNotFitEightBitsAreRelitToo) {
+  SequenceOptions fine = quick(8);
+  fine.error = 1e-4;
+  const Character c = walker();
+  const Baked b = bake_clip(c, 0, fine);
+  const TransferSequence& s = b.sequence.surface;
+  const RadianceSh light = some_light(3, 5);
+  const auto turns = bone_turns(c, sample(c, c.clips[0], .41));
+  const double frame = b.sequence.frame_at(.41);
+  RelightPlan plan;
+  s.plan(frame, light, turns, plan);
+  std::size_t wide = 0;
+  for (const RelightPlan::Part& part : plan.parts) {
+    EXPECT_LE(part.wide_count, part.term_count);
+    wide += part.wide_count;
+  }
+  EXPECT_GT(wide, 0u);
+  EXPECT_LT(wide, plan.terms.size());
+  Transfer t;
+  s.decode(frame, turns, t);
+  std::vector<float> fused(3 * s.stride()), decoded(fused.size());
+  s.relight(frame, light, turns, fused);
+  relight(t, light, decoded);
+  EXPECT_LT(relative_rms(decoded, fused), 1e-3);
+}
+
 TEST(Sequence, ShardsMergeToTheSameBytes) {
   const test::TempFolder folder;
   const SequenceOptions o = quick(7);
