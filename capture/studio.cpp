@@ -150,7 +150,8 @@ Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
     const std::uint64_t seed = options_.seed + 1000003 * static_cast<std::uint64_t>(i);
     view_clip_.push_back(film(kViewCamera, *options_.view_exposure, seed));
     for (const Exposure& e : options_.schedule)
-      environment_clip_.push_back(film(kEnvironmentCamera, e, 7919 * seed));
+      environment_clip_.push_back(
+          film(kEnvironmentCamera, e, 7919 * seed + environment_clip_.size()));
   }
 }
 

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <vector>
 
+#include <utility>
+
 #include "compositor/compositor.h"
 #include "compositor/projection.h"
 

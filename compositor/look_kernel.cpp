@@ -98,7 +98,9 @@ HWY_ATTR void MarkTouched(const float* planes, std::size_t stride, std::size_t w
     if (hn::AllFalse(du, marked)) continue;
     std::uint8_t bits[8] = {};
     hn::StoreMaskBits(du, marked, bits);
-    const std::uint32_t lanes = bits[0] | static_cast<std::uint32_t>(bits[1]) << 8;
+    std::uint32_t lanes = bits[0] | static_cast<std::uint32_t>(bits[1]) << 8;
+    if (width - i < kLookLanes) lanes &= (1u << (width - i)) - 1;
+    if (lanes == 0) continue;
     if (*first == width) *first = i + static_cast<std::size_t>(std::countr_zero(lanes));
     *last = i + static_cast<std::size_t>(std::bit_width(lanes));
   }
@@ -159,7 +161,6 @@ std::pair<std::size_t, std::size_t> mark_touched(const float* planes, std::size_
                                                  std::size_t width, std::uint32_t* touched) {
   std::size_t first = 0, last = 0;
   HWY_DYNAMIC_DISPATCH(MarkTouched)(planes, stride, width, touched, &first, &last);
-  last = std::min(last, width);
   return {std::min(first, last), last};
 }
 }  // namespace penumbra::compositor

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <type_traits>
 #include <variant>
 #include <vector>
 
@@ -35,6 +36,8 @@ struct Rgb16 {
   std::uint16_t r, g, b;
   friend bool operator==(const Rgb16&, const Rgb16&) = default;
 };
+
+static_assert(std::is_trivial_v<Rgb8> && std::is_trivial_v<Rgb16>);
 
 /// Half-float RGB radiance and a fourth channel, as IEEE 754 binary16 bits; eight bytes so that two
 /// neighbours load at once. The fourth channel is the confidence 0..1 (0 = clipped or never seen).

@@ -8,8 +8,21 @@
 namespace penumbra::lighting {
 
 namespace {
+
 constexpr int kGlance = 8;  // maps between predictions where no disc would be used
+
+void add_discs(std::span<const Disc> discs, Projection& projection) {
+  for (const Disc& disc : discs) {
+    const RadianceSh whole = project_disc(disc, kMaxBands),
+                     above = project_disc_above(disc, kMaxBands);
+    for (int n = 0; n < kMaxCoefficients; ++n) {
+      projection.light[n] += whole[n];
+      projection.above[n] += above[n];
+    }
+  }
 }
+
+}  // namespace
 
 LightEstimator::LightEstimator(const EstimateOptions& options) : options_(options) {}
 LightEstimator::~LightEstimator() = default;
@@ -60,45 +73,59 @@ std::vector<Disc> LightEstimator::choose_discs(std::vector<Disc> left_over) {
   return left_over;
 }
 
-Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
-  if (environment.radiance.empty())
-    return fail(ErrorCode::kInvalid, "environment", "has no pixels");
-  const bool wants_discs = options_.discs.most > 0;
-  const bool no_discs =
-      wants_discs && governor_ && governor_->most_discs() == 0 && environment.clipped.empty();
-  const bool splits = wants_discs && !(no_discs && plan_ && ++maps_since_split_ < kGlance);
-  std::vector<Disc> left_over;
+// Without discs: the whole light in harmonics. Split now and then, for what the governor predicts.
+Result<Projection> LightEstimator::measure_whole(const Environment& environment) {
+  if (++maps_since_split_ >= kGlance) {
+    PENUMBRA_ASSIGN(left_over, peel(environment));
+    PENUMBRA_ASSIGN(rest, project(split_.rest, environment.confidence));
+    add_discs(left_over, rest);
+    plan_ = plan_for(rest, environment.time);
+  }
   split_.discs.clear();
-  if (splits) {
+  auto whole = project(environment.radiance, environment.confidence);
+  if (whole && options_.filter) filter_.update(environment.time, *whole);
+  return whole;
+}
+
+// With the plan's discs in split_, all others in harmonics.
+Result<Projection> LightEstimator::measure_split(const Environment& environment) {
+  std::vector<Disc> left_over;
+  if (options_.discs.most > 0) {
     PENUMBRA_ASSIGN(rest, peel(environment));
     left_over = std::move(rest);
   }
-  // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  auto projection = project(splits ? split_.rest : environment.radiance, environment.confidence);
-  if (!projection) return std::unexpected(projection.error());
-  const auto add = [&](const Disc& disc) {
-    const RadianceSh whole = project_disc(disc, kMaxBands),
-                     above = project_disc_above(disc, kMaxBands);
-    for (int n = 0; n < kMaxCoefficients; ++n) {
-      projection->light[n] += whole[n];
-      projection->above[n] += above[n];
-    }
-  };
+  auto projection =
+      project(options_.discs.most > 0 ? split_.rest : environment.radiance, environment.confidence);
+  if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
   // What tracked ones leave over is not filtered: it completes the disc of this map.
-  for (const Disc& disc : left_over)
-    if (disc.id == 0) add(disc);
-  std::erase_if(left_over, [](const Disc& disc) { return disc.id == 0; });
-  if (no_discs && splits) {
-    plan_ = plan_for(*projection, environment.time);
-    for (const Disc& disc : choose_discs(std::exchange(left_over, {}))) add(disc);
-  }
+  const auto tracked =
+      std::ranges::stable_partition(left_over, [](const Disc& disc) { return disc.id == 0; });
+  add_discs({left_over.begin(), tracked.begin()}, *projection);
+  left_over.erase(left_over.begin(), tracked.begin());
   if (options_.filter) filter_.update(environment.time, *projection);
-  if (governor_ && !no_discs) {
+  if (governor_) {
     plan_ = plan_for(*projection, environment.time);
     left_over = choose_discs(std::move(left_over));
   }
-  for (const Disc& disc : left_over) add(disc);
+  add_discs(left_over, *projection);
+  return projection;
+}
+
+Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
+  if (environment.radiance.empty())
+    return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  const bool without_discs = options_.discs.most > 0 && governor_ && governor_->most_discs() == 0 &&
+                             environment.clipped.empty();
+  if (without_discs != without_discs_) {
+    // Another part of the light is measured from now on.
+    without_discs_ = without_discs;
+    maps_since_split_ = kGlance;
+    filter_ = LightFilter();
+  }
+  // All nine bands are measured whatever is used: the rest predicts the truncation error.
+  const auto projection = without_discs ? measure_whole(environment) : measure_split(environment);
+  if (!projection) return std::unexpected(projection.error());
   LightEstimate estimate =
       make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.discs);
   estimate.plan = plan_;
@@ -116,9 +143,7 @@ void LightEstimator::govern(const Governance& governance) {
 
 void LightEstimator::allow_discs(int most) {
   if (!governor_) return;
-  const int before = governor_->most_discs();
   governor_->allow_discs(most);
-  if (governor_->most_discs() != before) maps_since_split_ = kGlance;
 }
 
 Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {

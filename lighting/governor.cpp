@@ -115,7 +115,10 @@ Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
 
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
   const Plan needed = cheapest(errors, limits_.budget);
-  if (!current_ || current_->discs > most_discs()) return *(current_ = needed);
+  if (!current_ || current_->discs > most_discs()) {
+    could_do_less_since_.reset();
+    return *(current_ = needed);
+  }
   const double present =
       factor_ * errors.error(current_->bands, std::min(current_->discs, errors.most_discs()));
   const bool too_little = present > limits_.budget && needed.error < present;

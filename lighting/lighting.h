@@ -336,7 +336,8 @@ struct Plan {
 };
 
 /// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
-/// More at once, less only after two seconds in which four fifths of the budget would have sufficed.
+/// More at once, less only after two seconds in which four fifths of the budget would have sufficed; discs that there is
+/// no time for go at once.
 /// threads: thread-bound
 /// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/accuracy.md
 class Governor {
@@ -359,7 +360,7 @@ class Governor {
   Plan cheapest(const ErrorTable& errors, double budget) const;
   Plan update(const ErrorTable& errors, TimestampNs now);
   /// From the next update on, at once: discs for which there is time, whatever the limits say.
-  void allow_discs(int most) { affordable_discs_ = most; }
+  void allow_discs(int most) { affordable_discs_ = std::max(most, 0); }
   int most_discs() const { return std::min(limits_.most_discs, affordable_discs_); }
 
  private:
@@ -483,6 +484,8 @@ class LightEstimator {
   Plan plan_for(const Projection& rest, TimestampNs time);
   Result<std::vector<Disc>> peel(const Environment& environment);
   std::vector<Disc> choose_discs(std::vector<Disc> left_over);
+  Result<Projection> measure_whole(const Environment& environment);
+  Result<Projection> measure_split(const Environment& environment);
 
   std::unique_ptr<class HoleFit> hole_fit_;
   EstimateOptions options_;
@@ -494,6 +497,7 @@ class LightEstimator {
   std::optional<Governor> governor_;
   std::optional<Plan> plan_;
   int maps_since_split_ = 0;
+  bool without_discs_ = false;  // the map before was measured whole
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;
 };

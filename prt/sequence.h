@@ -76,7 +76,8 @@ class TransferSequence {
   /// All coefficients at a time, in the bake frame. No allocation once `out` has its size.
   void decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const;
 
-  /// RMS over a part's points, relative to it: a fifth of what compression may cost, and half of the work.
+  /// RMS over a part's points, relative to the root of its terms' summed squares: a fifth of what compression may cost, and
+  /// half of the work.
   static constexpr float kUnseen = .001f;
   /// Points that kernels take at once: what a map is padded to.
   static constexpr std::size_t kLanes = 32;

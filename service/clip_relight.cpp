@@ -12,7 +12,7 @@ namespace {
 using Part = PreparedObject::Part;
 constexpr int kTimings = 5;
 
-// Every band lit, and a time between frames: what a moment costs at most.
+// Every band lit, and a time between frames: about what a moment costs at most.
 RadianceSh some_light(int bands) {
   RadianceSh light(bands);
   for (int n = 0; n < light.size(); ++n) light[n] = {1, 1, 1};

@@ -403,7 +403,8 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_option("--record", demo_options.record,
                 "Also record a capture folder with its scene.toml");
   c->add_flag("--live", demo_options.live,
-              "Cameras, light and composite on threads, paced by the clock");
+              "Cameras (filmed beforehand), light and composite on threads, paced by the clock; "
+              "discs that --fps leaves no time for are given up");
   c->add_option("--width", demo_options.width, "View camera, pixels")->capture_default_str();
   c->add_option("--height", demo_options.height, "View camera, pixels")->capture_default_str();
   c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();

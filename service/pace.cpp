@@ -6,29 +6,48 @@ namespace penumbra::service {
 
 void Pace::add(double busy_ms, int discs) {
   if (!(period_ms_ > 0)) return;
-  // The light follows with a frame of the environment's: frames of before do not count.
-  if (discs != discs_) sum_ms_ = 0, frames_ = 0, discs_ = discs;
-  sum_ms_ += busy_ms;
+  even_ = even_ && (frames_ == 0 || discs == discs_);
+  discs_ = discs;
+  busy_ms_[static_cast<std::size_t>(frames_)] = busy_ms;
   if (++frames_ < kWindow) return;
-  decide(sum_ms_ / frames_, discs);
-  sum_ms_ = 0, frames_ = 0;
+  std::ranges::nth_element(busy_ms_, busy_ms_.begin() + kWindow / 2);
+  decide(busy_ms_[kWindow / 2]);
+  frames_ = 0;
+  even_ = true;
 }
 
-void Pace::decide(double mean_ms, int discs) {
-  if (mean_ms > period_ms_ && discs > 0) {
-    allowed_ = std::min(allowed_, discs) - 1;
-    with_ms_ = mean_ms;
-    disc_cost_ms_.reset();
-    wait_ = next_wait_;
-    next_wait_ = std::min(2 * next_wait_, kLongestWait);
-    return;
+void Pace::decide(double median_ms) {
+  if (discs_ > allowed_) return;  // the light has not followed yet
+  if (++quiet_ >= kForgiven * next_wait_) {
+    next_wait_ = std::max(kShortestWait, next_wait_ / 2);
+    quiet_ = 0;
   }
-  if (allowed_ == kAll || discs > allowed_) return;
-  if (with_ms_ && !disc_cost_ms_) disc_cost_ms_ = std::max(0., *with_ms_ - mean_ms);
+  if (median_ms > period_ms_ && discs_ > 0)
+    give_one_up(median_ms);
+  else if (allowed_ != kAll && even_)
+    take_one_back(median_ms);
+}
+
+void Pace::give_one_up(double median_ms) {
+  allowed_ = std::min(allowed_, discs_) - 1;
+  with_ms_ = median_ms;
+  disc_cost_ms_.reset();
+  wait_ = next_wait_;
+  next_wait_ = std::min(2 * next_wait_, kLongestWait);
+  quiet_ = 0;
+}
+
+void Pace::take_one_back(double median_ms) {
+  if (with_ms_ && !disc_cost_ms_) disc_cost_ms_ = std::max(0., *with_ms_ - median_ms);
   if (wait_ > 0 && --wait_ > 0) return;
-  if (disc_cost_ms_ && mean_ms + *disc_cost_ms_ < kRoom * period_ms_) {
+  if (!disc_cost_ms_) return;
+  if (median_ms + *disc_cost_ms_ < kRoom * period_ms_) {
     ++allowed_;
     with_ms_.reset();
+  } else {
+    // It may have cost less: what else the machine did then nobody knows.
+    wait_ = next_wait_;
+    *disc_cost_ms_ *= kDoubt;
   }
 }
 

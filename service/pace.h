@@ -3,6 +3,7 @@
 // threads: thread-bound
 #pragma once
 
+#include <array>
 #include <limits>
 #include <optional>
 
@@ -15,26 +16,31 @@ class Pace {
   /// in: period_ms between frames; 0: unknown, every disc is affordable
   explicit Pace(double period_ms) : period_ms_(period_ms) {}
 
-  /// A frame that kept this thread busy for so long, with so many discs traced.
+  /// A frame that took so long, waiting for others not counted, with so many discs that could go.
   void add(double busy_ms, int discs);
-  /// One fewer as soon as a window of frames took longer than they may; one more when the last one that went would fit
-  /// again by what it cost then, after a while that doubles with every disc that goes.
+  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may; one more when the last one that went
+  /// would fit again by what it cost then, after a wait that doubles with every disc that goes.
   int most_discs() const { return allowed_; }
 
  private:
-  static constexpr int kWindow = 20;         // frames
-  static constexpr double kRoom = .85;       // of the period, before a disc comes back
-  static constexpr int kLongestWait = 1024;  // windows
+  static constexpr int kWindow = 20;    // frames
+  static constexpr double kRoom = .85;  // of the period, before a disc comes back
+  static constexpr int kShortestWait = 4, kLongestWait = 1024;  // windows
+  static constexpr int kForgiven = 16;  // waits without a loss: the next one is shorter
+  static constexpr double kDoubt = .8;  // of a cost, after each wait that it forbade
 
-  void decide(double mean_ms, int discs);
+  void decide(double median_ms);
+  void give_one_up(double median_ms);
+  void take_one_back(double median_ms);
 
   double period_ms_;
   int allowed_ = kAll;
-  double sum_ms_ = 0;
-  int frames_ = 0, discs_ = -1;         // of the window, all with as many
+  std::array<double, kWindow> busy_ms_{};
+  int frames_ = 0, discs_ = 0;
+  bool even_ = true;                    // as many discs in all frames of the window
   std::optional<double> with_ms_;       // what a frame took with the disc that went
   std::optional<double> disc_cost_ms_;  // of that disc, once known
-  int wait_ = 0, next_wait_ = 4;        // windows before one may come back
+  int wait_ = 0, next_wait_ = kShortestWait, quiet_ = 0;  // windows
 };
 
 }  // namespace penumbra::service

@@ -30,6 +30,12 @@ inline nlohmann::json to_json(const lighting::Disc& d) {
           {"clipped", d.clipped}};
 }
 
+inline const char* reason_of(const lighting::Plan& p) {
+  if (p.within_budget) return "the cheapest whose predicted shadow error keeps to the budget";
+  if (p.short_of_time) return "the most accurate that a frame's time allows";
+  return "the most accurate there is; none keeps to the budget";
+}
+
 /// What the governor picked and why.
 inline nlohmann::json to_json(const lighting::Plan& p) {
   return {{"bands", p.bands},
@@ -38,9 +44,7 @@ inline nlohmann::json to_json(const lighting::Plan& p) {
           {"predicted_ms", p.ms},
           {"within_budget", p.within_budget},
           {"short_of_time", p.short_of_time},
-          {"why", p.within_budget ? "the cheapest whose predicted shadow error keeps to the budget"
-                  : p.short_of_time ? "the most accurate that a frame's time allows"
-                                    : "the most accurate there is; none keeps to the budget"}};
+          {"why", reason_of(p)}};
 }
 
 /// The whole light in harmonics, and beside it the split for who lights by discs: `rest` plus `discs` is all.

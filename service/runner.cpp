@@ -2,6 +2,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <limits>
@@ -28,8 +29,11 @@ bool is_ordinary(const Error& e) {
   return e.code == ErrorCode::kUndetermined;
 }
 
+// `busy_ms`: what it took without the sink.
 Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light,
-                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on) {
+                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on,
+                         double* busy_ms = nullptr) {
+  const auto began = Clock::now();
   ++counts.frames;
   if (!light.valid) {
     ++counts.without_light;
@@ -38,6 +42,7 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
   }
   auto composited = compose.process(frame, light);
   if (!composited) return std::unexpected(composited.error());
+  if (busy_ms) *busy_ms = 1e3 * since(began);
   counts.touched += composited->touched.fraction;
   counts.plan = light.plan;
   counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
@@ -53,7 +58,7 @@ bool is_view(const capture::FrameSource& source, const capture::Frame& frame) {
 double period_ms(const capture::FrameSource& source) {
   const auto views =
       std::ranges::count(source.cameras(), capture::Role::kView, &capture::CameraInfo::role);
-  const double rate = source.view_rate() * static_cast<double>(views);
+  const double rate = source.view_rate() * static_cast<double>(views);  // all alike
   return rate > 0 ? 1e3 / rate : 0;
 }
 
@@ -252,6 +257,16 @@ void measure(Live& live, LightStage& light) noexcept {
   }
 }
 
+// Clipped sources stay discs whatever they cost.
+void keep_pace(Pace& pace, double busy_ms, const lighting::LightEstimate& light, Live& live) {
+  const int before = pace.most_discs();
+  pace.add(busy_ms,
+           static_cast<int>(std::ranges::count(light.discs, false, &lighting::Disc::clipped)));
+  if (pace.most_discs() == before) return;
+  spdlog::info("light: a frame's time allows {} discs", pace.most_discs());
+  live.affordable_discs = pace.most_discs();
+}
+
 }  // namespace
 
 Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
@@ -280,14 +295,13 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
         if (live.view.closed()) break;
         continue;
       }
-      const auto began = Clock::now();
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (auto completions = compose.complete(*frame, estimate); !completions.empty())
         live.completions.put(std::move(completions));
-      composed = compose_one(*frame, estimate, compose, sink, counts, go_on);
+      double busy_ms = 0;
+      composed = compose_one(*frame, estimate, compose, sink, counts, go_on, &busy_ms);
       if (!composed) break;
-      pace.add(1e3 * since(began), static_cast<int>(estimate.discs.size()));
-      live.affordable_discs = pace.most_discs();
+      keep_pace(pace, busy_ms, estimate, live);
     }
   }
   counts.seconds = since(start);

@@ -40,7 +40,8 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
                              const Sink& sink, StageTimes& times);
 
 /// The source on one thread (paced to its timestamps), the light on another, compositing on this
-/// one; they meet in one-slot mailboxes. Stops when the source ends, the sink says so, or `stop` is
+/// one; they meet in one-slot mailboxes. Where frames take longer than the source's view_rate allows, the governor's discs are given
+/// up one by one, and taken back when there is time (Pace). Stops when the source ends, the sink says so, or `stop` is
 /// set.
 Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
                            const Sink& sink, StageTimes& times, const std::atomic<bool>& stop);

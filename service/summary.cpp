@@ -34,7 +34,7 @@ void print_summary(const nlohmann::json& s) {
       s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
       s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
       100 * s["touched_fraction"].get<double>());
-  fmt::print("{} objects, {} bands, {} discs, {} exposures, {}\n", c["objects"].get<int>(),
+  fmt::print("{} objects, {} bands, at most {} discs, {} exposures, {}\n", c["objects"].get<int>(),
              c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(),
              c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())

@@ -20,8 +20,8 @@ inline bool is_narrow(const lighting::Disc& disc) {
 /// Of a round disc its radius; of another form that of a round one as narrow as it is across.
 double least_radius(const lighting::Disc& disc);
 
-/// Directions over a disc in `turns` copies, each turned about its axis by another angle. The first few of a copy
-/// are far apart. threads: thread-bound; memory grows once
+/// Directions over a disc in `turns` copies, each turned about its axis by another angle. The first few of a round
+/// disc's copy are far apart. threads: thread-bound; memory grows once
 class TapPattern {
  public:
   /// in: taps 1..kMostTaps

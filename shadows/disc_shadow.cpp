@@ -17,21 +17,22 @@ constexpr double kLongest = 10;     // radii of the caster: longest shadow
 constexpr double kLeastSine =
     .02;  // of a tap's elevation: lower ones throw their shadow like this one
 
-// How closely a map is looked at. A tap is a step of 1/24 of a wide disc's shadow: who refined what is smaller would follow
-// every tap's own hard shadow, for nothing.
+// How closely a map is looked at.
 struct Detail {
   int coarse;      // cells between the first nodes
   float straight;  // midpoints this close to the bilinear value need no refinement
 };
 
+// In the penumbras of a broad disc a step of one tap, 1/24, is no edge: who refined it would follow every tap's own hard
+// shadow, for nothing.
 Detail detail_for(const lighting::Disc& disc) {
-  constexpr double kBroad =
-      .15;  // radians: no penumbra of interest fits between nodes sixteen cells apart
-  if (is_narrow(disc)) return {8, .06f};
-  return {least_radius(disc) < kBroad ? 8 : 16, .1f};
+  constexpr double kBroad = .2;  // radians
+  return least_radius(disc) < kBroad ? Detail{8, .06f} : Detail{16, .1f};
 }
 
 int taps_for(const lighting::Disc& disc, int taps) {
+  // As many of a form's points for each tap.
+  if (!disc.shape.empty()) return std::min(kMostTaps, 2 * taps);
   return is_narrow(disc) ? taps : std::min(kMostTaps, taps + taps / 2);
 }
 

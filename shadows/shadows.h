@@ -105,8 +105,8 @@ struct Caster {
 };
 
 struct DiscShadowOptions {
-  int taps = 16;   // rays a node, 1..64; half as many again for a disc that is not narrow
-  int size = 256;  // cells along the longer side, a multiple of 8
+  int taps = 16;   // rays a node, 1..64; half as many again for a wide round disc, twice as many for a form
+  int size = 256;  // cells along the longer side; rounded up to a multiple of 8, or 16 for broad penumbras
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole

@@ -125,6 +125,13 @@ TEST(Studio, ClipRepeatsItsFilmedFramesOnly) {
   EXPECT_NE(*views[0].pixels, *views[1].pixels);
   const std::size_t exposures = options.schedule.size(), period = 2 * exposures;
   ASSERT_GT(environments.size(), period);
+  // Equal exposures in a bracket: noise of its own for each.
+  options.schedule.assign(3, options.schedule[0]);
+  std::vector<std::shared_ptr<const FramePixels>> bracket;
+  for (const Frame& f : frames_of(options))
+    if (f.camera == 0 && bracket.size() < 3) bracket.push_back(f.pixels);
+  EXPECT_NE(*bracket[0], *bracket[1]);
+  EXPECT_NE(*bracket[1], *bracket[2]);
   for (std::size_t i = exposures; i < environments.size(); ++i) {
     const Frame& f = environments[i];
     EXPECT_EQ(f.exposure.time, environments[i - exposures].exposure.time);

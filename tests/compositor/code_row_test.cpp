@@ -2,11 +2,13 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
 #include <vector>
 
+#include "compositor/camera_look.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {
@@ -82,6 +84,40 @@ TEST(CodeRow, NotANumberIsBlackAndInfinityWhite) {
   EXPECT_EQ(pixels[0].r, 0);
   EXPECT_EQ(pixels[1].r, 255);
   EXPECT_EQ(pixels[2].r, 0);
+}
+
+TEST(MarkTouched, FindsTheSameAsALook) {
+  std::mt19937 rng(5);
+  for (const std::size_t width : {1u, 7u, 16u, 33u, 100u}) {
+    const std::size_t stride = padded_row(static_cast<int>(width)) + 2 * kLookLanes;
+    for (int round = 0; round < 40; ++round) {
+      std::vector<float> planes(6 * stride, 0.f);
+      // Dirt past the width, and zeros with a sign, are nothing.
+      for (std::size_t p = 0; p < 6; ++p)
+        for (std::size_t i = 0; i < stride; ++i)
+          planes[p * stride + i] = i >= width ? 3.f : rng() % 3 == 0 ? -0.f : 0.f;
+      const int marks = static_cast<int>(rng() % 4);
+      std::vector<char> marked(width, 0);
+      for (int k = 0; k < marks; ++k) {
+        const std::size_t i = rng() % width;
+        planes[rng() % 6 * stride + i] = k % 2 ? -1e-30f : .5f;
+        marked[i] = 1;
+      }
+      std::vector<std::uint32_t> touched(stride, 7u);
+      const auto [first, last] = mark_touched(planes.data(), stride, width, touched.data());
+      for (std::size_t i = 0; i < width; ++i) EXPECT_EQ(touched[i] != 0, marked[i] != 0);
+      const auto begin = std::ranges::find(marked, 1);
+      const auto left = static_cast<std::size_t>(begin - marked.begin());
+      if (begin == marked.end()) {
+        EXPECT_EQ(first, last);
+        continue;
+      }
+      std::size_t right = width;
+      while (!marked[right - 1]) --right;
+      EXPECT_EQ(first, left);
+      EXPECT_EQ(last, right);
+    }
+  }
 }
 
 }  // namespace

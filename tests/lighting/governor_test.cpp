@@ -238,6 +238,16 @@ TEST(Governor, DiscsThatThereIsNoTimeForGoAtOnceAndComeBackAtOnce) {
   EXPECT_FALSE(again.short_of_time);
 }
 
+TEST(Governor, FewerThanNoDiscsAreNone) {
+  const ErrorTable table = sunny().table(some_probes());
+  Governor governor(limits(.1), kBandsCost);
+  governor.allow_discs(-3);
+  const Plan plan = governor.update(table, {});
+  EXPECT_EQ(plan.discs, 0);
+  EXPECT_GT(plan.error, .1);
+  EXPECT_TRUE(plan.short_of_time);
+}
+
 TEST(Governor, TimeIsNoReasonWhereNoDiscWouldHelp) {
   Governor governor(limits(), kBandsCost);
   governor.allow_discs(0);
@@ -369,6 +379,7 @@ TEST(GovernedEstimator, WithoutTimeForDiscsAllLightIsInHarmonics) {
     ASSERT_EQ(before->discs.size(), 1u);
     estimator.allow_discs(0);
     const double all = double(whole_light(*before)[0].g);
+    float last = 0;
     for (int i = 1; i < 30; ++i) {
       const auto e = estimator.estimate(even_map(3000, i));
       ASSERT_TRUE(e);
@@ -376,6 +387,10 @@ TEST(GovernedEstimator, WithoutTimeForDiscsAllLightIsInHarmonics) {
       ASSERT_TRUE(e->plan);
       EXPECT_EQ(e->plan->discs, 0);
       EXPECT_TRUE(e->plan->short_of_time);
+      if (i > 1) {
+        EXPECT_EQ(e->light[7].g, last) << "map " << i << ": a glance at discs changes nothing";
+      }
+      last = e->light[7].g;
       // A disc is not quite the pixels that it was cut from.
       EXPECT_NEAR(e->light[0].g, all, .002 * all) << "map " << i;
       for (int n = 0; n < 25; ++n)
@@ -399,6 +414,23 @@ TEST(GovernedEstimator, WithoutTimeForDiscsASwitchedLampIsStillFollowedAtOnce) {
     const auto whole = project_latlong(even_map(radiance, i).radiance, kMaxBands);
     ASSERT_TRUE(whole);
     EXPECT_NEAR(e->light[0].g, whole->light[0].g, .002f * whole->light[0].g) << "map " << i;
+  }
+}
+
+TEST(GovernedEstimator, ThePlanIsThatOfTheLightAlsoWhenClippingEnds) {
+  LightEstimator estimator = governed_estimator(true);
+  estimator.allow_discs(0);
+  for (int i = 0; i < 40; ++i) {
+    Environment map = even_map(50, i);
+    if (i / 5 % 2 == 0)
+      for (const std::uint32_t y : {18u, 19u})
+        for (const std::uint32_t x : {40u, 41u}) map.clipped.push_back(y * kMapWidth + x);
+    const auto e = estimator.estimate(map);
+    ASSERT_TRUE(e);
+    EXPECT_EQ(e->plan->discs, static_cast<int>(e->discs.size())) << "map " << i;
+    const auto whole = project_latlong(map.radiance, kMaxBands);
+    ASSERT_TRUE(whole);
+    EXPECT_NEAR(whole_light(*e)[0].g, whole->light[0].g, .002f * whole->light[0].g) << "map " << i;
   }
 }
 

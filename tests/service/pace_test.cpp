@@ -39,13 +39,15 @@ TEST(Pace, DiscsGoOneByOneUntilTheRestFits) {
   EXPECT_EQ(m.discs, 2);
 }
 
-TEST(Pace, DoesNotTryAgainWhatItKnowsDoesNotFit) {
+TEST(Pace, TriesAgainWhatDidNotFitLessAndLess) {
   Machine m{10, 8};
-  m.run(30);
-  for (int i = 0; i < 36000; ++i) {
+  int tries = 0, before = 1;
+  for (int i = 0; i < 60 * 600; ++i) {
     m.run(1);
-    ASSERT_EQ(m.discs, 0) << "frame " << i;
+    tries += m.discs > before;
+    before = m.discs;
   }
+  EXPECT_LE(tries, 12) << "of ten minutes";
 }
 
 TEST(Pace, ADiscComesBackWhenTheMachineIsFree) {
@@ -60,9 +62,36 @@ TEST(Pace, ADiscComesBackWhenTheMachineIsFree) {
 TEST(Pace, OneSlowFrameIsNoReason) {
   Machine m{6, 6};
   m.run(50);
-  m.pace.add(60, 1);
+  m.pace.add(1000, 1);
   m.run(100);
   EXPECT_EQ(m.discs, 1);
+}
+
+TEST(Pace, ASlowSpellIsForgotten) {
+  Machine m{6, 4};
+  m.run(60);
+  for (int i = 0; i < 25; ++i) m.pace.add(200, 1);
+  m.run(1);
+  EXPECT_EQ(m.discs, 0);
+  m.run(60 * 60);
+  EXPECT_EQ(m.discs, 1) << "a minute later";
+}
+
+TEST(Pace, WaitsForALightThatFollowsLate) {
+  Pace pace{1e3 / 60};
+  int discs = 2;
+  for (int i = 0; i < 600; ++i) {
+    pace.add(10 + 4 * discs, discs);
+    ASSERT_GE(pace.most_discs(), 0);
+    if (i % 120 == 119) discs = std::min(discs, pace.most_discs());
+  }
+  EXPECT_EQ(discs, 1) << "one at a time";
+}
+
+TEST(Pace, DiscsThatComeAndGoHideNothing) {
+  Pace pace{1e3 / 60};
+  for (int i = 0; i < 200; ++i) pace.add(30, 1 + i / 10 % 2);
+  EXPECT_LT(pace.most_discs(), 2);
 }
 
 TEST(Pace, ALoadThatComesAndGoesIsFollowedLessAndLess) {

@@ -3,8 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
 #include <thread>
 
+#include "service/light_file.h"
 #include "service/studio_setup.h"
 #include "shadows/shadows.h"
 
@@ -219,6 +222,34 @@ TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
   EXPECT_GT(counts->frames, 0u);
   EXPECT_LE(counts->frames, 24u);
   EXPECT_GE(counts->frames + counts->dropped, 24u);
+}
+
+TEST(Live, DiscsThatAFrameHasNoTimeForAreGivenUp) {
+  Stages s;
+  NEED_GL(s);
+  // Nobody has the twenty microseconds that a frame may take here.
+  capture::StudioOptions hurried = bench().options;
+  hurried.view_fps = 50'000;
+  hurried.view_frames = 1 << 30;
+  hurried.clip = 2;
+  capture::Studio studio(bench().world, hurried);
+  const auto governance = make_governance(bench().scene, .001, false);
+  ASSERT_TRUE(governance);
+  s.light->govern(*governance);
+  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+  bool traced = false, given_up = false;
+  std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      studio, *s.light, **s.compose,
+      [&](const Output& out) {
+        traced |= out.light.plan && out.light.plan->discs > 0;
+        given_up = out.light.plan && out.light.plan->short_of_time && out.light.discs.empty();
+        return !given_up && std::chrono::steady_clock::now() < end;
+      },
+      s.times, stop);
+  ASSERT_TRUE(counts) << counts.error().detail;
+  EXPECT_TRUE(traced) << "the light needs discs";
+  EXPECT_TRUE(given_up);
 }
 
 TEST(Live, StopsAtAnyMomentAndJoinsItsThreads) {
