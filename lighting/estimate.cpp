@@ -10,6 +10,7 @@ namespace penumbra::lighting {
 namespace {
 
 constexpr int kGlance = 8;  // maps between predictions where no disc would be used
+constexpr int kCalm = 8;    // maps without clipping before that
 
 void add_discs(std::span<const Disc> discs, Projection& projection) {
   for (const Disc& disc : discs) {
@@ -115,8 +116,10 @@ Result<Projection> LightEstimator::measure_split(const Environment& environment)
 Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   if (environment.radiance.empty())
     return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  // A source at the edge of clipping must not change sides with every map.
+  maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
   const bool without_discs = options_.discs.most > 0 && governor_ && governor_->most_discs() == 0 &&
-                             environment.clipped.empty();
+                             maps_unclipped_ == kCalm;
   if (without_discs != without_discs_) {
     // Another part of the light is measured from now on.
     without_discs_ = without_discs;

@@ -498,6 +498,7 @@ class LightEstimator {
   std::optional<Plan> plan_;
   int maps_since_split_ = 0;
   bool without_discs_ = false;  // the map before was measured whole
+  int maps_unclipped_ = 0;
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;
 };

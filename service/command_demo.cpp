@@ -145,7 +145,7 @@ Result<void> demo(const DemoOptions& o) {
   if (!compose) return std::unexpected(compose.error());
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(output->begin());
-  auto writer = FrameWriter::create({output->work(), false, true, o.fps, o.live}, times);
+  auto writer = FrameWriter::create({output->work(), false, o.video, o.fps, o.live}, times);
   if (!writer) return std::unexpected(writer.error());
   std::optional<RecordingSource> recording;
   if (o.record) {
@@ -185,8 +185,8 @@ Result<void> demo(const DemoOptions& o) {
     print_json(summary);
   } else {
     print_summary(summary);
-    fmt::print("{0}/video.mp4  {0}/still.png  {0}/camera.png (before)  {0}/summary.json\n",
-               o.output);
+    if (o.video) fmt::print("{}/video.mp4  ", o.output);
+    fmt::print("{0}/still.png  {0}/camera.png (before)  {0}/summary.json\n", o.output);
   }
   return {};
 }

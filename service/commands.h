@@ -99,7 +99,7 @@ struct CompositeOptions {
 Result<void> composite(const CompositeOptions& options);
 
 struct DemoOptions {
-  bool headless = false, live = false, json = false, animated = true;
+  bool headless = false, live = false, json = false, animated = true, video = true;
   int frames = 90;
   std::string output = "out/demo";
   std::optional<std::string> environment, asset, animation, prop, record;

@@ -402,6 +402,7 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");
   c->add_option("--record", demo_options.record,
                 "Also record a capture folder with its scene.toml");
+  c->add_flag("!--no-video", demo_options.video, "Still and summary alone");
   c->add_flag("--live", demo_options.live,
               "Cameras (filmed beforehand), light and composite on threads, paced by the clock; "
               "discs that --fps leaves no time for are given up");

@@ -76,6 +76,10 @@ class DemoAndComposite(CliTest):
             self.skipTest("no OpenGL ES 3.1: " + done.stderr.strip())
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(sorted(p.name for p in out.iterdir()), ["camera.png", "still.png", "summary.json", "video.mp4"])
+        silent = self.root / "silent"
+        self.run_well("demo", "--headless", "--frames", 2, "--width", 64, "--height", 64, "--still-only", "--bands", 1,
+                      "--no-video", "--out", silent)
+        self.assertEqual(sorted(p.name for p in silent.iterdir()), ["camera.png", "still.png", "summary.json"])
 
     def test_stopped_composite_leaves_the_earlier_results_alone(self):
         record, out = self.root / "long", self.root / "kept"
