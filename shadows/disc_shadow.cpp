@@ -11,24 +11,17 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr std::size_t kScouts = 4;  // taps that decide whether a node needs the others
+constexpr int kCoarse = 8;          // cells between the first nodes
 constexpr float kSame = .07f;       // a cell whose corners differ by less is flat
 constexpr float kSteep = .6f;       // an edge may hide in a cell whose corners differ by more
-constexpr double kLongest = 10;     // radii of the caster: longest shadow
+constexpr float kStraight = .06f;   // midpoints this close to the bilinear value need no refinement
+// In the penumbra of a broad disc a step of one tap, 1/24, is no edge: who refined it where the shadow runs gently would
+// follow every tap's own hard shadow, for nothing.
+constexpr double kBroad = .2;  // radians
+constexpr float kGentle = .15f, kGentleStraight = .1f;
+constexpr double kLongest = 10;  // radii of the caster: longest shadow
 constexpr double kLeastSine =
     .02;  // of a tap's elevation: lower ones throw their shadow like this one
-
-// How closely a map is looked at.
-struct Detail {
-  int coarse;      // cells between the first nodes
-  float straight;  // midpoints this close to the bilinear value need no refinement
-};
-
-// In the penumbras of a broad disc a step of one tap, 1/24, is no edge: who refined it would follow every tap's own hard
-// shadow, for nothing.
-Detail detail_for(const lighting::Disc& disc) {
-  constexpr double kBroad = .2;  // radians
-  return least_radius(disc) < kBroad ? Detail{8, .06f} : Detail{16, .1f};
-}
 
 int taps_for(const lighting::Disc& disc, int taps) {
   // As many of a form's points for each tap.
@@ -91,7 +84,7 @@ class Refiner {
         out_(out),
         width_(out.taken.width()),
         narrow_(is_narrow(disc)),
-        detail_(detail_for(disc)) {
+        broad_(least_radius(disc) >= kBroad) {
     known_.assign(out.taken.area(), false);
     const glm::mat3 axes(out.world_from_map.rotation_matrix());
     frame_ = axes * out.cell_m;
@@ -131,8 +124,7 @@ class Refiner {
   const Blockers& blockers_;
   DiscShadow& out_;
   int width_;
-  bool narrow_;
-  Detail detail_;
+  bool narrow_, broad_;
   glm::mat3 frame_;
   glm::vec3 origin_;
   Scratch::Scope scope_;
@@ -213,7 +205,8 @@ bool Refiner::is_straight(const Cell& c, int step) const {
                 e = m.at(c.x + step, c.y + step);
     const auto [low, high] = std::minmax({a, b, d, e});
     if (high - low > kSteep) return false;
-    const auto near = [&](float u, float v) { return std::abs(u - v) < detail_.straight; };
+    const float allowed = broad_ && high - low < kGentle ? kGentleStraight : kStraight;
+    const auto near = [&](float u, float v) { return std::abs(u - v) < allowed; };
     return near(m.at(c.x + h, c.y), (a + b) / 2) && near(m.at(c.x + h, c.y + step), (d + e) / 2) &&
            near(m.at(c.x, c.y + h), (a + d) / 2) && near(m.at(c.x + step, c.y + h), (b + e) / 2) &&
            near(m.at(c.x + h, c.y + h), (a + b + d + e) / 4);
@@ -238,16 +231,16 @@ void Refiner::fill(const Cell& c, int step) {
 }
 
 void Refiner::run() {
-  const int coarse = detail_.coarse;
-  const int columns = (out_.taken.width() - 1) / coarse, rows = (out_.taken.height() - 1) / coarse;
+  const int columns = (out_.taken.width() - 1) / kCoarse,
+            rows = (out_.taken.height() - 1) / kCoarse;
   for (int y = 0; y <= rows; ++y)
-    for (int x = 0; x <= columns; ++x) want(x * coarse, y * coarse);
+    for (int x = 0; x <= columns; ++x) want(x * kCoarse, y * kCoarse);
   trace_wanted();
   // A cell next to one that varies may hold an edge that missed its corners.
   std::pmr::vector<char> vary(static_cast<std::size_t>(columns * rows), false, scope_.memory());
   const auto at = [&](int x, int y) { return static_cast<std::size_t>(y * columns + x); };
   for (int y = 0; y < rows; ++y)
-    for (int x = 0; x < columns; ++x) vary[at(x, y)] = varies({x * coarse, y * coarse}, coarse);
+    for (int x = 0; x < columns; ++x) vary[at(x, y)] = varies({x * kCoarse, y * kCoarse}, kCoarse);
   std::pmr::vector<Cell> cells(scope_.memory()), next(scope_.memory());
   for (int y = 0; y < rows; ++y)
     for (int x = 0; x < columns; ++x) {
@@ -255,10 +248,10 @@ void Refiner::run() {
       for (int j = std::max(0, y - 1); j <= std::min(rows - 1, y + 1); ++j)
         for (int i = std::max(0, x - 1); i <= std::min(columns - 1, x + 1); ++i)
           near |= vary[at(i, j)] != 0;
-      const Cell c{x * coarse, y * coarse};
-      near ? cells.push_back(c) : fill(c, coarse);
+      const Cell c{x * kCoarse, y * kCoarse};
+      near ? cells.push_back(c) : fill(c, kCoarse);
     }
-  for (int step = coarse; step > 1; step /= 2, std::swap(cells, next)) {
+  for (int step = kCoarse; step > 1; step /= 2, std::swap(cells, next)) {
     const int h = step / 2;
     for (const Cell& c : cells)
       for (int k = 0; k < 9; ++k) want(c.x + k % 3 * h, c.y + k / 3 * h);
@@ -318,9 +311,8 @@ void trace_extent(const Blockers& blockers, const TapPattern& taps, const lighti
                   DiscShadow& out) {
   const glm::dvec2 size = e.high - e.low;
   const double cell = std::max(size.x, size.y) / (options.size - 4);
-  const int coarse = detail_for(disc).coarse;
   const auto nodes = [&](double length) {
-    return (static_cast<int>(std::ceil(length / cell + 4)) + coarse - 1) / coarse * coarse + 1;
+    return (static_cast<int>(std::ceil(length / cell + 4)) + kCoarse - 1) / kCoarse * kCoarse + 1;
   };
   out.cell_m = static_cast<float>(cell);
   out.world_from_map =

@@ -106,7 +106,7 @@ struct Caster {
 
 struct DiscShadowOptions {
   int taps = 16;   // rays a node, 1..64; half as many again for a wide round disc, twice as many for a form
-  int size = 256;  // cells along the longer side; rounded up to a multiple of 8, or 16 for broad penumbras
+  int size = 256;  // cells along the longer side, a multiple of 8
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole
@@ -123,7 +123,7 @@ struct DiscShadow {
   std::size_t rays = 0;  // that it took
 };
 
-/// Traces nodes eight cells apart, sixteen in broad penumbras, and refines where they differ and a straight line does not fit: the cost follows
+/// Traces nodes eight cells apart and refines where they differ and a straight line does not fit: the cost follows
 /// the length of the shadow's edge. Shadows longer than ten radii of the caster are cut off softly.
 /// errors: none; an empty shadow when no light of the disc reaches the plane's front
 void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
