@@ -3,9 +3,8 @@
 
 #include <array>
 #include <cstdint>
-#include <vector>
-
 #include <utility>
+#include <vector>
 
 #include "compositor/compositor.h"
 #include "compositor/projection.h"

@@ -138,30 +138,8 @@ HWY_INLINE hn::Vec<D> DiscValue(const DiscLookup& t, hn::Vec<D> px, float py) {
   return hn::IfThenElseZero(inside, hn::MulAdd(fy, hn::Sub(bottom, top), top));
 }
 
-// Whether a pixel spans less than half a cell everywhere: the map is smooth then, and its middle is its mean.
-HWY_INLINE bool IsFine(const DiscLookup& t, hn::Vec<D> px, float py) {
-  const D d;
-  const auto at = [&](int k) HWY_ATTR {
-    return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
-  };
-  const auto w = at(2), x = at(0), z = at(1);
-  // The derivative of x/w is (x' w - x w')/w^2.
-  const auto steep = [&](hn::Vec<D> v, int k) HWY_ATTR {
-    const auto along = [&](int axis) HWY_ATTR {
-      return hn::Abs(
-          hn::NegMulAdd(v, hn::Set(d, t.at.h[2][axis]), hn::Mul(w, hn::Set(d, t.at.h[k][axis]))));
-    };
-    return hn::Add(along(0), along(1));
-  };
-  const auto most = hn::Mul(hn::Set(d, .5f), hn::Mul(w, w));
-  return hn::AllTrue(d, hn::And(hn::Lt(steep(x, 0), most), hn::Lt(steep(z, 1), most)));
-}
-
 HWY_INLINE hn::Vec<D> MeanValue(const DiscLookup& t, hn::Vec<D> left, int y) {
   const D d;
-  const auto middle = hn::Add(left, hn::Set(d, .5f));
-  if (IsFine(t, middle, static_cast<float>(y) + .5f))
-    return DiscValue(t, middle, static_cast<float>(y) + .5f);
   const int n = t.samples;
   const float step = 1 / static_cast<float>(n);
   auto sum = hn::Zero(d);

@@ -53,7 +53,7 @@ struct DiscLookup {
   Homography at;       // in cells from node (0, 0)
   const float* nodes;  // width x height
   int width, height;
-  int samples;  // a pixel along each axis where it spans half a cell: a hard edge must not show its pixels
+  int samples;  // a pixel along each axis: a hard edge must not show its pixels
   Rgb share;    // of the disc in the light of the open plane
   Rect area;
   std::vector<HalfImage> visible{};

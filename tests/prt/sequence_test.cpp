@@ -170,6 +170,24 @@ TEST(Sequence, CompressionKeepsItsError) {
   }
 }
 
+// A clip's surface relit at one moment, and what is decoded there relit likewise.
+struct Moment {
+  Moment(const TransferSequence& surface, double at, std::span<const glm::mat3> bones)
+      : s(surface), frame(at), turns(bones), fused(3 * s.stride()), decoded(fused.size()) {
+    s.decode(frame, turns, transfer);
+  }
+  void relight_both(const RadianceSh& light) {
+    s.relight(frame, light, turns, fused);
+    relight(transfer, light, decoded);
+  }
+
+  const TransferSequence& s;
+  double frame;
+  std::span<const glm::mat3> turns;
+  Transfer transfer{};
+  std::vector<float> fused, decoded;
+};
+
 TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
   Character coloured = walker();
   for (std::size_t i = 0; i < coloured.albedo.size(); ++i)
@@ -179,19 +197,15 @@ TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
   const auto turns = bone_turns(coloured, sample(coloured, coloured.clips[0], .41));
   const double frame = b.sequence.frame_at(.41);
   const RadianceSh light = some_light(3, 5);
-  std::vector<float> fused(3 * b.sequence.surface.stride()), decoded(fused.size());
-  b.sequence.surface.relight(frame, light, turns, fused);
-  Transfer t;
-  b.sequence.surface.decode(frame, turns, t);
-  relight(t, light, decoded);
-  EXPECT_LT(relative_rms(decoded, fused), 1e-3);  // halves
+  Moment m(b.sequence.surface, frame, turns);
+  m.relight_both(light);
+  EXPECT_LT(relative_rms(m.decoded, m.fused), 1e-3);  // halves
   // Fewer bands of light than were baked, and frames beyond the end.
-  b.sequence.surface.relight(frame, light.with_bands(2), turns, fused);
-  relight(t, light.with_bands(2), decoded);
-  EXPECT_LT(relative_rms(decoded, fused), 1e-3);
-  b.sequence.surface.relight(frame + 5 * b.sequence.surface.frames(), light, turns, decoded);
-  b.sequence.surface.relight(frame, light, turns, fused);
-  EXPECT_LT(relative_rms(decoded, fused), 1e-5);
+  m.relight_both(light.with_bands(2));
+  EXPECT_LT(relative_rms(m.decoded, m.fused), 1e-3);
+  m.s.relight(frame + 5 * m.s.frames(), light, turns, m.decoded);
+  m.s.relight(frame, light, turns, m.fused);
+  EXPECT_LT(relative_rms(m.decoded, m.fused), 1e-5);
 }
 
 TEST(Sequence, WhatNobodySeesIsLeftOut) {
@@ -207,19 +221,16 @@ TEST(Sequence, WhatNobodySeesIsLeftOut) {
   RelightPlan even;
   s.plan(frame, light.with_bands(1), turns, even);
   EXPECT_LT(even.terms.size(), plan.terms.size());
-  Transfer t;
-  s.decode(frame, turns, t);
-  std::vector<float> fused(3 * s.stride()), decoded(fused.size());
-  s.relight(frame, light, turns, fused);
-  relight(t, light, decoded);
+  Moment m(s, frame, turns);
+  m.relight_both(light);
   // In each part by itself: what is dark beside the rest is not lost.
   for (const RelightPlan::Part& part : plan.parts) {
     double error = 0, all = 0;
     for (std::uint32_t i = 0; i < part.point_count; ++i)
       for (std::size_t k = 0; k < 3; ++k) {
         const std::size_t at = k * s.stride() + s.order()[part.first_point + i];
-        error += std::pow(fused[at] - decoded[at], 2);
-        all += std::pow(decoded[at], 2);
+        error += std::pow(m.fused[at] - m.decoded[at], 2);
+        all += std::pow(m.decoded[at], 2);
       }
     EXPECT_LT(std::sqrt(error / all), 3 * TransferSequence::kUnseen);
   }
@@ -243,12 +254,9 @@ TEST(Sequence, MapsThatDoNotFitEightBitsAreRelitToo) {
   }
   EXPECT_GT(wide, 0u);
   EXPECT_LT(wide, plan.terms.size());
-  Transfer t;
-  s.decode(frame, turns, t);
-  std::vector<float> fused(3 * s.stride()), decoded(fused.size());
-  s.relight(frame, light, turns, fused);
-  relight(t, light, decoded);
-  EXPECT_LT(relative_rms(decoded, fused), 1e-3);
+  Moment m(s, frame, turns);
+  m.relight_both(light);
+  EXPECT_LT(relative_rms(m.decoded, m.fused), 1e-3);
 }
 
 TEST(Sequence, ShardsMergeToTheSameBytes) {
