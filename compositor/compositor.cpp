@@ -68,7 +68,7 @@ std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Laye
     rows.resize(static_cast<std::size_t>(frame.width()));
     std::size_t count = 0;
     for (int y = range.begin(); y < range.end(); ++y)
-      count += composite_row(codec, frame.row(y).data(), y, in, rows);
+      count += composite_row(codec, frame.row(y).data(), y, in.row(y), rows);
     touched += count;
   });
   return touched;

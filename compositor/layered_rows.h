@@ -54,6 +54,14 @@ struct Layered {
   const Receivers& receivers;
   Rect area;  // all that is touched at most
   const Vignetting& vignetting;
+
+  /// The same for row y alone, `area` being what is touched there at most.
+  Layered row(int y) const {
+    Rect part = receivers.reach_in_row(y);
+    for (const Layer* layer : {&objects, &hidden})
+      if (has_row(*layer, y)) part = united(part, {layer->rect.x0, y, layer->rect.x1, y + 1});
+    return {objects, hidden, receivers, part, vignetting};
+  }
 };
 
 /// The objects' row as the lens lets it through.

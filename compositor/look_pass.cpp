@@ -55,13 +55,14 @@ Loaded load_planes(const Layered& in, int y, std::size_t stride, LookBuffers& ro
   RowBuffers& layers = rows.layers;
   const Loaded loaded{has_row(in.objects, y), load_shadows(in, y, layers)};
   if (!loaded.objects && !loaded.shadows) return loaded;
-  std::fill_n(rows.planes.begin(), 3 * stride, 0.f);
-  const auto width = static_cast<std::size_t>(in.area.width());
+  const auto width = static_cast<std::size_t>(in.area.width()),
+             padded = padded_row(in.area.width());
   const float* const ratio[3] = {layers.r.data(), layers.g.data(), layers.b.data()};
   for (std::size_t c = 0; c < 3; ++c) {
     float* const taken = &rows.planes[(3 + c) * stride];
     for (std::size_t i = 0; i < width; ++i) taken[i] = 1 - ratio[c][i];
-    std::fill(taken + width, taken + stride, 0.f);
+    std::fill(taken + width, taken + padded, 0.f);
+    std::fill_n(&rows.planes[c * stride], padded, 0.f);
   }
   if (!loaded.objects) return loaded;
   load_objects(in, y, layers.object);
@@ -175,12 +176,15 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
     });
   std::atomic<std::size_t> touched = 0;
   each_row(area, [&](int y, LookBuffers& rows) {
+    Rect part = area;
     if (blurs) {
       if (!load_blurred(planes, y, stride, rows)) return;
-    } else if (const Loaded l = load_planes(in, y, stride, rows); !l.objects && !l.shadows) {
-      return;
+    } else {
+      const Layered row = in.row(y);
+      part = row.area;
+      if (const Loaded l = load_planes(row, y, stride, rows); !l.objects && !l.shadows) return;
     }
-    touched += look_row<Pixel, Codec, Code>(codec, roundings, look, frame.row(y).data(), y, area,
+    touched += look_row<Pixel, Codec, Code>(codec, roundings, look, frame.row(y).data(), y, part,
                                             stride, rows);
   });
   return touched;

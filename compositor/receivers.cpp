@@ -120,6 +120,9 @@ bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& c
                          {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
   find_visible(view, r.world_from_bake * glm::dvec3(0, h, 0),
                r.world_from_bake.rotation * glm::dvec3(0, 1, 0), lookup.visible);
+  const glm::dvec2 centre(r.grid.centre.x, r.grid.centre.y);
+  const double half = r.grid.half_extent;
+  add_sides(lookup.at, (r.low - centre) / half, (r.high - centre) / half, lookup.visible);
   return true;
 }
 
@@ -149,6 +152,7 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     DiscLookup out = disc_lookup(view, s, nodes, samples_, share, area);
     find_visible(view, s.world_from_map.translation,
                  s.world_from_map.rotation * glm::dvec3(0, 1, 0), out.visible);
+    add_sides(out.at, {0, 0}, {nodes.width() - 1, nodes.height() - 1}, out.visible);
     return out;
   };
   for (const RealDisc& d : real_discs_)
@@ -191,6 +195,32 @@ void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& poi
     const HalfImage there = nearness(other.point, other.normal);
     out.push_back({own.a - there.a, own.b - there.b, own.c - there.c});
   }
+}
+
+// (x, z) = (X, Z)/W is at or past a side where X - side W >= 0 in front of the camera: linear in the pixel. Half a pixel
+// more, for those that a side passes through.
+void Receivers::add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high,
+                          std::vector<HalfImage>& out) {
+  const auto past = [&](int axis, double side, double sign) {
+    const auto term = [&](int k) { return sign * (at.h[axis][k] - side * at.h[2][k]); };
+    out.push_back({term(0), term(1), term(2) + .5 * (std::abs(term(0)) + std::abs(term(1)))});
+  };
+  for (const int axis : {0, 1}) {
+    past(axis, low[axis], 1);
+    past(axis, high[axis], -1);
+  }
+}
+
+Rect Receivers::reach_in_row(int y) const {
+  Rect all;
+  const auto add = [&](const auto& lookup) {
+    if (y < lookup.area.y0 || y >= lookup.area.y1) return;
+    const Columns c = visible_columns(lookup.visible, y, lookup.area);
+    all = united(all, {c.x0, y, c.x1, y + 1});
+  };
+  std::ranges::for_each(lookups_, add);
+  std::ranges::for_each(taken_, add);
+  return all;
 }
 
 Receivers::Columns Receivers::visible_columns(const std::vector<HalfImage>& in_front, int y,
@@ -268,7 +298,7 @@ void Receivers::subtract_discs(int y, const Rect& area, float* r, float* g, floa
   const auto subtract_taken = [&] {
     for (const DiscLookup& d : taken_) {
       if (y < d.area.y0 || y >= d.area.y1) continue;
-      const Columns c = visible_columns(d.visible, y, d.area);
+      const Columns c = within(visible_columns(d.visible, y, d.area), area);
       if (c.x0 >= c.x1) continue;
       const int skip = c.x0 - area.x0;
       subtract_disc_shares(d, y, c.x0, c.x1, r + skip, g + skip, b + skip);

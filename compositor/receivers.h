@@ -83,7 +83,10 @@ class Receivers {
   /// on entry: s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j m_j), q_j what
   /// virtual things take of disc j, m_j what real things take of it anyway and r what they leave of the rest. False when
   /// no shadow reaches the row.
+  /// area: may be narrower, as long as it holds reach_in_row
   bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
+  /// The pixels of row y that any shadow can reach: seen slantwise they are far fewer than the rectangle holds.
+  Rect reach_in_row(int y) const;
 
  private:
   struct Receiver {
@@ -115,6 +118,9 @@ class Receivers {
   };
   void find_visible(const prt::PinholeView& view, const glm::dvec3& point, const glm::dvec3& normal,
                     std::vector<HalfImage>& out) const;
+  /// Adds the pixels that touch positions [low, high] of a plane.
+  static void add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high,
+                        std::vector<HalfImage>& out);
   static Columns visible_columns(const std::vector<HalfImage>& in_front, int y, const Rect& area);
   bool prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
                       const Receiver& receiver, PlaneLookup& out) const;
