@@ -7,11 +7,13 @@ namespace penumbra::service {
 void Pace::add(double busy_ms, int discs) {
   if (!(period_ms_ > 0)) return;
   even_ = even_ && (frames_ == 0 || discs == discs_);
-  discs_ = discs;
+  discs_ = frames_ == 0 ? discs : std::max(discs_, discs);
   busy_ms_[static_cast<std::size_t>(frames_)] = busy_ms;
-  if (++frames_ < kWindow) return;
-  std::ranges::nth_element(busy_ms_, busy_ms_.begin() + kWindow / 2);
-  decide(busy_ms_[kWindow / 2]);
+  if (++frames_ < window_) return;
+  const auto middle = busy_ms_.begin() + window_ / 2;
+  std::nth_element(busy_ms_.begin(), middle, busy_ms_.begin() + window_);
+  window_ = kWindow;
+  decide(*middle);
   frames_ = 0;
   even_ = true;
 }
@@ -43,6 +45,7 @@ void Pace::take_one_back(double median_ms) {
   if (!disc_cost_ms_) return;
   if (median_ms + *disc_cost_ms_ < kRoom * period_ms_) {
     ++allowed_;
+    window_ = kTrial;
     with_ms_.reset();
   } else {
     // It may have cost less: what else the machine did then nobody knows.

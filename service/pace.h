@@ -18,13 +18,14 @@ class Pace {
 
   /// A frame that took so long, waiting for others not counted, with so many discs that could go.
   void add(double busy_ms, int discs);
-  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may; one more when the last one that went
-  /// would fit again by what it cost then, after a wait that doubles with every disc that goes.
+  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may, a short window while discs are on trial,
+  /// as at the beginning; one more when the last one that went would fit again by what it cost then, after a wait that
+  /// doubles with every disc that goes.
   int most_discs() const { return allowed_; }
 
  private:
-  static constexpr int kWindow = 20;    // frames
-  static constexpr double kRoom = .85;  // of the period, before a disc comes back
+  static constexpr int kWindow = 20, kTrial = 8;  // frames
+  static constexpr double kRoom = .85;            // of the period, before a disc comes back
   static constexpr int kShortestWait = 4, kLongestWait = 1024;  // windows
   static constexpr int kForgiven = 16;  // waits without a loss: the next one is shorter
   static constexpr double kDoubt = .8;  // of a cost, after each wait that it forbade
@@ -36,7 +37,8 @@ class Pace {
   double period_ms_;
   int allowed_ = kAll;
   std::array<double, kWindow> busy_ms_{};
-  int frames_ = 0, discs_ = 0;
+  int frames_ = 0, window_ = kTrial;
+  int discs_ = 0;                       // most in a frame of the window
   bool even_ = true;                    // as many discs in all frames of the window
   std::optional<double> with_ms_;       // what a frame took with the disc that went
   std::optional<double> disc_cost_ms_;  // of that disc, once known

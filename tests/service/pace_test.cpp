@@ -33,6 +33,17 @@ TEST(Pace, WhatDoesNotFitGoesWithinHalfASecond) {
   EXPECT_EQ(m.discs, 0);
 }
 
+TEST(Pace, WhatIsOnTrialGoesSooner) {
+  Machine m{10, 8};
+  m.run(8);
+  EXPECT_EQ(m.discs, 0);
+  m.base_ms = 4;
+  while (m.discs == 0) m.run(1);
+  m.base_ms = 10;  // as soon as it is back
+  m.run(8);
+  EXPECT_EQ(m.discs, 0);
+}
+
 TEST(Pace, DiscsGoOneByOneUntilTheRestFits) {
   Machine m{8, 3, 5};
   m.run(300);
@@ -69,7 +80,7 @@ TEST(Pace, OneSlowFrameIsNoReason) {
 
 TEST(Pace, ASlowSpellIsForgotten) {
   Machine m{6, 4};
-  m.run(60);
+  m.run(68);
   for (int i = 0; i < 25; ++i) m.pace.add(200, 1);
   m.run(1);
   EXPECT_EQ(m.discs, 0);
