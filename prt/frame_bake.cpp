@@ -20,7 +20,7 @@ namespace penumbra::prt {
 namespace {
 
 constexpr int kMostFrames = 4096;
-constexpr std::uint64_t kBakeVersion = 2;  // changes with what a bake computes
+constexpr std::uint64_t kBakeVersion = 3;  // changes with what a bake computes
 constexpr float kOpenT0 = .28209479f;      // Y_0: of a point that sees all
 constexpr std::uint16_t kHidden = 0x7e00;  // a half that is no number
 
@@ -95,6 +95,8 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
     return fail(ErrorCode::kInvalid, "receiver", "size not within 2..4096");
   if (!(o.error > 0 && o.error < 1))
     return fail(ErrorCode::kInvalid, "error", "of compression is not within 0..1");
+  if (!(o.between >= 0 && o.between < 1))
+    return fail(ErrorCode::kInvalid, "between", "the error between key frames is not within 0..1");
   return FrameBaker(c, clip, o);
 }
 
@@ -112,16 +114,16 @@ FrameBaker::FrameBaker(const Character& character, int clip, const SequenceOptio
   link_points();
 }
 
-double FrameBaker::seconds_at(int frame) const {
-  return character_.clips[static_cast<std::size_t>(clip_)].seconds * frame / frames_;
+double FrameBaker::seconds_at(int position) const {
+  return character_.clips[static_cast<std::size_t>(clip_)].seconds * position / positions();
 }
 
 // One grid for all frames, on the plane y = 0 of the character's frame.
 void FrameBaker::find_receiver() {
   Mesh all, mesh;
-  for (int f = 0; f < frames_; ++f) {
+  for (int p = 0; p < positions(); p += kSplit) {
     deform(character_,
-           sample(character_, character_.clips[static_cast<std::size_t>(clip_)], seconds_at(f)),
+           sample(character_, character_.clips[static_cast<std::size_t>(clip_)], seconds_at(p)),
            mesh);
     const Bounds b = bounds_of(mesh);
     all.positions.insert(all.positions.end(), {b.low, b.high});
@@ -139,12 +141,12 @@ JournalKey FrameBaker::key() const {
   const SequenceOptions& o = options_;
   Fnv1a h;
   h.add(kBakeVersion).add(fingerprint(character_, clip_)).add(character_.frame);
-  h.add(o.frames_per_second);
+  h.add(o.frames_per_second).add(o.between);
   for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, o.map_width, o.map_height,
                       o.ground_size.value_or(0), int{o.denoise}})
     h.add(n);
   h.add(o.ground_albedo);
-  return {h.value(), static_cast<std::uint32_t>(frames_), offset(kStreams)};
+  return {h.value(), static_cast<std::uint32_t>(positions()), offset(kStreams)};
 }
 
 Transfer FrameBaker::shape(Stream stream) const {
@@ -390,9 +392,10 @@ std::vector<glm::mat3> FrameBaker::ray_frames(const Mesh& mesh,
   return out;
 }
 
-Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)>& progress) const {
+Result<FrameRecord> FrameBaker::bake(int position,
+                                     const std::function<void(double)>& progress) const {
   const CharacterPose pose =
-      sample(character_, character_.clips[static_cast<std::size_t>(clip_)], seconds_at(frame));
+      sample(character_, character_.clips[static_cast<std::size_t>(clip_)], seconds_at(position));
   Mesh mesh;
   deform(character_, pose, mesh);
   add_texels(character_, layout_, mesh);
@@ -418,7 +421,7 @@ Result<FrameRecord> FrameBaker::bake(int frame, const std::function<void(double)
     mark_hidden(baked->report, *t);
   }
   FrameRecord out;
-  out.frame = static_cast<std::uint32_t>(frame);
+  out.frame = static_cast<std::uint32_t>(position);
   out.rays = baked->report.rays;
   out.seconds = baked->report.seconds;
   for (std::size_t p = 0; p < layout_.points(); ++p) {

@@ -7,6 +7,7 @@
 
 #include "core/result.h"
 #include "prt/journal.h"
+#include "prt/key_frames.h"
 #include "prt/light_map.h"
 #include "prt/prt.h"
 #include "prt/seams.h"
@@ -25,13 +26,17 @@ class FrameBaker {
   static Result<FrameBaker> create(const Character& character, int clip,
                                    const SequenceOptions& options);
 
+  /// Of the rate that was asked for: one every kSplit positions in time.
   int frames() const { return frames_; }
+  /// Positions that a frame can be baked at, all alike apart.
+  static constexpr int kSplit = KeyFrames::kSplit;
+  int positions() const { return frames_ * kSplit; }
   const SurfaceLayout& layout() const { return layout_; }
   const std::optional<Receiver>& receiver() const { return receiver_; }
   JournalKey key() const;
 
   /// errors: kUnavailable (Embree)
-  Result<FrameRecord> bake(int frame, const std::function<void(double)>& progress) const;
+  Result<FrameRecord> bake(int position, const std::function<void(double)>& progress) const;
 
   /// The streams of a frame's values, in their order.
   enum Stream { kSurface, kSurfaceIndirect, kGround, kGroundIndirect, kStreams };
@@ -43,7 +48,7 @@ class FrameBaker {
 
  private:
   FrameBaker(const Character& character, int clip, const SequenceOptions& options);
-  double seconds_at(int frame) const;
+  double seconds_at(int position) const;
   void find_receiver();
   int channels() const;
   void link_points();

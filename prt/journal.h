@@ -14,7 +14,7 @@ namespace penumbra::prt {
 
 /// A frame's transfer as half floats, stream by stream, and what its bake tells.
 struct FrameRecord {
-  std::uint32_t frame = 0;
+  std::uint32_t frame = 0;  // its position in time
   std::uint64_t rays = 0;
   double seconds = 0;
   double error_variance = 0, mean = 0;  // of t_0, summed over the points that show
@@ -25,7 +25,7 @@ struct FrameRecord {
 /// What a journal is of: bakes of another kind are not joined.
 struct JournalKey {
   std::uint64_t bake = 0;    // a fingerprint of everything that the result depends on
-  std::uint32_t frames = 0;  // of the whole clip
+  std::uint32_t frames = 0;  // positions that one can stand at
   std::uint64_t values = 0;  // in a frame
   friend bool operator==(const JournalKey&, const JournalKey&) = default;
 };

@@ -4,11 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
+#include <map>
 #include <set>
 
-#include "core/files.h"
-#include "core/hash.h"
 #include "lighting/lighting.h"
 #include "prt/frame_bake.h"
 #include "prt/prt.h"
@@ -17,8 +15,33 @@
 namespace penumbra::prt {
 
 double BakedSequence::frame_at(double time_s) const {
-  return seconds > 0 ? time_s / seconds * surface.frames() : 0;
+  return seconds > 0 ? keys.frame_at(time_s / seconds) : 0;
 }
+
+namespace {
+
+// Positions in order into a journal, but for those that it holds; visit(record) of each new one.
+template <class Visit>
+Result<void> bake_positions(const FrameBaker& baker, std::span<const int> wanted, Journal& journal,
+                            const std::function<void(double)>& progress, const Visit& visit) {
+  const std::set<std::uint32_t> done(journal.frames().begin(), journal.frames().end());
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    const auto share = [&](double of_frame) {
+      if (progress)
+        progress((static_cast<double>(i) + of_frame) / static_cast<double>(wanted.size()));
+    };
+    share(0);
+    if (done.contains(static_cast<std::uint32_t>(wanted[i]))) continue;
+    auto record = baker.bake(wanted[i], share);
+    if (!record) return std::unexpected(record.error());
+    PENUMBRA_TRY(journal.add(*record));
+    visit(std::move(*record));
+  }
+  if (progress) progress(1);
+  return {};
+}
+
+}  // namespace
 
 Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
                          Shard shard, const std::filesystem::path& journal_path) {
@@ -29,22 +52,13 @@ Result<void> bake_frames(const Character& character, int clip, const SequenceOpt
   if (!baker) return std::unexpected(baker.error());
   auto journal = Journal::open(journal_path, baker->key());
   if (!journal) return std::unexpected(journal.error());
-  const std::set<std::uint32_t> done(journal->frames().begin(), journal->frames().end());
   std::vector<int> wanted;
-  for (int f = shard.index; f < baker->frames(); f += shard.count) wanted.push_back(f);
-  for (std::size_t i = 0; i < wanted.size(); ++i) {
-    const auto progress = [&](double share) {
-      if (options.progress)
-        options.progress((static_cast<double>(i) + share) / static_cast<double>(wanted.size()));
-    };
-    progress(0);
-    if (done.contains(static_cast<std::uint32_t>(wanted[i]))) continue;
-    const auto record = baker->bake(wanted[i], progress);
-    if (!record) return std::unexpected(record.error());
-    PENUMBRA_TRY(journal->add(*record));
-  }
-  if (options.progress) options.progress(1);
-  return {};
+  for (int f = shard.index; f < baker->frames(); f += shard.count)
+    wanted.push_back(f * FrameBaker::kSplit);
+  PENUMBRA_TRY(bake_positions(*baker, wanted, *journal, options.progress, [](auto&&) {}));
+  if (shard.count > 1) return {};
+  const std::filesystem::path journals[] = {journal_path};
+  return bake_between(character, clip, options, journals, journal_path);
 }
 
 Result<std::uint64_t> bake_key(const Character& character, int clip,
@@ -56,30 +70,34 @@ Result<std::uint64_t> bake_key(const Character& character, int clip,
 
 namespace {
 
-// Every frame once, in order.
-Result<std::vector<FrameRecord>> gather(const JournalKey& key,
-                                        std::span<const std::filesystem::path> journals) {
-  std::vector<std::optional<FrameRecord>> found(key.frames);
+using Records = std::map<std::uint32_t, FrameRecord>;  // by position
+
+// Everything that journals hold: at least every frame of the rate that was asked for.
+Result<Records> gather(const FrameBaker& baker, std::span<const std::filesystem::path> journals) {
+  Records out;
   for (const std::filesystem::path& path : journals) {
-    auto records = read_journal(path, key);
+    auto records = read_journal(path, baker.key());
     if (!records) return std::unexpected(records.error());
-    for (FrameRecord& r : *records) found[r.frame] = std::move(r);
+    for (FrameRecord& r : *records) out[r.frame] = std::move(r);
   }
-  std::vector<FrameRecord> out;
-  for (std::size_t f = 0; f < found.size(); ++f) {
-    if (!found[f])
+  for (int f = 0; f < baker.frames(); ++f)
+    if (!out.contains(static_cast<std::uint32_t>(f * FrameBaker::kSplit)))
       return fail(ErrorCode::kInvalid, journals.empty() ? "journals" : journals[0].string(),
-                  fmt::format("frame {} of {} is not baked yet", f, found.size()));
-    out.push_back(std::move(*found[f]));
-  }
+                  fmt::format("frame {} of {} is not baked yet", f, baker.frames()));
   return out;
 }
 
-std::vector<Transfer> frames_of(const FrameBaker& baker, std::span<const FrameRecord> records,
+KeyFrames keys_of(const FrameBaker& baker, const Records& records) {
+  KeyFrames keys{static_cast<std::uint32_t>(baker.positions()), {}};
+  for (const auto& [position, record] : records) keys.at.push_back(position);
+  return keys;
+}
+
+std::vector<Transfer> frames_of(const FrameBaker& baker, const Records& records,
                                 FrameBaker::Stream stream) {
   std::vector<Transfer> out;
   const auto first = static_cast<std::ptrdiff_t>(baker.offset(stream));
-  for (const FrameRecord& r : records) {
+  for (const auto& [position, r] : records) {
     Transfer t = baker.shape(stream);
     std::copy_n(r.values.begin() + first, t.values.size(), t.values.begin());
     out.push_back(std::move(t));
@@ -87,30 +105,6 @@ std::vector<Transfer> frames_of(const FrameBaker& baker, std::span<const FrameRe
   if (stream == FrameBaker::kSurface || stream == FrameBaker::kSurfaceIndirect)
     baker.complete_hidden(out);
   return out;
-}
-
-// RMS of what a straight line between frames leaves out: at most an eighth of the second difference (the middle between
-// two frames is what it was measured at).
-double interpolation_error(std::span<const Transfer> frames) {
-  const std::size_t count = frames.size();
-  if (count < 3) return 0;
-  const auto energy = mean_band_energy();
-  double sum = 0, all = 0;
-  constexpr std::size_t kStep = 7;  // of the points: a sample is plenty
-  for (std::size_t f = 0; f < count; ++f) {
-    const Transfer &a = frames[f], &b = frames[(f + 1) % count], &c = frames[(f + 2) % count];
-    for (int channel = 0; channel < a.channels; ++channel)
-      for (int l = 0; l < a.bands; ++l)
-        for (int m = -l; m <= l; ++m)
-          for (std::size_t p = 0; p < a.points; p += kStep) {
-            const int n = sh_index(l, m);
-            const double middle = b.value(channel, n, p);
-            const double bend = (a.value(channel, n, p) - 2 * middle + c.value(channel, n, p)) / 8;
-            sum += double(energy[static_cast<std::size_t>(l)]) * bend * bend;
-            all += double(energy[static_cast<std::size_t>(l)]) * middle * middle;
-          }
-  }
-  return all > 0 ? std::sqrt(sum / all) : 0;
 }
 
 // Of the open receiver, whose light the shadow's ratio is of.
@@ -124,43 +118,115 @@ double open_rms(int bands) {
   return std::sqrt(sum);
 }
 
+// Of t_0, relative to its mean.
+double standard_error(const Records& records) {
+  double variance = 0, mean = 0;
+  std::uint64_t seen = 0;
+  for (const auto& [position, r] : records) {
+    seen += r.seen;
+    variance += r.error_variance;
+    mean += r.mean;
+  }
+  const auto points = static_cast<double>(seen);
+  return mean > 0 ? std::sqrt(variance / points) / (mean / points) : 0;
+}
+
+// By interval, relative: of the surface or of the receiver, whichever is worse.
+std::vector<double> errors_between(const FrameBaker& baker, const KeyFrames& keys,
+                                   const Records& records) {
+  const std::vector<Transfer> surface = frames_of(baker, records, FrameBaker::kSurface);
+  std::vector<double> out = interpolation_errors(keys, surface);
+  const double rms = SequenceCodec::rendered_rms(surface);
+  for (double& error : out) error = error > 0 ? error / rms : 0;
+  if (!baker.receiver()) return out;
+  const std::vector<Transfer> ground = frames_of(baker, records, FrameBaker::kGround);
+  const std::vector<double> on_ground = interpolation_errors(keys, ground);
+  const double open = open_rms(ground[0].bands);
+  for (std::size_t i = 0; i < out.size(); ++i) out[i] = std::max(out[i], on_ground[i] / open);
+  return out;
+}
+
+void tell_interpolation(std::span<const double> errors, BakedSequence& out) {
+  double sum = 0;
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    if (!std::isfinite(errors[i])) return;  // too few to tell
+    sum += out.keys.width(i) * errors[i] * errors[i];
+    out.report.worst_interpolation = std::max(out.report.worst_interpolation, errors[i]);
+  }
+  out.report.interpolation_error = std::sqrt(sum / out.keys.parts);
+}
+
+// Middles of the intervals that are too coarse. Noise hardly bends, as its pattern is the same in all frames; what it does no
+// further frames mend.
+std::vector<int> positions_between(const FrameBaker& baker, const Records& records, double bound) {
+  constexpr double kNoiseBend = .25;
+  const KeyFrames keys = keys_of(baker, records);
+  const std::vector<double> errors = errors_between(baker, keys, records);
+  const double allowed = std::max(bound, kNoiseBend * standard_error(records));
+  std::vector<int> out;
+  for (std::size_t i = 0; i < errors.size(); ++i)
+    if (errors[i] > allowed && keys.width(i) > 1)
+      out.push_back(static_cast<int>(keys.at[i] + keys.width(i) / 2));
+  return out;
+}
+
 }  // namespace
+
+Result<void> bake_between(const Character& character, int clip, const SequenceOptions& options,
+                          std::span<const std::filesystem::path> journals,
+                          const std::filesystem::path& journal_path) {
+  auto baker = FrameBaker::create(character, clip, options);
+  if (!baker) return std::unexpected(baker.error());
+  if (options.between == 0 || character.clips[static_cast<std::size_t>(clip)].seconds == 0)
+    return {};
+  auto journal = Journal::open(journal_path, baker->key());
+  if (!journal) return std::unexpected(journal.error());
+  PENUMBRA_ASSIGN(known, gather(*baker, journals));
+  // From the frames of the rate on, so that a bake that was stopped asks for the same ones again.
+  Records records;
+  for (int f = 0; f < baker->positions(); f += FrameBaker::kSplit) {
+    const auto position = static_cast<std::uint32_t>(f);
+    records[position] = std::move(known.at(position));
+  }
+  while (true) {  // ends: every round halves an interval, of kSplit parts at first
+    const std::vector<int> wanted = positions_between(*baker, records, options.between);
+    if (wanted.empty()) return {};
+    for (const int p : wanted)
+      if (auto kept = known.find(static_cast<std::uint32_t>(p)); kept != known.end())
+        records.insert(known.extract(kept));
+    PENUMBRA_TRY(bake_positions(*baker, wanted, *journal, options.progress,
+                                [&](FrameRecord&& r) { records[r.frame] = std::move(r); }));
+  }
+}
 
 Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,
                                       std::span<const std::filesystem::path> journals) {
   auto baker = FrameBaker::create(character, clip, options);
   if (!baker) return std::unexpected(baker.error());
-  auto records = gather(baker->key(), journals);
-  if (!records) return std::unexpected(records.error());
+  PENUMBRA_ASSIGN(records, gather(*baker, journals));
   BakedSequence out;
+  out.keys = keys_of(*baker, records);
   out.clip = character.clips[static_cast<std::size_t>(clip)].name;
   out.seconds = character.clips[static_cast<std::size_t>(clip)].seconds;
   out.map_width = options.map_width;
   out.map_height = options.map_height;
   out.receiver = baker->receiver();
-  double variance = 0, mean = 0;
-  std::uint64_t seen = 0;
-  for (const FrameRecord& r : *records) {
-    seen += r.seen;
+  for (const auto& [position, r] : records) {
     out.report.rays += r.rays;
     out.report.seconds += r.seconds;
-    variance += r.error_variance;
-    mean += r.mean;
   }
-  if (mean > 0)
-    out.report.standard_error =
-        std::sqrt(variance / static_cast<double>(seen)) / (mean / static_cast<double>(seen));
+  out.report.standard_error = standard_error(records);
+  if (out.seconds > 0) tell_interpolation(errors_between(*baker, out.keys, records), out);
   const StreamLayout surface = layout_of_surface(baker->layout());
   const StreamLayout ground = layout_of_ground(out.receiver ? out.receiver->grid.size : 0);
   // The budget is one of the picture: a part of the light that is faint beside the whole may err by more of itself.
   double allowed = 0;
   const auto encode = [&](FrameBaker::Stream stream, const StreamLayout& layout) {
-    const std::vector<Transfer> frames = frames_of(*baker, *records, stream);
+    const std::vector<Transfer> frames = frames_of(*baker, records, stream);
     if (stream == FrameBaker::kSurface) {
       const double rms = SequenceCodec::rendered_rms(frames);
       allowed = options.error * rms;
-      out.report.interpolation_error = interpolation_error(frames);
       auto outcome = SequenceCodec::encode(frames, layout, allowed);
       out.report.compression_error = rms > 0 ? outcome.error / rms : 0;
       return std::move(outcome.sequence);
@@ -180,9 +246,8 @@ Result<std::vector<Transfer>> baked_surface(const Character& character, int clip
                                             std::span<const std::filesystem::path> journals) {
   auto baker = FrameBaker::create(character, clip, options);
   if (!baker) return std::unexpected(baker.error());
-  auto records = gather(baker->key(), journals);
-  if (!records) return std::unexpected(records.error());
-  return frames_of(*baker, *records, FrameBaker::kSurface);
+  PENUMBRA_ASSIGN(records, gather(*baker, journals));
+  return frames_of(*baker, records, FrameBaker::kSurface);
 }
 
 CompressedSurface compress_surface(const SurfaceLayout& layout, std::span<const Transfer> frames,
@@ -192,172 +257,6 @@ CompressedSurface compress_surface(const SurfaceLayout& layout, std::span<const 
       SequenceCodec::encode(frames, stream, relative_error * SequenceCodec::rendered_rms(frames));
   const std::size_t bytes = SequenceCodec::write(outcome.sequence, stream).size();
   return {std::move(outcome.sequence), bytes};
-}
-
-// ---------------------------------------------------------------------------------- file
-
-namespace {
-
-constexpr std::uint32_t kMostTexels = 4096;  // of a light map's side
-constexpr char kMagic[8] = {'P', 'N', 'B', 'S', 'H', 'L', 'M', '1'};
-
-struct FileHead {
-  char magic[8];
-  std::uint64_t asset, layout;  // fingerprints
-  std::uint32_t map_width, map_height, ground_size, unused;
-  double seconds, standard_error, compression_error, interpolation_error;
-  std::uint64_t rays;
-  float ground_centre[2], ground_half_extent, ground_height, ground_albedo[3], unused2;
-  std::uint64_t bytes[4];  // of the streams, which follow in order
-};
-
-std::uint64_t fingerprint(const SurfaceLayout& layout) {
-  Fnv1a h;
-  for (const SurfaceLayout::Texel& t : layout.texels) h.add(t.x).add(t.y).add(t.triangle);
-  return h.add(layout.bone).value();
-}
-
-}  // namespace
-
-Result<void> write_sequence(const std::filesystem::path& path, const Character& character, int clip,
-                            const BakedSequence& s) {
-  const SurfaceLayout layout = lay_out(character, s.map_width, s.map_height);
-  const StreamLayout surface = layout_of_surface(layout);
-  const int ground_size = s.receiver ? s.receiver->grid.size : 0;
-  const StreamLayout ground = layout_of_ground(ground_size);
-  FileHead head{};
-  std::memcpy(head.magic, kMagic, sizeof kMagic);
-  head.asset = prt::fingerprint(character, clip);
-  head.layout = fingerprint(layout);
-  head.map_width = static_cast<std::uint32_t>(s.map_width);
-  head.map_height = static_cast<std::uint32_t>(s.map_height);
-  head.ground_size = static_cast<std::uint32_t>(ground_size);
-  head.seconds = s.seconds;
-  head.standard_error = s.report.standard_error;
-  head.compression_error = s.report.compression_error;
-  head.interpolation_error = s.report.interpolation_error;
-  head.rays = s.report.rays;
-  if (s.receiver) {
-    const GroundGrid& g = s.receiver->grid;
-    head.ground_centre[0] = g.centre.x;
-    head.ground_centre[1] = g.centre.y;
-    head.ground_half_extent = g.half_extent;
-    head.ground_height = g.height;
-    for (int c = 0; c < 3; ++c) head.ground_albedo[c] = s.receiver->albedo[c];
-  }
-  const std::vector<unsigned char> streams[4] = {SequenceCodec::write(s.surface, surface),
-                                                 SequenceCodec::write(s.surface_indirect, surface),
-                                                 SequenceCodec::write(s.ground_deficit, ground),
-                                                 SequenceCodec::write(s.ground_indirect, ground)};
-  std::string bytes;
-  for (std::size_t i = 0; i < 4; ++i) head.bytes[i] = streams[i].size();
-  bytes.append(reinterpret_cast<const char*>(&head), sizeof head);
-  for (const auto& stream : streams)
-    bytes.append(reinterpret_cast<const char*>(stream.data()), stream.size());
-  const std::uint64_t sum = Fnv1a().add(bytes.data(), bytes.size()).value();
-  bytes.append(reinterpret_cast<const char*>(&sum), sizeof sum);
-  return write_bytes(path, bytes);
-}
-
-Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
-                                      const Character& character, int clip,
-                                      const std::string& name) {
-  FileHead head{};
-  if (bytes.size() < sizeof head || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
-    return fail(ErrorCode::kInvalid, name, "is not a baked clip of this version");
-  std::memcpy(&head, bytes.data(), sizeof head);
-  if (head.asset != prt::fingerprint(character, clip))
-    return fail(ErrorCode::kInvalid, name, "was baked from another mesh, albedo or clip");
-  if (head.map_width > kMostTexels || head.map_height > kMostTexels ||
-      (head.map_width == 0) != (head.map_height == 0) || head.ground_size > 4096)
-    return fail(ErrorCode::kUnreadable, name, "damaged at byte 24: sizes out of range");
-  if (head.map_width > 0 && !has_light_coordinates(character))
-    return fail(ErrorCode::kInvalid, name, "has a light map, and the asset no texture coordinates");
-  const SurfaceLayout layout =
-      lay_out(character, static_cast<int>(head.map_width), static_cast<int>(head.map_height));
-  const auto share = [](double v) { return v >= 0 && v < 1e6; };  // NaN is none
-  if (head.seconds != character.clips[static_cast<std::size_t>(clip)].seconds ||
-      !share(head.standard_error) || !share(head.compression_error) ||
-      !share(head.interpolation_error) || !share(head.ground_albedo[0]) ||
-      !share(head.ground_albedo[1]) || !share(head.ground_albedo[2]))
-    return fail(ErrorCode::kUnreadable, name, "damaged: its figures are out of range");
-  if (head.layout != fingerprint(layout))
-    return fail(ErrorCode::kInvalid, name, "lays its texels out otherwise than this program does");
-  BakedSequence out;
-  out.clip = character.clips[static_cast<std::size_t>(clip)].name;
-  out.seconds = head.seconds;
-  out.map_width = static_cast<int>(head.map_width);
-  out.map_height = static_cast<int>(head.map_height);
-  out.report = {head.rays,
-                0,
-                head.standard_error,
-                head.compression_error,
-                head.interpolation_error,
-                head.bytes[0] + head.bytes[1],
-                head.bytes[2] + head.bytes[3]};
-  if (head.ground_size > 0) {
-    GroundGrid g{static_cast<int>(head.ground_size),
-                 {head.ground_centre[0], head.ground_centre[1]},
-                 head.ground_half_extent,
-                 head.ground_height};
-    if (head.ground_size < 2 || !(g.half_extent > 0) ||
-        !std::isfinite(g.half_extent + g.height + g.centre.x + g.centre.y))
-      return fail(ErrorCode::kUnreadable, name, "damaged: the receiver's grid is none");
-    out.receiver =
-        Receiver{g, {head.ground_albedo[0], head.ground_albedo[1], head.ground_albedo[2]}};
-  }
-  const StreamLayout surface = layout_of_surface(layout);
-  const StreamLayout ground = layout_of_ground(static_cast<int>(head.ground_size));
-  TransferSequence* const streams[4] = {&out.surface, &out.surface_indirect, &out.ground_deficit,
-                                        &out.ground_indirect};
-  std::size_t at = sizeof head;
-  for (std::size_t i = 0; i < 4; ++i) {
-    if (head.bytes[i] > bytes.size() - at)
-      return fail(ErrorCode::kUnreadable, name,
-                  fmt::format("damaged at byte {}: a stream of transfer is cut off", at));
-    auto read =
-        SequenceCodec::read(bytes.subspan(at, head.bytes[i]), i < 2 ? surface : ground, name);
-    if (!read) return std::unexpected(read.error());
-    *streams[i] = std::move(*read);
-    at += head.bytes[i];
-  }
-  if (out.surface.points() == 0 || out.surface_indirect.points() == 0 ||
-      (out.receiver && (out.ground_deficit.points() == 0 || out.ground_indirect.points() == 0)))
-    return fail(ErrorCode::kUnreadable, name, "damaged: a stream of transfer is empty");
-  for (const TransferSequence* s : streams)
-    if (s->points() > 0 &&
-        (s->frames() != out.surface.frames() || s->channels() != out.surface.channels()))
-      return fail(ErrorCode::kUnreadable, name, "damaged: streams of different clips");
-  return out;
-}
-
-Result<LightMapSize> light_map_size(const std::filesystem::path& path) {
-  auto bytes = read_bytes(path);
-  if (!bytes) return std::unexpected(bytes.error());
-  FileHead head{};
-  if (bytes->size() < sizeof head || std::memcmp(bytes->data(), kMagic, sizeof kMagic) != 0)
-    return fail(ErrorCode::kInvalid, path.string(), "is not a baked clip of this version");
-  std::memcpy(&head, bytes->data(), sizeof head);
-  if (head.map_width > kMostTexels || head.map_height > kMostTexels ||
-      (head.map_width == 0) != (head.map_height == 0))
-    return fail(ErrorCode::kUnreadable, path.string(), "damaged: the light map's size is none");
-  return LightMapSize{static_cast<int>(head.map_width), static_cast<int>(head.map_height)};
-}
-
-Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,
-                                    int clip) {
-  auto bytes = read_bytes(path);
-  if (!bytes) return std::unexpected(bytes.error());
-  std::uint64_t sum = 0;
-  if (bytes->size() < sizeof(FileHead) + sizeof sum ||
-      std::memcmp(bytes->data(), kMagic, sizeof kMagic) != 0)
-    return fail(ErrorCode::kInvalid, path.string(), "is not a baked clip of this version");
-  const std::size_t body = bytes->size() - sizeof sum;
-  std::memcpy(&sum, bytes->data() + body, sizeof sum);
-  if (sum != Fnv1a().add(bytes->data(), body).value())
-    return fail(ErrorCode::kUnreadable, path.string(),
-                fmt::format("damaged: the checksum at byte {} does not fit", body));
-  return decode_sequence(std::span(*bytes).first(body), character, clip, path.string());
 }
 
 }  // namespace penumbra::prt

@@ -16,6 +16,7 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "prt/animation.h"
+#include "prt/key_frames.h"
 #include "prt/light_map.h"  // IWYU pragma: export
 #include "prt/receiver.h"
 
@@ -134,23 +135,27 @@ struct SequenceOptions {
   /// Rendered error that compression may add: RMS over points and frames of the exit radiance under light of
   /// mean_band_energy, relative.
   double error = .005;
+  /// The same measure that a straight line between two key frames may be off by: where it is more, further frames are baked
+  /// between them, up to KeyFrames::kSplit - 1. 0: none are.
+  double between = .02;
   std::function<void(double done)> progress;  // 0..1
 };
 
 struct SequenceReport {
   std::uint64_t rays = 0;
-  double seconds = 0;            // of baking, over all runs and shards
-  double standard_error = 0;     // of t_0, relative to its mean, as BakeReport
-  double compression_error = 0;  // as SequenceOptions::error
-  double interpolation_error =
-      0;  // by an eighth of the second differences in time, the same measure
+  double seconds = 0;              // of baking, over all runs and shards
+  double standard_error = 0;       // of t_0, relative to its mean, as BakeReport
+  double compression_error = 0;    // as SequenceOptions::error
+  double interpolation_error = 0;  // RMS over the clip's time, the same measure; 0: too few frames
+  double worst_interpolation = 0;  // of all intervals between key frames
   std::size_t surface_bytes = 0, ground_bytes = 0;
 };
 
 /// A character's clip, baked.
 struct BakedSequence {
   std::string clip;
-  double seconds = 0;  // of the clip; frame f stands at f / frames * seconds
+  double seconds = 0;  // of the clip
+  KeyFrames keys;
   int map_width = 0, map_height = 0;
   TransferSequence surface, surface_indirect;  // at the layout's points
   std::optional<Receiver> receiver;            // its grid holds for all frames
@@ -163,15 +168,22 @@ struct BakedSequence {
 struct Shard {
   int index = 0, count = 1;
 };
-/// Bakes a clip's frames into `journal`: a bake that was cut off goes on where it stopped, and shards are baked apart.
+/// Bakes a clip's frames into `journal`: a bake that was cut off goes on where it stopped, and shards are baked apart. The
+/// whole of them (one shard) with what bake_between adds.
 /// errors: kInvalid (options, clip, a journal of another bake), kUnwritable, kUnavailable
 Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
                          Shard shard, const std::filesystem::path& journal);
+/// Bakes the frames that options.between asks for besides those of `journals`, which hold the others, into `journal`. What
+/// is baked does not depend on how frames were shared out, nor on kills.
+/// errors: as bake_frames, as compress_frames
+Result<void> bake_between(const Character& character, int clip, const SequenceOptions& options,
+                          std::span<const std::filesystem::path> journals,
+                          const std::filesystem::path& journal);
 /// A fingerprint of everything that a bake of the clip depends on.
 /// errors: as bake_frames
 Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options);
-/// Joins journals that together hold every frame. The result does not depend on how frames were shared out.
+/// Joins journals that together hold every frame of the rate that was asked for, and perhaps more. The result does not depend on how frames were shared out.
 /// errors: kNotFound, kUnreadable, kInvalid (frames missing: which; a journal of another bake)
 Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,

@@ -38,6 +38,7 @@ Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
   out.bounces = o.bounces;
   out.rays = out.ground_rays = o.samples;
   out.error = o.error;
+  out.between = o.between;
   if (!o.light_map.empty()) {
     PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
     out.map_width = size[0];
@@ -70,6 +71,29 @@ double relight_ms(const prt::BakedSequence& s, const StandingCharacter& of) {
   return median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
 }
 
+// Key frames besides those of --fps.
+std::size_t frames_between(const prt::BakedSequence& s) {
+  return s.keys.at.size() - s.keys.parts / prt::KeyFrames::kSplit;
+}
+
+// What the result does not keep to.
+void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
+  const prt::SequenceReport& r = s.report;
+  if (r.interpolation_error > (o.between > 0 ? o.between : 2 * o.error))
+    spdlog::warn(
+        "{}: the clip moves fast: between frames the error is {:.1f} %; a higher --fps lowers it, "
+        "and more --samples what is noise",
+        o.output, 100 * r.interpolation_error);
+  if (r.compression_error > 1.02 * o.error)
+    spdlog::warn(
+        "{}: --error {:.2g} % is not met, {:.2f} % is what the most components leave: shorter "
+        "clips or fewer frames a second compress better",
+        o.output, 100 * o.error, 100 * r.compression_error);
+  if (r.interpolation_error == 0 && s.surface.frames() < 4 && s.seconds > 0)
+    spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
+                 o.output);
+}
+
 void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double relight_ms) {
   const prt::SequenceReport& r = s.report;
   const auto bytes = fs::file_size(o.output);
@@ -78,6 +102,7 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
   if (o.json) {
     print_json({{"clip", s.clip},
                 {"frames", s.surface.frames()},
+                {"frames_between", frames_between(s)},
                 {"points", s.surface.points()},
                 {"vertices", s.surface.points()},
                 {"texels", s.ground_deficit.points()},
@@ -90,22 +115,26 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
                 {"standard_error", r.standard_error},
                 {"compression_error", r.compression_error},
                 {"interpolation_error", r.interpolation_error},
+                {"worst_interpolation_error", r.worst_interpolation},
                 {"relight_ms", relight_ms},
                 {"raw_bytes", raw},
                 {"bytes", bytes}});
     return;
   }
   fmt::print(
-      "{}: {} frames of {} points and {} receiver texels, {} coefficients, {:.1f} M rays in {:.1f} "
+      "{}: {} frames, {} of them between those of --fps, of {} points and {} receiver texels, {} "
+      "coefficients, {:.1f} M rays in {:.1f} "
       "s "
       "({:.1f} M/s), standard error {:.2f} % of t_0\n"
-      "rendered error {:.2f} % by compression, {:.2f} % between frames; up to {} components; "
+      "rendered error {:.2f} % by compression, {:.2f} % between frames (at worst {:.2f} %); up to "
+      "{} components; "
       "{:.2f} MB of {:.0f} MB; a frame decoded and relit in {:.2f} ms on one core\n",
-      o.output, s.surface.frames(), s.surface.points(), s.ground_deficit.points(),
-      coefficient_count(s.surface.bands()), static_cast<double>(r.rays) * 1e-6, r.seconds,
-      static_cast<double>(r.rays) * 1e-6 / r.seconds, 100 * r.standard_error,
-      100 * r.compression_error, 100 * r.interpolation_error, s.surface.most_components(),
-      static_cast<double>(bytes) * 1e-6, raw * 1e-6, relight_ms);
+      o.output, s.surface.frames(), frames_between(s), s.surface.points(),
+      s.ground_deficit.points(), coefficient_count(s.surface.bands()),
+      static_cast<double>(r.rays) * 1e-6, r.seconds, static_cast<double>(r.rays) * 1e-6 / r.seconds,
+      100 * r.standard_error, 100 * r.compression_error, 100 * r.interpolation_error,
+      100 * r.worst_interpolation, s.surface.most_components(), static_cast<double>(bytes) * 1e-6,
+      raw * 1e-6, relight_ms);
 }
 
 }  // namespace
@@ -136,6 +165,12 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
   std::vector<fs::path> journals;
   for (int i = 0; i < o.merge; ++i) journals.push_back(shard_file(o.output, i, o.merge));
+  if (o.merge > 0) {
+    const fs::path between = o.output + ".between";
+    PENUMBRA_TRY(
+        prt::bake_between(character.character, character.clip, options, journals, between));
+    if (fs::exists(between)) journals.push_back(between);
+  }
   if (o.merge == 0) {
     // Kept until all is done: a bake that is stopped goes on where it was.
     journals = {o.shard.empty() ? fs::path(o.output + ".journal")
@@ -156,19 +191,7 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   PENUMBRA_TRY(prt::write_sequence(o.output, character.character, character.clip, sequence));
   std::error_code ignored;
   for (const fs::path& journal : journals) fs::remove(journal, ignored);
-  if (sequence.report.interpolation_error > 2 * o.error)
-    spdlog::warn(
-        "{}: the clip moves fast: between frames the error is {:.1f} %; a higher --fps lowers it",
-        o.output, 100 * sequence.report.interpolation_error);
-  if (sequence.report.compression_error > 1.02 * o.error)
-    spdlog::warn(
-        "{}: --error {:.2g} % is not met, {:.2f} % is what the most components leave: shorter "
-        "clips or "
-        "fewer frames a second compress better",
-        o.output, 100 * o.error, 100 * sequence.report.compression_error);
-  if (sequence.surface.frames() < 3 && sequence.seconds > 0)
-    spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
-                 o.output);
+  warn(o, sequence);
   report(o, sequence, relight_ms(sequence, character));
   return {};
 }

@@ -291,6 +291,12 @@ void add_light_commands(CLI::App& app, Action& action) {
   c->add_option("--error", bake_options.error, "Relative rendered error that compression may add")
       ->capture_default_str()
       ->group(kClip);
+  c->add_option(
+       "--between", bake_options.between,
+       "Relative rendered error that a straight line between two frames may add: where it is "
+       "more, further frames are baked between those of --fps; 0: none")
+      ->capture_default_str()
+      ->group(kClip);
   c->add_option("--ground-texels", bake_options.ground_texels,
                 "Side of the shadow basis on the floor; 0: none")
       ->capture_default_str()

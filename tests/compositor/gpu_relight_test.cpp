@@ -11,6 +11,7 @@ namespace {
 prt::BakedSequence baked_walk(const prt::Character& walker, Rgb floor) {
   prt::SequenceOptions o;
   o.frames_per_second = 6;
+  o.between = 0;
   o.bands = 4;
   o.bounces = 1;
   o.rays = o.ground_rays = 64;

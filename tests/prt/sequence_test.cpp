@@ -33,6 +33,7 @@ SequenceOptions quick(double fps = 6) {
   o.bands = 3;
   o.bounces = 1;
   o.rays = o.ground_rays = 64;
+  o.between = 0;
   return o;
 }
 
@@ -71,6 +72,21 @@ double relative_rms(std::span<const float> a, std::span<const float> b) {
     wrong += std::pow(double(a[i]) - b[i], 2);
     all += std::pow(double(a[i]), 2);
   }
+  return std::sqrt(wrong / all);
+}
+
+// Rendered error under average light, relative.
+double transfer_error(const Transfer& exact, const Transfer& ours,
+                      const std::vector<char>& left_out) {
+  double wrong = 0, all = 0;
+  for (int l = 0; l < exact.bands; ++l)
+    for (int n = sh_index(l, -l); n <= sh_index(l, l); ++n)
+      for (std::size_t p = 0; p < exact.points; ++p) {
+        if (left_out[p]) continue;
+        const double energy = mean_band_energy()[static_cast<std::size_t>(l)];
+        wrong += energy * std::pow(exact.value(0, n, p) - ours.value(0, n, p), 2);
+        all += energy * std::pow(exact.value(0, n, p), 2);
+      }
   return std::sqrt(wrong / all);
 }
 
@@ -318,6 +334,148 @@ TEST(Sequence, AKilledBakeGoesOnWhereItStopped) {
   EXPECT_EQ(fs::file_size(journal), whole.size());
 }
 
+// Walks in the first third of the clip and stands for the rest.
+Character hasty() {
+  Character c = walker();
+  for (Clip::NodeTracks& t : c.clips[0].nodes) {
+    for (auto& key : t.rotation) key.seconds *= .3;
+    for (auto& key : t.translation) key.seconds *= .3;
+  }
+  return c;
+}
+
+// Points that lie within another part at one of the times: nobody sees what they are given.
+std::vector<char> hidden_at(const Character& c, std::initializer_list<double> clips) {
+  std::vector<char> out(c.positions.size());
+  for (const double at : clips) {
+    Mesh mesh;
+    deform(c, sample(c, c.clips[0], at * c.clips[0].seconds), mesh);
+    BakeOptions o;
+    o.bands = o.bounces = 1;
+    o.rays = 64;
+    const auto baked = bake(std::move(mesh), o);
+    for (std::size_t p = 0; p < out.size(); ++p) out[p] |= baked->report.quality[p].behind > .2f;
+  }
+  return out;
+}
+
+// At worst, against the same clip baked finely, of points that show.
+double worst_between(const Character& c, const Baked& truth, const BakedSequence& s) {
+  const auto at = [&](double frame) {
+    return s.keys.at[static_cast<std::size_t>(frame) % s.keys.at.size()] / double(s.keys.parts);
+  };
+  const std::vector<glm::mat3> still(c.bones.size(), glm::mat3(1));  // as the material has it
+  double worst = 0;
+  Transfer ours;
+  for (std::size_t k = 0; k < truth.frames.size() / 3; ++k) {
+    const double clips = static_cast<double>(k) / static_cast<double>(truth.frames.size());
+    const double frame = s.keys.frame_at(clips);
+    s.surface.decode(frame, still, ours);
+    const auto hidden = hidden_at(c, {clips, at(frame), at(frame + 1)});
+    worst = std::max(worst, transfer_error(truth.frames[k], ours, hidden));
+  }
+  return worst;
+}
+
+TEST(Sequence, FramesAreBakedBetweenWhereLinesAreTooCoarse) {
+  const Character c = hasty();
+  SequenceOptions o = quick(15);
+  o.ground_size = 16;
+  o.error = 1e-3;
+  const Baked even = bake_clip(c, 0, o);
+  ASSERT_EQ(even.frames.size(), 17u);
+  o.between = .03;
+  const Baked b = bake_clip(c, 0, o);
+  const KeyFrames& keys = b.sequence.keys;
+  ASSERT_EQ(keys.at.size(), b.frames.size());
+  EXPECT_LT(b.frames.size(), 50u);
+  // Where it stands those of the rate do.
+  for (std::size_t i = 0; i < keys.at.size(); ++i)
+    if (keys.at[i] > .4 * keys.parts && keys.at[i] < .9 * keys.parts) {
+      EXPECT_EQ(keys.width(i), KeyFrames::kSplit) << i;
+    }
+  EXPECT_LT(b.sequence.report.worst_interpolation, .03);
+  SequenceOptions fine = o;
+  fine.between = 0;
+  fine.frames_per_second = 120;
+  const Baked truth = bake_clip(c, 0, fine);
+  EXPECT_GT(worst_between(c, truth, even.sequence), .08);
+  EXPECT_LT(worst_between(c, truth, b.sequence), .045);  // at one moment, of the part that shows
+}
+
+TEST(Sequence, WhatIsBakedBetweenDependsOnNothingElse) {
+  const test::TempFolder folder;
+  const Character c = hasty();
+  SequenceOptions o = quick(9);
+  o.between = .04;
+  const auto file_of = [&](std::span<const fs::path> journals, const std::string& name) {
+    const auto sequence = compress_frames(c, 0, o, journals);
+    EXPECT_TRUE(sequence) << (sequence ? "" : sequence.error().detail);
+    EXPECT_TRUE(write_sequence(folder.path() / name, c, 0, *sequence));
+    return *read_bytes(folder.path() / name);
+  };
+  const fs::path whole[] = {folder.path() / "whole"};
+  ASSERT_TRUE(bake_frames(c, 0, o, {}, whole[0]));
+  const auto expected = file_of(whole, "a");
+  // From shards.
+  std::vector<fs::path> journals;
+  for (int i = 0; i < 3; ++i) {
+    journals.push_back(folder.path() / ("shard" + std::to_string(i)));
+    ASSERT_TRUE(bake_frames(c, 0, o, {i, 3}, journals.back()));
+  }
+  const fs::path between = folder.path() / "between";
+  ASSERT_TRUE(bake_between(c, 0, o, journals, between));
+  journals.push_back(between);
+  EXPECT_EQ(file_of(journals, "b"), expected);
+  // After a kill among the frames between.
+  const std::size_t head = 32, frames = read_sequence(folder.path() / "a", c, 0)->keys.at.size();
+  const std::size_t record = (fs::file_size(whole[0]) - head) / frames;
+  ASSERT_GT(frames, 12u) << "some between the ten";
+  fs::resize_file(whole[0], head + 11 * record + record / 2);
+  ASSERT_TRUE(bake_frames(c, 0, o, {}, whole[0]));
+  EXPECT_EQ(file_of(whole, "c"), expected);
+}
+
+TEST(KeyFrames, TimesFindTheirPlace) {
+  const KeyFrames keys{16, {0, 8, 10, 12}};
+  EXPECT_EQ(keys.frame_at(0), 0);
+  EXPECT_EQ(keys.frame_at(.25), .5);
+  EXPECT_EQ(keys.frame_at(.5), 1);
+  EXPECT_EQ(keys.frame_at(9. / 16), 1.5);
+  EXPECT_EQ(keys.frame_at(14. / 16), 3.5) << "to the begin";
+  EXPECT_EQ(keys.frame_at(2.25), 8.5);
+  EXPECT_EQ(keys.frame_at(-.5), -3);
+}
+
+TEST(KeyFrames, TheBoundHoldsAndIsNotLoose) {
+  // Every point goes round a circle, in another phase.
+  const auto value = [](double clips, std::size_t p) {
+    return std::sin(2 * kPi * clips + .7 * static_cast<double>(p));
+  };
+  const KeyFrames keys{96, {0, 8, 16, 20, 24, 28, 32, 33, 34, 35, 36, 40, 48, 56, 64, 72, 80, 88}};
+  std::vector<Transfer> frames;
+  for (const std::uint32_t at : keys.at) {
+    frames.emplace_back(1, 1, 700);
+    for (std::size_t p = 0; p < 700; ++p)
+      frames.back().set(0, 0, p, static_cast<float>(value(at / 96., p)));
+  }
+  const std::vector<double> bounds = interpolation_errors(keys, frames);
+  ASSERT_EQ(bounds.size(), keys.at.size());
+  for (std::size_t i = 0; i < bounds.size(); ++i) {
+    const double h = keys.width(i);
+    if (h < 4) continue;  // halves are not that fine
+    double sum = 0;
+    for (std::size_t p = 0; p < 700; ++p) {
+      const double line = .5 * (value(keys.at[i] / 96., p) + value((keys.at[i] + h) / 96., p));
+      sum += std::pow(line - value((keys.at[i] + .5 * h) / 96., p), 2);
+    }
+    const double error = std::sqrt(sum / 700) * std::sqrt(mean_band_energy()[0]);
+    // Twice what a smooth function asks for.
+    EXPECT_GT(bounds[i], 2 * .97 * error) << i;
+    EXPECT_LT(bounds[i], 2 * 1.2 * error) << i;
+  }
+}
+
 TEST(Sequence, AFileComesBackWhole) {
   const test::TempFolder folder;
   SequenceOptions o = quick(8);
@@ -341,6 +499,8 @@ TEST(Sequence, AFileComesBackWhole) {
     EXPECT_EQ(p, q);
   }
   EXPECT_EQ(read->seconds, b.sequence.seconds);
+  EXPECT_EQ(read->keys.at, b.sequence.keys.at);
+  EXPECT_EQ(read->keys.parts, b.sequence.keys.parts);
   EXPECT_EQ(read->map_width, 64);
   EXPECT_EQ(read->receiver->grid.half_extent, b.sequence.receiver->grid.half_extent);
   EXPECT_EQ(light_map_size(file)->height, 64);

@@ -284,6 +284,7 @@ TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
   ASSERT_TRUE(standing);
   prt::SequenceOptions options;
   options.frames_per_second = 6;
+  options.between = 0;
   options.bands = 3;
   options.rays = options.ground_rays = 64;
   options.ground_size = 32;
