@@ -48,7 +48,8 @@ struct TermEnergy {
 
 /// Transfer at points over the frames of a clip, compressed.
 ///   t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green, red - green and
-///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks.
+///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks. A long
+///   clip has several spans of frames with an m and U_k each; from one to the next the sums are mixed.
 /// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and the cut of components
 ///         by reverse water-filling (Cover & Thomas 2006, 10.3.3)
 class TransferSequence {
@@ -58,7 +59,7 @@ class TransferSequence {
   int frames() const { return frames_; }
   std::size_t points() const { return points_; }
   std::size_t stride() const { return (points_ + 63) / 64 * 64; }
-  /// Most components of any group, the mean not counted.
+  /// Most components of any group at a time, the mean not counted.
   int most_components() const;
 
   /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo, as prt::relight.
@@ -94,8 +95,14 @@ class TransferSequence {
   };
   static constexpr std::uint32_t kNone = 0xffffffffu;
   struct Component {
-    std::vector<float> weight;  // by frame; the mean has none: 1
-    std::vector<Map> maps;      // by coefficient
+    int first_frame = 0, frames = 0;  // of its span; 0 outside
+    std::vector<float> weight;        // by frame of the span; the mean has none: 1
+    std::vector<Map> maps;            // by coefficient
+    float at(int frame) const {
+      const int inside = frame - first_frame;
+      if (inside < 0 || inside >= frames) return 0;
+      return weight.empty() ? 1 : weight[static_cast<std::size_t>(inside)];
+    }
   };
   struct Group {
     int bone;

@@ -16,7 +16,8 @@ namespace penumbra::prt {
 
 namespace {
 
-constexpr int kMostComponents = 32;
+// A walk's transfer has some thirty components that are worth their bytes; a clip of many moves has as many for each.
+constexpr int kLongestSpan = 128;  // frames
 constexpr std::size_t kPad = TransferSequence::kLanes;
 constexpr std::size_t kMostValues = std::size_t{1} << 28;
 
@@ -78,26 +79,44 @@ int band_of(int n) {
   return static_cast<int>(std::sqrt(static_cast<double>(n) + .5));
 }
 
+/// Frames that share principal components.
+struct Span {
+  int first, count;
+};
+
+std::vector<Span> spans_of(int frames) {
+  const int spans = (frames + kLongestSpan - 1) / kLongestSpan;
+  std::vector<Span> out;
+  for (int i = 0; i < spans; ++i) {
+    const int first = frames * i / spans;
+    out.push_back({first, frames * (i + 1) / spans - first});
+  }
+  return out;
+}
+
 }  // namespace
 
-// Weighted values of one group and plane over time, and their principal components.
+// Weighted values of one group, plane and span over time, and their principal components.
 class SequenceCodec::Encoder {
  public:
-  Encoder(std::span<const Transfer> frames, const StreamLayout& layout)
+  // error: that run() is going to ask for
+  Encoder(std::span<const Transfer> frames, const StreamLayout& layout, double error)
       : frames_(frames),
         layout_(layout),
         order_(order_by_bone(layout)),
-        coefficients_(coefficient_count(frames[0].bands)) {
+        coefficients_(coefficient_count(frames[0].bands)),
+        error_(error) {
     for (const PointGroup& g : groups_of(layout, order_))
       for (int plane = 0; plane < frames[0].channels; ++plane)
-        parts_.push_back({g, plane, {}, {}, {}});
+        for (const Span& span : spans_of(static_cast<int>(frames.size())))
+          parts_.push_back({g, plane, span, {}, {}, {}});
     parallel_for(std::size_t{0}, parts_.size(), [&](std::size_t i) { analyse(parts_[i]); });
   }
 
-  Outcome run(double error) {
+  Outcome run() {
     const double samples =
         3. * static_cast<double>(frames_.size()) * static_cast<double>(frames_[0].points);
-    const double allowed = error * error * samples;
+    const double allowed = error_ * error_ * samples;
     // No value may leave its sixteen bits; and where the components end, so does what finer steps can win.
     float low = finest_step(), high = std::max(1.f, 2 * low);
     const double reachable = std::max(allowed, 1.1 * error_at(low));
@@ -113,10 +132,11 @@ class SequenceCodec::Encoder {
   struct Part {
     PointGroup group;
     int plane;
+    Span span;
     Eigen::MatrixXf maps;     // column 0: the mean; k: U_k, by row = coefficient * count + point
     Eigen::MatrixXf weights;  // frames x components, of mean square 1
     std::vector<double>
-        energy;  // of each component and, last, of all further ones; over all frames
+        energy;  // of each component and, last, of all further ones; over the span's frames
   };
 
   // An error of green, or of grey, is one of all three colours.
@@ -130,15 +150,15 @@ class SequenceCodec::Encoder {
 
   void analyse(Part& part) {
     const auto count = static_cast<Eigen::Index>(part.group.count);
-    const Eigen::Index rows = count * coefficients_,
-                       columns = static_cast<Eigen::Index>(frames_.size());
+    const Eigen::Index rows = count * coefficients_, columns = part.span.count;
     Eigen::MatrixXf x(rows, columns);
     for (Eigen::Index f = 0; f < columns; ++f)
       for (int n = 0; n < coefficients_; ++n)
         for (Eigen::Index p = 0; p < count; ++p)
-          x(n * count + p, f) = band_weight(band_of(n)) *
-                                value(frames_[static_cast<std::size_t>(f)], part.plane, n,
-                                      order_[part.group.first + static_cast<std::size_t>(p)]);
+          x(n * count + p, f) =
+              band_weight(band_of(n)) *
+              value(frames_[static_cast<std::size_t>(part.span.first + f)], part.plane, n,
+                    order_[part.group.first + static_cast<std::size_t>(p)]);
     // Equal frames keep their mean to the last bit.
     const Eigen::VectorXf mean =
         (x.array() == x.col(0).replicate(1, columns).array()).all()
@@ -147,11 +167,11 @@ class SequenceCodec::Encoder {
     x.colwise() -= mean;
     const Eigen::MatrixXd gram = (x.transpose() * x).cast<double>();
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(gram);
-    const auto kept = std::min<Eigen::Index>(columns - 1, kMostComponents);
+    double rest = std::max(0., gram.trace());
+    const Eigen::Index kept = worth_keeping(part, rest, solver.eigenvalues());
     part.weights.resize(columns, kept);
     part.maps.resize(rows, kept + 1);
     part.maps.col(0) = mean;
-    double rest = std::max(0., gram.trace());
     const double root = std::sqrt(static_cast<double>(columns));
     for (Eigen::Index k = 0; k < kept; ++k) {
       const Eigen::Index from = columns - 1 - k;  // Eigen sorts upwards
@@ -165,10 +185,20 @@ class SequenceCodec::Encoder {
     part.energy.push_back(std::max(0., rest));
   }
 
+  // Components until what is left of them does not count in the error.
+  Eigen::Index worth_keeping(const Part& part, double rest, const Eigen::VectorXd& energies) const {
+    constexpr double kShare = .02;
+    const double share = static_cast<double>(part.group.count) * part.span.count * kShare;
+    const Eigen::Index most = energies.size() - 1;
+    Eigen::Index k = 0;
+    for (; k < most && rest > error_ * error_ * share; ++k) rest -= energies(most - k);
+    return k;
+  }
+
   // A component is worth its bits when its values' variance is above that of the step's rounding.
   bool keeps(const Part& part, std::size_t k, float step) const {
     const double values =
-        static_cast<double>(frames_.size()) * static_cast<double>(part.maps.rows());
+        static_cast<double>(part.span.count) * static_cast<double>(part.maps.rows());
     return part.energy[k] > values * step * step / 4;
   }
 
@@ -176,7 +206,7 @@ class SequenceCodec::Encoder {
     std::vector<double> errors(parts_.size());
     parallel_for(std::size_t{0}, parts_.size(), [&](std::size_t i) {
       const Part& part = parts_[i];
-      const auto frames = static_cast<double>(frames_.size());
+      const auto frames = static_cast<double>(part.span.count);
       const auto rounding = [&](Eigen::Index column) {
         double sum = 0;
         for (Eigen::Index r = 0; r < part.maps.rows(); ++r) {
@@ -212,12 +242,12 @@ class SequenceCodec::Encoder {
     for (int l = 0; l < out.bands_; ++l)
       out.step_.push_back(band_weight(l) > 0 ? step / band_weight(l) : 0);
     for (const Part& part : parts_) {
-      TransferSequence::Group group{
-          part.group.bone, part.plane, part.group.first, part.group.count, {}};
+      if (part.span.first == 0)
+        out.groups_.push_back(
+            {part.group.bone, part.plane, part.group.first, part.group.count, {}});
       for (std::size_t k = 0; k < part.energy.size(); ++k)
         if (k == 0 || keeps(part, k - 1, step))
-          group.components.push_back(component(part, k, step, out));
-      out.groups_.push_back(std::move(group));
+          out.groups_.back().components.push_back(component(part, k, step, out));
     }
     out.finish_maps();
     return out;
@@ -225,7 +255,7 @@ class SequenceCodec::Encoder {
 
   TransferSequence::Component component(const Part& part, std::size_t k, float step,
                                         TransferSequence& out) const {
-    TransferSequence::Component c;
+    TransferSequence::Component c{part.span.first, part.span.count, {}, {}};
     const auto column = static_cast<Eigen::Index>(k);
     if (k > 0)
       for (Eigen::Index f = 0; f < part.weights.rows(); ++f)
@@ -250,6 +280,7 @@ class SequenceCodec::Encoder {
   const StreamLayout& layout_;
   std::vector<std::uint32_t> order_;
   int coefficients_;
+  double error_;
   std::vector<Part> parts_;
 };
 
@@ -268,7 +299,7 @@ double SequenceCodec::rendered_rms(std::span<const Transfer> frames) {
 SequenceCodec::Outcome SequenceCodec::encode(std::span<const Transfer> frames,
                                              const StreamLayout& layout, double error) {
   if (frames.empty() || frames[0].points == 0) return {};
-  return Encoder(frames, layout).run(error);
+  return Encoder(frames, layout, error).run();
 }
 
 // ---------------------------------------------------------------------------------- bytes
@@ -407,7 +438,9 @@ std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
   if (s.points_ == 0) return out.take();
   for (const float step : s.step_) out.put(step);
   for (const TransferSequence::Group& g : s.groups_) {
-    out.put(static_cast<std::uint8_t>(g.components.size()));
+    for (const Span& span : spans_of(s.frames_))
+      out.put(static_cast<std::uint8_t>(
+          std::ranges::count(g.components, span.first, &TransferSequence::Component::first_frame)));
     for (const TransferSequence::Component& c : g.components)
       for (const float w : c.weight) out.put(half_from_float(w));
   }
@@ -420,9 +453,11 @@ std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
   for (std::size_t i = 0; i < s.groups_.size(); ++i) {
     const TransferSequence::Group& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];
-    for (std::size_t k = 0; k < g.components.size(); ++k)
-      for (std::size_t n = 0; n < g.components[k].maps.size(); ++n) {
-        const TransferSequence::Map& kept = g.components[k].maps[n];
+    std::size_t k = 0;  // in the span
+    for (const TransferSequence::Component& c : g.components) {
+      if (c.weight.empty()) k = 0;
+      for (std::size_t n = 0; n < c.maps.size(); ++n) {
+        const TransferSequence::Map& kept = c.maps[n];
         range.bit(zero_map, kept.none());
         if (kept.none()) continue;
         std::vector<std::int16_t> map(
@@ -441,6 +476,8 @@ std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
           return v;
         });
       }
+      ++k;
+    }
   }
   const std::vector<unsigned char> body = std::move(range).finish();
   out.put(std::span(body));
@@ -473,22 +510,27 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
   }
   s.order_ = order_by_bone(layout);
   const std::vector<PointGroup> groups = groups_of(layout, s.order_);
+  const std::vector<Span> spans = spans_of(s.frames_);
   for (const PointGroup& points : groups)
     for (int plane = 0; plane < s.channels_; ++plane) {
-      std::uint8_t components = 0;
-      if (!in.get(components) || components < 1 || components > kMostComponents + 1 ||
-          components > s.frames_)
-        return damaged("number of components out of range");
       TransferSequence::Group g{points.bone, plane, points.first, points.count, {}};
-      g.components.resize(components);
-      for (std::size_t k = 1; k < components; ++k)
-        for (int f = 0; f < s.frames_; ++f) {
+      for (const Span& span : spans) {
+        std::uint8_t components = 0;
+        if (!in.get(components) || components < 1 || components > span.count)
+          return damaged("number of components out of range");
+        g.components.insert(g.components.end(), components, {span.first, span.count, {}, {}});
+      }
+      int before = -1;
+      for (TransferSequence::Component& c : g.components) {
+        if (std::exchange(before, c.first_frame) != c.first_frame) continue;  // the mean
+        for (int f = 0; f < c.frames; ++f) {
           std::uint16_t half = 0;
           if (!in.get(half)) return damaged("weights over time are cut off");
           const float w = float_from_half(half);
           if (!std::isfinite(w)) return damaged("a weight over time is no number");
-          g.components[k].weight.push_back(w);
+          c.weight.push_back(w);
         }
+      }
       s.groups_.push_back(std::move(g));
     }
   std::size_t most = 0;
@@ -504,15 +546,17 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
   for (std::size_t i = 0; i < s.groups_.size(); ++i) {
     TransferSequence::Group& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];
-    for (std::size_t k = 0; k < g.components.size(); ++k)
+    std::size_t k = 0;  // in the span
+    for (TransferSequence::Component& c : g.components) {
+      if (c.weight.empty()) k = 0;
       for (int n = 0; n < coefficient_count(s.bands_); ++n) {
         if (range.bit(zero_map)) {
-          g.components[k].maps.push_back({TransferSequence::kNone});
+          c.maps.push_back({TransferSequence::kNone});
           continue;
         }
         const bool predict = range.bit(predicted);
         const std::size_t offset = s.values_.size();
-        g.components[k].maps.push_back({static_cast<std::uint32_t>(offset)});
+        c.maps.push_back({static_cast<std::uint32_t>(offset)});
         s.values_.resize(offset + padded(g.count));
         coder.for_values(points, predict, s.values_.data() + offset,
                          [&](int, int base, int activity) {
@@ -520,6 +564,8 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
                            return std::clamp(v, -32767, 32767);
                          });
       }
+      ++k;
+    }
   }
   s.finish_maps();
   return s;

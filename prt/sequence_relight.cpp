@@ -87,18 +87,19 @@ std::span<const float> mean_band_energy() {
 }
 
 int TransferSequence::most_components() const {
-  std::size_t most = 1;
-  for (const Group& g : groups_) most = std::max(most, g.components.size());
+  std::ptrdiff_t most = 1;
+  for (const Group& g : groups_)
+    for (const Component& c : g.components)
+      most =
+          std::max(most, std::ranges::count(g.components, c.first_frame, &Component::first_frame));
   return static_cast<int>(most) - 1;
 }
 
 float TransferSequence::weight_at(const Component& c, double frame) const {
-  if (c.weight.empty()) return 1;
   const double inside = frame - std::floor(frame / frames_) * frames_;
-  const auto first = std::min(static_cast<std::size_t>(inside), c.weight.size() - 1);
-  const std::size_t second = first + 1 == c.weight.size() ? 0 : first + 1;
-  return std::lerp(c.weight[first], c.weight[second],
-                   static_cast<float>(inside - static_cast<double>(first)));
+  const int first = std::min(static_cast<int>(inside), frames_ - 1);
+  const int second = first + 1 == frames_ ? 0 : first + 1;
+  return std::lerp(c.at(first), c.at(second), static_cast<float>(inside - first));
 }
 
 void TransferSequence::finish_maps() {
@@ -157,6 +158,7 @@ void TransferSequence::add_terms(const Group& group, double frame, const Radianc
                                  std::vector<TermEnergy>& energies) const {
   for (const Component& c : group.components) {
     const float weight = weight_at(c, frame);
+    if (weight == 0) continue;
     for (int l = 0, n = 0; l < seen.bands(); ++l)
       for (int m = -l; m <= l; ++m, ++n) {
         const Map& map = c.maps[static_cast<std::size_t>(n)];
@@ -235,6 +237,7 @@ void TransferSequence::decode(double frame, std::span<const glm::mat3> turns, Tr
       for (std::size_t plane = 0; plane < planes; ++plane)
         for (const Component& c : groups_[part * planes + plane].components) {
           const float weight = weight_at(c, frame);
+          if (weight == 0) continue;
           for (int l = 0, n = 0; l < bands_; ++l)
             for (int m = -l; m <= l; ++m, ++n) {
               const Map& kept = c.maps[static_cast<std::size_t>(n)];

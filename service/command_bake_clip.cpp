@@ -85,10 +85,8 @@ void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
         "and more --samples what is noise",
         o.output, 100 * r.interpolation_error);
   if (r.compression_error > 1.02 * o.error)
-    spdlog::warn(
-        "{}: --error {:.2g} % is not met, {:.2f} % is what the most components leave: shorter "
-        "clips or fewer frames a second compress better",
-        o.output, 100 * o.error, 100 * r.compression_error);
+    spdlog::warn("{}: --error {:.2g} % is not met: steps of sixteen bits leave {:.2f} %", o.output,
+                 100 * o.error, 100 * r.compression_error);
   if (r.interpolation_error == 0 && s.surface.frames() < 4 && s.seconds > 0)
     spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
                  o.output);

@@ -12,6 +12,7 @@
 #include "core/files.h"
 #include "prt/frame_bake.h"
 #include "prt/prt.h"
+#include "prt/sequence_codec.h"
 #include "tests/support/characters.h"
 #include "tests/support/temp_folder.h"
 
@@ -203,6 +204,55 @@ struct Moment {
   Transfer transfer{};
   std::vector<float> fused, decoded;
 };
+
+TEST(Sequence, ALongClipOfManyMovesKeepsItsErrorToo) {
+  // Three hundred frames that have hardly anything in common: more components than one span may have frames.
+  constexpr std::size_t kFrames = 300, kPoints = 900;
+  SurfaceLayout layout;
+  layout.bone.assign(kPoints, 0);
+  layout.vertices = kPoints;
+  layout.neighbours.assign(kPoints,
+                           {SurfaceLayout::kNone, SurfaceLayout::kNone, SurfaceLayout::kNone});
+  std::mt19937 random(11);
+  std::normal_distribution<float> normal;
+  std::vector<Transfer> frames;
+  for (std::size_t f = 0; f < kFrames; ++f) {
+    Transfer t(2, 1, kPoints);
+    for (int n = 0; n < 4; ++n)
+      for (std::size_t p = 0; p < kPoints; ++p)
+        t.set(0, n, p, (n == 0 ? .3f : 0) + .03f * normal(random));
+    frames.push_back(std::move(t));
+  }
+  const CompressedSurface c = compress_surface(layout, frames, .01);
+  const TransferSequence& s = c.sequence;
+  EXPECT_GT(s.most_components(), 32);
+  Transfer ours, next;
+  const std::vector<char> all(kPoints, 0);
+  for (const int f : {0, 99, 100, 101, 199, 200, 299}) {
+    s.decode(f, {}, ours);
+    EXPECT_LT(transfer_error(frames[static_cast<std::size_t>(f)], ours, all), .015) << f;
+  }
+  // As bytes.
+  const StreamLayout stream = layout_of_surface(layout);
+  const auto bytes = SequenceCodec::write(s, stream);
+  const auto read = SequenceCodec::read(bytes, stream, "stream");
+  ASSERT_TRUE(read) << read.error().detail;
+  for (const double f : {0., 99.5, 150., 299.7}) {
+    s.decode(f, {}, ours);
+    read->decode(f, {}, next);
+    EXPECT_EQ(ours.values, next.values) << f;
+  }
+  EXPECT_FALSE(SequenceCodec::read(std::span(bytes).first(bytes.size() / 300), stream, "stream"));
+  // From the end of a span to the next, and from the clip's end to its begin.
+  for (const int f : {99, 199, 299}) {
+    Transfer half;
+    s.decode(f, {}, ours);
+    s.decode(f + 1, {}, next);
+    s.decode(f + .5, {}, half);
+    for (std::size_t p = 0; p < kPoints; p += 31)
+      EXPECT_NEAR(half.value(0, 1, p), .5 * (ours.value(0, 1, p) + next.value(0, 1, p)), 2e-3);
+  }
+}
 
 TEST(Sequence, RelightingIsRelightingWhatIsDecoded) {
   Character coloured = walker();
