@@ -215,12 +215,16 @@ Result<void> write_sequence(const std::filesystem::path& path, const Character& 
                             const BakedSequence& sequence);
 Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,
                                     int clip);
-/// The light map's size in texels, 0 without one: what the asset has to be prepared for before it can be read.
-/// errors: as read_sequence
-struct LightMapSize {
-  int width = 0, height = 0;
+/// What a baked clip's file tells without its asset, which has to be prepared for the light map before it can be read.
+struct SequenceInfo {
+  int map_width = 0, map_height = 0;  // of the light map, texels; 0 without one
+  int ground_size = 0;                // texels of the receiver's side; 0 without one
+  double seconds = 0;
+  std::size_t key_frames = 0;
+  SequenceReport report;  // without its seconds
 };
-Result<LightMapSize> light_map_size(const std::filesystem::path& path);
+/// errors: as read_sequence; damage beyond the file's head is not found
+Result<SequenceInfo> read_sequence_info(const std::filesystem::path& path);
 /// The same from memory, without the checksum over all of it; `name` stands in errors. For fuzzing.
 Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
                                       const Character& character, int clip,

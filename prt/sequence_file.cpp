@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <fstream>
 #include <functional>
 
 #include "core/files.h"
@@ -16,7 +17,7 @@ namespace penumbra::prt {
 
 namespace {
 
-constexpr std::uint32_t kMostTexels = 4096;  // of a light map's side
+constexpr std::uint32_t kMostTexels = 4096;  // of a light map's or a receiver's side
 constexpr char kMagic[8] = {'P', 'N', 'B', 'S', 'H', 'L', 'M', '2'};
 
 struct FileHead {
@@ -35,6 +36,22 @@ std::uint64_t fingerprint(const SurfaceLayout& layout) {
   Fnv1a h;
   for (const SurfaceLayout::Texel& t : layout.texels) h.add(t.x).add(t.y).add(t.triangle);
   return h.add(layout.bone).value();
+}
+
+bool sizes_are_valid(const FileHead& head) {
+  return head.map_width <= kMostTexels && head.map_height <= kMostTexels &&
+         (head.map_width == 0) == (head.map_height == 0) && head.ground_size <= kMostTexels;
+}
+
+SequenceReport report_of(const FileHead& head) {
+  return {head.rays,
+          0,
+          head.standard_error,
+          head.compression_error,
+          head.interpolation_error,
+          head.worst_interpolation,
+          head.bytes[0] + head.bytes[1],
+          head.bytes[2] + head.bytes[3]};
 }
 
 bool are_valid(const KeyFrames& k) {
@@ -98,8 +115,7 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
   std::memcpy(&head, bytes.data(), sizeof head);
   if (head.asset != prt::fingerprint(character, clip))
     return fail(ErrorCode::kInvalid, name, "was baked from another mesh, albedo or clip");
-  if (head.map_width > kMostTexels || head.map_height > kMostTexels ||
-      (head.map_width == 0) != (head.map_height == 0) || head.ground_size > 4096)
+  if (!sizes_are_valid(head))
     return fail(ErrorCode::kUnreadable, name, "damaged at byte 24: sizes out of range");
   if (head.map_width > 0 && !has_light_coordinates(character))
     return fail(ErrorCode::kInvalid, name, "has a light map, and the asset no texture coordinates");
@@ -119,14 +135,7 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
   out.seconds = head.seconds;
   out.map_width = static_cast<int>(head.map_width);
   out.map_height = static_cast<int>(head.map_height);
-  out.report = {head.rays,
-                0,
-                head.standard_error,
-                head.compression_error,
-                head.interpolation_error,
-                head.worst_interpolation,
-                head.bytes[0] + head.bytes[1],
-                head.bytes[2] + head.bytes[3]};
+  out.report = report_of(head);
   if (head.ground_size > 0) {
     GroundGrid g{static_cast<int>(head.ground_size),
                  {head.ground_centre[0], head.ground_centre[1]},
@@ -173,17 +182,18 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
   return out;
 }
 
-Result<LightMapSize> light_map_size(const std::filesystem::path& path) {
-  auto bytes = read_bytes(path);
-  if (!bytes) return std::unexpected(bytes.error());
+Result<SequenceInfo> read_sequence_info(const std::filesystem::path& path) {
   FileHead head{};
-  if (bytes->size() < sizeof head || std::memcmp(bytes->data(), kMagic, sizeof kMagic) != 0)
+  std::ifstream in(path, std::ios::binary);
+  if (!in) return fail(ErrorCode::kNotFound, path.string(), "cannot be opened");
+  if (!in.read(reinterpret_cast<char*>(&head), sizeof head) ||
+      std::memcmp(head.magic, kMagic, sizeof kMagic) != 0)
     return fail(ErrorCode::kInvalid, path.string(), "is not a baked clip of this version");
-  std::memcpy(&head, bytes->data(), sizeof head);
-  if (head.map_width > kMostTexels || head.map_height > kMostTexels ||
-      (head.map_width == 0) != (head.map_height == 0))
-    return fail(ErrorCode::kUnreadable, path.string(), "damaged: the light map's size is none");
-  return LightMapSize{static_cast<int>(head.map_width), static_cast<int>(head.map_height)};
+  if (!sizes_are_valid(head))
+    return fail(ErrorCode::kUnreadable, path.string(), "damaged at byte 24: sizes out of range");
+  return SequenceInfo{static_cast<int>(head.map_width),          static_cast<int>(head.map_height),
+                      static_cast<int>(head.ground_size),        head.seconds,
+                      static_cast<std::size_t>(head.key_frames), report_of(head)};
 }
 
 Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,

@@ -145,9 +145,9 @@ Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
 // A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling is all.
 Result<PreparedObject> place_baked_clip(const SceneObject& o,
                                         const std::vector<prt::Plane>& planes) {
-  PENUMBRA_ASSIGN(size, prt::light_map_size(o.transfer));
-  PENUMBRA_ASSIGN(standing,
-                  standing_character(o.asset, o.albedo, o.animation, size.width, size.height));
+  PENUMBRA_ASSIGN(file, prt::read_sequence_info(o.transfer));
+  PENUMBRA_ASSIGN(standing, standing_character(o.asset, o.albedo, o.animation, file.map_width,
+                                               file.map_height));
   PENUMBRA_ASSIGN(sequence, prt::read_sequence(o.transfer, standing.character, standing.clip));
   auto animation = std::make_shared<Animation>();
   const glm::mat4 standing_frame = standing.character.frame;

@@ -122,10 +122,16 @@ Result<json> inspect_toml(const std::string& file) {
   }
   auto scene = read_scene(file);
   if (!scene) return std::unexpected(scene.error());
-  json names = json::array();
-  for (const SceneObject& o : scene->objects)
-    names.push_back({{"name", o.name}, {"asset", o.asset}});
-  return json{{"kind", "scene"}, {"objects", names}, {"real", scene->real.size()}};
+  json objects = json::array();
+  for (const SceneObject& o : scene->objects) {
+    json object = {{"name", o.name}, {"asset", o.asset}};
+    if (!o.animation.empty()) object["animation"] = o.animation;
+    if (!o.blend.empty()) object["blend"] = {{"animation", o.blend}, {"share", o.blend_share}};
+    if (o.live) object["transfer"] = "live";
+    if (!o.transfer.empty()) object["transfer"] = o.transfer;
+    objects.push_back(object);
+  }
+  return json{{"kind", "scene"}, {"objects", objects}, {"real", scene->real.size()}};
 }
 
 json to_json(const std::optional<capture::Range>& range) {
@@ -188,10 +194,16 @@ Result<json> describe(const std::string& file) {
   if (extension == ".toml") return inspect_toml(file);
   if (extension == ".glb" && prt::is_baked_file(file)) return inspect_baked(file);
   if (extension == ".shlm") {
-    auto size = prt::light_map_size(file);
-    if (!size) return std::unexpected(size.error());
+    auto clip = prt::read_sequence_info(file);
+    if (!clip) return std::unexpected(clip.error());
     return json{{"kind", "baked clip"},
-                {"light_map", {size->width, size->height}},
+                {"seconds", clip->seconds},
+                {"key_frames", clip->key_frames},
+                {"light_map", {clip->map_width, clip->map_height}},
+                {"receiver_texels", clip->ground_size * clip->ground_size},
+                {"standard_error", clip->report.standard_error},
+                {"compression_error", clip->report.compression_error},
+                {"interpolation_error", clip->report.interpolation_error},
                 {"bytes", fs::file_size(file, error)}};
   }
   for (const char* mesh : {".glb", ".gltf", ".obj", ".ply", ".fbx"})

@@ -16,6 +16,10 @@ using namespace penumbra::service;
 // The subcommand that was chosen; run after parsing.
 using Action = std::function<Result<void>()>;
 
+std::string not_empty(const std::string& text) {
+  return text.empty() ? "is empty" : "";
+}
+
 void add_json(CLI::App* app, bool& json) {
   app->add_flag("--json", json, "Print one JSON object on standard output and nothing else");
 }
@@ -279,6 +283,7 @@ void add_light_commands(CLI::App& app, Action& action) {
   const char* const kClip = "A clip of a character";
   c->add_option("--animation", bake_options.animation,
                 "Clip, by name or number: transfer over its frames instead of one pose")
+      ->check(not_empty)
       ->group(kClip);
   c->add_option("--fps", bake_options.fps, "Baked frames a second of the clip")
       ->capture_default_str()
@@ -373,6 +378,7 @@ void add_picture_commands(CLI::App& app, Action& action) {
                 "Clip of the first --asset (builtin:walker without one): bytes against rendered "
                 "error of ways to "
                 "code its transfer")
+      ->check(not_empty)
       ->group(kClip);
   c->add_option("--light-map", chart_options.light_map, "WIDTHxHEIGHT texels")
       ->capture_default_str()
@@ -402,7 +408,8 @@ void add_running_commands(CLI::App& app, Action& action) {
   c->add_option("--asset", demo_options.asset,
                 "Object; the built-in knot by default, or with --animation builtin:walker");
   c->add_option("--animation", demo_options.animation,
-                "Clip that the asset plays, by name or number; its frames are baked first");
+                "Clip that the asset plays, by name or number; its frames are baked first")
+      ->check(not_empty);
   c->add_option("--prop", demo_options.prop,
                 "Mesh of something that really stands in the studio, or builtin:box");
   c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");

@@ -553,7 +553,13 @@ TEST(Sequence, AFileComesBackWhole) {
   EXPECT_EQ(read->keys.parts, b.sequence.keys.parts);
   EXPECT_EQ(read->map_width, 64);
   EXPECT_EQ(read->receiver->grid.half_extent, b.sequence.receiver->grid.half_extent);
-  EXPECT_EQ(light_map_size(file)->height, 64);
+  const auto info = read_sequence_info(file);
+  ASSERT_TRUE(info);
+  EXPECT_EQ(info->map_height, 64);
+  EXPECT_EQ(info->ground_size, 16);
+  EXPECT_EQ(info->key_frames, 9u);
+  EXPECT_EQ(info->seconds, b.sequence.seconds);
+  EXPECT_EQ(info->report.compression_error, b.sequence.report.compression_error);
   // Of another mesh, and of another clip of the same.
   Character other = walker();
   other.positions[17].x += .01f;
