@@ -265,7 +265,7 @@ bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) 
   const auto in_row = [&](const auto& lookup) { return y >= lookup.area.y0 && y < lookup.area.y1; };
   const bool on_planes = std::ranges::any_of(lookups_, in_row),
              of_discs = std::ranges::any_of(taken_, in_row);
-  if (!on_planes && !of_discs) return false;
+  if (area.empty() || (!on_planes && !of_discs)) return false;
   for (const PlaneLookup& plane : lookups_) multiply(plane, y, area, r, g, b);
   if (of_discs || real_lookup_ || !missing_.empty()) subtract_discs(y, area, r, g, b);
   return true;

@@ -114,6 +114,10 @@ FrameBaker::FrameBaker(const Character& character, int clip, const SequenceOptio
   link_points();
 }
 
+bool FrameBaker::moves() const {
+  return character_.clips[static_cast<std::size_t>(clip_)].seconds > 0;
+}
+
 double FrameBaker::seconds_at(int position) const {
   return character_.clips[static_cast<std::size_t>(clip_)].seconds * position / positions();
 }
@@ -141,7 +145,7 @@ JournalKey FrameBaker::key() const {
   const SequenceOptions& o = options_;
   Fnv1a h;
   h.add(kBakeVersion).add(fingerprint(character_, clip_)).add(character_.frame);
-  h.add(o.frames_per_second).add(o.between);
+  h.add(o.frames_per_second);
   for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, o.map_width, o.map_height,
                       o.ground_size.value_or(0), int{o.denoise}})
     h.add(n);
@@ -229,9 +233,9 @@ void FrameBaker::mark_hidden(const BakeReport& report, Transfer& transfer) const
 
 // Lookups beside a point that is hidden for a while still touch it: it goes straight from what it was before to what it
 // will be, and if it never shows it continues what is around it.
-void FrameBaker::complete_hidden(std::span<Transfer> frames) const {
+void FrameBaker::complete_hidden(std::span<Transfer> frames, const KeyFrames& keys) const {
   parallel_for(std::size_t{0}, layout_.points(), 64, [&](const auto& range) {
-    for (std::size_t p = range.begin(); p < range.end(); ++p) complete_in_time(p, frames);
+    for (std::size_t p = range.begin(); p < range.end(); ++p) complete_in_time(p, frames, keys);
   });
   std::vector<std::uint32_t> left;
   for (std::uint32_t p = 0; p < layout_.points(); ++p)
@@ -263,9 +267,15 @@ void FrameBaker::complete_hidden(std::span<Transfer> frames) const {
   }
 }
 
-void FrameBaker::complete_in_time(std::size_t p, std::span<Transfer> frames) const {
+void FrameBaker::complete_in_time(std::size_t p, std::span<Transfer> frames,
+                                  const KeyFrames& keys) const {
   const std::size_t count = frames.size();
   const auto hidden = [&](std::size_t f) { return frames[f % count].values[p] == kHidden; };
+  const auto parts = [&](std::size_t from, std::size_t to) {
+    float sum = 0;
+    for (std::size_t f = from; f < to; ++f) sum += static_cast<float>(keys.width(f % count));
+    return sum;
+  };
   std::size_t first = 0;
   while (first < count && hidden(first)) ++first;
   if (first == count) return;
@@ -273,7 +283,7 @@ void FrameBaker::complete_in_time(std::size_t p, std::span<Transfer> frames) con
     std::size_t next = f + 1;
     while (hidden(next)) ++next;
     for (std::size_t between = f + 1; between < next; ++between) {
-      const float share = static_cast<float>(between - f) / static_cast<float>(next - f);
+      const float share = parts(f, between) / parts(f, next);
       for (std::size_t k = p; k < frames[0].values.size(); k += frames[0].stride)
         frames[between % count].values[k] =
             half_from_float(std::lerp(float_from_half(frames[f % count].values[k]),

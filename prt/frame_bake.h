@@ -44,7 +44,9 @@ class FrameBaker {
   Transfer shape(Stream stream) const;
   std::size_t offset(Stream stream) const;  // in FrameRecord::values
   /// Gives points of the surface values in frames in which they lie within something, where records have none.
-  void complete_hidden(std::span<Transfer> frames) const;
+  void complete_hidden(std::span<Transfer> frames, const KeyFrames& keys) const;
+  /// Whether the clip is more than one pose.
+  bool moves() const;
 
  private:
   FrameBaker(const Character& character, int clip, const SequenceOptions& options);
@@ -54,7 +56,7 @@ class FrameBaker {
   void link_points();
   std::vector<glm::mat3> ray_frames(const Mesh& mesh, const std::vector<glm::mat3>& bones) const;
   void mark_hidden(const BakeReport& report, Transfer& transfer) const;
-  void complete_in_time(std::size_t point, std::span<Transfer> frames) const;
+  void complete_in_time(std::size_t point, std::span<Transfer> frames, const KeyFrames& keys) const;
   void denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const;
   void equalise_seams(const BakeReport& report, Transfer& transfer, Transfer& indirect) const;
 

@@ -45,7 +45,6 @@ double mean_square_bend(const Transfer& before, const Transfer& here, const Tran
 std::vector<double> interpolation_errors(const KeyFrames& keys, std::span<const Transfer> frames) {
   constexpr std::size_t kFewest = 4;
   const std::size_t count = frames.size();
-  if (keys.parts == 1) return {0};
   if (count < kFewest) return std::vector<double>(count, std::numeric_limits<double>::infinity());
   std::vector<double> bend(count), out(count);
   for (std::size_t f = 0; f < count; ++f) {

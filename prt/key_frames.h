@@ -1,6 +1,7 @@
 // Where a clip's key frames stand, and how far a straight line between two of them is off.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -28,8 +29,14 @@ struct KeyFrames {
 /// light of mean_band_energy, absolute: h^2/4 max |t''|, t'' from divided differences at both ends. That is twice the bound
 /// for smooth functions: sight comes and goes at once, so halving h halves the error (the walker at 15 and 30 frames a
 /// second: at worst 3.5 and 1.6 %, told 4.1 and 2.3; with an eighth 2.0 and 1.2). Infinite where key frames are too few to
-/// tell (fewer than four, unless there is one part).
+/// tell (fewer than four).
 /// source: error of linear interpolation, e.g. Burden & Faires 2011, theorem 3.3
 std::vector<double> interpolation_errors(const KeyFrames& keys, std::span<const Transfer> frames);
+
+/// What interpolation may err by, relative, given what is asked for and the bake's standard error: a quarter of that no
+/// further frames mend (its pattern is the same in all frames, so it hardly bends).
+inline double allowed_between(double asked, double standard_error) {
+  return std::max(asked, .25 * standard_error);
+}
 
 }  // namespace penumbra::prt

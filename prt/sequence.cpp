@@ -58,7 +58,9 @@ Result<void> bake_frames(const Character& character, int clip, const SequenceOpt
   PENUMBRA_TRY(bake_positions(*baker, wanted, *journal, options.progress, [](auto&&) {}));
   if (shard.count > 1) return {};
   const std::filesystem::path journals[] = {journal_path};
-  return bake_between(character, clip, options, journals, journal_path);
+  const auto between = bake_between(character, clip, options, journals, journal_path);
+  if (!between) return std::unexpected(between.error());
+  return {};
 }
 
 Result<std::uint64_t> bake_key(const Character& character, int clip,
@@ -83,7 +85,8 @@ Result<Records> gather(const FrameBaker& baker, std::span<const std::filesystem:
   for (int f = 0; f < baker.frames(); ++f)
     if (!out.contains(static_cast<std::uint32_t>(f * FrameBaker::kSplit)))
       return fail(ErrorCode::kInvalid, journals.empty() ? "journals" : journals[0].string(),
-                  fmt::format("frame {} of {} is not baked yet", f, baker.frames()));
+                  fmt::format("frame {} of {} is not baked yet, in none of {} journals", f,
+                              baker.frames(), journals.size()));
   return out;
 }
 
@@ -103,7 +106,7 @@ std::vector<Transfer> frames_of(const FrameBaker& baker, const Records& records,
     out.push_back(std::move(t));
   }
   if (stream == FrameBaker::kSurface || stream == FrameBaker::kSurfaceIndirect)
-    baker.complete_hidden(out);
+    baker.complete_hidden(out, keys_of(baker, records));
   return out;
 }
 
@@ -156,47 +159,78 @@ void tell_interpolation(std::span<const double> errors, BakedSequence& out) {
   out.report.interpolation_error = std::sqrt(sum / out.keys.parts);
 }
 
-// Middles of the intervals that are too coarse. Noise hardly bends, as its pattern is the same in all frames; what it does no
-// further frames mend.
-std::vector<int> positions_between(const FrameBaker& baker, const Records& records, double bound) {
-  constexpr double kNoiseBend = .25;
+// Middles of the intervals that are too coarse.
+std::vector<std::uint32_t> positions_between(const FrameBaker& baker, const Records& records,
+                                             double bound) {
   const KeyFrames keys = keys_of(baker, records);
   const std::vector<double> errors = errors_between(baker, keys, records);
-  const double allowed = std::max(bound, kNoiseBend * standard_error(records));
-  std::vector<int> out;
+  const double allowed = allowed_between(bound, standard_error(records));
+  std::vector<std::uint32_t> out;
   for (std::size_t i = 0; i < errors.size(); ++i)
-    if (errors[i] > allowed && keys.width(i) > 1)
-      out.push_back(static_cast<int>(keys.at[i] + keys.width(i) / 2));
+    if (errors[i] > allowed && keys.width(i) > 1) out.push_back(keys.at[i] + keys.width(i) / 2);
   return out;
+}
+
+// What a bake consists of: the frames of the rate, and those between that are asked for besides, round by round.
+struct Chosen {
+  Records records;
+  std::vector<int> missing;  // positions of the first round that is not known as a whole
+};
+
+// Whatever else is known, as of a bake with another bound, makes no difference.
+Chosen choose(const FrameBaker& baker, Records known, double bound) {
+  Chosen out;
+  const auto take = [&](std::uint32_t position) {
+    const auto found = known.find(position);
+    if (found == known.end()) return out.missing.push_back(static_cast<int>(position));
+    out.records.insert(known.extract(found));
+  };
+  for (int p = 0; p < baker.positions(); p += FrameBaker::kSplit)
+    take(static_cast<std::uint32_t>(p));
+  if (bound == 0 || !baker.moves()) return out;
+  while (out.missing.empty()) {  // ends: every round halves an interval, of kSplit parts at first
+    const auto wanted = positions_between(baker, out.records, bound);
+    if (wanted.empty()) break;
+    std::ranges::for_each(wanted, take);
+  }
+  return out;
+}
+
+// Everything that a bake consists of.
+Result<Records> gather_all(const FrameBaker& baker, double bound,
+                           std::span<const std::filesystem::path> journals) {
+  PENUMBRA_ASSIGN(known, gather(baker, journals));
+  Chosen chosen = choose(baker, std::move(known), bound);
+  if (chosen.missing.empty()) return std::move(chosen.records);
+  return fail(
+      ErrorCode::kInvalid, journals[0].string(),
+      fmt::format("{} frames between those of the rate are not baked yet", chosen.missing.size()));
 }
 
 }  // namespace
 
-Result<void> bake_between(const Character& character, int clip, const SequenceOptions& options,
+Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,
                           const std::filesystem::path& journal_path) {
   auto baker = FrameBaker::create(character, clip, options);
   if (!baker) return std::unexpected(baker.error());
-  if (options.between == 0 || character.clips[static_cast<std::size_t>(clip)].seconds == 0)
-    return {};
-  auto journal = Journal::open(journal_path, baker->key());
-  if (!journal) return std::unexpected(journal.error());
   PENUMBRA_ASSIGN(known, gather(*baker, journals));
-  // From the frames of the rate on, so that a bake that was stopped asks for the same ones again.
-  Records records;
-  for (int f = 0; f < baker->positions(); f += FrameBaker::kSplit) {
-    const auto position = static_cast<std::uint32_t>(f);
-    records[position] = std::move(known.at(position));
+  if (options.between == 0 || !baker->moves()) return false;
+  std::error_code ignored;
+  const bool other = std::ranges::find(journals, journal_path) == journals.end();
+  if (other && std::filesystem::exists(journal_path, ignored)) {
+    PENUMBRA_ASSIGN(kept, read_journal(journal_path, baker->key()));
+    for (FrameRecord& r : kept) known.try_emplace(r.frame, std::move(r));
   }
-  while (true) {  // ends: every round halves an interval, of kSplit parts at first
-    const std::vector<int> wanted = positions_between(*baker, records, options.between);
-    if (wanted.empty()) return {};
-    for (const int p : wanted)
-      if (auto kept = known.find(static_cast<std::uint32_t>(p)); kept != known.end())
-        records.insert(known.extract(kept));
-    PENUMBRA_TRY(bake_positions(*baker, wanted, *journal, options.progress,
-                                [&](FrameRecord&& r) { records[r.frame] = std::move(r); }));
+  Chosen chosen = choose(*baker, std::move(known), options.between);
+  while (!chosen.missing.empty()) {
+    auto journal = Journal::open(journal_path, baker->key());
+    if (!journal) return std::unexpected(journal.error());
+    PENUMBRA_TRY(bake_positions(*baker, chosen.missing, *journal, options.progress,
+                                [&](FrameRecord&& r) { chosen.records[r.frame] = std::move(r); }));
+    chosen = choose(*baker, std::move(chosen.records), options.between);
   }
+  return other && std::filesystem::exists(journal_path, ignored);
 }
 
 Result<BakedSequence> compress_frames(const Character& character, int clip,
@@ -204,7 +238,7 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       std::span<const std::filesystem::path> journals) {
   auto baker = FrameBaker::create(character, clip, options);
   if (!baker) return std::unexpected(baker.error());
-  PENUMBRA_ASSIGN(records, gather(*baker, journals));
+  PENUMBRA_ASSIGN(records, gather_all(*baker, options.between, journals));
   BakedSequence out;
   out.keys = keys_of(*baker, records);
   out.clip = character.clips[static_cast<std::size_t>(clip)].name;
@@ -246,7 +280,7 @@ Result<std::vector<Transfer>> baked_surface(const Character& character, int clip
                                             std::span<const std::filesystem::path> journals) {
   auto baker = FrameBaker::create(character, clip, options);
   if (!baker) return std::unexpected(baker.error());
-  PENUMBRA_ASSIGN(records, gather(*baker, journals));
+  PENUMBRA_ASSIGN(records, gather_all(*baker, options.between, journals));
   return frames_of(*baker, records, FrameBaker::kSurface);
 }
 

@@ -142,8 +142,8 @@ struct SequenceOptions {
   /// Rendered error that compression may add: RMS over points and frames of the exit radiance under light of
   /// mean_band_energy, relative.
   double error = .005;
-  /// The same measure that a straight line between two key frames may be off by: where it is more, further frames are baked
-  /// between them, up to KeyFrames::kSplit - 1. 0: none are.
+  /// The same measure that a straight line between two key frames may be off by: where it is more than allowed_between of
+  /// it, further frames are baked between them, up to KeyFrames::kSplit - 1. 0: none are.
   double between = .02;
   std::function<void(double done)> progress;  // 0..1
 };
@@ -180,17 +180,19 @@ struct Shard {
 /// errors: kInvalid (options, clip, a journal of another bake), kUnwritable, kUnavailable
 Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
                          Shard shard, const std::filesystem::path& journal);
-/// Bakes the frames that options.between asks for besides those of `journals`, which hold the others, into `journal`. What
-/// is baked does not depend on how frames were shared out, nor on kills.
+/// Bakes the frames that options.between asks for besides those of `journals`, which hold the others, into `journal`, round
+/// by round: progress begins anew with each. What is baked does not depend on how frames were shared out, nor on kills.
+/// True when compress_frames needs `journal` besides `journals`.
 /// errors: as bake_frames, as compress_frames
-Result<void> bake_between(const Character& character, int clip, const SequenceOptions& options,
+Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,
                           const std::filesystem::path& journal);
 /// A fingerprint of everything that a bake of the clip depends on.
 /// errors: as bake_frames
 Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options);
-/// Joins journals that together hold every frame of the rate that was asked for, and perhaps more. The result does not depend on how frames were shared out.
+/// Joins journals that together hold every frame of the rate that was asked for, and those of bake_between. Others that they
+/// hold besides, as of another options.between, are left out. The result does not depend on how frames were shared out.
 /// errors: kNotFound, kUnreadable, kInvalid (frames missing: which; a journal of another bake)
 Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,

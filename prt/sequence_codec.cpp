@@ -125,6 +125,7 @@ class SequenceCodec::Encoder {
       const float middle = std::sqrt(low * high);
       (error_at(middle) <= reachable ? low : high) = middle;
     }
+    while (values_at(low) > kMostValues) low *= 1.1f;
     return {quantise(low), std::sqrt(error_at(low) / samples)};
   }
 
@@ -223,6 +224,17 @@ class SequenceCodec::Encoder {
       errors[i] = worth(part) * error;
     });
     return std::accumulate(errors.begin(), errors.end(), 0.);
+  }
+
+  // That a reader has to hold.
+  std::size_t values_at(float step) const {
+    std::size_t sum = 0;
+    for (const Part& part : parts_) {
+      std::size_t columns = 1;
+      for (std::size_t k = 0; k + 1 < part.energy.size(); ++k) columns += keeps(part, k, step);
+      sum += columns * static_cast<std::size_t>(coefficients_) * padded(part.group.count);
+    }
+    return sum;
   }
 
   float finest_step() const {

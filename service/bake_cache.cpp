@@ -154,7 +154,7 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   if (!key) return named(key.error());
   std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
   if (folder && !make_folder(*folder)) folder.reset();
-  const std::string stem = fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).value());
+  const std::string stem = fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).add(options.between).value());
   const fs::path file = folder ? *folder / (stem + kClipKind) : fs::path();
   std::error_code ignored;
   if (folder)

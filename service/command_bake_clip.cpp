@@ -79,14 +79,21 @@ std::size_t frames_between(const prt::BakedSequence& s) {
 // What the result does not keep to.
 void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
   const prt::SequenceReport& r = s.report;
-  if (r.interpolation_error > (o.between > 0 ? o.between : 2 * o.error))
+  const bool coarse =
+      o.between > 0 ? r.worst_interpolation > prt::allowed_between(o.between, r.standard_error)
+                    : r.interpolation_error > 2 * o.error;
+  if (coarse)
     spdlog::warn(
-        "{}: the clip moves fast: between frames the error is {:.1f} %; a higher --fps lowers it, "
-        "and more --samples what is noise",
-        o.output, 100 * r.interpolation_error);
+        "{}: the clip moves fast, or jumps: between frames the error is {:.1f} % at worst, {:.1f} "
+        "% "
+        "on the whole; a higher --fps lowers it",
+        o.output, 100 * r.worst_interpolation, 100 * r.interpolation_error);
   if (r.compression_error > 1.02 * o.error)
-    spdlog::warn("{}: --error {:.2g} % is not met: steps of sixteen bits leave {:.2f} %", o.output,
-                 100 * o.error, 100 * r.compression_error);
+    spdlog::warn(
+        "{}: --error {:.2g} % is not met: {:.2f} % is what as many values leave as a file may "
+        "have, "
+        "of sixteen bits; fewer texels or bands, or a shorter clip, come nearer",
+        o.output, 100 * o.error, 100 * r.compression_error);
   if (r.interpolation_error == 0 && s.surface.frames() < 4 && s.seconds > 0)
     spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
                  o.output);
@@ -165,9 +172,9 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   for (int i = 0; i < o.merge; ++i) journals.push_back(shard_file(o.output, i, o.merge));
   if (o.merge > 0) {
     const fs::path between = o.output + ".between";
-    PENUMBRA_TRY(
-        prt::bake_between(character.character, character.clip, options, journals, between));
-    if (fs::exists(between)) journals.push_back(between);
+    PENUMBRA_ASSIGN(
+        more, prt::bake_between(character.character, character.clip, options, journals, between));
+    if (more) journals.push_back(between);
   }
   if (o.merge == 0) {
     // Kept until all is done: a bake that is stopped goes on where it was.

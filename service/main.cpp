@@ -309,7 +309,9 @@ void add_light_commands(CLI::App& app, Action& action) {
   c->add_option("--shard", bake_options.shard,
                 "i/n: only every n-th frame from the i-th on, kept beside the output for --merge")
       ->group(kClip);
-  c->add_option("--merge", bake_options.merge, "n: join n shards to the output")->group(kClip);
+  c->add_option("--merge", bake_options.merge,
+                "n: join n shards to the output; bakes what --between asks for")
+      ->group(kClip);
   c->callback([&] {
     action = [] {
       return bake_options.animation.empty() ? bake(bake_options) : bake_clip(bake_options);

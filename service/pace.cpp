@@ -1,11 +1,17 @@
 #include "service/pace.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace penumbra::service {
 
 void Pace::add(double busy_ms, int discs) {
   if (!(period_ms_ > 0)) return;
+  const int before = std::exchange(last_discs_, discs);
+  // A light that has not followed yet says nothing; one that has just got a disc more is on trial.
+  if (discs > allowed_ || (discs > before && window_ != kTrial)) frames_ = 0, even_ = true;
+  if (discs > allowed_) return;
+  if (discs > before) window_ = kTrial;
   even_ = even_ && (frames_ == 0 || discs == discs_);
   discs_ = frames_ == 0 ? discs : std::max(discs_, discs);
   busy_ms_[static_cast<std::size_t>(frames_)] = busy_ms;
@@ -19,7 +25,6 @@ void Pace::add(double busy_ms, int discs) {
 }
 
 void Pace::decide(double median_ms) {
-  if (discs_ > allowed_) return;  // the light has not followed yet
   if (++quiet_ >= kForgiven * next_wait_) {
     next_wait_ = std::max(kShortestWait, next_wait_ / 2);
     quiet_ = 0;
@@ -32,6 +37,7 @@ void Pace::decide(double median_ms) {
 
 void Pace::give_one_up(double median_ms) {
   allowed_ = std::min(allowed_, discs_) - 1;
+  window_ = kTrial;
   with_ms_ = median_ms;
   disc_cost_ms_.reset();
   wait_ = next_wait_;
@@ -45,7 +51,6 @@ void Pace::take_one_back(double median_ms) {
   if (!disc_cost_ms_) return;
   if (median_ms + *disc_cost_ms_ < kRoom * period_ms_) {
     ++allowed_;
-    window_ = kTrial;
     with_ms_.reset();
   } else {
     // It may have cost less: what else the machine did then nobody knows.

@@ -18,8 +18,8 @@ class Pace {
 
   /// A frame that took so long, waiting for others not counted, with so many discs that could go.
   void add(double busy_ms, int discs);
-  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may, a short window while discs are on trial,
-  /// as at the beginning; one more when the last one that went would fit again by what it cost then, after a wait that
+  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may, a short window when their
+  /// number has just changed; frames of a light that does not follow yet are not counted; one more when the last one that went would fit again by what it cost then, after a wait that
   /// doubles with every disc that goes.
   int most_discs() const { return allowed_; }
 
@@ -38,7 +38,8 @@ class Pace {
   int allowed_ = kAll;
   std::array<double, kWindow> busy_ms_{};
   int frames_ = 0, window_ = kTrial;
-  int discs_ = 0;                       // most in a frame of the window
+  int discs_ = 0;  // most in a frame of the window
+  int last_discs_ = 0;
   bool even_ = true;                    // as many discs in all frames of the window
   std::optional<double> with_ms_;       // what a frame took with the disc that went
   std::optional<double> disc_cost_ms_;  // of that disc, once known

@@ -12,12 +12,14 @@
 
 namespace penumbra::service {
 
+/// Done: 0..1; falling back begins another round, with a bar of its own.
 inline std::function<void(double)> progress_bar(const std::string& what) {
   if (!isatty(STDERR_FILENO)) return {};
   using Clock = std::chrono::steady_clock;
   return [what, last = -1, first = -1., start = Clock::now()](double done) mutable {
     const int percent = static_cast<int>(done * 100);
     if (percent == last) return;
+    if (percent < last) start = Clock::now(), first = done;  // another round
     last = percent;
     // Work that goes on where it stopped begins further on: only what was done since then tells the pace.
     if (first < 0) first = done;

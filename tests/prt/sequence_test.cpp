@@ -477,6 +477,29 @@ TEST(Sequence, WhatIsBakedBetweenDependsOnNothingElse) {
   ASSERT_TRUE(bake_between(c, 0, o, journals, between));
   journals.push_back(between);
   EXPECT_EQ(file_of(journals, "b"), expected);
+  // Again when all is there, and after a kill.
+  const std::span<const fs::path> shards = std::span(journals).first(3);
+  const auto bytes = fs::file_size(between);
+  EXPECT_TRUE(*bake_between(c, 0, o, shards, between));
+  EXPECT_EQ(fs::file_size(between), bytes);
+  fs::resize_file(between, bytes / 2);
+  EXPECT_FALSE(compress_frames(c, 0, o, journals)) << "some are missing";
+  EXPECT_TRUE(*bake_between(c, 0, o, shards, between));
+  EXPECT_EQ(fs::file_size(between), bytes);
+  EXPECT_EQ(file_of(journals, "b"), expected);
+  // What another bound has asked for is not in the way, and not lost.
+  SequenceOptions finer = o;
+  finer.between = .03;
+  EXPECT_TRUE(*bake_between(c, 0, finer, shards, between));
+  EXPECT_GT(fs::file_size(between), bytes);
+  EXPECT_EQ(file_of(journals, "b"), expected);
+  o.between = 0;
+  EXPECT_FALSE(*bake_between(c, 0, o, shards, folder.path() / "none"));
+  EXPECT_FALSE(fs::exists(folder.path() / "none"));
+  EXPECT_EQ(compress_frames(c, 0, o, journals)->keys.at.size(), 10u);
+  o.between = .04;
+  EXPECT_FALSE(bake_between(c, 0, o, shards.first(2), folder.path() / "none"));
+  EXPECT_FALSE(fs::exists(folder.path() / "none")) << "nothing is left of a refusal";
   // After a kill among the frames between.
   const std::size_t head = 32, frames = read_sequence(folder.path() / "a", c, 0)->keys.at.size();
   const std::size_t record = (fs::file_size(whole[0]) - head) / frames;
@@ -603,6 +626,23 @@ TEST(Sequence, DamageIsTold) {
     if (!decoded) continue;
     std::vector<float> out(3 * decoded->surface.stride());
     decoded->surface.relight(1.5, some_light(3, 1), {}, out);
+  }
+}
+
+TEST(Sequence, KeyFramesThatMakeNoSenseAreTold) {
+  const test::TempFolder folder;
+  const Baked b = bake_clip(walker(), 0, quick(4));
+  ASSERT_EQ(b.sequence.keys.at.size(), 4u);
+  for (const KeyFrames& wrong :
+       {KeyFrames{0, {0, 8, 16, 24}}, KeyFrames{32, {0, 16, 8, 24}}, KeyFrames{32, {0, 8, 8, 24}},
+        KeyFrames{32, {1, 8, 16, 24}}, KeyFrames{24, {0, 8, 16, 24}}, KeyFrames{32, {0, 8, 16}},
+        KeyFrames{32, {0, 8, 16, 20, 24}}, KeyFrames{32, {}}}) {
+    BakedSequence s = b.sequence;
+    s.keys = wrong;
+    ASSERT_TRUE(write_sequence(folder.path() / "k", walker(), 0, s));
+    const auto read = read_sequence(folder.path() / "k", walker(), 0);
+    ASSERT_FALSE(read) << wrong.parts << " " << wrong.at.size();
+    EXPECT_THAT(read.error().detail, testing::HasSubstr("damaged"));
   }
 }
 

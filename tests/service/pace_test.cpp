@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <vector>
+
 namespace penumbra::service {
 namespace {
 
@@ -9,13 +12,20 @@ namespace {
 struct Machine {
   double base_ms, disc_ms;
   int wanted = 1;
+  int delay = 0;  // frames that the light needs to follow
   Pace pace{1e3 / 60};
   int discs = wanted;
+  std::vector<int> allowed{};  // after each frame
+  int late = 0;                // frames
 
   void run(int frames) {
     for (int i = 0; i < frames; ++i) {
-      pace.add(base_ms + disc_ms * discs, discs);
-      discs = std::min(wanted, pace.most_discs());
+      const double ms = base_ms + disc_ms * discs;
+      late += ms > 1e3 / 60;
+      pace.add(ms, discs);
+      allowed.push_back(pace.most_discs());
+      const auto told = static_cast<std::ptrdiff_t>(allowed.size()) - 1 - delay;
+      if (told >= 0) discs = std::min(wanted, allowed[static_cast<std::size_t>(told)]);
     }
   }
 };
@@ -48,6 +58,24 @@ TEST(Pace, DiscsGoOneByOneUntilTheRestFits) {
   Machine m{8, 3, 5};
   m.run(300);
   EXPECT_EQ(m.discs, 2);
+}
+
+TEST(Pace, ALightThatFollowsLateCostsItsDelayAlone) {
+  for (const int delay : {0, 3, 10}) {
+    Machine m{8, 3, 5, delay};
+    m.run(300);
+    EXPECT_EQ(m.discs, 2) << delay;
+    EXPECT_LE(m.late, 3 * (8 + delay)) << delay;
+  }
+  // And one that comes back is tried when it is there.
+  Machine m{10, 8, 1, 10};
+  m.run(60);
+  m.base_ms = 4;
+  while (m.discs == 0) m.run(1);
+  m.base_ms = 10;
+  m.late = 0;
+  m.run(60);
+  EXPECT_LE(m.late, 8 + 10);
 }
 
 TEST(Pace, TriesAgainWhatDidNotFitLessAndLess) {

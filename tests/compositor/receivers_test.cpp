@@ -1,0 +1,133 @@
+// Rows of shadow ratios against what each pixel's ray meets, looked up one by one.
+#include "compositor/receivers.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+#include <optional>
+
+namespace penumbra::compositor {
+namespace {
+
+constexpr int kWidth = 96, kHeight = 72;
+
+prt::PinholeView view_from(const glm::dvec3& eye, const glm::dvec3& at) {
+  prt::PinholeView view{kWidth, kHeight, {70, 70}, {kWidth / 2., kHeight / 2.}, {}};
+  view.world_from_camera = {glm::quatLookAt(glm::normalize(at - eye), glm::dvec3(0, 1, 0)), eye};
+  return view;
+}
+
+// From high up, slantwise, along the ground with the horizon in sight, from within the shadow, and past it.
+std::vector<prt::PinholeView> views() {
+  return {view_from({.1, 3, .2}, {0, 0, .01}), view_from({1.5, 1.2, 2}, {0, 0, 0}),
+          view_from({-2, .25, .4}, {3, .3, 0}), view_from({.2, .4, .1}, {.9, .1, -.6}),
+          view_from({0, 1, 2}, {4, 1.2, -1})};
+}
+
+// Where the ray through a place of the picture meets y = height of a frame, in front of the camera.
+std::optional<glm::dvec2> on_plane(const prt::PinholeView& v, const Pose& world_from_frame,
+                                   double height, double px, double py) {
+  const Pose frame_from_camera = world_from_frame.inverse() * v.world_from_camera;
+  const glm::dvec3 o = frame_from_camera.translation;
+  const glm::dvec3 d =
+      frame_from_camera.rotation * glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
+                                              (v.principal_px.y - py) / v.focal_px.y, -1);
+  const double t = (height - o.y) / d.y;
+  if (!(t > 0) || !std::isfinite(t)) return {};
+  return glm::dvec2(o.x + t * d.x, o.z + t * d.z);
+}
+
+double between_nodes(const Image<float>& nodes, double u, double v) {
+  if (u < 0 || v < 0 || u >= nodes.width() - 1 || v >= nodes.height() - 1) return 0;
+  const int i = static_cast<int>(u), j = static_cast<int>(v);
+  const double fu = u - i, fv = v - j;
+  return (1 - fv) * std::lerp(nodes.at(i, j), nodes.at(i + 1, j), fu) +
+         fv * std::lerp(nodes.at(i, j + 1), nodes.at(i + 1, j + 1), fu);
+}
+
+// Every pixel of every view: expected(view, x, y), whole rows and narrow ones.
+template <class Expected>
+void expect_rows(Receivers& receivers, const Expected& expected) {
+  int shaded = 0, spared = 0;
+  for (const prt::PinholeView& view : views()) {
+    const Rect area = receivers.prepare(view);
+    for (int y = 0; y < kHeight; ++y) {
+      const Rect narrow = receivers.reach_in_row(y);
+      std::vector<float> r(kWidth, 1), g(kWidth, 1), b(kWidth, 1), rest[3];
+      const bool any = receivers.load_row(y, area, r.data(), g.data(), b.data());
+      for (auto& v : rest) v.assign(kWidth, 1);
+      receivers.load_row(y, narrow, rest[0].data(), rest[1].data(), rest[2].data());
+      for (int x = 0; x < kWidth; ++x) {
+        const double wanted = expected(view, x, y);
+        const bool inside = any && x >= area.x0 && x < area.x1;
+        const float whole = inside ? r[static_cast<std::size_t>(x - area.x0)] : 1;
+        const bool reached = x >= narrow.x0 && x < narrow.x1;
+        const float part = reached ? rest[0][static_cast<std::size_t>(x - narrow.x0)] : 1;
+        ASSERT_NEAR(whole, wanted, 4e-3) << x << ' ' << y;
+        ASSERT_EQ(part, whole) << x << ' ' << y;
+        shaded += wanted < .99;
+        spared += !reached && inside;
+      }
+    }
+  }
+  EXPECT_GT(shaded, 500);
+  EXPECT_GT(spared, 500);
+}
+
+const Pose kAskew{glm::angleAxis(.6, glm::dvec3(0, 1, 0)), {.15, .02, -.1}};
+
+TEST(Receivers, RowsHoldWhatTheirPixelsMeet) {
+  prt::GroundGrid grid;
+  grid.size = 64;
+  grid.half_extent = 4;
+  shadows::PlanarShadow shadow{Image<Rgb>(64, 64, Rgb{1, 1, 1}), 14, 20, 44, 51};
+  for (int y = shadow.y0; y < shadow.y1; ++y)
+    for (int x = shadow.x0; x < shadow.x1; ++x) {
+      const float s = .3f + .01f * static_cast<float>(x + y % 3);
+      shadow.ratio.at(x, y) = {s, s, s};
+    }
+  Receivers receivers(2);
+  const int index = receivers.add(grid);
+  receivers.set_pose(index, kAskew);
+  receivers.set_shadow(index, shadow);
+  Image<float> missing(64, 64);
+  for (std::size_t i = 0; i < missing.area(); ++i)
+    missing.pixels()[i] = 1 - shadow.ratio.pixels()[i].r;
+  expect_rows(receivers, [&](const prt::PinholeView& view, int x, int y) {
+    const auto p = on_plane(view, kAskew, grid.height, x + .5, y + .5);
+    if (!p) return 1.;
+    const glm::vec2 texel = grid.uv(glm::vec2(*p)) * 64.f - .5f;
+    return 1 - between_nodes(missing, texel.x, texel.y);
+  });
+}
+
+TEST(Receivers, DiscsToo) {
+  shadows::DiscShadow disc;
+  disc.world_from_map = kAskew;
+  disc.cell_m = .05f;
+  disc.taken = Image<float>(30, 18);
+  for (int y = 1; y < 17; ++y)
+    for (int x = 1; x < 29; ++x) disc.taken.at(x, y) = .5f + .01f * static_cast<float>(x + y);
+  const DiscShadowOnPlane on_plane_of_all{&disc, {.6f, .6f, .6f}, nullptr};
+  Receivers receivers(2);
+  receivers.set_disc_shadows({&on_plane_of_all, 1});
+  const auto expected = [&](const prt::PinholeView& view, int x, int y) {
+    double sum = 0;
+    for (const double dx : {.25, .75})
+      for (const double dy : {.25, .75})
+        if (const auto p = on_plane(view, kAskew, 0, x + dx, y + dy))
+          sum += between_nodes(disc.taken, p->x / .05, p->y / .05);
+    return 1 - .6 * sum / 4;
+  };
+  expect_rows(receivers, expected);
+  // Beside a real shadow of the same disc that nothing virtual meets, elsewhere.
+  shadows::DiscShadow real = disc;
+  real.world_from_map.translation += glm::dvec3(0, 0, 5);
+  const DiscShadowOnPlane beside{&disc, {.6f, .6f, .6f}, &real};
+  receivers.set_disc_shadows({&beside, 1});
+  expect_rows(receivers, expected);
+}
+
+}  // namespace
+}  // namespace penumbra::compositor
