@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -18,6 +19,23 @@ struct Layer {
   std::span<const std::uint16_t> row(int y) const {
     const auto stride = static_cast<std::size_t>(rect.width()) * 4;
     return std::span(halves).subspan(static_cast<std::size_t>(y - rect.y0) * stride, stride);
+  }
+};
+
+/// A layer that others may still read while the next one is drawn.
+/// threads: one decides and hands out; those who read neither copy nor drop their share
+struct SharedLayer {
+  std::shared_ptr<Layer> now = std::make_shared<Layer>();
+  std::shared_ptr<Layer> spare;  // somebody's earlier one, whose room serves again
+
+  /// To draw into: `now`, or in its place one that nobody reads.
+  Layer& renewed() {
+    if (spare == now) spare.reset();
+    if (now.use_count() > 1) {
+      const bool free = spare && spare.use_count() == 1;
+      now = free ? std::move(spare) : std::make_shared<Layer>();
+    }
+    return *now;
   }
 };
 

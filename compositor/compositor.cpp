@@ -97,8 +97,54 @@ void main() { colour = vec4(texture(picture, uv).rgb, 1); }
 
 }  // namespace
 
+namespace {
+
+Touched put(const View& view, const Layered& in, FramePixels& frame, LookPlanes& look) {
+  Touched out;
+  if (!view.look.none())
+    out.pixels = composite_look(view, frame, in, look);
+  else if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
+    out.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, in);
+  else if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
+    out.pixels = composite_pixels(Coded<std::uint16_t>{*view.curve}, *f16, in);
+  else
+    out.pixels = composite_pixels(Linear{}, std::get<Image<Rgb>>(frame), in);
+  const auto all = std::visit([](const auto& f) { return f.area(); }, frame);
+  out.fraction = static_cast<double>(out.pixels) / static_cast<double>(all);
+  return out;
+}
+
+Layered layered(const Layer& objects, const Layer& hidden, const Receivers& receivers,
+                const Rect& receiver_area, const View& view) {
+  return {objects, hidden, receivers, united(united(objects.rect, receiver_area), hidden.rect),
+          view.vignetting};
+}
+
+}  // namespace
+
+struct Drawn::Impl {
+  View view;
+  std::shared_ptr<Layer> objects, hidden;  // given back by draw()
+  Receivers receivers{2};
+  Rect receiver_area;
+  LookPlanes look;
+};
+
+Drawn::Drawn() : impl_(std::make_unique<Impl>()) {}
+Drawn::~Drawn() = default;
+Drawn::Drawn(Drawn&&) noexcept = default;
+Drawn& Drawn::operator=(Drawn&&) noexcept = default;
+
+Touched Drawn::put_into(FramePixels& frame) {
+  Impl& d = *impl_;
+  return put(d.view, layered(*d.objects, *d.hidden, d.receivers, d.receiver_area, d.view), frame,
+             d.look);
+}
+
 struct Compositor::Impl {
   explicit Impl(int oversampling) : receivers(oversampling) {}
+  Result<Rect> draw(const View& view, const FramePixels& frame);
+
   int width = 0, height = 0;
   std::unique_ptr<GlContext> context;  // destroyed last: the names below live in it
   std::unique_ptr<Layers> layers;
@@ -107,7 +153,7 @@ struct Compositor::Impl {
   std::vector<std::optional<GpuRelight>> clips;  // empty where removed
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
-  Layer objects, hidden;
+  SharedLayer objects, hidden;
   LookPlanes look;
 };
 
@@ -215,14 +261,14 @@ void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios) {
   impl_->layers->set_ratios(occluder, ratios);
 }
 
-Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
-  impl_->context->make_current();
-  const auto [width, height] =
+// The pixels that shadows can reach.
+Result<Rect> Compositor::Impl::draw(const View& view, const FramePixels& frame) {
+  context->make_current();
+  const auto [w, h] =
       std::visit([](const auto& f) { return std::pair(f.width(), f.height()); }, frame);
-  if (width != impl_->width || height != impl_->height)
-    return fail(
-        ErrorCode::kInvalid, "frame",
-        fmt::format("{}x{} pixels, expected {}x{}", width, height, impl_->width, impl_->height));
+  if (w != width || h != height)
+    return fail(ErrorCode::kInvalid, "frame",
+                fmt::format("{}x{} pixels, expected {}x{}", w, h, width, height));
   const unsigned needed = std::holds_alternative<Image<Rgb8>>(frame)    ? 255u
                           : std::holds_alternative<Image<Rgb16>>(frame) ? 65535u
                                                                         : 0u;
@@ -230,22 +276,29 @@ Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
     return fail(ErrorCode::kInvalid, "frame", "no response curve of its bit depth");
   if (!valid(view.look))
     return fail(ErrorCode::kInvalid, "camera look", "blur or noise is negative or too large");
-  const Rect receiver_area = impl_->receivers.prepare(view.camera);
-  PENUMBRA_TRY(impl_->layers->draw(view, receiver_area, impl_->objects, impl_->hidden));
-  const Layered in{impl_->objects, impl_->hidden, impl_->receivers,
-                   united(united(impl_->objects.rect, receiver_area), impl_->hidden.rect),
-                   view.vignetting};
-  Touched touched;
-  if (!view.look.none())
-    touched.pixels = composite_look(view, frame, in, impl_->look);
-  else if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    touched.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, in);
-  else if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    touched.pixels = composite_pixels(Coded<std::uint16_t>{*view.curve}, *f16, in);
-  else
-    touched.pixels = composite_pixels(Linear{}, std::get<Image<Rgb>>(frame), in);
-  touched.fraction = static_cast<double>(touched.pixels) / (static_cast<double>(width) * height);
-  return touched;
+  const Rect receiver_area = receivers.prepare(view.camera);
+  PENUMBRA_TRY(layers->draw(view, receiver_area, objects, hidden));
+  return receiver_area;
+}
+
+Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
+  PENUMBRA_ASSIGN(area, impl_->draw(view, frame));
+  return put(view, layered(*impl_->objects.now, *impl_->hidden.now, impl_->receivers, area, view),
+             frame, impl_->look);
+}
+
+Result<void> Compositor::draw(const View& view, const FramePixels& frame, Drawn& out) {
+  Drawn::Impl& d = *out.impl_;
+  impl_->objects.spare = std::move(d.objects);
+  impl_->hidden.spare = std::move(d.hidden);
+  PENUMBRA_ASSIGN(area, impl_->draw(view, frame));
+  d.view = view;
+  d.objects = impl_->objects.now;
+  d.hidden = impl_->hidden.now;
+  d.receivers = impl_->receivers;
+  d.receivers.prepare(view.camera);  // its lookups point into itself
+  d.receiver_area = area;
+  return {};
 }
 
 bool Compositor::has_window() const {

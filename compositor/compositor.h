@@ -80,6 +80,25 @@ struct DiscShadowOnPlane {
   const shadows::DiscShadow* real = nullptr;
 };
 
+/// A view that has been drawn, with all that compositing it takes.
+/// threads: thread-bound, to whichever has it
+class Drawn {
+ public:
+  Drawn();
+  ~Drawn();
+  Drawn(Drawn&&) noexcept;
+  Drawn& operator=(Drawn&&) noexcept;
+
+  /// The second step of Compositor::composite.
+  /// in: frame of the size and kind that draw() was told
+  Touched put_into(FramePixels& frame);
+
+ private:
+  friend class Compositor;
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
 class Compositor {
  public:
   enum class Surface { kOffscreen, kWindow };
@@ -132,6 +151,10 @@ class Compositor {
   /// errors: kInvalid (size, missing curve, depth, look), kUnavailable (GL lost)
   /// source: Debevec 1998 in the ratio form
   Result<Touched> composite(const View& view, FramePixels& frame);
+  /// composite() in two steps, the second on any thread while this one goes on. What view.curve points to must stay until
+  /// then. `out` keeps its room.
+  /// in, errors: as composite
+  Result<void> draw(const View& view, const FramePixels& frame, Drawn& out);
 
   bool has_window() const;
   /// Shows an 8-bit picture; nothing without a window. False when the user has closed the window.

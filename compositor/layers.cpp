@@ -436,13 +436,14 @@ Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& c
   return {};
 }
 
-Result<void> Layers::draw(const View& view, const Rect& receiver_area, Layer& objects,
-                          Layer& hidden) {
+Result<void> Layers::draw(const View& view, const Rect& receiver_area, SharedLayer& objects_layer,
+                          SharedLayer& hidden_layer) {
   // A camera on a tripod before unchanged objects in unchanged light: the layers still hold.
   if (drawn_ && drawn_->view.camera == view.camera && drawn_->receiver_area == receiver_area &&
       drawn_->view.signal_per_radiance == view.signal_per_radiance)
     return {};
   drawn_.reset();
+  Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();
   const glm::dmat4 clip_from_world =
       clip_from_camera(view.camera) * view.camera.world_from_camera.inverse().matrix();
   PENUMBRA_TRY(draw_layer_of_objects(view, clip_from_world, objects));

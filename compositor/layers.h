@@ -31,7 +31,8 @@ class Layers {
   /// a pixel. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
   /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller
   /// keeps them.
-  Result<void> draw(const View& view, const Rect& receiver_area, Layer& objects, Layer& hidden);
+  Result<void> draw(const View& view, const Rect& receiver_area, SharedLayer& objects,
+                    SharedLayer& hidden);
 
  private:
   struct LightMap {

@@ -61,6 +61,11 @@ class Latest : public Closable {
     const std::scoped_lock lock(mutex_);
     return std::exchange(slot_, std::nullopt);
   }
+  /// Whether there is a value to take.
+  bool waiting() const {
+    const std::scoped_lock lock(mutex_);
+    return slot_.has_value();
+  }
 
   /// Waits for a value until `timeout`; nothing after the timeout or once closed and empty.
   std::optional<T> wait(Seconds timeout) {

@@ -295,24 +295,46 @@ void ComposeStage::warm_up() {
       {{p.width, p.height, p.focal_px, p.principal_px, camera->info.world_from_camera}}, black);
 }
 
+compositor::View ComposeStage::view_of(const capture::Frame& frame) {
+  ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
+  const calib::Projection& p = camera.info.projection;
+  return {{p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
+          curve_for(camera, *frame.pixels),
+          static_cast<float>(frame.exposure.product()),
+          look_of(camera.info, frame),
+          calib::vignetting_of(p, camera.info.vignetting)};
+}
+
 Result<Composited> ComposeStage::process(const capture::Frame& frame,
                                          const lighting::LightEstimate& light) {
   Composited out;
-  const double seconds = (frame.time - TimestampNs{0}).count();
-  out.relit = update_light(light, seconds);
-  ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
+  out.relit = update_light(light, (frame.time - TimestampNs{0}).count());
   const StageTimer timer(times_, "composite");
   out.pixels = *frame.pixels;
-  const calib::Projection& p = camera.info.projection;
-  const compositor::View view{
-      {p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
-      curve_for(camera, out.pixels),
-      static_cast<float>(frame.exposure.product()),
-      look_of(camera.info, frame),
-      calib::vignetting_of(p, camera.info.vignetting)};
-  auto touched = compositor_->composite(view, out.pixels);
-  if (!touched) return std::unexpected(touched.error());
-  out.touched = *touched;
+  PENUMBRA_ASSIGN(touched, compositor_->composite(view_of(frame), out.pixels));
+  out.touched = touched;
+  return out;
+}
+
+Result<void> ComposeStage::begin(const capture::Frame& frame, const lighting::LightEstimate& light,
+                                 BegunFrame& out) {
+  out.relit_ = update_light(light, (frame.time - TimestampNs{0}).count());
+  const Stopwatch watch;
+  out.camera_ = frame.pixels;
+  out.times_ = &times_;
+  PENUMBRA_TRY(compositor_->draw(view_of(frame), *frame.pixels, out.drawn_));
+  out.drawing_ms_ = watch.ms();
+  return {};
+}
+
+Composited BegunFrame::finish() {
+  const Stopwatch watch;
+  Composited out;
+  out.relit = relit_;
+  out.pixels = *camera_;
+  camera_.reset();
+  out.touched = drawn_.put_into(out.pixels);
+  times_->add("composite", drawing_ms_ + watch.ms());
   return out;
 }
 

@@ -28,6 +28,21 @@ struct Composited {
   bool relit = false;
 };
 
+/// A frame that has been begun, apart from the stage.
+class BegunFrame {
+ public:
+  /// The rest of its composite. threads: any, while the stage goes on
+  Composited finish();
+
+ private:
+  friend class ComposeStage;
+  compositor::Drawn drawn_;
+  std::shared_ptr<const FramePixels> camera_;
+  bool relit_ = false;
+  double drawing_ms_ = 0;
+  StageTimes* times_ = nullptr;
+};
+
 /// A plane counts as level when its normal's y is larger: within a quarter of a degree.
 inline constexpr double kLevel = .99999;
 /// A baked thing that stands on a level floor takes the floor's light (lighting::floor_light), any other the sphere's.
@@ -63,6 +78,9 @@ class ComposeStage {
   /// Composites one view frame under `light`.
   /// errors: as Compositor::composite
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);
+  /// process() but for what needs the stage no more. The stage must outlive the frame.
+  Result<void> begin(const capture::Frame& frame, const lighting::LightEstimate& light,
+                     BegunFrame& out);
   compositor::Compositor& output() { return *compositor_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can tell; empty where
   /// it cannot.
@@ -132,6 +150,7 @@ class ComposeStage {
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool discs_changed, bool moved);
   const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
+  compositor::View view_of(const capture::Frame& frame);
 
   std::unique_ptr<compositor::Compositor> compositor_;
   std::unique_ptr<PreparedScene> moving_;  // the scene itself where something in it moves by itself

@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <limits>
@@ -11,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/parallel.h"
 #include "service/frame_mailbox.h"
 #include "service/pace.h"
 
@@ -29,11 +31,17 @@ bool is_ordinary(const Error& e) {
   return e.code == ErrorCode::kUndetermined;
 }
 
-// `busy_ms`: what it took without the sink.
+// False when the sink has had enough.
+bool deliver(const capture::Frame& frame, const lighting::LightEstimate& light,
+             Composited composited, const Sink& sink, RunCounts& counts) {
+  counts.touched += composited.touched.fraction;
+  counts.plan = light.plan;
+  counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
+  return sink({frame, std::make_shared<const FramePixels>(std::move(composited.pixels)), light});
+}
+
 Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light,
-                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on,
-                         double* busy_ms = nullptr) {
-  const auto began = Clock::now();
+                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on) {
   ++counts.frames;
   if (!light.valid) {
     ++counts.without_light;
@@ -42,11 +50,7 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
   }
   auto composited = compose.process(frame, light);
   if (!composited) return std::unexpected(composited.error());
-  if (busy_ms) *busy_ms = 1e3 * since(began);
-  counts.touched += composited->touched.fraction;
-  counts.plan = light.plan;
-  counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
-  go_on = sink({frame, std::make_shared<const FramePixels>(std::move(composited->pixels)), light});
+  go_on = deliver(frame, light, std::move(*composited), sink, counts);
   return {};
 }
 
@@ -257,6 +261,75 @@ void measure(Live& live, LightStage& light) noexcept {
   }
 }
 
+// View frames of a live run. When the next one waits already, the last part of a frame is done beside the begin of that
+// one; otherwise at once, so that nothing comes later than it has to.
+class LiveFrames {
+ public:
+  LiveFrames(ComposeStage& compose, const Sink& sink, RunCounts& counts)
+      : compose_(compose), sink_(sink), counts_(counts) {}
+
+  bool go_on() const { return go_on_; }
+  /// The last add() took so long, without the sink.
+  double busy_ms() const { return busy_ms_; }
+
+  Result<void> add(const capture::Frame& frame, const lighting::LightEstimate& light,
+                   const Latest<capture::Frame>& coming) {
+    const Stopwatch watch;
+    in_sink_ms_ = 0;
+    ++counts_.frames;
+    if (!light.valid) {
+      finish_last();
+      ++counts_.without_light;
+      go_on_ = go_on_ && sink_({frame, frame.pixels, light});
+      return {};
+    }
+    UnderWay& now = slots_[static_cast<std::size_t>(counts_.frames % 2)];
+    now.frame = frame;
+    now.light = light;
+    PENUMBRA_TRY(compose_.begin(frame, light, now.begun));
+    finish_last();
+    if (coming.waiting()) {
+      last_ = &now;
+      aside_.run([&now] { now.done = now.begun.finish(); });
+    } else {
+      now.done = now.begun.finish();
+      hand_out(now);
+    }
+    busy_ms_ = watch.ms() - in_sink_ms_;
+    return {};
+  }
+
+  void finish_last() {
+    if (!last_) return;
+    aside_.wait();
+    hand_out(*std::exchange(last_, nullptr));
+  }
+
+ private:
+  struct UnderWay {
+    capture::Frame frame;
+    lighting::LightEstimate light;
+    BegunFrame begun;
+    Composited done;
+  };
+
+  void hand_out(UnderWay& frame) {
+    if (!go_on_) return;
+    const Stopwatch watch;
+    go_on_ = deliver(frame.frame, frame.light, std::move(frame.done), sink_, counts_);
+    in_sink_ms_ += watch.ms();
+  }
+
+  ComposeStage& compose_;
+  const Sink& sink_;
+  RunCounts& counts_;
+  bool go_on_ = true;
+  double busy_ms_ = 0, in_sink_ms_ = 0;
+  std::array<UnderWay, 2> slots_;
+  UnderWay* last_ = nullptr;  // whose end is done aside
+  Aside aside_;               // ends before what it works on
+};
+
 // Clipped sources stay discs whatever they cost.
 void keep_pace(Pace& pace, double busy_ms, const lighting::LightEstimate& light, Live& live) {
   const int before = pace.most_discs();
@@ -288,8 +361,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
     const std::unique_ptr<Live, decltype(let_go)> release(&live, let_go);
     lighting::LightEstimate estimate;
     Pace pace(period_ms(source));
-    bool go_on = true;
-    while (go_on && !stop) {
+    LiveFrames frames(compose, sink, counts);
+    while (frames.go_on() && !stop) {
       auto frame = live.view.wait(Seconds(.5));
       if (!frame) {
         if (live.view.closed()) break;
@@ -298,11 +371,11 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (auto completions = compose.complete(*frame, estimate); !completions.empty())
         live.completions.put(std::move(completions));
-      double busy_ms = 0;
-      composed = compose_one(*frame, estimate, compose, sink, counts, go_on, &busy_ms);
+      composed = frames.add(*frame, estimate, live.view);
       if (!composed) break;
-      keep_pace(pace, busy_ms, estimate, live);
+      keep_pace(pace, frames.busy_ms(), estimate, live);
     }
+    if (composed) frames.finish_last();
   }
   counts.seconds = since(start);
   counts.dropped = live.view.dropped() + live.environment.dropped();

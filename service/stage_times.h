@@ -33,22 +33,30 @@ class StageTimes {
   std::vector<Stage> stages_;  // guarded by mutex_
 };
 
+/// Time since construction.
+class Stopwatch {
+ public:
+  double ms() const {
+    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start_)
+        .count();
+  }
+
+ private:
+  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
+};
+
 /// Adds the time from construction to destruction.
 class StageTimer {
  public:
-  StageTimer(StageTimes& times, std::string stage)
-      : times_(times), stage_(std::move(stage)), start_(std::chrono::steady_clock::now()) {}
+  StageTimer(StageTimes& times, std::string stage) : times_(times), stage_(std::move(stage)) {}
   StageTimer(const StageTimer&) = delete;
   StageTimer& operator=(const StageTimer&) = delete;
-  ~StageTimer() {
-    const std::chrono::duration<double, std::milli> ms = std::chrono::steady_clock::now() - start_;
-    times_.add(stage_, ms.count());
-  }
+  ~StageTimer() { times_.add(stage_, watch_.ms()); }
 
  private:
   StageTimes& times_;
   std::string stage_;
-  std::chrono::steady_clock::time_point start_;
+  Stopwatch watch_;
 };
 
 }  // namespace penumbra::service

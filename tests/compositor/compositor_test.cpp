@@ -97,6 +97,46 @@ TEST_F(CompositorTest, EveryPixelOutsideObjectAndShadowComesOutBitForBit) {
   }
 }
 
+TEST_F(CompositorTest, WhatIsDrawnStaysWhateverIsDrawnNext) {
+  const auto object = test::baked_sphere(true);
+  const int handle = test::add_lit(*compositor_, object, side_light());
+  shadows::DiscShadow disc;
+  disc.cell_m = .1f;
+  disc.taken = Image<float>(12, 12, .5f);
+  const DiscShadowOnPlane on_floor{&disc, {.5f, .5f, .5f}, nullptr};
+  compositor_->set_disc_shadows({&on_floor, 1});
+  View with_look = view(&curve8_);
+  with_look.look.read_noise = .01f;
+  for (const View& v : {view(&curve8_), with_look}) {
+    compositor_->set_pose(handle, {});
+    const FramePixels frame = test::noise_frame<Rgb8>(1);
+    Touched touched;
+    const FramePixels expected = composited(frame, v, &touched);
+    FramePixels first = frame, second = frame;
+    Drawn drawn, next;
+    ASSERT_TRUE(compositor_->draw(v, first, drawn));
+    // Elsewhere, in another light, without the disc, and seen from the other side.
+    compositor_->set_pose(handle, {{1, 0, 0, 0}, {.6, 0, .2}});
+    const auto dim = test::lit(object, test::sloped_light(.3, {-.5, .6, .1}, 3));
+    compositor_->set_light(handle, dim.relit, dim.shadow);
+    compositor_->set_disc_shadows({});
+    View other = v;
+    other.camera = test::scene_camera({-1, 1.5, 2});
+    ASSERT_TRUE(compositor_->draw(other, second, next));
+    EXPECT_EQ(drawn.put_into(first).pixels, touched.pixels);
+    EXPECT_EQ(first, expected);
+    next.put_into(second);
+    EXPECT_EQ(second, composited(frame, other));
+    EXPECT_NE(second, expected);
+    const auto bright = test::lit(object, side_light());
+    compositor_->set_light(handle, bright.relit, bright.shadow);
+    compositor_->set_disc_shadows({&on_floor, 1});
+  }
+  FramePixels wrong = Image<Rgb8>(3, 3);
+  Drawn none;
+  EXPECT_FALSE(compositor_->draw(view(&curve8_), wrong, none));
+}
+
 TEST_F(CompositorTest, NoVirtualObjectLeavesTheFrameBitForBit) {
   Touched touched;
   const FramePixels f8 = test::noise_frame<Rgb8>(1), f32 = test::noise_frame<Rgb>(2);

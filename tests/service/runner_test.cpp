@@ -224,6 +224,45 @@ TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
   EXPECT_GE(counts->frames + counts->dropped, 24u);
 }
 
+TEST(Live, FramesThatComeLateAreTheSameAndInOrder) {
+  Stages s;
+  NEED_GL(s);
+  // Two pictures in turn; the next one always waits already, so that every frame ends beside the begin of the next.
+  capture::StudioOptions endless = bench().options;
+  endless.view_fps = 2000;
+  endless.view_frames = 1 << 30;
+  endless.clip = 2;
+  capture::Studio studio(bench().world, endless);
+  struct Seen {
+    capture::Frame frame;
+    lighting::LightEstimate light;
+    std::shared_ptr<const FramePixels> pixels;
+  };
+  std::vector<Seen> seen;
+  std::atomic<bool> stop = false;
+  const auto counts = run_live(
+      studio, *s.light, **s.compose,
+      [&](const Output& out) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(2));
+        if (out.light.valid) seen.push_back({out.source, out.light, out.pixels});
+        return seen.size() < 40;
+      },
+      s.times, stop);
+  ASSERT_TRUE(counts) << counts.error().detail;
+  ASSERT_EQ(seen.size(), 40u);
+  // One begun frame may be left when the sink has had enough.
+  EXPECT_LE(counts->frames - counts->without_light, 41u);
+  Stages again;
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    if (i > 0) {
+      EXPECT_GT(seen[i].frame.time.value, seen[i - 1].frame.time.value);
+    }
+    const auto composited = (*again.compose)->process(seen[i].frame, seen[i].light);
+    ASSERT_TRUE(composited);
+    EXPECT_EQ(composited->pixels, *seen[i].pixels) << i;
+  }
+}
+
 TEST(Live, DiscsThatAFrameHasNoTimeForAreGivenUp) {
   Stages s;
   NEED_GL(s);
