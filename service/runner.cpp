@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/apart.h"
 #include "core/parallel.h"
 #include "service/frame_mailbox.h"
 #include "service/pace.h"
@@ -275,19 +276,24 @@ class LiveFrames {
   Result<void> add(const capture::Frame& frame, const lighting::LightEstimate& light,
                    const Latest<capture::Frame>& coming) {
     const Stopwatch watch;
-    in_sink_ms_ = 0;
-    ++counts_.frames;
+    in_sink_ms_ = busy_ms_ = 0;
     if (!light.valid) {
       finish_last();
+      if (!go_on_) return {};
+      ++counts_.frames;
       ++counts_.without_light;
-      go_on_ = go_on_ && sink_({frame, frame.pixels, light});
+      go_on_ = sink_({frame, frame.pixels, light});
       return {};
     }
-    UnderWay& now = slots_[static_cast<std::size_t>(counts_.frames % 2)];
+    UnderWay& now = last_ == &slots_[0] ? slots_[1] : slots_[0];
     now.frame = frame;
     now.light = light;
-    PENUMBRA_TRY(compose_.begin(frame, light, now.begun));
+    // The loops in there must not take up the other frame's end, which what is traced live would count as its own time.
+    const auto begun = apart([&] { return compose_.begin(frame, light, now.begun); });
     finish_last();
+    if (!begun) return begun;
+    if (!go_on_) return {};
+    ++counts_.frames;
     if (coming.waiting()) {
       last_ = &now;
       aside_.run([&now] { now.done = now.begun.finish(); });
