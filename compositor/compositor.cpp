@@ -95,10 +95,6 @@ out vec4 colour;
 void main() { colour = vec4(texture(picture, uv).rgb, 1); }
 )";
 
-}  // namespace
-
-namespace {
-
 Touched put(const View& view, const Layered& in, FramePixels& frame, LookPlanes& look) {
   Touched out;
   if (!view.look.none())

@@ -2,7 +2,6 @@
 
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
-#include <oneapi/tbb/task_group.h>
 
 #include <concepts>
 #include <type_traits>
@@ -11,7 +10,6 @@
 #include <algorithm>
 #include <atomic>
 #include <exception>
-#include <future>
 #include <mutex>
 #include <thread>
 #endif
@@ -73,46 +71,5 @@ void parallel_for(Index first, std::type_identity_t<Index> last, const Body& bod
     for (Index i = part.begin(); i < part.end(); ++i) body(i);
   });
 }
-
-// One piece of work beside the caller's, on a core that has none; at the latest in wait().
-class Aside {
- public:
-  Aside() = default;
-  ~Aside() { wait_quietly(); }
-  Aside(const Aside&) = delete;
-  Aside& operator=(const Aside&) = delete;
-
-#if defined(__SANITIZE_THREAD__)
-  template <class Work>
-  void run(const Work& work) {
-    running_ = std::async(std::launch::async, work);
-  }
-  // An exception of the work comes out of here.
-  void wait() {
-    if (running_.valid()) running_.get();
-  }
-
- private:
-  std::future<void> running_;
-#else
-  template <class Work>
-  void run(const Work& work) {
-    group_.run(work);
-  }
-  // An exception of the work comes out of here.
-  void wait() {
-    group_.wait();
-  }
-
- private:
-  tbb::task_group group_;
-#endif
-  void wait_quietly() noexcept {
-    try {
-      wait();
-    } catch (...) {  // nobody is left who would be told
-    }
-  }
-};
 
 }  // namespace penumbra

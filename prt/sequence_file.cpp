@@ -27,9 +27,8 @@ struct FileHead {
   double seconds, standard_error, compression_error, interpolation_error, worst_interpolation;
   std::uint64_t rays;
   float ground_centre[2], ground_half_extent, ground_height, ground_albedo[3], unused2;
-  std::uint64_t key_frames;
-  std::uint64_t bytes
-      [4];  // of the streams, which follow in order after the key frames' places, four bytes each
+  std::uint64_t key_frames;  // their places follow the head, four bytes each
+  std::uint64_t bytes[4];    // of the streams, which follow in order
 };
 
 std::uint64_t fingerprint(const SurfaceLayout& layout) {

@@ -12,8 +12,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/apart.h"
-#include "core/parallel.h"
+#include "core/aside.h"
 #include "service/frame_mailbox.h"
 #include "service/pace.h"
 
