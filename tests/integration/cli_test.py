@@ -194,14 +194,16 @@ class Bake(CliTest):
 
     def test_a_clip_in_shards_is_the_same_file(self):
         whole = self.run_json(*self.bake_clip("whole.shlm"))
-        self.assertEqual((whole["clip"], whole["frames"], whole["coefficients"]), ("Walk", 7, 4))
+        self.assertEqual((whole["clip"], whole["coefficients"]), ("Walk", 4))
+        self.assertEqual(whole["frames"] - whole["frames_between"], 7)  # a second, six a second
+        self.assertGreater(whole["frames_between"], 0)  # a walk's legs do not go in straight lines
         self.assertLess(whole["compression_error"], 0.0051)
         self.assertEqual(whole["bytes"], (self.root / "whole.shlm").stat().st_size)
         for shard in (2, 1):
             self.run_json(*self.bake_clip("merged.shlm", "--shard", f"{shard}/2"))
         self.run_json(*self.bake_clip("merged.shlm", "--merge", 2))
         self.assertEqual((self.root / "merged.shlm").read_bytes(), (self.root / "whole.shlm").read_bytes())
-        self.assertEqual([p.name for p in self.root.glob("*.shlm*") if "shard" in p.name or "journal" in p.name], [])
+        self.assertEqual([p.name for p in self.root.glob("*.shlm*") if p.suffix != ".shlm"], [])  # journals, shards
         self.assertEqual(self.run_json("inspect", self.root / "whole.shlm")["kind"], "baked clip")
 
     def test_a_clip_that_cannot_be_baked_is_refused_and_leaves_nothing(self):
