@@ -54,6 +54,9 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   auto real_things = prt::RayWorld::create();
   if (!real_things) return std::unexpected(real_things.error());
   DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things));
+  // Casters point at both.
+  stage.quads_.reserve(scene.planes.size());
+  stage.outlines_.reserve(scene.objects.size() + 1 + scene.planes.size());
   float smallest = 1e30f;
   for (const PreparedObject& o : scene.objects) {
     auto index = stage.virtual_.add(o.baked.mesh);
@@ -62,6 +65,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     stage.moved_from_.emplace_back();
     stage.other_form_.push_back(0);
     stage.virtual_.set_pose(*index, o.world_from_bake);
+    stage.add_caster(o.baked.mesh, o.world_from_bake, stage.virtual_casters_);
     const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
     const float radius = prt::radius_around(o.baked.mesh, centre);
     stage.spheres_.push_back({glm::dvec3(centre), double(radius)});
@@ -70,15 +74,23 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   if (!scene.real_mesh.triangles.empty()) {
     auto index = stage.real_.add(scene.real_mesh);
     if (!index) return fail(index.error().code, "real geometry", index.error().detail);
+    stage.add_caster(scene.real_mesh, {}, stage.real_casters_);
   }
   // One plane blocks only what comes from behind it, which nobody counts anyway.
   for (const prt::Plane& plane : scene.planes) {
     if (scene.planes.size() == 1) break;
-    const auto index = stage.real_.add(far_quad(plane));
+    const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(plane));
+    const auto index = stage.real_.add(quad);
     if (!index) return fail(index.error().code, "real plane", index.error().detail);
+    stage.add_caster(quad, {}, stage.real_casters_);
   }
   if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
   return stage;
+}
+
+void DiscStage::add_caster(const prt::Mesh& mesh, const Pose& pose,
+                           std::vector<shadows::Caster>& to) {
+  to.push_back({&mesh, &outlines_.emplace_back(mesh), pose});
 }
 
 void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
@@ -86,6 +98,7 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   if (!moved_from_[object]) moved_from_[object] = poses_[object];
   poses_[object] = world_from_bake;
   virtual_.set_pose(static_cast<int>(object), world_from_bake);
+  virtual_casters_[object].world_from_mesh = world_from_bake;
 }
 
 void DiscStage::set_form(std::size_t object) {
@@ -98,8 +111,10 @@ void DiscStage::set_form(std::size_t object) {
 
 void DiscStage::follow_forms() {
   for (std::size_t i = 0; i < other_form_.size(); ++i)
-    if (std::exchange(other_form_[i], 0))
+    if (std::exchange(other_form_[i], 0)) {
       virtual_.set_form(static_cast<int>(i), scene_->objects[i].baked.mesh);
+      outlines_[i].set_form(scene_->objects[i].baked.mesh);
+    }
 }
 
 // Of the floor that a side would see alone, and that the object itself does not shade: what of its disc light is there and
@@ -170,13 +185,11 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
     t.shape = t.disc.shape;
     t.radius = t.disc.radius.value();
   }
-  casters_.clear();
   around_.clear();
   t.cosine.resize(scene_->objects.size());
   t.floor_share.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     const PreparedObject& o = scene_->objects[i];
-    casters_.push_back({&o.baked.mesh, poses_[i]});
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
     t.floor_share[i] = floor_share(i, t.disc, around);
     if (!all && !may_have_changed(i, t.disc)) continue;
@@ -188,11 +201,10 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   t.on_plane.resize(scene_->planes.size());
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
-    shadows::trace_disc_shadows(rays(), casters_, scene_->planes[p], t.disc, taps_.plane,
-                                t.on_plane[p]);
-    if (!real_.empty())
-      shadows::trace_real_shadow(rays(), around_, scene_->planes[p], t.disc,
-                                 {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
+    shadows::draw_disc_shadows(casters(), scene_->planes[p], t.disc, taps_.plane, t.on_plane[p]);
+    if (!real_casters_.empty())
+      shadows::draw_real_shadow(real_casters_, near_m_, around_, scene_->planes[p], t.disc,
+                                {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
   }
 }
 

@@ -74,6 +74,8 @@ class DiscStage {
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
   shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
+  shadows::Casters casters() const { return {virtual_casters_, real_casters_, near_m_}; }
+  void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
   /// Building a moved mesh for rays takes a millisecond, which a frame without rays need not spend.
   void follow_forms();
   /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
@@ -88,7 +90,9 @@ class DiscStage {
   std::vector<char> other_form_;  // by object: rays do not meet its present mesh yet
   std::vector<Pose> poses_;
   std::vector<Traced> traced_, before_;
-  std::vector<shadows::Caster> casters_;
+  std::vector<prt::Mesh> quads_;            // as much of each plane as a shadow can come from
+  std::vector<shadows::Outline> outlines_;  // of the objects, then of real things
+  std::vector<shadows::Caster> virtual_casters_, real_casters_;
   std::vector<shadows::Neighbourhood> around_;
   struct Sphere {
     glm::dvec3 centre;  // bake frame

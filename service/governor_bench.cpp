@@ -136,16 +136,12 @@ Result<Split> split_and_trace(const PreparedScene& scene, const Image<Rgb>& map)
   auto rest = lighting::project_latlong(split.rest, kMaxBands);
   if (!rest) return std::unexpected(rest.error());
   Split out{*rest, std::move(split.discs), {}};
-  auto rays = prt::RayWorld::create();
-  if (!rays) return std::unexpected(rays.error());
   const PreparedObject& o = scene.objects[0];
-  auto index = rays->add(o.baked.mesh);
-  if (!index) return std::unexpected(index.error());
-  rays->set_pose(*index, o.world_from_bake);
-  const shadows::Caster caster{&o.baked.mesh, o.world_from_bake};
+  const shadows::Outline outline(o.baked.mesh);
+  const shadows::Caster caster{&o.baked.mesh, &outline, o.world_from_bake};
   for (const lighting::Disc& d : out.discs)
-    shadows::trace_disc_shadow({&*rays, nullptr, 1e-4f}, {&caster, 1}, scene.planes[0], d, {},
-                               out.shadows.emplace_back());
+    shadows::draw_disc_shadow({{&caster, 1}, {}}, scene.planes[0], d, {},
+                              out.shadows.emplace_back());
   return out;
 }
 

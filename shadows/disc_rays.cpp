@@ -1,7 +1,6 @@
 #include "shadows/disc_rays.h"
 
 #include <algorithm>
-#include <array>
 #include <cassert>
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
@@ -9,35 +8,6 @@
 #include "core/conventions.h"
 
 namespace penumbra::shadows {
-
-namespace {
-
-// (share of the area inside, angle) of a Vogel spiral, each point the farthest from those before it.
-std::span<const glm::dvec2> spread_points(int count, std::array<glm::dvec2, kMostTaps>& points) {
-  constexpr double kGolden = 2.399963229728653;
-  const auto end = static_cast<std::size_t>(count);
-  for (std::size_t k = 0; k < end; ++k) {
-    const auto outer = static_cast<double>(end - 1 - k);
-    points[k] = {(outer + .5) / count, outer * kGolden};
-  }
-  const auto place = [](const glm::dvec2& p) {
-    return std::sqrt(p.x) * glm::dvec2(std::cos(p.y), std::sin(p.y));
-  };
-  for (std::size_t done = 0; done < end; ++done) {
-    const auto clearance = [&](const glm::dvec2& p) {
-      double nearest = 4;
-      for (std::size_t q = 0; q < done; ++q)
-        nearest = std::min(nearest, glm::length(place(p) - place(points[q])));
-      return nearest;
-    };
-    const std::span rest = std::span(points).subspan(done, end - done);
-    const auto best = std::ranges::max_element(rest, {}, clearance);
-    std::rotate(rest.begin(), best, best + 1);
-  }
-  return std::span(points).first(end);
-}
-
-}  // namespace
 
 // A uniform disc's points scatter by half its radius along every axis.
 double least_radius(const lighting::Disc& disc) {
@@ -64,16 +34,16 @@ void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
   disc.shape.empty() ? spread_over_cap(disc) : spread_over_shape(disc);
 }
 
+// A Vogel spiral from the rim inwards, which has as many points in equal areas.
 void TapPattern::spread_over_cap(const lighting::Disc& disc) {
   const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
   const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
-  std::array<glm::dvec2, kMostTaps> memory;
-  const std::span points = spread_points(taps_, memory);
   for (int turn = 0; turn < turns_; ++turn)
-    for (const glm::dvec2& p : points) {
-      const double c = 1 - height * p.x, s = std::sqrt(1 - c * c);
+    for (int k = taps_ - 1; k >= 0; --k) {
+      const double c = 1 - height * (k + .5) / taps_, s = std::sqrt(1 - c * c);
       // The turns follow the golden ratio, so that neighbours differ most.
-      const double a = p.y + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);
+      constexpr double kGolden = 2.399963229728653;
+      const double a = k * kGolden + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);
       directions_.emplace_back(frame * glm::dvec3(s * std::cos(a), c, s * std::sin(a)));
     }
 }

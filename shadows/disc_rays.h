@@ -10,7 +10,7 @@
 namespace penumbra::shadows {
 
 inline constexpr int kMostTaps = 64;
-/// Radians: nothing hides between the first few taps of a narrower round disc.
+/// Radians: in penumbras of a narrower round disc few vertices lie.
 inline constexpr double kNarrow = .05;
 
 inline bool is_narrow(const lighting::Disc& disc) {
@@ -20,8 +20,8 @@ inline bool is_narrow(const lighting::Disc& disc) {
 /// Of a round disc its radius; of another form that of a round one as narrow as it is across.
 double least_radius(const lighting::Disc& disc);
 
-/// Directions over a disc in `turns` copies, each turned about its axis by another angle. The first few of a round
-/// disc's copy are far apart. threads: thread-bound; memory grows once
+/// Directions over a disc in `turns` copies, each turned about its axis by another angle.
+/// threads: thread-bound; memory grows once
 class TapPattern {
  public:
   /// in: taps 1..kMostTaps

@@ -120,7 +120,6 @@ float trace_lamp_map(const Blockers& blockers, const prt::Plane& plane, const La
             normal);
       },
       out.taken.pixels());
-  out.rays = out.taken.area() * static_cast<std::size_t>(taps);
   const float most = std::ranges::max(out.taken.pixels());
   if (!(most > 0)) {
     out.taken.reset(0, 0);

@@ -13,6 +13,7 @@
 #include "prt/prt.h"
 #include "shadows/lamp.h"             // IWYU pragma: export
 #include "shadows/occlusion_field.h"  // IWYU pragma: export
+#include "shadows/outline.h"          // IWYU pragma: export
 
 namespace penumbra::shadows {
 
@@ -101,12 +102,19 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
 
 struct Caster {
   const prt::Mesh* mesh;
+  const Outline* outline;  // of the mesh as it is
   Pose world_from_mesh;
 };
 
+/// What throws shadows on a plane.
+struct Casters {
+  std::span<const Caster> virtual_things, real_things;
+  float near_m = 1e-4f;  // what stands lower throws none
+};
+
 struct DiscShadowOptions {
-  int taps = 16;   // rays a node, 1..64; half as many again for a wide round disc, twice as many for a form
-  int size = 256;  // cells along the longer side, a multiple of 8
+  int taps = 16;   // directions of the disc, 1..64; four times as many for one that is not narrow
+  int size = 256;  // cells along the longer side
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole
@@ -120,15 +128,13 @@ struct DiscShadow {
   Image<float>
       missing;  // nodes: share of the disc that real things block; empty without real things
   bool empty() const { return taken.empty(); }
-  std::size_t rays = 0;  // that it took
 };
 
-/// Traces nodes eight cells apart and refines where they differ and a straight line does not fit: the cost follows
-/// the length of the shadow's edge. Shadows longer than ten radii of the caster are cut off softly.
+/// Exact at every node for each of the disc's directions. Shadows longer than ten radii of the caster are cut off softly.
 /// errors: none; an empty shadow when no light of the disc reaches the plane's front
-void trace_disc_shadow(const Blockers& blockers, std::span<const Caster> casters,
-                       const prt::Plane& plane, const lighting::Disc& disc,
-                       const DiscShadowOptions& options, DiscShadow& out);
+/// threads: reentrant, parallel inside
+void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
+                      const DiscShadowOptions& options, DiscShadow& out);
 
 /// A part of a plane, on which something may fall.
 struct Neighbourhood {
@@ -138,15 +144,15 @@ struct Neighbourhood {
 
 /// What real things take of a disc around the given places (`taken`; `missing` stays empty): coarser than the maps of what
 /// virtual things take, and wider, since the light that is left counts for the shadow of every other light.
-/// in: blockers.real_things not null
-void trace_real_shadow(const Blockers& blockers, std::span<const Neighbourhood> around,
-                       const prt::Plane& plane, const lighting::Disc& disc,
-                       const DiscShadowOptions& options, DiscShadow& out);
+/// in: `real` with their meshes, at least one
+void draw_real_shadow(std::span<const Caster> real, float near_m,
+                      std::span<const Neighbourhood> around, const prt::Plane& plane,
+                      const lighting::Disc& disc, const DiscShadowOptions& options,
+                      DiscShadow& out);
 
-/// A map for each group of casters whose shadows' rectangles meet, so that objects far apart do not share one map's
-/// cells. `out` keeps its maps' memory; those not needed are empty.
-void trace_disc_shadows(const Blockers& blockers, std::span<const Caster> casters,
-                        const prt::Plane& plane, const lighting::Disc& disc,
-                        const DiscShadowOptions& options, std::vector<DiscShadow>& out);
+/// A map for each group of virtual casters whose shadows' rectangles meet, so that objects far apart do not share one
+/// map's cells. `out` keeps its maps' memory; those not needed are empty.
+void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
+                       const DiscShadowOptions& options, std::vector<DiscShadow>& out);
 
 }  // namespace penumbra::shadows

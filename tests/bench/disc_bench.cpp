@@ -10,6 +10,7 @@ namespace {
 
 struct Setup {
   prt::Mesh mesh = prt::make_knot(.5f, 480, 80, {.6f, .6f, .6f});
+  shadows::Outline outline{mesh};
   prt::RayWorld world = *prt::RayWorld::create();
   prt::Plane plane;
   Setup() { (void)*world.add(mesh); }
@@ -54,14 +55,14 @@ BENCHMARK(vertices)->Name("shadows/disc_light_38k_vertices_vs_16_rays_each")->Ap
 void floor_map(benchmark::State& state) {
   const Threads threads(1);
   const double radius = static_cast<double>(state.range(0)) / 100;
-  const shadows::Caster caster{&setup().mesh, {}};
+  const shadows::Caster caster{&setup().mesh, &setup().outline, {}};
   shadows::DiscShadow shadow;
   int step = 0;
   prt::Mesh nodes;  // no triangles: each for itself
   shadows::DiscAtVertices dense;
   const auto trace = [&] {
-    shadows::trace_disc_shadow(setup().blockers(), {&caster, 1}, setup().plane,
-                               disc(radius, step++), {}, shadow);
+    shadows::draw_disc_shadow({{&caster, 1}, {}, 3e-5f}, setup().plane, disc(radius, step++), {},
+                              shadow);
   };
   trace();
   for (int y = 0; y < shadow.taken.height(); ++y)
@@ -72,7 +73,6 @@ void floor_map(benchmark::State& state) {
   compare(state, trace, [&] {
     shadows::trace_disc_vertices(setup().blockers(), nodes, disc(radius, step), 16, dense);
   });
-  state.counters["rays"] = static_cast<double>(shadow.rays);
 }
 BENCHMARK(floor_map)->Name("shadows/disc_shadow_map_vs_16_rays_a_node")->Apply(by_radius);
 

@@ -110,13 +110,10 @@ TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
   int compared = 0;
   for (double height = 0; height <= 2.0001; height += height < .1 ? .02 : .1) {
     const prt::Mesh mesh = plate(height, size, yaw);
-    auto world = prt::RayWorld::create();
-    ASSERT_TRUE(world) << world.error().detail;
-    ASSERT_TRUE(world->add(mesh));
-    const Blockers blockers{&*world, nullptr, 1e-5f};
-    const Caster caster{&mesh, {}};
+    const Outline outline(mesh);
+    const Caster caster{&mesh, &outline, {}};
     DiscShadow shadow;
-    trace_disc_shadow(blockers, {&caster, 1}, kFloor, light, {}, shadow);
+    draw_disc_shadow({{&caster, 1}, {}, 1e-5f}, kFloor, light, {}, shadow);
     ASSERT_FALSE(shadow.empty()) << height;
     for (const float t : shadow.taken.pixels()) ASSERT_TRUE(t >= 0 && t <= 1.0001f) << height;
     const double expected = 2 * height * tangent * share, cell = shadow.cell_m;

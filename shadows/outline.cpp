@@ -1,0 +1,87 @@
+#include "shadows/outline.h"
+
+#include <algorithm>
+#include <glm/geometric.hpp>
+#include <numeric>
+#include <tuple>
+
+namespace penumbra::shadows {
+
+namespace {
+
+// Of the vertices in each place the first.
+std::vector<std::uint32_t> first_in_place(const std::vector<glm::vec3>& positions) {
+  std::vector<std::uint32_t> order(positions.size()), out(positions.size());
+  std::iota(order.begin(), order.end(), 0u);
+  const auto place = [&](std::uint32_t v) {
+    const glm::vec3& p = positions[v];
+    return std::tuple(p.x, p.y, p.z);
+  };
+  std::ranges::stable_sort(order, {}, place);
+  for (std::size_t i = 0; i < order.size(); ++i)
+    out[order[i]] = i > 0 && place(order[i]) == place(order[i - 1]) ? out[order[i - 1]] : order[i];
+  return out;
+}
+
+struct HalfEdge {
+  std::uint32_t low, high;  // vertices
+  bool back;                // the triangle goes from high to low
+  std::uint32_t triangle;
+  auto key() const { return std::tuple(low, high, back, triangle); }
+};
+
+std::vector<HalfEdge> half_edges(std::span<const Outline::Triangle> triangles) {
+  std::vector<HalfEdge> out;
+  out.reserve(3 * triangles.size());
+  for (std::uint32_t t = 0; t < triangles.size(); ++t)
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint32_t a = triangles[t][k], b = triangles[t][(k + 1) % 3];
+      out.push_back({std::min(a, b), std::max(a, b), a > b, t});
+    }
+  std::ranges::sort(out, {}, &HalfEdge::key);
+  return out;
+}
+
+// Of the triangles at one edge those that go forth with those that go back, two by two; the others alone.
+void pair_up(std::span<const HalfEdge> at_edge, std::vector<Outline::Edge>& out) {
+  const auto middle = std::ranges::find(at_edge, true, &HalfEdge::back) - at_edge.begin();
+  const std::span forth = at_edge.first(static_cast<std::size_t>(middle)),
+                  back = at_edge.subspan(static_cast<std::size_t>(middle));
+  for (std::size_t i = 0; i < std::max(forth.size(), back.size()); ++i) {
+    if (i < forth.size())
+      out.push_back({forth[i].low, forth[i].high, forth[i].triangle,
+                     i < back.size() ? back[i].triangle : Outline::kOpen});
+    else
+      out.push_back({back[i].high, back[i].low, back[i].triangle, Outline::kOpen});
+  }
+}
+
+}  // namespace
+
+Outline::Outline(const prt::Mesh& mesh) {
+  const std::vector<std::uint32_t> first = first_in_place(mesh.positions);
+  for (const auto& [a, b, c] : mesh.triangles) {
+    const Triangle t{first[a], first[b], first[c]};
+    if (t[0] != t[1] && t[1] != t[2] && t[2] != t[0]) triangles_.push_back(t);
+  }
+  const std::vector<HalfEdge> all = half_edges(triangles_);
+  for (auto at = all.begin(); at != all.end();) {
+    const auto end = std::find_if(
+        at, all.end(), [&](const HalfEdge& h) { return h.low != at->low || h.high != at->high; });
+    pair_up({at, end}, edges_);
+    at = end;
+  }
+  set_form(mesh);
+}
+
+void Outline::set_form(const prt::Mesh& mesh) {
+  for (auto* v : {&normals_.x, &normals_.y, &normals_.z}) v->resize(triangles_.size());
+  for (std::size_t t = 0; t < triangles_.size(); ++t) {
+    const auto& [a, b, c] = triangles_[t];
+    const glm::vec3 n =
+        glm::cross(mesh.positions[b] - mesh.positions[a], mesh.positions[c] - mesh.positions[a]);
+    normals_.x[t] = n.x, normals_.y[t] = n.y, normals_.z[t] = n.z;
+  }
+}
+
+}  // namespace penumbra::shadows

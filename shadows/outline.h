@@ -1,0 +1,47 @@
+// The edges of a mesh with the triangles at both sides: what its shadow on a plane is drawn from.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "prt/prt.h"
+
+namespace penumbra::shadows {
+
+/// threads: const members reentrant
+class Outline {
+ public:
+  static constexpr std::uint32_t kOpen = 0xffffffffu;
+
+  /// The left triangle goes along the edge from `from` to `to`, the right one goes back. Where none goes back (a rim, a
+  /// third triangle, one that is wound the wrong way) right is kOpen.
+  struct Edge {
+    std::uint32_t from, to;  // positions of the mesh
+    std::uint32_t left, right;
+  };
+  using Triangle = std::array<std::uint32_t, 3>;
+
+  Outline() = default;
+  /// Vertices in one place count as one: seams of normals or texture coordinates are no rims.
+  explicit Outline(const prt::Mesh& mesh);
+  /// Another form of the same mesh: as many vertices, the same triangles.
+  void set_form(const prt::Mesh& mesh);
+
+  std::span<const Edge> edges() const { return edges_; }
+  /// Those with three different corners, by the first of the vertices in each place.
+  std::span<const Triangle> triangles() const { return triangles_; }
+
+  /// The normals of triangles(), as long as twice the areas.
+  struct Normals {
+    std::vector<float> x, y, z;
+  };
+  const Normals& normals() const { return normals_; }
+
+ private:
+  std::vector<Triangle> triangles_;
+  std::vector<Edge> edges_;
+  Normals normals_;
+};
+
+}  // namespace penumbra::shadows

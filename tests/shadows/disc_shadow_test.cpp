@@ -1,0 +1,239 @@
+// Shadows drawn from outlines against a ray from every node to every direction.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <glm/gtc/matrix_transform.hpp>
+
+#include "core/conventions.h"
+#include "shadows/disc_rays.h"
+#include "shadows/shadows.h"
+
+namespace penumbra::shadows {
+namespace {
+
+using glm::dvec3;
+
+constexpr float kNear = 1e-4f;
+const prt::Plane kFloor{{.1, 0, .05}, {0, 1, 0}, {}, {}};
+
+struct Thing {
+  prt::Mesh mesh;
+  Pose pose;
+};
+
+struct Setting {
+  std::string name;
+  std::function<std::vector<Thing>()> virtual_things, real_things;
+  double elevation_deg = 40, radius_deg = .3;
+};
+void PrintTo(const Setting& s, std::ostream* out) {
+  *out << s.name;
+}
+
+std::vector<Thing> nothing() {
+  return {};
+}
+
+prt::Mesh knot() {
+  return prt::make_knot(.5f, 160, 24, {.5f, .5f, .5f});
+}
+
+// A bowl: the lower half of a sphere without its lid, seen from both sides.
+prt::Mesh bowl() {
+  prt::Mesh m = prt::make_sphere({0, .5f, 0}, .3f, 4, {.5f, .5f, .5f});
+  std::erase_if(m.triangles, [&](const auto& t) {
+    return m.positions[t[0]].y > .5f && m.positions[t[1]].y > .5f && m.positions[t[2]].y > .5f;
+  });
+  return m;
+}
+
+// Every third triangle turned over, as some files have them.
+prt::Mesh mixed_up(prt::Mesh m) {
+  for (std::size_t t = 0; t < m.triangles.size(); t += 3)
+    std::swap(m.triangles[t][0], m.triangles[t][1]);
+  return m;
+}
+
+// No two triangles share a vertex.
+prt::Mesh shattered(const prt::Mesh& m) {
+  prt::Mesh out;
+  for (const auto& t : m.triangles) {
+    const auto first = static_cast<std::uint32_t>(out.positions.size());
+    for (const std::uint32_t v : t) {
+      out.positions.push_back(m.positions[v]);
+      out.normals.push_back(m.normals[v]);
+    }
+    out.triangles.push_back({first, first + 1, first + 2});
+  }
+  return out;
+}
+
+std::vector<Thing> one(const prt::Mesh& mesh, const Pose& pose = {}) {
+  return {{mesh, pose}};
+}
+
+std::vector<Thing> sunk() {
+  return one(prt::make_sphere({0, 0, 0}, .3f, 4, {.5f, .5f, .5f}), {{1, 0, 0, 0}, {0, -.2, 0}});
+}
+
+std::vector<Thing> tilted() {
+  return one(knot(), {glm::angleAxis(1.1, glm::normalize(dvec3(1, .3, -.4))), {.2, .3, -.1}});
+}
+
+std::vector<Thing> two() {
+  return {{knot(), {}},
+          {prt::make_box({-.1f, 0, -.1f}, {.1f, .6f, .1f}, 2, {}), {{1, 0, 0, 0}, {.4, 0, .1}}}};
+}
+
+// Between the object and the light, and behind it.
+std::vector<Thing> real_posts() {
+  return {{prt::make_box({-.05f, 0, -.05f}, {.05f, 1, .05f}, 2, {}), {{1, 0, 0, 0}, {.5, 0, .2}}},
+          {prt::make_box({-.05f, 0, -.3f}, {.05f, .3f, .3f}, 2, {}), {{1, 0, 0, 0}, {-.6, 0, 0}}}};
+}
+
+class Scene {
+ public:
+  explicit Scene(const std::vector<Thing>& things) : things_(things) {
+    outlines_.reserve(things_.size());
+    for (const Thing& t : things_) {
+      outlines_.emplace_back(t.mesh);
+      casters_.push_back({&t.mesh, &outlines_.back(), t.pose});
+      const auto index = rays_.add(t.mesh);
+      EXPECT_TRUE(index);
+      rays_.set_pose(*index, t.pose);
+    }
+  }
+  std::span<const Caster> casters() const { return casters_; }
+  // Those that way.
+  std::uint32_t blocked(const dvec3& from, std::span<const glm::vec3> directions) const {
+    prt::RayWorld::Rays rays;
+    for (std::size_t k = 0; k < directions.size(); ++k) {
+      rays.far[k] = 1e30f;
+      rays.ox[k] = float(from.x), rays.oy[k] = float(from.y), rays.oz[k] = float(from.z);
+      rays.dx[k] = directions[k].x, rays.dy[k] = directions[k].y, rays.dz[k] = directions[k].z;
+    }
+    return rays_.empty() ? 0 : rays_.occluded(rays, int(directions.size()));
+  }
+
+ private:
+  std::vector<Thing> things_;
+  std::vector<Outline> outlines_;
+  std::vector<Caster> casters_;
+  prt::RayWorld rays_ = *prt::RayWorld::create();
+};
+
+lighting::Disc disc_of(const Setting& s) {
+  lighting::Disc d;
+  const double e = s.elevation_deg * kPi / 180;
+  d.direction = {std::cos(e) * std::cos(.3), std::sin(e), std::cos(e) * std::sin(.3)};
+  d.radius = Radians(s.radius_deg * kPi / 180);
+  d.radiance = {1, 1, 1};
+  return d;
+}
+
+class DrawnShadow : public testing::TestWithParam<Setting> {};
+
+TEST_P(DrawnShadow, IsWhatRaysFind) {
+  const Scene virtual_things(GetParam().virtual_things()), real_things(GetParam().real_things());
+  const lighting::Disc disc = disc_of(GetParam());
+  DiscShadow shadow;
+  draw_disc_shadow({virtual_things.casters(), real_things.casters(), kNear}, kFloor, disc,
+                   {16, 128}, shadow);
+  ASSERT_FALSE(shadow.empty());
+  EXPECT_EQ(shadow.missing.empty(), real_things.casters().empty());
+  TapPattern pattern;
+  pattern.make(disc, is_narrow(disc) ? 16 : 64, 1);
+  float all = 0;
+  for (const glm::vec3& d : pattern.at(0)) all += std::max(0.f, d.y);
+  std::size_t nodes = 0, dark = 0, wrong = 0;
+  for (int y = 1; y + 1 < shadow.taken.height(); ++y)
+    for (int x = 1; x + 1 < shadow.taken.width(); ++x) {
+      const dvec3 from = shadow.world_from_map *
+                         dvec3(x * double(shadow.cell_m), kNear, y * double(shadow.cell_m));
+      float taken = 0, missing = 0;
+      for (std::size_t k = 0; k < pattern.at(0).size(); k += 16) {
+        const auto part = pattern.at(0).subspan(k, 16);
+        const std::uint32_t by_virtual = virtual_things.blocked(from, part),
+                            by_real = real_things.blocked(from, part);
+        for (std::size_t i = 0; i < 16; ++i) {
+          const float weight = std::max(0.f, part[i].y) / all;
+          if (by_real >> i & 1)
+            missing += weight;
+          else if (by_virtual >> i & 1)
+            taken += weight;
+        }
+      }
+      ++nodes;
+      dark += taken > .5f;
+      const float left = shadow.missing.empty() ? 0 : shadow.missing.at(x, y);
+      wrong += std::abs(shadow.taken.at(x, y) - taken) + std::abs(left - missing) > 1e-4f;
+    }
+  EXPECT_GT(dark, nodes / 50);
+  // A node on an edge may go either way.
+  EXPECT_LT(wrong, nodes / 200) << "of " << nodes;
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Of, DrawnShadow,
+    testing::Values(Setting{"knot", [] { return one(knot()); }, nothing},
+                    Setting{"knot_wide", [] { return one(knot()); }, nothing, 40, 12},
+                    Setting{"knot_at_sunset", [] { return one(knot()); }, nothing, 14},
+                    Setting{"knot_under_zenith", [] { return one(knot()); }, nothing, 90, 5},
+                    Setting{"tilted", tilted, nothing}, Setting{"two", two, nothing, 30, 3},
+                    Setting{"bowl", [] { return one(bowl()); }, nothing},
+                    Setting{"mixed_up", [] { return one(mixed_up(knot())); }, nothing},
+                    Setting{"shattered", [] { return one(shattered(knot())); }, nothing},
+                    Setting{"sunk", sunk, nothing}, Setting{"sunk_wide", sunk, nothing, 40, 12},
+                    Setting{"behind_real_things", two, real_posts},
+                    Setting{"behind_real_things_wide", two, real_posts, 40, 12}),
+    [](const auto& p) { return p.param.name; });
+
+TEST(DrawnShadow, FollowsAnotherForm) {
+  prt::Mesh mesh = knot();
+  Outline outline(mesh);
+  const Caster caster{&mesh, &outline, {}};
+  const lighting::Disc disc = disc_of({});
+  DiscShadow moved, fresh;
+  prt::transform(mesh, glm::rotate(glm::dmat4(1), .8, dvec3(0, 1, 0)));
+  outline.set_form(mesh);
+  draw_disc_shadow({{&caster, 1}, {}, kNear}, kFloor, disc, {}, moved);
+  const Outline other(mesh);
+  const Caster again{&mesh, &other, {}};
+  draw_disc_shadow({{&again, 1}, {}, kNear}, kFloor, disc, {}, fresh);
+  ASSERT_EQ(moved.taken.area(), fresh.taken.area());
+  EXPECT_TRUE(std::ranges::equal(moved.taken.pixels(), fresh.taken.pixels()));
+}
+
+TEST(DrawnShadow, ADiscBelowTheHorizonThrowsNone) {
+  const Scene scene(one(knot()));
+  DiscShadow shadow;
+  draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of({"", {}, {}, -3}), {}, shadow);
+  EXPECT_TRUE(shadow.empty());
+}
+
+TEST(DrawnShadow, WhatIsBelowThePlaneThrowsNone) {
+  const Scene scene(one(knot(), {{1, 0, 0, 0}, {0, -2, 0}}));
+  DiscShadow shadow;
+  draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of({}), {}, shadow);
+  for (const float t : shadow.taken.pixels()) ASSERT_EQ(t, 0);
+}
+
+TEST(Outline, KnowsRimsSeamsAndWrongTurns) {
+  const auto open = [](const Outline& o) {
+    return std::ranges::count(o.edges(), Outline::kOpen, &Outline::Edge::right);
+  };
+  const prt::Mesh closed = knot();
+  const Outline whole(closed);
+  EXPECT_EQ(open(whole), 0);
+  EXPECT_EQ(2 * whole.edges().size(), 3 * whole.triangles().size());
+  EXPECT_EQ(open(Outline(shattered(closed))), 0);
+  EXPECT_GT(open(Outline(mixed_up(closed))), 0);
+  EXPECT_GT(open(Outline(bowl())), 0);
+  prt::Mesh thin = closed;
+  thin.triangles.push_back({3, 3, 7});
+  EXPECT_EQ(Outline(thin).triangles().size(), closed.triangles.size());
+}
+
+}  // namespace
+}  // namespace penumbra::shadows
