@@ -195,8 +195,8 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
     if (!all && !may_have_changed(i, t.disc)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    shadows::trace_disc_light(rays(), o.baked.mesh, poses_[i], o.baked.receiver ? &own : nullptr,
-                              t.disc, taps_.object, t.cosine[i]);
+    shadows::trace_disc_light(rays(), casters(), virtual_casters_[i],
+                              o.baked.receiver ? &own : nullptr, t.disc, taps_.object, t.cosine[i]);
   }
   t.on_plane.resize(scene_->planes.size());
   t.real_on_plane.resize(scene_->planes.size());

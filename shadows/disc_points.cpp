@@ -4,6 +4,7 @@
 
 #include "core/parallel.h"
 #include "shadows/disc_rays.h"
+#include "shadows/shared_sight.h"
 
 namespace penumbra::shadows {
 
@@ -42,11 +43,30 @@ void smooth(const prt::Mesh& mesh, const lighting::Disc& disc,
     for (std::vector<float>* values : sums) average_neighbours(mesh, *values);
 }
 
-float mean_cosine(std::span<const glm::vec3> directions, const glm::vec3& normal) {
-  float sum = 0;
-  for (const glm::vec3& d : directions) sum += std::max(0.f, glm::dot(normal, d));
-  return sum / static_cast<float>(directions.size());
-}
+// The mean over a disc of max(n.w, 0). Where no direction is behind the surface it is a product with their mean.
+class OpenCosine {
+ public:
+  OpenCosine(std::span<const glm::vec3> directions, const glm::vec3& middle)
+      : directions_(directions), middle_(middle) {
+    for (const glm::vec3& d : directions) {
+      mean_ += d / static_cast<float>(directions.size());
+      reach_ = std::max(reach_, glm::distance(d, middle));
+    }
+  }
+  float operator()(const glm::vec3& normal) const {
+    const float along = glm::dot(normal, middle_);
+    if (along > reach_) return glm::dot(normal, mean_);
+    if (along < -reach_) return 0;
+    float sum = 0;
+    for (const glm::vec3& d : directions_) sum += std::max(0.f, glm::dot(normal, d));
+    return sum / static_cast<float>(directions_.size());
+  }
+
+ private:
+  std::span<const glm::vec3> directions_;
+  glm::vec3 middle_, mean_{0};
+  float reach_ = 0;
+};
 
 // Lambert's law over a disc on the vertices of a mesh: rays, and what of them arrives.
 class VertexTracer {
@@ -61,6 +81,10 @@ class VertexTracer {
         shift_(world_from_mesh.translation) {}
 
   glm::vec3 normal(std::size_t vertex) const { return turn_ * mesh_.normals[vertex]; }
+  /// The cosine of one tap.
+  float open(std::size_t vertex, std::size_t tap) const {
+    return std::max(0.f, glm::dot(normal(vertex), pattern_.at(vertex)[tap]));
+  }
 
   /// Adds taps [first, last) of all vertices that `wanted` names to the sums of cosines.
   template <class Wanted>
@@ -93,61 +117,107 @@ class VertexTracer {
   glm::vec3 shift_;
 };
 
-// Marks the corners of triangles whose corners do not agree that all, or that none, of the light arrives, and points
-// that no triangle joins to others (texels of a light map).
-void mark_edges(const prt::Mesh& mesh, const std::vector<float>& seen,
-                const std::vector<float>& open, std::vector<char>& edge) {
-  edge.assign(seen.size(), 1);
-  for (const auto& t : mesh.triangles)
-    for (const std::uint32_t v : t) edge[v] = 0;
-  for (const auto& t : mesh.triangles) {
-    bool all = true, none = true;
-    for (const std::uint32_t v : t) {
-      if (open[v] <= 0) continue;  // turned away: says nothing about what stands in the way
-      all &= seen[v] >= open[v];
-      none &= seen[v] <= 0;
-    }
-    if (all || none) continue;
-    for (const std::uint32_t v : t) edge[v] = 1;
+// The first tap of every vertex, by one ray for each group's first vertex and one in kPerProbe of the others. Where these
+// do not agree (surfaces that cut through each other) every vertex has its own.
+void scout(const VertexTracer& tracer, const SharedSight& sight, std::vector<float>& seen,
+           std::vector<float>& open) {
+  constexpr std::size_t kPerProbe = 32;
+  constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
+  const std::span<const std::uint32_t> group = sight.group();
+  // Grow once per thread; other threads look at this one's.
+  thread_local std::vector<char> verdict_memory, probed_memory;
+  std::vector<char>&verdict = verdict_memory, &probed = probed_memory;
+  verdict.assign(sight.groups(), kUnknown);
+  probed.assign(group.size(), false);
+  for (std::size_t i = 0; i < group.size(); ++i) {
+    const bool first = group[i] != SharedSight::kAlone && verdict[group[i]] == kUnknown;
+    if (first) verdict[group[i]] = kMixed;  // until it is looked at
+    probed[i] = first || group[i] == SharedSight::kAlone || i % kPerProbe == 0;
+  }
+  tracer.trace(
+      0, 1, [&](std::size_t i) { return probed[i] != 0; }, seen, open);
+  std::ranges::fill(verdict, kUnknown);
+  for (std::size_t i = 0; i < group.size(); ++i) {
+    if (!probed[i] || group[i] == SharedSight::kAlone || open[i] <= 0) continue;
+    char& all = verdict[group[i]];
+    const char one = seen[i] > 0 ? kLit : kDark;
+    all = all == kUnknown || all == one ? one : kMixed;
+  }
+  tracer.trace(
+      0, 1,
+      [&](std::size_t i) {
+        return !probed[i] && (verdict[group[i]] == kMixed || verdict[group[i]] == kUnknown);
+      },
+      seen, open);
+  for (std::size_t i = 0; i < group.size(); ++i) {
+    if (probed[i] || (verdict[group[i]] != kLit && verdict[group[i]] != kDark)) continue;
+    open[i] = tracer.open(i, 0);
+    if (verdict[group[i]] == kLit) seen[i] = open[i];
+  }
+}
+
+// kInside for vertices that agree with those around them that all, or that none, of the light arrives. Not so at edges of
+// shadows, and for points that no triangle joins to others (texels of a light map).
+constexpr char kInside = 1, kEdge = 2;
+void find_edges(const prt::Mesh& mesh, const std::vector<float>& seen,
+                const std::vector<float>& open, std::vector<char>& place) {
+  // Turned away says nothing about what stands in the way.
+  constexpr char kSome = 1, kNotAll = 2;
+  thread_local std::vector<char> light;  // grows once per thread
+  light.resize(seen.size());
+  for (std::size_t i = 0; i < seen.size(); ++i)
+    light[i] =
+        open[i] <= 0
+            ? 0
+            : static_cast<char>((seen[i] > 0 ? kSome : 0) | (seen[i] < open[i] ? kNotAll : 0));
+  place.assign(seen.size(), 0);
+  for (const auto& [a, b, c] : mesh.triangles) {
+    const char here = (light[a] | light[b] | light[c]) == (kSome | kNotAll) ? kEdge : kInside;
+    place[a] |= here, place[b] |= here, place[c] |= here;
   }
 }
 
 }  // namespace
 
-void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
+void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
                       const prt::Plane* plane, const lighting::Disc& disc, int taps,
                       std::span<float> out) {
+  const prt::Mesh& mesh = *object.mesh;
   // All memory grows once per thread.
   thread_local TapPattern pattern_memory, all_memory;
   thread_local std::vector<float> seen_memory, open_memory;  // sums of cosines
-  thread_local std::vector<char> edge_memory;
+  thread_local std::vector<char> place_memory;
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
-  std::vector<char>& edge = edge_memory;
+  std::vector<char>& place = place_memory;
   const bool narrow = is_narrow(disc);
   pattern.make(disc, taps, kTurns);
-  const VertexTracer tracer(blockers, mesh, world_from_mesh, plane, pattern);
+  const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
   seen.assign(count, 0);
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
-  // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds
-  // it. (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
-  const std::size_t scouts = narrow ? 1 : last;
-  tracer.trace(
-      0, scouts, [](std::size_t) { return true; }, seen, open);
-  if (scouts < last) {
-    mark_edges(mesh, seen, open, edge);
+  if (narrow) {
+    // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds
+    // it. (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
+    thread_local SharedSight sight;
+    sight.find(casters, object, disc);
+    scout(tracer, sight, seen, open);
+    find_edges(mesh, seen, open, place);
     tracer.trace(
-        scouts, last, [&](std::size_t i) { return edge[i] != 0; }, seen, open);
+        1, last, [&](std::size_t i) { return place[i] != kInside; }, seen, open);
+  } else {
+    tracer.trace(
+        0, last, [](std::size_t) { return true; }, seen, open);
   }
   smooth(mesh, disc, {&seen, &open});
   all.make(disc, std::max(taps, kOpenTaps), 1);
+  const OpenCosine whole(all.at(0), glm::vec3(disc.direction));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       out[i] = 0;
       if (seen[i] <= 0) continue;
-      out[i] = seen[i] / open[i] * mean_cosine(all.at(0), tracer.normal(i));
+      out[i] = seen[i] / open[i] * whole(tracer.normal(i));
     }
   });
 }
@@ -179,10 +249,10 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   });
   smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
   all.make(disc, std::max(taps, kOpenTaps), 1);
+  const OpenCosine whole(all.at(0), glm::vec3(disc.direction));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      const float open = mean_cosine(all.at(0), mesh.normals[i]),
-                  scale = out.open[i] > 0 ? open / out.open[i] : 0;
+      const float open = whole(mesh.normals[i]), scale = out.open[i] > 0 ? open / out.open[i] : 0;
       out.open[i] = open;
       out.taken[i] *= scale;
       out.missing[i] *= scale;

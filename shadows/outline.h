@@ -37,11 +37,13 @@ class Outline {
     std::vector<float> x, y, z;
   };
   const Normals& normals() const { return normals_; }
+  float mean_length_m() const { return mean_length_m_; }  // of an edge
 
  private:
   std::vector<Triangle> triangles_;
   std::vector<Edge> edges_;
   Normals normals_;
+  float mean_length_m_ = 0;
 };
 
 }  // namespace penumbra::shadows

@@ -4,25 +4,13 @@
 #include <span>
 
 #include "core/image.h"
-#include "shadows/shadows.h"
+#include "shadows/outline_sides.h"
 
 namespace penumbra::shadows {
 
-/// A direction of light over the plane.
-struct PlaneTap {
-  glm::dvec2 shift{0};  // of a shadow, for each metre of height; x and z of the plane frame
-  float weight = 0;     // of all light on the open plane
-};
-
-/// Nodes cell_m apart, (i, j) at (i, 0, j) * cell_m.
-struct NodeGrid {
-  Pose world_from_map;  // y the plane's normal
-  float cell_m = 0;
-};
-
 /// Adds at every node the weights of the directions that virtual things block and real ones don't (`taken`), and of those
 /// that real ones block (`missing`, unless it is empty). What stands lower than near_m blocks nothing.
-/// in: at most kMostDirections taps. threads: reentrant, parallel inside; no allocation after the first call
+/// in: at most kMostDirections taps. threads: reentrant, no allocation after the first call
 /// source: shadows from points of the source averaged (Heckbert & Herf 1997), each drawn as the winding number of its
 /// outline: every triangle counts one layer in what it covers, and between two that face the light alike the edge cancels
 void add_projected_shadows(const Casters& casters, const NodeGrid& grid,

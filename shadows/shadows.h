@@ -83,23 +83,6 @@ struct Blockers {
   float near_m = 1e-4f;                        // rays start so far off their surface
 };
 
-/// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
-/// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's.
-/// in: taps 1..64 rays a vertex; threads: reentrant, parallel inside
-/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex
-void trace_disc_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
-                      const prt::Plane* plane, const lighting::Disc& disc, int taps,
-                      std::span<float> out);
-
-/// Shares of a disc's light at a mesh's vertices, as mean cosines over the disc: of all of it, of what virtual things
-/// take, and of what real things take anyway. Times L Omega each is an irradiance.
-struct DiscAtVertices {
-  std::vector<float> open, taken, missing;
-};
-/// in: the mesh in the world frame. threads: reentrant, parallel inside
-void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
-                         const lighting::Disc& disc, int taps, DiscAtVertices& out);
-
 struct Caster {
   const prt::Mesh* mesh;
   const Outline* outline;  // of the mesh as it is
@@ -111,6 +94,24 @@ struct Casters {
   std::span<const Caster> virtual_things, real_things;
   float near_m = 1e-4f;  // what stands lower throws none
 };
+
+/// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
+/// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
+/// the same things as `blockers`, `object` among them: their outlines tell which vertices share a ray of a narrow disc.
+/// in: taps 1..64 rays a vertex; threads: reentrant, parallel inside
+/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex
+void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
+                      const prt::Plane* plane, const lighting::Disc& disc, int taps,
+                      std::span<float> out);
+
+/// Shares of a disc's light at a mesh's vertices, as mean cosines over the disc: of all of it, of what virtual things
+/// take, and of what real things take anyway. Times L Omega each is an irradiance.
+struct DiscAtVertices {
+  std::vector<float> open, taken, missing;
+};
+/// in: the mesh in the world frame. threads: reentrant, parallel inside
+void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
+                         const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
   int taps = 16;   // directions of the disc, 1..64; four times as many for one that is not narrow

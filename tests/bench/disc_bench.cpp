@@ -41,11 +41,12 @@ void by_radius(benchmark::internal::Benchmark* b) {
 void vertices(benchmark::State& state) {
   const Threads threads(1);
   const double radius = static_cast<double>(state.range(0)) / 100;
+  const shadows::Caster caster{&setup().mesh, &setup().outline, {}};
   std::vector<float> out(setup().mesh.positions.size());
   int step = 0;
   const auto trace = [&](int taps) {
-    shadows::trace_disc_light(setup().blockers(), setup().mesh, {}, &setup().plane,
-                              disc(radius, step++), taps, out);
+    shadows::trace_disc_light(setup().blockers(), {{&caster, 1}, {}, 3e-5f}, caster,
+                              &setup().plane, disc(radius, step++), taps, out);
   };
   compare(
       state, [&] { trace(4); }, [&] { trace(16); });

@@ -1,0 +1,32 @@
+// Vertices that see a narrow disc alike, so that one ray answers for many.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "shadows/shadows.h"
+
+namespace penumbra::shadows {
+
+/// Along a surface what stands between it and a light changes only where an outline that is nearer to the light passes
+/// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes, joined by edges, form
+/// a group.
+/// threads: thread-bound; memory grows once
+class SharedSight {
+ public:
+  static constexpr std::uint32_t kAlone = 0xffffffffu;
+
+  /// Groups the vertices of `object`, which is one of the casters.
+  void find(const Casters& casters, const Caster& object, const lighting::Disc& disc);
+
+  /// By vertex: its group or kAlone.
+  std::span<const std::uint32_t> group() const { return group_; }
+  std::size_t groups() const { return count_; }
+
+ private:
+  std::vector<std::uint32_t> group_;
+  std::size_t count_ = 0;
+};
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,147 @@
+// Vertices that share a ray have the light that a ray of their own would give them.
+#include "shadows/shared_sight.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
+
+#include "core/conventions.h"
+
+namespace penumbra::shadows {
+namespace {
+
+using glm::dvec3;
+
+constexpr float kNear = 3e-5f;
+
+lighting::Disc sun(double elevation_deg, double radius_deg = .3) {
+  lighting::Disc d;
+  const double e = elevation_deg * kPi / 180;
+  d.direction = {std::cos(e) * std::cos(.4), std::sin(e), std::cos(e) * std::sin(.4)};
+  d.radius = Radians(radius_deg * kPi / 180);
+  d.radiance = {1, 1, 1};
+  return d;
+}
+
+prt::Mesh knot() {
+  return prt::make_knot(.5f, 240, 40, {.5f, .5f, .5f});
+}
+
+// A level sheet of n x n squares, 2 m wide.
+prt::Mesh sheet(std::uint32_t n) {
+  prt::Mesh m;
+  for (std::uint32_t y = 0; y <= n; ++y)
+    for (std::uint32_t x = 0; x <= n; ++x) {
+      m.positions.emplace_back(2 * float(x) / float(n) - 1, 0, 2 * float(y) / float(n) - 1);
+      m.normals.emplace_back(0, 1, 0);
+      if (x == n || y == n) continue;
+      const std::uint32_t i = y * (n + 1) + x;
+      m.triangles.push_back({i, i + n + 1, i + 1});
+      m.triangles.push_back({i + 1, i + n + 1, i + n + 2});
+    }
+  return m;
+}
+
+struct World {
+  std::vector<prt::Mesh> meshes;  // the first is the one that is lit
+  std::vector<Outline> outlines;
+  std::vector<Caster> casters, without_outlines;
+  prt::RayWorld rays = *prt::RayWorld::create();
+  Outline none;
+
+  explicit World(std::vector<prt::Mesh> all) : meshes(std::move(all)) {
+    outlines.reserve(meshes.size());
+    for (const prt::Mesh& m : meshes) {
+      outlines.emplace_back(m);
+      casters.push_back({&m, &outlines.back(), {}});
+      without_outlines.push_back({&m, &none, {}});
+      EXPECT_TRUE(rays.add(m));
+    }
+  }
+  std::vector<float> light(const lighting::Disc& disc, const std::vector<Caster>& things) const {
+    std::vector<float> out(meshes[0].positions.size());
+    trace_disc_light({&rays, nullptr, kNear}, {things, {}, kNear}, things[0], nullptr, disc, 4,
+                     out);
+    return out;
+  }
+  std::size_t different(const lighting::Disc& disc) const {
+    const std::vector<float> shared = light(disc, casters), own = light(disc, without_outlines);
+    std::size_t out = 0;
+    for (std::size_t i = 0; i < own.size(); ++i) out += std::abs(own[i] - shared[i]) > 1e-5f;
+    return out;
+  }
+  SharedSight sight(const lighting::Disc& disc) const {
+    SharedSight out;
+    out.find({casters, {}, kNear}, casters[0], disc);
+    return out;
+  }
+};
+
+TEST(SharedSight, GivesWhatARayForEachVertexGives) {
+  for (const double elevation : {12., 40., 75., 90.})
+    for (const double radius : {.05, .3, 2.}) {
+      const World world({knot()});
+      EXPECT_LE(world.different(sun(elevation, radius)), 4u) << elevation << ", " << radius;
+    }
+}
+
+TEST(SharedSight, NeedsFewRays) {
+  const World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
+  const lighting::Disc disc = sun(40);
+  const SharedSight sight = world.sight(disc);
+  std::size_t facing = 0, alone = 0;
+  for (std::size_t i = 0; i < world.meshes[0].normals.size(); ++i) {
+    if (glm::dot(dvec3(world.meshes[0].normals[i]), disc.direction) <= 0) continue;
+    ++facing;
+    alone += sight.group()[i] == SharedSight::kAlone;
+  }
+  EXPECT_LT(alone + sight.groups(), .3 * double(facing));
+}
+
+// Thinner than the distance between vertices: rays from some of them would find nothing to follow.
+TEST(SharedSight, FindsTheShadowOfAWire) {
+  prt::Mesh wire = prt::make_box({-.003f, .3f, -.9f}, {.003f, .306f, .9f}, 1, {});
+  prt::transform(wire, glm::rotate(glm::dmat4(1), .3, dvec3(0, 1, 0)));
+  const World world({sheet(100), wire});
+  const lighting::Disc disc = sun(60, .05);
+  EXPECT_LE(world.different(disc), 2u);
+  const auto light = world.light(disc, world.casters);
+  EXPECT_GT(std::ranges::count_if(light, [](float l) { return l < .1f; }), 10);
+}
+
+// One sheet goes through the other: half of it lies in the shadow, and no outline passes over where that begins.
+TEST(SharedSight, SeesWhereSurfacesCutThroughEachOther) {
+  prt::Mesh slanted = sheet(20);
+  prt::transform(slanted,
+                 glm::rotate(glm::scale(glm::dmat4(1), dvec3(3, 1, 3)), .5, dvec3(0, 0, 1)));
+  const World world({sheet(60), slanted});
+  const lighting::Disc disc = sun(80);
+  const auto light = world.light(disc, world.casters);
+  const auto dark = std::ranges::count_if(light, [](float l) { return l == 0; });
+  EXPECT_GT(dark, 1000);
+  EXPECT_LT(dark, 2800);
+  EXPECT_LE(world.different(disc), 2u);
+}
+
+TEST(SharedSight, PointsWithoutTrianglesAreAlone) {
+  prt::Mesh points = sheet(10);
+  points.triangles.resize(100);  // half of them
+  const World world({points, knot()});
+  const SharedSight sight = world.sight(sun(50));
+  ASSERT_EQ(sight.group().size(), points.positions.size());
+  EXPECT_EQ(sight.group().back(), SharedSight::kAlone);
+  EXPECT_EQ(world.different(sun(50)), 0u);
+}
+
+TEST(SharedSight, FollowsThePoseOfAnObject) {
+  World world({knot()});
+  const Pose pose{glm::angleAxis(.9, glm::normalize(dvec3(.2, 1, .4))), {3, 1, -2}};
+  world.rays.set_pose(0, pose);
+  for (auto* casters : {&world.casters, &world.without_outlines})
+    casters->front().world_from_mesh = pose;
+  EXPECT_LE(world.different(sun(35)), 4u);
+}
+
+}  // namespace
+}  // namespace penumbra::shadows
