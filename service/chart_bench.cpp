@@ -16,7 +16,7 @@ namespace penumbra::service {
 
 namespace {
 
-constexpr int kRuns = 3, kManyDiscs = 32;
+constexpr int kRuns = 9, kManyDiscs = 32;
 constexpr int kWidth = 192, kHeight = 144;
 
 prt::PinholeView make_view() {

@@ -82,10 +82,10 @@ std::vector<Method> sweep(const ChartOptions& o) {
   for (const int t : {1, 4, 64})
     out.push_back(
         with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
-  for (const int t : {4, 16})  // one source, cheaply
-    for (const int s : {64, 128})
+  for (const int b : {2, 3})  // cheaply
+    for (const int k : {1, 2, 8})
       out.push_back(with([&](Method& m) {
-        m.most_discs = 1, m.taps.plane.taps = t, m.taps.object = t / 4, m.map_size = s;
+        m.bands = b, m.most_discs = k, m.taps.plane.taps = 4, m.taps.object = 1, m.rows = 256;
       }));
   for (const int s : {32, 64, 128}) out.push_back(with([&](Method& m) { m.map_size = s; }));
   for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
@@ -172,12 +172,10 @@ class Charter {
     if (m.rows > 0) map = reduced(map, m.rows);
     auto light = lighting::estimate_map(map, options);
     if (!light) return fail(light.error().code, e.name, light.error().detail);
-    lighting::LightEstimator estimator(options);  // with its tables made
+    lighting::LightEstimator estimator(options);
     penumbra::Environment measured;
     measured.radiance = std::move(map);
-    (void)estimator.estimate(measured);
-    const LightTime estimate =
-        time_single_threaded(5, [&](int) { (void)estimator.estimate(measured); });
+    const LightTime estimate = time_of(estimator, measured);
     const LightOf again = [&estimator, &measured](const Image<Rgb>& newer, TimestampNs time) {
       measured.radiance = newer;
       measured.time = time;
@@ -187,7 +185,21 @@ class Charter {
     return add(m, e, bench_.prepared(), *light, estimate, may_flicker ? again : LightOf(), truth);
   }
 
+  static LightTime time_of(lighting::LightEstimator& estimator,
+                           const penumbra::Environment& environment) {
+    (void)estimator.estimate(environment);  // makes its tables
+    return time_single_threaded(9, [&](int) { (void)estimator.estimate(environment); });
+  }
+  // What it costs to get so many bands from a map, for those who need nothing else of it.
+  static LightTime projection_time(const Image<Rgb>& map, int bands) {
+    lighting::LightEstimator estimator({bands, {0, 1}});
+    penumbra::Environment environment;
+    environment.radiance = map;
+    return time_of(estimator, environment);
+  }
+
   Result<void> baselines(const Environment& e, const Truth& truth) {
+    const LightTime three_bands = projection_time(e.map, 3);
     const auto plain = [&](const char* label, int bands) {
       Method m;
       m.label = label, m.baseline = true, m.bands = bands, m.most_discs = 0;
@@ -196,33 +208,36 @@ class Charter {
     auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
     if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
     const PreparedScene& scene = bench_.prepared();
-    PENUMBRA_TRY(
-        add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3, {}, {}, truth));
-    PENUMBRA_TRY(
-        add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, {}, {}, truth));
-    PENUMBRA_TRY(add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3, {},
+    PENUMBRA_TRY(add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3,
+                     three_bands, {}, truth));
+    PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, three_bands,
                      {}, truth));
+    PENUMBRA_TRY(add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3,
+                     three_bands, {}, truth));
     using MakeLight = std::function<lighting::LightEstimate(const Image<Rgb>&)>;
     const auto always = [](const MakeLight& make) -> LightOf {
       return [make](const Image<Rgb>& map, TimestampNs) -> Result<lighting::LightEstimate> {
         return make(map);
       };
     };
-    PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), {},
+    PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), three_bands,
                      always(dissertation_light), truth));
-    const auto points = [&](const std::string& label, const MakeLight& make, bool may_flicker) {
+    // Sampling is not counted: it costs next to nothing beside what its lights cost.
+    const auto points = [&](const std::string& label, const MakeLight& make,
+                            const LightTime& estimate, bool may_flicker) {
       const lighting::LightEstimate light = make(e.map);
       Method m = plain("", 1);
       m.label = label;
       m.taps = {1, {1, 256}};
       m.most_discs = static_cast<int>(light.discs.size());
-      return add(m, e, scene, light, {}, may_flicker ? always(make) : LightOf(), truth);
+      return add(m, e, scene, light, estimate, may_flicker ? always(make) : LightOf(), truth);
     };
-    PENUMBRA_TRY(points("ambient and one hard light", phone_light, true));
+    PENUMBRA_TRY(
+        points("ambient and one hard light", phone_light, projection_time(e.map, 2), true));
     for (const int n : {16, 64, 256})
       PENUMBRA_TRY(points(
           fmt::format("{} sampled lights", n),
-          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, n == 16));
+          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, LightTime{}, n == 16));
     return {};
   }
 
