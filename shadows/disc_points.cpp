@@ -81,9 +81,19 @@ class VertexTracer {
         shift_(world_from_mesh.translation) {}
 
   glm::vec3 normal(std::size_t vertex) const { return turn_ * mesh_.normals[vertex]; }
-  /// The cosine of one tap.
-  float open(std::size_t vertex, std::size_t tap) const {
-    return std::max(0.f, glm::dot(normal(vertex), pattern_.at(vertex)[tap]));
+  struct Sums {
+    float seen = 0, open = 0;
+  };
+  /// Of the first taps, with nothing in their way.
+  Sums unhindered(std::size_t vertex, std::size_t last) const {
+    const glm::vec3 n = normal(vertex);
+    Sums out;
+    for (const glm::vec3& d : pattern_.at(vertex).first(last)) {
+      const float cosine = std::max(0.f, glm::dot(n, d));
+      out.open += cosine;
+      if (!behind(plane_, d)) out.seen += cosine;
+    }
+    return out;
   }
 
   /// Adds taps [first, last) of all vertices that `wanted` names to the sums of cosines.
@@ -117,10 +127,10 @@ class VertexTracer {
   glm::vec3 shift_;
 };
 
-// The first tap of every vertex, by one ray for each group's first vertex and one in kPerProbe of the others. Where these
-// do not agree (surfaces that cut through each other) every vertex has its own.
-void scout(const VertexTracer& tracer, const SharedSight& sight, std::vector<float>& seen,
-           std::vector<float>& open) {
+// The first `last` taps of every vertex, traced for each group's first vertex and one in kPerProbe of the others. Where
+// these do not agree that all or that none arrives (surfaces that cut through each other) every vertex has its own rays.
+void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_t last,
+                  std::vector<float>& seen, std::vector<float>& open) {
   constexpr std::size_t kPerProbe = 32;
   constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
   const std::span<const std::uint32_t> group = sight.group();
@@ -135,24 +145,27 @@ void scout(const VertexTracer& tracer, const SharedSight& sight, std::vector<flo
     probed[i] = first || group[i] == SharedSight::kAlone || i % kPerProbe == 0;
   }
   tracer.trace(
-      0, 1, [&](std::size_t i) { return probed[i] != 0; }, seen, open);
+      0, last, [&](std::size_t i) { return probed[i] != 0; }, seen, open);
   std::ranges::fill(verdict, kUnknown);
   for (std::size_t i = 0; i < group.size(); ++i) {
-    if (!probed[i] || group[i] == SharedSight::kAlone || open[i] <= 0) continue;
-    char& all = verdict[group[i]];
-    const char one = seen[i] > 0 ? kLit : kDark;
-    all = all == kUnknown || all == one ? one : kMixed;
+    if (!probed[i] || group[i] == SharedSight::kAlone) continue;
+    const float all = tracer.unhindered(i, last).seen;
+    if (all <= 0) continue;
+    constexpr float kRounding = 1e-5f;
+    const char one = seen[i] <= 0 ? kDark : seen[i] > all - kRounding ? kLit : kMixed;
+    char& verdict_here = verdict[group[i]];
+    verdict_here = verdict_here == kUnknown || verdict_here == one ? one : kMixed;
   }
+  const auto sure = [&](std::size_t i) {
+    return verdict[group[i]] == kLit || verdict[group[i]] == kDark;
+  };
   tracer.trace(
-      0, 1,
-      [&](std::size_t i) {
-        return !probed[i] && (verdict[group[i]] == kMixed || verdict[group[i]] == kUnknown);
-      },
-      seen, open);
+      0, last, [&](std::size_t i) { return !probed[i] && !sure(i); }, seen, open);
   for (std::size_t i = 0; i < group.size(); ++i) {
-    if (probed[i] || (verdict[group[i]] != kLit && verdict[group[i]] != kDark)) continue;
-    open[i] = tracer.open(i, 0);
-    if (verdict[group[i]] == kLit) seen[i] = open[i];
+    if (probed[i] || !sure(i)) continue;
+    const VertexTracer::Sums all = tracer.unhindered(i, last);
+    open[i] = all.open;
+    if (verdict[group[i]] == kLit) seen[i] = all.seen;
   }
 }
 
@@ -190,25 +203,22 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
   std::vector<char>& place = place_memory;
-  const bool narrow = is_narrow(disc);
   pattern.make(disc, taps, kTurns);
   const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
   seen.assign(count, 0);
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
-  if (narrow) {
-    // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds
-    // it. (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
-    thread_local SharedSight sight;
-    sight.find(casters, object, disc);
-    scout(tracer, sight, seen, open);
+  thread_local SharedSight sight;
+  sight.find(casters, object, disc);
+  // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
+  // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
+  const std::size_t scouts = is_narrow(disc) ? 1 : last;
+  trace_groups(tracer, sight, scouts, seen, open);
+  if (scouts < last) {
     find_edges(mesh, seen, open, place);
     tracer.trace(
-        1, last, [&](std::size_t i) { return place[i] != kInside; }, seen, open);
-  } else {
-    tracer.trace(
-        0, last, [](std::size_t) { return true; }, seen, open);
+        scouts, last, [&](std::size_t i) { return place[i] != kInside; }, seen, open);
   }
   smooth(mesh, disc, {&seen, &open});
   all.make(disc, std::max(taps, kOpenTaps), 1);

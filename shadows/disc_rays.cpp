@@ -27,6 +27,13 @@ double least_radius(const lighting::Disc& disc) {
   return 2 * std::sqrt(std::max(0., middle - apart));
 }
 
+double largest_angle(const lighting::Disc& disc) {
+  double largest = disc.shape.empty() ? disc.radius.value() : 0;
+  for (const glm::dvec3& d : disc.shape)
+    largest = std::max(largest, std::acos(std::clamp(glm::dot(d, disc.direction), -1., 1.)));
+  return largest;
+}
+
 void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
   assert(taps >= 1 && taps <= kMostTaps && turns >= 1);
   taps_ = taps, turns_ = turns;

@@ -10,7 +10,7 @@
 namespace penumbra::shadows {
 
 inline constexpr int kMostTaps = 64;
-/// Radians: in penumbras of a narrower round disc few vertices lie.
+/// Radians: few vertices lie in penumbras of a narrower round disc.
 inline constexpr double kNarrow = .05;
 
 inline bool is_narrow(const lighting::Disc& disc) {
@@ -19,6 +19,9 @@ inline bool is_narrow(const lighting::Disc& disc) {
 
 /// Of a round disc its radius; of another form that of a round one as narrow as it is across.
 double least_radius(const lighting::Disc& disc);
+
+/// Radians from the disc's middle to its farthest direction.
+double largest_angle(const lighting::Disc& disc);
 
 /// Directions over a disc in `turns` copies, each turned about its axis by another angle.
 /// threads: thread-bound; memory grows once

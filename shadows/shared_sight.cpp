@@ -5,6 +5,7 @@
 #include <glm/gtx/quaternion.hpp>
 
 #include "core/scratch.h"
+#include "shadows/disc_rays.h"
 #include "shadows/outline_sides.h"
 
 namespace penumbra::shadows {
@@ -17,26 +18,37 @@ struct Box {
   glm::vec3 low{1e30f}, high{-1e30f};
 };
 
-// Of each cell how near to the light the nearest outline is that may pass over it.
+// Of each cell how near to the light something has to be that no outline passes between it and any part of the disc.
 class OutlineHeights {
  public:
-  OutlineHeights(int width, int depth, std::pmr::memory_resource* memory)
+  /// `drop`: metres below an outline at which the disc throws its shadow aside by a cell.
+  OutlineHeights(int width, int depth, float drop, std::pmr::memory_resource* memory)
       : width_(width),
         depth_(depth),
+        drop_(drop),
         height_(static_cast<std::size_t>(width * depth), -1e30f, memory) {}
 
-  /// `slope`: how far aside of its middle the disc throws an outline's shadow, cells for each metre below it.
-  void add(const Side& side, float slope) {
-    const float height = std::max(side.from.y, side.to.y), reach = slope * height;
-    const int x0 = cell(std::min(side.from.x, side.to.x) - reach, width_),
-              x1 = cell(std::max(side.from.x, side.to.x) + reach + 1, width_),
-              z0 = cell(std::min(side.from.z, side.to.z) - reach, depth_),
-              z1 = cell(std::max(side.from.z, side.to.z) + reach + 1, depth_);
-    for (int z = z0; z < z1; ++z)
-      for (int x = x0; x < x1; ++x) {
-        float& at = height_[static_cast<std::size_t>(z * width_ + x)];
-        at = std::max(at, height);
-      }
+  void add(const Side& side) {
+    const float height = std::max(side.from.y, side.to.y), reach = std::min(1.f, height / drop_);
+    const glm::vec2 a(side.from.x, side.from.z), b(side.to.x, side.to.z),
+        end(static_cast<float>(width_) - 1, static_cast<float>(depth_) - 1),
+        low = glm::min(a, b) - reach, high = glm::max(a, b) + reach;
+    // What lies aside of the grid comes in at its border, further down.
+    const glm::vec2 aside = glm::max(glm::max(low - end, -high), 0.f);
+    const float here = height - drop_ * std::max(aside.x, aside.y);
+    if (!(here > 0)) return;
+    const glm::ivec2 first(glm::clamp(low, glm::vec2(0), end)),
+        last(glm::clamp(high, glm::vec2(0), end));
+    for (int z = first.y; z <= last.y; ++z)
+      for (int x = first.x; x <= last.x; ++x) at(x, z) = std::max(at(x, z), here);
+  }
+  /// Below an outline the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
+  /// so that no cell is left out.
+  void spread() {
+    for (int z = 0; z < depth_; ++z)
+      for (int x = 0; x < width_; ++x) lift(x, z, -1);
+    for (int z = depth_ - 1; z >= 0; --z)
+      for (int x = width_ - 1; x >= 0; --x) lift(x, z, 1);
   }
   /// in: places within the grid
   bool pass_between(const glm::vec3& a, const glm::vec3& b) const {
@@ -48,13 +60,38 @@ class OutlineHeights {
   }
 
  private:
-  static int cell(float x, int limit) {
-    return static_cast<int>(std::min(std::max(0.f, x), static_cast<float>(limit)));
+  // From the neighbours that come earlier on the way.
+  void lift(int x, int z, int way) {
+    float& here = at(x, z);
+    const auto from = [&](int i, int j) {
+      if (i >= 0 && i < width_ && j >= 0 && j < depth_) here = std::max(here, at(i, j) - drop_);
+    };
+    from(x + way, z);
+    for (int i = -1; i <= 1; ++i) from(x + i, z + way);
   }
+  float& at(int x, int z) { return height_[static_cast<std::size_t>(z * width_ + x)]; }
 
   int width_, depth_;
+  float drop_;
   std::pmr::vector<float> height_;
 };
+
+// A narrow disc's middle stands for all of it: on what is round its outline moves by the square of the radius.
+std::pmr::vector<PlaneTap> taps_around(const lighting::Disc& disc, const Pose& world_from_light,
+                                       std::pmr::memory_resource* memory) {
+  constexpr int kTaps = 16;
+  std::pmr::vector<PlaneTap> out(memory);
+  out.push_back({{0, 0}, 1});
+  if (is_narrow(disc)) return out;
+  thread_local TapPattern pattern;  // grows once per thread
+  pattern.make(disc, kTaps, 1);
+  const Pose light_from_world = world_from_light.inverse();
+  for (const glm::vec3& direction : pattern.at(0)) {
+    const glm::dvec3 d = light_from_world * glm::dvec3(direction);
+    if (d.y > 0) out.push_back({-glm::dvec2(d.x, d.z) / d.y, 1});
+  }
+  return out;
+}
 
 }  // namespace
 
@@ -88,13 +125,13 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
     p -= box.low - glm::vec3(cell);
     p.x /= cell, p.z /= cell;
   }
+  const auto drop = static_cast<float>(cell / std::tan(std::clamp(largest_angle(disc), 1e-6, 1.5)));
   OutlineHeights outlines(static_cast<int>(size.x / cell) + 3, static_cast<int>(size.z / cell) + 3,
-                          scope.memory());
-  const PlaneTap straight{{0, 0}, 1};
-  const float slope = static_cast<float>(std::tan(disc.radius.value())) / cell;
+                          drop, scope.memory());
+  const std::pmr::vector<PlaneTap> taps = taps_around(disc, world_from_light, scope.memory());
   for (const std::span<const Caster> things : {casters.virtual_things, casters.real_things})
-    for (const Side& side : find_sides(things, grid, 0, {&straight, 1}, scope.memory()))
-      outlines.add(side, slope);
+    for (const Side& side : find_sides(things, grid, 0, taps, scope.memory())) outlines.add(side);
+  if (drop < size.y) outlines.spread();
   std::pmr::vector<char> open(positions.size(), scope.memory());
   const glm::vec3 towards =
       glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction;

@@ -1,4 +1,4 @@
-// Vertices that see a narrow disc alike, so that one ray answers for many.
+// Vertices that see a whole disc or nothing of it, so that a few rays answer for many.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,8 @@
 namespace penumbra::shadows {
 
 /// Along a surface what stands between it and a light changes only where an outline that is nearer to the light passes
-/// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes, joined by edges, form
-/// a group.
+/// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes for any direction of the
+/// disc, joined by edges, form a group.
 /// threads: thread-bound; memory grows once
 class SharedSight {
  public:

@@ -80,10 +80,22 @@ struct World {
 
 TEST(SharedSight, GivesWhatARayForEachVertexGives) {
   for (const double elevation : {12., 40., 75., 90.})
-    for (const double radius : {.05, .3, 2.}) {
+    for (const double radius : {.05, .3, 2., 6., 17.}) {
       const World world({knot()});
       EXPECT_LE(world.different(sun(elevation, radius)), 4u) << elevation << ", " << radius;
     }
+}
+
+// A window: light from a strip is thrown aside further one way than the other.
+TEST(SharedSight, KnowsHowFarAFormReaches) {
+  lighting::Disc window = sun(35, 8);
+  const glm::dvec3 side = glm::normalize(glm::cross(window.direction, dvec3(0, 1, 0)));
+  for (int i = 0; i < 64; ++i)
+    window.shape.push_back(glm::normalize(window.direction + (i / 63. - .5) * .7 * side));
+  const World world({knot()});
+  EXPECT_LE(world.different(window), 4u);
+  const prt::Mesh wire = prt::make_box({-.003f, .3f, -.9f}, {.003f, .306f, .9f}, 1, {});
+  EXPECT_EQ(World({sheet(60), wire}).different(window), 0u);
 }
 
 TEST(SharedSight, NeedsFewRays) {
