@@ -83,10 +83,12 @@ std::vector<Method> sweep(const ChartOptions& o) {
     out.push_back(
         with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
   for (const int b : {2, 3})  // cheaply
-    for (const int k : {1, 2, 8})
-      out.push_back(with([&](Method& m) {
-        m.bands = b, m.most_discs = k, m.taps.plane.taps = 4, m.taps.object = 1, m.rows = 256;
-      }));
+    for (const int k : {1, 8})
+      for (const int s : {128, 256})
+        out.push_back(with([&](Method& m) {
+          m.bands = b, m.most_discs = k, m.map_size = s, m.rows = 256;
+          m.taps.plane.taps = 4, m.taps.object = 1;
+        }));
   for (const int s : {32, 64, 128}) out.push_back(with([&](Method& m) { m.map_size = s; }));
   for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
   for (const int frames : {2, 4})

@@ -12,7 +12,9 @@ namespace penumbra::shadows {
 
 namespace {
 
-constexpr float kMostCells = 512;  // across an object seen from the light
+constexpr float kMostCells = 192;  // across an object seen from the light
+// Radians: of a broader disc most vertices see a part, and looking for the others costs more than their rays.
+constexpr double kBroad = .15;
 
 struct Box {
   glm::vec3 low{1e30f}, high{-1e30f};
@@ -97,6 +99,10 @@ std::pmr::vector<PlaneTap> taps_around(const lighting::Disc& disc, const Pose& w
 
 void SharedSight::find(const Casters& casters, const Caster& object, const lighting::Disc& disc) {
   const std::vector<glm::vec3>& positions = object.mesh->positions;
+  group_.assign(positions.size(), kAlone);
+  count_ = 0;
+  const double angle = largest_angle(disc);
+  if (angle > kBroad || object.outline->edges().empty()) return;
   const Scratch::Scope scope;
   // y towards the light.
   const Pose world_from_light{glm::rotation(glm::dvec3(0, 1, 0), disc.direction), {0, 0, 0}},
@@ -113,8 +119,6 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const glm::vec3 size = box.high - box.low;
   const float cell =
       std::max(object.outline->mean_length_m(), std::max(size.x, size.z) / kMostCells);
-  group_.assign(positions.size(), kAlone);
-  count_ = 0;
   if (!(cell > 0)) return;
   // Outlines lower than all of the object shade none of it.
   const NodeGrid grid{
@@ -125,7 +129,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
     p -= box.low - glm::vec3(cell);
     p.x /= cell, p.z /= cell;
   }
-  const auto drop = static_cast<float>(cell / std::tan(std::clamp(largest_angle(disc), 1e-6, 1.5)));
+  const auto drop = static_cast<float>(cell / std::tan(std::max(angle, 1e-6)));
   OutlineHeights outlines(static_cast<int>(size.x / cell) + 3, static_cast<int>(size.z / cell) + 3,
                           drop, scope.memory());
   const std::pmr::vector<PlaneTap> taps = taps_around(disc, world_from_light, scope.memory());
