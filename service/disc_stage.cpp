@@ -54,7 +54,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   auto real_things = prt::RayWorld::create();
   if (!real_things) return std::unexpected(real_things.error());
   DiscStage stage(scene, taps, std::move(*virtual_things), std::move(*real_things));
-  // Casters point at both.
+  // Casters point into them.
   stage.quads_.reserve(scene.planes.size());
   stage.outlines_.reserve(scene.objects.size() + 1 + scene.planes.size());
   float smallest = 1e30f;
@@ -76,13 +76,15 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     if (!index) return fail(index.error().code, "real geometry", index.error().detail);
     stage.add_caster(scene.real_mesh, {}, stage.real_casters_);
   }
+  stage.real_casters_on_.assign(scene.planes.size(), stage.real_casters_);
   // One plane blocks only what comes from behind it, which nobody counts anyway.
-  for (const prt::Plane& plane : scene.planes) {
-    if (scene.planes.size() == 1) break;
-    const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(plane));
+  for (std::size_t p = 0; p < scene.planes.size() && scene.planes.size() > 1; ++p) {
+    const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(scene.planes[p]));
     const auto index = stage.real_.add(quad);
     if (!index) return fail(index.error().code, "real plane", index.error().detail);
     stage.add_caster(quad, {}, stage.real_casters_);
+    for (std::size_t other = 0; other < scene.planes.size(); ++other)
+      if (other != p) stage.real_casters_on_[other].push_back(stage.real_casters_.back());
   }
   if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
   return stage;
@@ -201,9 +203,11 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   t.on_plane.resize(scene_->planes.size());
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
-    shadows::draw_disc_shadows(casters(), scene_->planes[p], t.disc, taps_.plane, t.on_plane[p]);
-    if (!real_casters_.empty())
-      shadows::draw_real_shadow(real_casters_, near_m_, around_, scene_->planes[p], t.disc,
+    const std::vector<shadows::Caster>& real = real_casters_on_[p];
+    shadows::draw_disc_shadows({virtual_casters_, real, near_m_}, scene_->planes[p], t.disc,
+                               taps_.plane, t.on_plane[p]);
+    if (!real.empty())
+      shadows::draw_real_shadow(real, near_m_, around_, scene_->planes[p], t.disc,
                                 {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
   }
 }

@@ -76,7 +76,7 @@ class DiscStage {
   shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
   shadows::Casters casters() const { return {virtual_casters_, real_casters_, near_m_}; }
   void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
-  /// Building a moved mesh for rays takes a millisecond, which a frame without rays need not spend.
+  /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
   void follow_forms();
   /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
   void trace(Traced& traced, const Surroundings& around, bool all);
@@ -87,12 +87,13 @@ class DiscStage {
   const PreparedScene* scene_;
   DiscTaps taps_;
   prt::RayWorld virtual_, real_;
-  std::vector<char> other_form_;  // by object: rays do not meet its present mesh yet
+  std::vector<char> other_form_;  // by object: neither rays nor outlines know its present mesh yet
   std::vector<Pose> poses_;
   std::vector<Traced> traced_, before_;
   std::vector<prt::Mesh> quads_;            // as much of each plane as a shadow can come from
   std::vector<shadows::Outline> outlines_;  // of the objects, then of real things
   std::vector<shadows::Caster> virtual_casters_, real_casters_;
+  std::vector<std::vector<shadows::Caster>> real_casters_on_;  // by plane: all but the plane itself
   std::vector<shadows::Neighbourhood> around_;
   struct Sphere {
     glm::dvec3 centre;  // bake frame

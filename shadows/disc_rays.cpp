@@ -9,24 +9,6 @@
 
 namespace penumbra::shadows {
 
-// A uniform disc's points scatter by half its radius along every axis.
-double least_radius(const lighting::Disc& disc) {
-  if (disc.shape.empty()) return disc.radius.value();
-  const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
-  const auto count = static_cast<double>(disc.shape.size());
-  glm::dvec2 mean(0);
-  glm::dmat2 square(0);
-  for (const glm::dvec3& d : disc.shape) {
-    const glm::dvec2 p(glm::dot(frame[0], d), glm::dot(frame[2], d));
-    mean += p / count;
-    square += glm::outerProduct(p, p) / count;
-  }
-  const glm::dmat2 spread = square - glm::outerProduct(mean, mean);
-  const double middle = (spread[0][0] + spread[1][1]) / 2,
-               apart = std::hypot((spread[0][0] - spread[1][1]) / 2, spread[0][1]);
-  return 2 * std::sqrt(std::max(0., middle - apart));
-}
-
 double largest_angle(const lighting::Disc& disc) {
   double largest = disc.shape.empty() ? disc.radius.value() : 0;
   for (const glm::dvec3& d : disc.shape)

@@ -17,9 +17,6 @@ inline bool is_narrow(const lighting::Disc& disc) {
   return disc.shape.empty() && disc.radius.value() < kNarrow;
 }
 
-/// Of a round disc its radius; of another form that of a round one as narrow as it is across.
-double least_radius(const lighting::Disc& disc);
-
 /// Radians from the disc's middle to its farthest direction.
 double largest_angle(const lighting::Disc& disc);
 
@@ -29,7 +26,6 @@ class TapPattern {
  public:
   /// in: taps 1..kMostTaps
   void make(const lighting::Disc& disc, int taps, int turns);
-  int count() const { return taps_; }
   std::span<const glm::vec3> at(std::size_t point) const {
     const auto taps = static_cast<std::size_t>(taps_);
     return {&directions_[point % static_cast<std::size_t>(turns_) * taps], taps};

@@ -63,15 +63,24 @@ Extent shadow_extent(std::span<const Caster> casters, const Pose& plane_from_wor
     const glm::vec3 shift(place.translation);
     const glm::vec2 reach_low(reach.low), reach_high(reach.high);
     glm::vec2 body_low(1e30f), body_high(-1e30f), low(1e30f), high(-1e30f);
-    for (const glm::vec3& position : caster.mesh->positions) {
-      const glm::vec3 p = turn * position + shift;
-      if (p.y < 0) continue;
+    const auto take = [&](const glm::vec3& p) {
       const glm::vec2 foot(p.x, p.z);
       body_low = glm::min(body_low, foot);
       body_high = glm::max(body_high, foot);
       low = glm::min(low, foot + p.y * reach_low);
       high = glm::max(high, foot + p.y * reach_high);
+    };
+    bool below = false;
+    for (const glm::vec3& position : caster.mesh->positions) {
+      const glm::vec3 p = turn * position + shift;
+      p.y < 0 ? void(below = true) : take(p);
     }
+    if (below)  // where it goes through the plane
+      for (const Outline::Edge& e : caster.outline->edges()) {
+        const glm::vec3 a = turn * caster.mesh->positions[e.from] + shift,
+                        b = turn * caster.mesh->positions[e.to] + shift;
+        if ((a.y < 0) != (b.y < 0)) take(glm::mix(a, b, a.y / (a.y - b.y)));
+      }
     if (low.x >= high.x || low.y >= high.y) continue;
     const double longest =
         kLongest * radius_around(*caster.mesh, prt::bounds_of(*caster.mesh).centre());
@@ -104,7 +113,9 @@ struct Setting {
   Extent reach;
 };
 
-std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& disc, int taps,
+// The plane's frame has its origin under `near`: single precision serves around it.
+std::optional<Setting> set_up(const prt::Plane& plane, const glm::dvec3& near,
+                              const lighting::Disc& disc, int taps,
                               std::pmr::memory_resource* memory) {
   // Any direction will do under a light at the zenith.
   const double sine = glm::dot(plane.normal, disc.direction);
@@ -119,7 +130,8 @@ std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& dis
   PlaneTaps above = taps_over(pattern.at(0), glm::transpose(axes), memory);
   if (above.empty()) return std::nullopt;
   const Extent reach = reach_of(above);
-  return Setting{{glm::quat_cast(axes), plane.point}, std::move(above), reach};
+  const glm::dvec3 origin = near - glm::dot(near - plane.point, plane.normal) * plane.normal;
+  return Setting{{glm::quat_cast(axes), origin}, std::move(above), reach};
 }
 
 void draw(const Casters& casters, const Setting& setting, const Extent& e, int size,
@@ -134,8 +146,9 @@ void draw(const Casters& casters, const Setting& setting, const Extent& e, int s
                        Pose{{1, 0, 0, 0}, {e.low.x - kRim * cell, 0, e.low.y - kRim * cell}};
   out.taken.reset(nodes(lengths.x), nodes(lengths.y));
   if (!casters.real_things.empty()) out.missing.reset(out.taken.width(), out.taken.height());
-  add_projected_shadows(casters, {out.world_from_map, out.cell_m}, setting.taps, out.taken,
-                        out.missing);
+  const NodeGrid grid{out.world_from_map, out.cell_m, static_cast<float>(out.taken.width()),
+                      static_cast<float>(out.taken.height())};
+  add_projected_shadows(casters, grid, setting.taps, out.taken, out.missing);
   if (e.cut) fade_end(out.taken);
   clear_rim(out.taken);
 }
@@ -158,8 +171,10 @@ bool overlap(const Extent& a, const Extent& b) {
 void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
                       const DiscShadowOptions& options, DiscShadow& out) {
   clear(out);
+  if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options.taps, scope.memory());
+  const auto setting = set_up(plane, casters.virtual_things[0].world_from_mesh.translation, disc,
+                              options.taps, scope.memory());
   if (!setting) return;
   const Extent e =
       shadow_extent(casters.virtual_things, setting->world_from_plane.inverse(), setting->reach);
@@ -171,9 +186,10 @@ void draw_real_shadow(std::span<const Caster> real, float near_m,
                       const lighting::Disc& disc, const DiscShadowOptions& options,
                       DiscShadow& out) {
   clear(out);
+  if (around.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options.taps, scope.memory());
-  if (!setting || around.empty()) return;
+  const auto setting = set_up(plane, around[0].centre, disc, options.taps, scope.memory());
+  if (!setting) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
   Extent e;
   for (const Neighbourhood& n : around) {
@@ -186,8 +202,12 @@ void draw_real_shadow(std::span<const Caster> real, float near_m,
 
 void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
                        const DiscShadowOptions& options, std::vector<DiscShadow>& out) {
+  for (DiscShadow& shadow : out) clear(shadow);
+  if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options.taps, scope.memory());
+  const auto setting = set_up(plane, casters.virtual_things[0].world_from_mesh.translation, disc,
+                              options.taps, scope.memory());
+  if (!setting) return;
   // A group's casters in one row, so that each map draws its own alone.
   struct Group {
     Extent extent;
@@ -195,7 +215,6 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   };
   std::pmr::vector<Group> groups(scope.memory());
   for (const Caster& caster : casters.virtual_things) {
-    if (!setting) break;
     const Extent e =
         shadow_extent({&caster, 1}, setting->world_from_plane.inverse(), setting->reach);
     if (e.empty()) continue;
@@ -214,7 +233,6 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
     groups.push_back(std::move(group));
   }
   if (out.size() < groups.size()) out.resize(groups.size());
-  for (DiscShadow& shadow : out) clear(shadow);
   for (std::size_t i = 0; i < groups.size(); ++i)
     draw({groups[i].casters, casters.real_things, casters.near_m}, *setting, groups[i].extent,
          options.size, out[i]);

@@ -1,6 +1,7 @@
 // The edges of a mesh with the triangles at both sides: what its shadow on a plane is drawn from.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -23,7 +24,7 @@ class Outline {
   using Triangle = std::array<std::uint32_t, 3>;
 
   Outline() = default;
-  /// Vertices in one place count as one: seams of normals or texture coordinates are no rims.
+  /// Vertices in one place count as one, in every form: seams of normals or texture coordinates are no rims.
   explicit Outline(const prt::Mesh& mesh);
   /// Another form of the same mesh: as many vertices, the same triangles.
   void set_form(const prt::Mesh& mesh);

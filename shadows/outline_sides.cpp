@@ -10,7 +10,7 @@ namespace penumbra::shadows {
 
 namespace {
 
-std::uint64_t all_of(std::size_t count) {
+std::uint64_t bits_of(std::size_t count) {
   return count < 64 ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
 }
 
@@ -42,7 +42,16 @@ class OutlineFinder {
  public:
   OutlineFinder(const Caster& caster, const NodeGrid& grid, float near_m,
                 std::span<const PlaneTap> taps, std::pmr::memory_resource* memory)
-      : outline_(*caster.outline), all_(all_of(taps.size())), places_(memory), facing_(memory) {
+      : outline_(*caster.outline),
+        grid_(grid),
+        all_(bits_of(taps.size())),
+        places_(memory),
+        facing_(memory) {
+    for (const PlaneTap& t : taps) {
+      const glm::vec2 shift = glm::vec2(t.shift) / grid.cell_m;
+      reach_low_ = glm::min(reach_low_, shift);
+      reach_high_ = glm::max(reach_high_, shift);
+    }
     place(caster, grid, near_m);
     const Outline::Normals& n = outline_.normals();
     facing_.resize(n.x.size());
@@ -88,8 +97,19 @@ class OutlineFinder {
   void add(std::uint32_t from, std::uint32_t to, std::uint64_t more, std::uint64_t fewer,
            std::int16_t layers, std::pmr::vector<Side>& out) const {
     if (!above(from) && !above(to)) return;
-    out.push_back({above(from) ? places_[from] : cut(from, to),
-                   above(to) ? places_[to] : cut(from, to), more, fewer, layers});
+    add({above(from) ? places_[from] : cut(from, to), above(to) ? places_[to] : cut(from, to), more,
+         fewer, layers},
+        out);
+  }
+  void add(const Side& side, std::pmr::vector<Side>& out) const {
+    const auto lowest = [&](float a, float b, float reach) {
+      return std::min(a + side.from.y * reach, b + side.to.y * reach);
+    };
+    const float right = lowest(side.from.x, side.to.x, reach_low_.x),
+                bottom = lowest(side.from.z, side.to.z, reach_low_.y),
+                top = -lowest(-side.from.z, -side.to.z, -reach_high_.y);
+    if (grid_.depth > 0 && (right > grid_.width || bottom > grid_.depth || top < 0)) return;
+    out.push_back(side);
   }
 
   // Of triangles that go through the plane only what is above counts: it ends along the cut.
@@ -104,12 +124,14 @@ class OutlineFinder {
         is_cut = true;
         (above(a) ? down : up) = cut(a, b);
       }
-      if (is_cut) out.push_back({down, up, facing_[t], all_ & ~facing_[t], 1});
+      if (is_cut) add({down, up, facing_[t], all_ & ~facing_[t], 1}, out);
     }
   }
 
   const Outline& outline_;
+  const NodeGrid& grid_;
   std::uint64_t all_;
+  glm::vec2 reach_low_{1e30f}, reach_high_{-1e30f};  // of shadows, cells for each metre of height
   float lowest_ = 1e30f;
   std::pmr::vector<glm::vec3> places_;
   std::pmr::vector<std::uint64_t> facing_;

@@ -19,18 +19,20 @@ struct PlaneTap {
 struct NodeGrid {
   Pose world_from_map;  // y the plane's normal
   float cell_m = 0;
+  float width = 0, depth = 0;  // nodes; 0: without end
 };
 
 /// A stretch of an outline: where it is passed upwards in z, so many layers more lie on its far side in x for the
 /// directions of `more`, and fewer for those of `fewer`.
 struct Side {
-  glm::vec3 from, to;  // x and z in cells, y in metres above the plane
+  glm::vec3 from, to;  // x and z in cells, y in metres above near_m
   std::uint64_t more, fewer;
   std::int16_t layers;
 };
 
 /// Every triangle counts one layer in what it covers; between two that face the light alike the edge cancels.
-/// What is lower than near_m above the plane is cut off.
+/// What is lower than near_m above the plane is cut off. Left out are stretches that the taps throw above, below or to the
+/// right of the grid, where they make no difference.
 /// in: at most kMostDirections taps
 std::pmr::vector<Side> find_sides(std::span<const Caster> casters, const NodeGrid& grid,
                                   float near_m, std::span<const PlaneTap> taps,

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
+#include <bit>
 
 #include "core/scratch.h"
 #include "shadows/outline_sides.h"

@@ -97,7 +97,7 @@ struct Casters {
 
 /// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
 /// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
-/// the same things as `blockers`, `object` among them: their outlines tell which vertices share a ray of a narrow disc.
+/// the same things as `blockers`, `object` among them: their outlines tell which vertices share rays.
 /// in: taps 1..64 rays a vertex; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex
 void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
@@ -114,8 +114,9 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  int taps = 16;   // directions of the disc, 1..64; four times as many for one that is not narrow
-  int size = 256;  // cells along the longer side
+  int taps =
+      16;  // directions of the disc, 1..64; four times as many, 64 at most, for one that is not narrow
+  int size = 256;  // cells along the longer side, at least 16
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole
@@ -131,9 +132,10 @@ struct DiscShadow {
   bool empty() const { return taken.empty(); }
 };
 
-/// Exact at every node for each of the disc's directions. Shadows longer than ten radii of the caster are cut off softly.
+/// Exact at every node for each of the disc's directions that is a degree above the plane. Shadows longer than ten radii of
+/// the caster are cut off softly.
 /// errors: none; an empty shadow when no light of the disc reaches the plane's front
-/// threads: reentrant, parallel inside
+/// threads: reentrant
 void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
                       const DiscShadowOptions& options, DiscShadow& out);
 

@@ -13,8 +13,8 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr float kMostCells = 192;  // across an object seen from the light
-// Radians: of a broader disc most vertices see a part, and looking for the others costs more than their rays.
-constexpr double kBroad = .15;
+// Radians: of a wider disc most vertices see a part, and looking for the others costs more than their rays.
+constexpr double kWidest = .15;
 
 struct Box {
   glm::vec3 low{1e30f}, high{-1e30f};
@@ -35,18 +35,20 @@ class OutlineHeights {
     const glm::vec2 a(side.from.x, side.from.z), b(side.to.x, side.to.z),
         end(static_cast<float>(width_) - 1, static_cast<float>(depth_) - 1),
         low = glm::min(a, b) - reach, high = glm::max(a, b) + reach;
-    // What lies aside of the grid comes in at its border, further down.
-    const glm::vec2 aside = glm::max(glm::max(low - end, -high), 0.f);
-    const float here = height - drop_ * std::max(aside.x, aside.y);
-    if (!(here > 0)) return;
-    const glm::ivec2 first(glm::clamp(low, glm::vec2(0), end)),
-        last(glm::clamp(high, glm::vec2(0), end));
+    // What lies aside of the grid comes in so many cells further down, and as much broader.
+    const glm::vec2 off = glm::max(glm::max(low - end, -high), 0.f);
+    const float aside = std::max(off.x, off.y), here = height - drop_ * aside;
+    if (!(here > 0 && aside < 1e9f)) return;
+    highest_ = std::max(highest_, here);
+    const glm::ivec2 first(glm::clamp(low - aside, glm::vec2(0), end)),
+        last(glm::clamp(high + aside, glm::vec2(0), end));
     for (int z = first.y; z <= last.y; ++z)
       for (int x = first.x; x <= last.x; ++x) at(x, z) = std::max(at(x, z), here);
   }
   /// Below an outline the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
   /// so that no cell is left out.
   void spread() {
+    if (highest_ < drop_) return;  // as far as a cell around it is marked
     for (int z = 0; z < depth_; ++z)
       for (int x = 0; x < width_; ++x) lift(x, z, -1);
     for (int z = depth_ - 1; z >= 0; --z)
@@ -74,23 +76,25 @@ class OutlineHeights {
   float& at(int x, int z) { return height_[static_cast<std::size_t>(z * width_ + x)]; }
 
   int width_, depth_;
-  float drop_;
+  float drop_, highest_ = 0;
   std::pmr::vector<float> height_;
 };
 
-// A narrow disc's middle stands for all of it: on what is round its outline moves by the square of the radius.
+// A sun's middle stands for all of it: the edges of a box that are its outline for a part of the sun alone lie a hundredth
+// of its width off.
 std::pmr::vector<PlaneTap> taps_around(const lighting::Disc& disc, const Pose& world_from_light,
                                        std::pmr::memory_resource* memory) {
   constexpr int kTaps = 16;
   std::pmr::vector<PlaneTap> out(memory);
   out.push_back({{0, 0}, 1});
-  if (is_narrow(disc)) return out;
+  constexpr double kThin = .01;  // radians
+  if (largest_angle(disc) < kThin) return out;
   thread_local TapPattern pattern;  // grows once per thread
   pattern.make(disc, kTaps, 1);
   const Pose light_from_world = world_from_light.inverse();
   for (const glm::vec3& direction : pattern.at(0)) {
     const glm::dvec3 d = light_from_world * glm::dvec3(direction);
-    if (d.y > 0) out.push_back({-glm::dvec2(d.x, d.z) / d.y, 1});
+    out.push_back({-glm::dvec2(d.x, d.z) / d.y, 1});
   }
   return out;
 }
@@ -102,7 +106,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   group_.assign(positions.size(), kAlone);
   count_ = 0;
   const double angle = largest_angle(disc);
-  if (angle > kBroad || object.outline->edges().empty()) return;
+  if (angle > kWidest || object.outline->edges().empty()) return;
   const Scratch::Scope scope;
   // y towards the light.
   const Pose world_from_light{glm::rotation(glm::dvec3(0, 1, 0), disc.direction), {0, 0, 0}},
@@ -135,7 +139,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const std::pmr::vector<PlaneTap> taps = taps_around(disc, world_from_light, scope.memory());
   for (const std::span<const Caster> things : {casters.virtual_things, casters.real_things})
     for (const Side& side : find_sides(things, grid, 0, taps, scope.memory())) outlines.add(side);
-  if (drop < size.y) outlines.spread();
+  outlines.spread();
   std::pmr::vector<char> open(positions.size(), scope.memory());
   const glm::vec3 towards =
       glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction;

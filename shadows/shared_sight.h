@@ -10,8 +10,9 @@
 namespace penumbra::shadows {
 
 /// Along a surface what stands between it and a light changes only where an outline that is nearer to the light passes
-/// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes for any direction of the
-/// disc, joined by edges, form a group.
+/// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes, joined by edges, form a
+/// group. The outlines are those of up to seventeen directions of the disc. Surfaces that cut through each other are not
+/// looked for: who uses a group asks several of its vertices.
 /// threads: thread-bound; memory grows once
 class SharedSight {
  public:

@@ -22,18 +22,12 @@ lighting::Disc strip(double across, double along) {
   return d;
 }
 
-TEST(DiscRays, ARoundDiscIsAsNarrowAsItsRadius) {
+TEST(DiscRays, ADiscReachesAsFarAsItsFarthestDirection) {
   lighting::Disc d;
   d.direction = glm::normalize(glm::dvec3(1, 2, 3));
   d.radius = Radians(.1);
-  EXPECT_DOUBLE_EQ(least_radius(d), .1);
-}
-
-TEST(DiscRays, AStripIsAsNarrowAsItIsAcross) {
-  // A uniform strip scatters by its width over sqrt(12); a disc by half its radius.
-  const double expected = 2 * .04 / std::sqrt(12.);
-  EXPECT_NEAR(least_radius(strip(.04, .8)), expected, .1 * expected);
-  EXPECT_NEAR(least_radius(strip(.8, .04)), expected, .1 * expected);
+  EXPECT_DOUBLE_EQ(largest_angle(d), .1);
+  EXPECT_NEAR(largest_angle(strip(.04, .8)), .36, .01);
 }
 
 TEST(DiscRays, TapsShareAFormsDirectionsOut) {

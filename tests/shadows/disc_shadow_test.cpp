@@ -17,6 +17,10 @@ using glm::dvec3;
 constexpr float kNear = 1e-4f;
 const prt::Plane kFloor{{.1, 0, .05}, {0, 1, 0}, {}, {}};
 
+Pose world_of(double tilt, const dvec3& shift) {
+  return {glm::angleAxis(tilt, glm::normalize(dvec3(1, .2, .5))), shift};
+}
+
 struct Thing {
   prt::Mesh mesh;
   Pose pose;
@@ -26,6 +30,9 @@ struct Setting {
   std::string name;
   std::function<std::vector<Thing>()> virtual_things, real_things;
   double elevation_deg = 40, radius_deg = .3;
+  int taps = 16;
+  double tilt = 0;       // of the whole world, radians
+  dvec3 shift{0, 0, 0};  // of the whole world
 };
 void PrintTo(const Setting& s, std::ostream* out) {
   *out << s.name;
@@ -86,6 +93,18 @@ std::vector<Thing> two() {
           {prt::make_box({-.1f, 0, -.1f}, {.1f, .6f, .1f}, 2, {}), {{1, 0, 0, 0}, {.4, 0, .1}}}};
 }
 
+// Large triangles: no vertex lies near the plane.
+std::vector<Thing> coarse_box() {
+  return one(prt::make_box({-.5f, -.5f, -.5f}, {.5f, .5f, .5f}, 1, {}),
+             {glm::angleAxis(.5, dvec3(0, 0, 1)), {0, 0, 0}});
+}
+
+// A corner alone looks out.
+std::vector<Thing> corner() {
+  return one(prt::make_box({-.5f, -.5f, -.5f}, {.5f, .5f, .5f}, 1, {}),
+             {glm::angleAxis(.955, glm::normalize(dvec3(1, 0, -1))), {0, -.4, 0}});
+}
+
 // Between the object and the light, and behind it.
 std::vector<Thing> real_posts() {
   return {{prt::make_box({-.05f, 0, -.05f}, {.05f, 1, .05f}, 2, {}), {{1, 0, 0, 0}, {.5, 0, .2}}},
@@ -94,7 +113,8 @@ std::vector<Thing> real_posts() {
 
 class Scene {
  public:
-  explicit Scene(const std::vector<Thing>& things) : things_(things) {
+  explicit Scene(const std::vector<Thing>& things, const Pose& world = {}) : things_(things) {
+    for (Thing& t : things_) t.pose = world * t.pose;
     outlines_.reserve(things_.size());
     for (const Thing& t : things_) {
       outlines_.emplace_back(t.mesh);
@@ -134,44 +154,66 @@ lighting::Disc disc_of(const Setting& s) {
 
 class DrawnShadow : public testing::TestWithParam<Setting> {};
 
-TEST_P(DrawnShadow, IsWhatRaysFind) {
-  const Scene virtual_things(GetParam().virtual_things()), real_things(GetParam().real_things());
-  const lighting::Disc disc = disc_of(GetParam());
-  DiscShadow shadow;
-  draw_disc_shadow({virtual_things.casters(), real_things.casters(), kNear}, kFloor, disc,
-                   {16, 128}, shadow);
-  ASSERT_FALSE(shadow.empty());
-  EXPECT_EQ(shadow.missing.empty(), real_things.casters().empty());
-  TapPattern pattern;
-  pattern.make(disc, is_narrow(disc) ? 16 : 64, 1);
-  float all = 0;
-  for (const glm::vec3& d : pattern.at(0)) all += std::max(0.f, d.y);
+struct Wrong {
   std::size_t nodes = 0, dark = 0, wrong = 0;
+};
+
+// The nodes of a map against a ray to every direction.
+Wrong compare(const DiscShadow& shadow, const Scene& virtual_things, const Scene& real_things,
+              const dvec3& up, const lighting::Disc& disc, int taps) {
+  TapPattern pattern;
+  pattern.make(disc, taps, 1);
+  float all = 0;
+  for (const glm::vec3& d : pattern.at(0)) all += std::max(0.f, glm::dot(glm::vec3(up), d));
+  Wrong out;
   for (int y = 1; y + 1 < shadow.taken.height(); ++y)
     for (int x = 1; x + 1 < shadow.taken.width(); ++x) {
       const dvec3 from = shadow.world_from_map *
                          dvec3(x * double(shadow.cell_m), kNear, y * double(shadow.cell_m));
       float taken = 0, missing = 0;
       for (std::size_t k = 0; k < pattern.at(0).size(); k += 16) {
-        const auto part = pattern.at(0).subspan(k, 16);
+        const auto part =
+            pattern.at(0).subspan(k, std::min(pattern.at(0).size() - k, std::size_t{16}));
         const std::uint32_t by_virtual = virtual_things.blocked(from, part),
                             by_real = real_things.blocked(from, part);
-        for (std::size_t i = 0; i < 16; ++i) {
-          const float weight = std::max(0.f, part[i].y) / all;
+        for (std::size_t i = 0; i < part.size(); ++i) {
+          const float weight = std::max(0.f, glm::dot(glm::vec3(up), part[i])) / all;
           if (by_real >> i & 1)
             missing += weight;
           else if (by_virtual >> i & 1)
             taken += weight;
         }
       }
-      ++nodes;
-      dark += taken > .5f;
+      ++out.nodes;
+      out.dark += taken > .5f;
       const float left = shadow.missing.empty() ? 0 : shadow.missing.at(x, y);
-      wrong += std::abs(shadow.taken.at(x, y) - taken) + std::abs(left - missing) > 1e-4f;
+      out.wrong += std::abs(shadow.taken.at(x, y) - taken) + std::abs(left - missing) > 1e-4f;
     }
-  EXPECT_GT(dark, nodes / 50);
+  return out;
+}
+
+TEST_P(DrawnShadow, IsWhatRaysFind) {
+  const Setting& s = GetParam();
+  const Pose world = world_of(s.tilt, s.shift);
+  const Scene virtual_things(s.virtual_things(), world), real_things(s.real_things(), world);
+  lighting::Disc disc = disc_of(s);
+  disc.direction = world.rotation * disc.direction;
+  const prt::Plane floor{world * kFloor.point, world.rotation * kFloor.normal, {}, {}};
+  DiscShadow shadow;
+  draw_disc_shadow({virtual_things.casters(), real_things.casters(), kNear}, floor, disc,
+                   {s.taps, 128}, shadow);
+  ASSERT_FALSE(shadow.empty());
+  EXPECT_EQ(shadow.missing.empty(), real_things.casters().empty());
+  for (const Image<float>* map : {&shadow.taken, &shadow.missing})  // nothing is cut off
+    for (int x = 1; x + 1 < shadow.taken.width() && map == &shadow.taken; ++x) {
+      EXPECT_LT(map->at(x, 1), .01f);
+      EXPECT_LT(map->at(x, map->height() - 2), .01f);
+    }
+  const Wrong found = compare(shadow, virtual_things, real_things, floor.normal, disc,
+                              is_narrow(disc) ? s.taps : std::min(64, 4 * s.taps));
+  EXPECT_GT(found.dark, found.nodes / 50);
   // A node on an edge may go either way.
-  EXPECT_LT(wrong, nodes / 200) << "of " << nodes;
+  EXPECT_LT(found.wrong, found.nodes / 200) << "of " << found.nodes;
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -184,6 +226,13 @@ INSTANTIATE_TEST_SUITE_P(
                     Setting{"bowl", [] { return one(bowl()); }, nothing},
                     Setting{"mixed_up", [] { return one(mixed_up(knot())); }, nothing},
                     Setting{"shattered", [] { return one(shattered(knot())); }, nothing},
+                    Setting{"few_taps", [] { return one(knot()); }, nothing, 40, .3, 5},
+                    Setting{"taps_in_three_groups", [] { return one(knot()); }, nothing, 40, 8, 10},
+                    Setting{"low_disc", [] { return one(knot()); }, nothing, 21, 7},
+                    Setting{"plane_tilted", two, nothing, 40, .3, 16, .7},
+                    Setting{"plane_far_away", two, nothing, 40, .3, 16, .7, {300, -50, 200}},
+                    Setting{"wall", two, real_posts, 40, 5, 16, kPi / 2},
+                    Setting{"coarse_box", coarse_box, nothing}, Setting{"corner", corner, nothing},
                     Setting{"sunk", sunk, nothing}, Setting{"sunk_wide", sunk, nothing, 40, 12},
                     Setting{"behind_real_things", two, real_posts},
                     Setting{"behind_real_things_wide", two, real_posts, 40, 12}),
@@ -205,6 +254,16 @@ TEST(DrawnShadow, FollowsAnotherForm) {
   EXPECT_TRUE(std::ranges::equal(moved.taken.pixels(), fresh.taken.pixels()));
 }
 
+TEST(DrawnShadow, OfADiscThatSetsOnlyTheUpperPartCounts) {
+  const Scene scene(one(knot()));
+  DiscShadow shadow;
+  draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of({"", {}, {}, 2, 6}), {}, shadow);
+  ASSERT_FALSE(shadow.empty());
+  const auto [least, most] = std::ranges::minmax(shadow.taken.pixels());
+  EXPECT_EQ(least, 0);
+  EXPECT_NEAR(most, 1, .05);
+}
+
 TEST(DrawnShadow, ADiscBelowTheHorizonThrowsNone) {
   const Scene scene(one(knot()));
   DiscShadow shadow;
@@ -213,10 +272,41 @@ TEST(DrawnShadow, ADiscBelowTheHorizonThrowsNone) {
 }
 
 TEST(DrawnShadow, WhatIsBelowThePlaneThrowsNone) {
-  const Scene scene(one(knot(), {{1, 0, 0, 0}, {0, -2, 0}}));
-  DiscShadow shadow;
-  draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of({}), {}, shadow);
-  for (const float t : shadow.taken.pixels()) ASSERT_EQ(t, 0);
+  const Thing above{knot(), {}}, below{knot(), {{1, 0, 0, 0}, {.1, -2, 0}}};
+  DiscShadow alone, both;
+  draw_disc_shadow({Scene({below}).casters(), {}, kNear}, kFloor, disc_of({}), {}, alone);
+  EXPECT_TRUE(alone.empty());
+  const Scene one_thing({above}), two_things({above, below});
+  draw_disc_shadow({one_thing.casters(), {}, kNear}, kFloor, disc_of({}), {}, alone);
+  draw_disc_shadow({two_things.casters(), {}, kNear}, kFloor, disc_of({}), {}, both);
+  EXPECT_TRUE(std::ranges::equal(alone.taken.pixels(), both.taken.pixels()));
+}
+
+TEST(DrawnShadow, ObjectsFarApartHaveMapsOfTheirOwn) {
+  const Scene near_and_far({{knot(), {}}, {knot(), {{1, 0, 0, 0}, {5, 0, 1}}}}), none({});
+  const lighting::Disc disc = disc_of({});
+  std::vector<DiscShadow> maps;
+  draw_disc_shadows({near_and_far.casters(), {}, kNear}, kFloor, disc, {16, 128}, maps);
+  ASSERT_EQ(maps.size(), 2u);
+  for (const DiscShadow& map : maps) {
+    const Wrong found = compare(map, near_and_far, none, {0, 1, 0}, disc, 16);
+    EXPECT_GT(found.dark, found.nodes / 50);
+    EXPECT_LT(found.wrong, found.nodes / 200);
+  }
+}
+
+TEST(DrawnShadow, OfRealThingsIsWhatRaysFind) {
+  const Scene posts(real_posts()), none({});
+  for (const double radius_deg : {.3, 12.}) {
+    const lighting::Disc disc = disc_of({"", {}, {}, 40, radius_deg});
+    DiscShadow shadow;
+    const Neighbourhood around{{0, .2, 0}, 1.2};
+    draw_real_shadow(posts.casters(), kNear, {&around, 1}, kFloor, disc, {16, 128}, shadow);
+    ASSERT_FALSE(shadow.empty());
+    const Wrong found = compare(shadow, posts, none, {0, 1, 0}, disc, is_narrow(disc) ? 16 : 64);
+    EXPECT_GT(found.dark, found.nodes / 100);
+    EXPECT_LT(found.wrong, found.nodes / 200);
+  }
 }
 
 TEST(Outline, KnowsRimsSeamsAndWrongTurns) {
