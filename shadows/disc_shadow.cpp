@@ -54,7 +54,7 @@ Extent reach_of(std::span<const PlaneTap> taps) {
   return reach;
 }
 
-Extent shadow_extent(std::span<const Caster> casters, const Pose& plane_from_world,
+Extent shadow_extent(std::span<const Caster> casters, float near_m, const Pose& plane_from_world,
                      const Extent& reach) {
   Extent all;
   for (const Caster& caster : casters) {
@@ -70,10 +70,13 @@ Extent shadow_extent(std::span<const Caster> casters, const Pose& plane_from_wor
       low = glm::min(low, foot + p.y * reach_low);
       high = glm::max(high, foot + p.y * reach_high);
     };
-    bool below = false;
+    bool below = false;  // not by rounding, like what stands on the plane
     for (const glm::vec3& position : caster.mesh->positions) {
       const glm::vec3 p = turn * position + shift;
-      p.y < 0 ? void(below = true) : take(p);
+      if (p.y < -near_m)
+        below = true;
+      else
+        take({p.x, std::max(p.y, 0.f), p.z});
     }
     if (below)  // where it goes through the plane
       for (const Outline::Edge& e : caster.outline->edges()) {
@@ -113,9 +116,7 @@ struct Setting {
   Extent reach;
 };
 
-// The plane's frame has its origin under `near`: single precision serves around it.
-std::optional<Setting> set_up(const prt::Plane& plane, const glm::dvec3& near,
-                              const lighting::Disc& disc, int taps,
+std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& disc, int taps,
                               std::pmr::memory_resource* memory) {
   // Any direction will do under a light at the zenith.
   const double sine = glm::dot(plane.normal, disc.direction);
@@ -130,8 +131,7 @@ std::optional<Setting> set_up(const prt::Plane& plane, const glm::dvec3& near,
   PlaneTaps above = taps_over(pattern.at(0), glm::transpose(axes), memory);
   if (above.empty()) return std::nullopt;
   const Extent reach = reach_of(above);
-  const glm::dvec3 origin = near - glm::dot(near - plane.point, plane.normal) * plane.normal;
-  return Setting{{glm::quat_cast(axes), origin}, std::move(above), reach};
+  return Setting{{glm::quat_cast(axes), plane.point}, std::move(above), reach};
 }
 
 void draw(const Casters& casters, const Setting& setting, const Extent& e, int size,
@@ -173,11 +173,10 @@ void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lig
   clear(out);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, casters.virtual_things[0].world_from_mesh.translation, disc,
-                              options.taps, scope.memory());
+  const auto setting = set_up(plane, disc, options.taps, scope.memory());
   if (!setting) return;
-  const Extent e =
-      shadow_extent(casters.virtual_things, setting->world_from_plane.inverse(), setting->reach);
+  const Extent e = shadow_extent(casters.virtual_things, casters.near_m,
+                                 setting->world_from_plane.inverse(), setting->reach);
   if (!e.empty()) draw(casters, *setting, e, options.size, out);
 }
 
@@ -188,7 +187,7 @@ void draw_real_shadow(std::span<const Caster> real, float near_m,
   clear(out);
   if (around.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, around[0].centre, disc, options.taps, scope.memory());
+  const auto setting = set_up(plane, disc, options.taps, scope.memory());
   if (!setting) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
   Extent e;
@@ -205,8 +204,7 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   for (DiscShadow& shadow : out) clear(shadow);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, casters.virtual_things[0].world_from_mesh.translation, disc,
-                              options.taps, scope.memory());
+  const auto setting = set_up(plane, disc, options.taps, scope.memory());
   if (!setting) return;
   // A group's casters in one row, so that each map draws its own alone.
   struct Group {
@@ -215,8 +213,8 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   };
   std::pmr::vector<Group> groups(scope.memory());
   for (const Caster& caster : casters.virtual_things) {
-    const Extent e =
-        shadow_extent({&caster, 1}, setting->world_from_plane.inverse(), setting->reach);
+    const Extent e = shadow_extent({&caster, 1}, casters.near_m,
+                                   setting->world_from_plane.inverse(), setting->reach);
     if (e.empty()) continue;
     Group group{e, std::pmr::vector<Caster>({caster}, scope.memory())};
     // A rectangle that grew may meet others that it had passed.

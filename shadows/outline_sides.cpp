@@ -46,6 +46,7 @@ class OutlineFinder {
         grid_(grid),
         all_(bits_of(taps.size())),
         places_(memory),
+        above_(memory),
         facing_(memory) {
     for (const PlaneTap& t : taps) {
       const glm::vec2 shift = glm::vec2(t.shift) / grid.cell_m;
@@ -70,7 +71,7 @@ class OutlineFinder {
         add(e.from, e.to, left & ~right, right & ~left, 2, out);
       }
     }
-    if (lowest_ < 0) add_cuts(out);
+    if (!all_above_) add_cuts(out);
   }
 
  private:
@@ -80,9 +81,11 @@ class OutlineFinder {
     const glm::vec3 shift = glm::vec3(map_from_mesh.translation) - glm::vec3(0, near_m, 0),
                     scale(1 / grid.cell_m, 1, 1 / grid.cell_m);
     places_.reserve(caster.mesh->positions.size());
+    above_.reserve(caster.mesh->positions.size());
     for (const glm::vec3& p : caster.mesh->positions) {
       places_.push_back(scale * (turn * p + shift));
-      lowest_ = std::min(lowest_, places_.back().y);
+      above_.push_back(places_.back().y >= 0);
+      all_above_ &= above_.back() != 0;
     }
   }
 
@@ -92,7 +95,7 @@ class OutlineFinder {
     const float t = a.y / (a.y - b.y);
     return {a.x + t * (b.x - a.x), 0, a.z + t * (b.z - a.z)};
   }
-  bool above(std::uint32_t i) const { return places_[i].y >= 0; }
+  bool above(std::uint32_t i) const { return above_[i] != 0; }
 
   void add(std::uint32_t from, std::uint32_t to, std::uint64_t more, std::uint64_t fewer,
            std::int16_t layers, std::pmr::vector<Side>& out) const {
@@ -108,7 +111,7 @@ class OutlineFinder {
     const float right = lowest(side.from.x, side.to.x, reach_low_.x),
                 bottom = lowest(side.from.z, side.to.z, reach_low_.y),
                 top = -lowest(-side.from.z, -side.to.z, -reach_high_.y);
-    if (grid_.depth > 0 && (right > grid_.width || bottom > grid_.depth || top < 0)) return;
+    if (grid_.depth > 0 && (right > grid_.width || bottom > grid_.depth || top < -1)) return;
     out.push_back(side);
   }
 
@@ -116,15 +119,15 @@ class OutlineFinder {
   void add_cuts(std::pmr::vector<Side>& out) const {
     const std::span<const Outline::Triangle> triangles = outline_.triangles();
     for (std::size_t t = 0; t < triangles.size(); ++t) {
+      const int corners = above(triangles[t][0]) + above(triangles[t][1]) + above(triangles[t][2]);
+      if (corners == 0 || corners == 3) continue;
       glm::vec3 down(0), up(0);
-      bool is_cut = false;
       for (std::size_t k = 0; k < 3; ++k) {
         const std::uint32_t a = triangles[t][k], b = triangles[t][(k + 1) % 3];
         if (above(a) == above(b)) continue;
-        is_cut = true;
         (above(a) ? down : up) = cut(a, b);
       }
-      if (is_cut) add({down, up, facing_[t], all_ & ~facing_[t], 1}, out);
+      add({down, up, facing_[t], all_ & ~facing_[t], 1}, out);
     }
   }
 
@@ -132,8 +135,9 @@ class OutlineFinder {
   const NodeGrid& grid_;
   std::uint64_t all_;
   glm::vec2 reach_low_{1e30f}, reach_high_{-1e30f};  // of shadows, cells for each metre of height
-  float lowest_ = 1e30f;
+  bool all_above_ = true;
   std::pmr::vector<glm::vec3> places_;
+  std::pmr::vector<char> above_;
   std::pmr::vector<std::uint64_t> facing_;
 };
 

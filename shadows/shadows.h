@@ -114,9 +114,10 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  int taps =
-      16;  // directions of the disc, 1..64; four times as many, 64 at most, for one that is not narrow
-  int size = 256;  // cells along the longer side, at least 16
+  /// Directions of the disc, 1..64; four times as many, 64 at most, for one that is not narrow.
+  int taps = 16;
+  /// Cells along the longer side, at least 16.
+  int size = 256;
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole
@@ -132,9 +133,9 @@ struct DiscShadow {
   bool empty() const { return taken.empty(); }
 };
 
-/// Exact at every node for each of the disc's directions that is a degree above the plane. Shadows longer than ten radii of
-/// the caster are cut off softly.
-/// errors: none; an empty shadow when no light of the disc reaches the plane's front
+/// Exact at every node for each of the disc's directions that is 1.15 degrees above the plane. Shadows longer than ten radii
+/// of the caster are cut off softly.
+/// errors: none; an empty shadow when no light of the disc reaches the plane's front, or nothing stands above it
 /// threads: reentrant
 void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
                       const DiscShadowOptions& options, DiscShadow& out);

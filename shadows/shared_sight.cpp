@@ -80,15 +80,16 @@ class OutlineHeights {
   std::pmr::vector<float> height_;
 };
 
-// A sun's middle stands for all of it: the edges of a box that are its outline for a part of the sun alone lie a hundredth
-// of its width off.
-std::pmr::vector<PlaneTap> taps_around(const lighting::Disc& disc, const Pose& world_from_light,
+// A sun's middle stands for all of it: edges that are an outline for a part of it alone lie less than a cell off, on what
+// is no higher than the object. `cells`: by how much the disc throws the shadow of the object's top aside.
+std::pmr::vector<PlaneTap> taps_around(const lighting::Disc& disc, float cells,
+                                       const Pose& world_from_light,
                                        std::pmr::memory_resource* memory) {
   constexpr int kTaps = 16;
   std::pmr::vector<PlaneTap> out(memory);
   out.push_back({{0, 0}, 1});
   constexpr double kThin = .01;  // radians
-  if (largest_angle(disc) < kThin) return out;
+  if (cells < 1 && largest_angle(disc) < kThin) return out;
   thread_local TapPattern pattern;  // grows once per thread
   pattern.make(disc, kTaps, 1);
   const Pose light_from_world = world_from_light.inverse();
@@ -136,7 +137,8 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const auto drop = static_cast<float>(cell / std::tan(std::max(angle, 1e-6)));
   OutlineHeights outlines(static_cast<int>(size.x / cell) + 3, static_cast<int>(size.z / cell) + 3,
                           drop, scope.memory());
-  const std::pmr::vector<PlaneTap> taps = taps_around(disc, world_from_light, scope.memory());
+  const std::pmr::vector<PlaneTap> taps =
+      taps_around(disc, size.y / drop, world_from_light, scope.memory());
   for (const std::span<const Caster> things : {casters.virtual_things, casters.real_things})
     for (const Side& side : find_sides(things, grid, 0, taps, scope.memory())) outlines.add(side);
   outlines.spread();

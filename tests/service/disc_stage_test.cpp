@@ -104,5 +104,33 @@ TEST(DiscStage, CreepingSunIsFollowedWhileObjectsMove) {
   EXPECT_NE(light_on(*stage, scene, 0), first);
 }
 
+// As casters planes are quads of single precision; beside something tiny one would throw a shadow on itself.
+TEST(DiscStage, APlaneDoesNotShadeItself) {
+  PreparedScene scene = two_balls();
+  scene.objects.pop_back();
+  for (glm::vec3& p : scene.objects[0].baked.mesh.positions) p *= .05f;  // a ball of a centimetre
+  const Surroundings around(scene);
+  int looked_at = 0;
+  for (int k = 0; k < 60; ++k) {
+    const double turn = .1 * k;
+    const dvec3 normal(std::cos(turn), 0, std::sin(turn));
+    scene.planes.resize(1);
+    scene.planes.push_back({-.02 * normal, normal, {.4f, .4f, .4f}, {}});
+    auto made = DiscStage::create(scene, {});
+    ASSERT_TRUE(made);
+    DiscStage stage = std::move(*made);
+    if (glm::dot(normal, sun(0).direction) < .05) continue;
+    stage.update(std::vector{sun(0)}, 1, around);
+    for (const compositor::DiscShadowOnPlane& on :
+         stage.shadows(std::vector<Rgb>(2, Rgb{100, 100, 100}))) {
+      if (!on.real || glm::dot(on.real->world_from_map.rotation * dvec3(0, 1, 0), normal) < .99)
+        continue;
+      ++looked_at;
+      EXPECT_EQ(std::ranges::max(on.real->taken.pixels()), 0) << k;
+    }
+  }
+  EXPECT_GT(looked_at, 20);
+}
+
 }  // namespace
 }  // namespace penumbra::service
