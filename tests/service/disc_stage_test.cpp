@@ -109,6 +109,7 @@ TEST(DiscStage, APlaneDoesNotShadeItself) {
   PreparedScene scene = two_balls();
   scene.objects.pop_back();
   for (glm::vec3& p : scene.objects[0].baked.mesh.positions) p *= .05f;  // a ball of a centimetre
+  scene.planes[0].point.y = -10;  // a floor that shades no part of the wall in question
   const Surroundings around(scene);
   int looked_at = 0;
   for (int k = 0; k < 60; ++k) {
