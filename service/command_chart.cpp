@@ -224,7 +224,7 @@ class Charter {
     };
     PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), three_bands,
                      always(dissertation_light), truth));
-    // Sampling is not counted: it costs next to nothing beside what its lights cost.
+    // Sampling a map is not counted, in its favour.
     const auto points = [&](const std::string& label, const MakeLight& make,
                             const LightTime& estimate, bool may_flicker) {
       const lighting::LightEstimate light = make(e.map);
