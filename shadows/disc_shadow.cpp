@@ -5,6 +5,7 @@
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
 #include "shadows/projected_shadow.h"
+#include "shadows/projection_kernel.h"
 
 namespace penumbra::shadows {
 
@@ -12,7 +13,8 @@ namespace {
 
 constexpr double kLongest = 10;  // radii of the caster: longest shadow
 constexpr double kLeastSine =
-    .02;                 // of a tap's elevation: lower ones throw their shadow like this one
+    .02;  // of a tap's elevation: lower ones throw their shadow like this one
+static_assert(kMostTaps <= kMostDirections);
 constexpr int kRim = 2;  // cells around what is drawn
 
 using PlaneTaps = std::pmr::vector<PlaneTap>;
@@ -85,8 +87,7 @@ Extent shadow_extent(std::span<const Caster> casters, float near_m, const Pose& 
         if ((a.y < 0) != (b.y < 0)) take(glm::mix(a, b, a.y / (a.y - b.y)));
       }
     if (low.x >= high.x || low.y >= high.y) continue;
-    const double longest =
-        kLongest * radius_around(*caster.mesh, prt::bounds_of(*caster.mesh).centre());
+    const double longest = kLongest * caster.outline->radius_m();
     all.cut |= high.x > body_high.x + longest;
     all.low = glm::min(all.low, glm::max(glm::dvec2(low), glm::dvec2(body_low) - longest));
     all.high = glm::max(all.high, glm::min(glm::dvec2(high), glm::dvec2(body_high) + longest));

@@ -82,6 +82,7 @@ void Outline::set_form(const prt::Mesh& mesh) {
         glm::cross(mesh.positions[b] - mesh.positions[a], mesh.positions[c] - mesh.positions[a]);
     normals_.x[t] = n.x, normals_.y[t] = n.y, normals_.z[t] = n.z;
   }
+  radius_m_ = prt::radius_around(mesh, prt::bounds_of(mesh).centre());
   float sum = 0;
   for (const Edge& e : edges_) sum += glm::distance(mesh.positions[e.from], mesh.positions[e.to]);
   mean_length_m_ = edges_.empty() ? 0 : sum / static_cast<float>(edges_.size());

@@ -39,12 +39,13 @@ class Outline {
   };
   const Normals& normals() const { return normals_; }
   float mean_length_m() const { return mean_length_m_; }  // of an edge
+  float radius_m() const { return radius_m_; }            // around the middle of the mesh's bounds
 
  private:
   std::vector<Triangle> triangles_;
   std::vector<Edge> edges_;
   Normals normals_;
-  float mean_length_m_ = 0;
+  float mean_length_m_ = 0, radius_m_ = 0;
 };
 
 }  // namespace penumbra::shadows

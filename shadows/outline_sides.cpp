@@ -10,10 +10,6 @@ namespace penumbra::shadows {
 
 namespace {
 
-std::uint64_t bits_of(std::size_t count) {
-  return count < 64 ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
-}
-
 // The directions to the taps in a mesh's frame.
 Directions directions_of(std::span<const PlaneTap> taps, const glm::dmat3& mesh_from_plane) {
   Directions out{};

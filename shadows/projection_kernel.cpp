@@ -10,6 +10,12 @@ namespace penumbra::shadows {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
+HWY_INLINE std::uint64_t Bits(const std::uint8_t* bytes, std::size_t lanes) {
+  std::uint64_t out = 0;
+  for (std::size_t b = 0; b < (lanes + 7) / 8; ++b) out |= std::uint64_t{bytes[b]} << 8 * b;
+  return out;
+}
+
 // Rows of directions past the last one may hold anything: their bits are cut off.
 HWY_INLINE std::uint64_t FacingOf(float x, float y, float z, const Directions& directions) {
   const hn::ScalableTag<float> d;
@@ -20,26 +26,17 @@ HWY_INLINE std::uint64_t FacingOf(float x, float y, float z, const Directions& d
     const auto along = hn::MulAdd(
         nx, hn::Load(d, directions.x + k),
         hn::MulAdd(ny, hn::Load(d, directions.y + k), hn::Mul(nz, hn::Load(d, directions.z + k))));
-    std::uint8_t bits[HWY_MAX(8, HWY_MAX_BYTES / 8)] = {};
-    hn::StoreMaskBits(d, hn::Gt(along, hn::Zero(d)), bits);
-    std::uint64_t some = 0;
-    for (std::size_t b = 0; b < (lanes + 7) / 8; ++b) some |= std::uint64_t{bits[b]} << 8 * b;
-    out |= some << k;
+    std::uint8_t bytes[HWY_MAX(8, HWY_MAX_BYTES / 8)] = {};
+    hn::StoreMaskBits(d, hn::Gt(along, hn::Zero(d)), bytes);
+    out |= Bits(bytes, lanes) << k;
   }
-  return directions.count < 64 ? out & ((std::uint64_t{1} << directions.count) - 1) : out;
-}
-
-HWY_INLINE std::uint64_t Bits(const std::uint8_t* bytes, std::size_t lanes) {
-  std::uint64_t out = 0;
-  for (std::size_t b = 0; b < (lanes + 7) / 8; ++b) out |= std::uint64_t{bytes[b]} << 8 * b;
-  return out;
+  return out & bits_of(directions.count);
 }
 
 // Most triangles face all directions or none: |n.d - n.m| <= |n| |d - m|.
 HWY_ATTR void FindFacing(const float* nx, const float* ny, const float* nz, std::size_t triangles,
                          const Directions& directions, std::uint64_t* out) {
-  const std::uint64_t all =
-      directions.count < 64 ? (std::uint64_t{1} << directions.count) - 1 : ~std::uint64_t{0};
+  const std::uint64_t all = bits_of(directions.count);
   const hn::ScalableTag<float> d;
   const std::size_t lanes = hn::Lanes(d);
   const auto mx = hn::Set(d, directions.middle_x), my = hn::Set(d, directions.middle_y),

@@ -9,6 +9,11 @@ namespace penumbra::shadows {
 inline constexpr std::size_t kMostDirections = 64;
 inline constexpr std::size_t kGroup = 16;  // directions that are counted side by side
 
+/// Bits for the first `count` directions.
+inline std::uint64_t bits_of(std::size_t count) {
+  return count < 64 ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
+}
+
 /// Directions in the frame of the normals, not necessarily unit, and a vector in their middle with the square of the
 /// largest distance from it.
 struct Directions {
