@@ -139,8 +139,9 @@ bool is_probe(std::size_t vertex) {
 // The first `last` taps of every vertex, traced for each group's first vertex and its probes. Where these do not agree
 // that all or that none arrives (surfaces that cut through each other) every vertex has its own rays. A part that is cut
 // off by another surface and holds no probe, of some dozen vertices, stays wrong.
+// own: vertices whose light no group tells
 void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_t last,
-                  std::vector<float>& seen, std::vector<float>& open) {
+                  std::vector<float>& seen, std::vector<float>& open, std::vector<char>& own) {
   constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
   const std::span<const std::uint32_t> group = sight.group();
   // Grow once per thread; other threads look at this one's.
@@ -165,13 +166,14 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::siz
     char& verdict_here = verdict[group[i]];
     verdict_here = verdict_here == kUnknown || verdict_here == one ? one : kMixed;
   }
-  const auto sure = [&](std::size_t i) {
-    return verdict[group[i]] == kLit || verdict[group[i]] == kDark;
-  };
+  own.resize(group.size());
+  for (std::size_t i = 0; i < group.size(); ++i)
+    own[i] = group[i] == SharedSight::kAlone ||
+             (verdict[group[i]] != kLit && verdict[group[i]] != kDark);
   tracer.trace(
-      0, last, [&](std::size_t i) { return !probed[i] && !sure(i); }, seen, open);
+      0, last, [&](std::size_t i) { return !probed[i] && own[i] != 0; }, seen, open);
   for (std::size_t i = 0; i < group.size(); ++i) {
-    if (probed[i] || !sure(i)) continue;
+    if (probed[i] || own[i] != 0) continue;
     const VertexTracer::Sums all = tracer.unhindered(i, last);
     open[i] = all.open;
     if (verdict[group[i]] == kLit) seen[i] = all.seen;
@@ -208,10 +210,10 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   // All memory grows once per thread.
   thread_local TapPattern pattern_memory, all_memory;
   thread_local std::vector<float> seen_memory, open_memory;  // sums of cosines
-  thread_local std::vector<char> place_memory;
+  thread_local std::vector<char> place_memory, own_memory;
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
-  std::vector<char>& place = place_memory;
+  std::vector<char>&place = place_memory, &own = own_memory;
   pattern.make(disc, taps, kTurns);
   const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
@@ -223,11 +225,12 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
   // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
   const std::size_t scouts = is_narrow(disc) ? 1 : last;
-  trace_groups(tracer, sight, scouts, seen, open);
+  trace_groups(tracer, sight, scouts, seen, open, own);
   if (scouts < last) {
     find_edges(mesh, seen, open, place);
     tracer.trace(
-        scouts, last, [&](std::size_t i) { return place[i] != kInside; }, seen, open);
+        scouts, last, [&](std::size_t i) { return place[i] != kInside && own[i] != 0; }, seen,
+        open);
   }
   smooth(mesh, disc, {&seen, &open});
   all.make(disc, std::max(taps, kOpenTaps), 1);

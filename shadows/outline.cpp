@@ -1,6 +1,7 @@
 #include "shadows/outline.h"
 
 #include <algorithm>
+#include <cmath>
 #include <glm/geometric.hpp>
 #include <numeric>
 #include <tuple>
@@ -56,6 +57,40 @@ void pair_up(std::span<const HalfEdge> at_edge, std::vector<Outline::Edge>& out)
   }
 }
 
+void set_sphere(std::span<const Outline::Edge> edges, const std::vector<glm::vec3>& positions,
+                Outline::Patch& out) {
+  glm::vec3 low(1e30f), high(-1e30f);
+  for (const Outline::Edge& e : edges)
+    for (const std::uint32_t v : {e.from, e.to})
+      low = glm::min(low, positions[v]), high = glm::max(high, positions[v]);
+  out.centre = .5f * (low + high);
+  out.radius_m = .5f * glm::distance(low, high);
+}
+
+void set_cone(std::span<const Outline::Edge> edges, const Outline::Normals& normals,
+              Outline::Patch& out) {
+  out.sine = Outline::kAnywhere, out.cosine = 0;
+  std::array<glm::vec3, 2 * Outline::kTogether> units;
+  std::size_t count = 0;
+  glm::vec3 sum(0);
+  for (const Outline::Edge& e : edges) {
+    if (e.right == Outline::kOpen) return;
+    for (const std::uint32_t t : {e.left, e.right}) {
+      const glm::vec3 n(normals.x[t], normals.y[t], normals.z[t]);
+      const float length = glm::length(n);
+      if (!(length > 0)) return;  // faces nothing, whatever is around it
+      sum += units[count++] = n / length;
+    }
+  }
+  const float length = glm::length(sum);
+  if (!(length > 0)) return;
+  float cosine = 1;
+  out.axis = sum / length;
+  for (const glm::vec3& n : std::span(units).first(count))
+    cosine = std::min(cosine, glm::dot(n, out.axis));
+  if (cosine > 0) out.cosine = cosine, out.sine = std::sqrt(1 - cosine * cosine);
+}
+
 }  // namespace
 
 Outline::Outline(const prt::Mesh& mesh) {
@@ -82,7 +117,13 @@ void Outline::set_form(const prt::Mesh& mesh) {
         glm::cross(mesh.positions[b] - mesh.positions[a], mesh.positions[c] - mesh.positions[a]);
     normals_.x[t] = n.x, normals_.y[t] = n.y, normals_.z[t] = n.z;
   }
-  radius_m_ = prt::radius_around(mesh, prt::bounds_of(mesh).centre());
+  patches_.resize((edges_.size() + kTogether - 1) / kTogether);
+  for (std::size_t p = 0; p < patches_.size(); ++p) {
+    set_sphere(edges_of(p), mesh.positions, patches_[p]);
+    set_cone(edges_of(p), normals_, patches_[p]);
+  }
+  bounds_ = prt::bounds_of(mesh);
+  radius_m_ = prt::radius_around(mesh, bounds_.centre());
   float sum = 0;
   for (const Edge& e : edges_) sum += glm::distance(mesh.positions[e.from], mesh.positions[e.to]);
   mean_length_m_ = edges_.empty() ? 0 : sum / static_cast<float>(edges_.size());

@@ -1,6 +1,7 @@
 // The edges of a mesh with the triangles at both sides: what its shadow on a plane is drawn from.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -38,6 +39,24 @@ class Outline {
     std::vector<float> x, y, z;
   };
   const Normals& normals() const { return normals_; }
+  /// Edges that lie together, kTogether at a time in their order.
+  struct Patch {
+    glm::vec3 centre{0};  // of a sphere around the edges
+    float radius_m = 0;
+    /// Around the normals of the triangles at them. A sine of kAnywhere where they are apart by a right angle or more, or
+    /// where an edge is open.
+    glm::vec3 axis{0};
+    float sine = kAnywhere, cosine = 0;
+  };
+  static constexpr std::size_t kTogether = 16;
+  static constexpr float kAnywhere = 2;
+  std::span<const Patch> patches() const { return patches_; }
+  std::span<const Edge> edges_of(std::size_t patch) const {
+    const std::size_t first = patch * kTogether;
+    return edges().subspan(first, std::min(kTogether, edges_.size() - first));
+  }
+
+  const prt::Bounds& bounds() const { return bounds_; }
   float mean_length_m() const { return mean_length_m_; }  // of an edge
   float radius_m() const { return radius_m_; }            // around the middle of the mesh's bounds
 
@@ -45,6 +64,8 @@ class Outline {
   std::vector<Triangle> triangles_;
   std::vector<Edge> edges_;
   Normals normals_;
+  std::vector<Patch> patches_;
+  prt::Bounds bounds_;
   float mean_length_m_ = 0, radius_m_ = 0;
 };
 

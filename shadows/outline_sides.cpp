@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cassert>
+#include <cmath>
 
 #include "shadows/projection_kernel.h"
 
@@ -11,93 +12,123 @@ namespace penumbra::shadows {
 namespace {
 
 // The directions to the taps in a mesh's frame.
-Directions directions_of(std::span<const PlaneTap> taps, const glm::dmat3& mesh_from_plane) {
-  Directions out{};
-  out.count = taps.size();
-  glm::dvec3 middle(0);
-  std::array<glm::dvec3, kMostDirections> all;
-  for (std::size_t k = 0; k < taps.size(); ++k) {
-    all[k] = mesh_from_plane * glm::dvec3(-taps[k].shift.x, 1, -taps[k].shift.y);
-    middle += all[k] / static_cast<double>(taps.size());
-    out.x[k] = static_cast<float>(all[k].x), out.y[k] = static_cast<float>(all[k].y),
-    out.z[k] = static_cast<float>(all[k].z);
+struct TapDirections {
+  Directions all{};
+  glm::vec3 middle{0};         // unit
+  float sine = 1, cosine = 0;  // of the largest angle from the middle
+
+  TapDirections(std::span<const PlaneTap> taps, const glm::dmat3& mesh_from_plane) {
+    all.count = taps.size();
+    glm::dvec3 mean(0);
+    std::array<glm::dvec3, kMostDirections> to;
+    for (std::size_t k = 0; k < taps.size(); ++k) {
+      to[k] = mesh_from_plane * glm::dvec3(-taps[k].shift.x, 1, -taps[k].shift.y);
+      mean += to[k] / static_cast<double>(taps.size());
+      all.x[k] = static_cast<float>(to[k].x), all.y[k] = static_cast<float>(to[k].y),
+      all.z[k] = static_cast<float>(to[k].z);
+    }
+    double spread = 0;
+    for (std::size_t k = 0; k < taps.size(); ++k)
+      spread = std::max(spread, glm::length(to[k] - mean));
+    constexpr double kRounding = 1 + 1e-5;
+    const double length = glm::length(mean);
+    spread = kRounding * spread + 1e-6 * length;
+    all.middle_x = static_cast<float>(mean.x), all.middle_y = static_cast<float>(mean.y),
+    all.middle_z = static_cast<float>(mean.z);
+    all.square_spread = static_cast<float>(spread * spread);
+    if (!(spread < length)) return;
+    middle = glm::vec3(mean / length);
+    sine = static_cast<float>(spread / length);
+    cosine = std::sqrt(1 - sine * sine);
   }
-  double spread = 0;
-  for (std::size_t k = 0; k < taps.size(); ++k)
-    spread = std::max(spread, glm::length(all[k] - middle));
-  constexpr double kRounding = 1 + 1e-5;
-  spread = kRounding * spread + 1e-6 * glm::length(middle);
-  out.middle_x = static_cast<float>(middle.x), out.middle_y = static_cast<float>(middle.y),
-  out.middle_z = static_cast<float>(middle.z);
-  out.square_spread = static_cast<float>(spread * spread);
-  return out;
-}
+  /// Whether triangles with such normals face all directions, or none.
+  bool see_alike(const Outline::Patch& cone) const {
+    constexpr float kRounding = 1e-5f;
+    return cone.cosine * cosine > cone.sine * sine &&
+           std::abs(glm::dot(cone.axis, middle)) >
+               cone.sine * cosine + cone.cosine * sine + kRounding;
+  }
+};
 
 // The outlines of one mesh against all directions.
 class OutlineFinder {
  public:
   OutlineFinder(const Caster& caster, const NodeGrid& grid, float near_m,
-                std::span<const PlaneTap> taps, std::pmr::memory_resource* memory)
+                std::span<const PlaneTap> taps)
       : outline_(*caster.outline),
+        positions_(caster.mesh->positions),
         grid_(grid),
         all_(bits_of(taps.size())),
-        places_(memory),
-        above_(memory),
-        facing_(memory) {
+        directions_(taps, glm::transpose(caster.world_from_mesh.rotation_matrix()) *
+                              grid.world_from_map.rotation_matrix()) {
     for (const PlaneTap& t : taps) {
       const glm::vec2 shift = glm::vec2(t.shift) / grid.cell_m;
       reach_low_ = glm::min(reach_low_, shift);
       reach_high_ = glm::max(reach_high_, shift);
     }
-    place(caster, grid, near_m);
-    const Outline::Normals& n = outline_.normals();
-    facing_.resize(n.x.size());
-    const glm::dmat3 mesh_from_plane(glm::transpose(caster.world_from_mesh.rotation_matrix()) *
-                                     grid.world_from_map.rotation_matrix());
-    find_facing(n.x.data(), n.y.data(), n.z.data(), n.x.size(),
-                directions_of(taps, mesh_from_plane), facing_.data());
+    const Pose map_from_mesh = grid.world_from_map.inverse() * caster.world_from_mesh;
+    turn_ = glm::mat3(map_from_mesh.rotation_matrix());
+    shift_ = glm::vec3(map_from_mesh.translation) - glm::vec3(0, near_m, 0);
+    scale_ = {1 / grid.cell_m, 1, 1 / grid.cell_m};
   }
 
   void add_sides(std::pmr::vector<Side>& out) const {
-    for (const Outline::Edge& e : outline_.edges()) {
-      const std::uint64_t left = facing_[e.left];
-      if (e.right == Outline::kOpen) {
-        add(e.from, e.to, left, all_ & ~left, 1, out);
-      } else if (const std::uint64_t right = facing_[e.right]; left != right) {
-        add(e.from, e.to, left & ~right, right & ~left, 2, out);
-      }
+    for (std::size_t p = 0; p < outline_.patches().size(); ++p) {
+      const Outline::Patch& patch = outline_.patches()[p];
+      if (!directions_.see_alike(patch)) add_outline(outline_.edges_of(p), out);
+      if (goes_through(patch)) add_cuts(outline_.edges_of(p), out);
     }
-    if (!all_above_) add_cuts(out);
   }
 
  private:
-  void place(const Caster& caster, const NodeGrid& grid, float near_m) {
-    const Pose map_from_mesh = grid.world_from_map.inverse() * caster.world_from_mesh;
-    const glm::mat3 turn(map_from_mesh.rotation_matrix());
-    const glm::vec3 shift = glm::vec3(map_from_mesh.translation) - glm::vec3(0, near_m, 0),
-                    scale(1 / grid.cell_m, 1, 1 / grid.cell_m);
-    places_.reserve(caster.mesh->positions.size());
-    above_.reserve(caster.mesh->positions.size());
-    for (const glm::vec3& p : caster.mesh->positions) {
-      places_.push_back(scale * (turn * p + shift));
-      above_.push_back(places_.back().y >= 0);
-      all_above_ &= above_.back() != 0;
+  glm::vec3 place(const glm::vec3& p) const { return scale_ * (turn_ * p + shift_); }
+  static bool above(const glm::vec3& place) { return place.y >= 0; }
+  bool goes_through(const Outline::Patch& patch) const {
+    constexpr float kRounding = 1 + 1e-5f;
+    return std::abs(place(patch.centre).y) <= kRounding * patch.radius_m;
+  }
+
+  // Bit k: faces direction k.
+  using Facing = std::array<std::uint64_t, 2 * Outline::kTogether>;
+  Facing facing(std::span<const std::uint32_t> triangles) const {
+    const Outline::Normals& n = outline_.normals();
+    std::array<float, 2 * Outline::kTogether> x, y, z;
+    for (std::size_t i = 0; i < triangles.size(); ++i)
+      x[i] = n.x[triangles[i]], y[i] = n.y[triangles[i]], z[i] = n.z[triangles[i]];
+    Facing out;
+    find_facing(x.data(), y.data(), z.data(), triangles.size(), directions_.all, out.data());
+    return out;
+  }
+  void add_outline(std::span<const Outline::Edge> edges, std::pmr::vector<Side>& out) const {
+    std::array<std::uint32_t, 2 * Outline::kTogether> triangles;
+    std::size_t count = 0;
+    for (const Outline::Edge& e : edges) {
+      triangles[count++] = e.left;
+      triangles[count++] = e.right == Outline::kOpen ? e.left : e.right;
+    }
+    const Facing faces = facing(std::span(triangles).first(count));
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      const std::uint64_t left = faces[2 * i], right = faces[2 * i + 1];
+      if (edges[i].right == Outline::kOpen)
+        add(edges[i], left, all_ & ~left, 1, out);
+      else if (left != right)
+        add(edges[i], left & ~right, right & ~left, 2, out);
     }
   }
 
   // Where an edge goes through the plane; the same from both ends.
   glm::vec3 cut(std::uint32_t i, std::uint32_t j) const {
-    const glm::vec3 &a = places_[std::min(i, j)], &b = places_[std::max(i, j)];
+    const glm::vec3 a = place(positions_[std::min(i, j)]), b = place(positions_[std::max(i, j)]);
     const float t = a.y / (a.y - b.y);
     return {a.x + t * (b.x - a.x), 0, a.z + t * (b.z - a.z)};
   }
-  bool above(std::uint32_t i) const { return above_[i] != 0; }
 
-  void add(std::uint32_t from, std::uint32_t to, std::uint64_t more, std::uint64_t fewer,
-           std::int16_t layers, std::pmr::vector<Side>& out) const {
+  void add(const Outline::Edge& e, std::uint64_t more, std::uint64_t fewer, std::int16_t layers,
+           std::pmr::vector<Side>& out) const {
+    const glm::vec3 from = place(positions_[e.from]), to = place(positions_[e.to]);
     if (!above(from) && !above(to)) return;
-    add({above(from) ? places_[from] : cut(from, to), above(to) ? places_[to] : cut(from, to), more,
-         fewer, layers},
+    add({above(from) ? from : cut(e.from, e.to), above(to) ? to : cut(e.from, e.to), more, fewer,
+         layers},
         out);
   }
   void add(const Side& side, std::pmr::vector<Side>& out) const {
@@ -111,30 +142,39 @@ class OutlineFinder {
     out.push_back(side);
   }
 
+  bool cuts(std::uint32_t i, std::uint32_t j) const {
+    return above(place(positions_[i])) != above(place(positions_[j]));
+  }
   // Of triangles that go through the plane only what is above counts: it ends along the cut.
-  void add_cuts(std::pmr::vector<Side>& out) const {
-    const std::span<const Outline::Triangle> triangles = outline_.triangles();
-    for (std::size_t t = 0; t < triangles.size(); ++t) {
-      const int corners = above(triangles[t][0]) + above(triangles[t][1]) + above(triangles[t][2]);
-      if (corners == 0 || corners == 3) continue;
-      glm::vec3 down(0), up(0);
-      for (std::size_t k = 0; k < 3; ++k) {
-        const std::uint32_t a = triangles[t][k], b = triangles[t][(k + 1) % 3];
-        if (above(a) == above(b)) continue;
-        (above(a) ? down : up) = cut(a, b);
-      }
-      add({down, up, facing_[t], all_ & ~facing_[t], 1}, out);
+  void add_cuts(std::span<const Outline::Edge> edges, std::pmr::vector<Side>& out) const {
+    for (const Outline::Edge& e : edges) {
+      if (!cuts(e.from, e.to)) continue;
+      add_cut(e, e.left, out);
+      if (e.right != Outline::kOpen) add_cut(e, e.right, out);
     }
+  }
+  // A triangle has two such edges and counts at the one of the lower vertices.
+  void add_cut(const Outline::Edge& e, std::uint32_t t, std::pmr::vector<Side>& out) const {
+    const Outline::Triangle& corners = outline_.triangles()[t];
+    glm::vec3 down(0), up(0);
+    for (std::size_t c = 0; c < 3; ++c) {
+      const std::uint32_t a = corners[c], b = corners[(c + 1) % 3];
+      if (!cuts(a, b)) continue;
+      if (std::minmax(a, b) < std::minmax(e.from, e.to)) return;
+      (above(place(positions_[a])) ? down : up) = cut(a, b);
+    }
+    const std::uint64_t faces = facing({&t, 1})[0];
+    add({down, up, faces, all_ & ~faces, 1}, out);
   }
 
   const Outline& outline_;
+  std::span<const glm::vec3> positions_;
   const NodeGrid& grid_;
   std::uint64_t all_;
+  TapDirections directions_;
   glm::vec2 reach_low_{1e30f}, reach_high_{-1e30f};  // of shadows, cells for each metre of height
-  bool all_above_ = true;
-  std::pmr::vector<glm::vec3> places_;
-  std::pmr::vector<char> above_;
-  std::pmr::vector<std::uint64_t> facing_;
+  glm::mat3 turn_;
+  glm::vec3 shift_, scale_;  // map from mesh
 };
 
 }  // namespace
@@ -144,7 +184,7 @@ std::pmr::vector<Side> find_sides(std::span<const Caster> casters, const NodeGri
                                   std::pmr::memory_resource* memory) {
   assert(taps.size() <= kMostDirections);
   std::pmr::vector<Side> out(memory);
-  for (const Caster& c : casters) OutlineFinder(c, grid, near_m, taps, memory).add_sides(out);
+  for (const Caster& c : casters) OutlineFinder(c, grid, near_m, taps).add_sides(out);
   return out;
 }
 

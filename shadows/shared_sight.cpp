@@ -17,8 +17,14 @@ constexpr float kMostCells = 192;  // across an object seen from the light
 constexpr double kWidest = .15;
 
 struct Box {
-  glm::vec3 low{1e30f}, high{-1e30f};
+  glm::vec3 low, high;
 };
+Box turned(const prt::Bounds& bounds, const glm::mat3& turn) {
+  const glm::vec3 centre = turn * bounds.centre(), half = .5f * (bounds.high - bounds.low);
+  glm::vec3 reach(0);
+  for (int k = 0; k < 3; ++k) reach += glm::abs(turn[k]) * half[k];
+  return {centre - reach, centre + reach};
+}
 
 // Signed area of the parallelogram of two vectors.
 float cross(const glm::vec2& a, const glm::vec2& b) {
@@ -198,14 +204,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const Pose world_from_light{glm::rotation(glm::dvec3(0, 1, 0), disc.direction), {0, 0, 0}},
       light_from_mesh = world_from_light.inverse() * object.world_from_mesh;
   const glm::mat3 turn(light_from_mesh.rotation_matrix());
-  std::pmr::vector<glm::vec3> places(scope.memory());
-  places.reserve(positions.size());
-  Box box;
-  for (const glm::vec3& p : positions) {
-    places.push_back(turn * p);
-    box.low = glm::min(box.low, places.back());
-    box.high = glm::max(box.high, places.back());
-  }
+  const Box box = turned(object.outline->bounds(), turn);
   const glm::vec3 size = box.high - box.low;
   const float cell =
       std::max(object.outline->mean_length_m(), std::max(size.x, size.z) / kMostCells);
@@ -215,10 +214,6 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
       world_from_light *
           Pose{{1, 0, 0, 0}, light_from_mesh.translation + glm::dvec3(box.low) - glm::dvec3(cell)},
       cell};
-  for (glm::vec3& p : places) {
-    p -= box.low - glm::vec3(cell);
-    p.x /= cell, p.z /= cell;
-  }
   const auto drop = static_cast<float>(cell / std::tan(std::max(angle, 1e-6)));
   const std::pmr::vector<PlaneTap> taps =
       taps_around(disc, size.y / drop, world_from_light, scope.memory());
@@ -227,11 +222,16 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
     sides.push_back(side);
   const Outlines outlines(sides, static_cast<int>(size.x / cell) + 3,
                           static_cast<int>(size.z / cell) + 3, drop, scope.memory());
+  std::pmr::vector<glm::vec3> places(positions.size(), scope.memory());  // of open vertices
   std::pmr::vector<char> open(positions.size(), scope.memory());
   const glm::vec3 towards =
-      glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction;
-  for (std::size_t i = 0; i < places.size(); ++i)
-    open[i] = glm::dot(object.mesh->normals[i], towards) > 0 && !outlines.in_penumbra(places[i]);
+                      glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction,
+                  scale(1 / cell, 1, 1 / cell), start = box.low - cell;
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    if (glm::dot(object.mesh->normals[i], towards) <= 0) continue;
+    places[i] = scale * (turn * positions[i] - start);
+    open[i] = !outlines.in_penumbra(places[i]);
+  }
   // Edges come in the order of their lower vertex: it has its group when its edges to others come.
   for (const Outline::Edge& e : object.outline->edges()) {
     const std::uint32_t first = std::min(e.from, e.to), second = std::max(e.from, e.to);

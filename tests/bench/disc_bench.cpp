@@ -44,7 +44,7 @@ void vertices(benchmark::State& state) {
   const shadows::Caster caster{&setup().mesh, &setup().outline, {}};
   std::vector<float> out(setup().mesh.positions.size());
   int step = 0;
-  const shadows::Outline none;  // nobody shares rays
+  const shadows::Outline none{prt::Mesh{}};  // nobody shares rays
   const shadows::Caster alone{&setup().mesh, &none, {}};
   const auto trace = [&](const shadows::Caster& object, int taps) {
     shadows::trace_disc_light(setup().blockers(), {{&object, 1}, {}, 3e-5f}, object, &setup().plane,
