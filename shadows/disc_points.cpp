@@ -96,16 +96,14 @@ class VertexTracer {
     return out;
   }
 
-  /// Adds taps [first, last) of all vertices that `wanted` names to the sums of cosines.
-  template <class Wanted>
-  void trace(std::size_t first, std::size_t last, Wanted wanted, std::vector<float>& seen,
-             std::vector<float>& open) const {
-    parallel_for(std::size_t{0}, mesh_.positions.size(), 1024, [&](const auto& part) {
+  /// Adds taps [first, last) of the vertices to the sums of cosines.
+  void trace(std::span<const std::uint32_t> vertices, std::size_t first, std::size_t last,
+             std::vector<float>& seen, std::vector<float>& open) const {
+    parallel_for(std::size_t{0}, vertices.size(), 1024, [&](const auto& part) {
       Packets packets(blockers_, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
         if (!by_virtual && !by_real) seen[i] += weight;
       });
-      for (std::size_t i = part.begin(); i < part.end(); ++i) {
-        if (!wanted(i)) continue;
+      for (const std::uint32_t i : vertices.subspan(part.begin(), part.size())) {
         const glm::vec3 n = normal(i);
         const glm::vec3 o = turn_ * mesh_.positions[i] + shift_ + blockers_.near_m * n;
         for (const glm::vec3& d : pattern_.at(i).subspan(first, last - first)) {
@@ -141,24 +139,27 @@ bool is_probe(std::size_t vertex) {
 // off by another surface and holds no probe, of some dozen vertices, stays wrong.
 // own: vertices whose light no group tells
 void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_t last,
-                  std::vector<float>& seen, std::vector<float>& open, std::vector<char>& own) {
+                  std::vector<float>& seen, std::vector<float>& open,
+                  std::vector<std::uint32_t>& own) {
   constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
   const std::span<const std::uint32_t> group = sight.group();
-  // Grow once per thread; other threads look at this one's.
-  thread_local std::vector<char> verdict_memory, probed_memory;
-  std::vector<char>&verdict = verdict_memory, &probed = probed_memory;
+  thread_local std::vector<char> verdict;  // grow once per thread
+  thread_local std::vector<std::uint32_t> probes, mixed;
+  own.clear(), probes.clear(), mixed.clear();
   verdict.assign(sight.groups(), kUnknown);
-  probed.assign(group.size(), false);
-  for (std::size_t i = 0; i < group.size(); ++i) {
-    const bool first = group[i] != SharedSight::kAlone && verdict[group[i]] == kUnknown;
-    if (first) verdict[group[i]] = kMixed;  // until it is looked at
-    probed[i] = first || group[i] == SharedSight::kAlone || is_probe(i);
+  for (std::uint32_t i = 0; i < group.size(); ++i) {
+    if (group[i] == SharedSight::kTurnedAway) continue;
+    if (group[i] == SharedSight::kAlone) {
+      own.push_back(i);
+    } else if (verdict[group[i]] == kUnknown || is_probe(i)) {
+      verdict[group[i]] = kMixed;  // until it is looked at
+      probes.push_back(i);
+    }
   }
-  tracer.trace(
-      0, last, [&](std::size_t i) { return probed[i] != 0; }, seen, open);
+  tracer.trace(own, 0, last, seen, open);
+  tracer.trace(probes, 0, last, seen, open);
   std::ranges::fill(verdict, kUnknown);
-  for (std::size_t i = 0; i < group.size(); ++i) {
-    if (!probed[i] || group[i] == SharedSight::kAlone) continue;
+  for (const std::uint32_t i : probes) {
     const float all = tracer.unhindered(i, last).seen;
     if (all <= 0) continue;
     constexpr float kRounding = 1e-5f;
@@ -166,18 +167,23 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::siz
     char& verdict_here = verdict[group[i]];
     verdict_here = verdict_here == kUnknown || verdict_here == one ? one : kMixed;
   }
-  own.resize(group.size());
-  for (std::size_t i = 0; i < group.size(); ++i)
-    own[i] = group[i] == SharedSight::kAlone ||
-             (verdict[group[i]] != kLit && verdict[group[i]] != kDark);
-  tracer.trace(
-      0, last, [&](std::size_t i) { return !probed[i] && own[i] != 0; }, seen, open);
-  for (std::size_t i = 0; i < group.size(); ++i) {
-    if (probed[i] || own[i] != 0) continue;
+  const auto is_told = [&](std::uint32_t i) {
+    return verdict[group[i]] == kLit || verdict[group[i]] == kDark;
+  };
+  for (std::uint32_t i = 0; i < group.size(); ++i) {
+    if (group[i] >= sight.groups() || seen[i] > 0 || open[i] > 0) continue;
+    if (!is_told(i)) {
+      mixed.push_back(i);
+      continue;
+    }
     const VertexTracer::Sums all = tracer.unhindered(i, last);
     open[i] = all.open;
     if (verdict[group[i]] == kLit) seen[i] = all.seen;
   }
+  tracer.trace(mixed, 0, last, seen, open);
+  own.insert(own.end(), mixed.begin(), mixed.end());
+  for (const std::uint32_t i : probes)
+    if (!is_told(i)) own.push_back(i);
 }
 
 // kInside for vertices that agree with those around them that all, or that none, of the light arrives. Not so at edges of
@@ -210,10 +216,10 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   // All memory grows once per thread.
   thread_local TapPattern pattern_memory, all_memory;
   thread_local std::vector<float> seen_memory, open_memory;  // sums of cosines
-  thread_local std::vector<char> place_memory, own_memory;
+  thread_local std::vector<char> place;
+  thread_local std::vector<std::uint32_t> own;
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
-  std::vector<char>&place = place_memory, &own = own_memory;
   pattern.make(disc, taps, kTurns);
   const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
@@ -228,9 +234,8 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   trace_groups(tracer, sight, scouts, seen, open, own);
   if (scouts < last) {
     find_edges(mesh, seen, open, place);
-    tracer.trace(
-        scouts, last, [&](std::size_t i) { return place[i] != kInside && own[i] != 0; }, seen,
-        open);
+    std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });
+    tracer.trace(own, scouts, last, seen, open);
   }
   smooth(mesh, disc, {&seen, &open});
   all.make(disc, std::max(taps, kOpenTaps), 1);

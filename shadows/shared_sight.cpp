@@ -15,6 +15,7 @@ namespace {
 constexpr float kMostCells = 192;  // across an object seen from the light
 // Radians: of a wider disc most vertices see a part, and looking for the others costs more than their rays.
 constexpr double kWidest = .15;
+constexpr float kRounding = 1e-5f;  // of a cosine
 
 struct Box {
   glm::vec3 low, high;
@@ -227,18 +228,25 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const glm::vec3 towards =
                       glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction,
                   scale(1 / cell, 1, 1 / cell), start = box.low - cell;
+  const auto behind = -static_cast<float>(std::sin(angle)) - kRounding;
   for (std::size_t i = 0; i < places.size(); ++i) {
-    if (glm::dot(object.mesh->normals[i], towards) <= 0) continue;
+    const float cosine = glm::dot(object.mesh->normals[i], towards);
+    if (cosine < behind) group_[i] = kTurnedAway;
+    if (cosine <= 0) continue;
     places[i] = scale * (turn * positions[i] - start);
     open[i] = !outlines.in_penumbra(places[i]);
   }
   // Edges come in the order of their lower vertex: it has its group when its edges to others come.
-  for (const Outline::Edge& e : object.outline->edges()) {
-    const std::uint32_t first = std::min(e.from, e.to), second = std::max(e.from, e.to);
-    if (!open[first] || !open[second] || group_[second] != kAlone) continue;
-    if (outlines.pass_between(places[first], places[second])) continue;
-    if (group_[first] == kAlone) group_[first] = static_cast<std::uint32_t>(count_++);
-    group_[second] = group_[first];
+  for (std::size_t p = 0; p < object.outline->patches().size(); ++p) {
+    const Outline::Patch& patch = object.outline->patches()[p];
+    if (glm::dot(patch.axis, towards) < -patch.sine) continue;
+    for (const Outline::Edge& e : object.outline->edges_of(p)) {
+      const std::uint32_t first = std::min(e.from, e.to), second = std::max(e.from, e.to);
+      if (!open[first] || !open[second] || group_[second] != kAlone) continue;
+      if (outlines.pass_between(places[first], places[second])) continue;
+      if (group_[first] == kAlone) group_[first] = static_cast<std::uint32_t>(count_++);
+      group_[second] = group_[first];
+    }
   }
 }
 

@@ -16,12 +16,12 @@ namespace penumbra::shadows {
 /// threads: thread-bound; memory grows once
 class SharedSight {
  public:
-  static constexpr std::uint32_t kAlone = 0xffffffffu;
+  static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu;
 
   /// Groups the vertices of `object`, which is one of the casters.
   void find(const Casters& casters, const Caster& object, const lighting::Disc& disc);
 
-  /// By vertex: its group or kAlone.
+  /// By vertex: its group, kAlone, or kTurnedAway from all of the disc.
   std::span<const std::uint32_t> group() const { return group_; }
   std::size_t groups() const { return count_; }
 

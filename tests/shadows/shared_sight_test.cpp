@@ -165,7 +165,7 @@ TEST(SharedSight, NeedsFewRays) {
     ++facing;
     alone += sight.group()[i] == SharedSight::kAlone;
   }
-  EXPECT_LT(alone + sight.groups(), .3 * double(facing));
+  EXPECT_LT(double(alone + sight.groups()), .06 * double(facing));
 }
 
 // Thinner than the distance between vertices: rays from some of them would find nothing to follow.

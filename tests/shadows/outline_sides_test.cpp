@@ -1,0 +1,129 @@
+// Outlines found patch by patch are those of a look at every edge.
+#include "shadows/outline_sides.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include "core/conventions.h"
+
+namespace penumbra::shadows {
+namespace {
+
+prt::Mesh knot() {
+  return prt::make_knot(.5f, 120, 20, {.5f, .5f, .5f});
+}
+
+// Triangles without area among others: they face nothing.
+prt::Mesh with_slivers() {
+  prt::Mesh m = knot();
+  for (std::size_t t = 0; t < m.triangles.size(); t += 37) {
+    const auto [a, b, c] = m.triangles[t];
+    m.positions[c] = .5f * (m.positions[a] + m.positions[b]);
+  }
+  return m;
+}
+
+prt::Mesh bumpy() {
+  prt::Mesh m = knot();
+  std::mt19937 random(3);
+  std::normal_distribution<float> noise(0, .004f);
+  for (glm::vec3& p : m.positions) p += glm::vec3(noise(random), noise(random), noise(random));
+  return m;
+}
+
+prt::Mesh bowl() {
+  prt::Mesh m = knot();
+  m.triangles.resize(m.triangles.size() / 3);
+  return m;
+}
+
+std::vector<PlaneTap> taps(double turn, double spread, int count) {
+  std::vector<PlaneTap> out;
+  for (int k = 0; k < count; ++k) {
+    const double a = 2.4 * k, r = spread * std::sqrt((k + .5) / count);
+    out.push_back(
+        {{.8 * std::cos(turn) + r * std::cos(a), .8 * std::sin(turn) + r * std::sin(a)}, 1});
+  }
+  return out;
+}
+
+NodeGrid grid_at(double height_m) {
+  return {{{1, 0, 0, 0}, {0, height_m, 0}}, .01f, 0, 0};
+}
+
+std::pmr::vector<Side> sides(const prt::Mesh& mesh, double height_m,
+                             std::span<const PlaneTap> taps) {
+  const Outline outline(mesh);
+  const Caster caster{&mesh, &outline, {}};
+  return find_sides({&caster, 1}, grid_at(height_m), 0, taps, std::pmr::get_default_resource());
+}
+
+// Edges between triangles that do not face all of the directions alike, and rims.
+std::size_t outline_edges(const prt::Mesh& mesh, std::span<const PlaneTap> taps) {
+  const Outline o(mesh);
+  const auto faces = [&](std::uint32_t t, const PlaneTap& tap) {
+    const auto& n = o.normals();
+    return glm::dot(glm::dvec3(n.x[t], n.y[t], n.z[t]), {-tap.shift.x, 1, -tap.shift.y}) > 0;
+  };
+  return static_cast<std::size_t>(std::ranges::count_if(o.edges(), [&](const Outline::Edge& e) {
+    return e.right == Outline::kOpen || std::ranges::any_of(taps, [&](const PlaneTap& tap) {
+             return faces(e.left, tap) != faces(e.right, tap);
+           });
+  }));
+}
+
+TEST(OutlineSides, PatchesLeaveNothingOut) {
+  for (const prt::Mesh& mesh : {knot(), with_slivers(), bumpy(), bowl()})
+    for (const double turn : {0., 1.1, 2.5, 4.})
+      for (const double spread : {0., .01, .3, 3.}) {
+        const auto directions = taps(turn, spread, spread > 0 ? 16 : 1);
+        const std::size_t all = outline_edges(mesh, directions),
+                          found = sides(mesh, -1, directions).size();
+        EXPECT_GT(all, 100u);
+        EXPECT_LT(all, Outline(mesh).edges().size());
+        // Which side of zero a triangle seen edge-on falls is rounding.
+        EXPECT_NEAR(double(found), double(all), 2) << turn << ", " << spread;
+      }
+}
+
+TEST(OutlineSides, EveryTriangleThatGoesThroughThePlaneEndsThereOnce) {
+  for (const prt::Mesh& mesh : {knot(), bumpy(), bowl()}) {
+    std::size_t through_all = 0;
+    for (const double height : {.013, .1, .251, .4}) {
+      const auto directions = taps(.4, 0, 1);
+      std::size_t through = 0;
+      for (const auto& t : mesh.triangles) {
+        const auto above =
+            std::ranges::count_if(t, [&](auto v) { return mesh.positions[v].y >= float(height); });
+        through += above == 1 || above == 2;
+      }
+      const auto found = sides(mesh, height, directions);
+      through_all += through;
+      EXPECT_EQ(
+          std::ranges::count_if(found, [](const Side& s) { return s.from.y == 0 && s.to.y == 0; }),
+          std::ptrdiff_t(through))
+          << height;
+    }
+    EXPECT_GT(through_all, 50u);
+  }
+}
+
+TEST(OutlineSides, PatchesFollowAnotherForm) {
+  prt::Mesh mesh = knot();
+  Outline outline(mesh);
+  for (glm::vec3& p : mesh.positions) p = {p.z, p.x + .4f, p.y};
+  outline.set_form(mesh);
+  const Caster caster{&mesh, &outline, {}};
+  const auto directions = taps(2, .01, 16);
+  for (const double height : {-1., .3})
+    EXPECT_EQ(
+        find_sides({&caster, 1}, grid_at(height), 0, directions, std::pmr::get_default_resource())
+            .size(),
+        sides(mesh, height, directions).size());
+}
+
+}  // namespace
+}  // namespace penumbra::shadows
