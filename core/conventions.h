@@ -37,8 +37,9 @@ constexpr int sh_index(int l, int m) {
   return l * l + l + m;
 }
 
+inline constexpr float kLuminance[] = {.2126f, .7152f, .0722f};
 constexpr float luminance(const Rgb& c) {
-  return .2126f * c.r + .7152f * c.g + .0722f * c.b;
+  return kLuminance[0] * c.r + kLuminance[1] * c.g + kLuminance[2] * c.b;
 }
 
 inline bool is_finite(const Rgb& c) {

@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "core/scratch.h"
+#include "lighting/latlong_kernel.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {
@@ -75,29 +76,46 @@ struct Candidate {
   bool clipped;
 };
 
+// Of a lat-long map's pixels.
+struct Directions {
+  int width = 0, height = 0;
+  std::vector<double> weight;                  // solid angle of a pixel, by row
+  std::vector<std::pair<double, double>> row;  // of a direction: across and up, by row
+  std::vector<glm::dvec2> column;              // its x and z where across is 1, by column
+};
+
+const Directions& directions_of(int width, int height) {
+  thread_local Directions known;
+  if (known.width == width && known.height == height) return known;
+  known = {width, height, {}, {}, {}};
+  for (int y = 0; y < height; ++y) {
+    known.weight.push_back(latlong_solid_angle(y, width, height));
+    const glm::dvec3 d = latlong_direction(.5, y + .5, width, height);
+    known.row.emplace_back(std::hypot(d.x, d.z), d.y);
+  }
+  for (int x = 0; x < width; ++x) {
+    const glm::dvec3 d = latlong_direction(x + .5, .5 * height, width, height);
+    known.column.emplace_back(d.x, d.z);
+  }
+  return known;
+}
+
 class Peeler {
  public:
   Peeler(const DiscOptions& options, std::span<const std::uint32_t> clipped, DiscSplit& split)
-      : options_(options), clipped_(clipped), map_(split.rest), discs_(split.discs), split_(split) {
-    weight_.reserve(static_cast<std::size_t>(map_.height()));
-    const int width = map_.width(), height = map_.height();
-    for (int y = 0; y < height; ++y) {
-      weight_.push_back(latlong_solid_angle(y, width, height));
-      const glm::dvec3 d = latlong_direction(.5, y + .5, width, height);
-      row_.emplace_back(std::hypot(d.x, d.z), d.y);
-    }
-    for (int x = 0; x < width; ++x) {
-      const glm::dvec3 d = latlong_direction(x + .5, .5 * height, width, height);
-      column_.emplace_back(d.x, d.z);
-    }
-  }
+      : options_(options),
+        clipped_(clipped),
+        map_(split.rest),
+        discs_(split.discs),
+        split_(split),
+        grid_(directions_of(map_.width(), map_.height())) {}
 
   Result<void> run();
 
  private:
   glm::dvec3 direction(int x, int y) const {
-    const auto [across, up] = row_[static_cast<std::size_t>(y)];
-    const glm::dvec2& around = column_[static_cast<std::size_t>(x)];
+    const auto [across, up] = grid_.row[static_cast<std::size_t>(y)];
+    const glm::dvec2& around = grid_.column[static_cast<std::size_t>(x)];
     return {across * around.x, up, across * around.y};
   }
   Result<double> measure();
@@ -119,12 +137,10 @@ class Peeler {
   std::pmr::memory_resource* const memory_ = scope_.memory();
   const DiscOptions& options_;
   std::span<const std::uint32_t> clipped_;
-  Image<Rgb>& map_;
+  PatchedMap& map_;
   std::vector<Disc>& discs_;
   DiscSplit& split_;
-  Vector<double> weight_{memory_};                  // solid angle of a pixel, by row
-  Vector<std::pair<double, double>> row_{memory_};  // of a direction: across and up, by row
-  Vector<glm::dvec2> column_{memory_};              // its x and z where across is 1, by column
+  const Directions& grid_;
   Vector<float> row_peak_{memory_};
   Vector<Candidate> candidates_{memory_};
   double least_flux_ = 0;
@@ -135,22 +151,11 @@ Result<double> Peeler::measure() {
   row_peak_.assign(static_cast<std::size_t>(map_.height()), 0);
   double mean = 0;
   for (int y = 0; y < map_.height(); ++y) {
-    // Eight sums and peaks at a time, so that the compiler can use vectors.
-    constexpr std::size_t kLanes = 8;
-    float sums[kLanes] = {}, peaks[kLanes] = {};
-    const auto row = map_.row(y);
-    for (std::size_t x = 0; x < row.size(); ++x) {
-      const float l = luminance(row[x]);
-      sums[x % kLanes] += l;
-      peaks[x % kLanes] = std::max(peaks[x % kLanes], l);
-    }
-    const float peak = *std::ranges::max_element(peaks);
-    double sum = 0;
-    for (const float s : sums) sum += double(s);
+    const auto [sum, peak] = row_luminance(&map_.row(y)[0].r, map_.width());
     if (!std::isfinite(sum))
       return fail(ErrorCode::kNonFinite, "environment", "holds NaN or infinite radiance");
     row_peak_[static_cast<std::size_t>(y)] = peak;
-    mean += weight_[static_cast<std::size_t>(y)] * sum / (4 * kPi);
+    mean += grid_.weight[static_cast<std::size_t>(y)] * sum / (4 * kPi);
   }
   return mean;
 }
@@ -160,11 +165,11 @@ double Peeler::mean_below(double level) const {
   double mean = split_.mean_luminance;
   for (int y = 0; y < map_.height(); ++y) {
     if (row_peak_[static_cast<std::size_t>(y)] <= level) continue;
-    double above = 0;
-    for (const Rgb& c : map_.row(y)) above += std::max(0., luminance(c) - level);
-    mean -= weight_[static_cast<std::size_t>(y)] * above / (4 * kPi);
+    mean -= grid_.weight[static_cast<std::size_t>(y)] *
+            row_luminance_above(&map_.row(y)[0].r, map_.width(), static_cast<float>(level)) /
+            (4 * kPi);
   }
-  return mean;
+  return std::max(0., mean);  // of a map that is black but for its sources, but for rounding
 }
 
 Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
@@ -240,7 +245,7 @@ double Peeler::flux_of(const Region& region) const {
   double sum = 0;
   for (const Run& r : region.runs)
     for (int x = r.x0; x < r.x1; ++x)
-      sum += weight_[static_cast<std::size_t>(r.y)] * luminance(map_.at(x, r.y));
+      sum += grid_.weight[static_cast<std::size_t>(r.y)] * luminance(map_.at(x, r.y));
   return sum;
 }
 
@@ -258,7 +263,7 @@ void Peeler::cut_clipped(float level) {
   for (const Region& region : regions_of(runs)) {
     double solid_angle = 0;
     for (const Run& r : region.runs)
-      solid_angle += weight_[static_cast<std::size_t>(r.y)] * (r.x1 - r.x0);
+      solid_angle += grid_.weight[static_cast<std::size_t>(r.y)] * (r.x1 - r.x0);
     cut(region, std::min(level, static_cast<float>(.5 * flux_of(region) / solid_angle)), true);
   }
 }
@@ -267,14 +272,16 @@ void Peeler::cut_clipped(float level) {
 // region's own mean: a window that dims slowly then leaves the list with nothing left in it.
 void Peeler::cut(const Region& region, float level, bool clipped) {
   Vector<Excess> above(memory_);
-  for (const Run& r : region.runs)
+  for (const Run& r : region.runs) {
+    const std::span<Rgb> row = map_.row_to_change(r.y);
     for (int x = r.x0; x < r.x1; ++x) {
-      Rgb& c = map_.at(x, r.y);
+      Rgb& c = row[static_cast<std::size_t>(x)];
       const float l = luminance(c);
       if (!(l > level)) continue;
       above.push_back({x, r.y, c * (1 - level / l), direction(x, r.y)});
       c = c * (level / l);
     }
+  }
   add_candidate(std::move(above), clipped);
 }
 
@@ -282,7 +289,7 @@ void Peeler::add_candidate(Vector<Excess> pixels, bool clipped) {
   double flux = 0, square = 0;
   glm::dvec3 centre(0);
   for (const Excess& p : pixels) {
-    const double w = weight_[static_cast<std::size_t>(p.y)], l = luminance(p.radiance);
+    const double w = grid_.weight[static_cast<std::size_t>(p.y)], l = luminance(p.radiance);
     flux += w * l;
     square += w * l * l;
     centre += w * l * p.direction;
@@ -297,7 +304,8 @@ void Peeler::add_candidate(Vector<Excess> pixels, bool clipped) {
 }
 
 void Peeler::put_back(std::span<const Excess> pixels) {
-  for (const Excess& p : pixels) map_.at(p.x, p.y) += p.radiance;
+  for (const Excess& p : pixels)
+    map_.row_to_change(p.y)[static_cast<std::size_t>(p.x)] += p.radiance;
 }
 
 // Equal shares of the energy, by halving across the longest axis six times.
@@ -333,7 +341,7 @@ void halve(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out) {
 std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
   double spread = 0;
   for (const Excess& p : c.pixels)
-    spread += weight_[static_cast<std::size_t>(p.y)] * luminance(p.radiance) / c.flux *
+    spread += grid_.weight[static_cast<std::size_t>(p.y)] * luminance(p.radiance) / c.flux *
               (2 - 2 * glm::dot(p.direction, c.centre));
   // Mean square distance of an even disc of that solid angle: a^2/2 with pi a^2 = the solid angle.
   if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};
@@ -342,7 +350,7 @@ std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
   Vector<std::pair<std::int64_t, Share>> parts(memory_);  // by block
   parts.reserve(c.pixels.size());
   for (const Excess& p : c.pixels) {
-    const double w = weight_[static_cast<std::size_t>(p.y)] * luminance(p.radiance);
+    const double w = grid_.weight[static_cast<std::size_t>(p.y)] * luminance(p.radiance);
     parts.push_back({std::int64_t{p.y / block} * map_.width() + p.x / block, {w, w * p.direction}});
   }
   std::ranges::sort(parts, {}, &std::pair<std::int64_t, Share>::first);
@@ -396,7 +404,8 @@ void Peeler::choose() {
     --places;
     double rgb[3] = {};
     for (const Excess& p : c.pixels)
-      for (int k = 0; k < 3; ++k) rgb[k] += weight_[static_cast<std::size_t>(p.y)] * p.radiance[k];
+      for (int k = 0; k < 3; ++k)
+        rgb[k] += grid_.weight[static_cast<std::size_t>(p.y)] * p.radiance[k];
     Disc disc;
     disc.direction = c.centre;
     disc.radius = Radians(std::acos(1 - c.solid_angle / (2 * kPi)));
@@ -447,7 +456,7 @@ Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, Disc
   if (!std::ranges::is_sorted(clipped) || (!clipped.empty() && clipped.back() >= map.area()))
     return fail(ErrorCode::kInvalid, "environment",
                 "its clipped pixels are out of order or outside");
-  split.rest = map;
+  split.rest.reset(map);
   return Peeler(options, clipped, split).run();
 }
 

@@ -30,7 +30,8 @@ LightEstimator::~LightEstimator() = default;
 LightEstimator::LightEstimator(LightEstimator&&) noexcept = default;
 LightEstimator& LightEstimator::operator=(LightEstimator&&) noexcept = default;
 
-Result<Projection> LightEstimator::project(const Image<Rgb>& map, const Image<float>& confidence) {
+template <class Map>
+Result<Projection> LightEstimator::project(const Map& map, const Image<float>& confidence) {
   if (confidence.empty()) return project_whole(map);
   if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
     hole_fit_ = std::make_unique<HoleFit>(confidence);
@@ -39,7 +40,8 @@ Result<Projection> LightEstimator::project(const Image<Rgb>& map, const Image<fl
   return hole_fit_->fill(moments->light);
 }
 
-Result<Projection> LightEstimator::project_whole(const Image<Rgb>& map) {
+template <class Map>
+Result<Projection> LightEstimator::project_whole(const Map& map) {
   if (map.width() % 4 != 0) return project_latlong(map, kMaxBands);
   if (!projector_ || width_ != map.width() || height_ != map.height()) {
     projector_ = std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands);
@@ -95,8 +97,8 @@ Result<Projection> LightEstimator::measure_split(const Environment& environment)
     PENUMBRA_ASSIGN(rest, peel(environment));
     left_over = std::move(rest);
   }
-  auto projection =
-      project(options_.discs.most > 0 ? split_.rest : environment.radiance, environment.confidence);
+  auto projection = options_.discs.most > 0 ? project(split_.rest, environment.confidence)
+                                            : project(environment.radiance, environment.confidence);
   if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
   // What tracked ones leave over is not filtered: it completes the disc of this map.

@@ -1,5 +1,7 @@
 #include "lighting/latlong_kernel.h"
 
+#include "core/conventions.h"
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "lighting/latlong_kernel.cpp"
 #include <hwy/foreach_target.h>
@@ -112,6 +114,53 @@ HWY_ATTR void RowFourierSums(const RowTables& t, const float* rgb, double (*out_
   }
 }
 
+template <class D>
+HWY_INLINE hn::Vec<D> LuminanceAt(D d, const float* rgb) {
+  hn::Vec<D> r, g, b;
+  hn::LoadInterleaved3(d, rgb, r, g, b);
+  return hn::MulAdd(
+      hn::Set(d, kLuminance[0]), r,
+      hn::MulAdd(hn::Set(d, kLuminance[1]), g, hn::Mul(hn::Set(d, kLuminance[2]), b)));
+}
+
+HWY_ATTR RowLuminance Luminance(const float* rgb, int width) {
+  const Lanes d;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  auto sum = hn::Zero(d), peak = hn::Zero(d);
+  int k = 0;
+  for (; k + lanes <= width; k += lanes) {
+    const auto l = LuminanceAt(d, rgb + 3 * k);
+    sum = hn::Add(sum, l);
+    peak = hn::Max(peak, l);
+  }
+  RowLuminance out{static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum))),
+                   hn::GetLane(hn::MaxOfLanes(d, peak))};
+  const hn::CappedTag<float, 1> one;
+  for (; k < width; ++k) {
+    const float l = hn::GetLane(LuminanceAt(one, rgb + 3 * k));
+    out.sum += static_cast<double>(l);
+    out.peak = l > out.peak ? l : out.peak;
+  }
+  return out;
+}
+
+HWY_ATTR double LuminanceAbove(const float* rgb, int width, float level) {
+  const Lanes d;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const auto limit = hn::Set(d, level);
+  auto sum = hn::Zero(d);
+  int k = 0;
+  for (; k + lanes <= width; k += lanes)
+    sum = hn::Add(sum, hn::Max(hn::Sub(LuminanceAt(d, rgb + 3 * k), limit), hn::Zero(d)));
+  double out = static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum)));
+  const hn::CappedTag<float, 1> one;
+  for (; k < width; ++k) {
+    const float l = hn::GetLane(LuminanceAt(one, rgb + 3 * k)) - level;
+    out += l > 0 ? static_cast<double>(l) : 0;
+  }
+  return out;
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace penumbra::lighting
 HWY_AFTER_NAMESPACE();
@@ -119,10 +168,20 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace penumbra::lighting {
 HWY_EXPORT(RowFourierSums);
+HWY_EXPORT(Luminance);
+HWY_EXPORT(LuminanceAbove);
 
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]) {
   HWY_DYNAMIC_DISPATCH(RowFourierSums)(tables, rgb, out_cos, out_sin);
+}
+
+RowLuminance row_luminance(const float* rgb, int width) {
+  return HWY_DYNAMIC_DISPATCH(Luminance)(rgb, width);
+}
+
+double row_luminance_above(const float* rgb, int width, float level) {
+  return HWY_DYNAMIC_DISPATCH(LuminanceAbove)(rgb, width, level);
 }
 }  // namespace penumbra::lighting
 #endif

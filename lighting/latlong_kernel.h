@@ -1,4 +1,4 @@
-// Fourier sums of one lat-long row about +y, with run-time choice of the vector instructions.
+// Sums over one lat-long row, with run-time choice of the vector instructions.
 #pragma once
 
 namespace penumbra::lighting {
@@ -16,5 +16,14 @@ struct RowTables {
 /// out_cos[m][c] = sum over the row of L_c cos(m p), out_sin likewise; m < bands.
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]);
+
+/// Luminance of a row: its sum, not finite where a pixel is not, and its largest value, at least 0.
+struct RowLuminance {
+  double sum = 0;
+  float peak = 0;
+};
+RowLuminance row_luminance(const float* rgb, int width);
+/// The sum of what is above the level.
+double row_luminance_above(const float* rgb, int width, float level);
 
 }  // namespace penumbra::lighting

@@ -19,6 +19,7 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "core/units.h"
+#include "lighting/patched_map.h"
 
 namespace penumbra::lighting {
 
@@ -105,8 +106,11 @@ class LatLongProjector {
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
   /// threads: internally parallel, the same bits on any number of cores; no allocation
   Result<Projection> project(const Image<Rgb>& map);
+  Result<Projection> project(const PatchedMap& map);
 
  private:
+  template <class Map>
+  Result<Projection> project_rows(const Map& map);
   struct Tables;
   std::unique_ptr<Tables> tables_;
 };
@@ -114,6 +118,7 @@ class LatLongProjector {
 /// One call for one map; any width.
 /// errors: as LatLongProjector::project, kInvalid (empty)
 Result<Projection> project_latlong(const Image<Rgb>& map, int bands);
+Result<Projection> project_latlong(const PatchedMap& map, int bands);
 
 /// Any camera's pixels: unit directions, solid angles (steradian), confidence 0..1, radiance.
 struct LightSamples {
@@ -159,7 +164,7 @@ struct DiscOptions {
 
 /// A map in which every source has been cut down to its surroundings, and the sources.
 struct DiscSplit {
-  Image<Rgb> rest;
+  PatchedMap rest;
   std::vector<Disc> discs;    // by falling irradiance; ids are not set
   double mean_luminance = 0;  // of the whole map
 };
@@ -169,13 +174,15 @@ struct DiscSplit {
 /// thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of rest and discs
 /// together is the map's, channel by channel. Works on the full map: reduced to 64 rows a sun would move by up to 1.4
 /// degrees.
-/// out:     split.rest keeps its memory between calls
+/// out:     split.rest refers to the map, which must outlive it, and keeps its memory between calls
 /// errors:  kInvalid (empty), kNonFinite
 /// Every connected region of `clipped` pixels (Environment::clipped) is a disc of its own whatever
 /// its share, and before all others where there are more than `most`.
 /// source:  after Nowrouzezahrai, Geiger, Mitchell, Sumner, Jarosz & Gross 2011, section 4
 Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
                          std::span<const std::uint32_t> clipped = {});
+Result<void> split_discs(const Image<Rgb>&& map, const DiscOptions& options, DiscSplit& split,
+                         std::span<const std::uint32_t> clipped = {}) = delete;
 
 /// The disc's own coefficients.
 /// source: zonal harmonics of a cap, z_l = sqrt(pi/(2l+1)) (P_{l-1}(cos a) - P_{l+1}(cos a))
@@ -479,8 +486,10 @@ class LightEstimator {
   Result<void> complete(const Completion& completion) { return completions_.remember(completion); }
 
  private:
-  Result<Projection> project(const Image<Rgb>& map, const Image<float>& confidence);
-  Result<Projection> project_whole(const Image<Rgb>& map);
+  template <class Map>
+  Result<Projection> project(const Map& map, const Image<float>& confidence);
+  template <class Map>
+  Result<Projection> project_whole(const Map& map);
   Plan plan_for(const Projection& rest, TimestampNs time);
   Result<std::vector<Disc>> peel(const Environment& environment);
   std::vector<Disc> choose_discs(std::vector<Disc> left_over);

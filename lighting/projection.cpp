@@ -23,7 +23,8 @@ constexpr int rounded_up(int n, int multiple) {
   return (n + multiple - 1) / multiple * multiple;
 }
 
-Error first_non_finite(const Image<Rgb>& map) {
+template <class Map>
+Error first_non_finite(const Map& map) {
   for (int y = 0; y < map.height(); ++y)
     for (int x = 0; x < map.width(); ++x)
       if (!is_finite(map.at(x, y)))
@@ -72,7 +73,8 @@ struct LatLongProjector::Tables {
     }
   }
 
-  void sum_rows(const Image<Rgb>& map) {
+  template <class Map>
+  void sum_rows(const Map& map) {
     parallel_for(0, kParts, [&](int part) {
       RowTables own = row;
       own.scratch += part * 12 * own.stride;
@@ -109,7 +111,8 @@ struct Sums {
 
 }  // namespace
 
-Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
+template <class Map>
+Result<Projection> LatLongProjector::project_rows(const Map& map) {
   const Tables& t = *tables_;
   if (map.width() != t.width || map.height() != t.height)
     return fail(
@@ -139,6 +142,18 @@ Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
   for (const Rgb& term : local.terms())
     if (!is_finite(term)) return std::unexpected(first_non_finite(map));
   return Projection{t.to_world * local, t.to_world * above.to_light(t.bands), 1};
+}
+
+Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
+  return project_rows(map);
+}
+Result<Projection> LatLongProjector::project(const PatchedMap& map) {
+  return project_rows(map);
+}
+
+Result<Projection> project_latlong(const PatchedMap& map, int bands) {
+  if (map.width() == 0 || map.width() % 4 != 0) return project_latlong(map.whole(), bands);
+  return LatLongProjector(map.width(), map.height(), bands).project(map);
 }
 
 Result<Projection> project_latlong(const Image<Rgb>& map, int bands) {

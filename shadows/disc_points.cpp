@@ -134,18 +134,20 @@ bool is_probe(std::size_t vertex) {
   return (x ^ x >> 16) % 16 == 0;
 }
 
-// The first `last` taps of every vertex, traced for each group's first vertex and its probes. Where these do not agree
-// that all or that none arrives (surfaces that cut through each other) every vertex has its own rays. A part that is cut
-// off by another surface and holds no probe, of some dozen vertices, stays wrong.
-// own: vertices whose light no group tells
-void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_t last,
-                  std::vector<float>& seen, std::vector<float>& open,
+// All taps of vertices whose group tells their light, and the first `scouts` of the others that are not turned away, which
+// are `own`. A group's first vertex and its probes ask for it; where they do not agree that all or that none arrives
+// (surfaces that cut through each other) every vertex has its own rays. A part that is cut off by another surface and
+// holds no probe, of some dozen vertices, stays wrong.
+void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_t scouts,
+                  std::size_t taps, std::vector<float>& seen, std::vector<float>& open,
                   std::vector<std::uint32_t>& own) {
   constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
   const std::span<const std::uint32_t> group = sight.group();
   thread_local std::vector<char> verdict;  // grow once per thread
   thread_local std::vector<std::uint32_t> probes, mixed;
+  thread_local std::vector<char> probed;
   own.clear(), probes.clear(), mixed.clear();
+  probed.assign(group.size(), 0);
   verdict.assign(sight.groups(), kUnknown);
   for (std::uint32_t i = 0; i < group.size(); ++i) {
     if (group[i] == SharedSight::kTurnedAway) continue;
@@ -154,13 +156,14 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::siz
     } else if (verdict[group[i]] == kUnknown || is_probe(i)) {
       verdict[group[i]] = kMixed;  // until it is looked at
       probes.push_back(i);
+      probed[i] = 1;
     }
   }
-  tracer.trace(own, 0, last, seen, open);
-  tracer.trace(probes, 0, last, seen, open);
+  tracer.trace(own, 0, scouts, seen, open);
+  tracer.trace(probes, 0, scouts, seen, open);
   std::ranges::fill(verdict, kUnknown);
   for (const std::uint32_t i : probes) {
-    const float all = tracer.unhindered(i, last).seen;
+    const float all = tracer.unhindered(i, scouts).seen;
     if (all <= 0) continue;
     constexpr float kRounding = 1e-5f;
     const char one = seen[i] <= 0 ? kDark : seen[i] > all - kRounding ? kLit : kMixed;
@@ -171,16 +174,16 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, std::siz
     return verdict[group[i]] == kLit || verdict[group[i]] == kDark;
   };
   for (std::uint32_t i = 0; i < group.size(); ++i) {
-    if (group[i] >= sight.groups() || seen[i] > 0 || open[i] > 0) continue;
+    if (group[i] >= sight.groups()) continue;
     if (!is_told(i)) {
-      mixed.push_back(i);
+      if (!probed[i]) mixed.push_back(i);
       continue;
     }
-    const VertexTracer::Sums all = tracer.unhindered(i, last);
+    const VertexTracer::Sums all = tracer.unhindered(i, taps);
     open[i] = all.open;
-    if (verdict[group[i]] == kLit) seen[i] = all.seen;
+    seen[i] = verdict[group[i]] == kLit ? all.seen : 0;
   }
-  tracer.trace(mixed, 0, last, seen, open);
+  tracer.trace(mixed, 0, scouts, seen, open);
   own.insert(own.end(), mixed.begin(), mixed.end());
   for (const std::uint32_t i : probes)
     if (!is_told(i)) own.push_back(i);
@@ -228,10 +231,11 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   const auto last = static_cast<std::size_t>(taps);
   thread_local SharedSight sight;
   sight.find(casters, object, disc);
-  // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
+  // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each of those
+  // that no group tells finds it.
   // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
   const std::size_t scouts = is_narrow(disc) ? 1 : last;
-  trace_groups(tracer, sight, scouts, seen, open, own);
+  trace_groups(tracer, sight, scouts, last, seen, open, own);
   if (scouts < last) {
     find_edges(mesh, seen, open, place);
     std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });

@@ -84,11 +84,15 @@ void set_cone(std::span<const Outline::Edge> edges, const Outline::Normals& norm
   }
   const float length = glm::length(sum);
   if (!(length > 0)) return;
-  float cosine = 1;
+  // A sine from the cosine of a small angle would be lost in rounding.
+  constexpr float kRounding = 4e-6f;
+  float sine = 0;
   out.axis = sum / length;
-  for (const glm::vec3& n : std::span(units).first(count))
-    cosine = std::min(cosine, glm::dot(n, out.axis));
-  if (cosine > 0) out.cosine = cosine, out.sine = std::sqrt(1 - cosine * cosine);
+  for (const glm::vec3& n : std::span(units).first(count)) {
+    if (glm::dot(n, out.axis) <= 0) return;
+    sine = std::max(sine, glm::length(glm::cross(n, out.axis)) + kRounding);
+  }
+  if (sine < 1) out.sine = sine, out.cosine = std::sqrt(1 - sine * sine);
 }
 
 }  // namespace

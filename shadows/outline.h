@@ -43,8 +43,8 @@ class Outline {
   struct Patch {
     glm::vec3 centre{0};  // of a sphere around the edges
     float radius_m = 0;
-    /// Around the normals of the triangles at them. A sine of kAnywhere where they are apart by a right angle or more, or
-    /// where an edge is open.
+    /// Around the normals of the triangles at them. A sine of kAnywhere where one is off the axis by a right angle or more,
+    /// or where an edge is open.
     glm::vec3 axis{0};
     float sine = kAnywhere, cosine = 0;
   };
@@ -65,7 +65,7 @@ class Outline {
   std::vector<Edge> edges_;
   Normals normals_;
   std::vector<Patch> patches_;
-  prt::Bounds bounds_;
+  prt::Bounds bounds_{};
   float mean_length_m_ = 0, radius_m_ = 0;
 };
 

@@ -163,6 +163,7 @@ class OutlineFinder {
       if (std::minmax(a, b) < std::minmax(e.from, e.to)) return;
       (above(place(positions_[a])) ? down : up) = cut(a, b);
     }
+    assert(up != glm::vec3(0) || down != glm::vec3(0));
     const std::uint64_t faces = facing({&t, 1})[0];
     add({down, up, faces, all_ & ~faces, 1}, out);
   }

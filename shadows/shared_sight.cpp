@@ -15,7 +15,7 @@ namespace {
 constexpr float kMostCells = 192;  // across an object seen from the light
 // Radians: of a wider disc most vertices see a part, and looking for the others costs more than their rays.
 constexpr double kWidest = .15;
-constexpr float kRounding = 1e-5f;  // of a cosine
+constexpr float kCosineRounding = 1e-5f;
 
 struct Box {
   glm::vec3 low, high;
@@ -36,7 +36,7 @@ glm::vec2 across(const glm::vec3& p) {
 }
 
 // Whether the side passes over the way from a to b. Ways that begin or end on it are not passed over: an outline's own
-// surface touches it.
+// surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
 bool passes_over(const Side& side, const glm::vec3& a, const glm::vec3& b) {
   const glm::vec2 from = across(side.from), along = across(side.to) - from, start = across(a),
                   way = across(b) - start;
@@ -62,15 +62,19 @@ class Outlines {
         height_(static_cast<std::size_t>(width * depth), -1e30f, memory),
         last_(memory),
         listed_(memory) {
+    std::size_t covered = 0;
     for (const Side& side : sides)
       each_cell(side, [&](std::size_t cell, float height) {
         height_[cell] = std::max(height_[cell], height);
         highest_ = std::max(highest_, height);
+        ++covered;
       });
-    if (highest_ >= drop)
-      spread();
-    else
+    constexpr std::size_t kMostOverACell =
+        32;  // in the mean: blinds of long slats would fill lists
+    if (highest_ < drop && covered <= kMostOverACell * height_.size())
       list_sides();
+    else
+      spread();
   }
 
   /// Whether an outline hides a part of the disc only. False where pass_between() tells it of every way from there.
@@ -79,11 +83,16 @@ class Outlines {
     return any_side(p, p, [&](const Side& side) {
       const glm::vec2 from = across(side.from), along = across(side.to) - from;
       const float square = glm::dot(along, along),
-                  t = square > 0 ? std::clamp(glm::dot(place - from, along) / square, 0.f, 1.f) : 0,
-                  above = glm::mix(side.from.y, side.to.y, t) - p.y,
-                  reach = above / drop_ + kRounding;
-      const glm::vec2 off = place - (from + t * along);
-      return above > 0 && glm::dot(off, off) < reach * reach;
+                  nearest =
+                      square > 0 ? std::clamp(glm::dot(place - from, along) / square, 0.f, 1.f) : 0;
+      // What is higher reaches farther.
+      for (const float t : {nearest, 0.f, 1.f}) {
+        const float above = glm::mix(side.from.y, side.to.y, t) - p.y,
+                    reach = above / drop_ + kRounding;
+        const glm::vec2 off = place - (from + t * along);
+        if (above > 0 && glm::dot(off, off) < reach * reach) return true;
+      }
+      return false;
     });
   }
   /// in: places within the grid
@@ -127,6 +136,7 @@ class Outlines {
   // Below an outline the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
   // so that no cell is left out.
   void spread() {
+    if (highest_ < drop_) return;  // as far as a cell around it is marked
     for (int z = 0; z < depth_; ++z)
       for (int x = 0; x < width_; ++x) lift(x, z, -1);
     for (int z = depth_ - 1; z >= 0; --z)
@@ -228,7 +238,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const glm::vec3 towards =
                       glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction,
                   scale(1 / cell, 1, 1 / cell), start = box.low - cell;
-  const auto behind = -static_cast<float>(std::sin(angle)) - kRounding;
+  const auto behind = -static_cast<float>(std::sin(angle)) - kCosineRounding;
   for (std::size_t i = 0; i < places.size(); ++i) {
     const float cosine = glm::dot(object.mesh->normals[i], towards);
     if (cosine < behind) group_[i] = kTurnedAway;

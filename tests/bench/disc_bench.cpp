@@ -53,7 +53,7 @@ void vertices(benchmark::State& state) {
   compare(
       state, [&] { trace(caster, 4); }, [&] { trace(alone, 16); });
 }
-BENCHMARK(vertices)->Name("shadows/disc_light_38k_vertices_vs_16_rays_each")->Apply(by_radius);
+BENCHMARK(vertices)->Name("shadows/disc_light_of_the_knot_vs_16_rays_each")->Apply(by_radius);
 
 void floor_map(benchmark::State& state) {
   const Threads threads(1);

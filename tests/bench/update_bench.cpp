@@ -82,7 +82,7 @@ void light_update(benchmark::State& state) {
   report(state, times);
 }
 BENCHMARK(light_update)
-    ->Name("service/light_update_38k_vertices_vs_unchanged_light")
+    ->Name("service/light_update_of_the_knot_vs_unchanged_light")
     ->ArgNames({"threads", "sun_moves"})
     ->Args({1, 0})
     ->Args({1, 1})

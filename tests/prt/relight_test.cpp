@@ -53,7 +53,7 @@ void expect_plain_loop(const Transfer& transfer, const RadianceSh& light) {
 }
 
 TEST(Relight, EqualsThePlainLoopForEverySize) {
-  for (const std::size_t points : {1uz, 63uz, 64uz, 65uz, 1000uz})
+  for (const std::size_t points : {1uz, 63uz, 64uz, 65uz, 1000uz, 1025uz, 2500uz})
     for (const int channels : {1, 3})
       for (const int bands : {1, 2, 3, 5, 9}) {
         SCOPED_TRACE(testing::Message()

@@ -79,7 +79,7 @@ struct World {
     std::vector<int> seen(found.groups(), -1);
     std::size_t out = 0;
     for (std::size_t i = 0; i < own.size(); ++i) {
-      if (found.group()[i] == SharedSight::kAlone) continue;
+      if (found.group()[i] >= found.groups()) continue;
       const int here = own[i] > open[i] - 1e-5f ? 1 : own[i] < 1e-5f ? 0 : 2;
       int& first = seen[found.group()[i]];
       if (first < 0) first = here;
@@ -100,7 +100,8 @@ TEST(SharedSight, GivesWhatARayForEachVertexGives) {
       const World world({knot()});
       const lighting::Disc disc = sun(elevation, radius);
       EXPECT_GT(world.sight(disc).groups(), 0u) << elevation << ", " << radius;
-      EXPECT_LE(world.different(disc), 4u) << elevation << ", " << radius;
+      // At the terminator one ray alone may lie below the surface where others of the disc do not.
+      EXPECT_LE(world.different(disc), 12u) << elevation << ", " << radius;
     }
 }
 
@@ -164,6 +165,7 @@ TEST(SharedSight, NeedsFewRays) {
     if (glm::dot(dvec3(world.meshes[0].normals[i]), disc.direction) <= 0) continue;
     ++facing;
     alone += sight.group()[i] == SharedSight::kAlone;
+    EXPECT_NE(sight.group()[i], SharedSight::kTurnedAway);
   }
   EXPECT_LT(double(alone + sight.groups()), .06 * double(facing));
 }
@@ -205,6 +207,25 @@ TEST(SharedSight, ProbesHaveNoBeat) {
     EXPECT_LE(World({sheet(c.squares), slanted}).different(sun(80)), 4u)
         << c.squares << ", " << c.cut_at;
   }
+}
+
+// Of a sun that sets behind the plane on which an object stands half is left, for every vertex in front.
+TEST(SharedSight, OfASettingSunEveryVertexHasItsPart) {
+  const World world({prt::make_sphere({0, 1, 0}, .5f, 4, {})});
+  const prt::Plane plane;
+  const lighting::Disc disc = sun(0, 2);
+  std::vector<float> half(world.meshes[0].positions.size()), whole(half.size());
+  for (const auto& [on, out] : {std::pair(&plane, &half), {nullptr, &whole}})
+    trace_disc_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, world.casters[0],
+                     on, disc, 4, *out);
+  int in_front = 0, wrong = 0;
+  for (std::size_t i = 0; i < half.size(); ++i) {
+    if (glm::dot(dvec3(world.meshes[0].normals[i]), disc.direction) < .2) continue;
+    ++in_front;
+    wrong += half[i] < .2f * whole[i] || half[i] > .8f * whole[i];
+  }
+  EXPECT_GT(in_front, 300);
+  EXPECT_LT(wrong, in_front / 20);
 }
 
 TEST(SharedSight, PointsWithoutTrianglesAreAlone) {

@@ -1,0 +1,122 @@
+// Cutting sources out of a map: row sums in vectors, and what is left without a copy of the map.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "lighting/latlong_kernel.h"
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+namespace {
+
+Image<Rgb> noise(int width, int height, float mean) {
+  std::mt19937 random(width);
+  std::exponential_distribution<float> value(1 / mean);
+  Image<Rgb> map(width, height);
+  for (Rgb& c : map.pixels()) c = {value(random), value(random), value(random)};
+  return map;
+}
+
+// A small sun near the seam.
+Image<Rgb> with_sun(Image<Rgb> map, float radiance) {
+  const int y = map.height() / 4;
+  for (const int x : {0, 1, map.width() - 1}) map.at(x, y) = {radiance, radiance, radiance};
+  return map;
+}
+
+TEST(RowLuminance, IsThatOfPixelByPixelForAnyWidth) {
+  for (const int width : {1, 3, 7, 8, 17, 64, 100}) {
+    const Image<Rgb> map = noise(width, 1, 3);
+    double sum = 0, above = 0;
+    float peak = 0;
+    for (const Rgb& c : map.row(0)) {
+      sum += double(luminance(c));
+      above += std::max(0., double(luminance(c)) - 2);
+      peak = std::max(peak, luminance(c));
+    }
+    const RowLuminance found = row_luminance(&map.row(0)[0].r, width);
+    EXPECT_NEAR(found.sum, sum, 1e-5 * sum) << width;
+    EXPECT_NEAR(found.peak, peak, 1e-5 * peak) << width;
+    EXPECT_NEAR(row_luminance_above(&map.row(0)[0].r, width, 2), above, 1e-5 * sum) << width;
+  }
+}
+
+TEST(RowLuminance, TellsEveryPixelThatIsNotFinite) {
+  for (const float bad : {std::numeric_limits<float>::quiet_NaN(), HUGE_VALF, -HUGE_VALF})
+    for (const int width : {5, 8, 33})
+      for (int x = 0; x < width; ++x)
+        for (int c = 0; c < 3; ++c) {
+          Image<Rgb> map = noise(width, 1, 1);
+          map.at(x, 0)[c] = bad;
+          EXPECT_FALSE(std::isfinite(row_luminance(&map.row(0)[0].r, width).sum));
+        }
+}
+
+TEST(PatchedMap, ChangesRowsOfItsOwnAlone) {
+  const Image<Rgb> map = noise(12, 6, 1);
+  Image<Rgb> expected = map;
+  PatchedMap patched(map);
+  for (const int y : {4, 1, 4, 5}) {
+    patched.row_to_change(y)[3] += Rgb{1, 2, 3};
+    expected.at(3, y) += Rgb{1, 2, 3};
+  }
+  EXPECT_EQ(patched.whole(), expected);
+  EXPECT_EQ(patched.row(0).data(), map.row(0).data());
+  patched.reset(map);
+  EXPECT_EQ(patched.whole(), map);
+  EXPECT_EQ(patched.row(4).data(), map.row(4).data());
+}
+
+// The same split again and again, of maps of other sizes between, gives the same; the map itself stays as it is.
+TEST(Peeling, RemembersNothingOfTheMapBefore) {
+  const Image<Rgb> first = with_sun(noise(64, 32, 1), 4e4f),
+                   second = with_sun(noise(50, 26, .2f), 900);
+  DiscSplit fresh, reused;
+  for (const Image<Rgb>* map : {&first, &second, &first, &first, &second}) {
+    const Image<Rgb> before = *map;
+    fresh = {};
+    ASSERT_TRUE(split_discs(*map, {}, fresh));
+    ASSERT_TRUE(split_discs(*map, {}, reused));
+    EXPECT_EQ(*map, before);
+    ASSERT_EQ(fresh.discs.size(), 1u);
+    ASSERT_EQ(reused.discs.size(), 1u);
+    EXPECT_EQ(fresh.discs[0].direction, reused.discs[0].direction);
+    EXPECT_EQ(fresh.rest.whole(), reused.rest.whole());
+    EXPECT_FALSE(fresh.rest.whole() == *map);
+  }
+}
+
+TEST(Peeling, TheRestIsProjectedAsACopyOfItWouldBe) {
+  const Image<Rgb> map = with_sun(noise(64, 32, 1), 1e5f);
+  DiscSplit split;
+  ASSERT_TRUE(split_discs(map, {}, split));
+  const auto patched = project_latlong(split.rest, 5),
+             copied = project_latlong(split.rest.whole(), 5), all = project_latlong(map, 5);
+  ASSERT_TRUE(patched && copied && all);
+  EXPECT_TRUE(patched->light == copied->light);
+  EXPECT_LT(luminance(patched->light[0]), .5f * luminance(all->light[0]));
+}
+
+// What is left of the mean is then rounding, which may be less than nothing.
+TEST(Peeling, ASourceInABlackRoomLeavesNothingAndLosesNothing) {
+  for (int i = 0; i < 100; ++i) {
+    Image<Rgb> map(64, 32);
+    for (int y = i % 29; y < i % 29 + 3; ++y)
+      for (int x = i / 3; x < i / 3 + 2; ++x)
+        map.at(x, y) = {900.f + float(i), 1000.f + 7 * float(i), 800};
+    DiscSplit split;
+    ASSERT_TRUE(split_discs(map, {}, split));
+    const auto rest = project_latlong(split.rest, 1), all = project_latlong(map, 1);
+    ASSERT_TRUE(rest && all) << i;
+    float sum = luminance(rest->light[0]);
+    for (const Disc& d : split.discs) sum += luminance(project_disc(d, 1)[0]);
+    EXPECT_NEAR(sum, luminance(all->light[0]), 1e-4f * sum) << i;
+    ASSERT_EQ(split.discs.size(), 1u);
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::lighting
