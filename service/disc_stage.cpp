@@ -87,6 +87,9 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
       if (other != p) stage.real_casters_on_[other].push_back(stage.real_casters_.back());
   }
   if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
+  for (std::size_t i = 0; i < scene.objects.size(); ++i)
+    stage.outlines_[i].find_cuts(scene.objects[i].baked.mesh, stage.virtual_, static_cast<int>(i),
+                                 stage.poses_[i], stage.near_m_);
   return stage;
 }
 
@@ -188,6 +191,7 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
     t.radius = t.disc.radius.value();
   }
   around_.clear();
+  memo_.clear();
   t.cosine.resize(scene_->objects.size());
   t.floor_share.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
@@ -204,10 +208,10 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
     const std::vector<shadows::Caster>& real = real_casters_on_[p];
-    shadows::draw_disc_shadows({virtual_casters_, real, near_m_}, scene_->planes[p], t.disc,
-                               taps_.plane, t.on_plane[p]);
+    const shadows::Casters casters{virtual_casters_, real, near_m_, &memo_};
+    shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, taps_.plane, t.on_plane[p]);
     if (!real.empty())
-      shadows::draw_real_shadow(real, near_m_, around_, scene_->planes[p], t.disc,
+      shadows::draw_real_shadow(casters, around_, scene_->planes[p], t.disc,
                                 {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
   }
 }

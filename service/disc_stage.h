@@ -74,7 +74,7 @@ class DiscStage {
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
   shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
-  shadows::Casters casters() const { return {virtual_casters_, real_casters_, near_m_}; }
+  shadows::Casters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
   void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
   /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
   void follow_forms();
@@ -95,6 +95,7 @@ class DiscStage {
   std::vector<shadows::Caster> virtual_casters_, real_casters_;
   std::vector<std::vector<shadows::Caster>> real_casters_on_;  // by plane: all but the plane itself
   std::vector<shadows::Neighbourhood> around_;
+  shadows::OutlineMemo memo_;  // of the disc that is traced
   struct Sphere {
     glm::dvec3 centre;  // bake frame
     double radius;

@@ -16,6 +16,17 @@ double largest_angle(const lighting::Disc& disc) {
   return largest;
 }
 
+Beam beam_of(const lighting::Disc& disc, double more) {
+  return {disc.direction, std::sin(std::min(largest_angle(disc) + more, kPi / 2))};
+}
+
+OutlineMemo& memo_of(const Casters& casters) {
+  if (casters.memo) return *casters.memo;
+  thread_local OutlineMemo empty;
+  empty.clear();
+  return empty;
+}
+
 void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
   assert(taps >= 1 && taps <= kMostTaps && turns >= 1);
   taps_ = taps, turns_ = turns;

@@ -19,6 +19,11 @@ inline bool is_narrow(const lighting::Disc& disc) {
 
 /// Radians from the disc's middle to its farthest direction.
 double largest_angle(const lighting::Disc& disc);
+/// All of a disc's directions, and those so many radians off it.
+Beam beam_of(const lighting::Disc& disc, double more = 0);
+
+/// The memo that casters bring, or an empty one.
+OutlineMemo& memo_of(const Casters& casters);
 
 /// Directions over a disc in `turns` copies, each turned about its axis by another angle.
 /// threads: thread-bound; memory grows once

@@ -114,6 +114,7 @@ void clear_rim(Image<float>& map) {
 struct Setting {
   Pose world_from_plane;  // x away from the light
   PlaneTaps taps;
+  Beam around;
   Extent reach;
 };
 
@@ -132,7 +133,9 @@ std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& dis
   PlaneTaps above = taps_over(pattern.at(0), glm::transpose(axes), memory);
   if (above.empty()) return std::nullopt;
   const Extent reach = reach_of(above);
-  return Setting{{glm::quat_cast(axes), plane.point}, std::move(above), reach};
+  // Low taps are bent up by so much.
+  const double bent = sine < std::sin(largest_angle(disc)) + kLeastSine ? std::asin(kLeastSine) : 0;
+  return Setting{{glm::quat_cast(axes), plane.point}, std::move(above), beam_of(disc, bent), reach};
 }
 
 void draw(const Casters& casters, const Setting& setting, const Extent& e, int size,
@@ -149,7 +152,8 @@ void draw(const Casters& casters, const Setting& setting, const Extent& e, int s
   if (!casters.real_things.empty()) out.missing.reset(out.taken.width(), out.taken.height());
   const NodeGrid grid{out.world_from_map, out.cell_m, static_cast<float>(out.taken.width()),
                       static_cast<float>(out.taken.height())};
-  add_projected_shadows(casters, grid, setting.taps, out.taken, out.missing);
+  add_projected_shadows(casters, grid, {setting.taps, setting.around}, memo_of(casters), out.taken,
+                        out.missing);
   if (e.cut) fade_end(out.taken);
   clear_rim(out.taken);
 }
@@ -181,10 +185,9 @@ void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lig
   if (!e.empty()) draw(casters, *setting, e, options.size, out);
 }
 
-void draw_real_shadow(std::span<const Caster> real, float near_m,
-                      std::span<const Neighbourhood> around, const prt::Plane& plane,
-                      const lighting::Disc& disc, const DiscShadowOptions& options,
-                      DiscShadow& out) {
+void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> around,
+                      const prt::Plane& plane, const lighting::Disc& disc,
+                      const DiscShadowOptions& options, DiscShadow& out) {
   clear(out);
   if (around.empty()) return;
   const Scratch::Scope scope;
@@ -197,7 +200,7 @@ void draw_real_shadow(std::span<const Caster> real, float near_m,
     e.low = glm::min(e.low, glm::dvec2(p.x, p.z) - n.radius);
     e.high = glm::max(e.high, glm::dvec2(p.x, p.z) + n.radius);
   }
-  draw({real, {}, near_m}, *setting, e, options.size, out);
+  draw({casters.real_things, {}, casters.near_m, casters.memo}, *setting, e, options.size, out);
 }
 
 void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
@@ -233,8 +236,8 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   }
   if (out.size() < groups.size()) out.resize(groups.size());
   for (std::size_t i = 0; i < groups.size(); ++i)
-    draw({groups[i].casters, casters.real_things, casters.near_m}, *setting, groups[i].extent,
-         options.size, out[i]);
+    draw({groups[i].casters, casters.real_things, casters.near_m, casters.memo}, *setting,
+         groups[i].extent, options.size, out[i]);
 }
 
 }  // namespace penumbra::shadows

@@ -113,7 +113,35 @@ Outline::Outline(const prt::Mesh& mesh) {
   set_form(mesh);
 }
 
+void Outline::find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index,
+                        const Pose& world_from_mesh, float near_m) {
+  cut_.assign(edges_.size(), 0);
+  const glm::mat3 turn(world_from_mesh.rotation_matrix());
+  const glm::vec3 shift(world_from_mesh.translation);
+  const auto above = [&](std::uint32_t v) {
+    return turn * (mesh.positions[v] + near_m * mesh.normals[v]) + shift;
+  };
+  constexpr std::size_t kPacket = prt::RayWorld::kPacket;
+  prt::RayWorld::Rays rays;
+  for (std::size_t first = 0; first < edges_.size(); first += kPacket) {
+    const std::size_t count = std::min(kPacket, edges_.size() - first);
+    for (std::size_t i = 0; i < count; ++i) {
+      const glm::vec3 from = above(edges_[first + i].from),
+                      way = above(edges_[first + i].to) - from;
+      const float length = std::max(glm::length(way), 1e-12f);
+      // A little farther at both ends, since what goes through may do so at a vertex.
+      const glm::vec3 d = way / length, o = from - near_m * d;
+      rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;
+      rays.dx[i] = d.x, rays.dy[i] = d.y, rays.dz[i] = d.z;
+      rays.far[i] = length + 2 * near_m;
+    }
+    const std::uint32_t blocked = world.occluded_by(index, rays, static_cast<int>(count));
+    for (std::size_t i = 0; i < count; ++i) cut_[first + i] = (blocked >> i & 1) != 0;
+  }
+}
+
 void Outline::set_form(const prt::Mesh& mesh) {
+  cut_.clear();
   for (auto* v : {&normals_.x, &normals_.y, &normals_.z}) v->resize(triangles_.size());
   for (std::size_t t = 0; t < triangles_.size(); ++t) {
     const auto& [a, b, c] = triangles_[t];

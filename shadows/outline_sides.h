@@ -15,6 +15,12 @@ struct PlaneTap {
   float weight = 0;     // of all light on the open plane
 };
 
+/// Directions, and what is around all of them.
+struct TapBeam {
+  std::span<const PlaneTap> taps;  // at most kMostDirections
+  Beam around;
+};
+
 /// Nodes cell_m apart, (i, j) at (i, 0, j) * cell_m.
 struct NodeGrid {
   Pose world_from_map;  // y the plane's normal
@@ -33,9 +39,8 @@ struct Side {
 /// Every triangle counts one layer in what it covers; between two that face the light alike the edge cancels.
 /// What is lower than near_m above the plane is cut off. Left out are stretches that the taps throw above, below or to the
 /// right of the grid, where they make no difference.
-/// in: at most kMostDirections taps
 std::pmr::vector<Side> find_sides(std::span<const Caster> casters, const NodeGrid& grid,
-                                  float near_m, std::span<const PlaneTap> taps,
+                                  float near_m, const TapBeam& light, OutlineMemo& memo,
                                   std::pmr::memory_resource* memory);
 
 }  // namespace penumbra::shadows

@@ -94,15 +94,16 @@ class WeightSums {
 
 }  // namespace
 
-void add_projected_shadows(const Casters& casters, const NodeGrid& grid,
-                           std::span<const PlaneTap> taps, Image<float>& taken,
-                           Image<float>& missing) {
+void add_projected_shadows(const Casters& casters, const NodeGrid& grid, const TapBeam& light,
+                           OutlineMemo& memo, Image<float>& taken, Image<float>& missing) {
   const int width = taken.width(), height = taken.height();
+  const std::span<const PlaneTap> taps = light.taps;
   const Scratch::Scope scope;
-  const std::pmr::vector<Side> of_virtual = find_sides(casters.virtual_things, grid, casters.near_m,
-                                                       taps, scope.memory()),
-                               of_real = find_sides(casters.real_things, grid, casters.near_m, taps,
-                                                    scope.memory());
+  const auto sides_of = [&](std::span<const Caster> things) {
+    return find_sides(things, grid, casters.near_m, light, memo, scope.memory());
+  };
+  const std::pmr::vector<Side> of_virtual = sides_of(casters.virtual_things),
+                               of_real = sides_of(casters.real_things);
   Layers virtual_layers(width, height, scope.memory()),
       real_layers(width, of_real.empty() ? 0 : height, scope.memory());
   std::pmr::vector<std::uint16_t> blocked(static_cast<std::size_t>(width), scope.memory()),

@@ -10,11 +10,10 @@ namespace penumbra::shadows {
 
 /// Adds at every node the weights of the directions that virtual things block and real ones don't (`taken`), and of those
 /// that real ones block (`missing`, unless it is empty). What stands lower than near_m blocks nothing.
-/// in: at most kMostDirections taps. threads: reentrant, no allocation after a thread's largest call
+/// threads: reentrant, no allocation after a thread's largest call
 /// source: shadows from points of the source averaged (Heckbert & Herf 1997), each drawn as the winding number of its
 /// outline: every triangle counts one layer in what it covers, and between two that face the light alike the edge cancels
-void add_projected_shadows(const Casters& casters, const NodeGrid& grid,
-                           std::span<const PlaneTap> taps, Image<float>& taken,
-                           Image<float>& missing);
+void add_projected_shadows(const Casters& casters, const NodeGrid& grid, const TapBeam& light,
+                           OutlineMemo& memo, Image<float>& taken, Image<float>& missing);
 
 }  // namespace penumbra::shadows

@@ -17,7 +17,7 @@ HWY_INLINE std::uint64_t Bits(const std::uint8_t* bytes, std::size_t lanes) {
 }
 
 // Rows of directions past the last one may hold anything: their bits are cut off.
-HWY_INLINE std::uint64_t FacingOf(float x, float y, float z, const Directions& directions) {
+HWY_ATTR std::uint64_t FindFacing(float x, float y, float z, const Directions& directions) {
   const hn::ScalableTag<float> d;
   const std::size_t lanes = hn::Lanes(d);
   const auto nx = hn::Set(d, x), ny = hn::Set(d, y), nz = hn::Set(d, z);
@@ -33,31 +33,32 @@ HWY_INLINE std::uint64_t FacingOf(float x, float y, float z, const Directions& d
   return out & bits_of(directions.count);
 }
 
-// Most triangles face all directions or none: |n.d - n.m| <= |n| |d - m|.
-HWY_ATTR void FindFacing(const float* nx, const float* ny, const float* nz, std::size_t triangles,
-                         const Directions& directions, std::uint64_t* out) {
-  const std::uint64_t all = bits_of(directions.count);
+// A normal faces all of the cone, or none, where it is off the rim's plane by more than the cone's angle.
+HWY_ATTR void FindFacingAll(const NormalSpans& normals, const Cone& cone,
+                            std::span<std::uint8_t> out) {
   const hn::ScalableTag<float> d;
+  const hn::Rebind<std::int32_t, decltype(d)> di;
+  const hn::Rebind<std::uint8_t, decltype(d)> d8;
   const std::size_t lanes = hn::Lanes(d);
-  const auto mx = hn::Set(d, directions.middle_x), my = hn::Set(d, directions.middle_y),
-             mz = hn::Set(d, directions.middle_z), spread = hn::Set(d, directions.square_spread);
-  std::size_t t = 0;
-  for (; t + lanes <= triangles; t += lanes) {
-    const auto x = hn::LoadU(d, nx + t), y = hn::LoadU(d, ny + t), z = hn::LoadU(d, nz + t);
-    const auto along = hn::MulAdd(x, mx, hn::MulAdd(y, my, hn::Mul(z, mz)));
+  const auto ax = hn::Set(d, cone.x), ay = hn::Set(d, cone.y), az = hn::Set(d, cone.z),
+             square_sine = hn::Set(d, cone.sine * cone.sine);
+  const auto part = [&](std::size_t t) {
+    const auto x = hn::LoadU(d, &normals.x[t]), y = hn::LoadU(d, &normals.y[t]),
+               z = hn::LoadU(d, &normals.z[t]);
+    const auto along = hn::MulAdd(x, ax, hn::MulAdd(y, ay, hn::Mul(z, az)));
     const auto square = hn::MulAdd(x, x, hn::MulAdd(y, y, hn::Mul(z, z)));
-    std::uint8_t bytes[HWY_MAX(8, HWY_MAX_BYTES / 8)] = {};
-    hn::StoreMaskBits(d, hn::Gt(along, hn::Zero(d)), bytes);
-    const std::uint64_t facing = Bits(bytes, lanes);
-    hn::StoreMaskBits(d, hn::Le(hn::Mul(along, along), hn::Mul(square, spread)), bytes);
-    const std::uint64_t unsure = Bits(bytes, lanes);
-    for (std::size_t i = 0; i < lanes; ++i) out[t + i] = facing >> i & 1 ? all : 0;
-    for (std::uint64_t left = unsure; left != 0; left &= left - 1) {
-      const std::size_t i = t + hwy::Num0BitsBelowLS1Bit_Nonzero64(left);
-      out[i] = FacingOf(nx[i], ny[i], nz[i], directions);
-    }
+    const auto sure = hn::Gt(hn::Mul(along, along), hn::Mul(square, square_sine));
+    const auto facing =
+        hn::IfThenElse(hn::Gt(along, hn::Zero(d)), hn::Set(d, kFacesAll), hn::Set(d, kFacesNone));
+    const auto found = hn::ConvertTo(di, hn::IfThenElse(sure, facing, hn::Set(d, kUnsure)));
+    hn::StoreU(hn::DemoteTo(d8, found), d8, &out[t]);
+  };
+  if (out.size() < lanes) {
+    for (std::uint8_t& o : out) o = kUnsure;
+    return;
   }
-  for (; t < triangles; ++t) out[t] = FacingOf(nx[t], ny[t], nz[t], directions);
+  for (std::size_t t = 0; t + lanes <= out.size(); t += lanes) part(t);
+  part(out.size() - lanes);
 }
 
 HWY_ATTR void SumSteps(Counts* steps, std::size_t nodes, std::uint16_t* blocked) {
@@ -101,11 +102,15 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace penumbra::shadows {
 HWY_EXPORT(FindFacing);
+HWY_EXPORT(FindFacingAll);
 HWY_EXPORT(SumSteps);
 
-void find_facing(const float* nx, const float* ny, const float* nz, std::size_t triangles,
-                 const Directions& directions, std::uint64_t* out) {
-  HWY_DYNAMIC_DISPATCH(FindFacing)(nx, ny, nz, triangles, directions, out);
+std::uint64_t find_facing(float x, float y, float z, const Directions& directions) {
+  return HWY_DYNAMIC_DISPATCH(FindFacing)(x, y, z, directions);
+}
+
+void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out) {
+  HWY_DYNAMIC_DISPATCH(FindFacingAll)(normals, cone, out);
 }
 
 void sum_steps(Counts* steps, std::size_t nodes, std::uint16_t* blocked) {

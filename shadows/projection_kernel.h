@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 
 namespace penumbra::shadows {
 
@@ -14,16 +15,24 @@ inline std::uint64_t bits_of(std::size_t count) {
   return count < 64 ? (std::uint64_t{1} << count) - 1 : ~std::uint64_t{0};
 }
 
-/// Directions in the frame of the normals, not necessarily unit, and a vector in their middle with the square of the
-/// largest distance from it.
+/// Directions in the frame of the normals, not necessarily unit.
 struct Directions {
   alignas(64) float x[kMostDirections], y[kMostDirections], z[kMostDirections];
   std::size_t count = 0;
-  float middle_x = 0, middle_y = 0, middle_z = 0, square_spread = 0;
 };
-/// Bit k of out[t]: triangle t faces direction k.
-void find_facing(const float* nx, const float* ny, const float* nz, std::size_t triangles,
-                 const Directions& directions, std::uint64_t* out);
+/// Bit k: a triangle with this normal faces direction k.
+std::uint64_t find_facing(float x, float y, float z, const Directions& directions);
+
+struct NormalSpans {
+  std::span<const float> x, y, z;
+};
+struct Cone {
+  float x, y, z;  // axis, unit
+  float sine;     // of the angle around it
+};
+inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
+/// Whether triangles face all directions of a cone.
+void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out);
 
 struct alignas(32) Counts {
   std::int16_t of[kGroup];

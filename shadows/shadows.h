@@ -14,6 +14,7 @@
 #include "shadows/lamp.h"             // IWYU pragma: export
 #include "shadows/occlusion_field.h"  // IWYU pragma: export
 #include "shadows/outline.h"          // IWYU pragma: export
+#include "shadows/outline_memo.h"     // IWYU pragma: export
 
 namespace penumbra::shadows {
 
@@ -92,7 +93,8 @@ struct Caster {
 /// What throws shadows on a plane.
 struct Casters {
   std::span<const Caster> virtual_things, real_things;
-  float near_m = 1e-4f;  // what stands lower throws none
+  float near_m = 1e-4f;         // what stands lower throws none
+  OutlineMemo* memo = nullptr;  // of this disc; null: every call looks for outlines by itself
 };
 
 /// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
@@ -148,11 +150,10 @@ struct Neighbourhood {
 
 /// What real things take of a disc around the given places (`taken`; `missing` stays empty): coarser than the maps of what
 /// virtual things take, and wider, since the light that is left counts for the shadow of every other light.
-/// in: `real` with their meshes, at least one
-void draw_real_shadow(std::span<const Caster> real, float near_m,
-                      std::span<const Neighbourhood> around, const prt::Plane& plane,
-                      const lighting::Disc& disc, const DiscShadowOptions& options,
-                      DiscShadow& out);
+/// in: at least one real thing
+void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> around,
+                      const prt::Plane& plane, const lighting::Disc& disc,
+                      const DiscShadowOptions& options, DiscShadow& out);
 
 /// A map for each group of virtual casters whose shadows' rectangles meet, so that objects far apart do not share one
 /// map's cells. `out` keeps its maps' memory; those not needed are empty.

@@ -6,7 +6,6 @@
 
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
-#include "shadows/outline_sides.h"
 
 namespace penumbra::shadows {
 
@@ -27,6 +26,38 @@ Box turned(const prt::Bounds& bounds, const glm::mat3& turn) {
   return {centre - reach, centre + reach};
 }
 
+// Whether another caster reaches into the sphere around the object.
+bool others_reach(std::span<const Caster> casters, const Caster& object) {
+  const auto sphere = [](const Caster& c) {
+    return std::pair(c.world_from_mesh * glm::dvec3(c.outline->bounds().centre()),
+                     double(c.outline->radius_m()));
+  };
+  const auto [centre, radius] = sphere(object);
+  return std::ranges::any_of(casters, [&](const Caster& c) {
+    const auto [other, its_radius] = sphere(c);
+    return c.outline != object.outline && glm::distance(other, centre) < radius + its_radius;
+  });
+}
+
+// An edge that is an outline: x and z in cells of a grid seen from the light, y in metres towards it.
+struct Line {
+  glm::vec3 from, to;
+};
+
+// The way into such a grid.
+class IntoGrid {
+ public:
+  IntoGrid(const Pose& grid_from_mesh, float cell_m)
+      : turn_(grid_from_mesh.rotation_matrix()),
+        shift_(grid_from_mesh.translation),
+        scale_(1 / cell_m, 1, 1 / cell_m) {}
+  glm::vec3 operator()(const glm::vec3& p) const { return scale_ * (turn_ * p + shift_); }
+
+ private:
+  glm::mat3 turn_;
+  glm::vec3 shift_, scale_;
+};
+
 // Signed area of the parallelogram of two vectors.
 float cross(const glm::vec2& a, const glm::vec2& b) {
   return a.x * b.y - a.y * b.x;
@@ -35,108 +66,141 @@ glm::vec2 across(const glm::vec3& p) {
   return {p.x, p.z};
 }
 
-// Whether the side passes over the way from a to b. Ways that begin or end on it are not passed over: an outline's own
+// Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: an outline's own
 // surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
-bool passes_over(const Side& side, const glm::vec3& a, const glm::vec3& b) {
-  const glm::vec2 from = across(side.from), along = across(side.to) - from, start = across(a),
+bool passes_over(const Line& line, const glm::vec3& a, const glm::vec3& b) {
+  if (std::max(line.from.y, line.to.y) <= std::min(a.y, b.y)) return false;
+  const glm::vec2 from = across(line.from), along = across(line.to) - from, start = across(a),
                   way = across(b) - start;
   const float a_off = cross(along, start - from), b_off = cross(along, across(b) - from);
   if (!(a_off < 0 ? b_off > 0 : a_off > 0 && b_off < 0)) return false;
-  const float from_off = cross(way, from - start), to_off = cross(way, across(side.to) - start);
+  const float from_off = cross(way, from - start), to_off = cross(way, across(line.to) - start);
   if ((from_off < 0 && to_off < 0) || (from_off > 0 && to_off > 0)) return false;
   const float on_way = a_off / (a_off - b_off),
-              on_side = from_off == to_off ? 0 : from_off / (from_off - to_off);
-  return glm::mix(side.from.y, side.to.y, on_side) > glm::mix(a.y, b.y, on_way);
+              on_line = from_off == to_off ? 0 : from_off / (from_off - to_off);
+  return glm::mix(line.from.y, line.to.y, on_line) > glm::mix(a.y, b.y, on_way);
 }
 
 // Where outlines pass over a grid seen from the light.
 class Outlines {
  public:
   /// `drop`: metres below an outline at which the disc throws its shadow aside by a cell.
-  Outlines(std::span<const Side> sides, int width, int depth, float drop,
+  Outlines(std::span<const Line> lines, int width, int depth, float drop,
            std::pmr::memory_resource* memory)
-      : sides_(sides),
+      : lines_(lines),
         width_(width),
         depth_(depth),
         drop_(drop),
         height_(static_cast<std::size_t>(width * depth), -1e30f, memory),
+        around_(height_.size(), memory),
         last_(memory),
         listed_(memory) {
-    std::size_t covered = 0;
-    for (const Side& side : sides)
-      each_cell(side, [&](std::size_t cell, float height) {
+    last_.assign(2 * height_.size(), kNone);
+    for (std::uint32_t i = 0; i < lines_.size(); ++i)
+      each_cell(lines_[i], [&](std::size_t cell, float height, bool over) {
         height_[cell] = std::max(height_[cell], height);
         highest_ = std::max(highest_, height);
-        ++covered;
+        list(i, over ? kOver : kBeside, cell, height);
       });
-    constexpr std::size_t kMostOverACell =
-        32;  // in the mean: blinds of long slats would fill lists
-    if (highest_ < drop && covered <= kMostOverACell * height_.size())
-      list_sides();
-    else
-      spread();
+    if (highest_ >= drop_) last_.clear();  // it reaches farther than the cells that are listed
+    if (last_.empty()) spread();
+    find_around();
   }
 
+  /// Whether nothing hides a part of the disc only at the places, and nothing passes between them: a first look.
+  bool are_clear_of(const glm::vec3& a, const glm::vec3& b) const {
+    const int x = static_cast<int>(a.x), z = static_cast<int>(a.z);
+    return std::abs(static_cast<int>(b.x) - x) <= 1 && std::abs(static_cast<int>(b.z) - z) <= 1 &&
+           around_[index(x, z)] < std::min(a.y, b.y);
+  }
   /// Whether an outline hides a part of the disc only. False where pass_between() tells it of every way from there.
   bool in_penumbra(const glm::vec3& p) const {
-    const glm::vec2 place = across(p);
-    return any_side(p, p, [&](const Side& side) {
-      const glm::vec2 from = across(side.from), along = across(side.to) - from;
+    if (last_.empty()) return false;
+    const std::size_t cell = index(static_cast<int>(p.x), static_cast<int>(p.z));
+    if (height_[cell] < p.y) return false;
+    const auto hides_a_part = [&](const Line& line) {
+      if (std::max(line.from.y, line.to.y) <= p.y) return false;
+      const glm::vec2 to_place = across(p) - across(line.from),
+                      along = across(line.to) - across(line.from);
       const float square = glm::dot(along, along),
                   nearest =
-                      square > 0 ? std::clamp(glm::dot(place - from, along) / square, 0.f, 1.f) : 0;
+                      square > 0 ? std::clamp(glm::dot(to_place, along) / square, 0.f, 1.f) : 0;
       // What is higher reaches farther.
       for (const float t : {nearest, 0.f, 1.f}) {
-        const float above = glm::mix(side.from.y, side.to.y, t) - p.y,
+        const float above = glm::mix(line.from.y, line.to.y, t) - p.y,
                     reach = above / drop_ + kRounding;
-        const glm::vec2 off = place - (from + t * along);
+        const glm::vec2 off = to_place - t * along;
         if (above > 0 && glm::dot(off, off) < reach * reach) return true;
       }
       return false;
-    });
+    };
+    return any_line(cell, kOver, p.y, hides_a_part) || any_line(cell, kBeside, p.y, hides_a_part);
   }
   /// in: places within the grid
   bool pass_between(const glm::vec3& a, const glm::vec3& b) const {
     if (last_.empty()) return any_cell(a, b, [](std::size_t) { return true; });
-    return any_side(a, b, [&](const Side& side) { return passes_over(side, a, b); });
+    return any_cell(a, b, [&](std::size_t cell) {
+      return any_line(cell, kOver, std::min(a.y, b.y),
+                      [&](const Line& line) { return passes_over(line, a, b); });
+    });
   }
 
  private:
   static constexpr float kRounding = .02f;  // cells
   struct Listed {
-    std::uint32_t side, before;
+    std::uint32_t line, before;
+    float height;
   };
   static constexpr std::uint32_t kNone = 0xffffffffu;
 
-  // f(cell, height): how near to the light something has to be there that the side does not pass between it and any part
-  // of the disc.
+  // f(cell, height, over): how near to the light something has to be there that the line does not pass between it and any
+  // part of the disc: where it is not over the cell itself only what is lower down is passed over.
   template <class F>
-  void each_cell(const Side& side, F f) const {
-    const float height = std::max(side.from.y, side.to.y), reach = std::min(1.f, height / drop_);
-    const glm::vec2 a(across(side.from)), b(across(side.to)),
-        end(static_cast<float>(width_) - 1, static_cast<float>(depth_) - 1),
-        low = glm::min(a, b) - reach, high = glm::max(a, b) + reach;
-    // What lies aside of the grid comes in so many cells further down, and as much broader.
-    const glm::vec2 off = glm::max(glm::max(low - end, -high), 0.f);
-    const float aside = std::max(off.x, off.y), here = height - drop_ * aside;
-    if (!(here > 0 && aside < 1e9f)) return;
-    const glm::ivec2 first(glm::clamp(low - aside, glm::vec2(0), end)),
-        last(glm::clamp(high + aside, glm::vec2(0), end));
+  void each_cell(const Line& line, F f) const {
+    const float height = std::max(line.from.y, line.to.y), reach = std::min(1.f, height / drop_);
+    const glm::vec2 a(across(line.from)), b(across(line.to)),
+        low = glm::min(a, b), high = glm::max(a, b),
+        end(static_cast<float>(width_) - 1, static_cast<float>(depth_) - 1);
+    // What lies aside of the grid comes in at its rim.
+    const glm::vec2 off = glm::max(glm::max(low - reach - end, -high - reach), 0.f);
+    const float aside = std::max(off.x, off.y);
+    if (!(height > drop_ * aside && aside < 1e9f)) return;
+    const glm::ivec2 first(glm::clamp(low - reach - aside, glm::vec2(0), end)),
+        last(glm::clamp(high + reach + aside, glm::vec2(0), end));
     for (int z = first.y; z <= last.y; ++z)
-      for (int x = first.x; x <= last.x; ++x) f(index(x, z), here);
+      for (int x = first.x; x <= last.x; ++x) {
+        const glm::vec2 cell(x, z),
+            apart = glm::max(glm::max(low - cell - 1.f, cell - high), kRounding) - kRounding;
+        const float here = height - drop_ * std::max(apart.x, apart.y);
+        if (here > 0) f(index(x, z), here, here == height);
+      }
   }
-  void list_sides() {
-    last_.assign(height_.size(), kNone);
-    for (std::uint32_t i = 0; i < sides_.size(); ++i)
-      each_cell(sides_[i], [&](std::size_t cell, float) {
-        listed_.push_back({i, last_[cell]});
-        last_[cell] = static_cast<std::uint32_t>(listed_.size() - 1);
-      });
+  enum Where : std::size_t { kOver, kBeside };
+  void list(std::uint32_t line, Where where, std::size_t cell, float height) {
+    constexpr std::size_t kMostOverACell =
+        32;  // in the mean: blinds of long slats would fill lists
+    if (listed_.size() > kMostOverACell * height_.size()) last_.clear();
+    if (last_.empty()) return;
+    listed_.push_back({line, last_[2 * cell + where], height});
+    last_[2 * cell + where] = static_cast<std::uint32_t>(listed_.size() - 1);
+  }
+  // The most of a cell and those that touch it.
+  void find_around() {
+    std::pmr::vector<float> of_rows(height_, height_.get_allocator());
+    for (int z = 0; z < depth_; ++z)
+      for (int x = 0; x < width_; ++x)
+        of_rows[index(x, z)] =
+            std::max({height_[index(std::max(x - 1, 0), z)], height_[index(x, z)],
+                      height_[index(std::min(x + 1, width_ - 1), z)]});
+    for (int z = 0; z < depth_; ++z)
+      for (int x = 0; x < width_; ++x)
+        around_[index(x, z)] =
+            std::max({of_rows[index(x, std::max(z - 1, 0))], of_rows[index(x, z)],
+                      of_rows[index(x, std::min(z + 1, depth_ - 1))]});
   }
   // Below an outline the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
   // so that no cell is left out.
   void spread() {
-    if (highest_ < drop_) return;  // as far as a cell around it is marked
     for (int z = 0; z < depth_; ++z)
       for (int x = 0; x < width_; ++x) lift(x, z, -1);
     for (int z = depth_ - 1; z >= 0; --z)
@@ -162,99 +226,103 @@ class Outlines {
         if (height_[index(x, z)] >= low.y && f(index(x, z))) return true;
     return false;
   }
+  // Of those listed in a cell that are higher than `low`.
   template <class F>
-  bool any_side(const glm::vec3& a, const glm::vec3& b, F f) const {
-    if (last_.empty()) return false;
-    return any_cell(a, b, [&](std::size_t cell) {
-      for (std::uint32_t i = last_[cell]; i != kNone; i = listed_[i].before)
-        if (f(sides_[listed_[i].side])) return true;
-      return false;
-    });
+  bool any_line(std::size_t cell, Where where, float low, F f) const {
+    for (std::uint32_t i = last_[2 * cell + where]; i != kNone; i = listed_[i].before)
+      if (listed_[i].height >= low && f(lines_[listed_[i].line])) return true;
+    return false;
   }
   std::size_t index(int x, int z) const { return static_cast<std::size_t>(z * width_ + x); }
 
-  std::span<const Side> sides_;
+  std::span<const Line> lines_;
   int width_, depth_;
   float drop_, highest_ = 0;
-  std::pmr::vector<float> height_;
-  // Where no shadow is thrown aside by a cell: the sides over each cell, from its last one back.
+  std::pmr::vector<float> height_, around_;
+  // Where no shadow is thrown aside by a cell: the lines over each cell, from its last one back. Else empty.
   std::pmr::vector<std::uint32_t> last_;
   std::pmr::vector<Listed> listed_;
 };
 
-// A sun's middle stands for all of it: edges that are an outline for a part of it alone lie less than a cell off, on what
-// is no higher than the object. `cells`: by how much the disc throws the shadow of the object's top aside.
-std::pmr::vector<PlaneTap> taps_around(const lighting::Disc& disc, float cells,
-                                       const Pose& world_from_light,
-                                       std::pmr::memory_resource* memory) {
-  constexpr int kTaps = 16;
-  std::pmr::vector<PlaneTap> out(memory);
-  out.push_back({{0, 0}, 1});
-  constexpr double kThin = .01;  // radians
-  if (cells < 1 && largest_angle(disc) < kThin) return out;
-  thread_local TapPattern pattern;  // grows once per thread
-  pattern.make(disc, kTaps, 1);
-  const Pose light_from_world = world_from_light.inverse();
-  for (const glm::vec3& direction : pattern.at(0)) {
-    const glm::dvec3 d = light_from_world * glm::dvec3(direction);
-    out.push_back({-glm::dvec2(d.x, d.z) / d.y, 1});
+// The outlines of casters where they are higher than the grid's foot.
+void add_lines(std::span<const Caster> casters, const Pose& grid_from_world, float cell_m,
+               const Beam& beam, OutlineMemo& memo, std::pmr::vector<Line>& out) {
+  for (const Caster& c : casters) {
+    const IntoGrid place(grid_from_world * c.world_from_mesh, cell_m);
+    for (const std::uint32_t i : memo.edges(*c.outline, c.world_from_mesh, beam)) {
+      const Outline::Edge& e = c.outline->edges()[i];
+      const Line line{place(c.mesh->positions[e.from]), place(c.mesh->positions[e.to])};
+      if (line.from.y > 0 || line.to.y > 0) out.push_back(line);
+    }
   }
-  return out;
 }
 
 }  // namespace
 
 void SharedSight::find(const Casters& casters, const Caster& object, const lighting::Disc& disc) {
-  const std::vector<glm::vec3>& positions = object.mesh->positions;
-  group_.assign(positions.size(), kAlone);
-  count_ = 0;
+  const std::vector<glm::vec3>& normals = object.mesh->normals;
+  group_.assign(normals.size(), kAlone);
+  members_.clear();
   const double angle = largest_angle(disc);
   if (angle > kWidest || object.outline->edges().empty()) return;
+  may_be_cut_ = !object.outline->knows_cuts() || others_reach(casters.virtual_things, object) ||
+                others_reach(casters.real_things, object);
   const Scratch::Scope scope;
   // y towards the light.
-  const Pose world_from_light{glm::rotation(glm::dvec3(0, 1, 0), disc.direction), {0, 0, 0}},
-      light_from_mesh = world_from_light.inverse() * object.world_from_mesh;
-  const glm::mat3 turn(light_from_mesh.rotation_matrix());
-  const Box box = turned(object.outline->bounds(), turn);
+  const Pose light_from_world =
+                 Pose{glm::rotation(glm::dvec3(0, 1, 0), disc.direction), {0, 0, 0}}.inverse(),
+             light_from_mesh = light_from_world * object.world_from_mesh;
+  const Box box = turned(object.outline->bounds(), glm::mat3(light_from_mesh.rotation_matrix()));
   const glm::vec3 size = box.high - box.low;
   const float cell =
       std::max(object.outline->mean_length_m(), std::max(size.x, size.z) / kMostCells);
   if (!(cell > 0)) return;
   // Outlines lower than all of the object shade none of it.
-  const NodeGrid grid{
-      world_from_light *
-          Pose{{1, 0, 0, 0}, light_from_mesh.translation + glm::dvec3(box.low) - glm::dvec3(cell)},
-      cell};
+  const Pose grid_from_light{{1, 0, 0, 0},
+                             glm::dvec3(cell) - glm::dvec3(box.low) - light_from_mesh.translation};
+  const Pose grid_from_world = grid_from_light * light_from_world;
+  std::pmr::vector<Line> lines(scope.memory());
+  for (const auto& things : {casters.virtual_things, casters.real_things})
+    add_lines(things, grid_from_world, cell, beam_of(disc), memo_of(casters), lines);
   const auto drop = static_cast<float>(cell / std::tan(std::max(angle, 1e-6)));
-  const std::pmr::vector<PlaneTap> taps =
-      taps_around(disc, size.y / drop, world_from_light, scope.memory());
-  std::pmr::vector<Side> sides = find_sides(casters.virtual_things, grid, 0, taps, scope.memory());
-  for (const Side& side : find_sides(casters.real_things, grid, 0, taps, scope.memory()))
-    sides.push_back(side);
-  const Outlines outlines(sides, static_cast<int>(size.x / cell) + 3,
+  const Outlines outlines(lines, static_cast<int>(size.x / cell) + 3,
                           static_cast<int>(size.z / cell) + 3, drop, scope.memory());
-  std::pmr::vector<glm::vec3> places(positions.size(), scope.memory());  // of open vertices
-  std::pmr::vector<char> open(positions.size(), scope.memory());
+  const IntoGrid place(grid_from_world * object.world_from_mesh, cell);
   const glm::vec3 towards =
-                      glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction,
-                  scale(1 / cell, 1, 1 / cell), start = box.low - cell;
+      glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction;
   const auto behind = -static_cast<float>(std::sin(angle)) - kCosineRounding;
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    const float cosine = glm::dot(object.mesh->normals[i], towards);
+  std::pmr::vector<glm::vec3> places(normals.size(), scope.memory());
+  constexpr char kShut = 0, kUnknown = 1, kOpen = 2;  // turned away or in a penumbra; in front
+  std::pmr::vector<char> sees(normals.size(), kShut, scope.memory());
+  for (std::size_t i = 0; i < normals.size(); ++i) {
+    const float cosine = glm::dot(normals[i], towards);
     if (cosine < behind) group_[i] = kTurnedAway;
     if (cosine <= 0) continue;
-    places[i] = scale * (turn * positions[i] - start);
-    open[i] = !outlines.in_penumbra(places[i]);
+    places[i] = place(object.mesh->positions[i]);
+    sees[i] = kUnknown;
   }
+  const auto is_open = [&](std::uint32_t i) {
+    if (sees[i] == kUnknown) sees[i] = outlines.in_penumbra(places[i]) ? kShut : kOpen;
+    return sees[i] == kOpen;
+  };
+  const auto see_alike = [&](std::uint32_t a, std::uint32_t b) {
+    return outlines.are_clear_of(places[a], places[b]) ||
+           (is_open(a) && is_open(b) && !outlines.pass_between(places[a], places[b]));
+  };
   // Edges come in the order of their lower vertex: it has its group when its edges to others come.
   for (std::size_t p = 0; p < object.outline->patches().size(); ++p) {
     const Outline::Patch& patch = object.outline->patches()[p];
     if (glm::dot(patch.axis, towards) < -patch.sine) continue;
-    for (const Outline::Edge& e : object.outline->edges_of(p)) {
-      const std::uint32_t first = std::min(e.from, e.to), second = std::max(e.from, e.to);
-      if (!open[first] || !open[second] || group_[second] != kAlone) continue;
-      if (outlines.pass_between(places[first], places[second])) continue;
-      if (group_[first] == kAlone) group_[first] = static_cast<std::uint32_t>(count_++);
+    const std::span<const Outline::Edge> edges = object.outline->edges_of(p);
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      const std::uint32_t first = std::min(edges[i].from, edges[i].to),
+                          second = std::max(edges[i].from, edges[i].to);
+      if (sees[first] == kShut || sees[second] == kShut || group_[second] != kAlone) continue;
+      if (object.outline->is_cut(p * Outline::kTogether + i) || !see_alike(first, second)) continue;
+      if (group_[first] == kAlone) {
+        group_[first] = static_cast<std::uint32_t>(members_.size());
+        members_.push_back(first);
+      }
       group_[second] = group_[first];
     }
   }

@@ -11,8 +11,7 @@ namespace penumbra::shadows {
 
 /// Along a surface what stands between it and a light changes only where an outline that is nearer to the light passes
 /// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes, joined by edges, form a
-/// group. The outlines are those of up to seventeen directions of the disc. Surfaces that cut through each other are not
-/// looked for: who uses a group asks several of its vertices.
+/// group.
 /// threads: thread-bound; memory grows once
 class SharedSight {
  public:
@@ -23,11 +22,16 @@ class SharedSight {
 
   /// By vertex: its group, kAlone, or kTurnedAway from all of the disc.
   std::span<const std::uint32_t> group() const { return group_; }
-  std::size_t groups() const { return count_; }
+  /// By group: one of its vertices.
+  std::span<const std::uint32_t> members() const { return members_; }
+  std::size_t groups() const { return members_.size(); }
+  /// Whether surfaces may cut through a group: where an outline does not know its cuts, or another caster reaches into the
+  /// object's bounds. Then ask several of its vertices.
+  bool may_be_cut() const { return may_be_cut_; }
 
  private:
-  std::vector<std::uint32_t> group_;
-  std::size_t count_ = 0;
+  std::vector<std::uint32_t> group_, members_;
+  bool may_be_cut_ = false;
 };
 
 }  // namespace penumbra::shadows

@@ -313,7 +313,7 @@ TEST(DrawnShadow, OfRealThingsIsWhatRaysFind) {
     const lighting::Disc disc = disc_of({"", {}, {}, 40, radius_deg});
     DiscShadow shadow;
     const Neighbourhood around{{0, .2, 0}, 1.2};
-    draw_real_shadow(posts.casters(), kNear, {&around, 1}, kFloor, disc, {16, 128}, shadow);
+    draw_real_shadow({{}, posts.casters(), kNear}, {&around, 1}, kFloor, disc, {16, 128}, shadow);
     ASSERT_FALSE(shadow.empty());
     const Wrong found = compare(shadow, posts, none, {0, 1, 0}, disc, is_narrow(disc) ? 16 : 64);
     EXPECT_GT(found.dark, found.nodes / 100);

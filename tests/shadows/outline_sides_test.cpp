@@ -57,11 +57,29 @@ NodeGrid grid_at(double height_m) {
   return {{{1, 0, 0, 0}, {0, height_m, 0}}, .01f, 0, 0};
 }
 
+// As narrow as it can be.
+Beam around(std::span<const PlaneTap> taps) {
+  const auto direction = [](const PlaneTap& t) {
+    return glm::normalize(glm::dvec3(-t.shift.x, 1, -t.shift.y));
+  };
+  glm::dvec3 sum(0);
+  for (const PlaneTap& t : taps) sum += direction(t);
+  Beam out{glm::normalize(sum), 0};
+  for (const PlaneTap& t : taps)
+    out.sine = std::max(out.sine, glm::length(glm::cross(direction(t), out.towards)));
+  return out;
+}
+
+std::pmr::vector<Side> sides(const prt::Mesh& mesh, const Outline& outline, double height_m,
+                             std::span<const PlaneTap> taps) {
+  const Caster caster{&mesh, &outline, {}};
+  OutlineMemo memo;
+  return find_sides({&caster, 1}, grid_at(height_m), 0, {taps, around(taps)}, memo,
+                    std::pmr::get_default_resource());
+}
 std::pmr::vector<Side> sides(const prt::Mesh& mesh, double height_m,
                              std::span<const PlaneTap> taps) {
-  const Outline outline(mesh);
-  const Caster caster{&mesh, &outline, {}};
-  return find_sides({&caster, 1}, grid_at(height_m), 0, taps, std::pmr::get_default_resource());
+  return sides(mesh, Outline(mesh), height_m, taps);
 }
 
 // Edges between triangles that do not face all of the directions alike, and rims.
@@ -159,13 +177,10 @@ TEST(OutlineSides, PatchesFollowAnotherForm) {
   Outline outline(mesh);
   for (glm::vec3& p : mesh.positions) p = {p.z, p.x + .4f, p.y};
   outline.set_form(mesh);
-  const Caster caster{&mesh, &outline, {}};
   const auto directions = taps(2, .01, 16);
   for (const double height : {-1., .3})
-    EXPECT_EQ(
-        find_sides({&caster, 1}, grid_at(height), 0, directions, std::pmr::get_default_resource())
-            .size(),
-        sides(mesh, height, directions).size());
+    EXPECT_EQ(sides(mesh, outline, height, directions).size(),
+              sides(mesh, height, directions).size());
 }
 
 }  // namespace
