@@ -64,8 +64,9 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     stage.poses_.push_back(o.world_from_bake);
     stage.moved_from_.emplace_back();
     stage.other_form_.push_back(0);
-    stage.virtual_.set_pose(*index, o.world_from_bake);
     stage.add_caster(o.baked.mesh, o.world_from_bake, stage.virtual_casters_);
+    if (!o.animation) stage.outlines_.back().find_cuts(o.baked.mesh, stage.virtual_, *index);
+    stage.virtual_.set_pose(*index, o.world_from_bake);
     const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
     const float radius = prt::radius_around(o.baked.mesh, centre);
     stage.spheres_.push_back({glm::dvec3(centre), double(radius)});
@@ -86,10 +87,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     for (std::size_t other = 0; other < scene.planes.size(); ++other)
       if (other != p) stage.real_casters_on_[other].push_back(stage.real_casters_.back());
   }
-  if (!scene.objects.empty()) stage.near_m_ = 1e-4f * smallest;
-  for (std::size_t i = 0; i < scene.objects.size(); ++i)
-    stage.outlines_[i].find_cuts(scene.objects[i].baked.mesh, stage.virtual_, static_cast<int>(i),
-                                 stage.poses_[i], stage.near_m_);
+  if (!scene.objects.empty()) stage.near_m_ = shadows::Outline::kNear * smallest;
   return stage;
 }
 

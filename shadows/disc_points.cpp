@@ -129,7 +129,7 @@ class VertexTracer {
 // One vertex of so many that follow each other, without a beat that rows of vertices could share.
 // source: the finaliser of Wellons 2018, "Prospecting for Hash Functions" (lowbias32)
 std::size_t probe_of(std::size_t part, std::size_t vertices) {
-  auto x = static_cast<std::uint32_t>(part);
+  auto x = static_cast<std::uint32_t>(part + 1);  // zero would stay zero
   x = (x ^ x >> 16) * 0x7feb352du;
   x = (x ^ x >> 15) * 0x846ca68bu;
   return vertices * part + (x ^ x >> 16) % vertices;
@@ -152,7 +152,7 @@ void ask_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_
   const std::size_t probe_each = sight.may_be_cut() ? 16 : 256;
   for (std::size_t part = 0; part * probe_each < group.size(); ++part)
     if (const std::size_t i = probe_of(part, probe_each);
-        i < group.size() && is_grouped(i) && i != sight.members()[group[i]])
+        i < group.size() && is_grouped(i) && !sight.is_member(i))
       probes.push_back(static_cast<std::uint32_t>(i));
   tracer.trace(probes, 0, scouts, seen, open);
   verdict.assign(sight.groups(), kUnknown);

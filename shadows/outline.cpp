@@ -1,6 +1,7 @@
 #include "shadows/outline.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <numeric>
@@ -113,14 +114,11 @@ Outline::Outline(const prt::Mesh& mesh) {
   set_form(mesh);
 }
 
-void Outline::find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index,
-                        const Pose& world_from_mesh, float near_m) {
+void Outline::find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index) {
+  assert(mesh.normals.size() == mesh.positions.size());
   cut_.assign(edges_.size(), 0);
-  const glm::mat3 turn(world_from_mesh.rotation_matrix());
-  const glm::vec3 shift(world_from_mesh.translation);
-  const auto above = [&](std::uint32_t v) {
-    return turn * (mesh.positions[v] + near_m * mesh.normals[v]) + shift;
-  };
+  const float lift = kNear * radius_m_;
+  const auto above = [&](std::uint32_t v) { return mesh.positions[v] + lift * mesh.normals[v]; };
   constexpr std::size_t kPacket = prt::RayWorld::kPacket;
   prt::RayWorld::Rays rays;
   for (std::size_t first = 0; first < edges_.size(); first += kPacket) {
@@ -128,15 +126,17 @@ void Outline::find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int i
     for (std::size_t i = 0; i < count; ++i) {
       const glm::vec3 from = above(edges_[first + i].from),
                       way = above(edges_[first + i].to) - from;
-      const float length = std::max(glm::length(way), 1e-12f);
-      // A little farther at both ends, since what goes through may do so at a vertex.
-      const glm::vec3 d = way / length, o = from - near_m * d;
+      const float length = glm::length(way);
+      // A little farther at both ends, since what goes through may do so at a vertex; less than walls of a fold are away.
+      const float more = .25f * lift;
+      const glm::vec3 d = way / std::max(length, 1e-12f), o = from - more * d;
       rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;
       rays.dx[i] = d.x, rays.dy[i] = d.y, rays.dz[i] = d.z;
-      rays.far[i] = length + 2 * near_m;
+      rays.far[i] = length + 2 * more;
     }
     const std::uint32_t blocked = world.occluded_by(index, rays, static_cast<int>(count));
-    for (std::size_t i = 0; i < count; ++i) cut_[first + i] = (blocked >> i & 1) != 0;
+    for (std::size_t i = 0; i < count; ++i)
+      cut_[first + i] = (blocked >> i & 1) != 0 || !std::isfinite(rays.far[i]);
   }
 }
 

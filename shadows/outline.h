@@ -50,17 +50,17 @@ class Outline {
   };
   static constexpr std::size_t kTogether = 16;
   static constexpr float kAnywhere = 2;
+  static constexpr float kNear = 1e-4f;  // of the radius: how far off a surface its vertices look
   std::span<const Patch> patches() const { return patches_; }
   std::span<const Edge> edges_of(std::size_t patch) const {
     const std::size_t first = patch * kTogether;
     return edges().subspan(first, std::min(kTogether, edges_.size() - first));
   }
 
-  /// Finds the edges through which another part of the mesh goes. Another form forgets them: to look takes a fifth of a
-  /// microsecond an edge.
-  /// in: the mesh that was given last, in `world` as `index`; surfaces count as near_m higher than they are
-  void find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index,
-                 const Pose& world_from_mesh, float near_m);
+  /// Finds the edges through which another part of the mesh goes, some .2 us each. Another form forgets them. Edges that end in
+  /// a fold may count as cut.
+  /// in: the mesh that was given last, with normals; in `world` as `index`, not moved
+  void find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index);
   bool knows_cuts() const { return !cut_.empty(); }
   /// in: a place in edges(). False where cuts are not known.
   bool is_cut(std::size_t edge) const { return knows_cuts() && cut_[edge] != 0; }

@@ -38,19 +38,19 @@ void find_edges(const Outline& outline, const glm::vec3& towards, float sine,
 
 }  // namespace
 
-std::span<const std::uint32_t> OutlineMemo::edges(const Outline& outline,
-                                                  const Pose& world_from_mesh, const Beam& beam) {
+BeamOutline OutlineMemo::find(const Outline& outline, const Pose& world_from_mesh,
+                              const Beam& beam) {
   // Those who ask compute facing by sums of their own.
   constexpr double kRounding = 1e-5;
   const glm::vec3 towards(glm::transpose(world_from_mesh.rotation_matrix()) * beam.towards);
   const auto sine = static_cast<float>(std::min(1., beam.sine + kRounding));
   for (const Known& k : std::span(known_).first(used_))
-    if (k.outline == &outline && k.towards == towards && k.sine == sine) return k.edges;
+    if (k.outline == &outline && k.towards == towards && k.sine == sine) return {k.edges, k.faces};
   if (used_ == known_.size()) known_.emplace_back();
   Known& k = known_[used_++];
   k.outline = &outline, k.towards = towards, k.sine = sine;
-  find_edges(outline, towards, sine, faces_, k.edges);
-  return k.edges;
+  find_edges(outline, towards, sine, k.faces, k.edges);
+  return {k.edges, k.faces};
 }
 
 }  // namespace penumbra::shadows

@@ -16,16 +16,23 @@ struct Beam {
   double sine;         // of the largest angle from it; 1: any direction of the sphere
 };
 
+/// What a mesh shows of itself to a beam. Valid until the memo is cleared.
+struct BeamOutline {
+  /// The places in Outline::edges(), in their order, of all edges that are an outline for some direction, and of open ones.
+  /// Others may be among them.
+  std::span<const std::uint32_t> edges;
+  /// By triangle: kFacesNone of the directions, kFacesAll, or kUnsure.
+  std::span<const std::uint8_t> faces;
+};
+inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
+
 /// For one light and one form of every mesh: what it lights and every plane on which it throws shadows ask for the same
 /// edges. Clear it when a light or a form changes.
 /// threads: thread-bound; memory grows to that of the largest light
 class OutlineMemo {
  public:
   void clear() { used_ = 0; }
-  /// The places in outline.edges(), in their order, of all edges that are an outline for some direction of the beam, and of
-  /// open ones. Others may be among them. Valid until clear().
-  std::span<const std::uint32_t> edges(const Outline& outline, const Pose& world_from_mesh,
-                                       const Beam& beam);
+  BeamOutline find(const Outline& outline, const Pose& world_from_mesh, const Beam& beam);
 
  private:
   struct Known {
@@ -33,10 +40,10 @@ class OutlineMemo {
     glm::vec3 towards;  // mesh frame
     float sine;
     std::vector<std::uint32_t> edges;
+    std::vector<std::uint8_t> faces;
   };
   std::vector<Known> known_;
   std::size_t used_ = 0;
-  std::vector<std::uint8_t> faces_;
 };
 
 }  // namespace penumbra::shadows

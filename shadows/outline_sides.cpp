@@ -101,7 +101,7 @@ class OutlineFinder {
     const float right = lowest(side.from.x, side.to.x, reach_low_.x),
                 bottom = lowest(side.from.z, side.to.z, reach_low_.y),
                 top = -lowest(-side.from.z, -side.to.z, -reach_high_.y);
-    if (grid_.depth > 0 && (right > grid_.width || bottom > grid_.depth || top < -1)) return;
+    if (right > grid_.width || bottom > grid_.depth || top < -1) return;
     out.push_back(side);
   }
 
@@ -139,10 +139,15 @@ std::pmr::vector<Side> find_sides(std::span<const Caster> casters, const NodeGri
                                   float near_m, const TapBeam& light, OutlineMemo& memo,
                                   std::pmr::memory_resource* memory) {
   assert(light.taps.size() <= kMostDirections);
+  assert(std::ranges::all_of(light.taps, [&](const PlaneTap& t) {
+    const glm::dvec3 d = grid.world_from_map.rotation * glm::dvec3(-t.shift.x, 1, -t.shift.y);
+    return glm::length(glm::cross(glm::normalize(d), light.around.towards)) <
+           light.around.sine + 1e-5;
+  }));
   std::pmr::vector<Side> out(memory);
   for (const Caster& c : casters) {
     const OutlineFinder finder(c, grid, near_m, light.taps);
-    finder.add_outlines(memo.edges(*c.outline, c.world_from_mesh, light.around), out);
+    finder.add_outlines(memo.find(*c.outline, c.world_from_mesh, light.around).edges, out);
     finder.add_cuts(out);
   }
   return out;

@@ -25,7 +25,7 @@ struct TapBeam {
 struct NodeGrid {
   Pose world_from_map;  // y the plane's normal
   float cell_m = 0;
-  float width = 0, depth = 0;  // nodes; 0: without end
+  float width = 0, depth = 0;  // nodes
 };
 
 /// A stretch of an outline: where it is passed upwards in z, so many layers more lie on its far side in x for the

@@ -1,5 +1,7 @@
 #include "shadows/projection_kernel.h"
 
+#include "shadows/outline_memo.h"
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "shadows/projection_kernel.cpp"
 #include <hwy/foreach_target.h>
@@ -54,7 +56,12 @@ HWY_ATTR void FindFacingAll(const NormalSpans& normals, const Cone& cone,
     hn::StoreU(hn::DemoteTo(d8, found), d8, &out[t]);
   };
   if (out.size() < lanes) {
-    for (std::uint8_t& o : out) o = kUnsure;
+    for (std::size_t t = 0; t < out.size(); ++t) {
+      const float x = normals.x[t], y = normals.y[t], z = normals.z[t],
+                  along = x * cone.x + y * cone.y + z * cone.z;
+      const bool sure = along * along > (x * x + y * y + z * z) * cone.sine * cone.sine;
+      out[t] = !sure ? kUnsure : along > 0 ? kFacesAll : kFacesNone;
+    }
     return;
   }
   for (std::size_t t = 0; t + lanes <= out.size(); t += lanes) part(t);

@@ -30,8 +30,7 @@ struct Cone {
   float x, y, z;  // axis, unit
   float sine;     // of the angle around it
 };
-inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
-/// Whether triangles face all directions of a cone.
+/// Whether triangles face all directions of a cone: kFacesNone, kFacesAll, or kUnsure (outline_memo.h).
 void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out);
 
 struct alignas(32) Counts {

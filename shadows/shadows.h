@@ -93,8 +93,9 @@ struct Caster {
 /// What throws shadows on a plane.
 struct Casters {
   std::span<const Caster> virtual_things, real_things;
-  float near_m = 1e-4f;         // what stands lower throws none
-  OutlineMemo* memo = nullptr;  // of this disc; null: every call looks for outlines by itself
+  float near_m = 1e-4f;  // what stands lower throws none
+  /// Of this disc; null: every call looks for outlines by itself. Two threads must not use one at a time.
+  OutlineMemo* memo = nullptr;
 };
 
 /// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
@@ -150,7 +151,7 @@ struct Neighbourhood {
 
 /// What real things take of a disc around the given places (`taken`; `missing` stays empty): coarser than the maps of what
 /// virtual things take, and wider, since the light that is left counts for the shadow of every other light.
-/// in: at least one real thing
+/// in: at least one real thing; virtual ones do not count
 void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> around,
                       const prt::Plane& plane, const lighting::Disc& disc,
                       const DiscShadowOptions& options, DiscShadow& out);

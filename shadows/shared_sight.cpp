@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
+#include <optional>
 
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
@@ -35,7 +36,8 @@ bool others_reach(std::span<const Caster> casters, const Caster& object) {
   const auto [centre, radius] = sphere(object);
   return std::ranges::any_of(casters, [&](const Caster& c) {
     const auto [other, its_radius] = sphere(c);
-    return c.outline != object.outline && glm::distance(other, centre) < radius + its_radius;
+    const bool itself = c.outline == object.outline && c.world_from_mesh == object.world_from_mesh;
+    return !itself && glm::distance(other, centre) < radius + its_radius;
   });
 }
 
@@ -43,6 +45,20 @@ bool others_reach(std::span<const Caster> casters, const Caster& object) {
 struct Line {
   glm::vec3 from, to;
 };
+
+// What is long covers many cells aside of it and has many heights.
+void add_parts(const Line& line, std::pmr::vector<Line>& out) {
+  constexpr float kLong = 16, kMostParts = 64;  // cells
+  const glm::vec3 way = line.to - line.from;
+  const float parts =
+      std::clamp(std::ceil(std::max(std::abs(way.x), std::abs(way.z)) / kLong), 1.f, kMostParts);
+  glm::vec3 from = line.from;
+  for (float k = 1; k <= parts; ++k) {
+    const glm::vec3 to = k == parts ? line.to : line.from + k / parts * way;
+    out.push_back({from, to});
+    from = to;
+  }
+}
 
 // The way into such a grid.
 class IntoGrid {
@@ -100,9 +116,9 @@ class Outlines {
       each_cell(lines_[i], [&](std::size_t cell, float height, bool over) {
         height_[cell] = std::max(height_[cell], height);
         highest_ = std::max(highest_, height);
+        if (highest_ >= drop_) last_.clear();  // it reaches farther than the cells that are listed
         list(i, over ? kOver : kBeside, cell, height);
       });
-    if (highest_ >= drop_) last_.clear();  // it reaches farther than the cells that are listed
     if (last_.empty()) spread();
     find_around();
   }
@@ -249,83 +265,132 @@ void add_lines(std::span<const Caster> casters, const Pose& grid_from_world, flo
                const Beam& beam, OutlineMemo& memo, std::pmr::vector<Line>& out) {
   for (const Caster& c : casters) {
     const IntoGrid place(grid_from_world * c.world_from_mesh, cell_m);
-    for (const std::uint32_t i : memo.edges(*c.outline, c.world_from_mesh, beam)) {
+    for (const std::uint32_t i : memo.find(*c.outline, c.world_from_mesh, beam).edges) {
       const Outline::Edge& e = c.outline->edges()[i];
       const Line line{place(c.mesh->positions[e.from]), place(c.mesh->positions[e.to])};
-      if (line.from.y > 0 || line.to.y > 0) out.push_back(line);
+      if (line.from.y > 0 || line.to.y > 0) add_parts(line, out);
     }
   }
 }
 
-}  // namespace
+// The vertices of an object in front of the light, and what is above them.
+class View {
+ public:
+  View(const Caster& object, const glm::vec3& towards, const IntoGrid& place,
+       const Outlines& outlines, std::pmr::memory_resource* memory)
+      : outlines_(outlines),
+        places_(object.mesh->positions.size(), memory),
+        sees_(places_.size(), kShut, memory) {
+    for (std::size_t i = 0; i < places_.size(); ++i) {
+      if (!(glm::dot(object.mesh->normals[i], towards) > 0)) continue;
+      places_[i] = place(object.mesh->positions[i]);
+      sees_[i] = kUnknown;
+    }
+  }
+  /// False of vertices that are turned away, or known to lie in a penumbra.
+  bool may_share(std::uint32_t i) const { return sees_[i] != kShut; }
+  /// in: vertices that may share
+  bool see_alike(std::uint32_t a, std::uint32_t b) {
+    return outlines_.are_clear_of(places_[a], places_[b]) ||
+           (is_open(a) && is_open(b) && !outlines_.pass_between(places_[a], places_[b]));
+  }
 
-void SharedSight::find(const Casters& casters, const Caster& object, const lighting::Disc& disc) {
-  const std::vector<glm::vec3>& normals = object.mesh->normals;
-  group_.assign(normals.size(), kAlone);
-  members_.clear();
-  const double angle = largest_angle(disc);
-  if (angle > kWidest || object.outline->edges().empty()) return;
-  may_be_cut_ = !object.outline->knows_cuts() || others_reach(casters.virtual_things, object) ||
-                others_reach(casters.real_things, object);
-  const Scratch::Scope scope;
-  // y towards the light.
+ private:
+  static constexpr char kShut = 0, kUnknown = 1, kOpen = 2;
+  bool is_open(std::uint32_t i) {
+    if (sees_[i] == kUnknown) sees_[i] = outlines_.in_penumbra(places_[i]) ? kShut : kOpen;
+    return sees_[i] == kOpen;
+  }
+
+  const Outlines& outlines_;
+  std::pmr::vector<glm::vec3> places_;
+  std::pmr::vector<char> sees_;
+};
+
+// A grid over an object as the light sees it; y towards the light.
+struct LightGrid {
+  Pose grid_from_world;
+  float cell_m;
+  int width, depth;
+};
+// Outlines lower than its foot shade none of the object. Nothing for an object that is a point.
+std::optional<LightGrid> grid_over(const Caster& object, const glm::dvec3& towards) {
   const Pose light_from_world =
-                 Pose{glm::rotation(glm::dvec3(0, 1, 0), disc.direction), {0, 0, 0}}.inverse(),
+                 Pose{glm::rotation(glm::dvec3(0, 1, 0), towards), {0, 0, 0}}.inverse(),
              light_from_mesh = light_from_world * object.world_from_mesh;
   const Box box = turned(object.outline->bounds(), glm::mat3(light_from_mesh.rotation_matrix()));
   const glm::vec3 size = box.high - box.low;
   const float cell =
       std::max(object.outline->mean_length_m(), std::max(size.x, size.z) / kMostCells);
-  if (!(cell > 0)) return;
-  // Outlines lower than all of the object shade none of it.
+  if (!(cell > 0)) return std::nullopt;
   const Pose grid_from_light{{1, 0, 0, 0},
                              glm::dvec3(cell) - glm::dvec3(box.low) - light_from_mesh.translation};
-  const Pose grid_from_world = grid_from_light * light_from_world;
+  return LightGrid{grid_from_light * light_from_world, cell, static_cast<int>(size.x / cell) + 3,
+                   static_cast<int>(size.z / cell) + 3};
+}
+
+}  // namespace
+
+void SharedSight::find(const Casters& casters, const Caster& object, const lighting::Disc& disc) {
+  const Outline& outline = *object.outline;
+  group_.assign(object.mesh->positions.size(), kAlone);
+  members_.clear();
+  may_be_cut_ = !outline.knows_cuts() || others_reach(casters.virtual_things, object) ||
+                others_reach(casters.real_things, object);
+  const double angle = largest_angle(disc);
+  if (angle > kWidest || outline.edges().empty()) return;
+  const auto grid = grid_over(object, disc.direction);
+  if (!grid) return;
+  const Scratch::Scope scope;
+  const Beam beam = beam_of(disc);
+  OutlineMemo& memo = memo_of(casters);
   std::pmr::vector<Line> lines(scope.memory());
   for (const auto& things : {casters.virtual_things, casters.real_things})
-    add_lines(things, grid_from_world, cell, beam_of(disc), memo_of(casters), lines);
-  const auto drop = static_cast<float>(cell / std::tan(std::max(angle, 1e-6)));
-  const Outlines outlines(lines, static_cast<int>(size.x / cell) + 3,
-                          static_cast<int>(size.z / cell) + 3, drop, scope.memory());
-  const IntoGrid place(grid_from_world * object.world_from_mesh, cell);
+    add_lines(things, grid->grid_from_world, grid->cell_m, beam, memo, lines);
+  const Outlines outlines(lines, grid->width, grid->depth,
+                          static_cast<float>(grid->cell_m / std::tan(std::max(angle, 1e-6))),
+                          scope.memory());
   const glm::vec3 towards =
       glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction;
   const auto behind = -static_cast<float>(std::sin(angle)) - kCosineRounding;
-  std::pmr::vector<glm::vec3> places(normals.size(), scope.memory());
-  constexpr char kShut = 0, kUnknown = 1, kOpen = 2;  // turned away or in a penumbra; in front
-  std::pmr::vector<char> sees(normals.size(), kShut, scope.memory());
-  for (std::size_t i = 0; i < normals.size(); ++i) {
-    const float cosine = glm::dot(normals[i], towards);
-    if (cosine < behind) group_[i] = kTurnedAway;
-    if (cosine <= 0) continue;
-    places[i] = place(object.mesh->positions[i]);
-    sees[i] = kUnknown;
-  }
-  const auto is_open = [&](std::uint32_t i) {
-    if (sees[i] == kUnknown) sees[i] = outlines.in_penumbra(places[i]) ? kShut : kOpen;
-    return sees[i] == kOpen;
+  for (std::size_t i = 0; i < group_.size(); ++i)
+    if (glm::dot(object.mesh->normals[i], towards) < behind) group_[i] = kTurnedAway;
+  View view(object, towards, IntoGrid(grid->grid_from_world * object.world_from_mesh, grid->cell_m),
+            outlines, scope.memory());
+  join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, towards, view);
+}
+
+template <class View>
+void SharedSight::join_all(const Outline& outline, std::span<const std::uint8_t> faces,
+                           const glm::vec3& towards, View& view) {
+  // Of triangles that are turned away one end may lie in their own shadow.
+  const auto is_in_front = [&](const Outline::Edge& e) {
+    return faces[e.left] != kFacesNone ||
+           (e.right != Outline::kOpen && faces[e.right] != kFacesNone);
   };
-  const auto see_alike = [&](std::uint32_t a, std::uint32_t b) {
-    return outlines.are_clear_of(places[a], places[b]) ||
-           (is_open(a) && is_open(b) && !outlines.pass_between(places[a], places[b]));
-  };
-  // Edges come in the order of their lower vertex: it has its group when its edges to others come.
-  for (std::size_t p = 0; p < object.outline->patches().size(); ++p) {
-    const Outline::Patch& patch = object.outline->patches()[p];
+  // Edges come in the order of their lower vertex: it has its group when it is joined to others.
+  for (std::size_t p = 0; p < outline.patches().size(); ++p) {
+    const Outline::Patch& patch = outline.patches()[p];
     if (glm::dot(patch.axis, towards) < -patch.sine) continue;
-    const std::span<const Outline::Edge> edges = object.outline->edges_of(p);
+    const std::span<const Outline::Edge> edges = outline.edges_of(p);
     for (std::size_t i = 0; i < edges.size(); ++i) {
       const std::uint32_t first = std::min(edges[i].from, edges[i].to),
                           second = std::max(edges[i].from, edges[i].to);
-      if (sees[first] == kShut || sees[second] == kShut || group_[second] != kAlone) continue;
-      if (object.outline->is_cut(p * Outline::kTogether + i) || !see_alike(first, second)) continue;
-      if (group_[first] == kAlone) {
-        group_[first] = static_cast<std::uint32_t>(members_.size());
-        members_.push_back(first);
-      }
-      group_[second] = group_[first];
+      if (view.may_share(first) && view.may_share(second) && group_[second] == kAlone &&
+          is_in_front(edges[i]) && !outline.is_cut(p * Outline::kTogether + i) &&
+          view.see_alike(first, second))
+        join(first, second);
     }
   }
+}
+
+void SharedSight::join(std::uint32_t first, std::uint32_t second) {
+  if (group_[first] == kAlone) {
+    group_[first] = static_cast<std::uint32_t>(groups());
+    members_.insert(members_.end(), {first, second});
+  }
+  group_[second] = group_[first];
+  members_[2 * group_[first] + 1] = second;
 }
 
 }  // namespace penumbra::shadows

@@ -22,14 +22,24 @@ class SharedSight {
 
   /// By vertex: its group, kAlone, or kTurnedAway from all of the disc.
   std::span<const std::uint32_t> group() const { return group_; }
-  /// By group: one of its vertices.
+  std::size_t groups() const { return members_.size() / 2; }
+  /// Two by two the first and the last vertex of each group.
   std::span<const std::uint32_t> members() const { return members_; }
-  std::size_t groups() const { return members_.size(); }
-  /// Whether surfaces may cut through a group: where an outline does not know its cuts, or another caster reaches into the
-  /// object's bounds. Then ask several of its vertices.
+  /// in: a vertex of a group
+  bool is_member(std::size_t vertex) const {
+    const std::size_t first = 2 * group_[vertex];
+    return members_[first] == vertex || members_[first + 1] == vertex;
+  }
+  /// Whether surfaces may cut through a group: where an outline does not know its cuts, or the sphere around another caster
+  /// meets the object's. Then ask several of its vertices.
   bool may_be_cut() const { return may_be_cut_; }
 
  private:
+  template <class View>
+  void join_all(const Outline& outline, std::span<const std::uint8_t> faces,
+                const glm::vec3& towards, View& view);
+  void join(std::uint32_t first, std::uint32_t second);
+
   std::vector<std::uint32_t> group_, members_;
   bool may_be_cut_ = false;
 };

@@ -13,7 +13,7 @@ struct Setup {
   shadows::Outline outline{mesh};
   prt::RayWorld world = *prt::RayWorld::create();
   prt::Plane plane;
-  Setup() { outline.find_cuts(mesh, world, *world.add(mesh), {}, 3e-5f); }
+  Setup() { outline.find_cuts(mesh, world, *world.add(mesh)); }
   shadows::Blockers blockers() const { return {&world, nullptr, 3e-5f}; }
 };
 

@@ -276,6 +276,22 @@ TEST(DrawnShadow, OfADiscThatSetsOnlyTheUpperPartCounts) {
   EXPECT_NEAR(most, 1, .05);
 }
 
+// All of its light is thrown as if it came from 1.15 degrees: by outlines that are not those of the disc itself.
+TEST(DrawnShadow, OfASunAtTheHorizonIsWhole) {
+  const Scene scene(one(knot()));
+  DiscShadow at_horizon, higher;
+  draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of({"", {}, {}, .25, .2}), {},
+                   at_horizon);
+  draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of({"", {}, {}, 1.146, .2}), {},
+                   higher);
+  ASSERT_EQ(at_horizon.taken.width(), higher.taken.width());
+  ASSERT_EQ(at_horizon.taken.height(), higher.taken.height());
+  double difference = 0;
+  for (std::size_t i = 0; i < higher.taken.area(); ++i)
+    difference += std::abs(at_horizon.taken.pixels()[i] - higher.taken.pixels()[i]);
+  EXPECT_LT(difference / double(higher.taken.area()), .02);
+}
+
 TEST(DrawnShadow, ADiscBelowTheHorizonThrowsNone) {
   const Scene scene(one(knot()));
   DiscShadow shadow;

@@ -54,7 +54,7 @@ std::vector<PlaneTap> taps(double turn, double spread, int count) {
 }
 
 NodeGrid grid_at(double height_m) {
-  return {{{1, 0, 0, 0}, {0, height_m, 0}}, .01f, 0, 0};
+  return {{{1, 0, 0, 0}, {-500, height_m, -500}}, .01f, 1e5f, 1e5f};
 }
 
 // As narrow as it can be.
