@@ -36,6 +36,30 @@ Scene walker_scene(std::array<int, 2> light_map = {0, 0}) {
   return scene;
 }
 
+// The walk in few frames of few rays, for tests that are not about its light.
+struct CoarseWalk {
+  std::string file;
+  float half_extent = 0;  // of its receiver, metres
+};
+CoarseWalk coarse_walk(const test::TempFolder& folder, const Rgb& albedo) {
+  auto standing = standing_character("builtin:walker", albedo, "Walk", 0, 0);
+  EXPECT_TRUE(standing);
+  prt::SequenceOptions options;
+  options.frames_per_second = 6;
+  options.between = 0;
+  options.bands = 3;
+  options.rays = options.ground_rays = 64;
+  options.ground_size = 32;
+  const std::filesystem::path journals[] = {folder.path() / "journal"};
+  EXPECT_TRUE(prt::bake_frames(standing->character, standing->clip, options, {}, journals[0]));
+  const auto sequence =
+      prt::compress_frames(standing->character, standing->clip, options, journals);
+  EXPECT_TRUE(sequence);
+  const auto file = folder.path() / "walk.shlm";
+  EXPECT_TRUE(prt::write_sequence(file, standing->character, standing->clip, *sequence));
+  return {file, sequence->receiver->grid.half_extent};
+}
+
 const auto no_progress = [](const std::string&) { return std::function<void(double)>(); };
 
 Result<PreparedScene> prepare_quickly(const Scene& scene, int rays = 256) {
@@ -251,7 +275,9 @@ TEST(Animated, StaticLightDoesNotFlickerOnAThingThatRests) {
 
 TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
   // A second object and a real box: shadows that meet, sides that see each other.
+  const test::TempFolder folder;
   Scene scene = walker_scene();
+  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
   SceneObject box;
   box.name = "box";
   box.asset = "builtin:box";
@@ -261,7 +287,7 @@ TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
   crate.mesh = "builtin:box";
   crate.position = {-.6, 0, 0};
   scene.real.push_back(crate);
-  const auto prepared = prepare_quickly(scene, 64);
+  const auto prepared = prepare_quickly(scene);
   ASSERT_TRUE(prepared) << prepared.error().detail;
   const prt::PinholeView view = view_of(80, 120);
   const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
@@ -285,21 +311,7 @@ TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
 
 TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
   const test::TempFolder folder;
-  auto standing = standing_character("builtin:walker", {.7f, .7f, .7f}, "Walk", 0, 0);
-  ASSERT_TRUE(standing);
-  prt::SequenceOptions options;
-  options.frames_per_second = 6;
-  options.between = 0;
-  options.bands = 3;
-  options.rays = options.ground_rays = 64;
-  options.ground_size = 32;
-  const std::filesystem::path journals[] = {folder.path() / "journal"};
-  ASSERT_TRUE(prt::bake_frames(standing->character, standing->clip, options, {}, journals[0]));
-  const auto sequence =
-      prt::compress_frames(standing->character, standing->clip, options, journals);
-  ASSERT_TRUE(sequence);
-  const auto file = folder.path() / "walk.shlm";
-  ASSERT_TRUE(prt::write_sequence(file, standing->character, standing->clip, *sequence));
+  const auto [file, half_extent] = coarse_walk(folder, {.7f, .7f, .7f});
   Scene scene = walker_scene();
   scene.objects[0].albedo = {.7f, .7f, .7f};
   scene.objects[0].transfer = file;
@@ -310,8 +322,7 @@ TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
   const prt::Bounds b = prt::bounds_of(prepared->objects[0].mesh_at(.3));
   EXPECT_NEAR(b.high.y - b.low.y, 3.5, .16);
   EXPECT_NEAR(b.low.y, 0, .05);
-  EXPECT_NEAR(prepared->objects[0].baked.receiver->grid.half_extent,
-              2 * sequence->receiver->grid.half_extent, 1e-4);
+  EXPECT_NEAR(prepared->objects[0].baked.receiver->grid.half_extent, 2 * half_extent, 1e-4);
   scene.objects[0].albedo = {.2f, .7f, .7f};
   prepared = prepare_quickly(scene);
   ASSERT_FALSE(prepared);
@@ -376,10 +387,13 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
 
 // Without probes the governor predicts nothing of what left-out bands would have done.
 TEST(Animated, TheGovernorKnowsACharactersShadow) {
+  const test::TempFolder folder;
   Scene scene = walker_scene();
+  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
   for (const bool live : {false, true}) {
     scene.objects[0].live = live;
-    const auto prepared = prepare_quickly(scene, 64);
+    if (live) scene.objects[0].transfer.clear();
+    const auto prepared = prepare_quickly(scene);
     ASSERT_TRUE(prepared);
     const prt::Transfer& probes = prepared->objects[0].baked.shadow_probes;
     ASSERT_EQ(probes.points, std::size_t{prt::BakedObject::kShadowProbes}) << live;
