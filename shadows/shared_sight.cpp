@@ -85,7 +85,6 @@ glm::vec2 across(const glm::vec3& p) {
 // Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: an outline's own
 // surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
 bool passes_over(const Line& line, const glm::vec3& a, const glm::vec3& b) {
-  if (std::max(line.from.y, line.to.y) <= std::min(a.y, b.y)) return false;
   const glm::vec2 from = across(line.from), along = across(line.to) - from, start = across(a),
                   way = across(b) - start;
   const float a_off = cross(along, start - from), b_off = cross(along, across(b) - from);
@@ -115,8 +114,6 @@ class Outlines {
     for (std::uint32_t i = 0; i < lines_.size(); ++i)
       each_cell(lines_[i], [&](std::size_t cell, float height, bool over) {
         height_[cell] = std::max(height_[cell], height);
-        highest_ = std::max(highest_, height);
-        if (highest_ >= drop_) last_.clear();  // it reaches farther than the cells that are listed
         list(i, over ? kOver : kBeside, cell, height);
       });
     if (last_.empty()) spread();
@@ -135,7 +132,6 @@ class Outlines {
     const std::size_t cell = index(static_cast<int>(p.x), static_cast<int>(p.z));
     if (height_[cell] < p.y) return false;
     const auto hides_a_part = [&](const Line& line) {
-      if (std::max(line.from.y, line.to.y) <= p.y) return false;
       const glm::vec2 to_place = across(p) - across(line.from),
                       along = across(line.to) - across(line.from);
       const float square = glm::dot(along, along),
@@ -193,9 +189,10 @@ class Outlines {
   }
   enum Where : std::size_t { kOver, kBeside };
   void list(std::uint32_t line, Where where, std::size_t cell, float height) {
-    constexpr std::size_t kMostOverACell =
-        32;  // in the mean: blinds of long slats would fill lists
-    if (listed_.size() > kMostOverACell * height_.size()) last_.clear();
+    constexpr std::size_t kMost =
+        32;  // over a cell in the mean: blinds of long slats would fill lists
+    // What is so high reaches farther than the cells in which it is listed.
+    if (height >= drop_ || listed_.size() > kMost * height_.size()) last_.clear();
     if (last_.empty()) return;
     listed_.push_back({line, last_[2 * cell + where], height});
     last_[2 * cell + where] = static_cast<std::uint32_t>(listed_.size() - 1);
@@ -253,7 +250,7 @@ class Outlines {
 
   std::span<const Line> lines_;
   int width_, depth_;
-  float drop_, highest_ = 0;
+  float drop_;
   std::pmr::vector<float> height_, around_;
   // Where no shadow is thrown aside by a cell: the lines over each cell, from its last one back. Else empty.
   std::pmr::vector<std::uint32_t> last_;
@@ -276,19 +273,23 @@ void add_lines(std::span<const Caster> casters, const Pose& grid_from_world, flo
 // The vertices of an object in front of the light, and what is above them.
 class View {
  public:
-  View(const Caster& object, const glm::vec3& towards, const IntoGrid& place,
+  /// `behind`: cosines from which on a vertex is turned away from all of the disc.
+  View(const Caster& object, const glm::vec3& towards, float behind, const IntoGrid& place,
        const Outlines& outlines, std::pmr::memory_resource* memory)
       : outlines_(outlines),
         places_(object.mesh->positions.size(), memory),
         sees_(places_.size(), kShut, memory) {
     for (std::size_t i = 0; i < places_.size(); ++i) {
-      if (!(glm::dot(object.mesh->normals[i], towards) > 0)) continue;
+      const float cosine = glm::dot(object.mesh->normals[i], towards);
+      if (cosine < behind) sees_[i] = kNothing;
+      if (!(cosine > 0)) continue;
       places_[i] = place(object.mesh->positions[i]);
       sees_[i] = kUnknown;
     }
   }
-  /// False of vertices that are turned away, or known to lie in a penumbra.
-  bool may_share(std::uint32_t i) const { return sees_[i] != kShut; }
+  bool is_turned_away(std::size_t i) const { return sees_[i] == kNothing; }
+  /// False of vertices whose middle of the disc is behind them, or known to lie in a penumbra.
+  bool may_share(std::uint32_t i) const { return sees_[i] >= kUnknown; }
   /// in: vertices that may share
   bool see_alike(std::uint32_t a, std::uint32_t b) {
     return outlines_.are_clear_of(places_[a], places_[b]) ||
@@ -296,7 +297,7 @@ class View {
   }
 
  private:
-  static constexpr char kShut = 0, kUnknown = 1, kOpen = 2;
+  static constexpr char kNothing = 0, kShut = 1, kUnknown = 2, kOpen = 3;
   bool is_open(std::uint32_t i) {
     if (sees_[i] == kUnknown) sees_[i] = outlines_.in_penumbra(places_[i]) ? kShut : kOpen;
     return sees_[i] == kOpen;
@@ -353,10 +354,11 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   const glm::vec3 towards =
       glm::transpose(object.world_from_mesh.rotation_matrix()) * disc.direction;
   const auto behind = -static_cast<float>(std::sin(angle)) - kCosineRounding;
+  View view(object, towards, behind,
+            IntoGrid(grid->grid_from_world * object.world_from_mesh, grid->cell_m), outlines,
+            scope.memory());
   for (std::size_t i = 0; i < group_.size(); ++i)
-    if (glm::dot(object.mesh->normals[i], towards) < behind) group_[i] = kTurnedAway;
-  View view(object, towards, IntoGrid(grid->grid_from_world * object.world_from_mesh, grid->cell_m),
-            outlines, scope.memory());
+    if (view.is_turned_away(i)) group_[i] = kTurnedAway;
   join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, towards, view);
 }
 
