@@ -2,77 +2,18 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <atomic>
+#include <cassert>
 
 #include "compositor/camera_look.h"
-#include "compositor/code_row.h"
 #include "compositor/gl.h"
 #include "compositor/gpu_relight.h"
 #include "compositor/layered_rows.h"
-#include "core/parallel.h"
+#include "compositor/pixel_pass.h"
+#include "core/aside.h"
 
 namespace penumbra::compositor {
 
 namespace {
-
-// The fused pass over neighbouring pixels; see composite_codes, which is the same for eight bits.
-template <class Pixel, class Codec>
-std::size_t composite_part(const Codec& codec, const float* object, const float* r, const float* g,
-                           const float* b, Pixel* pixels, std::size_t count) {
-  constexpr float kNoObject[4] = {0, 0, 0, 0};
-  std::size_t touched = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    const float* const v = object ? object + 4 * i : kNoObject;
-    if (v[3] == 0 && r[i] == 1 && g[i] == 1 && b[i] == 1) continue;
-    ++touched;
-    const float behind = 1 - v[3];
-    Pixel& p = pixels[i];
-    p.r = codec.encode(0, v[0] + behind * r[i] * codec.decode(0, p.r));
-    p.g = codec.encode(1, v[1] + behind * g[i] * codec.decode(1, p.g));
-    p.b = codec.encode(2, v[2] + behind * b[i] * codec.decode(2, p.b));
-  }
-  return touched;
-}
-
-// Eight bits are what cameras deliver live: in vectors.
-std::size_t composite_part(const Coded<std::uint8_t>& codec, const float* object, const float* r,
-                           const float* g, const float* b, Rgb8* pixels, std::size_t count) {
-  return composite_codes(codec.curve, object, r, g, b, pixels, count);
-}
-
-// One row of the touched rectangle, the part with objects in the middle by itself.
-template <class Pixel, class Codec>
-std::size_t composite_row(const Codec& codec, Pixel* row, int y, const Layered& in,
-                          RowBuffers& rows) {
-  const bool has_objects = has_row(in.objects, y), has_shadows = load_shadows(in, y, rows);
-  if (!has_objects && !has_shadows) return 0;
-  if (has_objects) load_objects(in, y, rows.object);
-  const auto part = [&](int x0, int x1, const float* object) -> std::size_t {
-    if (x0 >= x1) return 0;
-    const auto i = static_cast<std::size_t>(x0 - in.area.x0);
-    return composite_part(codec, object, &rows.r[i], &rows.g[i], &rows.b[i], row + x0,
-                          static_cast<std::size_t>(x1 - x0));
-  };
-  if (!has_objects) return part(in.area.x0, in.area.x1, nullptr);
-  return part(in.area.x0, in.objects.rect.x0, nullptr) +
-         part(in.objects.rect.x0, in.objects.rect.x1, rows.object.data()) +
-         part(in.objects.rect.x1, in.area.x1, nullptr);
-}
-
-template <class Pixel, class Codec>
-std::size_t composite_pixels(const Codec& codec, Image<Pixel>& frame, const Layered& in) {
-  std::atomic<std::size_t> touched = 0;
-  parallel_for(in.area.y0, in.area.y0 + in.area.height(), 8, [&](const auto& range) {
-    thread_local RowBuffers rows;  // grow once per thread
-    rows.resize(static_cast<std::size_t>(frame.width()));
-    std::size_t count = 0;
-    for (int y = range.begin(); y < range.end(); ++y)
-      count += composite_row(codec, frame.row(y).data(), y, in.row(y), rows);
-    touched += count;
-  });
-  return touched;
-}
 
 bool valid(const CameraLook& look) {
   const auto within = [](float v, float most) { return v >= 0 && v <= most; };  // NaN is not
@@ -95,19 +36,16 @@ out vec4 colour;
 void main() { colour = vec4(texture(picture, uv).rgb, 1); }
 )";
 
-Touched put(const View& view, const Layered& in, FramePixels& frame, LookPlanes& look) {
-  Touched out;
-  if (!view.look.none())
-    out.pixels = composite_look(view, frame, in, look);
-  else if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    out.pixels = composite_pixels(Coded<std::uint8_t>{*view.curve}, *f8, in);
-  else if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    out.pixels = composite_pixels(Coded<std::uint16_t>{*view.curve}, *f16, in);
-  else
-    out.pixels = composite_pixels(Linear{}, std::get<Image<Rgb>>(frame), in);
+Touched touched(std::size_t pixels, const FramePixels& frame) {
   const auto all = std::visit([](const auto& f) { return f.area(); }, frame);
-  out.fraction = static_cast<double>(out.pixels) / static_cast<double>(all);
-  return out;
+  return {pixels, static_cast<double>(pixels) / static_cast<double>(all)};
+}
+
+Touched put(const View& view, const Layered& in, FramePixels& frame, LookPlanes& look) {
+  if (!view.look.none()) return touched(composite_look(view, frame, in, look), frame);
+  return touched(composite_share(Share::kBeside, view, frame, in) +
+                     composite_share(Share::kObjects, view, frame, in),
+                 frame);
 }
 
 Layered layered(const Layer& objects, const Layer& hidden, const Receivers& receivers,
@@ -139,7 +77,9 @@ Touched Drawn::put_into(FramePixels& frame) {
 
 struct Compositor::Impl {
   explicit Impl(int oversampling) : receivers(oversampling) {}
-  Result<Rect> draw(const View& view, const FramePixels& frame);
+  Result<void> check(const View& view, const FramePixels& frame) const;
+  Result<Rect> draw(const View& view);
+  Result<Touched> composite_while_drawing(const View& view, FramePixels& frame);
 
   int width = 0, height = 0;
   std::unique_ptr<GlContext> context;  // destroyed last: the names below live in it
@@ -257,14 +197,16 @@ void Compositor::set_ratios(int occluder, std::span<const Rgb> ratios) {
   impl_->layers->set_ratios(occluder, ratios);
 }
 
-// The pixels that shadows can reach.
-Result<Rect> Compositor::Impl::draw(const View& view, const FramePixels& frame) {
-  context->make_current();
+Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame) const {
   const auto [w, h] =
       std::visit([](const auto& f) { return std::pair(f.width(), f.height()); }, frame);
   if (w != width || h != height)
     return fail(ErrorCode::kInvalid, "frame",
                 fmt::format("{}x{} pixels, expected {}x{}", w, h, width, height));
+  if (view.camera.width != w || view.camera.height != h)
+    return fail(ErrorCode::kInvalid, "view",
+                fmt::format("camera of {}x{} pixels for a frame of {}x{}", view.camera.width,
+                            view.camera.height, w, h));
   const unsigned needed = std::holds_alternative<Image<Rgb8>>(frame)    ? 255u
                           : std::holds_alternative<Image<Rgb16>>(frame) ? 65535u
                                                                         : 0u;
@@ -272,22 +214,51 @@ Result<Rect> Compositor::Impl::draw(const View& view, const FramePixels& frame) 
     return fail(ErrorCode::kInvalid, "frame", "no response curve of its bit depth");
   if (!valid(view.look))
     return fail(ErrorCode::kInvalid, "camera look", "blur or noise is negative or too large");
+  return {};
+}
+
+// The pixels that shadows can reach.
+Result<Rect> Compositor::Impl::draw(const View& view) {
+  context->make_current();
   const Rect receiver_area = receivers.prepare(view.camera);
   PENUMBRA_TRY(layers->draw(view, receiver_area, objects, hidden));
   return receiver_area;
 }
 
+// Without a GPU drawing begins on one core alone: another one composites what no layer reaches.
+Result<Touched> Compositor::Impl::composite_while_drawing(const View& view, FramePixels& frame) {
+  context->make_current();
+  const Rect area = receivers.prepare(view.camera);
+  const Layer room{layers->reach_of_objects(view.camera), {}}, nothing;
+  std::size_t beside = 0;
+  Aside aside;
+  aside.run([&] {
+    beside =
+        composite_share(Share::kBeside, view, frame, layered(room, nothing, receivers, area, view));
+  });
+  const Result<void> drawn = layers->draw(view, area, objects, hidden);
+  aside.wait();
+  PENUMBRA_TRY(drawn);
+  assert(objects.now->rect == room.rect);
+  return touched(beside + composite_share(Share::kObjects, view, frame,
+                                          layered(*objects.now, nothing, receivers, area, view)),
+                 frame);
+}
+
 Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
-  PENUMBRA_ASSIGN(area, impl_->draw(view, frame));
-  return put(view, layered(*impl_->objects.now, *impl_->hidden.now, impl_->receivers, area, view),
-             frame, impl_->look);
+  Impl& i = *impl_;
+  PENUMBRA_TRY(i.check(view, frame));
+  if (view.look.none() && !i.layers->has_occluders()) return i.composite_while_drawing(view, frame);
+  PENUMBRA_ASSIGN(area, i.draw(view));
+  return put(view, layered(*i.objects.now, *i.hidden.now, i.receivers, area, view), frame, i.look);
 }
 
 Result<void> Compositor::draw(const View& view, const FramePixels& frame, Drawn& out) {
+  PENUMBRA_TRY(impl_->check(view, frame));
   Drawn::Impl& d = *out.impl_;
   impl_->objects.spare = std::move(d.objects);
   impl_->hidden.spare = std::move(d.hidden);
-  PENUMBRA_ASSIGN(area, impl_->draw(view, frame));
+  PENUMBRA_ASSIGN(area, impl_->draw(view));
   d.view = view;
   d.objects = impl_->objects.now;
   d.hidden = impl_->hidden.now;

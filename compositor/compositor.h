@@ -148,7 +148,8 @@ class Compositor {
   ///   z' = f(V + T B + n), V = PSF * a e L_v, T = PSF * (1 - a) s,
   ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
   /// in:     frame of the size given at creation
-  /// errors: kInvalid (size, missing curve, depth, look), kUnavailable (GL lost)
+  /// errors: kInvalid (size, missing curve, depth, look; the frame is left alone), kUnavailable (GL lost; the frame may have
+  /// its shadows already)
   /// source: Debevec 1998 in the ratio form
   Result<Touched> composite(const View& view, FramePixels& frame);
   /// composite() in two steps, the second on any thread while this one goes on. What view.curve points to must stay until

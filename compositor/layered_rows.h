@@ -60,8 +60,9 @@ struct Layered {
     Rect part = receivers.reach_in_row(y);
     for (const Layer* layer : {&objects, &hidden})
       if (has_row(*layer, y)) part = united(part, {layer->rect.x0, y, layer->rect.x1, y + 1});
-    return {objects, hidden, receivers, part, vignetting};
+    return within(part);
   }
+  Layered within(const Rect& part) const { return {objects, hidden, receivers, part, vignetting}; }
 };
 
 /// The objects' row as the lens lets it through.
@@ -84,7 +85,8 @@ inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
       in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data());
   if (!has_row(in.hidden, y)) return on_planes;
   load_row(in.hidden, y, rows.hidden);
-  for (int x = in.hidden.rect.x0; x < in.hidden.rect.x1; ++x) {
+  for (int x = std::max(in.hidden.rect.x0, in.area.x0); x < std::min(in.hidden.rect.x1, in.area.x1);
+       ++x) {
     const float* const real = &rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
     const auto i = static_cast<std::size_t>(x - in.area.x0);
     const float seen = 1 - real[3];

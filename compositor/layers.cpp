@@ -420,11 +420,17 @@ Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bou
   return reach(clip_from_bounds, corners, width_, height_);
 }
 
+Rect Layers::reach_of_objects(const prt::PinholeView& camera) const {
+  const glm::dmat4 clip_from_world = clip_from_world_of(camera);
+  Rect out;
+  for (const Object& o : objects_)
+    out = united(out, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
+  return out;
+}
+
 Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                            Layer& out) {
-  out.rect = {};
-  for (const Object& o : objects_)
-    out.rect = united(out.rect, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
+  out.rect = reach_of_objects(view.camera);
   if (out.rect.empty()) return {};
   PENUMBRA_TRY(objects_canvas_.begin(out.rect, width_, height_));
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
@@ -444,8 +450,7 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, SharedLay
     return {};
   drawn_.reset();
   Layer &objects = objects_layer.renewed(), &hidden = hidden_layer.renewed();
-  const glm::dmat4 clip_from_world =
-      clip_from_camera(view.camera) * view.camera.world_from_camera.inverse().matrix();
+  const glm::dmat4 clip_from_world = clip_from_world_of(view.camera);
   PENUMBRA_TRY(draw_layer_of_objects(view, clip_from_world, objects));
   hidden.rect = occluders_.empty() ? Rect{} : receiver_area;
   for (const OccluderMesh& mesh : occluder_meshes_)

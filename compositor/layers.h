@@ -27,6 +27,9 @@ class Layers {
   void set_ratios(int occluder, std::span<const Rgb> ratios);
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
+  bool has_occluders() const { return !occluders_.empty(); }
+  /// The rectangle that draw() gives the layer of objects.
+  Rect reach_of_objects(const prt::PinholeView& camera) const;
   /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples
   /// a pixel. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
   /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller

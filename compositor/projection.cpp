@@ -2,7 +2,7 @@
 
 namespace penumbra::compositor {
 
-glm::dmat4 clip_from_camera(const prt::PinholeView& v) {
+glm::dmat4 clip_from_world_of(const prt::PinholeView& v) {
   glm::dmat4 m(0);
   m[0][0] = 2 * v.focal_px.x / v.width;
   m[2][0] = 1 - 2 * v.principal_px.x / v.width;
@@ -11,7 +11,7 @@ glm::dmat4 clip_from_camera(const prt::PinholeView& v) {
   m[2][2] = (kFarPlane + kNearPlane) / (kNearPlane - kFarPlane);
   m[3][2] = 2 * kFarPlane * kNearPlane / (kNearPlane - kFarPlane);
   m[2][3] = -1;
-  return m;
+  return m * v.world_from_camera.inverse().matrix();
 }
 
 Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width,
@@ -32,8 +32,9 @@ Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> point
   const auto clamped = [](double v, int limit) {
     return static_cast<int>(std::clamp(v, 0., static_cast<double>(limit)));
   };
-  return {clamped(std::floor(x0) - 1, width), clamped(std::floor(y0) - 1, height),
-          clamped(std::ceil(x1) + 1, width), clamped(std::ceil(y1) + 1, height)};
+  const Rect out{clamped(std::floor(x0) - 1, width), clamped(std::floor(y0) - 1, height),
+                 clamped(std::ceil(x1) + 1, width), clamped(std::ceil(y1) + 1, height)};
+  return out.empty() ? Rect{} : out;
 }
 
 }  // namespace penumbra::compositor

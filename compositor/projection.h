@@ -28,7 +28,7 @@ inline Rect united(const Rect& a, const Rect& b) {
 }
 
 /// Row 0 of the framebuffer is the top of the picture: clip y grows downwards.
-glm::dmat4 clip_from_camera(const prt::PinholeView& view);
+glm::dmat4 clip_from_world_of(const prt::PinholeView& view);
 
 /// Pixels that a convex set of points can reach; the whole frame when the near plane cuts it.
 Rect reach(const glm::dmat4& clip_from_points, std::span<const glm::dvec3> points, int width,

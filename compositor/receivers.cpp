@@ -131,8 +131,7 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   taken_.clear();
   missing_.clear();
   Rect all;
-  const glm::dmat4 clip_from_world =
-      clip_from_camera(view) * view.world_from_camera.inverse().matrix();
+  const glm::dmat4 clip_from_world = clip_from_world_of(view);
   PlaneLookup lookup;
   for (const Receiver& r : receivers_) {
     if (!prepare_lookup(view, clip_from_world, r, lookup)) continue;

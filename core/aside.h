@@ -7,7 +7,7 @@
 #include <future>
 #endif
 
-// Work beside other work. What the thread sanitizer sees instead of libtbb: core/parallel.h.
+// Work beside other work. What the thread sanitizer sees instead of libtbb: core/parallel.cpp.
 namespace penumbra {
 
 // One piece of work beside the caller's, on a core that has none; at the latest in wait().

@@ -58,6 +58,14 @@ void expect_rows(Receivers& receivers, const Expected& expected) {
       const bool any = receivers.load_row(y, area, r.data(), g.data(), b.data());
       for (auto& v : rest) v.assign(kWidth, 1);
       receivers.load_row(y, narrow, rest[0].data(), rest[1].data(), rest[2].data());
+      // In two pieces, cut within a shadow or beside it.
+      std::vector<float> left[3], right[3];
+      for (auto* piece : {left, right})
+        for (int c = 0; c < 3; ++c) piece[c].assign(kWidth, 1);
+      const int cut = 20 + y % 50;
+      receivers.load_row(y, {0, y, cut, y + 1}, left[0].data(), left[1].data(), left[2].data());
+      receivers.load_row(y, {cut, y, kWidth, y + 1}, right[0].data(), right[1].data(),
+                         right[2].data());
       for (int x = 0; x < kWidth; ++x) {
         const double wanted = expected(view, x, y);
         const bool inside = any && x >= area.x0 && x < area.x1;
@@ -66,6 +74,10 @@ void expect_rows(Receivers& receivers, const Expected& expected) {
         const float part = reached ? rest[0][static_cast<std::size_t>(x - narrow.x0)] : 1;
         ASSERT_NEAR(whole, wanted, 4e-3) << x << ' ' << y;
         ASSERT_EQ(part, whole) << x << ' ' << y;
+        ASSERT_EQ(x < cut ? left[0][static_cast<std::size_t>(x)]
+                          : right[0][static_cast<std::size_t>(x - cut)],
+                  whole)
+            << x << ' ' << y << " cut at " << cut;
         shaded += wanted < .99;
         spared += !reached && inside;
       }

@@ -12,7 +12,7 @@ const char* __lsan_default_suppressions() {
          "leak:libtbb.so\nleak:libglapi\nleak:libdrm\nleak:libopencv_core.so\n";
 }
 
-// Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work (core/parallel.h). Its search for
+// Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work (core/parallel.cpp). Its search for
 // lock cycles gives up where a library below GL holds more than sixty locks at once.
 const char* __tsan_default_suppressions() {
   return "called_from_lib:libtbb.so\ncalled_from_lib:libembree3.so\ncalled_from_lib:swrast_dri.so\n"
