@@ -11,7 +11,7 @@ struct Layered;
 
 /// Two shares of a frame that together are all of it and have no pixel in common.
 enum class Share {
-  kBeside,   // what the layer of objects does not reach: of that layer only its rectangle is asked for
+  kBeside,  // what the layer of objects does not reach: of that layer only its rectangle is asked for
   kObjects,  // its rectangle
 };
 
