@@ -13,11 +13,13 @@ float smooth_step(float t) {
   return t * t * (3 - 2 * t);
 }
 
-// 1 inside, 0 at the rim, by distance from the grid's centre in texture coordinates.
-float rim_fade(int x, int y, int size) {
-  const float dx = std::abs((static_cast<float>(x) + .5f) / static_cast<float>(size) * 2 - 1);
-  const float dy = std::abs((static_cast<float>(y) + .5f) / static_cast<float>(size) * 2 - 1);
-  return smooth_step((1 - std::max(dx, dy)) / .1f);
+// 1 inside, 0 at the rim, by distance from the grid's centre in texture coordinates: the lesser one of column and row.
+void rim_fades(int size, std::vector<float>& out) {
+  out.clear();
+  for (int i = 0; i < size; ++i) {
+    const float off = std::abs((static_cast<float>(i) + .5f) / static_cast<float>(size) * 2 - 1);
+    out.push_back(smooth_step((1 - off) / .1f));
+  }
 }
 
 }  // namespace
@@ -53,13 +55,16 @@ void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& li
   Rgb inverse;
   for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;
 
+  thread_local std::vector<float> fades;  // grows once per thread
+  rim_fades(size, fades);
   out.x0 = out.y0 = size;
   out.x1 = out.y1 = 0;
   for (int y = 0; y < size; ++y)
     for (int x = 0; x < size; ++x) {
       const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) +
                      static_cast<std::size_t>(x);
-      const float fade = rim_fade(x, y, size);
+      const float fade =
+          std::min(fades[static_cast<std::size_t>(x)], fades[static_cast<std::size_t>(y)]);
       float d[3], largest = 0;
       for (int c = 0; c < 3; ++c) {
         const std::size_t at = static_cast<std::size_t>(c) * change.stride + i;
