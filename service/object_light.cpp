@@ -147,10 +147,11 @@ void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& e
       add(side[static_cast<std::size_t>(k)], own, discs_.reflected_share(i, index, k));
     out.disc_irradiance += lighting::irradiance(d, up);
   }
+  // What object and floor reflect of a lamp: as if it were as far for all of them as for the object's middle.
+  glm::dvec3 centre(0);
+  if (!scene_.lamps.empty())
+    centre = pose * glm::dvec3(prt::bounds_of(objects_[index].prepared->baked.mesh).centre());
   for (const shadows::Lamp& lamp : scene_.lamps) {
-    // What object and floor reflect of a lamp: as if it were as far for all of them as for the object's middle.
-    const glm::dvec3 centre =
-        pose * glm::dvec3(prt::bounds_of(objects_[index].prepared->baked.mesh).centre());
     const RadianceSh own = reflected_for(as_disc(lamp, centre), level);
     add(sum, own, 1);
     for (RadianceSh& s : side) add(s, own, 1);
