@@ -4,11 +4,9 @@
 #include <array>
 #include <cmath>
 #include <glm/geometric.hpp>
-#include <map>
 #include <numeric>
 #include <optional>
 #include <set>
-#include <tuple>
 
 namespace penumbra::compositor {
 
@@ -32,11 +30,7 @@ double signed_volume(const prt::Mesh& mesh) {
 
 bool every_edge_is_shared(const prt::Mesh& mesh) {
   // Creases split a vertex in two; the place is what counts.
-  std::map<std::tuple<float, float, float>, std::uint32_t> places;
-  std::vector<std::uint32_t> place;
-  for (const glm::vec3& p : mesh.positions)
-    place.push_back(places.try_emplace({p.x, p.y, p.z}, static_cast<std::uint32_t>(places.size()))
-                        .first->second);
+  const std::vector<std::uint32_t> place = prt::places_of(mesh.positions);
   std::vector<std::pair<std::uint32_t, std::uint32_t>> edges, reversed;
   for (const Triangle& t : mesh.triangles)
     for (std::size_t i = 0; i < 3; ++i) {

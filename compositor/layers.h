@@ -8,6 +8,7 @@
 
 #include "compositor/canvas.h"
 #include "compositor/compositor.h"
+#include "compositor/contour.h"
 #include "compositor/draw_list.h"
 #include "compositor/gl.h"
 #include "compositor/projection.h"
@@ -30,8 +31,8 @@ class Layers {
   bool has_occluders() const { return !occluders_.empty(); }
   /// The rectangle that draw() gives the layer of objects.
   Rect reach_of_objects(const prt::PinholeView& camera) const;
-  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, four samples
-  /// a pixel. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
+  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, averaged over each pixel: of samples, or
+  /// where that shows no worse of one sample and the objects' contours. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
   /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller
   /// keeps them.
   Result<void> draw(const View& view, const Rect& receiver_area, SharedLayer& objects,
@@ -47,20 +48,26 @@ class Layers {
   };
   struct Object {
     GlVertexArray geometry{};
-    GlBuffer vertices{}, indices{}, light{}, texture_coordinates{}, light_coordinates{};
+    GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
     std::optional<LightMap> light_map{};
     DrawList triangles;
+    std::span<const DrawList::Triangle> shown{};  // of `triangles`, in `indices`
+    Contour contour;
+    std::vector<glm::vec3> positions;
     bool changes_form;
     std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
-    GLsizei index_count = 0;
+    GLsizei index_count = 0, seen_count = 0;
     bool every_triangle = true;  // in `indices`; otherwise those selected for `colours`
     bool selection_stale = true;
     bool moves = false;  // has been given another form: what the list of triangles tells of is gone
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
     float tolerance;  // of `triangles`, metres
+    double area_m2;   // of all triangles, at rest
     Pose world_from_bake{};
+    // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
+    double mean_triangle_m2() const { return .5 * area_m2 / static_cast<double>(shown.size()); }
   };
   struct Occluder {
     GlVertexArray geometry;
@@ -87,6 +94,7 @@ class Layers {
         height_(height),
         fine_(oversampling > 2),
         objects_canvas_(oversampling),
+        plain_canvas_(1),
         hidden_canvas_(oversampling),
         object_program_(std::move(object)),
         textured_program_(std::move(textured)),
@@ -99,25 +107,32 @@ class Layers {
   static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
                              const std::vector<Rgb>& albedo);
   static Occluder upload(const prt::Mesh& mesh);
-  void draw_objects(const View& view, const glm::dmat4& clip_from_world);
+  void draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone);
   void bind_pictures(const Object& object, GLuint program) const;
-  static void choose_triangles(Object& object, bool coarse_is_fine);
+  void choose_triangles(Object& object, const prt::PinholeView& camera) const;
   static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
   Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                      Layer& out);
-  bool all_before(const RealPlane& plane) const;
+  bool hides_something(const RealPlane& plane, const glm::dvec3& eye) const;
+  static double distance_to_box(const Object& object, const glm::dvec3& eye);
+  static bool fronts_only(const Object& object, const glm::dvec3& eye);
+  static bool boxes_meet(const Object& a, const Object& b);
+  bool one_sample_does(const glm::dvec3& eye, double focal_px) const;
+  void find_contours(const glm::dmat4& clip_from_world, const glm::dvec3& eye);
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_;
   bool fine_;  // stills: every triangle
-  Canvas objects_canvas_, hidden_canvas_;
+  Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
   GlProgram object_program_, textured_program_, occluder_program_;
   GlTexture white_;  // of one texel
   std::vector<Object> objects_;
   std::vector<Occluder> occluders_;
   std::vector<RealPlane> planes_;
   std::vector<OccluderMesh> occluder_meshes_;  // by occluder
-  std::optional<Drawn> drawn_;                 // what the caller's layers show
+  ContourSmoother smoother_;
+  std::vector<Line> lines_;
+  std::optional<Drawn> drawn_;  // what the caller's layers show
 };
 
 }  // namespace penumbra::compositor

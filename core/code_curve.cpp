@@ -34,12 +34,11 @@ CodeCurve::CodeCurve(const std::array<std::vector<float>, 3>& decode, float blac
       encode_[c].push_back(invert(decode[c], std::bit_cast<float>(bits << kShift)));
     if (decode[c].size() == 256) {
       const std::uint32_t last = std::bit_cast<std::uint32_t>(1.f) >> kShift8;
-      encode8_[c].assign((last - kFirst8 + 3) / 4, 0);
+      encode8_[c].resize(last - kFirst8);
       for (std::uint32_t i = 0; i < last - kFirst8; ++i) {
         const float middle =
             std::bit_cast<float>(((kFirst8 + i) << kShift8) | (1u << (kShift8 - 1)));
-        const auto code = static_cast<std::uint32_t>(invert(decode[c], middle) + .5f);
-        encode8_[c][i / 4] |= code << (8 * (i % 4));
+        encode8_[c][i] = static_cast<std::uint8_t>(invert(decode[c], middle) + .5f);
       }
     }
     for (float& v : decode_[c]) v -= black_level;

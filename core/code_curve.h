@@ -30,13 +30,12 @@ class CodeCurve {
     const float x =
         std::min(std::max(kSmallest, linear + black_), kLargest);  // NaN becomes the smallest
     const std::uint32_t bucket = (std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8;
-    const std::uint32_t four = encode8_[static_cast<std::size_t>(channel)][bucket / 4];
-    return static_cast<std::uint8_t>(four >> (8 * (bucket % 4)));
+    return encode8_[static_cast<std::size_t>(channel)][bucket];
   }
   /// The tables behind `decode` and `encode8` of one channel, for vector code.
   struct Tables8 {
-    const float* decode;          // by code, black level taken off
-    const std::uint32_t* encode;  // four buckets a word, the first lowest
+    const float* decode;         // by code, black level taken off
+    const std::uint8_t* encode;  // by bucket
     float black;
   };
   Tables8 tables8(int channel) const {
@@ -52,9 +51,8 @@ class CodeCurve {
  private:
   float black_;
   std::array<std::vector<float>, 3> decode_;
-  std::array<std::vector<float>, 3> encode_;  // code at the edges of logarithmic buckets
-  std::array<std::vector<std::uint32_t>, 3>
-      encode8_;  // nearest codes in the middle of finer buckets
+  std::array<std::vector<float>, 3> encode_;          // code at the edges of logarithmic buckets
+  std::array<std::vector<std::uint8_t>, 3> encode8_;  // in the middle of finer buckets
 };
 
 }  // namespace penumbra

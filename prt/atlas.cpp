@@ -6,7 +6,6 @@
 #include <numeric>
 #include <queue>
 #include <set>
-#include <tuple>
 
 #include "prt/light_map.h"
 #include "prt/prt.h"
@@ -33,11 +32,7 @@ glm::vec3 area_normal(const Character& c, std::uint32_t triangle) {
 
 // Across edges, by the places of their ends: vertices that stand twice join what they belong to.
 std::vector<std::array<std::uint32_t, 3>> neighbours_of(const Character& c) {
-  std::map<std::tuple<float, float, float>, std::uint32_t> places;
-  std::vector<std::uint32_t> place;
-  for (const glm::vec3& p : c.positions)
-    place.push_back(places.try_emplace({p.x, p.y, p.z}, static_cast<std::uint32_t>(places.size()))
-                        .first->second);
+  const std::vector<std::uint32_t> place = places_of(c.positions);
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::pair<std::uint32_t, std::size_t>> open;
   std::vector<std::array<std::uint32_t, 3>> out(c.triangles.size(), {kNone, kNone, kNone});
   for (std::uint32_t i = 0; i < c.triangles.size(); ++i)

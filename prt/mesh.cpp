@@ -5,6 +5,9 @@
 #include <glm/matrix.hpp>
 #include <map>
 #include <numbers>
+#include <numeric>
+#include <tuple>
+#include <utility>
 
 #include "prt/prt.h"
 
@@ -17,6 +20,21 @@ Bounds bounds_of(const Mesh& mesh) {
     b.high = glm::max(b.high, p);
   }
   return b;
+}
+
+std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions) {
+  std::vector<std::uint32_t> order(positions.size()), first(positions.size());
+  std::iota(order.begin(), order.end(), 0u);
+  const auto key = [&](std::uint32_t v) {
+    const glm::vec3& p = positions[v];
+    return std::tuple(p.x, p.y, p.z);
+  };
+  std::ranges::sort(order, {}, [&](std::uint32_t v) { return std::pair(key(v), v); });
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    const bool again = i > 0 && key(order[i]) == key(order[i - 1]);
+    first[order[i]] = again ? first[order[i - 1]] : order[i];
+  }
+  return first;
 }
 
 float radius_around(const Mesh& mesh, const glm::vec3& centre) {

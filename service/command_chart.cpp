@@ -82,20 +82,22 @@ std::vector<Method> sweep(const ChartOptions& o) {
   for (const int t : {1, 4, 64})
     out.push_back(
         with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
-  for (const int b : {2, 3})  // cheaply
-    for (const int k : {1, 8})
-      for (const int s : {128, 256})
-        out.push_back(with([&](Method& m) {
-          m.bands = b, m.most_discs = k, m.map_size = s, m.rows = 256;
-          m.taps.plane.taps = 4, m.taps.object = 1;
-        }));
+  const auto cheaply = [](Method& m, int b, int k, int size) {
+    m.bands = b, m.most_discs = k, m.map_size = size, m.rows = 256;
+    m.taps.plane.taps = 4, m.taps.object = 1;
+  };
+  // A head that turns by a degree a frame: the oldest light in use.
+  const auto every = [](Method& m, int frames) {
+    m.update_rate = 1. / frames, m.age_columns = 3 * (frames - 1);
+  };
+  for (const int b : {2, 3, 5})
+    for (const int k : {1, 8}) {
+      for (const int s : {128, 256}) out.push_back(with([&](Method& m) { cheaply(m, b, k, s); }));
+      out.push_back(with([&](Method& m) { cheaply(m, b, k, 128), every(m, 2); }));
+    }
   for (const int s : {32, 64, 128}) out.push_back(with([&](Method& m) { m.map_size = s; }));
   for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
-  for (const int frames : {2, 4})
-    out.push_back(with([&](Method& m) {
-      // A head that turns by a degree a frame: the oldest light in use.
-      m.update_rate = 1. / frames, m.age_columns = 3 * (frames - 1);
-    }));
+  for (const int frames : {2, 4}) out.push_back(with([&](Method& m) { every(m, frames); }));
   return out;
 }
 

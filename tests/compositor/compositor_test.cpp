@@ -354,14 +354,85 @@ TEST_F(CompositorTest, RealGeometryInFrontHidesObjectAndShadow) {
   EXPECT_EQ(composited(frame, view(&curve8_)), frame);
 }
 
+// Behind the camera: real geometry that hides nothing, with which edges are drawn as they are with other real geometry.
+prt::Mesh wall_out_of_sight() {
+  return wall(30, -9);
+}
+
 TEST_F(CompositorTest, RealGeometryBehindHidesNothing) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   const Image<Rgb> frame = test::noise_frame<Rgb>(7);
+  compositor_->add_occluder(wall_out_of_sight());
   const auto without = composited_floats(frame, view());
   compositor_->add_occluder(wall(-30, -90));
   const auto with = composited_floats(frame, view());
   for (std::size_t i = 0; i < frame.area(); ++i)
     ASSERT_TRUE(same(with.pixels()[i], without.pixels()[i])) << i;
+}
+
+// Stills take sixteen samples a pixel; video takes four with real geometry and one without.
+TEST_F(CompositorTest, EdgesOfOneSampleAreNoWorseThanOfFour) {
+  auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4);
+  ASSERT_TRUE(made) << made.error().detail;
+  Compositor& still = **made;
+  for (Compositor* c : {compositor_.get(), &still})
+    test::add_lit(*c, test::baked_sphere(false), test::sloped_light(1, {0, .3, 0}, 3));
+  const Image<Rgb> black(kSceneWidth, kSceneHeight);
+  std::vector<prt::PinholeView> cameras;
+  for (int i = 0; i < 8; ++i)
+    cameras.push_back(test::scene_camera({.3 + .011 * i, 1.3 - .007 * i, 2.6}));
+  const auto square_error = [&] {
+    double sum = 0;
+    for (const prt::PinholeView& camera : cameras) {
+      View v = view();
+      v.camera = camera;
+      FramePixels truth = black;
+      EXPECT_TRUE(still.composite(v, truth));
+      const auto got = composited_floats(black, v);
+      for (std::size_t i = 0; i < got.area(); ++i)
+        sum += std::pow(got.pixels()[i].g - std::get<Image<Rgb>>(truth).pixels()[i].g, 2);
+    }
+    return sum;
+  };
+  const double one = square_error();
+  compositor_->add_occluder(wall_out_of_sight());
+  const double four = square_error();
+  EXPECT_GT(one, 0);
+  EXPECT_LT(one, .7 * four);
+}
+
+// Where two things go through each other is an edge that neither has by itself.
+TEST_F(CompositorTest, WhereObjectsMeetIsNoStaircase) {
+  auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4);
+  ASSERT_TRUE(made) << made.error().detail;
+  const auto light = test::sloped_light(1, {0, .3, 0}, 3);
+  const dvec3 centres[] = {{0, .4, 0}, {.35, .4, 0}};
+  for (Compositor* c : {compositor_.get(), made->get()}) {
+    test::add_lit(*c, test::baked_sphere(false, {.9f, .9f, .9f}), light);
+    test::add_lit(*c, test::baked_sphere(false, {.1f, .1f, .1f}), light,
+                  {{1, 0, 0, 0}, {.35, 0, 0}});
+  }
+  const Image<Rgb> black(kSceneWidth, kSceneHeight);
+  double sum = 0, edge = 0;
+  for (int i = 0; i < 8; ++i) {
+    View v = view();
+    v.camera = test::scene_camera({.3 + .02 * i, 1.3 - .013 * i, 2.6});
+    FramePixels truth = black;
+    ASSERT_TRUE((*made)->composite(v, truth));
+    const auto got = composited_floats(black, v);
+    for (int y = 0; y < kSceneHeight; ++y)
+      for (int x = 0; x < kSceneWidth; ++x) {
+        const auto inside = [&](const dvec3& c) {
+          return test::distance_to_ray(v.camera, x + .5, y + .5, c) < .36;
+        };
+        if (!inside(centres[0]) || !inside(centres[1])) continue;
+        const double error = got.at(x, y).g - std::get<Image<Rgb>>(truth).at(x, y).g;
+        sum += error * error;
+        edge += std::abs(error) > .01;
+      }
+  }
+  EXPECT_GT(edge, 20);
+  EXPECT_LT(std::sqrt(sum / edge), .12) << "one sample a pixel: .145";
 }
 
 TEST_F(CompositorTest, FloorHidesNothingThatRestsOnIt) {
@@ -389,6 +460,7 @@ TEST_F(CompositorTest, FloorHidesWhatIsBuried) {
 TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   const Image<Rgb> frame = test::noise_frame<Rgb>(8);
+  compositor_->add_occluder(wall_out_of_sight());
   const auto without = composited_floats(frame, view());
   const double edge = .2, z = 1.8;
   compositor_->add_occluder(wall(float(z), float(edge)));
