@@ -19,11 +19,6 @@ using DI = hn::RebindToSigned<D>;
 constexpr std::size_t kPiece = 64;
 static_assert(kPiece % (HWY_MAX_BYTES / sizeof(float)) == 0);
 
-template <class Work>
-HWY_INLINE void ForPieces(std::size_t count, const Work& work) {
-  for (std::size_t i = 0; i < count; i += kPiece) work(i, count - i < kPiece ? count - i : kPiece);
-}
-
 // Where a signal lies in the table of codes.
 HWY_INLINE hn::Vec<DI> Bucket(const CodeCurve::Tables8& t, hn::Vec<D> linear) {
   const D d;
@@ -120,7 +115,8 @@ HWY_ATTR void EncodeCodes(const CodeCurve::Tables8 (&t)[3], const SignalRows& in
                           const std::uint32_t* touched, std::size_t count, std::uint8_t* codes) {
   const DI di;
   const std::size_t lanes = hn::Lanes(di);
-  ForPieces(count, [&](std::size_t first, std::size_t total) HWY_ATTR {
+  for (std::size_t first = 0; first < count; first += kPiece) {
+    const std::size_t total = std::min(kPiece, count - first);
     HWY_ALIGN std::int32_t bucket[3][kPiece];
     for (std::size_t c = 0; c < 3; ++c)
       for (std::size_t i = 0; i < total; i += lanes) {
@@ -130,7 +126,7 @@ HWY_ATTR void EncodeCodes(const CodeCurve::Tables8 (&t)[3], const SignalRows& in
     for (std::size_t i = 0; i < total; ++i)
       if (touched[first + i])
         for (std::size_t c = 0; c < 3; ++c) codes[3 * (first + i) + c] = t[c].encode[bucket[c][i]];
-  });
+  }
 }
 
 }  // namespace HWY_NAMESPACE

@@ -21,7 +21,7 @@ struct SignalRows {
 /// Codes to signal, and to the variance that their rounding left in it: by channel, 256 values each.
 void decode_codes(const CodeCurve& curve, const float* const* roundings, const Rgb8* pixels,
                   std::size_t count, const SignalRows& out);
-/// Signal to codes, of pixels that are touched (not 0; room as above).
+/// Signal to codes, of pixels that are touched (not 0).
 void encode_codes(const CodeCurve& curve, const SignalRows& in, const std::uint32_t* touched,
                   std::size_t count, Rgb8* pixels);
 

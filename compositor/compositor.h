@@ -103,8 +103,8 @@ class Compositor {
  public:
   enum class Surface { kOffscreen, kWindow };
 
-  /// oversampling: samples a pixel along each axis, 2 for video or 4 for stills; video draws only the triangles that form
-  /// and light need
+  /// oversampling: samples a pixel along each axis, 4 for stills or 2 for video, which draws only the triangles that form and
+  /// light need, and takes one sample a pixel where contours make edges as good
   /// errors: kUnavailable (no EGL, no OpenGL ES 3.1, no display)
   static Result<std::unique_ptr<Compositor>> create(int width, int height, Surface surface,
                                                     int oversampling = 2,

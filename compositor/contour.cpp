@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/common.hpp>
+#include <glm/vector_relational.hpp>
 #include <iterator>
+#include <map>
 #include <optional>
 #include <utility>
 
@@ -14,7 +17,7 @@ namespace {
 
 constexpr std::int32_t kNone = -1;
 
-// Places at edges without exactly one triangle that goes on from vertex to vertex.
+// Places at edges that are not gone along as often there as back from vertex to vertex.
 std::vector<std::uint8_t> rims(const prt::Mesh& mesh, std::span<const std::uint32_t> place,
                                std::uint8_t mark) {
   std::vector<std::pair<std::uint32_t, std::uint32_t>> there, back;
@@ -32,12 +35,52 @@ std::vector<std::uint8_t> rims(const prt::Mesh& mesh, std::span<const std::uint3
   return out;
 }
 
+// By place, one place of the part that triangles join it to.
+std::vector<std::uint32_t> parts_of(const prt::Mesh& mesh, std::vector<std::uint32_t> part) {
+  const auto root = [&](std::uint32_t v) {
+    while (part[v] != v) v = part[v] = part[part[v]];
+    return v;
+  };
+  for (const auto& t : mesh.triangles)
+    for (const std::uint32_t v : {t[1], t[2]}) part[root(v)] = root(t[0]);
+  for (std::uint32_t v = 0; v < part.size(); ++v) part[v] = root(v);
+  return part;
+}
+
+struct Part {
+  prt::Bounds bounds;
+  Rgb albedo;  // of its first vertex
+};
+
+bool may_meet(const prt::Mesh& mesh, std::span<const std::uint32_t> place) {
+  constexpr std::size_t kMost = 256;  // parts; more are not looked at pair by pair
+  const std::vector<std::uint32_t> part_of = parts_of(mesh, {place.begin(), place.end()});
+  std::map<std::uint32_t, Part> parts;
+  for (const auto& t : mesh.triangles)
+    for (const std::uint32_t v : t) {
+      const glm::vec3& p = mesh.positions[v];
+      prt::Bounds& b =
+          parts.try_emplace(part_of[v], Part{{p, p}, mesh.albedo[v]}).first->second.bounds;
+      b = {glm::min(b.low, p), glm::max(b.high, p)};
+    }
+  if (parts.size() > kMost) return true;
+  for (auto a = parts.begin(); a != parts.end(); ++a)
+    for (auto b = parts.begin(); b != a; ++b) {
+      const Part &p = a->second, &q = b->second;
+      if (!(p.albedo == q.albedo) && glm::all(glm::lessThan(p.bounds.low, q.bounds.high)) &&
+          glm::all(glm::lessThan(q.bounds.low, p.bounds.high)))
+        return true;
+    }
+  return false;
+}
+
 }  // namespace
 
 Contour::Contour(const prt::Mesh& mesh)
     : place_(prt::places_of(mesh.positions)),
       rim_(rims(mesh, place_, kBoth)),
-      first_(mesh.positions.size()) {}
+      first_(mesh.positions.size()),
+      parts_may_meet_(may_meet(mesh, place_)) {}
 
 void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
                       int frame_width, int frame_height) {
@@ -50,7 +93,7 @@ void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& cl
     const float w = m[0][3] * p.x + m[1][3] * p.y + m[2][3] * p.z + m[3][3], per_w = 1 / w;
     const float x = m[0][0] * p.x + m[1][0] * p.y + m[2][0] * p.z + m[3][0],
                 y = m[0][1] * p.x + m[1][1] * p.y + m[2][1] * p.z + m[3][1];
-    projected_[i] = {half_width * (x * per_w + 1), half_height * (y * per_w + 1), w};
+    projected_[i] = {half_width * (x * per_w + 1), half_height * (y * per_w + 1), per_w};
   }
 }
 
@@ -67,83 +110,93 @@ void Contour::meet(std::uint32_t from, std::uint32_t to, bool front) {
   first = static_cast<std::int32_t>(edges_.size()) - 1;
 }
 
-void Contour::see_facings(std::span<const Triangle> triangles) {
+// False where a triangle reaches behind the camera.
+bool Contour::see_facings(std::span<const Triangle> triangles) {
+  // Seen so nearly from its side a triangle may have either facing for GL, which snaps corners to a part of a pixel.
+  constexpr float kSliver_px2 = 1.f / 256;
+  constexpr float kNearest = 1 / static_cast<float>(kNearPlane);
   around_ = rim_;
   facing_.clear();
   for (const Triangle& t : triangles) {
     const glm::vec3 &a = projected_[t[0]], &b = projected_[t[1]], &c = projected_[t[2]];
-    const bool before_camera = std::min({a.z, b.z, c.z}) >= static_cast<float>(kNearPlane);
-    const bool front = (b.x - a.x) * (c.y - a.y) < (b.y - a.y) * (c.x - a.x);
-    facing_.push_back(before_camera ? front ? kFront : kBack : 0);
+    const auto before_camera = [](const glm::vec3& p) { return p.z > 0 && p.z <= kNearest; };
+    if (!before_camera(a) || !before_camera(b) || !before_camera(c)) return false;
+    const float area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+    facing_.push_back(area < kSliver_px2 ? kFront : kBack);
     for (const std::uint32_t v : t) around_[place_[v]] |= facing_.back();
   }
+  return true;
 }
 
-std::span<const Contour::Triangle> Contour::find(
-    std::span<const glm::vec3> positions, std::span<const Triangle> triangles, bool fronts_only,
-    const glm::dmat4& clip_from_object, int frame_width, int frame_height, std::vector<Line>& out) {
+bool Contour::find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
+                   bool fronts_only, const glm::dmat4& clip_from_object, int frame_width,
+                   int frame_height, std::vector<Line>& out) {
   project(positions, clip_from_object, frame_width, frame_height);
-  see_facings(triangles);
+  if (!see_facings(triangles)) return false;
   std::ranges::fill(first_, kNone);
   edges_.clear();
   seen_.clear();
   for (std::size_t i = 0; i < triangles.size(); ++i) {
-    if (fronts_only && facing_[i] == kBack) continue;
+    const bool front = facing_[i] == kFront;
+    if (fronts_only && !front) continue;
     const Triangle& t = triangles[i];
     seen_.push_back(t);
-    if (facing_[i] == 0) continue;
-    const bool front = facing_[i] == kFront;
     for (std::size_t k = 0; k < 3; ++k) {
       const std::uint32_t from = t[front ? k : (k + 1) % 3], to = t[front ? (k + 1) % 3 : k];
       if (around_[place_[from]] == kBoth && around_[place_[to]] == kBoth) meet(from, to, front);
     }
   }
   for (const Edge& e : edges_)
-    if (!e.inner) out.push_back({projected_[e.from], projected_[e.to]});
-  return seen_;
+    if (!e.inner) out.push_back({glm::vec2(projected_[e.from]), glm::vec2(projected_[e.to])});
+  return true;
 }
 
 // Along the axis where the line is longer: one gap for each middle that it passes.
 void ContourSmoother::collect(const Line& line, const Rect& rect) {
-  const glm::vec3 d = line.to - line.from;
+  const glm::vec2 d = line.to - line.from;
   const bool steep = std::abs(d.y) > std::abs(d.x);
   const int along = steep ? 1 : 0, across = 1 - along;
   const bool forth = d[along] > 0;
-  const glm::vec3 &a = forth ? line.from : line.to, &b = forth ? line.to : line.from;
+  const glm::vec2 &a = forth ? line.from : line.to, &b = forth ? line.to : line.from;
   const glm::ivec2 low(rect.x0, rect.y0), high(rect.x1, rect.y1);
-  const int first = std::max(static_cast<int>(std::ceil(a[along] - .5f)), low[along]),
-            end = std::min(static_cast<int>(std::ceil(b[along] - .5f)), high[along]);
-  const glm::vec3 step = first < end ? d / d[along] : glm::vec3(0);
+  const auto middle_from = [&](float at) {
+    return static_cast<int>(std::ceil(
+        std::clamp(at - .5f, static_cast<float>(low[along]), static_cast<float>(high[along]))));
+  };
+  const int first = middle_from(a[along]), end = middle_from(b[along]);
+  const glm::vec2 step = first < end ? d / d[along] : glm::vec2(0);
   for (int i = first; i < end; ++i) {
-    const glm::vec3 at = a + (static_cast<float>(i) + .5f - a[along]) * step;
+    const glm::vec2 at = a + (static_cast<float>(i) + .5f - a[along]) * step;
     const float middle = std::floor(at[across] - .5f);
+    if (!(middle >= static_cast<float>(low[across]) &&
+          middle + 1 < static_cast<float>(high[across])))
+      continue;
     glm::ivec2 p;
     p[along] = i;
     p[across] = static_cast<int>(middle);
-    if (p[across] < low[across] || p[across] + 1 >= high[across]) continue;
     const int index = (p.y - rect.y0) * rect.width() + p.x - rect.x0;
     crossings_.push_back({2 * static_cast<std::uint32_t>(index) + (steep ? 0u : 1u),
-                          at[across] - .5f - middle, at.z, forth != steep});
+                          at[across] - .5f - middle, forth != steep});
   }
 }
 
 void ContourSmoother::decide(std::span<const Crossing> gap, const Layer& layer) {
-  constexpr float kOneSurface = 1.005f;  // folds of it lie within so much of the distance
   const std::size_t before = 4 * static_cast<std::size_t>(gap[0].gap / 2);
   const bool down = gap[0].gap % 2 == 1;
   const std::size_t after = before + 4 * (down ? static_cast<std::size_t>(layer.rect.width()) : 1);
-  if (std::equal(&layer.halves[before], &layer.halves[before] + 4, &layer.halves[after])) return;
-  float nearest = HUGE_VALF;
-  for (const Crossing& c : gap) nearest = std::min(nearest, c.distance_m);
   std::optional<float> ends, begins;
   for (const Crossing& c : gap) {
-    if (c.distance_m > kOneSurface * nearest) continue;
     if (c.surface_before)
       ends = std::max(ends.value_or(0), c.at);
     else
       begins = std::min(begins.value_or(1), c.at);
   }
+  ++gaps_;
   const bool covered_before = layer.halves[before + 3] != 0;
+  if (std::equal(&layer.halves[before], &layer.halves[before] + 4, &layer.halves[after])) {
+    missed_ += !covered_before && ends && begins && *begins < *ends;
+    return;
+  }
   const float at = ends && (covered_before || !begins) ? *ends : *begins;
   const bool first_is_cut = at < .5f;
   Share s{first_is_cut ? before : after, std::abs(at - .5f), {}};
@@ -151,9 +204,11 @@ void ContourSmoother::decide(std::span<const Crossing> gap, const Layer& layer) 
   shares_.push_back(s);
 }
 
-void ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
+bool ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
+  constexpr std::size_t kMissedOf = 50;  // gaps with an edge
   crossings_.clear();
   shares_.clear();
+  gaps_ = missed_ = 0;
   for (const Line& line : lines) collect(line, layer.rect);
   std::ranges::sort(crossings_, {}, &Crossing::gap);
   for (auto i = crossings_.begin(); i != crossings_.end();) {
@@ -162,12 +217,14 @@ void ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
     decide({i, end}, layer);
     i = end;
   }
+  if (kMissedOf * missed_ > gaps_) return false;
   for (const Share& s : shares_)
     for (std::size_t c = 0; c < 4; ++c) {
       std::uint16_t& half = layer.halves[s.pixel + c];
       const float own = float_from_half(half);
       half = half_from_float(own + s.of_neighbour * (float_from_half(s.neighbour[c]) - own));
     }
+  return true;
 }
 
 }  // namespace penumbra::compositor

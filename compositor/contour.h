@@ -15,10 +15,10 @@
 
 namespace penumbra::compositor {
 
-/// An edge of a surface: x to the right and y down in pixels of the frame, z the distance along the view, metres. Who goes
-/// from `from` to `to` in the picture has the surface at the left hand.
+/// An edge of a surface, in pixels of the frame, x to the right and y down. Who goes from `from` to `to` in the picture has the
+/// surface at the left hand.
 struct Line {
-  glm::vec3 from, to;
+  glm::vec2 from, to;
 };
 
 /// The contour of a mesh in a view. One thread at a time.
@@ -29,14 +29,17 @@ class Contour {
   /// Vertices in one place count as one, in every form.
   explicit Contour(const prt::Mesh& mesh);
 
+  /// Parts of different albedo that no edge joins may go through each other: there are edges that no triangle has.
+  bool parts_may_meet() const { return parts_may_meet_; }
+
   /// Appends the edges of `triangles` between front and back, at borders and at creases (where the two sides have vertices of
-  /// their own), in order; those that other surfaces hide too. Triangles that reach behind the camera have none. Returns the
-  /// triangles that can be seen, until the next call.
-  /// fronts_only: those seen from behind are not drawn
-  std::span<const Triangle> find(std::span<const glm::vec3> positions,
-                                 std::span<const Triangle> triangles, bool fronts_only,
-                                 const glm::dmat4& clip_from_object, int frame_width,
-                                 int frame_height, std::vector<Line>& out);
+  /// their own), in order; those that other surfaces hide too. False where a triangle reaches behind the camera, which has none.
+  /// fronts_only: triangles seen from behind are not drawn
+  bool find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
+            bool fronts_only, const glm::dmat4& clip_from_object, int frame_width, int frame_height,
+            std::vector<Line>& out);
+  /// The triangles that can be seen, of the last find().
+  std::span<const Triangle> seen() const { return seen_; }
 
  private:
   struct Edge {
@@ -46,7 +49,7 @@ class Contour {
   };
   void project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
                int frame_width, int frame_height);
-  void see_facings(std::span<const Triangle> triangles);
+  bool see_facings(std::span<const Triangle> triangles);
   void meet(std::uint32_t from, std::uint32_t to, bool front);
 
   // Triangles around a place, one bit each; no edge between two places without all bits is a line.
@@ -55,27 +58,28 @@ class Contour {
   std::vector<std::uint32_t> place_;  // by vertex, the first one there
   std::vector<std::uint8_t> rim_;     // by place, kBoth at borders and creases
   std::vector<std::uint8_t> around_;  // by place, in this view
-  std::vector<std::uint8_t> facing_;  // by triangle, 0 of those that reach behind the camera
-  std::vector<glm::vec3> projected_;  // pixels and w
+  std::vector<std::uint8_t> facing_;  // by triangle
+  std::vector<glm::vec3> projected_;  // pixels and 1/metre
   std::vector<std::int32_t> first_;   // by place, of the edges that have it as their lower one
   std::vector<Edge> edges_;
   std::vector<Triangle> seen_;
+  bool parts_may_meet_;
 };
 
 /// Lines pass between the middles of neighbouring pixels: of the pixel that one cuts, the neighbour across gets what lies
 /// beyond, by its length on the column (or row, for steep lines) through the middles. Of several lines in one gap the
-/// outermost of the nearest surface counts. The layer holds one sample a pixel.
+/// outermost counts. The layer holds one sample a pixel.
 /// source: Persson 2011, Geometric Post-process Anti-Aliasing
 class ContourSmoother {
  public:
-  void smooth(std::span<const Line> lines, Layer& layer);
+  /// False, the layer being good for nothing, where parts are so thin that samples missed too much of them.
+  bool smooth(std::span<const Line> lines, Layer& layer);
 
  private:
   // Of a pixel to the next one along an axis, right or down.
   struct Crossing {
     std::uint32_t gap;  // twice the pixel's index in the layer, one more: down
     float at;           // 0..1 from the one middle to the other
-    float distance_m;
     bool surface_before;
   };
   struct Share {
@@ -88,6 +92,7 @@ class ContourSmoother {
 
   std::vector<Crossing> crossings_;
   std::vector<Share> shares_;
+  std::size_t gaps_ = 0, missed_ = 0;
 };
 
 }  // namespace penumbra::compositor

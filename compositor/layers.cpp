@@ -89,8 +89,8 @@ void attribute(GLuint location, int components, std::size_t offset_bytes) {
 constexpr float kFormTolerance = 1.5e-3f;
 constexpr double kMostMoved_px = .5;
 
-// Triangles smaller than this in the mean, as they are seen, are not drawn with one sample a pixel: rough surfaces flicker.
-constexpr double kLeastTriangle_px2 = .5;
+// Planes that hide less of an object than this do not, metres.
+constexpr double kTouching = 1e-4;
 
 double area_m2(const prt::Mesh& mesh) {
   double sum = 0;
@@ -206,8 +206,6 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   const float tolerance =
       fine_ || pictures ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
   Object o{.triangles = {mesh, tolerance, appearance.forms},
-           .contour = Contour(mesh),
-           .positions = mesh.positions,
            .changes_form = !appearance.forms.empty(),
            .albedo = mesh.albedo,
            .colours = std::vector<Rgb>(mesh.positions.size()),
@@ -215,6 +213,10 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
            .bounds = bounds,
            .tolerance = tolerance,
            .area_m2 = area_m2(mesh)};
+  if (!fine_ && !pictures) {
+    o.contour.emplace(mesh);
+    o.positions = mesh.positions;
+  }
   glBindVertexArray(o.geometry.get());
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferData(GL_ARRAY_BUFFER, bytes_of(mesh.positions), mesh.positions.data(), GL_STATIC_DRAW);
@@ -235,7 +237,7 @@ void Layers::set_form(int object, const prt::Mesh& mesh) {
   Object& o = objects_[static_cast<std::size_t>(object)];
   o.moves = true;
   o.bounds = bounds_of(mesh);
-  o.positions = mesh.positions;
+  if (o.contour) o.positions = mesh.positions;
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(mesh.positions), mesh.positions.data());
   drawn_.reset();
@@ -361,24 +363,11 @@ void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
   }
 }
 
-// Seen from behind a plane hides nothing, as in Receivers; nor does one that every object lies wholly before.
-bool Layers::hides_something(const RealPlane& plane, const glm::dvec3& eye) const {
-  constexpr double kTouching = 1e-4;  // metres
-  if (glm::dot(plane.normal, eye - plane.point) <= 0) return false;
-  return !std::ranges::all_of(objects_, [&](const Object& o) {
-    const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * plane.normal;
-    const glm::dvec3 low(o.bounds.low), high(o.bounds.high);
-    const glm::dvec3 deepest(n.x > 0 ? low.x : high.x, n.y > 0 ? low.y : high.y,
-                             n.z > 0 ? low.z : high.z);
-    return glm::dot(plane.normal, o.world_from_bake * deepest - plane.point) > -kTouching;
-  });
-}
-
 void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world) {
   const PushedBack state(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
   for (const RealPlane& p : planes_) {
-    if (!hides_something(p, eye)) continue;
+    if (!(hidden_m(p, eye) > kTouching)) continue;
     glBindVertexArray(p.quad.geometry.get());
     glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
   }
@@ -406,31 +395,6 @@ void Layers::bind_pictures(const Object& o, GLuint program) const {
   glUniform1i(glGetUniformLocation(program, "light_map"), 1);
 }
 
-// From the eye to the nearest point of the object's box, metres; 0 within.
-double Layers::distance_to_box(const Object& o, const glm::dvec3& eye) {
-  const glm::dvec3 there = o.world_from_bake.inverse() * eye;
-  return glm::distance(there,
-                       glm::clamp(there, glm::dvec3(o.bounds.low), glm::dvec3(o.bounds.high)));
-}
-
-// The black back of a closed surface shows only from within.
-bool Layers::fronts_only(const Object& o, const glm::dvec3& eye) {
-  return o.triangles.closed() && distance_to_box(o, eye) > kNearPlane;
-}
-
-// Boxes in the world around both.
-bool Layers::boxes_meet(const Object& a, const Object& b) {
-  const auto half_extent = [](const Object& o) {
-    const glm::dmat3 turn = glm::mat3_cast(o.world_from_bake.rotation);
-    const glm::dvec3 half = .5 * glm::dvec3(o.bounds.high - o.bounds.low);
-    return glm::abs(turn[0]) * half.x + glm::abs(turn[1]) * half.y + glm::abs(turn[2]) * half.z;
-  };
-  const auto centre = [](const Object& o) {
-    return o.world_from_bake * glm::dvec3(o.bounds.centre());
-  };
-  return glm::all(glm::lessThan(glm::abs(centre(a) - centre(b)), half_extent(a) + half_extent(b)));
-}
-
 void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone) {
   for (Object& o : objects_) {
     const GLuint program = (o.albedo_map ? textured_program_ : object_program_).get();
@@ -444,38 +408,6 @@ void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, b
     glDrawElements(GL_TRIANGLES, seen_alone ? o.seen_count : o.index_count, GL_UNSIGNED_INT,
                    nullptr);
     glDisable(GL_CULL_FACE);
-  }
-}
-
-// Whether one sample a pixel does: all edges in the picture are an object's own, and triangles are not so small that they
-// need the samples themselves.
-bool Layers::one_sample_does(const glm::dvec3& eye, double focal_px) const {
-  if (fine_ || !occluders_.empty()) return false;
-  for (const RealPlane& p : planes_)
-    if (hides_something(p, eye)) return false;
-  for (auto o = objects_.begin(); o != objects_.end(); ++o) {
-    const double px_per_metre =
-        focal_px / glm::distance(eye, o->world_from_bake * glm::dvec3(o->bounds.centre()));
-    if (o->albedo_map || o->mean_triangle_m2() * px_per_metre * px_per_metre < kLeastTriangle_px2)
-      return false;
-    if (std::any_of(objects_.begin(), o,
-                    [&](const Object& other) { return boxes_meet(*o, other); }))
-      return false;
-  }
-  return true;
-}
-
-// And the triangles that can be seen: half of them, which is half of what their vertices cost.
-void Layers::find_contours(const glm::dmat4& clip_from_world, const glm::dvec3& eye) {
-  lines_.clear();
-  glBindVertexArray(0);
-  for (Object& o : objects_) {
-    const auto seen =
-        o.contour.find(o.positions, o.shown, fronts_only(o, eye),
-                       clip_from_world * o.world_from_bake.matrix(), width_, height_, lines_);
-    o.seen_count = static_cast<GLsizei>(seen.size() * 3);
-    glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.seen.get());
-    glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(seen), seen.data(), GL_STREAM_DRAW);
   }
 }
 
@@ -500,18 +432,23 @@ Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& c
   out.rect = reach_of_objects(view.camera);
   if (out.rect.empty()) return {};
   for (Object& o : objects_) choose_triangles(o, view.camera);
-  const glm::dvec3 eye = view.camera.world_from_camera.translation;
-  const bool plain = one_sample_does(eye, view.camera.focal_px.x);
-  if (plain) find_contours(clip_from_world, eye);
-  Canvas& canvas = plain ? plain_canvas_ : objects_canvas_;
+  if (one_sample_does(view.camera, clip_from_world) &&
+      find_contours(view.camera, clip_from_world)) {
+    PENUMBRA_TRY(draw_on(plain_canvas_, view, clip_from_world, out));
+    if (smoother_.smooth(lines_, out)) return {};
+  }
+  return draw_on(objects_canvas_, view, clip_from_world, out);
+}
+
+Result<void> Layers::draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
+                             Layer& out) {
   PENUMBRA_TRY(canvas.begin(out.rect, width_, height_));
   glColorMask(GL_FALSE, GL_FALSE, GL_FALSE, GL_FALSE);
   draw_occluders(clip_from_world);
-  draw_hiding_planes(eye, clip_from_world);
+  draw_hiding_planes(view.camera.world_from_camera.translation, clip_from_world);
   glColorMask(GL_TRUE, GL_TRUE, GL_TRUE, GL_TRUE);
-  draw_objects(view, clip_from_world, plain);
+  draw_objects(view, clip_from_world, &canvas == &plain_canvas_);
   canvas.finish(out);
-  if (plain) smoother_.smooth(lines_, out);
   return {};
 }
 

@@ -53,8 +53,9 @@ class Layers {
     std::optional<LightMap> light_map{};
     DrawList triangles;
     std::span<const DrawList::Triangle> shown{};  // of `triangles`, in `indices`
-    Contour contour;
-    std::vector<glm::vec3> positions;
+    // Of what one sample a pixel may do for, and the vertices in their present form.
+    std::optional<Contour> contour{};
+    std::vector<glm::vec3> positions{};
     bool changes_form;
     std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
     GLsizei index_count = 0, seen_count = 0;
@@ -66,8 +67,6 @@ class Layers {
     float tolerance;  // of `triangles`, metres
     double area_m2;   // of all triangles, at rest
     Pose world_from_bake{};
-    // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
-    double mean_triangle_m2() const { return .5 * area_m2 / static_cast<double>(shown.size()); }
   };
   struct Occluder {
     GlVertexArray geometry;
@@ -113,12 +112,15 @@ class Layers {
   static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
   Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                      Layer& out);
-  bool hides_something(const RealPlane& plane, const glm::dvec3& eye) const;
+  Result<void> draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
+                       Layer& out);
   static double distance_to_box(const Object& object, const glm::dvec3& eye);
   static bool fronts_only(const Object& object, const glm::dvec3& eye);
-  static bool boxes_meet(const Object& a, const Object& b);
-  bool one_sample_does(const glm::dvec3& eye, double focal_px) const;
-  void find_contours(const glm::dmat4& clip_from_world, const glm::dvec3& eye);
+  /// How deep objects lie behind the plane, metres; not above 0 where it hides nothing.
+  double hidden_m(const RealPlane& plane, const glm::dvec3& eye) const;
+  bool in_view(const Object& object, const glm::dmat4& clip_from_world) const;
+  bool one_sample_does(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) const;
+  bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world);
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_;

@@ -179,7 +179,7 @@ HWY_INLINE hn::Mask<D> Holds(const DiscLookup& t, hn::Vec<D> px, float py) {
                                           hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
 }
 
-// Adds share of the map's value at picture positions left + (dx, dy), 0 outside, for all pixels of a piece.
+// Adds share of the map's value at (dx into the pixel, py of the picture), 0 outside, for all pixels of a piece.
 HWY_INLINE void AddSamples(const DiscLookup& t, int x0, float dx, float py, float share,
                            std::size_t total, float* sum) {
   const D d;

@@ -370,33 +370,31 @@ TEST_F(CompositorTest, RealGeometryBehindHidesNothing) {
     ASSERT_TRUE(same(with.pixels()[i], without.pixels()[i])) << i;
 }
 
+// Squared differences to a still of sixteen samples, over some views.
+double error_to_still(Compositor& video, Compositor& still, const View& like) {
+  double sum = 0;
+  for (int i = 0; i < 8; ++i) {
+    View v = like;
+    v.camera = test::scene_camera({.3 + .02 * i, 1.3 - .013 * i, 2.6});
+    FramePixels got = Image<Rgb>(kSceneWidth, kSceneHeight), truth = got;
+    EXPECT_TRUE(video.composite(v, got));
+    EXPECT_TRUE(still.composite(v, truth));
+    for (std::size_t k = 0; k < kSceneWidth * kSceneHeight; ++k)
+      sum += std::pow(
+          std::get<Image<Rgb>>(got).pixels()[k].g - std::get<Image<Rgb>>(truth).pixels()[k].g, 2);
+  }
+  return sum;
+}
+
 // Stills take sixteen samples a pixel; video takes four with real geometry and one without.
 TEST_F(CompositorTest, EdgesOfOneSampleAreNoWorseThanOfFour) {
-  auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4);
-  ASSERT_TRUE(made) << made.error().detail;
-  Compositor& still = **made;
-  for (Compositor* c : {compositor_.get(), &still})
+  auto still = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4);
+  ASSERT_TRUE(still) << still.error().detail;
+  for (Compositor* c : {compositor_.get(), still->get()})
     test::add_lit(*c, test::baked_sphere(false), test::sloped_light(1, {0, .3, 0}, 3));
-  const Image<Rgb> black(kSceneWidth, kSceneHeight);
-  std::vector<prt::PinholeView> cameras;
-  for (int i = 0; i < 8; ++i)
-    cameras.push_back(test::scene_camera({.3 + .011 * i, 1.3 - .007 * i, 2.6}));
-  const auto square_error = [&] {
-    double sum = 0;
-    for (const prt::PinholeView& camera : cameras) {
-      View v = view();
-      v.camera = camera;
-      FramePixels truth = black;
-      EXPECT_TRUE(still.composite(v, truth));
-      const auto got = composited_floats(black, v);
-      for (std::size_t i = 0; i < got.area(); ++i)
-        sum += std::pow(got.pixels()[i].g - std::get<Image<Rgb>>(truth).pixels()[i].g, 2);
-    }
-    return sum;
-  };
-  const double one = square_error();
+  const double one = error_to_still(*compositor_, **still, view());
   compositor_->add_occluder(wall_out_of_sight());
-  const double four = square_error();
+  const double four = error_to_still(*compositor_, **still, view());
   EXPECT_GT(one, 0);
   EXPECT_LT(one, .7 * four);
 }
@@ -562,6 +560,63 @@ TEST_F(CompositorTest, ThereAndBackGivesTheSameBytes) {
   compositor_->set_pose(handle, {{1, 0, 0, 0}, {.6, 0, 9}});
   EXPECT_EQ(composited(frame, view(&curve8_)), frame)
       << "behind the camera: nothing of before remains";
+}
+
+// One sample a pixel, four and back: how a view looks is not a matter of what was drawn before it.
+TEST_F(CompositorTest, HowManySamplesIsDecidedByTheViewAlone) {
+  const int handle = test::add_lit(*compositor_, test::baked_sphere(true), side_light());
+  compositor_->add_plane({0, 0, 0}, {0, 1, 0});
+  const FramePixels frame = test::noise_frame<Rgb8>(12);
+  const auto first = composited(frame, view(&curve8_));
+  compositor_->set_pose(handle, {{1, 0, 0, 0}, {0, -.3, 0}});
+  const auto buried = composited(frame, view(&curve8_));
+  View far = view(&curve8_);
+  far.camera = test::scene_camera({3, 6, 30});
+  for (int i = 0; i < 2; ++i) {
+    compositor_->set_pose(handle, {});
+    EXPECT_EQ(composited(frame, view(&curve8_)), first) << i;
+    EXPECT_NE(composited(frame, far), frame) << i;
+    EXPECT_EQ(composited(frame, view(&curve8_)), first) << i;
+    compositor_->set_pose(handle, {{1, 0, 0, 0}, {0, -.3, 0}});
+    EXPECT_EQ(composited(frame, view(&curve8_)), buried) << i;
+  }
+  // Another object, out of sight, moves what is kept of the first.
+  const int other = compositor_->add_object(test::baked_sphere(false));
+  compositor_->set_pose(other, {{1, 0, 0, 0}, {0, 0, 40}});
+  compositor_->set_pose(handle, {});
+  EXPECT_EQ(composited(frame, view(&curve8_)), first);
+}
+
+TEST_F(CompositorTest, AnotherFormHasItsOwnContour) {
+  auto still = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4);
+  ASSERT_TRUE(still) << still.error().detail;
+  const prt::BakedObject sphere = test::baked_sphere(false);
+  const RadianceSh light = test::sloped_light(1, {0, .3, 0}, 3);
+  prt::Mesh tall = sphere.mesh;
+  for (glm::vec3& p : tall.positions) p = {.6f * p.x, 1.4f * p.y, .6f * p.z};
+  const int video_handle = test::add_lit(*compositor_, sphere, light),
+            still_handle = test::add_lit(**still, sphere, light);
+  const double before = error_to_still(*compositor_, **still, view());
+  compositor_->set_form(video_handle, tall);
+  EXPECT_GT(error_to_still(*compositor_, **still, view()), 100 * before) << "of the other form";
+  (*still)->set_form(still_handle, tall);
+  EXPECT_LT(error_to_still(*compositor_, **still, view()), 1.5 * before);
+}
+
+// A face that a plane cuts off has an edge there that is none of the mesh.
+TEST_F(CompositorTest, WhereAPlaneCutsIsNoStaircase) {
+  auto still = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen, 4);
+  ASSERT_TRUE(still) << still.error().detail;
+  const RadianceSh light = test::sloped_light(1, {0, .3, 0}, 3);
+  const Pose sunk{{1, 0, 0, 0}, {0, -.3, 0}};
+  for (Compositor* c : {compositor_.get(), still->get()}) {
+    test::add_lit(*c, test::baked_sphere(false), light, sunk);
+    c->add_plane({0, 0, 0}, {0, 1, 0});
+  }
+  const double sunk_error = error_to_still(*compositor_, **still, view());
+  for (Compositor* c : {compositor_.get(), still->get()}) c->add_occluder(wall_out_of_sight());
+  EXPECT_NEAR(sunk_error, error_to_still(*compositor_, **still, view()), 1e-9 + .02 * sunk_error)
+      << "of four samples";
 }
 
 }  // namespace

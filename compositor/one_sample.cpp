@@ -1,0 +1,108 @@
+// Whether one sample a pixel does for the objects in view, and the contours that it takes.
+#include <algorithm>
+#include <glm/gtc/quaternion.hpp>
+#include <glm/vector_relational.hpp>
+
+#include "compositor/layers.h"
+
+namespace penumbra::compositor {
+
+namespace {
+
+// Of all triangles in the mean, as they are seen, whatever the light: rougher surfaces need the samples.
+constexpr double kLeastTriangle_px2 = .35;
+// What is hidden by a plane may end there without a smooth edge.
+constexpr double kMostHidden_px = .5;
+
+struct Box {
+  glm::dvec3 centre, half;
+};
+Box around(const prt::Bounds& bounds, const Pose& world_from_bounds) {
+  const glm::dmat3 turn = glm::mat3_cast(world_from_bounds.rotation);
+  const glm::dvec3 half = .5 * glm::dvec3(bounds.high - bounds.low);
+  return {world_from_bounds * glm::dvec3(bounds.centre()),
+          glm::abs(turn[0]) * half.x + glm::abs(turn[1]) * half.y + glm::abs(turn[2]) * half.z};
+}
+
+bool meet(const Box& a, const Box& b) {
+  return glm::all(glm::lessThan(glm::abs(a.centre - b.centre), a.half + b.half));
+}
+
+}  // namespace
+
+// From the eye to the nearest point of the object's box, metres; 0 within.
+double Layers::distance_to_box(const Object& o, const glm::dvec3& eye) {
+  const glm::dvec3 there = o.world_from_bake.inverse() * eye;
+  return glm::distance(there,
+                       glm::clamp(there, glm::dvec3(o.bounds.low), glm::dvec3(o.bounds.high)));
+}
+
+// The black back of a closed surface shows only from within.
+bool Layers::fronts_only(const Object& o, const glm::dvec3& eye) {
+  return o.triangles.closed() && distance_to_box(o, eye) > kNearPlane;
+}
+
+bool Layers::in_view(const Object& o, const glm::dmat4& clip_from_world) const {
+  return !reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds).empty();
+}
+
+// Seen from behind a plane hides nothing, as in Receivers.
+double Layers::hidden_m(const RealPlane& plane, const glm::dvec3& eye) const {
+  double deepest = 0;
+  if (glm::dot(plane.normal, eye - plane.point) <= 0) return deepest;
+  for (const Object& o : objects_) {
+    const Box box = around(o.bounds, o.world_from_bake);
+    const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * plane.normal;
+    const double reach = glm::dot(glm::abs(n), .5 * glm::dvec3(o.bounds.high - o.bounds.low));
+    deepest = std::max(deepest, reach - glm::dot(plane.normal, box.centre - plane.point));
+  }
+  return deepest;
+}
+
+// All edges in the picture are an object's own, and triangles are not so small that they need samples.
+bool Layers::one_sample_does(const prt::PinholeView& camera,
+                             const glm::dmat4& clip_from_world) const {
+  if (fine_ || !occluders_.empty()) return false;
+  const glm::dvec3& eye = camera.world_from_camera.translation;
+  double most_px_per_metre = 0;
+  for (auto o = objects_.begin(); o != objects_.end(); ++o) {
+    if (!in_view(*o, clip_from_world)) continue;
+    const Box box = around(o->bounds, o->world_from_bake);
+    const double px_per_metre = camera.focal_px.x / glm::distance(eye, box.centre);
+    const auto triangles = static_cast<double>(o->triangles.all().size());
+    // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
+    const double triangle_px2 = .5 * o->area_m2 / triangles * px_per_metre * px_per_metre;
+    if (!o->contour || o->contour->parts_may_meet() || triangle_px2 < kLeastTriangle_px2)
+      return false;
+    if (std::any_of(objects_.begin(), o, [&](const Object& other) {
+          return meet(box, around(other.bounds, other.world_from_bake));
+        }))
+      return false;
+    most_px_per_metre = std::max(most_px_per_metre, px_per_metre);
+  }
+  return std::ranges::all_of(planes_, [&](const RealPlane& p) {
+    return hidden_m(p, eye) * most_px_per_metre < kMostHidden_px;
+  });
+}
+
+// And the triangles that can be seen: half of them, which is half of what their vertices cost. False where an object reaches
+// behind the camera.
+bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) {
+  lines_.clear();
+  glBindVertexArray(0);
+  for (Object& o : objects_) {
+    o.seen_count = 0;
+    if (!in_view(o, clip_from_world)) continue;
+    if (!o.contour->find(o.positions, o.shown, fronts_only(o, camera.world_from_camera.translation),
+                         clip_from_world * o.world_from_bake.matrix(), width_, height_, lines_))
+      return false;
+    const auto seen = o.contour->seen();
+    o.seen_count = static_cast<GLsizei>(seen.size() * 3);
+    glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.seen.get());
+    glBufferData(GL_ELEMENT_ARRAY_BUFFER, static_cast<GLsizeiptr>(seen.size_bytes()), seen.data(),
+                 GL_STREAM_DRAW);
+  }
+  return true;
+}
+
+}  // namespace penumbra::compositor
