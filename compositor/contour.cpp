@@ -17,10 +17,11 @@ namespace {
 
 constexpr std::int32_t kNone = -1;
 
-// Places at edges that are not gone along as often there as back from vertex to vertex.
-std::vector<std::uint8_t> rims(const prt::Mesh& mesh, std::span<const std::uint32_t> place,
-                               std::uint8_t mark) {
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> there, back;
+using Step = std::pair<std::uint32_t, std::uint32_t>;
+
+// Edges that are not gone along as often there as back from vertex to vertex.
+std::vector<Step> rims_of(const prt::Mesh& mesh) {
+  std::vector<Step> there, back, out;
   for (const auto& t : mesh.triangles)
     for (std::size_t i = 0; i < 3; ++i) {
       there.emplace_back(t[i], t[(i + 1) % 3]);
@@ -28,10 +29,7 @@ std::vector<std::uint8_t> rims(const prt::Mesh& mesh, std::span<const std::uint3
     }
   std::ranges::sort(there);
   std::ranges::sort(back);
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> unmatched;
-  std::ranges::set_symmetric_difference(there, back, std::back_inserter(unmatched));
-  std::vector<std::uint8_t> out(mesh.positions.size(), 0);
-  for (const auto& [a, b] : unmatched) out[place[a]] = out[place[b]] = mark;
+  std::ranges::set_symmetric_difference(there, back, std::back_inserter(out));
   return out;
 }
 
@@ -78,9 +76,13 @@ bool may_meet(const prt::Mesh& mesh, std::span<const std::uint32_t> place) {
 
 Contour::Contour(const prt::Mesh& mesh)
     : place_(prt::places_of(mesh.positions)),
-      rim_(rims(mesh, place_, kBoth)),
-      first_(mesh.positions.size()),
-      parts_may_meet_(may_meet(mesh, place_)) {}
+      rim_(mesh.positions.size(), 0),
+      first_(mesh.positions.size()) {
+  constexpr std::size_t kMostRims = 100'000;  // both ways
+  const std::vector<Step> rims = rims_of(mesh);
+  for (const auto& [a, b] : rims) rim_[place_[a]] = rim_[place_[b]] = kBoth;
+  serves_ = rims.size() <= kMostRims && !may_meet(mesh, place_);
+}
 
 void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
                       int frame_width, int frame_height) {
@@ -113,7 +115,7 @@ void Contour::meet(std::uint32_t from, std::uint32_t to, bool front) {
 // False where a triangle reaches behind the camera.
 bool Contour::see_facings(std::span<const Triangle> triangles) {
   // Seen so nearly from its side a triangle may have either facing for GL, which snaps corners to a part of a pixel.
-  constexpr float kSliver_px2 = 1.f / 256;
+  constexpr float kSliver_px2 = 1.f / 256;  // twice its area
   constexpr float kNearest = 1 / static_cast<float>(kNearPlane);
   around_ = rim_;
   facing_.clear();
@@ -131,11 +133,11 @@ bool Contour::see_facings(std::span<const Triangle> triangles) {
 bool Contour::find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
                    bool fronts_only, const glm::dmat4& clip_from_object, int frame_width,
                    int frame_height, std::vector<Line>& out) {
+  seen_.clear();
   project(positions, clip_from_object, frame_width, frame_height);
   if (!see_facings(triangles)) return false;
   std::ranges::fill(first_, kNone);
   edges_.clear();
-  seen_.clear();
   for (std::size_t i = 0; i < triangles.size(); ++i) {
     const bool front = facing_[i] == kFront;
     if (fronts_only && !front) continue;
@@ -191,8 +193,8 @@ void ContourSmoother::decide(std::span<const Crossing> gap, const Layer& layer) 
     else
       begins = std::min(begins.value_or(1), c.at);
   }
-  ++gaps_;
   const bool covered_before = layer.halves[before + 3] != 0;
+  at_background_ += !covered_before || layer.halves[after + 3] == 0;
   if (std::equal(&layer.halves[before], &layer.halves[before] + 4, &layer.halves[after])) {
     missed_ += !covered_before && ends && begins && *begins < *ends;
     return;
@@ -205,10 +207,10 @@ void ContourSmoother::decide(std::span<const Crossing> gap, const Layer& layer) 
 }
 
 bool ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
-  constexpr std::size_t kMissedOf = 50;  // gaps with an edge
+  constexpr std::size_t kMissedOf = 50;
   crossings_.clear();
   shares_.clear();
-  gaps_ = missed_ = 0;
+  at_background_ = missed_ = 0;
   for (const Line& line : lines) collect(line, layer.rect);
   std::ranges::sort(crossings_, {}, &Crossing::gap);
   for (auto i = crossings_.begin(); i != crossings_.end();) {
@@ -217,7 +219,7 @@ bool ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
     decide({i, end}, layer);
     i = end;
   }
-  if (kMissedOf * missed_ > gaps_) return false;
+  if (kMissedOf * missed_ > at_background_) return false;
   for (const Share& s : shares_)
     for (std::size_t c = 0; c < 4; ++c) {
       std::uint16_t& half = layer.halves[s.pixel + c];

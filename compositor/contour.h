@@ -29,11 +29,12 @@ class Contour {
   /// Vertices in one place count as one, in every form.
   explicit Contour(const prt::Mesh& mesh);
 
-  /// Parts of different albedo that no edge joins may go through each other: there are edges that no triangle has.
-  bool parts_may_meet() const { return parts_may_meet_; }
+  /// False of meshes with edges that no triangle has, where parts of different albedo may go through each other (looked at in
+  /// the form given here, and so taken of more than 256 parts), or with so many creases that finding lines takes too long.
+  bool serves() const { return serves_; }
 
   /// Appends the edges of `triangles` between front and back, at borders and at creases (where the two sides have vertices of
-  /// their own), in order; those that other surfaces hide too. False where a triangle reaches behind the camera, which has none.
+  /// their own); those that other surfaces hide too. False, and nothing seen, where a triangle reaches behind the camera.
   /// fronts_only: triangles seen from behind are not drawn
   bool find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
             bool fronts_only, const glm::dmat4& clip_from_object, int frame_width, int frame_height,
@@ -63,7 +64,7 @@ class Contour {
   std::vector<std::int32_t> first_;   // by place, of the edges that have it as their lower one
   std::vector<Edge> edges_;
   std::vector<Triangle> seen_;
-  bool parts_may_meet_;
+  bool serves_ = true;
 };
 
 /// Lines pass between the middles of neighbouring pixels: of the pixel that one cuts, the neighbour across gets what lies
@@ -72,7 +73,8 @@ class Contour {
 /// source: Persson 2011, Geometric Post-process Anti-Aliasing
 class ContourSmoother {
  public:
-  /// False, the layer being good for nothing, where parts are so thin that samples missed too much of them.
+  /// False, the layer being good for nothing, where parts before the background are so thin that samples missed too much of
+  /// them.
   bool smooth(std::span<const Line> lines, Layer& layer);
 
  private:
@@ -92,7 +94,7 @@ class ContourSmoother {
 
   std::vector<Crossing> crossings_;
   std::vector<Share> shares_;
-  std::size_t gaps_ = 0, missed_ = 0;
+  std::size_t at_background_ = 0, missed_ = 0;  // gaps
 };
 
 }  // namespace penumbra::compositor

@@ -367,7 +367,9 @@ void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_fr
   const PushedBack state(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
   for (const RealPlane& p : planes_) {
-    if (!(hidden_m(p, eye) > kTouching)) continue;
+    if (std::ranges::none_of(objects_,
+                             [&](const Object& o) { return hidden_m(p, o, eye) > kTouching; }))
+      continue;
     glBindVertexArray(p.quad.geometry.get());
     glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
   }

@@ -116,10 +116,11 @@ class Layers {
                        Layer& out);
   static double distance_to_box(const Object& object, const glm::dvec3& eye);
   static bool fronts_only(const Object& object, const glm::dvec3& eye);
-  /// How deep objects lie behind the plane, metres; not above 0 where it hides nothing.
-  double hidden_m(const RealPlane& plane, const glm::dvec3& eye) const;
+  /// How deep an object lies behind the plane, metres; not above 0 where that hides nothing.
+  static double hidden_m(const RealPlane& plane, const Object& object, const glm::dvec3& eye);
   bool in_view(const Object& object, const glm::dmat4& clip_from_world) const;
   bool one_sample_does(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) const;
+  bool one_sample_does(const Object& object, const prt::PinholeView& camera) const;
   bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world);
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 

@@ -47,41 +47,43 @@ bool Layers::in_view(const Object& o, const glm::dmat4& clip_from_world) const {
 }
 
 // Seen from behind a plane hides nothing, as in Receivers.
-double Layers::hidden_m(const RealPlane& plane, const glm::dvec3& eye) const {
-  double deepest = 0;
-  if (glm::dot(plane.normal, eye - plane.point) <= 0) return deepest;
-  for (const Object& o : objects_) {
-    const Box box = around(o.bounds, o.world_from_bake);
-    const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * plane.normal;
-    const double reach = glm::dot(glm::abs(n), .5 * glm::dvec3(o.bounds.high - o.bounds.low));
-    deepest = std::max(deepest, reach - glm::dot(plane.normal, box.centre - plane.point));
-  }
-  return deepest;
+double Layers::hidden_m(const RealPlane& plane, const Object& o, const glm::dvec3& eye) {
+  if (glm::dot(plane.normal, eye - plane.point) <= 0) return 0;
+  const Box box = around(o.bounds, o.world_from_bake);
+  const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * plane.normal;
+  const double reach = glm::dot(glm::abs(n), .5 * glm::dvec3(o.bounds.high - o.bounds.low));
+  return reach - glm::dot(plane.normal, box.centre - plane.point);
 }
 
-// All edges in the picture are an object's own, and triangles are not so small that they need samples.
+// All edges in the picture are an object's own.
 bool Layers::one_sample_does(const prt::PinholeView& camera,
                              const glm::dmat4& clip_from_world) const {
   if (fine_ || !occluders_.empty()) return false;
-  const glm::dvec3& eye = camera.world_from_camera.translation;
-  double most_px_per_metre = 0;
   for (auto o = objects_.begin(); o != objects_.end(); ++o) {
     if (!in_view(*o, clip_from_world)) continue;
+    if (!one_sample_does(*o, camera)) return false;
     const Box box = around(o->bounds, o->world_from_bake);
-    const double px_per_metre = camera.focal_px.x / glm::distance(eye, box.centre);
-    const auto triangles = static_cast<double>(o->triangles.all().size());
-    // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
-    const double triangle_px2 = .5 * o->area_m2 / triangles * px_per_metre * px_per_metre;
-    if (!o->contour || o->contour->parts_may_meet() || triangle_px2 < kLeastTriangle_px2)
-      return false;
     if (std::any_of(objects_.begin(), o, [&](const Object& other) {
-          return meet(box, around(other.bounds, other.world_from_bake));
+          return in_view(other, clip_from_world) &&
+                 meet(box, around(other.bounds, other.world_from_bake));
         }))
       return false;
-    most_px_per_metre = std::max(most_px_per_metre, px_per_metre);
   }
+  return true;
+}
+
+bool Layers::one_sample_does(const Object& o, const prt::PinholeView& camera) const {
+  if (!o.contour || !o.contour->serves()) return false;
+  const glm::dvec3& eye = camera.world_from_camera.translation;
+  const double px_per_metre =
+      camera.focal_px.x / glm::distance(eye, o.world_from_bake * glm::dvec3(o.bounds.centre()));
+  // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
+  const double triangle_m2 = .5 * o.area_m2 / static_cast<double>(o.triangles.all().size());
+  if (triangle_m2 * px_per_metre * px_per_metre < kLeastTriangle_px2) return false;
+  const double most_px_per_metre =
+      camera.focal_px.x / std::max(distance_to_box(o, eye), kNearPlane);
   return std::ranges::all_of(planes_, [&](const RealPlane& p) {
-    return hidden_m(p, eye) * most_px_per_metre < kMostHidden_px;
+    return hidden_m(p, o, eye) * most_px_per_metre < kMostHidden_px;
   });
 }
 

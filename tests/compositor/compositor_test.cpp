@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <glm/gtc/quaternion.hpp>
 
 #include "tests/support/scenes.h"
 
@@ -585,6 +587,70 @@ TEST_F(CompositorTest, HowManySamplesIsDecidedByTheViewAlone) {
   compositor_->set_pose(other, {{1, 0, 0, 0}, {0, 0, 40}});
   compositor_->set_pose(handle, {});
   EXPECT_EQ(composited(frame, view(&curve8_)), first);
+}
+
+prt::BakedObject baked(const prt::Mesh& mesh) {
+  prt::BakeOptions options;
+  options.bands = 3, options.bounces = 0, options.rays = 64;
+  auto object = prt::bake(mesh, options);
+  EXPECT_TRUE(object);
+  return object ? std::move(*object) : prt::BakedObject{};
+}
+
+// Whether edges of the object are those of four samples, which real geometry out of sight brings.
+bool has_four_samples(const prt::BakedObject& object, const Pose& pose, const View& v,
+                      bool with_floor = false) {
+  auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
+  EXPECT_TRUE(made) << made.error().detail;
+  Compositor& c = **made;
+  test::add_lit(c, object, test::sloped_light(1, {0, .3, 0}, 3), pose);
+  if (with_floor) c.add_plane({0, 0, 0}, {0, 1, 0});
+  FramePixels plain = Image<Rgb>(kSceneWidth, kSceneHeight), four = plain;
+  EXPECT_TRUE(c.composite(v, plain));
+  EXPECT_NE(plain, (FramePixels(Image<Rgb>(kSceneWidth, kSceneHeight)))) << "in view";
+  c.add_occluder(wall_out_of_sight());
+  EXPECT_TRUE(c.composite(v, four));
+  return std::ranges::equal(std::get<Image<Rgb>>(plain).pixels(),
+                            std::get<Image<Rgb>>(four).pixels(), same);
+}
+
+TEST_F(CompositorTest, FourSamplesWhereOneDoesNot) {
+  const prt::Mesh sphere = prt::make_sphere({0, .4f, 0}, .4f, 3, {.9f, .9f, .9f});
+  EXPECT_FALSE(has_four_samples(baked(sphere), {}, view())) << "what the others are compared to";
+  prt::Mesh parts = sphere;
+  prt::append(parts, prt::make_sphere({.4f, .4f, 0}, .3f, 3, {.1f, .1f, .1f}));
+  EXPECT_TRUE(has_four_samples(baked(parts), {}, view())) << "parts go through each other";
+  View far = view();
+  far.camera = test::scene_camera({.4, 2, 6});
+  EXPECT_FALSE(has_four_samples(baked(sphere), {}, far));
+  const prt::Mesh fine = prt::make_sphere({0, .4f, 0}, .4f, 5, {.9f, .9f, .9f});
+  EXPECT_TRUE(has_four_samples(baked(fine), {}, far)) << "triangles of a part of a pixel";
+  const auto rod = [](float half) {
+    return baked(prt::make_box({-half, 0, -half}, {half, 1.4f, half}, 4, {.9f, .9f, .9f}));
+  };
+  const Pose aslant{glm::angleAxis(.15, dvec3(0, 0, 1)), {0, 0, 0}};
+  EXPECT_FALSE(has_four_samples(rod(.04f), aslant, view()));
+  EXPECT_TRUE(has_four_samples(rod(.005f), aslant, view())) << "a rod between samples";
+  View near = view();
+  near.camera = test::scene_camera({.1, .7, 1.2});
+  const auto slab = baked(prt::make_box({-.1f, .1f, -2}, {.1f, .2f, 2.5f}, 2, {.9f, .9f, .9f}));
+  EXPECT_TRUE(has_four_samples(slab, {}, near)) << "it reaches behind the camera";
+}
+
+TEST_F(CompositorTest, FourSamplesWhereAFloorCutsWhatIsTurned) {
+  const auto box = baked(prt::make_box({-.5f, -.1f, -.1f}, {.5f, .1f, .1f}, 4, {.9f, .9f, .9f}));
+  const auto lying = [&](double turn, double height, const dvec3& axis = {0, 0, 1}) {
+    const Pose pose{glm::angleAxis(turn, glm::normalize(axis)), {0, height, 0}};
+    return has_four_samples(box, pose, view(), true);
+  };
+  EXPECT_FALSE(lying(0, .11));
+  EXPECT_FALSE(lying(0, .0995)) << "half a pixel and less";
+  EXPECT_TRUE(lying(0, .05));
+  EXPECT_FALSE(lying(1.2, .51)) << "on its end it is half a metre high";
+  EXPECT_TRUE(lying(1.2, .4));
+  EXPECT_TRUE(lying(-1.2, .4));
+  EXPECT_FALSE(lying(1.2, .475, {1, 1, 1}));
+  EXPECT_TRUE(lying(1.2, .43, {1, 1, 1}));
 }
 
 TEST_F(CompositorTest, AnotherFormHasItsOwnContour) {

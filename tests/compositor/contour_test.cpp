@@ -219,17 +219,33 @@ TEST(Contour, SeesTheFrontsAloneAndNothingThatReachesBehindTheCamera) {
   EXPECT_FALSE(find({0, 0, .5}, true));
 }
 
-TEST(Contour, PartsThatMayGoThroughEachOtherAreKnown) {
-  const auto meet = [](const glm::vec3& at, Rgb albedo) {
+TEST(Contour, DoesNotServePartsThatMayGoThroughEachOther) {
+  const auto serves = [](const glm::vec3& at, Rgb albedo) {
     prt::Mesh both = ball({0, 0, 0}, .5f, {.8f, .8f, .8f});
     prt::append(both, ball(at, .5f, albedo));
-    return Contour(both).parts_may_meet();
+    return Contour(both).serves();
   };
-  EXPECT_TRUE(meet({.6f, .2f, 0}, {.1f, .1f, .1f}));
-  EXPECT_FALSE(meet({.6f, .2f, 0}, {.8f, .8f, .8f})) << "of one colour little shows";
-  EXPECT_FALSE(meet({1.1f, 0, 0}, {.1f, .1f, .1f})) << "beside each other";
+  EXPECT_FALSE(serves({.6f, .2f, 0}, {.1f, .1f, .1f}));
+  EXPECT_TRUE(serves({.6f, .2f, 0}, {.8f, .8f, .8f})) << "of one colour little shows";
+  EXPECT_TRUE(serves({1.1f, 0, 0}, {.1f, .1f, .1f})) << "beside each other";
   const prt::Mesh box = prt::make_box({-1, -1, -1}, {1, 1, 1}, 2, {1, 1, 1});
-  EXPECT_FALSE(Contour(box).parts_may_meet()) << "creases part nothing";
+  EXPECT_TRUE(Contour(box).serves()) << "creases part nothing";
+}
+
+TEST(Contour, DoesNotServeFacettedMeshesOfManyTriangles) {
+  const auto facetted = [](int subdivisions) {
+    const prt::Mesh smooth = prt::make_sphere({0, 0, 0}, .5f, subdivisions, {1, 1, 1});
+    prt::Mesh out;
+    for (const auto& t : smooth.triangles) {
+      const auto n = static_cast<std::uint32_t>(out.positions.size());
+      for (const std::uint32_t v : t) out.positions.push_back(smooth.positions[v]);
+      out.triangles.push_back({n, n + 1, n + 2});
+    }
+    out.albedo.assign(out.positions.size(), Rgb{1, 1, 1});
+    return out;
+  };
+  EXPECT_TRUE(Contour(facetted(4)).serves());
+  EXPECT_FALSE(Contour(facetted(6)).serves());
 }
 
 TEST(Contour, RodsBetweenSamplesAreNotLost) {
