@@ -255,6 +255,28 @@ bool is_baked_file(const std::filesystem::path& path);
 /// out: 3 * transfer.stride floats. threads: reentrant, no allocation
 void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out);
 
+/// A transfer as sums of few patterns over its points, its principal components. Light reaches a surface from one side of it, and what
+/// stands on a floor from above: half of the coefficients nearly follow from the others.
+/// source: Sloan, Hall, Hart & Snyder 2003, "Clustered Principal Components for Precomputed Radiance Transfer", with one cluster
+/// and no mean. threads: const members reentrant
+class TransferComponents {
+ public:
+  /// As few as keep the error below `error`: RMS over points and over directions of a small light, as a share of what a
+  /// surface that faces the light sends back.
+  /// in: finite values
+  TransferComponents(const Transfer& transfer, double error);
+
+  int count() const { return count_; }
+  /// As prt::relight of the transfer that they were made of.
+  void relight(const RadianceSh& light, std::span<float> out) const;
+
+ private:
+  int count_ = 0, coefficients_ = 0, channels_ = 1;
+  std::size_t stride_ = 0;
+  std::vector<float> mix_;             // [component][coefficient]
+  std::vector<std::uint16_t> values_;  // half floats, [channel][component][point]
+};
+
 // ---------------------------------------------------------------------------------- reference
 
 /// Radiance arriving from a direction, with a sampler when it is peaky.

@@ -72,6 +72,10 @@ void ComposeStage::relight_part(Object& o, Part part, const RadianceSh& light,
     spdlog::warn("{}: relit on the CPU from now on: {}", p.name, done.error().detail);
     clip.reset();
   }
+  const auto i = static_cast<std::size_t>(part);
+  // Light of few bands asks for fewer coefficients than there are components.
+  if (i < o.components.size() && o.components[i].count() < light.size())
+    return o.components[i].relight(light, out);
   p.relight(part, light, out);
 }
 

@@ -52,6 +52,17 @@ std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
   return forms;
 }
 
+std::vector<prt::TransferComponents> components_of(const PreparedObject& o) {
+  if (o.animation) return {};
+  // Of a small light. Twice as much shows: 2.18 instead of 2.04 % on the knot under rustig_koppie, where all coefficients give 2.05.
+  constexpr double kError = 5e-4;
+  std::vector<prt::TransferComponents> out;
+  for (const prt::Transfer* t :
+       {&o.baked.transfer, &o.baked.indirect, &o.baked.ground_deficit, &o.baked.ground_indirect})
+    out.emplace_back(*t, kError);
+  return out;
+}
+
 }  // namespace
 
 Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
@@ -100,6 +111,7 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
     const int handle = stage->compositor_->add_object(o.baked, appearance);
     stage->objects_.push_back({.prepared = &o,
                                .handle = handle,
+                               .components = components_of(o),
                                .relit = std::vector<float>(3 * o.baked.transfer.stride)});
   }
   return stage;

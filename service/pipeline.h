@@ -109,6 +109,7 @@ class ComposeStage {
     int handle;
     std::optional<ObjectLight> light_used{};
     std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
+    std::vector<prt::TransferComponents> components{};  // by part; none of an animation
     std::vector<float> relit{}, more{};
     std::vector<float> taken{}, reflected{};  // of the receiver
     // Alone, without what real things take already, and without what other objects take.

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <initializer_list>
 #include <utility>
@@ -17,6 +18,14 @@ constexpr int kOpenTaps = 16;  // of the whole disc, for the cosine of an open v
 // An object on a plane gets nothing from behind it but what the bake knows.
 bool behind(const prt::Plane* plane, const glm::vec3& d) {
   return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
+}
+
+// Bit by direction.
+std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> directions) {
+  std::uint64_t out = 0;
+  for (std::size_t k = 0; k < directions.size(); ++k)
+    if (!behind(plane, directions[k])) out |= std::uint64_t{1} << k;
+  return out;
 }
 
 // Each vertex with its neighbours: few rays a vertex, turned from one to the next, become many.
@@ -44,14 +53,17 @@ void smooth(const prt::Mesh& mesh, const lighting::Disc& disc,
     for (std::vector<float>* values : sums) average_neighbours(mesh, *values);
 }
 
-// The mean over a disc of max(n.w, 0). Where no direction is behind the surface it is a product with their mean.
+// The mean over a disc of max(n.w, 0), normals in a frame of their own. Where no direction is behind the surface it is a
+// product with their mean.
 class OpenCosine {
  public:
-  OpenCosine(std::span<const glm::vec3> directions, const glm::vec3& middle)
-      : directions_(directions), middle_(middle) {
-    for (const glm::vec3& d : directions) {
-      mean_ += d / static_cast<float>(directions.size());
-      reach_ = std::max(reach_, glm::distance(d, middle));
+  OpenCosine(std::span<const glm::vec3> directions, const glm::vec3& middle,
+             const glm::mat3& normals_from_world)
+      : count_(directions.size()), middle_(normals_from_world * middle) {
+    for (std::size_t k = 0; k < count_; ++k) {
+      directions_[k] = normals_from_world * directions[k];
+      mean_ += directions_[k] / static_cast<float>(count_);
+      reach_ = std::max(reach_, glm::distance(directions_[k], middle_));
     }
   }
   float operator()(const glm::vec3& normal) const {
@@ -59,12 +71,14 @@ class OpenCosine {
     if (along > reach_) return glm::dot(normal, mean_);
     if (along < -reach_) return 0;
     float sum = 0;
-    for (const glm::vec3& d : directions_) sum += std::max(0.f, glm::dot(normal, d));
-    return sum / static_cast<float>(directions_.size());
+    for (const glm::vec3& d : std::span(directions_).first(count_))
+      sum += std::max(0.f, glm::dot(normal, d));
+    return sum / static_cast<float>(count_);
   }
 
  private:
-  std::span<const glm::vec3> directions_;
+  std::array<glm::vec3, kMostTaps> directions_;
+  std::size_t count_;
   glm::vec3 middle_, mean_{0};
   float reach_ = 0;
 };
@@ -106,7 +120,7 @@ class VertexTracer {
       });
       for (const std::uint32_t i : vertices.subspan(part.begin(), part.size())) {
         const glm::vec3 n = normal(i);
-        const glm::vec3 o = turn_ * mesh_.positions[i] + shift_ + blockers_.near_m * n;
+        const glm::vec3 o = origin(i, n);
         for (const glm::vec3& d : pattern_.at(i).subspan(first, last - first)) {
           const float cosine = glm::dot(n, d);
           if (cosine <= 0) continue;
@@ -116,8 +130,25 @@ class VertexTracer {
       }
     });
   }
+  /// By one ray each; sums as large as those of `scale` taps.
+  void ask(std::span<const SharedSight::Part> parts, std::span<const glm::vec3> taps, float scale,
+           std::vector<float>& seen, std::vector<float>& open) const {
+    parallel_for(std::size_t{0}, parts.size(), 1024, [&](const auto& some) {
+      Packets packets(blockers_, [&](std::size_t i, float all, bool by_virtual, bool by_real) {
+        if (!by_virtual && !by_real) seen[i] = all;
+      });
+      for (const auto& [i, part] : parts.subspan(some.begin(), some.size())) {
+        open[i] = scale * part.open;
+        if (part.seen > 0) packets.add(i, scale * part.seen, origin(i, normal(i)), taps[part.ask]);
+      }
+    });
+  }
 
  private:
+  glm::vec3 origin(std::size_t vertex, const glm::vec3& n) const {
+    return turn_ * mesh_.positions[vertex] + shift_ + blockers_.near_m * n;
+  }
+
   const Blockers& blockers_;
   const prt::Mesh& mesh_;
   const prt::Plane* plane_;
@@ -168,7 +199,7 @@ void ask_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_
   }
   own.clear();
   for (std::uint32_t i = 0; i < group.size(); ++i) {
-    if (group[i] == SharedSight::kTurnedAway) continue;
+    if (group[i] == SharedSight::kTurnedAway || group[i] == SharedSight::kInPart) continue;
     const char one = is_grouped(i) ? verdict[group[i]] : kMixed;
     if (one == kLit || one == kDark)
       tell(i, one == kLit);
@@ -218,7 +249,8 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
   thread_local SharedSight sight;
-  sight.find(casters, object, disc);
+  all.make(disc, std::max(taps, kOpenTaps), 1);
+  sight.find(casters, object, disc, {all.at(0), before_bits(plane, all.at(0))});
   // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
   const bool narrow = is_narrow(disc);
   const bool by_taps =
@@ -241,15 +273,13 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
     traced = 1;
   }
   tracer.trace(own, traced, last, seen, open);
+  tracer.ask(sight.parts(), all.at(0), static_cast<float>(last), seen, open);
   smooth(mesh, disc, {&seen, &open});
-  all.make(disc, std::max(taps, kOpenTaps), 1);
-  const OpenCosine whole(all.at(0), glm::vec3(disc.direction));
+  const OpenCosine whole(all.at(0), glm::vec3(disc.direction),
+                         glm::transpose(object.world_from_mesh.rotation_matrix()));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      out[i] = 0;
-      if (seen[i] <= 0) continue;
-      out[i] = seen[i] / open[i] * whole(tracer.normal(i));
-    }
+    for (std::size_t i = part.begin(); i < part.end(); ++i)
+      out[i] = seen[i] <= 0 ? 0 : seen[i] / open[i] * whole(mesh.normals[i]);
   });
 }
 
@@ -280,7 +310,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   });
   smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
   all.make(disc, std::max(taps, kOpenTaps), 1);
-  const OpenCosine whole(all.at(0), glm::vec3(disc.direction));
+  const OpenCosine whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       const float open = whole(mesh.normals[i]), scale = out.open[i] > 0 ? open / out.open[i] : 0;

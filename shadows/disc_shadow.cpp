@@ -4,6 +4,7 @@
 
 #include "core/scratch.h"
 #include "shadows/disc_rays.h"
+#include "shadows/place_kernel.h"
 #include "shadows/projected_shadow.h"
 #include "shadows/projection_kernel.h"
 
@@ -56,41 +57,36 @@ Extent reach_of(std::span<const PlaneTap> taps) {
   return reach;
 }
 
+// Where something that is in part below the plane goes through it.
+void add_cuts(const Caster& caster, const Placing& placing, Footprint& out) {
+  const auto place = [&](std::uint32_t vertex) {
+    return placing.turn * caster.mesh->positions[vertex] + placing.shift;
+  };
+  for (const Outline::Edge& e : caster.outline->edges()) {
+    const glm::vec3 a = place(e.from), b = place(e.to);
+    if ((a.y < 0) == (b.y < 0)) continue;
+    const glm::vec3 cut = glm::mix(a, b, a.y / (a.y - b.y));
+    const glm::vec2 foot(cut.x, cut.z);
+    for (glm::vec2* low : {&out.low, &out.shadow_low}) *low = glm::min(*low, foot);
+    for (glm::vec2* high : {&out.high, &out.shadow_high}) *high = glm::max(*high, foot);
+  }
+}
+
 Extent shadow_extent(std::span<const Caster> casters, float near_m, const Pose& plane_from_world,
                      const Extent& reach) {
   Extent all;
   for (const Caster& caster : casters) {
     const Pose place = plane_from_world * caster.world_from_mesh;
-    const glm::mat3 turn(place.rotation_matrix());
-    const glm::vec3 shift(place.translation);
-    const glm::vec2 reach_low(reach.low), reach_high(reach.high);
-    glm::vec2 body_low(1e30f), body_high(-1e30f), low(1e30f), high(-1e30f);
-    const auto take = [&](const glm::vec3& p) {
-      const glm::vec2 foot(p.x, p.z);
-      body_low = glm::min(body_low, foot);
-      body_high = glm::max(body_high, foot);
-      low = glm::min(low, foot + p.y * reach_low);
-      high = glm::max(high, foot + p.y * reach_high);
-    };
-    bool below = false;  // not by rounding, like what stands on the plane
-    for (const glm::vec3& position : caster.mesh->positions) {
-      const glm::vec3 p = turn * position + shift;
-      if (p.y < -near_m)
-        below = true;
-      else
-        take({p.x, std::max(p.y, 0.f), p.z});
-    }
-    if (below)  // where it goes through the plane
-      for (const Outline::Edge& e : caster.outline->edges()) {
-        const glm::vec3 a = turn * caster.mesh->positions[e.from] + shift,
-                        b = turn * caster.mesh->positions[e.to] + shift;
-        if ((a.y < 0) != (b.y < 0)) take(glm::mix(a, b, a.y / (a.y - b.y)));
-      }
-    if (low.x >= high.x || low.y >= high.y) continue;
+    const Placing placing{glm::mat3(place.rotation_matrix()), glm::vec3(place.translation)};
+    Footprint f = footprint_of(caster.mesh->positions, placing,
+                               {glm::vec2(reach.low), glm::vec2(reach.high)}, near_m);
+    if (f.below) add_cuts(caster, placing, f);
+    if (f.shadow_low.x >= f.shadow_high.x || f.shadow_low.y >= f.shadow_high.y) continue;
     const double longest = kLongest * caster.outline->radius_m();
-    all.cut |= high.x > body_high.x + longest;
-    all.low = glm::min(all.low, glm::max(glm::dvec2(low), glm::dvec2(body_low) - longest));
-    all.high = glm::max(all.high, glm::min(glm::dvec2(high), glm::dvec2(body_high) + longest));
+    all.cut |= f.shadow_high.x > f.high.x + longest;
+    all.low = glm::min(all.low, glm::max(glm::dvec2(f.shadow_low), glm::dvec2(f.low) - longest));
+    all.high =
+        glm::max(all.high, glm::min(glm::dvec2(f.shadow_high), glm::dvec2(f.high) + longest));
   }
   return all;
 }

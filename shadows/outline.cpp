@@ -29,7 +29,7 @@ struct HalfEdge {
   std::uint32_t low, high;  // vertices
   bool back;                // the triangle goes from high to low
   std::uint32_t triangle;
-  auto key() const { return std::tuple(low, high, back, triangle); }
+  auto key() const { return std::tuple(high, low, back, triangle); }
 };
 
 std::vector<HalfEdge> half_edges(std::span<const Outline::Triangle> triangles) {
@@ -111,6 +111,9 @@ Outline::Outline(const prt::Mesh& mesh) {
     pair_up({at, end}, edges_);
     at = end;
   }
+  first_down_.assign(mesh.positions.size() + 1, 0);
+  for (const Edge& e : edges_) ++first_down_[std::max(e.from, e.to) + 1];
+  std::partial_sum(first_down_.begin(), first_down_.end(), first_down_.begin());
   set_form(mesh);
 }
 

@@ -30,7 +30,15 @@ class Outline {
   /// Another form of the same mesh: as many vertices, the same triangles.
   void set_form(const prt::Mesh& mesh);
 
+  /// In the order of their higher ends, then of their lower ones.
   std::span<const Edge> edges() const { return edges_; }
+  /// Places in edges(): those whose higher end is the vertex.
+  struct Range {
+    std::uint32_t begin, end;
+  };
+  Range edges_down_from(std::size_t vertex) const {
+    return {first_down_[vertex], first_down_[vertex + 1]};
+  }
   /// Those with three different corners, by the first of the vertices in each place.
   std::span<const Triangle> triangles() const { return triangles_; }
 
@@ -72,6 +80,7 @@ class Outline {
  private:
   std::vector<Triangle> triangles_;
   std::vector<Edge> edges_;
+  std::vector<std::uint32_t> first_down_;  // by vertex, and the number of edges
   Normals normals_;
   std::vector<Patch> patches_;
   std::vector<char> cut_;  // by edge; empty: not known

@@ -55,34 +55,39 @@ void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& li
   Rgb inverse;
   for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;
 
-  thread_local std::vector<float> fades;  // grows once per thread
+  thread_local std::vector<float> fades, taken;  // grow once per thread
   rim_fades(size, fades);
+  const auto width = static_cast<std::size_t>(size);
+  taken.resize(4 * width);  // of a row: three colours, and the largest of them
+  float* const largest = &taken[3 * width];
   out.x0 = out.y0 = size;
   out.x1 = out.y1 = 0;
-  for (int y = 0; y < size; ++y)
-    for (int x = 0; x < size; ++x) {
-      const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(size) +
-                     static_cast<std::size_t>(x);
-      const float fade =
-          std::min(fades[static_cast<std::size_t>(x)], fades[static_cast<std::size_t>(y)]);
-      float d[3], largest = 0;
-      for (int c = 0; c < 3; ++c) {
-        const std::size_t at = static_cast<std::size_t>(c) * change.stride + i;
-        const float taken =
-            change.taken[at] - (change.reflected.empty() ? 0 : change.reflected[at]);
-        d[c] = fade * inverse[c] * taken;
-        largest = std::max(largest, std::abs(d[c]));
+  for (std::size_t y = 0; y < width; ++y) {
+    std::fill_n(largest, width, 0.f);
+    for (std::size_t c = 0; c < 3; ++c) {
+      const std::size_t row = c * change.stride + y * width;
+      const float* const from = &change.taken[row];
+      const float* const back = change.reflected.empty() ? nullptr : &change.reflected[row];
+      const float scale = inverse[static_cast<int>(c)], fade = fades[y];
+      float* const here = &taken[c * width];
+      for (std::size_t x = 0; x < width; ++x) {
+        here[x] = std::min(fades[x], fade) * scale * (from[x] - (back ? back[x] : 0));
+        largest[x] = std::max(largest[x], std::abs(here[x]));
       }
-      const bool visible = largest > kInvisibleRatio && std::isfinite(d[0] + d[1] + d[2]);
-      const float kept = visible ? smooth_step(largest / kInvisibleRatio - 1) : 0;
-      Rgb& s = out.ratio.at(x, y);
-      for (int c = 0; c < 3; ++c) s[c] = visible ? std::clamp(1 - kept * d[c], 0.f, 1.5f) : 1;
-      if (!visible) continue;
-      out.x0 = std::min(out.x0, x);
-      out.y0 = std::min(out.y0, y);
-      out.x1 = std::max(out.x1, x + 1);
-      out.y1 = std::max(out.y1, y + 1);
     }
+    for (std::size_t x = 0; x < width; ++x) {
+      const float d[3] = {taken[x], taken[width + x], taken[2 * width + x]};
+      Rgb& s = out.ratio.at(static_cast<int>(x), static_cast<int>(y));
+      s = {1, 1, 1};
+      if (!(largest[x] > kInvisibleRatio && std::isfinite(d[0] + d[1] + d[2]))) continue;
+      const float kept = smooth_step(largest[x] / kInvisibleRatio - 1);
+      for (int c = 0; c < 3; ++c) s[c] = std::clamp(1 - kept * d[c], 0.f, 1.5f);
+      out.x0 = std::min(out.x0, static_cast<int>(x));
+      out.y0 = std::min(out.y0, static_cast<int>(y));
+      out.x1 = std::max(out.x1, static_cast<int>(x) + 1);
+      out.y1 = std::max(out.y1, static_cast<int>(y) + 1);
+    }
+  }
 }
 
 }  // namespace penumbra::shadows

@@ -22,8 +22,12 @@ int ceil_within(float x, float limit) {
 // Sixteen directions' layers over a grid: first as steps between neighbours in a row.
 class Layers {
  public:
-  Layers(int width, int height, std::pmr::memory_resource* memory)
-      : width_(width), height_(height), steps_(static_cast<std::size_t>(width * height), memory) {}
+  /// `steps`: zeros, which it grows where it must and leaves as zeros where each row was asked for.
+  Layers(int width, int height, std::vector<Counts>& steps)
+      : width_(width), height_(height), steps_(steps) {
+    const auto size = static_cast<std::size_t>(width * height);
+    if (steps.size() < size) steps.resize(size);
+  }
 
   /// The directions of group `group` alone.
   void draw(std::span<const Side> sides, std::span<const PlaneTap> taps, std::size_t group,
@@ -68,7 +72,7 @@ class Layers {
   }
 
   int width_, height_;
-  std::pmr::vector<Counts> steps_;
+  std::vector<Counts>& steps_;
   std::array<glm::vec2, kGroup> shift_{};  // cells a metre
 };
 
@@ -104,8 +108,9 @@ void add_projected_shadows(const Casters& casters, const NodeGrid& grid, const T
   };
   const std::pmr::vector<Side> of_virtual = sides_of(casters.virtual_things),
                                of_real = sides_of(casters.real_things);
-  Layers virtual_layers(width, height, scope.memory()),
-      real_layers(width, of_real.empty() ? 0 : height, scope.memory());
+  thread_local std::vector<Counts> virtual_steps, real_steps;  // grow once per thread
+  Layers virtual_layers(width, height, virtual_steps),
+      real_layers(width, of_real.empty() ? 0 : height, real_steps);
   std::pmr::vector<std::uint16_t> blocked(static_cast<std::size_t>(width), scope.memory()),
       by_real(static_cast<std::size_t>(width), scope.memory());
   for (std::size_t group = 0; kGroup * group < taps.size(); ++group) {

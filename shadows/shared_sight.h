@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "shadows/shadows.h"
+#include "shadows/part_seen.h"
 
 namespace penumbra::shadows {
 
@@ -15,12 +15,14 @@ namespace penumbra::shadows {
 /// threads: thread-bound; memory grows once
 class SharedSight {
  public:
-  static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu;
+  static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu,
+                                 kInPart = 0xfffffffdu;
 
-  /// Groups the vertices of `object`, which is one of the casters.
-  void find(const Casters& casters, const Caster& object, const lighting::Disc& disc);
+  /// Groups the vertices of `object`, which is one of the casters. `taps` are the disc's.
+  void find(const Casters& casters, const Caster& object, const lighting::Disc& disc,
+            const Taps& taps);
 
-  /// By vertex: its group, kAlone, or kTurnedAway from all of the disc.
+  /// By vertex: its group, kAlone, kInPart where parts() tell how much it sees, or kTurnedAway from all of the disc.
   std::span<const std::uint32_t> group() const { return group_; }
   std::size_t groups() const { return members_.size() / 2; }
   /// Two by two the first and the last vertex of each group.
@@ -30,17 +32,24 @@ class SharedSight {
     const std::size_t first = 2 * group_[vertex];
     return members_[first] == vertex || members_[first + 1] == vertex;
   }
+  struct Part {
+    std::size_t vertex;
+    PartSeen::Answer seen;
+  };
+  std::span<const Part> parts() const { return parts_; }
   /// Whether surfaces may cut through a group: where an outline does not know its cuts, or the sphere around another caster
   /// meets the object's. Then ask several of its vertices.
   bool may_be_cut() const { return may_be_cut_; }
 
  private:
   template <class View>
-  void join_all(const Outline& outline, std::span<const std::uint8_t> faces,
-                const glm::vec3& towards, View& view);
+  void join_all(const Outline& outline, std::span<const std::uint8_t> faces, View& view);
   void join(std::uint32_t first, std::uint32_t second);
 
   std::vector<std::uint32_t> group_, members_;
+  std::vector<Part> parts_;
+  std::vector<glm::vec3> places_;    // by vertex: in the grid
+  std::vector<std::uint8_t> sides_;  // how it lies to the disc
   bool may_be_cut_ = false;
 };
 

@@ -74,9 +74,9 @@ struct World {
     }
   }
   std::vector<float> light(const lighting::Disc& disc, const Caster& object,
-                           const prt::RayWorld* blockers) const {
+                           const prt::RayWorld* blockers, int taps = 4) const {
     std::vector<float> out(meshes[0].positions.size());
-    trace_disc_light({blockers, nullptr, kNear}, {casters, {}, kNear}, object, nullptr, disc, 4,
+    trace_disc_light({blockers, nullptr, kNear}, {casters, {}, kNear}, object, nullptr, disc, taps,
                      out);
     return out;
   }
@@ -84,15 +84,22 @@ struct World {
     return light(disc, casters[0], &rays);
   }
   // All rays for every vertex. (Those of a broad disc are averaged over neighbours: triangles tell which.)
-  std::vector<float> own_light(const lighting::Disc& disc, const prt::RayWorld* blockers) const {
+  std::vector<float> own_light(const lighting::Disc& disc, const prt::RayWorld* blockers,
+                               int taps = 4) const {
     return light(disc,
                  {is_narrow(disc) ? &points : meshes.data(), &none, casters[0].world_from_mesh},
-                 blockers);
+                 blockers, taps);
   }
+  // From as many rays of their own; what outlines tell in part from many, by an eighth of the disc.
   std::size_t different(const lighting::Disc& disc, float more_than = 1e-5f) const {
-    const std::vector<float> shared = shared_light(disc), own = own_light(disc, &rays);
+    const std::vector<float> shared = shared_light(disc), own = own_light(disc, &rays),
+                             dense = own_light(disc, &rays, kMostTaps);
+    const SharedSight found = sight(disc);
     std::size_t out = 0;
-    for (std::size_t i = 0; i < own.size(); ++i) out += std::abs(own[i] - shared[i]) > more_than;
+    for (std::size_t i = 0; i < own.size(); ++i)
+      out += found.group()[i] == SharedSight::kInPart
+                 ? std::abs(dense[i] - shared[i]) > std::max(more_than, .125f)
+                 : std::abs(own[i] - shared[i]) > more_than;
     return out;
   }
   // Grouped vertices of a level sheet that do not see as much as the first of their group, all or nothing.
@@ -112,7 +119,9 @@ struct World {
   }
   SharedSight sight(const lighting::Disc& disc) const {
     SharedSight out;
-    out.find({casters, {}, kNear}, casters[0], disc);
+    TapPattern taps;
+    taps.make(disc, 16, 1);
+    out.find({casters, {}, kNear}, casters[0], disc, {taps.at(0)});
     return out;
   }
 };
@@ -192,7 +201,7 @@ TEST(SharedSight, NeedsFewRays) {
   for (std::size_t i = 0; i < world.meshes[0].normals.size(); ++i) {
     if (glm::dot(dvec3(world.meshes[0].normals[i]), disc.direction) <= 0) continue;
     ++facing;
-    alone += sight.group()[i] == SharedSight::kAlone;
+    alone += sight.group()[i] == SharedSight::kAlone || sight.group()[i] == SharedSight::kInPart;
     EXPECT_NE(sight.group()[i], SharedSight::kTurnedAway);
   }
   EXPECT_LT(double(alone + sight.groups()), .06 * double(facing));
@@ -361,7 +370,7 @@ TEST(SharedSight, PointsWithoutTrianglesAreAlone) {
   const World world({points, knot()});
   const SharedSight sight = world.sight(sun(50));
   ASSERT_EQ(sight.group().size(), points.positions.size());
-  EXPECT_EQ(sight.group().back(), SharedSight::kAlone);
+  EXPECT_EQ(sight.group().back(), SharedSight::kInPart);
   EXPECT_EQ(world.different(sun(50)), 0u);
 }
 

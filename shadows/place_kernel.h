@@ -1,0 +1,46 @@
+// Loops over all vertices of a mesh as a light, or a plane under it, sees them.
+#pragma once
+
+#include <cstdint>
+#include <glm/mat3x3.hpp>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <span>
+
+namespace penumbra::shadows {
+
+/// out = turn * p + shift.
+struct Placing {
+  glm::mat3 turn;
+  glm::vec3 shift;
+};
+
+/// How surfaces lie to a direction, by the cosine with their normal.
+inline constexpr std::uint8_t kBehind = 0, kAslant = 1, kBefore = 2;
+/// kBefore: cosine > 0; kBehind: cosine < `least`, which is negative.
+struct Facing {
+  glm::vec3 towards;
+  float least;
+};
+
+/// Positions that are equal come out equal, bit for bit.
+/// in: as many positions, normals, places and sides. threads: reentrant
+void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
+                    const Placing& placing, const Facing& facing, std::span<glm::vec3> places,
+                    std::span<std::uint8_t> sides);
+
+/// Bounds over x and z of what is on or above a plane, y up: of its feet, and of its shadows, which go from p.y * reach_low to
+/// p.y * reach_high beyond them.
+struct Footprint {
+  glm::vec2 low{1e30f}, high{-1e30f};
+  glm::vec2 shadow_low{1e30f}, shadow_high{-1e30f};
+  bool below = false;  // something is lower than -near_m; what is between counts as on the plane
+};
+struct Reach {
+  glm::vec2 low, high;  // metres for each metre of height
+};
+/// threads: reentrant
+Footprint footprint_of(std::span<const glm::vec3> positions, const Placing& plane_from_mesh,
+                       const Reach& reach, float near_m);
+
+}  // namespace penumbra::shadows

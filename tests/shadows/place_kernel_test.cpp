@@ -1,0 +1,91 @@
+#include "shadows/place_kernel.h"
+
+#include <gtest/gtest.h>
+
+#include <glm/geometric.hpp>
+#include <glm/gtc/quaternion.hpp>
+#include <random>
+#include <vector>
+
+namespace penumbra::shadows {
+namespace {
+
+using glm::vec2;
+using glm::vec3;
+
+std::vector<vec3> random_points(std::size_t count, unsigned seed) {
+  std::mt19937 rng(seed);
+  std::uniform_real_distribution<float> one(-1, 1);
+  std::vector<vec3> out;
+  for (std::size_t i = 0; i < count; ++i) out.emplace_back(one(rng), one(rng), one(rng));
+  return out;
+}
+
+const Placing kPlacing{glm::mat3_cast(glm::angleAxis(.7f, glm::normalize(vec3(1, 2, 3)))) *
+                           glm::mat3(2, 0, 0, 0, 1, 0, 0, 0, 3),
+                       {.3f, .2f, -.1f}};
+vec3 placed(const vec3& p) {
+  return kPlacing.turn * p + kPlacing.shift;
+}
+
+constexpr std::size_t kSizes[] = {0, 1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 100};
+
+TEST(PlaceKernel, PlacesEveryVertex) {
+  const vec3 towards = glm::normalize(vec3(1, 5, 2));
+  for (const std::size_t size : kSizes) {
+    const std::vector<vec3> positions = random_points(size, 1), normals = random_points(size, 2);
+    std::vector<vec3> places(size + 1, vec3(7));
+    std::vector<std::uint8_t> sides(size + 1, 77);
+    place_vertices(positions, normals, kPlacing, {towards, -.2f}, std::span(places).first(size),
+                   std::span(sides).first(size));
+    for (std::size_t i = 0; i < size; ++i) {
+      EXPECT_LT(glm::distance(places[i], placed(positions[i])), 1e-5f) << size;
+      const float cosine = glm::dot(normals[i], towards);
+      EXPECT_EQ(sides[i], cosine > 0 ? kBefore : cosine < -.2f ? kBehind : kAslant) << size;
+    }
+    EXPECT_EQ(places[size], vec3(7));
+    EXPECT_EQ(sides[size], 77);
+  }
+}
+
+// An outline's own vertices are told from others by that.
+TEST(PlaceKernel, EqualPositionsComeOutEqual) {
+  for (const std::size_t size : kSizes) {
+    const std::vector<vec3> positions(size, vec3(.1234f, -.777f, .31f)), normals(size, vec3(0));
+    std::vector<vec3> places(size);
+    std::vector<std::uint8_t> sides(size);
+    place_vertices(positions, normals, kPlacing, {vec3(0, 1, 0), -.1f}, places, sides);
+    for (const vec3& p : places) EXPECT_EQ(p, places[0]) << size;
+  }
+}
+
+TEST(PlaceKernel, FindsTheFootprintOfWhatIsAboveAPlane) {
+  const Reach reach{{-.5f, -.2f}, {.9f, .3f}};
+  constexpr float kNear = .05f;
+  for (const std::size_t size : kSizes)
+    for (const float lift : {-3.f, 0.f, 3.f}) {
+      std::vector<vec3> positions = random_points(size, 5);
+      for (vec3& p : positions) p += lift * glm::inverse(kPlacing.turn) * vec3(0, 1, 0);
+      const Footprint f = footprint_of(positions, kPlacing, reach, kNear);
+      Footprint wanted;
+      for (const vec3& position : positions) {
+        const vec3 p = placed(position);
+        if (p.y < -kNear) wanted.below = true;
+        if (p.y < -kNear) continue;
+        const float y = std::max(p.y, 0.f);
+        const vec2 foot(p.x, p.z);
+        wanted.low = glm::min(wanted.low, foot), wanted.high = glm::max(wanted.high, foot);
+        wanted.shadow_low = glm::min(wanted.shadow_low, foot + y * reach.low);
+        wanted.shadow_high = glm::max(wanted.shadow_high, foot + y * reach.high);
+      }
+      EXPECT_EQ(f.below, wanted.below) << size << ", " << lift;
+      for (const auto& [a, b] : {std::pair(f.low, wanted.low),
+                                 {f.high, wanted.high},
+                                 {f.shadow_low, wanted.shadow_low},
+                                 {f.shadow_high, wanted.shadow_high}})
+        EXPECT_LE(glm::distance(a, b), 1e-5f * glm::length(b)) << size << ", " << lift;
+    }
+}
+
+}  // namespace
+}  // namespace penumbra::shadows
