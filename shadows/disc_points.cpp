@@ -12,8 +12,9 @@ namespace penumbra::shadows {
 
 namespace {
 
-constexpr int kTurns = 64;     // patterns for vertices
-constexpr int kOpenTaps = 16;  // of the whole disc, for the cosine of an open vertex
+constexpr int kTurns = 64;           // patterns for vertices
+constexpr float kSeenAtAll = .002f;  // of what faces the disc: less is not worth a ray
+constexpr int kOpenTaps = 16;        // of the whole disc, for the cosine of an open vertex
 
 // An object on a plane gets nothing from behind it but what the bake knows.
 bool behind(const prt::Plane* plane, const glm::vec3& d) {
@@ -139,7 +140,8 @@ class VertexTracer {
       });
       for (const auto& [i, part] : parts.subspan(some.begin(), some.size())) {
         open[i] = scale * part.open;
-        if (part.seen > 0) packets.add(i, scale * part.seen, origin(i, normal(i)), taps[part.ask]);
+        if (part.seen > kSeenAtAll)
+          packets.add(i, scale * part.seen, origin(i, normal(i)), taps[part.ask]);
       }
     });
   }

@@ -59,7 +59,8 @@ void PartSeen::add(const Line& line, const glm::vec3& place) {
   const float layers = (open ? 1.f : 2.f) * (left ? -1.f : 1.f);
   const glm::vec2 way = to - from;
   const float middle_off = cross(from, way);
-  for (std::size_t k = 0; k < taps_.directions.size(); ++k) {
+  const std::size_t count = taps_.directions.size();
+  for (std::size_t k = 0; k < count; ++k) {
     const float from_off = x_[k] * from.y - z_[k] * from.x, to_off = x_[k] * to.y - z_[k] * to.x,
                 tap_off = way.x * (z_[k] - from.y) - way.y * (x_[k] - from.x);
     const float passed = (from_off >= 0) != (to_off >= 0) ? layers : 0.f,

@@ -33,11 +33,16 @@ class Layers {
   void draw(std::span<const Side> sides, std::span<const PlaneTap> taps, std::size_t group,
             float cell_m) {
     const std::size_t first = kGroup * group;
-    for (std::size_t k = first; k < std::min(first + kGroup, taps.size()); ++k)
-      shift_[k - first] = glm::vec2(taps[k].shift / static_cast<double>(cell_m));
+    for (std::size_t k = first; k < std::min(first + kGroup, taps.size()); ++k) {
+      shift_x_[k - first] = static_cast<float>(taps[k].shift.x / double(cell_m));
+      shift_z_[k - first] = static_cast<float>(taps[k].shift.y / double(cell_m));
+    }
+    Fallen fallen;
     for (const Side& s : sides) {
-      draw(s, static_cast<std::uint16_t>(s.more >> first), s.layers);
-      draw(s, static_cast<std::uint16_t>(s.fewer >> first), static_cast<std::int16_t>(-s.layers));
+      fall(s, fallen);
+      draw(fallen, static_cast<std::uint16_t>(s.more >> first), s.layers);
+      draw(fallen, static_cast<std::uint16_t>(s.fewer >> first),
+           static_cast<std::int16_t>(-s.layers));
     }
   }
   /// Row y, once.
@@ -48,22 +53,35 @@ class Layers {
  private:
   std::size_t index(int x, int y) const { return static_cast<std::size_t>(y * width_ + x); }
 
-  void draw(const Side& s, std::uint16_t directions, std::int16_t layers) {
-    const auto right = static_cast<float>(width_), end = static_cast<float>(height_);
+  // A side on the plane, by direction: it begins at row z, passes `row` first, and does not reach `last`.
+  struct Fallen {
+    alignas(64) float x[kGroup], z[kGroup], slope[kGroup];
+    alignas(64) int row[kGroup], last[kGroup];
+  };
+  void fall(const Side& s, Fallen& out) const {
+    const auto end = static_cast<float>(height_);
+    for (std::size_t k = 0; k < kGroup; ++k) {
+      const float x0 = s.from.x + s.from.y * shift_x_[k], z0 = s.from.z + s.from.y * shift_z_[k],
+                  x1 = s.to.x + s.to.y * shift_x_[k], z1 = s.to.z + s.to.y * shift_z_[k];
+      out.row[k] = ceil_within(z0, end);
+      out.last[k] = ceil_within(z1, end);
+      out.slope[k] = (x1 - x0) / (z1 - z0);
+      out.x[k] = z0 < z1 ? x0 : x1;
+      out.z[k] = z0 < z1 ? z0 : z1;
+    }
+  }
+
+  void draw(const Fallen& side, std::uint16_t directions, std::int16_t layers) {
+    const auto right = static_cast<float>(width_);
     for (unsigned left = directions; left != 0; left &= left - 1) {
       const auto k = static_cast<std::size_t>(std::countr_zero(left));
-      float z0 = s.from.z + s.from.y * shift_[k].y, z1 = s.to.z + s.to.y * shift_[k].y;
-      int row = ceil_within(z0, end), last = ceil_within(z1, end);
+      int row = side.row[k], last = side.last[k];
       if (row == last) continue;
-      float x0 = s.from.x + s.from.y * shift_[k].x, x1 = s.to.x + s.to.y * shift_[k].x;
       std::int16_t step = layers;
-      if (row > last) {
-        std::swap(row, last), std::swap(x0, x1), std::swap(z0, z1);
-        step = static_cast<std::int16_t>(-step);
-      }
-      const float slope = (x1 - x0) / (z1 - z0);
+      if (row > last) std::swap(row, last), step = static_cast<std::int16_t>(-step);
       for (; row < last; ++row) {
-        const int x = ceil_within(x0 + (static_cast<float>(row) - z0) * slope, right);
+        const int x =
+            ceil_within(side.x[k] + (static_cast<float>(row) - side.z[k]) * side.slope[k], right);
         if (x == width_) continue;
         std::int16_t& at = steps_[index(x, row)].of[k];
         at = static_cast<std::int16_t>(at + step);
@@ -73,7 +91,7 @@ class Layers {
 
   int width_, height_;
   std::vector<Counts>& steps_;
-  std::array<glm::vec2, kGroup> shift_{};  // cells a metre
+  alignas(64) std::array<float, kGroup> shift_x_{}, shift_z_{};  // cells a metre
 };
 
 // The sum of weights for each set of sixteen directions.
