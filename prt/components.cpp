@@ -52,6 +52,7 @@ TransferComponents::TransferComponents(const Transfer& transfer, double error)
     : coefficients_(coefficient_count(transfer.bands)),
       channels_(transfer.channels),
       stride_(transfer.stride) {
+  if (coefficients_ == 0 || transfer.points == 0) return;
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> found(moments_of(transfer));
   double left = 0;
   for (count_ = coefficients_; count_ > 1; --count_) {  // eigenvalues grow
