@@ -1,5 +1,7 @@
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <array>
+#include <cassert>
 #include <cmath>
 
 #include "core/conventions.h"
@@ -54,6 +56,7 @@ TransferComponents::TransferComponents(const Transfer& transfer, double error)
       stride_(transfer.stride) {
   if (coefficients_ == 0 || transfer.points == 0) return;
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> found(moments_of(transfer));
+  assert(found.info() == Eigen::Success && found.eigenvalues().allFinite());
   double left = 0;
   for (count_ = coefficients_; count_ > 1; --count_) {  // eigenvalues grow
     left += found.eigenvalues()(coefficients_ - count_);

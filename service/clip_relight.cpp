@@ -1,4 +1,4 @@
-// Which of the machine's processors relights a clip.
+// How a part of an object is relit: by which of the machine's processors, from coefficients or from components.
 
 #include <spdlog/spdlog.h>
 

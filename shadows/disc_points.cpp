@@ -13,7 +13,7 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr int kTurns = 64;           // patterns for vertices
-constexpr float kSeenAtAll = .002f;  // of what faces the disc: less is not worth a ray
+constexpr float kSeenAtAll = .002f;  // mean cosine: less of the disc is not worth a ray
 constexpr int kOpenTaps = 16;        // of the whole disc, for the cosine of an open vertex
 
 // An object on a plane gets nothing from behind it but what the bake knows.
@@ -263,6 +263,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
     seen[i] = lit ? sums.seen : 0;
   };
   ask_groups(tracer, sight, narrow ? 1 : last, seen, open, tell, own);
+  tracer.ask(sight.parts(), all.at(0), static_cast<float>(last), seen, open);
   // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
   // To look at every triangle for that costs more than all rays of few vertices.
   // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
@@ -275,7 +276,6 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
     traced = 1;
   }
   tracer.trace(own, traced, last, seen, open);
-  tracer.ask(sight.parts(), all.at(0), static_cast<float>(last), seen, open);
   smooth(mesh, disc, {&seen, &open});
   const OpenCosine whole(all.at(0), glm::vec3(disc.direction),
                          glm::transpose(object.world_from_mesh.rotation_matrix()));

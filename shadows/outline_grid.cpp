@@ -30,7 +30,8 @@ glm::vec2 across(const glm::vec3& p) {
 }
 
 // Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: an outline's own
-// surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
+// surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be. A copy in
+// the same place may differ by rounding: then vertices see for themselves.)
 bool passes_over(const Line& line, const glm::vec3& a, const glm::vec3& b) {
   const glm::vec2 from = across(line.from), along = across(line.to) - from, start = across(a),
                   way = across(b) - start;

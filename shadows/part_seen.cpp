@@ -1,6 +1,7 @@
 #include "shadows/part_seen.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace penumbra::shadows {
@@ -25,6 +26,7 @@ glm::vec2 seen(const glm::vec3& end, const glm::vec3& other) {
 PartSeen::PartSeen(const OutlineGrid& outlines, const LightGrid& grid,
                    std::span<const Thrower> throwers, const Taps& taps)
     : outlines_(outlines), throwers_(throwers), taps_(taps) {
+  assert(taps.directions.size() <= kMostTaps);
   const glm::mat3 turn(grid.grid_from_world.rotation_matrix());
   const std::size_t count = taps.directions.size();
   for (std::size_t k = 0; k < count; ++k) {
@@ -69,24 +71,42 @@ void PartSeen::add(const Line& line, const glm::vec3& place) {
   }
 }
 
-PartSeen::Answer PartSeen::find(const glm::vec3& place, const glm::vec3& normal) {
+PartSeen::Answer PartSeen::find(const glm::vec3& place, const glm::vec3& lift,
+                                const glm::vec3& normal) {
   const std::size_t count = taps_.directions.size();
   for (std::size_t k = 0; k < count; ++k) {
     layers_[k] = 0;
     cosine_[k] = std::max(
         0.f, normal.x * towards_x_[k] + normal.y * towards_y_[k] + normal.z * towards_z_[k]);
   }
-  outlines_.each_over(place, [&](const Line& line) { add(line, place); });
-  Answer out;
+  outlines_.each_over(place, [&](const Line& line) { add(line, place + lift); });
   float fewest = 1e30f;
-  for (std::uint32_t k = 0; k < count; ++k)
-    if (cosine_[k] > 0 && layers_[k] < fewest) fewest = layers_[k], out.ask = k;
+  for (std::size_t k = 0; k < count; ++k)
+    if (cosine_[k] > 0) fewest = std::min(fewest, layers_[k]);
+  Answer out;
+  glm::vec3 sum(0);  // of the taps alike, and their number
   for (std::size_t k = 0; k < count; ++k) {
     out.open += cosine_[k];
-    if (layers_[k] == fewest && (taps_.counted >> k & 1) != 0) out.seen += cosine_[k];
+    if (cosine_[k] <= 0 || layers_[k] != fewest) continue;
+    sum += glm::vec3(x_[k], z_[k], 1);
+    if ((taps_.counted >> k & 1) != 0) out.seen += cosine_[k];
   }
   const float share = 1 / static_cast<float>(count);
   out.open *= share, out.seen *= share;
+  out.ask = nearest_alike(fewest, glm::vec2(sum.x, sum.y) / sum.z);
+  return out;
+}
+
+// Amid those that are alike: beside an outline rounding could tell rays and layers apart.
+std::uint32_t PartSeen::nearest_alike(float layers, const glm::vec2& at) const {
+  std::uint32_t out = 0;
+  float least = 1e30f;
+  for (std::uint32_t k = 0; k < taps_.directions.size(); ++k) {
+    const glm::vec2 off = glm::vec2(x_[k], z_[k]) - at;
+    if (cosine_[k] <= 0 || layers_[k] != layers || glm::dot(off, off) >= least) continue;
+    least = glm::dot(off, off);
+    out = k;
+  }
   return out;
 }
 

@@ -32,11 +32,12 @@ class PartSeen {
     float open = 0, seen = 0;
     std::uint32_t ask = 0;
   };
-  /// in: a place in the grid where it has lists, above its surface as rays are; the surface's normal in the world frame
-  Answer find(const glm::vec3& place, const glm::vec3& normal);
+  /// in: a place in the grid where it has lists; how far above it rays start; the surface's normal in the world frame
+  Answer find(const glm::vec3& place, const glm::vec3& lift, const glm::vec3& normal);
 
  private:
   void add(const Line& line, const glm::vec3& place);
+  std::uint32_t nearest_alike(float layers, const glm::vec2& at) const;
 
   const OutlineGrid& outlines_;
   std::span<const Thrower> throwers_;

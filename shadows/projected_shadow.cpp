@@ -53,7 +53,7 @@ class Layers {
  private:
   std::size_t index(int x, int y) const { return static_cast<std::size_t>(y * width_ + x); }
 
-  // A side on the plane, by direction: it begins at row z, passes `row` first, and does not reach `last`.
+  // A side on the plane, by direction: its lower end, and the rows before which its two ends lie.
   struct Fallen {
     alignas(64) float x[kGroup], z[kGroup], slope[kGroup];
     alignas(64) int row[kGroup], last[kGroup];

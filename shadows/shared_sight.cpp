@@ -5,6 +5,7 @@
 #include <glm/gtx/quaternion.hpp>
 #include <optional>
 
+#include "core/parallel.h"
 #include "core/scratch.h"
 #include "shadows/outline_grid.h"
 #include "shadows/part_seen.h"
@@ -118,14 +119,16 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   View view(places_, sides_, outlines);
   join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, view);
   if (!outlines.has_lists()) return;
-  PartSeen part_seen(outlines, *grid, lines.throwers, taps);
+  for (std::size_t i = 0; i < group_.size(); ++i)
+    if (group_[i] == kAlone) group_[i] = kInPart, parts_.push_back({i, {}});
   const glm::mat3 lift = grid->from({}).turn * casters.near_m * turn;
-  for (std::size_t i = 0; i < group_.size(); ++i) {
-    if (group_[i] != kAlone) continue;
-    const glm::vec3& normal = mesh.normals[i];
-    group_[i] = kInPart;
-    parts_.push_back({i, part_seen.find(places_[i] + lift * normal, turn * normal)});
-  }
+  parallel_for(std::size_t{0}, parts_.size(), 512, [&](const auto& some) {
+    PartSeen part_seen(outlines, *grid, lines.throwers, taps);
+    for (Part& part : std::span(parts_).subspan(some.begin(), some.size())) {
+      const glm::vec3& normal = mesh.normals[part.vertex];
+      part.seen = part_seen.find(places_[part.vertex], lift * normal, turn * normal);
+    }
+  });
 }
 
 // Edges come in the order of their higher vertex: the lower one has its group already.

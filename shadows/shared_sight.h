@@ -11,8 +11,8 @@ namespace penumbra::shadows {
 
 /// Along a surface what stands between it and a light changes only where an outline that is nearer to the light passes
 /// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes, joined by edges, form a
-/// group.
-/// threads: thread-bound; memory grows once
+/// group. Of the others it counts which part of the disc outlines leave, where it knows all that are over them (PartSeen).
+/// threads: thread-bound, parallel inside; memory grows once
 class SharedSight {
  public:
   static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu,

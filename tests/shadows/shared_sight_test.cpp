@@ -364,7 +364,7 @@ TEST(SharedSight, OfASettingSunEveryVertexHasItsPart) {
   EXPECT_LT(wrong, in_front / 20);
 }
 
-TEST(SharedSight, PointsWithoutTrianglesAreAlone) {
+TEST(SharedSight, PointsWithoutTrianglesSeeForThemselves) {
   prt::Mesh points = sheet(10);
   points.triangles.resize(100);  // half of them
   const World world({points, knot()});
@@ -372,6 +372,69 @@ TEST(SharedSight, PointsWithoutTrianglesAreAlone) {
   ASSERT_EQ(sight.group().size(), points.positions.size());
   EXPECT_EQ(sight.group().back(), SharedSight::kInPart);
   EXPECT_EQ(world.different(sun(50)), 0u);
+}
+
+// In penumbras of a curved object's own parts, in any pose, whether they are virtual or real: half of four rays' error at most.
+TEST(SharedSight, WhatItSeesInPartIsNearManyRays) {
+  const Pose poses[] = {{}, {glm::angleAxis(.9, glm::normalize(dvec3(.2, 1, .4))), {3, 1, -2}}};
+  for (const Pose& pose : poses)
+    for (const double elevation : {20., 60.})
+      for (const bool real : {false, true}) {
+        World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
+        world.rays.set_pose(0, pose);
+        world.casters.front().world_from_mesh = pose;
+        const prt::RayWorld* const none = nullptr;
+        const Blockers blockers{real ? none : &world.rays, real ? &world.rays : none, kNear};
+        const std::span<const Caster> all(world.casters), nobody;
+        const Casters casters{real ? nobody : all, real ? all : nobody, kNear};
+        const lighting::Disc disc = sun(elevation);
+        const auto light = [&](const Caster& object, int taps) {
+          std::vector<float> out(world.points.positions.size());
+          trace_disc_light(blockers, casters, object, nullptr, disc, taps, out);
+          return out;
+        };
+        const Caster alone{&world.points, &world.none, pose};
+        const std::vector<float> ours = light(world.casters[0], 4), dense = light(alone, kMostTaps),
+                                 four = light(alone, 4);
+        SharedSight sight;
+        TapPattern taps;
+        taps.make(disc, 16, 1);
+        sight.find(casters, world.casters[0], disc, {taps.at(0)});
+        double our_sum = 0, four_sum = 0;
+        for (const auto& [i, seen] : sight.parts()) {
+          our_sum += std::pow(ours[i] - dense[i], 2);
+          four_sum += std::pow(four[i] - dense[i], 2);
+        }
+        const auto count = static_cast<double>(sight.parts().size());
+        EXPECT_GT(count, 200);
+        EXPECT_LT(std::sqrt(our_sum / count), .02) << elevation << real;
+        EXPECT_LT(our_sum, .25 * four_sum) << elevation << real;
+      }
+}
+
+// A sun half below the plane on which an object stands, behind a post: directions behind the plane bring nothing.
+TEST(SharedSight, WhatItSeesInPartEndsAtThePlane) {
+  prt::Mesh wall = sheet(40);
+  prt::transform(wall, glm::rotate(glm::translate(glm::dmat4(1), dvec3(0, 1, 0)), -kPi / 2,
+                                   dvec3(0, 0, 1)));  // looks along x
+  lighting::Disc disc = sun(0, .6);
+  disc.direction = {1, 0, 0};
+  const World world({wall, prt::make_box({.9f, 0, -.3f}, {1, 2.5f, .3f}, 1, {})});
+  const prt::Plane floor;
+  const auto light = [&](const Caster& object, int taps) {
+    std::vector<float> out(wall.positions.size());
+    trace_disc_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, object, &floor,
+                     disc, taps, out);
+    return out;
+  };
+  const auto ours = light(world.casters[0], 16),
+             dense = light({&world.points, &world.none, {}}, 64);
+  const SharedSight found = world.sight(disc);
+  EXPECT_GT(found.parts().size(), 20u);
+  for (const auto& [i, seen] : found.parts()) {
+    EXPECT_NEAR(ours[i], dense[i], .13) << i;
+    EXPECT_LT(ours[i], .6f) << i;
+  }
 }
 
 TEST(SharedSight, FollowsThePoseOfAnObject) {
