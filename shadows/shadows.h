@@ -100,9 +100,10 @@ struct Casters {
 
 /// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
 /// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
-/// the same things as `blockers`, `object` among them: their outlines tell which vertices share rays.
-/// in: taps 1..64 rays a vertex; threads: reentrant, parallel inside
-/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex
+/// the same things as `blockers`, `object` among them, with the same near_m: their outlines tell which vertices share rays, and
+/// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees.
+/// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
+/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex; Laine et al. 2005 (PartSeen)
 void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
                       const prt::Plane* plane, const lighting::Disc& disc, int taps,
                       std::span<float> out);
