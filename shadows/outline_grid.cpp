@@ -30,8 +30,7 @@ glm::vec2 across(const glm::vec3& p) {
 }
 
 // Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: an outline's own
-// surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be. A copy in
-// the same place may differ by rounding: then vertices see for themselves.)
+// surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
 bool passes_over(const Line& line, const glm::vec3& a, const glm::vec3& b) {
   const glm::vec2 from = across(line.from), along = across(line.to) - from, start = across(a),
                   way = across(b) - start;
@@ -59,9 +58,12 @@ Lines lines_of(const Casters& casters, const Caster& object, std::span<const glm
   Lines out{std::pmr::vector<Line>(memory), std::pmr::vector<Thrower>(memory)};
   const auto add = [&](const Caster& c) {
     const Placing placing = grid.from(c.world_from_mesh);
-    const bool itself = c.outline == object.outline && c.world_from_mesh == object.world_from_mesh;
+    // The object itself, and a copy in its place.
+    const bool same_pose = c.world_from_mesh == object.world_from_mesh;
     const auto place = [&](std::uint32_t vertex) {
-      return itself ? places[vertex] : placing.turn * c.mesh->positions[vertex] + placing.shift;
+      const glm::vec3& p = c.mesh->positions[vertex];
+      const bool same = same_pose && vertex < places.size() && p == object.mesh->positions[vertex];
+      return same ? places[vertex] : placing.turn * p + placing.shift;
     };
     const auto thrower = static_cast<std::uint32_t>(out.throwers.size());
     out.throwers.push_back({c.outline, glm::transpose(glm::inverse(placing.turn))});

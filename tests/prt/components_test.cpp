@@ -2,16 +2,18 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <random>
 #include <vector>
 
 #include "core/conventions.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
+#include "tests/prt/transfers.h"
 #include "tests/support/lights.h"
 
 namespace penumbra::prt {
 namespace {
+
+using test::random_transfer;
 
 std::vector<glm::dvec3> directions(int count) {
   std::vector<glm::dvec3> out;
@@ -45,16 +47,6 @@ Transfer convex(int bands, std::size_t points) {
                 static_cast<float>(lighting::cosine_coefficient(l) / kPi *
                                    basis[static_cast<std::size_t>(n)]));
   }
-  return out;
-}
-
-Transfer random_transfer(int bands, int channels, std::size_t points) {
-  std::mt19937 rng(1);
-  std::normal_distribution<float> gauss(0, .3f);
-  Transfer out(bands, channels, points);
-  for (int c = 0; c < channels; ++c)
-    for (int n = 0; n < coefficient_count(bands); ++n)
-      for (std::size_t p = 0; p < points; ++p) out.set(c, n, p, gauss(rng));
   return out;
 }
 
@@ -110,7 +102,7 @@ TEST(TransferComponents, AConvexSurfaceHasAsManyAsItsCosine) {
 TEST(TransferComponents, WhatIsIndependentKeepsAllCoefficients) {
   for (const int channels : {1, 3})
     for (const int bands : {1, 2, 5}) {
-      const Transfer t = random_transfer(bands, channels, 300);
+      const Transfer t = random_transfer(bands, channels, 300, 1);
       const TransferComponents c(t, 1e-3);
       EXPECT_EQ(c.count(), coefficient_count(bands));
       EXPECT_LE(error_of(c, t), 2e-3);  // halves of larger numbers

@@ -2,24 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <random>
 #include <vector>
 
 #include "prt/prt.h"
+#include "tests/prt/transfers.h"
 #include "tests/support/lights.h"
 
 namespace penumbra::prt {
 namespace {
 
-Transfer random_transfer(int bands, int channels, std::size_t points, unsigned seed) {
-  std::mt19937 rng(seed);
-  std::normal_distribution<float> gauss(0, .3f);
-  Transfer transfer(bands, channels, points);
-  for (int c = 0; c < channels; ++c)
-    for (int n = 0; n < coefficient_count(bands); ++n)
-      for (std::size_t p = 0; p < points; ++p) transfer.set(c, n, p, gauss(rng));
-  return transfer;
-}
+using test::random_transfer;
 
 struct Sum {
   double value = 0, magnitude = 0;

@@ -7,12 +7,13 @@
 #include <glm/gtc/matrix_transform.hpp>
 
 #include "core/conventions.h"
-#include "shadows/shared_sight.h"
+#include "tests/shadows/caster_world.h"
 
 namespace penumbra::shadows {
 namespace {
 
 using glm::dvec3;
+using test::sheet;
 
 constexpr float kNear = 1e-6f;
 constexpr double kRadius = .3 * kPi / 180;
@@ -24,22 +25,6 @@ lighting::Disc sun(double elevation_deg = 90) {
   d.radius = Radians(kRadius);
   d.radiance = {1, 1, 1};
   return d;
-}
-
-// A level sheet of n x n squares about the origin.
-prt::Mesh sheet(std::uint32_t n, float half_m) {
-  prt::Mesh m;
-  for (std::uint32_t y = 0; y <= n; ++y)
-    for (std::uint32_t x = 0; x <= n; ++x) {
-      m.positions.emplace_back(half_m * (2 * float(x) / float(n) - 1), 0,
-                               half_m * (2 * float(y) / float(n) - 1));
-      m.normals.emplace_back(0, 1, 0);
-      if (x == n || y == n) continue;
-      const std::uint32_t i = y * (n + 1) + x;
-      m.triangles.push_back({i, i + n + 1, i + 1});
-      m.triangles.push_back({i + 1, i + n + 1, i + n + 2});
-    }
-  return m;
 }
 
 // Without a thickness: single layers with open edges.
@@ -58,38 +43,13 @@ prt::Mesh slab(glm::vec2 low, glm::vec2 high, float height, double turn = 0) {
   return m;
 }
 
-// The first is lit, the others throw shadows on it.
-struct World {
-  std::vector<prt::Mesh> meshes;
-  prt::Mesh points;  // of the first, which share nothing
-  std::vector<Outline> outlines;
-  std::vector<Caster> casters;
-  prt::RayWorld rays = *prt::RayWorld::create();
-  Outline none;
-
-  explicit World(std::vector<prt::Mesh> all) : meshes(std::move(all)), points(meshes[0]) {
-    points.triangles.clear();
-    outlines.reserve(meshes.size());
-    for (const prt::Mesh& m : meshes) {
-      outlines.emplace_back(m);
-      casters.push_back({&m, &outlines.back(), {}});
-      EXPECT_TRUE(rays.add(m));
-    }
-  }
+struct World : test::CasterWorld {
+  explicit World(std::vector<prt::Mesh> all) : CasterWorld(std::move(all), kNear) {}
   std::vector<float> light(const lighting::Disc& disc, int taps, bool by_outlines) const {
-    std::vector<float> out(points.positions.size());
     const Caster alone{&points, &none, {}};
-    trace_disc_light({&rays, nullptr, kNear}, {casters, {}, kNear},
-                     by_outlines ? casters[0] : alone, nullptr, disc, taps, out);
-    return out;
+    return CasterWorld::light(disc, by_outlines ? casters[0] : alone, &rays, taps);
   }
-  std::size_t in_part(const lighting::Disc& disc) const {
-    SharedSight sight;
-    TapPattern taps;
-    taps.make(disc, 16, 1);
-    sight.find({casters, {}, kNear}, casters[0], disc, {taps.at(0)});
-    return sight.parts().size();
-  }
+  std::size_t in_part(const lighting::Disc& disc) const { return sight(disc).parts().size(); }
 };
 
 struct Errors {

@@ -7,12 +7,13 @@
 #include <glm/gtc/matrix_transform.hpp>
 
 #include "core/conventions.h"
-#include "shadows/disc_rays.h"
+#include "tests/shadows/caster_world.h"
 
 namespace penumbra::shadows {
 namespace {
 
 using glm::dvec3;
+using test::sheet;
 
 constexpr float kNear = 3e-5f;
 
@@ -29,21 +30,6 @@ prt::Mesh knot() {
   return prt::make_knot(.5f, 240, 40, {.5f, .5f, .5f});
 }
 
-// A level sheet of n x n squares, 2 m wide.
-prt::Mesh sheet(std::uint32_t n) {
-  prt::Mesh m;
-  for (std::uint32_t y = 0; y <= n; ++y)
-    for (std::uint32_t x = 0; x <= n; ++x) {
-      m.positions.emplace_back(2 * float(x) / float(n) - 1, 0, 2 * float(y) / float(n) - 1);
-      m.normals.emplace_back(0, 1, 0);
-      if (x == n || y == n) continue;
-      const std::uint32_t i = y * (n + 1) + x;
-      m.triangles.push_back({i, i + n + 1, i + 1});
-      m.triangles.push_back({i + 1, i + n + 1, i + n + 2});
-    }
-  return m;
-}
-
 std::vector<glm::vec3> averaged_normals(const prt::Mesh& m) {
   std::vector<glm::vec3> out(m.positions.size(), glm::vec3(0));
   for (const auto& t : m.triangles)
@@ -54,32 +40,8 @@ std::vector<glm::vec3> averaged_normals(const prt::Mesh& m) {
   return out;
 }
 
-struct World {
-  std::vector<prt::Mesh> meshes;  // the first is the one that is lit
-  prt::Mesh points;               // its vertices alone
-  std::vector<Outline> outlines;
-  std::vector<Caster> casters;
-  prt::RayWorld rays = *prt::RayWorld::create();
-  Outline none;
-
-  explicit World(std::vector<prt::Mesh> all) : meshes(std::move(all)), points(meshes[0]) {
-    points.triangles.clear();
-    outlines.reserve(meshes.size());
-    for (const prt::Mesh& m : meshes) {
-      outlines.emplace_back(m);
-      casters.push_back({&m, &outlines.back(), {}});
-      const auto index = rays.add(m);
-      EXPECT_TRUE(index);
-      outlines.back().find_cuts(m, rays, *index);
-    }
-  }
-  std::vector<float> light(const lighting::Disc& disc, const Caster& object,
-                           const prt::RayWorld* blockers, int taps = 4) const {
-    std::vector<float> out(meshes[0].positions.size());
-    trace_disc_light({blockers, nullptr, kNear}, {casters, {}, kNear}, object, nullptr, disc, taps,
-                     out);
-    return out;
-  }
+struct World : test::CasterWorld {
+  explicit World(std::vector<prt::Mesh> all) : CasterWorld(std::move(all), kNear) {}
   std::vector<float> shared_light(const lighting::Disc& disc) const {
     return light(disc, casters[0], &rays);
   }
@@ -115,13 +77,6 @@ struct World {
       if (first < 0) first = here;
       out += here == 2 || here != first;
     }
-    return out;
-  }
-  SharedSight sight(const lighting::Disc& disc) const {
-    SharedSight out;
-    TapPattern taps;
-    taps.make(disc, 16, 1);
-    out.find({casters, {}, kNear}, casters[0], disc, {taps.at(0)});
     return out;
   }
 };

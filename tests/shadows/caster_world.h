@@ -1,0 +1,67 @@
+// Meshes that throw shadows on each other, of which the first is lit.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <vector>
+
+#include "shadows/disc_rays.h"
+#include "shadows/shared_sight.h"
+
+namespace penumbra::shadows::test {
+
+/// A level sheet of n x n squares about the origin.
+inline prt::Mesh sheet(std::uint32_t n, float half_m = 1) {
+  prt::Mesh m;
+  for (std::uint32_t y = 0; y <= n; ++y)
+    for (std::uint32_t x = 0; x <= n; ++x) {
+      m.positions.emplace_back(half_m * (2 * float(x) / float(n) - 1), 0,
+                               half_m * (2 * float(y) / float(n) - 1));
+      m.normals.emplace_back(0, 1, 0);
+      if (x == n || y == n) continue;
+      const std::uint32_t i = y * (n + 1) + x;
+      m.triangles.push_back({i, i + n + 1, i + 1});
+      m.triangles.push_back({i + 1, i + n + 1, i + n + 2});
+    }
+  return m;
+}
+
+struct CasterWorld {
+  std::vector<prt::Mesh> meshes;  // the first is the one that is lit
+  prt::Mesh points;               // its vertices alone: nobody shares
+  std::vector<Outline> outlines;
+  std::vector<Caster> casters;
+  prt::RayWorld rays = *prt::RayWorld::create();
+  Outline none;
+  float near_m;
+
+  CasterWorld(std::vector<prt::Mesh> all, float near)
+      : meshes(std::move(all)), points(meshes[0]), near_m(near) {
+    points.triangles.clear();
+    outlines.reserve(meshes.size());
+    for (const prt::Mesh& m : meshes) {
+      outlines.emplace_back(m);
+      casters.push_back({&m, &outlines.back(), {}});
+      const auto index = rays.add(m);
+      EXPECT_TRUE(index);
+      outlines.back().find_cuts(m, rays, *index);
+    }
+  }
+  std::vector<float> light(const lighting::Disc& disc, const Caster& object,
+                           const prt::RayWorld* blockers, int taps = 4) const {
+    std::vector<float> out(meshes[0].positions.size());
+    trace_disc_light({blockers, nullptr, near_m}, {casters, {}, near_m}, object, nullptr, disc,
+                     taps, out);
+    return out;
+  }
+  SharedSight sight(const lighting::Disc& disc) const {
+    SharedSight out;
+    TapPattern taps;
+    taps.make(disc, 16, 1);
+    out.find({casters, {}, near_m}, casters[0], disc, {taps.at(0)});
+    return out;
+  }
+};
+
+}  // namespace penumbra::shadows::test
