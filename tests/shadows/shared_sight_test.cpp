@@ -218,6 +218,16 @@ TEST(SharedSight, LongEdgesLeaveGroups) {
     }
 }
 
+// An object twice in one place: the other's outlines touch this one's surface as its own do.
+TEST(SharedSight, ACopyInItsPlaceLeavesGroups) {
+  for (const double elevation : {15., 40., 80.}) {
+    const SharedSight alone = World({knot()}).sight(sun(elevation)),
+                      twice = World({knot(), knot()}).sight(sun(elevation));
+    EXPECT_EQ(alone.parts().size(), twice.parts().size()) << elevation;
+    EXPECT_TRUE(std::ranges::equal(alone.group(), twice.group())) << elevation;
+  }
+}
+
 // What is kept of one light's outlines is not taken for another pose, plane or light: as with an outline for each object and no
 // memo.
 TEST(SharedSight, AMemoChangesNothing) {
