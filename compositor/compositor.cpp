@@ -41,6 +41,10 @@ Touched touched(std::size_t pixels, const FramePixels& frame) {
   return {pixels, static_cast<double>(pixels) / static_cast<double>(all)};
 }
 
+void begin_with(const FramePixels& camera, FramePixels& out) {
+  if (&camera != &out) out = camera;
+}
+
 Touched put(const View& view, const Layered& in, FramePixels& frame, LookPlanes& look) {
   if (!view.look.none()) return touched(composite_look(view, frame, in, look), frame);
   return touched(composite_share(Share::kBeside, view, frame, in) +
@@ -79,7 +83,8 @@ struct Compositor::Impl {
   explicit Impl(int oversampling) : receivers(oversampling) {}
   Result<void> check(const View& view, const FramePixels& frame) const;
   Result<Rect> draw(const View& view);
-  Result<Touched> composite_while_drawing(const View& view, FramePixels& frame);
+  Result<Touched> composite_while_drawing(const View& view, const FramePixels& camera,
+                                          FramePixels& out);
 
   int width = 0, height = 0;
   std::unique_ptr<GlContext> context;  // destroyed last: the names below live in it
@@ -225,32 +230,38 @@ Result<Rect> Compositor::Impl::draw(const View& view) {
   return receiver_area;
 }
 
-// Without a GPU drawing begins on one core alone: another one composites what no layer reaches.
-Result<Touched> Compositor::Impl::composite_while_drawing(const View& view, FramePixels& frame) {
+// Without a GPU drawing begins on one core alone: another one copies the frame and composites what no layer reaches.
+Result<Touched> Compositor::Impl::composite_while_drawing(const View& view,
+                                                          const FramePixels& camera,
+                                                          FramePixels& out) {
   context->make_current();
   const Rect area = receivers.prepare(view.camera);
   const Layer room{layers->reach_of_objects(view.camera), {}}, nothing;
   std::size_t beside = 0;
   Aside aside;
   aside.run([&] {
+    begin_with(camera, out);
     beside =
-        composite_share(Share::kBeside, view, frame, layered(room, nothing, receivers, area, view));
+        composite_share(Share::kBeside, view, out, layered(room, nothing, receivers, area, view));
   });
   const Result<void> drawn = layers->draw(view, area, objects, hidden);
   aside.wait();
   PENUMBRA_TRY(drawn);
   assert(objects.now->rect == room.rect);
-  return touched(beside + composite_share(Share::kObjects, view, frame,
+  return touched(beside + composite_share(Share::kObjects, view, out,
                                           layered(*objects.now, nothing, receivers, area, view)),
-                 frame);
+                 out);
 }
 
-Result<Touched> Compositor::composite(const View& view, FramePixels& frame) {
+Result<Touched> Compositor::composite(const View& view, const FramePixels& camera,
+                                      FramePixels& out) {
   Impl& i = *impl_;
-  PENUMBRA_TRY(i.check(view, frame));
-  if (view.look.none() && !i.layers->has_occluders()) return i.composite_while_drawing(view, frame);
+  PENUMBRA_TRY(i.check(view, camera));
+  if (view.look.none() && !i.layers->has_occluders())
+    return i.composite_while_drawing(view, camera, out);
   PENUMBRA_ASSIGN(area, i.draw(view));
-  return put(view, layered(*i.objects.now, *i.hidden.now, i.receivers, area, view), frame, i.look);
+  begin_with(camera, out);
+  return put(view, layered(*i.objects.now, *i.hidden.now, i.receivers, area, view), out, i.look);
 }
 
 Result<void> Compositor::draw(const View& view, const FramePixels& frame, Drawn& out) {

@@ -142,16 +142,19 @@ class Compositor {
   /// A real plane: hides objects behind it. Shadows fall on it, so it hides none.
   void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
 
-  /// Composites in place, in linear camera radiance:
+  /// out = the camera's frame with all that is virtual, in linear camera radiance:
   ///   B = f^-1(z), z' = f(a e L_v + (1 - a) B s)
   /// and with a camera look
   ///   z' = f(V + T B + n), V = PSF * a e L_v, T = PSF * (1 - a) s,
   ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
-  /// in:     frame of the size given at creation
-  /// errors: kInvalid (size, missing curve, depth, look; the frame is left alone), kUnavailable (GL lost; the frame may have
+  /// in:     camera: a frame of the size given at creation; `out` may be the same object, which copies nothing
+  /// errors: kInvalid (size, missing curve, depth, look; `out` is left alone), kUnavailable (GL lost; `out` may have
   /// its shadows already)
   /// source: Debevec 1998 in the ratio form
-  Result<Touched> composite(const View& view, FramePixels& frame);
+  Result<Touched> composite(const View& view, const FramePixels& camera, FramePixels& out);
+  Result<Touched> composite(const View& view, FramePixels& frame) {
+    return composite(view, frame, frame);
+  }
   /// composite() in two steps, the second on any thread while this one goes on. What view.curve points to must stay until
   /// then. `out` keeps its room.
   /// in, errors: as composite

@@ -6,41 +6,61 @@
 
 #include "core/conventions.h"
 #include "core/half.h"
+#include "core/parallel.h"
+#include "prt/blocked_rows.h"
 #include "prt/prt.h"
-#include "prt/relight.h"
 
 namespace penumbra::prt {
 
 namespace {
 
-constexpr std::size_t kPart = 1024;  // points
+using Eigen::Index;
+using Eigen::MatrixXd;
+using Eigen::MatrixXf;
 
-// f(channel, first point, values: a row for each point) for all points, few at a time.
-template <class F>
-void each_part(const Transfer& t, F f) {
-  const int coefficients = coefficient_count(t.bands);
-  Eigen::MatrixXf part;
-  for (int c = 0; c < t.channels; ++c)
-    for (std::size_t first = 0; first < t.points; first += kPart) {
-      const std::size_t count = std::min(kPart, t.points - first);
-      part.resize(static_cast<Eigen::Index>(count), coefficients);
-      for (int n = 0; n < coefficients; ++n)
-        for (std::size_t i = 0; i < count; ++i)
-          part(static_cast<Eigen::Index>(i), n) = t.value(c, n, first + i);
-      f(c, first, part);
+// A transfer's coefficients by strips: blocks of points, channel by channel. One channel serves as three where there are
+// to be so many.
+class Strips {
+ public:
+  Strips(const Transfer& t, int channels)
+      : transfer_(t), channels_(static_cast<std::size_t>(channels)) {}
+
+  int coefficients() const {
+    return transfer_.points == 0 ? 0 : coefficient_count(transfer_.bands);
+  }
+  // A row for each point; the padding is zero.
+  void read(std::size_t strip, MatrixXf& rows) const {
+    rows.resize(kBlock, coefficients());
+    const int channel = transfer_.channels == 1 ? 0 : static_cast<int>(strip % channels_);
+    for (int n = 0; n < coefficients(); ++n) {
+      const std::uint16_t* const values =
+          &transfer_.values[transfer_.index(channel, n, strip / channels_ * kBlock)];
+      for (std::size_t i = 0; i < kBlock; ++i)
+        rows(static_cast<Index>(i), n) = float_from_half(values[i]);
     }
-}
+  }
+  // Mean products of each two coefficients.
+  MatrixXd moments() const {
+    constexpr std::size_t kParts = 16;
+    std::array<MatrixXd, kParts> sums;
+    const std::size_t strips = transfer_.stride / kBlock * channels_;
+    parallel_for(std::size_t{0}, kParts, [&](std::size_t part) {
+      MatrixXf rows, sum;
+      sums[part].setZero(coefficients(), coefficients());
+      for (std::size_t strip = part; strip < strips; strip += kParts) {
+        read(strip, rows);
+        sum.noalias() = rows.transpose() * rows;
+        sums[part] += sum.cast<double>();
+      }
+    });
+    for (std::size_t part = 1; part < kParts; ++part) sums[0] += sums[part];
+    return sums[0] / static_cast<double>(std::max<std::size_t>(transfer_.points, 1) * channels_);
+  }
 
-// Mean products of each two coefficients.
-Eigen::MatrixXd moments_of(const Transfer& t) {
-  const int coefficients = coefficient_count(t.bands);
-  Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(coefficients, coefficients);
-  each_part(t, [&](int, std::size_t, const Eigen::MatrixXf& part) {
-    sum += (part.transpose() * part).cast<double>();
-  });
-  return sum / static_cast<double>(std::max<std::size_t>(t.points, 1) *
-                                   static_cast<std::size_t>(t.channels));
-}
+ private:
+  const Transfer& transfer_;
+  std::size_t channels_;
+};
 
 // A light of irradiance 1 from direction w has the coefficients Y_n(w), whose products are in the mean over all
 // directions 1/(4 pi) for n = m, else 0; what faces it sends back 1/pi.
@@ -48,44 +68,60 @@ double error_without(double moment) {
   return kPi * std::sqrt(std::max(0., moment) / (4 * kPi));
 }
 
-}  // namespace
-
-TransferComponents::TransferComponents(const Transfer& transfer, double error)
-    : coefficients_(coefficient_count(transfer.bands)),
-      channels_(transfer.channels),
-      stride_(transfer.stride) {
-  if (coefficients_ == 0 || transfer.points == 0) return;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> found(moments_of(transfer));
+// A column for each of the fewest orthogonal mixtures of coefficients that leave less than `error`, strongest first.
+MatrixXf principal(const MatrixXd& moments, double error) {
+  if (moments.size() == 0) return {};
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> found(moments);
   assert(found.info() == Eigen::Success && found.eigenvalues().allFinite());
-  double left = 0;
-  for (count_ = coefficients_; count_ > 1; --count_) {  // eigenvalues grow
-    left += found.eigenvalues()(coefficients_ - count_);
+  Index kept = moments.cols();
+  for (double left = 0; kept > 0; --kept) {  // eigenvalues grow
+    left += found.eigenvalues()(moments.cols() - kept);
     if (error_without(left) > error) break;
   }
-  const Eigen::MatrixXf mix =
-      found.eigenvectors().rightCols(count_).rowwise().reverse().cast<float>();
-  mix_.assign(mix.data(), mix.data() + mix.size());
-  const auto count = static_cast<std::size_t>(count_);
-  values_.assign(static_cast<std::size_t>(channels_) * count * stride_, 0);
-  each_part(transfer, [&](int c, std::size_t first, const Eigen::MatrixXf& part) {
-    const Eigen::MatrixXf here = part * mix;
-    for (std::size_t k = 0; k < count; ++k)
-      for (Eigen::Index i = 0; i < here.rows(); ++i)
-        values_[(static_cast<std::size_t>(c) * count + k) * stride_ + first +
-                static_cast<std::size_t>(i)] =
-            half_from_float(here(i, static_cast<Eigen::Index>(k)));
+  return found.eigenvectors().rightCols(kept).rowwise().reverse().cast<float>();
+}
+
+}  // namespace
+
+TransferComponents::TransferComponents(const Transfer& first, const Transfer& second,
+                                       double error) {
+  assert(second.points == 0 || second.points == first.points);
+  channels_ = std::max(first.channels, second.channels);
+  const std::array<Strips, 2> strips{Strips(first, channels_), Strips(second, channels_)};
+  std::array<MatrixXf, 2> patterns;
+  for (std::size_t i = 0; i < 2; ++i) {
+    patterns[i] = principal(strips[i].moments(), error);
+    parts_[i].coefficients = strips[i].coefficients();
+    parts_[i].count = static_cast<int>(patterns[i].cols());
+    parts_[i].mix.assign(patterns[i].data(), patterns[i].data() + patterns[i].size());
+  }
+  const std::size_t count = first.stride / kBlock * static_cast<std::size_t>(channels_);
+  values_.resize(count * static_cast<std::size_t>(this->count()) * kBlock);
+  parallel_for(std::size_t{0}, count, 16, [&](const auto& some) {
+    MatrixXf rows, here;
+    auto* to = &values_[some.begin() * static_cast<std::size_t>(this->count()) * kBlock];
+    for (std::size_t strip = some.begin(); strip != some.end(); ++strip)
+      for (std::size_t i = 0; i < 2; ++i) {
+        strips[i].read(strip, rows);
+        here.noalias() = rows * patterns[i];
+        to = std::transform(here.data(), here.data() + here.size(), to, half_from_float);
+      }
   });
 }
 
-void TransferComponents::relight(const RadianceSh& light, std::span<float> out) const {
-  const int known = std::min(light.size(), coefficients_);
-  std::array<float, 3 * kMaxCoefficients> weights{};
-  for (int k = 0; k < count_; ++k)
-    for (int n = 0; n < known; ++n)
-      for (int c = 0; c < 3; ++c)
-        weights[static_cast<std::size_t>(3 * k + c)] +=
-            mix_[static_cast<std::size_t>(k * coefficients_ + n)] * light[n][c];
-  prt::relight(Rows{values_, stride_, channels_}, count_, weights, out);
+void TransferComponents::relight(const RadianceSh& light, const RadianceSh* more,
+                                 std::span<float> out) const {
+  std::array<float, 3 * 2 * kMaxCoefficients> weights{};
+  float* to = weights.data();
+  const auto add = [&](const Part& part, const RadianceSh& l) {
+    const float* mix = part.mix.data();
+    for (int k = 0; k < part.count; ++k, mix += part.coefficients, to += 3)
+      for (int n = 0; n < std::min(l.size(), part.coefficients); ++n)
+        for (int c = 0; c < 3; ++c) to[c] += mix[n] * l[n][c];
+  };
+  add(parts_[0], light);
+  if (more) add(parts_[1], *more);
+  sum_rows({values_, count(), channels_}, more ? count() : first_count(), weights, out);
 }
 
 }  // namespace penumbra::prt

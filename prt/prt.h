@@ -255,26 +255,31 @@ bool is_baked_file(const std::filesystem::path& path);
 /// out: 3 * transfer.stride floats. threads: reentrant, no allocation
 void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out);
 
-/// A transfer as sums of few patterns over its points, its principal components. Light reaches a surface from one side of it, and what
-/// stands on a floor from above: half of the coefficients nearly follow from the others.
+/// A transfer, or two over the same points, as sums of few patterns over these points: their principal components. Light reaches a
+/// surface from one side of it, and what stands on a floor from above: half of the coefficients nearly follow from the others.
 /// source: Sloan, Hall, Hart & Snyder 2003, "Clustered Principal Components for Precomputed Radiance Transfer", with one cluster
 /// and no mean. threads: const members reentrant
 class TransferComponents {
  public:
-  /// As few as keep the error below `error`: RMS over points and over directions of a small light, as a share of what a
+  /// As few as keep the error of each below `error`: RMS over points and over directions of a small light, as a share of what a
   /// surface that faces the light sends back.
-  /// in: finite values
-  TransferComponents(const Transfer& transfer, double error);
+  /// in: finite values; `second` of as many points as `first`, or of none
+  TransferComponents(const Transfer& first, const Transfer& second, double error);
 
-  int count() const { return count_; }
-  /// As prt::relight of the transfer that they were made of.
-  void relight(const RadianceSh& light, std::span<float> out) const;
+  /// Patterns of both, and of the first alone.
+  int count() const { return parts_[0].count + parts_[1].count; }
+  int first_count() const { return parts_[0].count; }
+  /// As prt::relight of the first under `light` plus, where it is given, of the second under `more`.
+  void relight(const RadianceSh& light, const RadianceSh* more, std::span<float> out) const;
 
  private:
-  int count_ = 0, coefficients_ = 0, channels_ = 1;
-  std::size_t stride_ = 0;
-  std::vector<float> mix_;             // [component][coefficient]
-  std::vector<std::uint16_t> values_;  // half floats, [channel][component][point]
+  struct Part {
+    int count = 0, coefficients = 0;
+    std::vector<float> mix{};  // [pattern][coefficient]
+  };
+  std::array<Part, 2> parts_;
+  int channels_ = 1;
+  std::vector<std::uint16_t> values_;  // half floats, BlockedRows
 };
 
 // ---------------------------------------------------------------------------------- reference

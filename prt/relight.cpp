@@ -15,7 +15,7 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 // Sums of points [first, last), kept in `out` between coefficients. Four coefficients at a time: memory is then read in
 // few long streams, which a processor fetches ahead, and sums are loaded and stored once for twelve products.
-// The first count % 4 coefficients begin the sums.
+// The first count % 4 coefficients (one, or none: counts are squares) begin the sums.
 
 // One grey transfer under three colours of light: each half is read once for three products.
 HWY_ATTR void RelightGrey(const std::uint16_t* values, std::size_t stride, std::size_t first,
@@ -104,37 +104,31 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 #include "core/parallel.h"
 #include "prt/prt.h"
-#include "prt/relight.h"
 
 namespace penumbra::prt {
 HWY_EXPORT(RelightGrey);
 HWY_EXPORT(RelightChannel);
 
-void relight(const Rows& rows, int used, std::span<const float> weights, std::span<float> out) {
-  assert(out.size() >= 3 * rows.stride && weights.size() >= 3 * static_cast<std::size_t>(used));
-  constexpr std::size_t kPart = 1024;  // points whose sums stay in the first cache
-  const std::size_t parts = (rows.stride + kPart - 1) / kPart,
-                    of_channel = rows.values.size() / static_cast<std::size_t>(rows.channels);
+void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out) {
+  assert(out.size() >= 3 * transfer.stride);
+  // The bands of both: what either lacks is zero.
+  const int count = coefficient_count(std::min(light.bands(), transfer.bands));
+  const float* const l = &light[0].r;
+  constexpr std::size_t kPart = 1024;  // vertices whose sums stay in the first cache
+  const std::size_t parts = (transfer.stride + kPart - 1) / kPart;
   parallel_for(std::size_t{0}, parts, 16, [&](const auto& some) {
     for (std::size_t part = some.begin(); part != some.end(); ++part) {
-      const std::size_t first = part * kPart, last = std::min(first + kPart, rows.stride);
-      if (rows.channels == 1) {
+      const std::size_t first = part * kPart, last = std::min(first + kPart, transfer.stride);
+      if (transfer.channels == 1) {
         HWY_DYNAMIC_DISPATCH(RelightGrey)
-        (rows.values.data(), rows.stride, first, last, used, weights.data(), out.data());
+        (transfer.values.data(), transfer.stride, first, last, count, l, out.data());
         continue;
       }
-      for (std::size_t c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(RelightChannel)
-      (rows.values.data() + c * of_channel, rows.stride, first, last, used, weights.data() + c,
-       out.data() + c * rows.stride);
+      for (int c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(RelightChannel)
+      (transfer.values.data() + transfer.index(c, 0, 0), transfer.stride, first, last, count, l + c,
+       out.data() + static_cast<std::size_t>(c) * transfer.stride);
     }
   });
-}
-
-void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out) {
-  // The bands of both: what either lacks is zero.
-  const int used = coefficient_count(std::min(light.bands(), transfer.bands));
-  relight(Rows{transfer.values, transfer.stride, transfer.channels}, used,
-          {&light[0].r, 3 * static_cast<std::size_t>(light.size())}, out);
 }
 
 }  // namespace penumbra::prt

@@ -42,7 +42,26 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
   return out;
 }
 
+prt::Transfer cut(const prt::Transfer& t, int bands) {
+  if (bands >= t.bands || t.points == 0) return t;
+  prt::Transfer out(bands, t.channels, t.points);
+  const auto kept = static_cast<std::ptrdiff_t>(out.values.size()) / t.channels;
+  for (int c = 0; c < t.channels; ++c)
+    std::copy_n(t.values.begin() + static_cast<std::ptrdiff_t>(t.index(c, 0, 0)), kept,
+                out.values.begin() + c * kept);
+  return out;
+}
+
 }  // namespace
+
+PreparedScene ChartScene::prepared_with(int bands) const {
+  PreparedScene out = prepared_;
+  for (PreparedObject& o : out.objects) {
+    o.baked.transfer = cut(o.baked.transfer, bands);
+    o.baked.ground_deficit = cut(o.baked.ground_deficit, bands);
+  }
+  return out;
+}
 
 Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   ChartScene bench;
@@ -57,7 +76,7 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   floor.plane = RealPlane{};
   floor.albedo = Rgb{.4f, .4f, .4f};
   BakeSettings settings;
-  settings.bands = kMaxBands;  // fewer bands are the same coefficients, left out
+  settings.bands = kMaxBands;
   settings.rays = settings.ground_rays = rays;
   auto prepared = prepare({{object}, {floor}}, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
@@ -109,17 +128,13 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
   return out;
 }
 
-std::size_t memory_of(const PreparedScene& scene, int bands, std::size_t discs, int map_size) {
+std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size) {
   std::size_t bytes = 0;
-  const auto of = [](const prt::Transfer& t, int used) {
-    return static_cast<std::size_t>(t.channels) *
-           static_cast<std::size_t>(coefficient_count(std::min(used, t.bands))) * t.stride *
-           sizeof(std::uint16_t);
-  };
+  const auto of = [](const prt::Transfer& t) { return t.values.size() * sizeof(t.values[0]); };
   for (const PreparedObject& o : scene.objects) {
-    bytes += of(o.baked.transfer, bands) + of(o.baked.ground_deficit, bands);
+    bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
     if (discs == 0) continue;
-    bytes += of(o.baked.indirect, kMaxBands) + of(o.baked.ground_indirect, kMaxBands);
+    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect);
     bytes += discs *
              (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
               o.baked.transfer.points) *

@@ -19,7 +19,10 @@ class ChartScene {
   static Result<ChartScene> make(const std::string& asset, int rays);
 
   const std::string& name() const { return name_; }
+  /// Baked with kMaxBands.
   const PreparedScene& prepared() const { return prepared_; }
+  /// As if it had been baked with so many: fewer bands are the same coefficients, left out.
+  PreparedScene prepared_with(int bands) const;
   const Masks& masks() const { return masks_; }
   StillScene in(const Image<Rgb>& environment) const { return {&prepared_, &environment, view_}; }
   const prt::PinholeView& view() const { return view_; }
@@ -57,7 +60,7 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
 /// Median and 99th percentile of so many runs of `work` on one thread.
 LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
 
-/// The coefficients that a light of so many bands reads, and the discs' maps, in bytes.
-std::size_t memory_of(const PreparedScene& scene, int bands, std::size_t discs, int map_size);
+/// The baked coefficients and the discs' maps, in bytes.
+std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size);
 
 }  // namespace penumbra::service

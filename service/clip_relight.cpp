@@ -72,11 +72,20 @@ void ComposeStage::relight_part(Object& o, Part part, const RadianceSh& light,
     spdlog::warn("{}: relit on the CPU from now on: {}", p.name, done.error().detail);
     clip.reset();
   }
-  const auto i = static_cast<std::size_t>(part);
-  // Light of few bands asks for fewer coefficients than there are components.
-  if (i < o.components.size() && o.components[i].count() < light.size())
-    return o.components[i].relight(light, out);
   p.relight(part, light, out);
+}
+
+// A surface or the ground, and what of `reflected` comes to it by reflection.
+void ComposeStage::relight_parts(Object& o, Part own, const RadianceSh& light,
+                                 const RadianceSh* reflected, std::span<float> out) const {
+  const bool surface = own == Part::kSurface;
+  if (o.patterns)
+    return (surface ? o.patterns->surface : o.patterns->ground).relight(light, reflected, out);
+  relight_part(o, own, light, out);
+  if (!reflected) return;
+  o.more.resize(out.size());
+  relight_part(o, surface ? Part::kReflected : Part::kGroundReflected, *reflected, o.more);
+  for (std::size_t i = 0; i < out.size(); ++i) out[i] += o.more[i];
 }
 
 }  // namespace penumbra::service

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <map>
 
 #include "capture/capture.h"
 #include "core/conventions.h"
@@ -186,7 +187,13 @@ class Charter {
       return estimator.estimate(measured);
     };
     const bool may_flicker = m.chosen || m.default_plan;
-    return add(m, e, bench_.prepared(), *light, estimate, may_flicker ? again : LightOf(), truth);
+    return add(m, e, baked_with(m.bands), *light, estimate, may_flicker ? again : LightOf(), truth);
+  }
+
+  const PreparedScene& baked_with(int bands) {
+    const auto [known, is_new] = scenes_.try_emplace(bands);
+    if (is_new) known->second = bench_.prepared_with(bands);
+    return known->second;
   }
 
   static LightTime time_of(lighting::LightEstimator& estimator,
@@ -211,7 +218,7 @@ class Charter {
     };
     auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
     if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
-    const PreparedScene& scene = bench_.prepared();
+    const PreparedScene& scene = baked_with(3);
     PENUMBRA_TRY(add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3,
                      three_bands, {}, truth));
     PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, three_bands,
@@ -234,7 +241,8 @@ class Charter {
       m.label = label;
       m.taps = {1, {1, 256}};
       m.most_discs = static_cast<int>(light.discs.size());
-      return add(m, e, scene, light, estimate, may_flicker ? always(make) : LightOf(), truth);
+      return add(m, e, baked_with(1), light, estimate, may_flicker ? always(make) : LightOf(),
+                 truth);
     };
     PENUMBRA_TRY(
         points("ambient and one hard light", phone_light, projection_time(e.map, 2), true));
@@ -278,7 +286,7 @@ class Charter {
     p.ms_p50 = m.update_rate * (measured->time.p50_ms + estimate.p50_ms);
     p.ms_p99 = measured->time.p99_ms + estimate.p99_ms;
     p.chosen = m.chosen;
-    p.bytes = memory_of(scene, m.bands, light.discs.size(), p.map_size);
+    p.bytes = memory_of(scene, light.discs.size(), p.map_size);
     p.reference_error = a.reference_error;
     points_.push_back(p);
     if (!o_.json)
@@ -296,6 +304,7 @@ class Charter {
   std::vector<ChartPoint>& points_;
   std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
   lighting::CostModel costs_{0, 0, -1};  // until fitted
+  std::map<int, PreparedScene> scenes_;  // by bands of the bake
 };
 
 nlohmann::json to_json(const ChartPoint& p) {

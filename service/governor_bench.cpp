@@ -7,6 +7,7 @@
 #include "core/conventions.h"
 #include "service/chart_bench.h"
 #include "service/disc_stage.h"
+#include "service/pipeline.h"
 #include "service/still.h"
 #include "shadows/shadows.h"
 
@@ -180,6 +181,38 @@ double shadow_rmse(const Values& ours, const Values& reference) {
   return count > 0 ? std::sqrt(square / count) : -1;
 }
 
+// An object with its planar shadow, as a stage relights them.
+class Relit {
+ public:
+  explicit Relit(const PreparedObject& o)
+      : baked_(o.baked),
+        light_(3 * o.baked.transfer.stride),
+        taken_(3 * o.baked.ground_deficit.stride) {
+    if (!o.animation) patterns_.emplace(o.baked);
+  }
+
+  void relight(const RadianceSh& light) {
+    if (patterns_)
+      patterns_->surface.relight(light, nullptr, light_);
+    else
+      prt::relight(baked_.transfer, light, light_);
+    if (!baked_.receiver) return;
+    const prt::Transfer& deficit = baked_.ground_deficit;
+    if (patterns_)
+      patterns_->ground.relight(light, nullptr, taken_);
+    else
+      prt::relight(deficit, light, taken_);
+    shadows::compose_planar_shadow({baked_.receiver->grid, deficit.bands, deficit.stride, taken_},
+                                   light, shadow_);
+  }
+
+ private:
+  const prt::BakedObject& baked_;
+  std::optional<RelightPatterns> patterns_;
+  std::vector<float> light_, taken_;
+  shadows::PlanarShadow shadow_;
+};
+
 double binomial_upper_tail(int successes, int trials, double p) {
   double sum = 0;
   for (int k = successes; k <= trials; ++k)
@@ -239,17 +272,12 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   const Surroundings alone(
       scene);  // nothing looked at yet: what stands around costs the same for any plan
   lighting::CostModel costs;
+  std::vector<Relit> things;
+  for (const PreparedObject& o : scene.objects) things.emplace_back(o);
   const auto relight = [&](int bands) {
-    const RadianceSh light(bands);
     return time_single_threaded(5,
                                 [&](int) {
-                                  for (const PreparedObject& o : scene.objects) {
-                                    std::vector<float> out(3 * o.baked.transfer.stride);
-                                    prt::relight(o.baked.transfer, light, out);
-                                    shadows::PlanarShadow shadow;
-                                    if (o.baked.receiver)
-                                      (void)shadows::compose_planar_shadow(o.baked, light, shadow);
-                                  }
+                                  for (Relit& thing : things) thing.relight(RadianceSh(bands));
                                 })
         .p50_ms;
   };

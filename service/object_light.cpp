@@ -175,17 +175,13 @@ void ComposeStage::add_discs(std::size_t index, const lighting::LightEstimate& e
 // The open light everywhere, and on each side what differs there.
 void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t index) const {
   using Part = PreparedObject::Part;
-  o.more.resize(o.relit.size());
   const bool discs = light.discs.bands() > 1;
   const auto difference = [](RadianceSh a, const RadianceSh& b) {
     add(a, b, -1);
     return a;
   };
-  relight_part(o, Part::kSurface, light.open, o.relit);
-  if (discs) {
-    relight_part(o, Part::kReflected, light.discs, o.more);
-    for (std::size_t i = 0; i < o.relit.size(); ++i) o.relit[i] += o.more[i];
-  }
+  relight_parts(o, Part::kSurface, light.open, discs ? &light.discs : nullptr, o.relit);
+  o.more.resize(o.relit.size());
   const RadianceSh no_discs(prt::kIndirectBands);
   for (int k = 0; k < kSides; ++k) {
     const auto s = static_cast<std::size_t>(k);

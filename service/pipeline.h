@@ -59,6 +59,12 @@ RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose
 /// Irradiance of an open plane of this orientation, discs included.
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 
+/// What a thing that keeps its form is relit by: its transfer and what comes to it by reflection, and both of its receiver.
+struct RelightPatterns {
+  prt::TransferComponents surface, ground;
+  explicit RelightPatterns(const prt::BakedObject& baked);
+};
+
 /// View frames and light in, composited frames out.
 class ComposeStage {
  public:
@@ -109,9 +115,9 @@ class ComposeStage {
     int handle;
     std::optional<ObjectLight> light_used{};
     std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
-    std::vector<prt::TransferComponents> components{};  // by part; none of an animation
-    std::vector<float> relit{}, more{};
-    std::vector<float> taken{}, reflected{};  // of the receiver
+    std::optional<RelightPatterns> patterns{};                        // none of an animation
+    std::vector<float> relit{}, taken{};  // the object; of the receiver's light
+    std::vector<float> more{};
     // Alone, without what real things take already, and without what other objects take.
     shadows::PlanarShadow shadow{}, past_real{}, shared{};
   };
@@ -145,6 +151,8 @@ class ComposeStage {
   void choose_device(Object& object);
   void relight_part(Object& object, PreparedObject::Part part, const RadianceSh& light,
                     std::span<float> out) const;
+  void relight_parts(Object& object, PreparedObject::Part own, const RadianceSh& light,
+                     const RadianceSh* reflected, std::span<float> out) const;
   void compose_shadow(Object& object, const ObjectLight& light) const;
   void share_shadows(const std::vector<Pose>& poses);
   bool move_to(double seconds);

@@ -6,6 +6,7 @@
 
 #include "core/parallel.h"
 #include "shadows/disc_rays.h"
+#include "shadows/place_kernel.h"
 #include "shadows/shared_sight.h"
 
 namespace penumbra::shadows {
@@ -54,34 +55,29 @@ void smooth(const prt::Mesh& mesh, const lighting::Disc& disc,
     for (std::vector<float>* values : sums) average_neighbours(mesh, *values);
 }
 
-// The mean over a disc of max(n.w, 0), normals in a frame of their own. Where no direction is behind the surface it is a
-// product with their mean.
-class OpenCosine {
+// A disc's directions in the normals' frame.
+class OpenDisc {
  public:
-  OpenCosine(std::span<const glm::vec3> directions, const glm::vec3& middle,
-             const glm::mat3& normals_from_world)
-      : count_(directions.size()), middle_(normals_from_world * middle) {
-    for (std::size_t k = 0; k < count_; ++k) {
+  OpenDisc(std::span<const glm::vec3> directions, const glm::vec3& middle,
+           const glm::mat3& normals_from_world)
+      : spread_{{}, normals_from_world * middle, glm::vec3(0), 0} {
+    for (std::size_t k = 0; k < directions.size(); ++k) {
       directions_[k] = normals_from_world * directions[k];
-      mean_ += directions_[k] / static_cast<float>(count_);
-      reach_ = std::max(reach_, glm::distance(directions_[k], middle_));
+      spread_.mean += directions_[k] / static_cast<float>(directions.size());
+      spread_.reach = std::max(spread_.reach, glm::distance(directions_[k], spread_.middle));
     }
+    spread_.directions = std::span(directions_).first(directions.size());
   }
-  float operator()(const glm::vec3& normal) const {
-    const float along = glm::dot(normal, middle_);
-    if (along > reach_) return glm::dot(normal, mean_);
-    if (along < -reach_) return 0;
-    float sum = 0;
-    for (const glm::vec3& d : std::span(directions_).first(count_))
-      sum += std::max(0.f, glm::dot(normal, d));
-    return sum / static_cast<float>(count_);
+  OpenDisc(const OpenDisc&) = delete;
+  OpenDisc& operator=(const OpenDisc&) = delete;
+  /// Mean cosines of all of the disc.
+  void light(std::span<const glm::vec3> normals, std::span<float> out) const {
+    mean_cosines(normals, spread_, out);
   }
 
  private:
   std::array<glm::vec3, kMostTaps> directions_;
-  std::size_t count_;
-  glm::vec3 middle_, mean_{0};
-  float reach_ = 0;
+  Spread spread_;
 };
 
 // Lambert's law over a disc on the vertices of a mesh: rays, and what of them arrives.
@@ -277,11 +273,13 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   }
   tracer.trace(own, traced, last, seen, open);
   smooth(mesh, disc, {&seen, &open});
-  const OpenCosine whole(all.at(0), glm::vec3(disc.direction),
-                         glm::transpose(object.world_from_mesh.rotation_matrix()));
+  const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
+                       glm::transpose(object.world_from_mesh.rotation_matrix()));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
+    whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
+                out.subspan(part.begin(), part.size()));
     for (std::size_t i = part.begin(); i < part.end(); ++i)
-      out[i] = seen[i] <= 0 ? 0 : seen[i] / open[i] * whole(mesh.normals[i]);
+      out[i] = seen[i] <= 0 ? 0 : seen[i] / open[i] * out[i];
   });
 }
 
@@ -312,15 +310,15 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   });
   smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
   all.make(disc, std::max(taps, kOpenTaps), 1);
-  const OpenCosine whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
-  parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      const float open = whole(mesh.normals[i]), scale = out.open[i] > 0 ? open / out.open[i] : 0;
-      out.open[i] = open;
-      out.taken[i] *= scale;
-      out.missing[i] *= scale;
-    }
-  });
+  const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
+  std::vector<float> open(count);
+  whole.light(mesh.normals, open);
+  for (std::size_t i = 0; i < count; ++i) {
+    const float scale = out.open[i] > 0 ? open[i] / out.open[i] : 0;
+    out.open[i] = open[i];
+    out.taken[i] *= scale;
+    out.missing[i] *= scale;
+  }
 }
 
 }  // namespace penumbra::shadows

@@ -8,10 +8,6 @@ namespace penumbra::shadows {
 
 namespace {
 
-float cross(const glm::vec2& a, const glm::vec2& b) {
-  return a.x * b.y - a.y * b.x;
-}
-
 // Seen from the place: what is at its height or lower is thrown away from the disc, and cut off a little above.
 glm::vec2 seen(const glm::vec3& end, const glm::vec3& other) {
   constexpr float kLeast = 1e-3f;  // of the other end's height

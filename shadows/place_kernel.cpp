@@ -68,6 +68,27 @@ HWY_ATTR void PlaceVertices(std::span<const glm::vec3> positions,
   });
 }
 
+HWY_ATTR void MeanCosines(std::span<const glm::vec3> normals, const Spread& light,
+                          std::span<float> out) {
+  const auto d = kFloats;
+  const auto none = hn::Zero(d), reach = hn::Set(d, light.reach);
+  const auto along = [&](const Points& n, const glm::vec3& w)
+                         HWY_ATTR { return Along(n, w.x, w.y, w.z, hn::Zero(d)); };
+  const float share = 1 / static_cast<float>(light.directions.size());
+  EachVector(normals.size(), [&](std::size_t i) HWY_ATTR {
+    const Points n = Load(&normals[i]);
+    const auto middle = along(n, light.middle);
+    auto cosine = hn::IfThenElseZero(hn::Gt(middle, reach), along(n, light.mean));
+    const auto grazes = hn::Le(hn::Abs(middle), reach);
+    if (!hn::AllFalse(d, grazes)) {
+      auto sum = none;
+      for (const glm::vec3& w : light.directions) sum = hn::Add(sum, hn::Max(along(n, w), none));
+      cosine = hn::IfThenElse(grazes, hn::Mul(sum, hn::Set(d, share)), cosine);
+    }
+    hn::StoreU(cosine, d, &out[i]);
+  });
+}
+
 HWY_ATTR void FindFootprint(std::span<const glm::vec3> positions, const Placing& plane_from_mesh,
                             const Reach& reach, float near_m, Footprint& out) {
   const auto d = kFloats;
@@ -106,6 +127,7 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace penumbra::shadows {
 HWY_EXPORT(PlaceVertices);
+HWY_EXPORT(MeanCosines);
 HWY_EXPORT(FindFootprint);
 
 namespace {
@@ -144,6 +166,15 @@ void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::v
   (all_positions.points(), all_normals.points(), placing, facing, few_places, few_sides);
   std::copy_n(few_places.begin(), positions.size(), places.begin());
   std::copy_n(few_sides.begin(), positions.size(), sides.begin());
+}
+
+void mean_cosines(std::span<const glm::vec3> normals, const Spread& light, std::span<float> out) {
+  const Padded all(normals);
+  if (all.points().size() == normals.size())
+    return HWY_DYNAMIC_DISPATCH(MeanCosines)(normals, light, out);
+  std::array<float, kMostLanes> few;
+  HWY_DYNAMIC_DISPATCH(MeanCosines)(all.points(), light, few);
+  std::copy_n(few.begin(), normals.size(), out.begin());
 }
 
 Footprint footprint_of(std::span<const glm::vec3> positions, const Placing& plane_from_mesh,

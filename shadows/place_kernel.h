@@ -29,6 +29,17 @@ void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::v
                     const Placing& placing, const Facing& facing, std::span<glm::vec3> places,
                     std::span<std::uint8_t> sides);
 
+/// Directions of a light and their mean; all of them lie within `reach` of `middle`.
+struct Spread {
+  std::span<const glm::vec3> directions;
+  glm::vec3 middle, mean;
+  float reach;
+};
+/// out = the mean over the directions of max(n.w, 0), in the normals' frame. Where no direction is behind the surface it is a product with
+/// their mean.
+/// threads: reentrant
+void mean_cosines(std::span<const glm::vec3> normals, const Spread& light, std::span<float> out);
+
 /// Bounds over x and z of what is on or above a plane, y up: of its feet, and of its shadows, which go from p.y * reach_low to
 /// p.y * reach_high beyond them.
 struct Footprint {

@@ -34,11 +34,10 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
   if (luminance(light.disc_irradiance) > 0) {
     reflected.resize(3 * stride);
     prt::relight(object.ground_indirect, light.discs, reflected);
-  } else {
-    reflected.clear();
+    for (std::size_t i = 0; i < deficit.size(); ++i) deficit[i] -= reflected[i];
   }
-  compose_planar_shadow(
-      {object.receiver->grid, object.ground_deficit.bands, stride, deficit, reflected}, light, out);
+  compose_planar_shadow({object.receiver->grid, object.ground_deficit.bands, stride, deficit},
+                        light, out);
   return {};
 }
 
@@ -67,11 +66,10 @@ void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& li
     for (std::size_t c = 0; c < 3; ++c) {
       const std::size_t row = c * change.stride + y * width;
       const float* const from = &change.taken[row];
-      const float* const back = change.reflected.empty() ? nullptr : &change.reflected[row];
       const float scale = inverse[static_cast<int>(c)], fade = fades[y];
       float* const here = &taken[c * width];
       for (std::size_t x = 0; x < width; ++x) {
-        here[x] = std::min(fades[x], fade) * scale * (from[x] - (back ? back[x] : 0));
+        here[x] = std::min(fades[x], fade) * scale * from[x];
         largest[x] = std::max(largest[x], std::abs(here[x]));
       }
     }

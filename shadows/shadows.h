@@ -42,13 +42,13 @@ struct ReceiverLight {
   Rgb disc_irradiance;  // E of all discs on the open receiver, W/m^2 relative
 };
 
-/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, and what it reflects of
-/// `discs` (empty without discs), in prt::relight's layout.
+/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, less what it reflects of `discs`, in
+/// prt::relight's layout.
 struct ReceiverChange {
   const prt::GroundGrid& grid;
   int bands;  // of the deficit
   std::size_t stride;
-  std::span<const float> taken, reflected;
+  std::span<const float> taken;
 };
 void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
                            PlanarShadow& out);

@@ -99,6 +99,28 @@ TEST_F(CompositorTest, EveryPixelOutsideObjectAndShadowComesOutBitForBit) {
   }
 }
 
+TEST_F(CompositorTest, TheCamerasFrameStaysWhereItIsNotTheResult) {
+  const auto object = test::baked_sphere(true);
+  test::add_lit(*compositor_, object, side_light());
+  View with_look = view(&curve8_);
+  with_look.look.read_noise = .01f;
+  const FramePixels f8 = test::noise_frame<Rgb8>(1), f16 = test::noise_frame<Rgb16>(2),
+                    f32 = test::noise_frame<Rgb>(3);
+  for (const auto& [given, v] : {std::pair{f8, view(&curve8_)}, std::pair{f8, with_look},
+                                 std::pair{f16, view(&curve16_)}, std::pair{f32, view()}}) {
+    const FramePixels camera = given;
+    FramePixels out = Image<Rgb8>(3, 3);  // whatever it was before
+    ASSERT_TRUE(compositor_->composite(v, camera, out));
+    EXPECT_EQ(camera, given);
+    EXPECT_EQ(out, composited(given, v));
+    EXPECT_NE(out, given);
+  }
+  const FramePixels wrong = Image<Rgb8>(3, 3);
+  FramePixels out = f8;
+  EXPECT_FALSE(compositor_->composite(view(&curve8_), wrong, out));
+  EXPECT_EQ(out, f8);
+}
+
 TEST_F(CompositorTest, WhatIsDrawnStaysWhateverIsDrawnNext) {
   const auto object = test::baked_sphere(true);
   const int handle = test::add_lit(*compositor_, object, side_light());

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "core/conventions.h"
@@ -59,15 +60,29 @@ BakedObject baked_knot(Rgb albedo) {
   return *bake(std::move(mesh), options);
 }
 
+// Exit radiance by the components, or by all coefficients, of either transfer alone.
+enum class Which { kFirst, kSecond };
+std::vector<float> relit(const TransferComponents& c, Which which, const RadianceSh& light,
+                         std::size_t stride) {
+  std::vector<float> out(3 * stride, NAN);
+  const RadianceSh none(1);
+  which == Which::kFirst ? c.relight(light, nullptr, out) : c.relight(none, &light, out);
+  return out;
+}
+std::vector<float> relit(const Transfer& t, const RadianceSh& light) {
+  std::vector<float> out(3 * t.stride, NAN);
+  relight(t, light, out);
+  return out;
+}
+
 // RMS over points, colours and lights from everywhere of what components change, as a share of what faces the light.
-double error_of(const TransferComponents& components, const Transfer& transfer) {
-  std::vector<float> few(3 * transfer.stride), all(few.size());
+double error_of(const TransferComponents& components, Which which, const Transfer& transfer) {
   double sum = 0;
   const std::vector<glm::dvec3> from = directions(400);
   for (const glm::dvec3& d : from) {
     const RadianceSh light = small_light(d, transfer.bands);
-    components.relight(light, few);
-    relight(transfer, light, all);
+    const std::vector<float> few = relit(components, which, light, transfer.stride),
+                             all = relit(transfer, light);
     for (std::size_t i = 0; i < all.size(); ++i)
       sum += (double(few[i]) - all[i]) * (double(few[i]) - all[i]);
   }
@@ -77,57 +92,105 @@ double error_of(const TransferComponents& components, const Transfer& transfer) 
 TEST(TransferComponents, TheErrorIsAsAskedFor) {
   for (const Rgb albedo : {Rgb{.6f, .6f, .6f}, Rgb{.8f, .5f, .2f}}) {
     const BakedObject o = baked_knot(albedo);
-    for (const Transfer* t : {&o.transfer, &o.indirect, &o.ground_deficit, &o.ground_indirect}) {
-      const int all = coefficient_count(t->bands);
-      int before = all;
+    for (const auto& [first, second] :
+         {std::pair{&o.transfer, &o.indirect}, std::pair{&o.ground_deficit, &o.ground_indirect}}) {
+      const int one = coefficient_count(first->bands), two = coefficient_count(second->bands);
+      int first_before = one, before = one + two;
       for (const double error : {3e-4, 1e-3, 5e-3}) {
-        const TransferComponents c(*t, error);
-        EXPECT_LE(error_of(c, *t), 1.02 * error + 2e-5);  // halves beside it
+        const TransferComponents c(*first, *second, error);
+        EXPECT_LE(error_of(c, Which::kFirst, *first), 1.02 * error + 2e-5);  // halves beside it
+        EXPECT_LE(error_of(c, Which::kSecond, *second), 1.02 * error + 4e-5);
+        EXPECT_LE(c.first_count(), first_before);
         EXPECT_LE(c.count(), before);
-        before = c.count();
+        first_before = c.first_count(), before = c.count();
       }
-      EXPECT_LT(before, .75 * all);
+      EXPECT_LT(first_before, .75 * one);
+      EXPECT_LT(before, .5 * (one + two));
       // No more than is needed: with a tenth of the error more are kept.
-      EXPECT_GT(TransferComponents(*t, 5e-4).count(), before);
+      EXPECT_GT(TransferComponents(*first, *second, 5e-4).first_count(), first_before);
     }
+  }
+}
+
+TEST(TransferComponents, EachHasItsOwn) {
+  const BakedObject o = baked_knot({.6f, .6f, .6f});
+  const TransferComponents both(o.transfer, o.indirect, 5e-4), own(o.transfer, {}, 5e-4),
+      reflected(o.indirect, {}, 5e-4);
+  EXPECT_EQ(both.first_count(), own.count());
+  EXPECT_EQ(both.count(), own.count() + reflected.count());
+}
+
+TEST(TransferComponents, BothLightsAddUp) {
+  const BakedObject o = baked_knot({.8f, .5f, .2f});
+  const TransferComponents c(o.transfer, o.indirect, 1e-4);
+  const RadianceSh light = test::random_light(5, 3), more = test::random_light(9, 4);
+  std::vector<float> both(3 * o.transfer.stride, NAN);
+  c.relight(light, &more, both);
+  const std::vector<float> one = relit(o.transfer, light), two = relit(o.indirect, more);
+  double square = 0;
+  for (std::size_t i = 0; i < both.size(); ++i) {
+    const double off = double(both[i]) - (one[i] + two[i]);
+    ASSERT_NEAR(off, 0, .01);
+    square += off * off;
+  }
+  EXPECT_LT(std::sqrt(square / double(both.size())), 1e-3);
+}
+
+// A grey transfer beside one that differs by colour: an object whose shadows were taken off it.
+TEST(TransferComponents, GreyAndColouredGoTogether) {
+  for (const int channels : {1, 3}) {
+    const Transfer grey = random_transfer(2, channels, 300, 1),
+                   coloured = random_transfer(3, 4 - channels, 300, 2);
+    const TransferComponents c(grey, coloured, 1e-3);
+    EXPECT_EQ(c.count(), 4 + 9);
+    EXPECT_LE(error_of(c, Which::kFirst, grey), 2e-3);  // halves of larger numbers
+    EXPECT_LE(error_of(c, Which::kSecond, coloured), 4e-3);
   }
 }
 
 // Odd bands of a cosine from the third on are zero.
 TEST(TransferComponents, AConvexSurfaceHasAsManyAsItsCosine) {
-  EXPECT_EQ(TransferComponents(convex(5, 2000), 1e-4).count(), 1 + 3 + 5 + 9);
-  EXPECT_EQ(TransferComponents(convex(9, 4000), 1e-4).count(), 1 + 3 + 5 + 9 + 13 + 17);
+  EXPECT_EQ(TransferComponents(convex(5, 2000), {}, 1e-4).count(), 1 + 3 + 5 + 9);
+  EXPECT_EQ(TransferComponents(convex(9, 4000), {}, 1e-4).count(), 1 + 3 + 5 + 9 + 13 + 17);
 }
 
 TEST(TransferComponents, WhatIsIndependentKeepsAllCoefficients) {
   for (const int channels : {1, 3})
     for (const int bands : {1, 2, 5}) {
       const Transfer t = random_transfer(bands, channels, 300, 1);
-      const TransferComponents c(t, 1e-3);
+      const TransferComponents c(t, {}, 1e-3);
       EXPECT_EQ(c.count(), coefficient_count(bands));
-      EXPECT_LE(error_of(c, t), 2e-3);  // halves of larger numbers
+      EXPECT_LE(error_of(c, Which::kFirst, t), 2e-3);  // halves of larger numbers
     }
 }
 
 TEST(TransferComponents, FollowLightsOfFewerAndMoreBands) {
-  const Transfer t = convex(5, 500);
-  const TransferComponents c(t, 1e-4);
-  std::vector<float> few(3 * t.stride), all(few.size());
+  const Transfer t = convex(5, 500), more = convex(3, 500);
+  const TransferComponents c(t, more, 1e-4);
   for (const int bands : {1, 2, 5, 9}) {
     const RadianceSh light = test::random_light(bands, 3);
-    c.relight(light, few);
-    relight(t, light, all);
-    for (std::size_t i = 0; i < all.size(); ++i) ASSERT_NEAR(few[i], all[i], 1e-3) << bands;
+    for (const auto& [which, of] :
+         {std::pair{Which::kFirst, &t}, std::pair{Which::kSecond, &more}}) {
+      const std::vector<float> few = relit(c, which, light, t.stride), all = relit(*of, light);
+      for (std::size_t i = 0; i < all.size(); ++i) ASSERT_NEAR(few[i], all[i], 1e-3) << bands;
+    }
   }
 }
 
 TEST(TransferComponents, NothingGivesNothing) {
-  std::vector<float> out(3 * 64, NAN);
+  const RadianceSh light = test::random_light(5, 3);
   const Transfer dark(5, 3, 10);
-  TransferComponents(dark, 1e-3).relight(test::random_light(5, 3), out);
-  for (const float v : out) ASSERT_EQ(v, 0);
-  std::vector<float> none;
-  TransferComponents(Transfer(), 1e-3).relight(test::random_light(5, 3), none);
+  const TransferComponents c(dark, dark, 1e-3);
+  EXPECT_EQ(c.count(), 0);
+  for (const Which which : {Which::kFirst, Which::kSecond})
+    for (const float v : relit(c, which, light, dark.stride)) ASSERT_EQ(v, 0);
+  EXPECT_EQ(TransferComponents({}, {}, 1e-3).count(), 0);
+  EXPECT_TRUE(relit(TransferComponents({}, {}, 1e-3), Which::kSecond, light, 0).empty());
+}
+
+TEST(TransferComponents, ADarkOneBesideOneThatIsNot) {
+  const Transfer dark(5, 1, 500), lit = convex(3, 500);
+  EXPECT_LE(error_of(TransferComponents(dark, lit, 1e-4), Which::kSecond, lit), 2e-4);
 }
 
 }  // namespace

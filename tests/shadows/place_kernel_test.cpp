@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <glm/geometric.hpp>
 #include <glm/gtc/quaternion.hpp>
 #include <random>
@@ -57,6 +58,39 @@ TEST(PlaceKernel, EqualPositionsComeOutEqual) {
     place_vertices(positions, normals, kPlacing, {vec3(0, 1, 0), -.1f}, places, sides);
     for (const vec3& p : places) EXPECT_EQ(p, places[0]) << size;
   }
+}
+
+// Surfaces that face all of the light, some of it and nothing.
+TEST(PlaceKernel, MeanCosinesAreThoseOverTheDirections) {
+  const vec3 middle = glm::normalize(vec3(1, 5, 2));
+  std::vector<vec3> directions;
+  vec3 mean(0);
+  float reach = 0;
+  for (const vec3& off : random_points(9, 3)) {
+    directions.push_back(glm::normalize(middle + .2f * off));
+    mean += directions.back() / 9.f;
+    reach = std::max(reach, glm::distance(directions.back(), middle));
+  }
+  int partly = 0;
+  for (const std::size_t size : kSizes) {
+    std::vector<vec3> normals = random_points(size, 4);
+    for (vec3& n : normals)
+      n = glm::normalize(n + (size % 2 ? 0 : -.9f) * glm::dot(n, middle) * middle);
+    std::vector<float> out(size + 1, 77);
+    mean_cosines(normals, {directions, middle, mean, reach}, std::span(out).first(size));
+    for (std::size_t i = 0; i < size; ++i) {
+      float sum = 0;
+      int before = 0;
+      for (const vec3& d : directions) {
+        sum += std::max(0.f, glm::dot(normals[i], d)) / 9;
+        before += glm::dot(normals[i], d) > 0 ? 1 : 0;
+      }
+      partly += before % 9 != 0 ? 1 : 0;
+      EXPECT_NEAR(out[i], sum, 1e-6f) << size;
+    }
+    EXPECT_EQ(out[size], 77);
+  }
+  EXPECT_GT(partly, 20);
 }
 
 TEST(PlaceKernel, FindsTheFootprintOfWhatIsAboveAPlane) {
