@@ -16,8 +16,8 @@ struct BlockedRows {
   int channels;  // 1 or 3
 };
 
-/// out[channel * stride + point] = sum over the first `used` rows of weights[3 row + channel] times the row's value.
-/// threads: reentrant, no allocation
+/// out[channel * points + point] = sum over the first `used` rows of weights[3 row + channel] times the row's value.
+/// out: 3 floats a point. threads: reentrant, no allocation
 void sum_rows(const BlockedRows& from, int used, std::span<const float> weights,
               std::span<float> out);
 

@@ -28,15 +28,15 @@ class Strips {
   int coefficients() const {
     return transfer_.points == 0 ? 0 : coefficient_count(transfer_.bands);
   }
-  // A row for each point; the padding is zero.
-  void read(std::size_t strip, MatrixXf& rows) const {
-    rows.resize(kBlock, coefficients());
+  // A line of the matrix for each point; the padding is zero.
+  void read(std::size_t strip, MatrixXf& points) const {
+    points.resize(kBlock, coefficients());
     const int channel = transfer_.channels == 1 ? 0 : static_cast<int>(strip % channels_);
     for (int n = 0; n < coefficients(); ++n) {
       const std::uint16_t* const values =
           &transfer_.values[transfer_.index(channel, n, strip / channels_ * kBlock)];
       for (std::size_t i = 0; i < kBlock; ++i)
-        rows(static_cast<Index>(i), n) = float_from_half(values[i]);
+        points(static_cast<Index>(i), n) = float_from_half(values[i]);
     }
   }
   // Mean products of each two coefficients.
@@ -45,11 +45,11 @@ class Strips {
     std::array<MatrixXd, kParts> sums;
     const std::size_t strips = transfer_.stride / kBlock * channels_;
     parallel_for(std::size_t{0}, kParts, [&](std::size_t part) {
-      MatrixXf rows, sum;
+      MatrixXf points, sum;
       sums[part].setZero(coefficients(), coefficients());
       for (std::size_t strip = part; strip < strips; strip += kParts) {
-        read(strip, rows);
-        sum.noalias() = rows.transpose() * rows;
+        read(strip, points);
+        sum.noalias() = points.transpose() * points;
         sums[part] += sum.cast<double>();
       }
     });
@@ -86,6 +86,7 @@ MatrixXf principal(const MatrixXd& moments, double error) {
 TransferComponents::TransferComponents(const Transfer& first, const Transfer& second,
                                        double error) {
   assert(second.points == 0 || second.points == first.points);
+  assert(first.stride % kBlock == 0);
   channels_ = std::max(first.channels, second.channels);
   const std::array<Strips, 2> strips{Strips(first, channels_), Strips(second, channels_)};
   std::array<MatrixXf, 2> patterns;
@@ -98,12 +99,12 @@ TransferComponents::TransferComponents(const Transfer& first, const Transfer& se
   const std::size_t count = first.stride / kBlock * static_cast<std::size_t>(channels_);
   values_.resize(count * static_cast<std::size_t>(this->count()) * kBlock);
   parallel_for(std::size_t{0}, count, 16, [&](const auto& some) {
-    MatrixXf rows, here;
-    auto* to = &values_[some.begin() * static_cast<std::size_t>(this->count()) * kBlock];
+    MatrixXf points, here;
+    auto* to = values_.data() + some.begin() * static_cast<std::size_t>(this->count()) * kBlock;
     for (std::size_t strip = some.begin(); strip != some.end(); ++strip)
       for (std::size_t i = 0; i < 2; ++i) {
-        strips[i].read(strip, rows);
-        here.noalias() = rows * patterns[i];
+        strips[i].read(strip, points);
+        here.noalias() = points * patterns[i];
         to = std::transform(here.data(), here.data() + here.size(), to, half_from_float);
       }
   });

@@ -269,7 +269,9 @@ class TransferComponents {
   /// Patterns of both, and of the first alone.
   int count() const { return parts_[0].count + parts_[1].count; }
   int first_count() const { return parts_[0].count; }
-  /// As prt::relight of the first under `light` plus, where it is given, of the second under `more`.
+  /// As prt::relight of the first under `light` plus, where it is given, of the second under `more`. Lights of few bands cost as
+  /// much as others.
+  /// out: exactly 3 * stride floats
   void relight(const RadianceSh& light, const RadianceSh* more, std::span<float> out) const;
 
  private:

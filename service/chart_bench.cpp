@@ -42,8 +42,10 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
   return out;
 }
 
-prt::Transfer cut(const prt::Transfer& t, int bands) {
-  if (bands >= t.bands || t.points == 0) return t;
+}  // namespace
+
+prt::Transfer with_bands(const prt::Transfer& t, int bands) {
+  if (bands >= t.bands) return t;
   prt::Transfer out(bands, t.channels, t.points);
   const auto kept = static_cast<std::ptrdiff_t>(out.values.size()) / t.channels;
   for (int c = 0; c < t.channels; ++c)
@@ -52,13 +54,11 @@ prt::Transfer cut(const prt::Transfer& t, int bands) {
   return out;
 }
 
-}  // namespace
-
 PreparedScene ChartScene::prepared_with(int bands) const {
   PreparedScene out = prepared_;
   for (PreparedObject& o : out.objects) {
-    o.baked.transfer = cut(o.baked.transfer, bands);
-    o.baked.ground_deficit = cut(o.baked.ground_deficit, bands);
+    o.baked.transfer = with_bands(o.baked.transfer, bands);
+    o.baked.ground_deficit = with_bands(o.baked.ground_deficit, bands);
   }
   return out;
 }

@@ -11,6 +11,9 @@
 
 namespace penumbra::service {
 
+/// As if it had been baked with so many bands, at most those that there are: the same coefficients, further ones left out.
+prt::Transfer with_bands(const prt::Transfer& transfer, int bands);
+
 /// An object on a 40 % grey floor before a camera that sees both.
 class ChartScene {
  public:
@@ -21,7 +24,7 @@ class ChartScene {
   const std::string& name() const { return name_; }
   /// Baked with kMaxBands.
   const PreparedScene& prepared() const { return prepared_; }
-  /// As if it had been baked with so many: fewer bands are the same coefficients, left out.
+  /// As if it had been baked with so many.
   PreparedScene prepared_with(int bands) const;
   const Masks& masks() const { return masks_; }
   StillScene in(const Image<Rgb>& environment) const { return {&prepared_, &environment, view_}; }

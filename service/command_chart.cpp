@@ -137,7 +137,7 @@ class Charter {
 
   Result<void> run(const Environment& environment) {
     if (o_.bands.empty() && costs_.per_disc_ms < 0) {
-      auto costs = fit_costs(bench_.prepared());
+      auto costs = fit_costs(baked_with(lighting::Governor::Limits{}.most_bands));
       if (!costs) return std::unexpected(costs.error());
       costs_ = *costs;
     }
@@ -366,7 +366,7 @@ Result<void> chart_governor(const ChartOptions& o) {
   const std::string asset = o.assets.empty() ? "builtin:knot" : o.assets[0];
   auto bench = ChartScene::make(asset, kBakeRays);
   if (!bench) return std::unexpected(bench.error());
-  auto costs = fit_costs(bench->prepared());
+  auto costs = fit_costs(bench->prepared_with(lighting::Governor::Limits{}.most_bands));
   if (!costs) return std::unexpected(costs.error());
   auto proof = prove_governor(bench->prepared(), *costs, o.budget, o.governor,
                               progress_bar("random scenes"));

@@ -186,29 +186,22 @@ class Relit {
  public:
   explicit Relit(const PreparedObject& o)
       : baked_(o.baked),
+        patterns_(o.baked),
         light_(3 * o.baked.transfer.stride),
-        taken_(3 * o.baked.ground_deficit.stride) {
-    if (!o.animation) patterns_.emplace(o.baked);
-  }
+        taken_(3 * o.baked.ground_deficit.stride) {}
 
-  void relight(const RadianceSh& light) {
-    if (patterns_)
-      patterns_->surface.relight(light, nullptr, light_);
-    else
-      prt::relight(baked_.transfer, light, light_);
-    if (!baked_.receiver) return;
+  void relight(const RadianceSh& light, const RadianceSh* reflected) {
+    patterns_.surface.relight(light, reflected, light_);
     const prt::Transfer& deficit = baked_.ground_deficit;
-    if (patterns_)
-      patterns_->ground.relight(light, nullptr, taken_);
-    else
-      prt::relight(deficit, light, taken_);
+    if (!baked_.receiver || deficit.points == 0) return;
+    patterns_.ground.relight(light, reflected, taken_);
     shadows::compose_planar_shadow({baked_.receiver->grid, deficit.bands, deficit.stride, taken_},
                                    light, shadow_);
   }
 
  private:
   const prt::BakedObject& baked_;
-  std::optional<RelightPatterns> patterns_;
+  RelightPatterns patterns_;
   std::vector<float> light_, taken_;
   shadows::PlanarShadow shadow_;
 };
@@ -274,24 +267,26 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   lighting::CostModel costs;
   std::vector<Relit> things;
   for (const PreparedObject& o : scene.objects) things.emplace_back(o);
-  const auto relight = [&](int bands) {
-    return time_single_threaded(5,
-                                [&](int) {
-                                  for (Relit& thing : things) thing.relight(RadianceSh(bands));
-                                })
-        .p50_ms;
+  const RadianceSh light(kMaxBands);
+  const auto relight = [&](const RadianceSh* reflected) {
+    const auto all = [&](int) {
+      for (Relit& thing : things) thing.relight(light, reflected);
+    };
+    return time_single_threaded(5, all).p50_ms;
   };
-  const double one = relight(1), most = relight(kMaxBands);
-  costs.per_coefficient_ms = std::max(0., (most - one) / (kMaxCoefficients - 1));
-  costs.base_ms = std::max(0., one - costs.per_coefficient_ms);
+  // What is baked is read whole, whatever the bands of the light; the first disc brings reflected light.
+  costs.per_coefficient_ms = 0;
+  costs.base_ms = relight(nullptr);
+  const double reflected_ms = std::max(0., relight(&light) - costs.base_ms);
   lighting::Disc sun;
   sun.id = 1;
   sun.radius = Radians(.02);
   sun.radiance = {1, 1, 1};
-  costs.per_disc_ms = time_single_threaded(3, [&](int run) {
-                        sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
-                        discs->update({&sun, 1}, 1, alone);
-                      }).p50_ms;
+  const auto move = [&](int run) {
+    sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
+    discs->update({&sun, 1}, 1, alone);
+  };
+  costs.per_disc_ms = reflected_ms + time_single_threaded(3, move).p50_ms;
   return costs;
 }
 

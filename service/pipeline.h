@@ -116,8 +116,9 @@ class ComposeStage {
     std::optional<ObjectLight> light_used{};
     std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
     std::optional<RelightPatterns> patterns{};                        // none of an animation
-    std::vector<float> relit{}, taken{};  // the object; of the receiver's light
-    std::vector<float> more{};
+    std::vector<float> relit{};                                       // exit radiance of the object
+    std::vector<float> taken{};  // of the receiver's irradiance/pi
+    std::vector<float> more{};   // scratch: what is added to either
     // Alone, without what real things take already, and without what other objects take.
     shadows::PlanarShadow shadow{}, past_real{}, shared{};
   };

@@ -311,14 +311,17 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
   all.make(disc, std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
-  std::vector<float> open(count);
-  whole.light(mesh.normals, open);
-  for (std::size_t i = 0; i < count; ++i) {
-    const float scale = out.open[i] > 0 ? open[i] / out.open[i] : 0;
-    out.open[i] = open[i];
-    out.taken[i] *= scale;
-    out.missing[i] *= scale;
-  }
+  parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
+    thread_local std::vector<float> open;  // grows once per thread
+    open.resize(part.size());
+    whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()), open);
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const float now = open[i - part.begin()], scale = out.open[i] > 0 ? now / out.open[i] : 0;
+      out.open[i] = now;
+      out.taken[i] *= scale;
+      out.missing[i] *= scale;
+    }
+  });
 }
 
 }  // namespace penumbra::shadows

@@ -37,7 +37,7 @@ struct Spread {
 };
 /// out = the mean over the directions of max(n.w, 0), in the normals' frame. Where no direction is behind the surface it is a product with
 /// their mean.
-/// threads: reentrant
+/// in: unit normals; at least one direction. threads: reentrant
 void mean_cosines(std::span<const glm::vec3> normals, const Spread& light, std::span<float> out);
 
 /// Bounds over x and z of what is on or above a plane, y up: of its feet, and of its shadows, which go from p.y * reach_low to

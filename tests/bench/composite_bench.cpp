@@ -62,8 +62,7 @@ void composite(benchmark::State& state) {
       state,
       [&] {
         if (moving) view.camera.world_from_camera.translation.x += 1e-4;  // or the layers are kept
-        work = frame;
-        touched = (*compositor)->composite(view, work)->fraction;
+        touched = (*compositor)->composite(view, frame, work)->fraction;
       },
       [&] {
         std::memcpy(copy.pixels().data(), std::get<Image<Rgb8>>(frame).pixels().data(),
