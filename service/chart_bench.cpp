@@ -42,6 +42,14 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
   return out;
 }
 
+// Every update with another light.
+LightTime time_updates(ComposeStage& stage, const lighting::LightEstimate& light) {
+  constexpr double kTurn = .01;  // radians: more than DiscStage overlooks
+  const int runs = light.discs.size() > kManyDiscs ? 1 : kRuns;  // these take seconds
+  return time_single_threaded(
+      runs, [&](int run) { stage.update_light(turned(light, kTurn * (runs - run)), 0); });
+}
+
 }  // namespace
 
 prt::Transfer with_bands(const prt::Transfer& t, int bands) {
@@ -117,15 +125,19 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
   auto stage = make_still_stage(scene, bench.view(), taps);
   if (!stage) return std::unexpected(stage.error());
   Measured out;
-  constexpr double kTurn = .01;  // radians: more than DiscStage overlooks
-  const int runs = light.discs.size() > kManyDiscs ? 1 : kRuns;  // these take seconds
-  out.time = time_single_threaded(
-      runs, [&](int run) { (*stage)->update_light(turned(light, kTurn * (runs - run)), 0); });
+  out.time = time_updates(**stage, light);
   auto ours = composite_still(**stage, bench.view(), light, truth.empty);
   if (!ours) return std::unexpected(ours.error());
   out.accuracy = compare_pictures(*ours, truth.full, truth.empty, bench.masks());
   if (auto flip = hdr_flip(truth.full.radiance, ours->radiance)) out.flip = mean_flip(*flip);
   return out;
+}
+
+Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
+                               const lighting::LightEstimate& light, const DiscTaps& taps) {
+  auto stage = make_still_stage(scene, bench.view(), taps);
+  if (!stage) return std::unexpected(stage.error());
+  return time_updates(**stage, light);
 }
 
 std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size) {

@@ -60,6 +60,10 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
                          const lighting::LightEstimate& light, const DiscTaps& taps,
                          const Truth& truth);
 
+/// Its time alone, once more.
+Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
+                               const lighting::LightEstimate& light, const DiscTaps& taps);
+
 /// Median and 99th percentile of so many runs of `work` on one thread.
 LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
 
