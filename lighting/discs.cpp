@@ -119,6 +119,7 @@ class Peeler {
     return {across * around.x, up, across * around.y};
   }
   Result<double> measure();
+  Vector<Run> bright_parts(float level) const;
   double mean_below(double level) const;
   Vector<Region> regions_above(float level) const;
   Vector<Region> regions_of(std::span<const Run> runs) const;
@@ -141,34 +142,49 @@ class Peeler {
   std::vector<Disc>& discs_;
   DiscSplit& split_;
   const Directions& grid_;
-  Vector<float> row_peak_{memory_};
+  Vector<float> block_peak_{memory_};  // by row, kPeakBlock pixels each
   Vector<Candidate> candidates_{memory_};
   double least_flux_ = 0;
 };
 
-// Row by row: the brightest luminance. Returns the mean.
+// The brightest luminance of each block. Returns the mean.
 Result<double> Peeler::measure() {
-  row_peak_.assign(static_cast<std::size_t>(map_.height()), 0);
+  const std::size_t blocks = static_cast<std::size_t>(map_.width() + kPeakBlock - 1) / kPeakBlock;
+  block_peak_.assign(blocks * static_cast<std::size_t>(map_.height()), 0);
   double mean = 0;
   for (int y = 0; y < map_.height(); ++y) {
-    const auto [sum, peak] = row_luminance(&map_.row(y)[0].r, map_.width());
+    const double sum = row_luminance(&map_.row(y)[0].r, map_.width(),
+                                     &block_peak_[static_cast<std::size_t>(y) * blocks]);
     if (!std::isfinite(sum))
       return fail(ErrorCode::kNonFinite, "environment", "holds NaN or infinite radiance");
-    row_peak_[static_cast<std::size_t>(y)] = peak;
     mean += grid_.weight[static_cast<std::size_t>(y)] * sum / (4 * kPi);
   }
   return mean;
 }
 
+// The parts of rows whose blocks reach above the level.
+Vector<Run> Peeler::bright_parts(float level) const {
+  Vector<Run> parts(memory_);
+  auto peak = block_peak_.begin();
+  for (int y = 0; y < map_.height(); ++y)
+    for (int x = 0; x < map_.width(); x += kPeakBlock) {
+      if (!(*peak++ > level)) continue;
+      const int end = std::min(x + kPeakBlock, map_.width());
+      if (!parts.empty() && parts.back().y == y && parts.back().x1 == x)
+        parts.back().x1 = end;
+      else
+        parts.push_back({y, x, end});
+    }
+  return parts;
+}
+
 // Mean of the map with everything above the level cut down to it.
 double Peeler::mean_below(double level) const {
   double mean = split_.mean_luminance;
-  for (int y = 0; y < map_.height(); ++y) {
-    if (row_peak_[static_cast<std::size_t>(y)] <= level) continue;
-    mean -= grid_.weight[static_cast<std::size_t>(y)] *
-            row_luminance_above(&map_.row(y)[0].r, map_.width(), static_cast<float>(level)) /
+  for (const Run& r : bright_parts(static_cast<float>(level)))
+    mean -= grid_.weight[static_cast<std::size_t>(r.y)] *
+            row_luminance_above(&map_.at(r.x0, r.y).r, r.x1 - r.x0, static_cast<float>(level)) /
             (4 * kPi);
-  }
   return std::max(0., mean);  // of a map that is black but for its sources, but for rounding
 }
 
@@ -190,10 +206,7 @@ Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
 }
 
 Vector<Region> Peeler::regions_above(float level) const {
-  Vector<Run> rows(memory_);
-  for (int y = 0; y < map_.height(); ++y)
-    if (row_peak_[static_cast<std::size_t>(y)] > level) rows.push_back({y, 0, map_.width()});
-  return regions_of(runs_above(level, rows));
+  return regions_of(runs_above(level, bright_parts(level)));
 }
 
 // Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the seam; and

@@ -123,25 +123,28 @@ HWY_INLINE hn::Vec<D> LuminanceAt(D d, const float* rgb) {
       hn::MulAdd(hn::Set(d, kLuminance[1]), g, hn::Mul(hn::Set(d, kLuminance[2]), b)));
 }
 
-HWY_ATTR RowLuminance Luminance(const float* rgb, int width) {
+HWY_ATTR double Luminance(const float* rgb, int width, float* peaks) {
   const Lanes d;
-  const int lanes = static_cast<int>(hn::Lanes(d));
-  auto sum = hn::Zero(d), peak = hn::Zero(d);
-  int k = 0;
-  for (; k + lanes <= width; k += lanes) {
-    const auto l = LuminanceAt(d, rgb + 3 * k);
-    sum = hn::Add(sum, l);
-    peak = hn::Max(peak, l);
-  }
-  RowLuminance out{static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum))),
-                   hn::GetLane(hn::MaxOfLanes(d, peak))};
   const hn::CappedTag<float, 1> one;
-  for (; k < width; ++k) {
-    const float l = hn::GetLane(LuminanceAt(one, rgb + 3 * k));
-    out.sum += static_cast<double>(l);
-    out.peak = l > out.peak ? l : out.peak;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  auto sum = hn::Zero(d);
+  double rest = 0;
+  for (int k = 0; k < width; ++peaks) {
+    const int end = k + kPeakBlock < width ? k + kPeakBlock : width;
+    auto peak = hn::Zero(d);
+    for (; k + lanes <= end; k += lanes) {
+      const auto l = LuminanceAt(d, rgb + 3 * k);
+      sum = hn::Add(sum, l);
+      peak = hn::Max(peak, l);
+    }
+    *peaks = hn::GetLane(hn::MaxOfLanes(d, peak));
+    for (; k < end; ++k) {
+      const float l = hn::GetLane(LuminanceAt(one, rgb + 3 * k));
+      rest += static_cast<double>(l);
+      *peaks = l > *peaks ? l : *peaks;
+    }
   }
-  return out;
+  return static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum))) + rest;
 }
 
 HWY_ATTR double LuminanceAbove(const float* rgb, int width, float level) {
@@ -176,8 +179,8 @@ void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_co
   HWY_DYNAMIC_DISPATCH(RowFourierSums)(tables, rgb, out_cos, out_sin);
 }
 
-RowLuminance row_luminance(const float* rgb, int width) {
-  return HWY_DYNAMIC_DISPATCH(Luminance)(rgb, width);
+double row_luminance(const float* rgb, int width, float* peaks) {
+  return HWY_DYNAMIC_DISPATCH(Luminance)(rgb, width, peaks);
 }
 
 double row_luminance_above(const float* rgb, int width, float level) {

@@ -17,12 +17,10 @@ struct RowTables {
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]);
 
-/// Luminance of a row: its sum, not finite where a pixel is not, and its largest value, at least 0.
-struct RowLuminance {
-  double sum = 0;
-  float peak = 0;
-};
-RowLuminance row_luminance(const float* rgb, int width);
+/// The sum of a row's luminance, not finite where a pixel is not. peaks: the largest value, at least 0, of each
+/// kPeakBlock pixels; (width + kPeakBlock - 1) / kPeakBlock of them.
+inline constexpr int kPeakBlock = 64;
+double row_luminance(const float* rgb, int width, float* peaks);
 /// The sum of what is above the level.
 double row_luminance_above(const float* rgb, int width, float level);
 
