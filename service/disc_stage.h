@@ -15,7 +15,7 @@
 namespace penumbra::service {
 
 struct DiscTaps {
-  int object = 4;  // rays a vertex and disc
+  int object = 4;  // rays a vertex and disc; of one the shadow is hard
   shadows::DiscShadowOptions plane;
 };
 

@@ -240,17 +240,17 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   thread_local std::vector<std::uint32_t> own;
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
-  pattern.make(disc, taps, kTurns);
+  const bool narrow = is_narrow(disc), hard = narrow && taps == 1;
+  pattern.make(disc, taps, hard ? 1 : kTurns);
   const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
   seen.assign(count, 0);
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
   thread_local SharedSight sight;
-  all.make(disc, std::max(taps, kOpenTaps), 1);
+  all.make(disc, hard ? 1 : std::max(taps, kOpenTaps), 1);
   sight.find(casters, object, disc, {all.at(0), before_bits(plane, all.at(0))});
   // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
-  const bool narrow = is_narrow(disc);
   const bool by_taps =
       !narrow || (plane && glm::dot(plane->normal, disc.direction) <= disc.radius.value());
   const auto tell = [&](std::size_t i, bool lit) {

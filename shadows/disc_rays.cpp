@@ -38,9 +38,10 @@ void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
 void TapPattern::spread_over_cap(const lighting::Disc& disc) {
   const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
   const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
+  const bool one = taps_ == 1 && turns_ == 1;
   for (int turn = 0; turn < turns_; ++turn)
     for (int k = taps_ - 1; k >= 0; --k) {
-      const double c = 1 - height * (k + .5) / taps_, s = std::sqrt(1 - c * c);
+      const double c = one ? 1 : 1 - height * (k + .5) / taps_, s = std::sqrt(1 - c * c);
       // The turns follow the golden ratio, so that neighbours differ most.
       constexpr double kGolden = 2.399963229728653;
       const double a = k * kGolden + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);

@@ -25,7 +25,8 @@ Beam beam_of(const lighting::Disc& disc, double more = 0);
 /// The memo that casters bring, or an empty one.
 OutlineMemo& memo_of(const Casters& casters);
 
-/// Directions over a disc in `turns` copies, each turned about its axis by another angle.
+/// Directions over a disc in `turns` copies, each turned about its axis by another angle. Only one of all is the disc's
+/// middle.
 /// threads: thread-bound; memory grows once
 class TapPattern {
  public:

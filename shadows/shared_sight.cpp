@@ -110,11 +110,12 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
                  {glm::transpose(turn) * glm::vec3(disc.direction), behind}, places_, sides_);
   std::ranges::transform(sides_, group_.begin(),
                          [](std::uint8_t side) { return side == kBehind ? kTurnedAway : kAlone; });
-  const Beam beam = beam_of(disc);
+  const double penumbra = taps.directions.size() == 1 ? 0 : angle;
+  const Beam beam = beam_of(disc);  // of one direction too: the memo has it for the planes anyway
   OutlineMemo& memo = memo_of(casters);
   const Lines lines = lines_of(casters, object, places_, *grid, beam, memo, scope.memory());
   const OutlineGrid outlines(lines.lines, *grid,
-                             static_cast<float>(grid->cell_m / std::tan(std::max(angle, 1e-6))),
+                             static_cast<float>(grid->cell_m / std::tan(std::max(penumbra, 1e-6))),
                              scope.memory());
   View view(places_, sides_, outlines);
   join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, view);

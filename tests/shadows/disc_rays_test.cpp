@@ -30,6 +30,17 @@ TEST(DiscRays, ADiscReachesAsFarAsItsFarthestDirection) {
   EXPECT_NEAR(largest_angle(strip(.04, .8)), .36, .01);
 }
 
+TEST(DiscRays, OneTapOfAllIsTheMiddle) {
+  lighting::Disc d;
+  d.direction = glm::normalize(glm::dvec3(1, 2, 3));
+  d.radius = Radians(.04);
+  TapPattern pattern;
+  pattern.make(d, 1, 1);
+  EXPECT_LT(glm::distance(glm::dvec3(pattern.at(0)[0]), d.direction), 1e-6);
+  pattern.make(d, 1, 64);  // by turns it covers the disc
+  EXPECT_GT(glm::distance(glm::dvec3(pattern.at(5)[0]), d.direction), .02);
+}
+
 TEST(DiscRays, TapsShareAFormsDirectionsOut) {
   const lighting::Disc d = strip(.1, .4);
   for (const int taps : {1, 4, 16, 32, 64}) {

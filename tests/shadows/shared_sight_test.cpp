@@ -377,6 +377,30 @@ TEST(SharedSight, WhatItSeesInPartIsNearManyRays) {
       }
 }
 
+// One tap: as a point in the disc's middle lights, at every vertex, however wide the penumbra would be.
+TEST(SharedSight, OneTapThrowsHardShadows) {
+  const World world({knot()});
+  const lighting::Disc disc = sun(35, 2);
+  lighting::Disc point = disc;
+  point.radius = Radians(1e-5);
+  const auto light = [&](const Caster& object, const lighting::Disc& of, int taps) {
+    std::vector<float> out(world.points.positions.size());
+    trace_disc_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, object, nullptr, of,
+                     taps, out);
+    return out;
+  };
+  const Caster alone{&world.points, &world.none, {}};
+  const auto ours = light(world.casters[0], disc, 1), hard = light(alone, point, 4),
+             soft = light(alone, disc, kMostTaps);
+  int wrong = 0, in_penumbra = 0;
+  for (std::size_t i = 0; i < ours.size(); ++i) {
+    wrong += std::abs(ours[i] - hard[i]) > .01f;
+    in_penumbra += std::abs(soft[i] - hard[i]) > .01f;
+  }
+  EXPECT_LE(wrong, 4);
+  EXPECT_GT(in_penumbra, 200);
+}
+
 // A sun half below the plane on which an object stands, behind a post: directions behind the plane bring nothing.
 TEST(SharedSight, WhatItSeesInPartEndsAtThePlane) {
   prt::Mesh wall = sheet(40);
