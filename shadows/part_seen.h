@@ -1,12 +1,11 @@
 // How much of a disc the outlines over a place leave in sight.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <span>
 
-#include "shadows/disc_rays.h"
 #include "shadows/outline_grid.h"
+#include "shadows/part_kernel.h"
 
 namespace penumbra::shadows {
 
@@ -37,17 +36,12 @@ class PartSeen {
 
  private:
   void add(const Line& line, const glm::vec3& place);
-  std::uint32_t nearest_alike(float layers, const glm::vec2& at) const;
 
   const OutlineGrid& outlines_;
   std::span<const Thrower> throwers_;
-  const Taps& taps_;
-  // Where rays go, cells for each metre towards the light.
-  glm::vec2 middle_{0};  // a little off the disc's
+  PartTaps taps_;        // ways from the middle, and layers more than there
+  glm::vec2 middle_{0};  // a little off the disc's, cells for each metre towards the light
   float reach_ = 0;      // of the taps
-  // By tap: from the middle, and layers more than there.
-  alignas(64) std::array<float, kMostTaps> x_{}, z_{}, layers_{};
-  alignas(64) std::array<float, kMostTaps> towards_x_{}, towards_y_{}, towards_z_{}, cosine_{};
 };
 
 }  // namespace penumbra::shadows
