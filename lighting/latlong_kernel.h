@@ -17,9 +17,9 @@ struct RowTables {
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]);
 
+inline constexpr int kPeakBlock = 64;  // pixels
 /// The sum of a row's luminance, not finite where a pixel is not. peaks: the largest value, at least 0, of each
 /// kPeakBlock pixels; (width + kPeakBlock - 1) / kPeakBlock of them.
-inline constexpr int kPeakBlock = 64;
 double row_luminance(const float* rgb, int width, float* peaks);
 /// The sum of what is above the level.
 double row_luminance_above(const float* rgb, int width, float level);

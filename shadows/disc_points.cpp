@@ -240,7 +240,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   thread_local std::vector<std::uint32_t> own;
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
-  const bool narrow = is_narrow(disc), hard = narrow && taps == 1;
+  const bool narrow = is_narrow(disc), hard = is_hard(disc, taps);
   pattern.make(disc, taps, hard ? 1 : kTurns);
   const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
@@ -265,7 +265,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
   constexpr std::size_t kFew = 64;
   std::size_t traced = 0;
-  if (narrow && kFew * own.size() > mesh.triangles.size()) {
+  if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {
     tracer.trace(own, 0, 1, seen, open);
     find_edges(mesh, seen, open, place);
     std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });
@@ -289,7 +289,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   for (auto* v : {&out.open, &out.taken, &out.missing}) v->assign(count, 0.f);
   thread_local TapPattern pattern_memory, all_memory;  // grow once per thread
   TapPattern &pattern = pattern_memory, &all = all_memory;
-  pattern.make(disc, taps, kTurns);
+  pattern.make(disc, taps, is_hard(disc, taps) ? 1 : kTurns);
   parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
     Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (by_real)
@@ -309,7 +309,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
     }
   });
   smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
-  all.make(disc, std::max(taps, kOpenTaps), 1);
+  all.make(disc, is_hard(disc, taps) ? 1 : std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     thread_local std::vector<float> open;  // grows once per thread

@@ -16,6 +16,10 @@ inline constexpr double kNarrow = .05;
 inline bool is_narrow(const lighting::Disc& disc) {
   return disc.shape.empty() && disc.radius.value() < kNarrow;
 }
+/// Whether so few taps ask for a hard shadow: that of the disc's middle.
+inline bool is_hard(const lighting::Disc& disc, int taps) {
+  return taps == 1 && is_narrow(disc);
+}
 
 /// Radians from the disc's middle to its farthest direction.
 double largest_angle(const lighting::Disc& disc);
@@ -25,8 +29,8 @@ Beam beam_of(const lighting::Disc& disc, double more = 0);
 /// The memo that casters bring, or an empty one.
 OutlineMemo& memo_of(const Casters& casters);
 
-/// Directions over a disc in `turns` copies, each turned about its axis by another angle. Only one of all is the disc's
-/// middle.
+/// Directions over a disc in `turns` copies, each turned about its axis by another angle. A single tap in a single turn is
+/// the disc's middle.
 /// threads: thread-bound; memory grows once
 class TapPattern {
  public:

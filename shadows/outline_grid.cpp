@@ -21,6 +21,11 @@ void add_parts(const Line& line, std::pmr::vector<Line>& out) {
   }
 }
 
+// Signed area of the parallelogram of two vectors.
+float cross(const glm::vec2& a, const glm::vec2& b) {
+  return a.x * b.y - a.y * b.x;
+}
+
 glm::vec2 across(const glm::vec3& p) {
   return {p.x, p.z};
 }

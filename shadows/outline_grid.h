@@ -20,11 +20,6 @@ struct LightGrid {
   Placing from(const Pose& world_from_mesh) const;
 };
 
-/// Signed area of the parallelogram of two vectors.
-inline float cross(const glm::vec2& a, const glm::vec2& b) {
-  return a.x * b.y - a.y * b.x;
-}
-
 /// Of an edge that is an outline, as much as lies over some cells.
 struct Line {
   glm::vec3 from, to;

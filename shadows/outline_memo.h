@@ -43,6 +43,7 @@ class OutlineMemo {
     std::vector<std::uint8_t> faces;
   };
   std::vector<Known> known_;
+  std::vector<std::uint32_t> unlike_;  // patches
   std::size_t used_ = 0;
 };
 

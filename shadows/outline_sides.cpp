@@ -1,5 +1,7 @@
 #include "shadows/outline_sides.h"
 
+#include <hwy/cache_control.h>
+
 #include <algorithm>
 #include <cassert>
 #include <cmath>
@@ -45,8 +47,9 @@ class OutlineFinder {
 
   /// in: all edges that are an outline for one of the taps
   void add_outlines(std::span<const std::uint32_t> edges, std::pmr::vector<Side>& out) const {
-    for (const std::uint32_t i : edges) {
-      const Outline::Edge& e = outline_.edges()[i];
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      prefetch_after(edges.subspan(i));
+      const Outline::Edge& e = outline_.edges()[edges[i]];
       const std::uint64_t left = facing(e.left);
       if (e.right == Outline::kOpen)
         add(e, left, all_ & ~left, 1, out);
@@ -67,6 +70,16 @@ class OutlineFinder {
   }
 
  private:
+  // Memory is what a list of edges waits for: asked for ahead, then the normals beside them.
+  void prefetch_after(std::span<const std::uint32_t> edges) const {
+    constexpr std::size_t kEdge = 16, kNormals = 8;
+    if (kEdge < edges.size()) hwy::Prefetch(&outline_.edges()[edges[kEdge]]);
+    if (kNormals >= edges.size()) return;
+    const Outline::Normals& n = outline_.normals();
+    const Outline::Edge& e = outline_.edges()[edges[kNormals]];
+    for (const std::uint32_t t : {e.left, e.right == Outline::kOpen ? e.left : e.right})
+      hwy::Prefetch(&n.x[t]), hwy::Prefetch(&n.y[t]), hwy::Prefetch(&n.z[t]);
+  }
   glm::vec3 place(const glm::vec3& p) const { return scale_ * (turn_ * p + shift_); }
   static bool above(const glm::vec3& place) { return place.y >= 0; }
   bool goes_through(const Outline::Patch& patch) const {

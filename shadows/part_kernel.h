@@ -10,6 +10,8 @@
 
 namespace penumbra::shadows {
 
+// threads: reentrant
+
 /// By direction; zeros beyond the last one.
 struct PartTaps {
   using Floats = std::array<float, kMostTaps>;
@@ -31,7 +33,8 @@ struct Crossing {
 /// To each direction on whose way it lies.
 void add_layers(const Crossing& line, PartTaps& taps);
 
-/// Sums of cosines over the directions: all, and those that have the fewest layers and count.
+/// Sums of cosines over the directions: all, and those that have the fewest layers and count. Directions behind the surface
+/// have no layers; where all are, nothing is seen.
 struct FewestLayers {
   float open = 0, seen = 0;
   std::uint32_t ask = 0;  // amid those with the fewest layers

@@ -22,7 +22,7 @@ struct Taps {
 /// threads: thread-bound
 class PartSeen {
  public:
-  /// All that is given outlives it.
+  /// The outlines and what throws them outlive it.
   PartSeen(const OutlineGrid& outlines, const LightGrid& grid, std::span<const Thrower> throwers,
            const Taps& taps);
 

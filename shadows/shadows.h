@@ -114,12 +114,13 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
 struct DiscAtVertices {
   std::vector<float> open, taken, missing;
 };
-/// in: the mesh in the world frame. threads: reentrant, parallel inside
+/// in: the mesh in the world frame; taps 1..64, one of a small disc is its middle. threads: reentrant, parallel inside
 void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  /// Directions of the disc, 1..64; four times as many, 64 at most, for one that is not narrow.
+  /// Directions of the disc, 1..64; four times as many, 64 at most, for one that is not narrow. One of a narrow disc is its
+  /// middle: a hard shadow.
   int taps = 16;
   /// Cells along the longer side, at least 16.
   int size = 256;

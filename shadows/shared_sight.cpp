@@ -7,6 +7,7 @@
 
 #include "core/parallel.h"
 #include "core/scratch.h"
+#include "shadows/disc_rays.h"
 #include "shadows/outline_grid.h"
 #include "shadows/part_seen.h"
 
@@ -110,15 +111,16 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
                  {glm::transpose(turn) * glm::vec3(disc.direction), behind}, places_, sides_);
   std::ranges::transform(sides_, group_.begin(),
                          [](std::uint8_t side) { return side == kBehind ? kTurnedAway : kAlone; });
-  const double penumbra = taps.directions.size() == 1 ? 0 : angle;
-  const Beam beam = beam_of(disc);  // of one direction too: the memo has it for the planes anyway
+  const bool hard = taps.directions.size() == 1;
+  const double penumbra = hard ? 0 : angle;
+  const Beam beam = beam_of(disc);  // of a hard shadow too: the memo has it for planes anyway
   OutlineMemo& memo = memo_of(casters);
   const Lines lines = lines_of(casters, object, places_, *grid, beam, memo, scope.memory());
   const OutlineGrid outlines(lines.lines, *grid,
                              static_cast<float>(grid->cell_m / std::tan(std::max(penumbra, 1e-6))),
                              scope.memory());
   View view(places_, sides_, outlines);
-  join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, view);
+  join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, hard, view);
   if (!outlines.has_lists()) return;
   for (std::size_t i = 0; i < group_.size(); ++i)
     if (group_[i] == kAlone) group_[i] = kInPart, parts_.push_back({i, {}});
@@ -134,12 +136,15 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
 
 // Edges come in the order of their higher vertex: the lower one has its group already.
 template <class View>
-void SharedSight::join_all(const Outline& outline, std::span<const std::uint8_t> faces,
+void SharedSight::join_all(const Outline& outline, std::span<const std::uint8_t> faces, bool hard,
                            View& view) {
-  // Of triangles that are turned away one end may lie in their own shadow.
+  // Of triangles that are turned away one end may lie in their own shadow. Of those that face a part of the disc it lies in
+  // a penumbra, which a hard shadow has not.
+  const auto faces_it = [&](std::uint32_t triangle) {
+    return hard ? faces[triangle] == kFacesAll : faces[triangle] != kFacesNone;
+  };
   const auto is_in_front = [&](const Outline::Edge& e) {
-    return faces[e.left] != kFacesNone ||
-           (e.right != Outline::kOpen && faces[e.right] != kFacesNone);
+    return faces_it(e.left) || (e.right != Outline::kOpen && faces_it(e.right));
   };
   for (std::size_t vertex = 0; vertex < group_.size(); ++vertex) {
     if (!view.may_share(vertex)) continue;

@@ -18,7 +18,8 @@ class SharedSight {
   static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu,
                                  kInPart = 0xfffffffdu;
 
-  /// Groups the vertices of `object`, which is one of the casters. `taps` are the disc's.
+  /// Groups the vertices of `object`, which is one of the casters. `taps` are the disc's; a single one is its middle, which
+  /// alone counts.
   void find(const Casters& casters, const Caster& object, const lighting::Disc& disc,
             const Taps& taps);
 
@@ -43,7 +44,7 @@ class SharedSight {
 
  private:
   template <class View>
-  void join_all(const Outline& outline, std::span<const std::uint8_t> faces, View& view);
+  void join_all(const Outline& outline, std::span<const std::uint8_t> faces, bool hard, View& view);
   void join(std::uint32_t first, std::uint32_t second);
 
   std::vector<std::uint32_t> group_, members_;

@@ -58,6 +58,27 @@ TEST(RowLuminance, TellsEveryPixelThatIsNotFinite) {
         }
 }
 
+// Sources over the border of two blocks of a row, in its last one, which is narrower, and over the seam.
+TEST(Peeling, FindsSourcesInEveryBlockOfARow) {
+  Image<Rgb> map(200, 100);
+  for (Rgb& c : map.pixels()) c = {1, 1, 1};
+  for (const auto& [x, y] : {std::pair(63, 20), {64, 20}, {196, 40}, {197, 40}, {199, 60}, {0, 60}})
+    map.at(x, y) = {2000, 1000, 500};
+  for (int turn : {0, 17, 70}) {
+    Image<Rgb> turned(200, 100);
+    for (int y = 0; y < 100; ++y)
+      std::ranges::rotate_copy(map.row(y), map.row(y).begin() + turn, turned.row(y).begin());
+    DiscSplit split;
+    ASSERT_TRUE(split_discs(turned, {8, .001}, split));
+    ASSERT_EQ(split.discs.size(), 3u) << turn;
+    double found = 0, there = 0;
+    for (const Disc& d : split.discs) found += double(luminance(d.radiance)) * d.solid_angle_sr();
+    for (const int y : {20, 40, 60})
+      there += 2 * latlong_solid_angle(y, 200, 100) * double(luminance(Rgb{2000, 1000, 500}));
+    EXPECT_NEAR(found, there, .01 * there) << turn;
+  }
+}
+
 TEST(PatchedMap, ChangesRowsOfItsOwnAlone) {
   const Image<Rgb> map = noise(12, 6, 1);
   Image<Rgb> expected = map;
