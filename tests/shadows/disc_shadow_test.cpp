@@ -237,6 +237,7 @@ INSTANTIATE_TEST_SUITE_P(
         Setting{"mixed_up", [] { return one(mixed_up(knot())); }, nothing},
         Setting{"shattered", [] { return one(shattered(knot())); }, nothing},
         Setting{"few_taps", [] { return one(knot()); }, nothing, 40, .3, 5},
+        Setting{"one_tap", [] { return one(knot()); }, nothing, 40, 2, 1},
         Setting{"taps_in_three_groups", [] { return one(knot()); }, nothing, 40, 8, 10},
         Setting{"low_disc", [] { return one(knot()); }, nothing, 21, 7},
         Setting{"plane_tilted", two, nothing, 40, .3, 16, .7},
