@@ -15,7 +15,7 @@
 namespace penumbra::service {
 
 struct DiscTaps {
-  int object = 4;  // rays a vertex and disc; by one a small disc's shadow is hard
+  int object = 4;  // rays a vertex and disc; by one its shadow is hard
   shadows::DiscShadowOptions plane;
 };
 

@@ -43,12 +43,12 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
   std::swap(sums, values);
 }
 
-// Sums over the rays of a disc that is not narrow. Once leaves the beat of the turns with a grid's rows as ripples in
+// Sums over several rays of a disc that is not narrow. Once leaves the beat of the turns with a grid's rows as ripples in
 // broad penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources
 // (studio: 2.5 to 3.3 %).
-void smooth(const prt::Mesh& mesh, const lighting::Disc& disc,
+void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, int taps,
             std::initializer_list<std::vector<float>*> sums) {
-  if (is_narrow(disc)) return;
+  if (is_narrow(disc) || taps == 1) return;
   constexpr double kBroad = .25;  // radians
   const int passes = disc.radius.value() > kBroad ? 3 : 1;
   for (int pass = 0; pass < passes; ++pass)
@@ -240,7 +240,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   thread_local std::vector<std::uint32_t> own;
   TapPattern &pattern = pattern_memory, &all = all_memory;
   std::vector<float>&seen = seen_memory, &open = open_memory;
-  const bool narrow = is_narrow(disc), hard = is_hard(disc, taps);
+  const bool narrow = is_narrow(disc), hard = taps == 1;
   pattern.make(disc, taps, hard ? 1 : kTurns);
   const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
   const std::size_t count = mesh.positions.size();
@@ -251,8 +251,8 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   all.make(disc, hard ? 1 : std::max(taps, kOpenTaps), 1);
   sight.find(casters, object, disc, {all.at(0), before_bits(plane, all.at(0))});
   // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
-  const bool by_taps =
-      !narrow || (plane && glm::dot(plane->normal, disc.direction) <= disc.radius.value());
+  const bool by_taps = (!narrow && !hard) ||
+                       (plane && glm::dot(plane->normal, disc.direction) <= disc.radius.value());
   const auto tell = [&](std::size_t i, bool lit) {
     const VertexTracer::Sums sums = by_taps ? tracer.unhindered(i, last) : VertexTracer::Sums{1, 1};
     open[i] = sums.open;
@@ -272,7 +272,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
     traced = 1;
   }
   tracer.trace(own, traced, last, seen, open);
-  smooth(mesh, disc, {&seen, &open});
+  smooth(mesh, disc, taps, {&seen, &open});
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
                        glm::transpose(object.world_from_mesh.rotation_matrix()));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
@@ -289,7 +289,8 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
   for (auto* v : {&out.open, &out.taken, &out.missing}) v->assign(count, 0.f);
   thread_local TapPattern pattern_memory, all_memory;  // grow once per thread
   TapPattern &pattern = pattern_memory, &all = all_memory;
-  pattern.make(disc, taps, is_hard(disc, taps) ? 1 : kTurns);
+  const bool hard = taps == 1;
+  pattern.make(disc, taps, hard ? 1 : kTurns);
   parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
     Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (by_real)
@@ -308,8 +309,8 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
       }
     }
   });
-  smooth(mesh, disc, {&out.open, &out.taken, &out.missing});
-  all.make(disc, is_hard(disc, taps) ? 1 : std::max(taps, kOpenTaps), 1);
+  smooth(mesh, disc, taps, {&out.open, &out.taken, &out.missing});
+  all.make(disc, hard ? 1 : std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     thread_local std::vector<float> open;  // grows once per thread

@@ -16,10 +16,6 @@ inline constexpr double kNarrow = .05;
 inline bool is_narrow(const lighting::Disc& disc) {
   return disc.shape.empty() && disc.radius.value() < kNarrow;
 }
-/// Whether so few taps ask for a hard shadow: that of the disc's middle.
-inline bool is_hard(const lighting::Disc& disc, int taps) {
-  return taps == 1 && is_narrow(disc);
-}
 
 /// Radians from the disc's middle to its farthest direction.
 double largest_angle(const lighting::Disc& disc);

@@ -101,8 +101,8 @@ struct Casters {
 /// out[v] = mean over the disc of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
 /// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
 /// the same things as `blockers`, `object` among them, with the same near_m: their outlines tell which vertices share rays, and
-/// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the middle of
-/// a small disc, whose shadow then is hard.
+/// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the disc's
+/// middle, and the shadow hard.
 /// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex; Laine et al. 2005 (PartSeen)
 void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
@@ -114,7 +114,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
 struct DiscAtVertices {
   std::vector<float> open, taken, missing;
 };
-/// in: the mesh in the world frame; taps 1..64, one of a small disc is its middle. threads: reentrant, parallel inside
+/// in: the mesh in the world frame; taps 1..64, one is the disc's middle. threads: reentrant, parallel inside
 void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 

@@ -98,7 +98,8 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
   parts_.clear();
   may_be_cut_ = !outline.knows_cuts() || others_reach(casters.virtual_things, object) ||
                 others_reach(casters.real_things, object);
-  const double angle = largest_angle(disc);
+  const bool hard = taps.directions.size() == 1;
+  const double angle = hard ? 0 : largest_angle(disc);
   if (angle > kWidest || outline.edges().empty()) return;
   const auto grid = grid_over(object, disc.direction);
   if (!grid) return;
@@ -111,13 +112,12 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
                  {glm::transpose(turn) * glm::vec3(disc.direction), behind}, places_, sides_);
   std::ranges::transform(sides_, group_.begin(),
                          [](std::uint8_t side) { return side == kBehind ? kTurnedAway : kAlone; });
-  const bool hard = taps.directions.size() == 1;
-  const double penumbra = hard ? 0 : angle;
-  const Beam beam = beam_of(disc);  // of a hard shadow too: the memo has it for planes anyway
+  // Of a narrow disc's hard shadow as well: the memo has it for planes anyway.
+  const Beam beam = hard && !is_narrow(disc) ? Beam{disc.direction, 0} : beam_of(disc);
   OutlineMemo& memo = memo_of(casters);
   const Lines lines = lines_of(casters, object, places_, *grid, beam, memo, scope.memory());
   const OutlineGrid outlines(lines.lines, *grid,
-                             static_cast<float>(grid->cell_m / std::tan(std::max(penumbra, 1e-6))),
+                             static_cast<float>(grid->cell_m / std::tan(std::max(angle, 1e-6))),
                              scope.memory());
   View view(places_, sides_, outlines);
   join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, hard, view);

@@ -380,9 +380,6 @@ TEST(SharedSight, WhatItSeesInPartIsNearManyRays) {
 // One tap: as a point in the disc's middle lights, at every vertex, however wide the penumbra would be.
 TEST(SharedSight, OneTapThrowsHardShadows) {
   const World world({knot()});
-  const lighting::Disc disc = sun(35, 2);
-  lighting::Disc point = disc;
-  point.radius = Radians(1e-5);
   const auto light = [&](const Caster& object, const lighting::Disc& of, int taps) {
     std::vector<float> out(world.points.positions.size());
     trace_disc_light({&world.rays, nullptr, kNear}, {world.casters, {}, kNear}, object, nullptr, of,
@@ -390,15 +387,18 @@ TEST(SharedSight, OneTapThrowsHardShadows) {
     return out;
   };
   const Caster alone{&world.points, &world.none, {}};
-  const auto ours = light(world.casters[0], disc, 1), hard = light(alone, point, 4),
-             soft = light(alone, disc, kMostTaps);
-  int wrong = 0, in_penumbra = 0;  // rays of either come from a rounding's distance
-  for (std::size_t i = 0; i < ours.size(); ++i) {
-    wrong += std::abs(ours[i] - hard[i]) > .01f;
-    in_penumbra += std::abs(soft[i] - hard[i]) > .01f;
+  const auto hard = light(alone, sun(35, .001), 4);
+  for (const double radius_deg : {2., 15.}) {
+    const auto ours = light(world.casters[0], sun(35, radius_deg), 1),
+               soft = light(alone, sun(35, radius_deg), kMostTaps);
+    int wrong = 0, in_penumbra = 0;  // rays of either come from a rounding's distance
+    for (std::size_t i = 0; i < ours.size(); ++i) {
+      wrong += std::abs(ours[i] - hard[i]) > .01f;
+      in_penumbra += std::abs(soft[i] - hard[i]) > .01f;
+    }
+    EXPECT_LE(wrong, 1) << radius_deg;
+    EXPECT_GT(in_penumbra, 200) << radius_deg;
   }
-  EXPECT_LE(wrong, 1);
-  EXPECT_GT(in_penumbra, 200);
 }
 
 // A sun of which a little more or less than half stands over the plane.
