@@ -55,11 +55,12 @@ void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, int taps,
     for (std::vector<float>* values : sums) average_neighbours(mesh, *values);
 }
 
-// A disc's directions in the normals' frame.
+// A disc's directions in the normals' frame. Of one that throws hard shadows its middle, as long as the mean of all is: what
+// faces all of the disc has its light, and where the middle sets the light is zero.
 class OpenDisc {
  public:
   OpenDisc(std::span<const glm::vec3> directions, const glm::vec3& middle,
-           const glm::mat3& normals_from_world)
+           const glm::mat3& normals_from_world, bool hard)
       : spread_{{}, normals_from_world * middle, glm::vec3(0), 0} {
     for (std::size_t k = 0; k < directions.size(); ++k) {
       directions_[k] = normals_from_world * directions[k];
@@ -67,6 +68,11 @@ class OpenDisc {
       spread_.reach = std::max(spread_.reach, glm::distance(directions_[k], spread_.middle));
     }
     spread_.directions = std::span(directions_).first(directions.size());
+    if (!hard) return;
+    spread_.mean = spread_.middle = glm::length(spread_.mean) * spread_.middle;
+    directions_[0] = spread_.mean;
+    spread_.reach = 0;
+    spread_.directions = spread_.directions.first(1);
   }
   OpenDisc(const OpenDisc&) = delete;
   OpenDisc& operator=(const OpenDisc&) = delete;
@@ -248,8 +254,9 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
   thread_local SharedSight sight;
-  all.make(disc, hard ? 1 : std::max(taps, kOpenTaps), 1);
-  sight.find(casters, object, disc, {all.at(0), before_bits(plane, all.at(0))});
+  all.make(disc, std::max(taps, kOpenTaps), 1);
+  const std::span<const glm::vec3> looked_at = hard ? pattern.at(0) : all.at(0);
+  sight.find(casters, object, disc, {looked_at, before_bits(plane, looked_at)});
   // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
   const bool by_taps = (!narrow && !hard) ||
                        (plane && glm::dot(plane->normal, disc.direction) <= disc.radius.value());
@@ -274,7 +281,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   tracer.trace(own, traced, last, seen, open);
   smooth(mesh, disc, taps, {&seen, &open});
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
-                       glm::transpose(object.world_from_mesh.rotation_matrix()));
+                       glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
                 out.subspan(part.begin(), part.size()));
@@ -310,8 +317,8 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
     }
   });
   smooth(mesh, disc, taps, {&out.open, &out.taken, &out.missing});
-  all.make(disc, hard ? 1 : std::max(taps, kOpenTaps), 1);
-  const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1));
+  all.make(disc, std::max(taps, kOpenTaps), 1);
+  const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     thread_local std::vector<float> open;  // grows once per thread
     open.resize(part.size());

@@ -31,17 +31,21 @@ void TapPattern::make(const lighting::Disc& disc, int taps, int turns) {
   assert(taps >= 1 && taps <= kMostTaps && turns >= 1);
   taps_ = taps, turns_ = turns;
   directions_.clear();
-  disc.shape.empty() ? spread_over_cap(disc) : spread_over_shape(disc);
+  if (taps == 1 && turns == 1)
+    directions_.emplace_back(disc.direction);
+  else if (disc.shape.empty())
+    spread_over_cap(disc);
+  else
+    spread_over_shape(disc);
 }
 
 // A Vogel spiral from the rim inwards, which has as many points in equal areas.
 void TapPattern::spread_over_cap(const lighting::Disc& disc) {
   const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
   const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
-  const bool one = taps_ == 1 && turns_ == 1;
   for (int turn = 0; turn < turns_; ++turn)
     for (int k = taps_ - 1; k >= 0; --k) {
-      const double c = one ? 1 : 1 - height * (k + .5) / taps_, s = std::sqrt(1 - c * c);
+      const double c = 1 - height * (k + .5) / taps_, s = std::sqrt(1 - c * c);
       // The turns follow the golden ratio, so that neighbours differ most.
       constexpr double kGolden = 2.399963229728653;
       const double a = k * kGolden + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);

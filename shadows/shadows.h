@@ -102,7 +102,7 @@ struct Casters {
 /// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
 /// the same things as `blockers`, `object` among them, with the same near_m: their outlines tell which vertices share rays, and
 /// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the disc's
-/// middle, and the shadow hard.
+/// middle, and the shadow hard; what faces all of the disc keeps its light.
 /// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex; Laine et al. 2005 (PartSeen)
 void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,

@@ -121,7 +121,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
                              scope.memory());
   View view(places_, sides_, outlines);
   join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, hard, view);
-  if (!outlines.has_lists()) return;
+  if (hard || !outlines.has_lists()) return;
   for (std::size_t i = 0; i < group_.size(); ++i)
     if (group_[i] == kAlone) group_[i] = kInPart, parts_.push_back({i, {}});
   const glm::mat3 lift = grid->from({}).turn * casters.near_m * turn;

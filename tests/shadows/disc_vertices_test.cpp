@@ -54,13 +54,27 @@ TEST(DiscVertices, BroadPenumbraOnRealGroundIsSmooth) {
   EXPECT_GT(rms(patch.taken(alone, 4), truth), .03) << "each vertex for itself";
 }
 
-TEST(DiscVertices, ByOneTapADiscIsAPointInItsMiddle) {
+// Of a wide strip as of a round disc; the light itself is that of all of it.
+TEST(DiscVertices, ByOneTapADiscIsHiddenAsItsMiddleIs) {
   Patch patch;
-  for (const double radius : {.03, .3}) {
+  const lighting::Disc round = patch.panel;
+  lighting::Disc strip = round;
+  glm::dvec3 all(0);
+  for (int i = 0; i < 64; ++i) {
+    strip.shape.push_back(glm::normalize(glm::dvec3(.13 + (i - 31.5) / 80, 1, .07)));
+    all += strip.shape.back();
+  }
+  strip.direction = glm::normalize(all);
+  for (const auto& [radius, disc] : {std::pair(.03, round), {.3, round}, {.3, strip}}) {
+    patch.panel = disc;
     patch.panel.radius = Radians(radius);
     const auto hard = patch.taken(patch.ground, 1), soft = patch.taken(patch.ground, 64);
+    const double mean = disc.shape.empty() ? .5 + .5 * std::cos(radius) : glm::length(all) / 64;
+    patch.panel = round;
+    patch.panel.direction = disc.direction;
     patch.panel.radius = Radians(1e-5);
-    const auto point = patch.taken(patch.ground, 64);
+    auto point = patch.taken(patch.ground, 64);
+    for (float& p : point) p *= static_cast<float>(mean);
     EXPECT_LT(rms(hard, point), 1e-3) << radius;
     EXPECT_GT(rms(soft, point), .03) << radius;
   }
