@@ -23,7 +23,8 @@ class SharedSight {
   void find(const Casters& casters, const Caster& object, const lighting::Disc& disc,
             const Taps& taps);
 
-  /// By vertex: its group, kAlone, kInPart where parts() tell how much it sees, or kTurnedAway from all of the disc (from its only tap).
+  /// By vertex: its group, kAlone, kInPart where parts() tell how much it sees, or kTurnedAway from all of the disc (from its
+  /// only tap).
   std::span<const std::uint32_t> group() const { return group_; }
   std::size_t groups() const { return members_.size() / 2; }
   /// Two by two the first and the last vertex of each group.
