@@ -120,7 +120,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
                              static_cast<float>(grid->cell_m / std::tan(std::max(angle, 1e-6))),
                              scope.memory());
   View view(places_, sides_, outlines);
-  join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, hard, view);
+  join_all(outline, memo.find(outline, object.world_from_mesh, beam).faces, view);
   if (hard || !outlines.has_lists()) return;
   for (std::size_t i = 0; i < group_.size(); ++i)
     if (group_[i] == kAlone) group_[i] = kInPart, parts_.push_back({i, {}});
@@ -136,15 +136,11 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
 
 // Edges come in the order of their higher vertex: the lower one has its group already.
 template <class View>
-void SharedSight::join_all(const Outline& outline, std::span<const std::uint8_t> faces, bool hard,
+void SharedSight::join_all(const Outline& outline, std::span<const std::uint8_t> faces,
                            View& view) {
-  // Of triangles that are turned away one end may lie in their own shadow. Of those that face a part of the disc it lies in
-  // a penumbra, which a hard shadow has not.
-  const auto faces_it = [&](std::uint32_t triangle) {
-    return hard ? faces[triangle] == kFacesAll : faces[triangle] != kFacesNone;
-  };
+  // Of other triangles one end may lie in their own shadow.
   const auto is_in_front = [&](const Outline::Edge& e) {
-    return faces_it(e.left) || (e.right != Outline::kOpen && faces_it(e.right));
+    return faces[e.left] == kFacesAll || (e.right != Outline::kOpen && faces[e.right] == kFacesAll);
   };
   for (std::size_t vertex = 0; vertex < group_.size(); ++vertex) {
     if (!view.may_share(vertex)) continue;

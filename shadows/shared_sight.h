@@ -45,7 +45,7 @@ class SharedSight {
 
  private:
   template <class View>
-  void join_all(const Outline& outline, std::span<const std::uint8_t> faces, bool hard, View& view);
+  void join_all(const Outline& outline, std::span<const std::uint8_t> faces, View& view);
   void join(std::uint32_t first, std::uint32_t second);
 
   std::vector<std::uint32_t> group_, members_;
