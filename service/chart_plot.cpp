@@ -341,18 +341,19 @@ std::string unused(const std::string& name, std::set<std::string>& used) {
 
 std::string chart_csv(std::span<const ChartPoint> points) {
   std::string out =
-      "environment,mesh,method,baseline,coefficients,discs,taps,map_size_px,bake_rays,"
+      "environment,mesh,method,baseline,coefficients,discs,taps,object_taps,map_size_px,bake_rays,"
       "environment_rows,updates_per_frame,object_rel_rmse,object_rel_bias,shadow_rmse,shadow_bias,"
       "penumbra_rel_error,hdr_flip_mean,flicker_rel,light_update_p50_ms,light_update_p99_ms,"
       "memory_bytes,chosen,discs_allowed,reference_rel_error\n";
   for (const ChartPoint& p : points)
-    out += fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
-                       quoted(p.environment), quoted(p.mesh), quoted(p.method), int{p.baseline},
-                       p.coefficients, p.discs, p.taps, p.map_size, p.bake_rays, p.environment_rows,
-                       number(p.update_rate), number(p.object_rel_rmse), number(p.object_bias),
-                       number(p.shadow_rmse), number(p.shadow_bias), number(p.penumbra_error),
-                       number(p.flip), number(p.flicker), number(p.ms_p50), number(p.ms_p99),
-                       p.bytes, int{p.chosen}, p.most_discs, number(p.reference_error));
+    out += fmt::format(
+        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
+        quoted(p.environment), quoted(p.mesh), quoted(p.method), int{p.baseline}, p.coefficients,
+        p.discs, p.taps, p.object_taps, p.map_size, p.bake_rays, p.environment_rows,
+        number(p.update_rate), number(p.object_rel_rmse), number(p.object_bias),
+        number(p.shadow_rmse), number(p.shadow_bias), number(p.penumbra_error), number(p.flip),
+        number(p.flicker), number(p.ms_p50), number(p.ms_p99), p.bytes, int{p.chosen}, p.most_discs,
+        number(p.reference_error));
   return out;
 }
 

@@ -298,6 +298,7 @@ class Charter {
     p.discs = static_cast<int>(light.discs.size());
     p.most_discs = m.most_discs;
     p.taps = m.taps.plane.taps;
+    p.object_taps = m.taps.object;
     p.map_size = m.taps.plane.size;
     p.bake_rays = kBakeRays;
     p.environment_rows = m.rows > 0 ? m.rows : e.map.height();

@@ -22,6 +22,11 @@ bool behind(const prt::Plane* plane, const glm::vec3& d) {
   return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
 }
 
+// Whether some of a disc may be behind the plane: then how much is a question for all of its directions.
+bool is_cut(const prt::Plane* plane, const lighting::Disc& disc) {
+  return plane && glm::dot(plane->normal, disc.direction) <= std::sin(largest_angle(disc));
+}
+
 // Bit by direction.
 std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> directions) {
   std::uint64_t out = 0;
@@ -102,11 +107,12 @@ class VertexTracer {
   struct Sums {
     float seen = 0, open = 0;
   };
-  /// Of the first taps, with nothing in their way.
-  Sums unhindered(std::size_t vertex, std::size_t last) const {
+  std::span<const glm::vec3> taps(std::size_t vertex) const { return pattern_.at(vertex); }
+  /// Of such directions, with nothing in their way.
+  Sums unhindered(std::size_t vertex, std::span<const glm::vec3> directions) const {
     const glm::vec3 n = normal(vertex);
     Sums out;
-    for (const glm::vec3& d : pattern_.at(vertex).first(last)) {
+    for (const glm::vec3& d : directions) {
       const float cosine = std::max(0.f, glm::dot(n, d));
       out.open += cosine;
       if (!behind(plane_, d)) out.seen += cosine;
@@ -192,7 +198,7 @@ void ask_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_
   tracer.trace(probes, 0, scouts, seen, open);
   verdict.assign(sight.groups(), kUnknown);
   for (const std::uint32_t i : probes) {
-    const float all = tracer.unhindered(i, scouts).seen;
+    const float all = tracer.unhindered(i, tracer.taps(i).first(scouts)).seen;
     const float arrives = std::exchange(seen[i], 0.f);
     open[i] = 0;
     if (all <= 0) continue;
@@ -254,14 +260,17 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
   thread_local SharedSight sight;
-  all.make(disc, std::max(taps, kOpenTaps), 1);
+  const bool cut = is_cut(plane, disc);
+  all.make(disc, cut ? kMostTaps : std::max(taps, kOpenTaps), 1);
   const std::span<const glm::vec3> looked_at = hard ? pattern.at(0) : all.at(0);
   sight.find(casters, object, disc, {looked_at, before_bits(plane, looked_at)});
-  // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
-  const bool by_taps = (!narrow && !hard) ||
-                       (plane && glm::dot(plane->normal, disc.direction) <= disc.radius.value());
+  // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc. What nobody
+  // averages takes more than a vertex's own taps.
+  const bool averaged = !narrow && !hard, by_taps = averaged || cut;
   const auto tell = [&](std::size_t i, bool lit) {
-    const VertexTracer::Sums sums = by_taps ? tracer.unhindered(i, last) : VertexTracer::Sums{1, 1};
+    const VertexTracer::Sums sums =
+        by_taps ? tracer.unhindered(i, averaged ? tracer.taps(i) : looked_at)
+                : VertexTracer::Sums{1, 1};
     open[i] = sums.open;
     seen[i] = lit ? sums.seen : 0;
   };

@@ -9,6 +9,10 @@
 
 namespace penumbra::shadows {
 
+namespace {
+constexpr double kGoldenRatio = .6180339887498949;
+}
+
 double largest_angle(const lighting::Disc& disc) {
   double largest = disc.shape.empty() ? disc.radius.value() : 0;
   for (const glm::dvec3& d : disc.shape)
@@ -48,23 +52,31 @@ void TapPattern::spread_over_cap(const lighting::Disc& disc) {
       const double c = 1 - height * (k + .5) / taps_, s = std::sqrt(1 - c * c);
       // The turns follow the golden ratio, so that neighbours differ most.
       constexpr double kGolden = 2.399963229728653;
-      const double a = k * kGolden + 2 * kPi * std::fmod(turn * .6180339887498949, 1.);
+      const double a = k * kGolden + 2 * kPi * std::fmod(turn * kGoldenRatio, 1.);
       directions_.emplace_back(frame * glm::dvec3(s * std::cos(a), c, s * std::sin(a)));
     }
 }
 
-// One point of each group of neighbours: its middle for one turn, else another one in every turn.
+// One point of each group of neighbours. Where one turn has to do its middle; else from turn to turn another one, on by the
+// golden ratio and groups out of step, so that vertices beside each other together ask all of the shape. (Steps of five from turn
+// to turn, three from group to group: 2.17 instead of 1.64 % on the knot under adams.)
 void TapPattern::spread_over_shape(const lighting::Disc& disc) {
-  const int points = static_cast<int>(disc.shape.size());
-  for (int turn = 0; turn < turns_; ++turn)
-    for (int k = 0; k < taps_; ++k) {
-      const int first = k * points / taps_, group = std::max(1, (k + 1) * points / taps_ - first);
-      glm::dvec3 sum(0);
-      for (int i = 0; i < group; ++i)
-        if (turns_ == 1 || i == (turn * 5 + k * 3) % group)
-          sum += disc.shape[static_cast<std::size_t>(first + i)];
-      directions_.emplace_back(glm::normalize(sum));
-    }
+  constexpr double kOutOfStep = .7548776662466927;  // of the plane's golden ratio
+  const std::size_t points = disc.shape.size(), taps = static_cast<std::size_t>(taps_);
+  const auto middle = [&](std::size_t k) {
+    const std::size_t first = k * points / taps, last = (k + 1) * points / taps;
+    glm::dvec3 sum = disc.shape[first];
+    for (std::size_t i = first + 1; i < last; ++i) sum += disc.shape[i];
+    return glm::normalize(sum);
+  };
+  const auto one_of = [&](std::size_t k, std::size_t turn) {
+    const double within = std::fmod(.5 + double(turn) * kGoldenRatio + double(k) * kOutOfStep, 1.);
+    const double place = (double(k) + within) / double(taps) * double(points);
+    return disc.shape[std::min(static_cast<std::size_t>(place), points - 1)];
+  };
+  for (std::size_t turn = 0; turn < static_cast<std::size_t>(turns_); ++turn)
+    for (std::size_t k = 0; k < taps; ++k)
+      directions_.emplace_back(turns_ == 1 || taps >= points ? middle(k) : one_of(k, turn));
 }
 
 }  // namespace penumbra::shadows

@@ -10,23 +10,24 @@
 namespace penumbra::shadows {
 
 inline constexpr int kMostTaps = 64;
-/// Radians: few vertices lie in penumbras of a narrower round disc.
-inline constexpr double kNarrow = .05;
-
-inline bool is_narrow(const lighting::Disc& disc) {
-  return disc.shape.empty() && disc.radius.value() < kNarrow;
-}
 
 /// Radians from the disc's middle to its farthest direction.
 double largest_angle(const lighting::Disc& disc);
+
+/// Radians: few vertices lie in penumbras of a narrower disc.
+inline constexpr double kNarrow = .05;
+inline bool is_narrow(const lighting::Disc& disc) {
+  return largest_angle(disc) < kNarrow;
+}
+
 /// All of a disc's directions, and those so many radians off it.
 Beam beam_of(const lighting::Disc& disc, double more = 0);
 
 /// The memo that casters bring, or an empty one.
 OutlineMemo& memo_of(const Casters& casters);
 
-/// Directions over a disc in `turns` copies, each turned about its axis by another angle. A single tap in a single turn is
-/// the disc's middle.
+/// Directions over a disc in `turns` copies, each turned about its axis by another angle; of a form each takes other points,
+/// as long as there are more points than taps. A single tap in a single turn is the disc's middle.
 /// threads: thread-bound; memory grows once
 class TapPattern {
  public:

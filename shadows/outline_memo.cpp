@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "shadows/projection_kernel.h"
-
 namespace penumbra::shadows {
 
 namespace {

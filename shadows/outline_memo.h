@@ -7,6 +7,7 @@
 
 #include "core/pose.h"
 #include "shadows/outline.h"
+#include "shadows/projection_kernel.h"
 
 namespace penumbra::shadows {
 
@@ -24,7 +25,6 @@ struct BeamOutline {
   /// By triangle: kFacesNone of the directions, kFacesAll, or kUnsure.
   std::span<const std::uint8_t> faces;
 };
-inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
 
 /// For one light and one form of every mesh: what it lights and every plane on which it throws shadows ask for the same
 /// edges. Clear it when a light or a form changes.

@@ -1,7 +1,5 @@
 #include "shadows/projection_kernel.h"
 
-#include "shadows/outline_memo.h"
-
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "shadows/projection_kernel.cpp"
 #include <hwy/foreach_target.h>

@@ -30,7 +30,8 @@ struct Cone {
   float x, y, z;  // axis, unit
   float sine;     // of the angle around it
 };
-/// Whether triangles face all directions of a cone: kFacesNone, kFacesAll, or kUnsure (outline_memo.h).
+inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
+/// Whether triangles face all directions of a cone, or none: one of the three for each.
 void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out);
 
 struct alignas(32) Counts {

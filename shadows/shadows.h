@@ -104,7 +104,8 @@ struct Casters {
 /// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the disc's
 /// middle, and the shadow hard; what faces all of the disc keeps its light.
 /// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
-/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex; Laine et al. 2005 (PartSeen)
+/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a form's points by the golden
+/// ratio; Laine et al. 2005 (PartSeen)
 void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
                       const prt::Plane* plane, const lighting::Disc& disc, int taps,
                       std::span<float> out);
@@ -119,8 +120,8 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  /// Directions of the disc, 1..64; four times as many, 64 at most, for one that is not narrow. One of a narrow disc is its
-  /// middle: a hard shadow.
+  /// Directions of the disc, 1..64; four times as many, 64 at most, for one that reaches .05 radians or more from its middle.
+  /// One of a narrower disc is its middle: a hard shadow.
   int taps = 16;
   /// Cells along the longer side, at least 16.
   int size = 256;

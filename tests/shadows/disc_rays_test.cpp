@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <map>
 
@@ -53,15 +54,40 @@ TEST(DiscRays, TapsShareAFormsDirectionsOut) {
   }
 }
 
-TEST(DiscRays, TurnsTakeEveryDirectionInTheEnd) {
+TEST(DiscRays, TurnsTakeEveryDirectionAlike) {
   const lighting::Disc d = strip(.1, .4);
   TapPattern pattern;
-  pattern.make(d, 4, 16);
+  pattern.make(d, 4, 64);
   std::map<std::pair<float, float>, int> seen;
-  for (std::size_t turn = 0; turn < 16; ++turn)
+  for (std::size_t turn = 0; turn < 64; ++turn)
     for (const glm::vec3& t : pattern.at(turn)) ++seen[{t.x, t.z}];
   EXPECT_EQ(seen.size(), 64u);
-  for (const auto& [direction, times] : seen) EXPECT_EQ(times, 1);
+  for (const auto& [direction, times] : seen) EXPECT_NEAR(times, 4, 1);
+}
+
+// Wherever one begins: what a few points that follow each other ask lies all over the form, each quarter along it alike.
+TEST(DiscRays, TurnsInARowAskAllOfAForm) {
+  const lighting::Disc d = strip(.4, .1);
+  TapPattern pattern;
+  pattern.make(d, 4, 64);
+  for (std::size_t first = 0; first + 4 <= 64; ++first) {
+    std::array<int, 4> in{};
+    for (std::size_t turn = first; turn < first + 4; ++turn)
+      for (const glm::vec3& t : pattern.at(turn))
+        ++in[static_cast<std::size_t>(4 * (t.x / t.y / .4f + .5f))];
+    for (const int n : in) EXPECT_NEAR(n, 4, 1) << first;
+  }
+}
+
+TEST(DiscRays, WhatIsNarrowIsSoInEveryDirection) {
+  lighting::Disc round;
+  round.direction = {0, 1, 0};
+  round.radius = Radians(.02);
+  EXPECT_TRUE(is_narrow(round));
+  EXPECT_TRUE(is_narrow(strip(.02, .05)));
+  EXPECT_FALSE(is_narrow(strip(.002, .4)));  // as long as it is thin
+  round.radius = Radians(.06);
+  EXPECT_FALSE(is_narrow(round));
 }
 
 }  // namespace

@@ -225,6 +225,25 @@ TEST_P(DrawnShadow, IsWhatRaysFind) {
   EXPECT_LT(found.wrong, found.nodes / 200) << "of " << found.nodes;
 }
 
+// What lights by a form throws shadows by sixteen of its directions where it is small in every direction, by all 64 where not.
+TEST(DiscShadow, AFormTakesTheDirectionsThatItsReachNeeds) {
+  const Scene scene(one(knot())), nobody({});
+  for (const auto& [half_length, directions] : {std::pair(.03, 16), {.2, 64}}) {
+    lighting::Disc disc = disc_of({"", {}, {}, 40, 1});
+    const dvec3 side = glm::normalize(glm::cross(disc.direction, dvec3(0, 1, 0)));
+    for (int i = 0; i < 64; ++i)
+      disc.shape.push_back(
+          glm::normalize(disc.direction + half_length * ((i + .5) / 32 - 1) * side));
+    DiscShadow shadow;
+    draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc, {16, 128}, shadow);
+    const Wrong found = compare(shadow, scene, nobody, kFloor.normal, disc, directions),
+                other = compare(shadow, scene, nobody, kFloor.normal, disc, 80 - directions);
+    EXPECT_GT(found.dark, found.nodes / 50);
+    EXPECT_LT(found.wrong, found.nodes / 200) << half_length;
+    EXPECT_GT(other.wrong, found.nodes / 50) << half_length;
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Of, DrawnShadow,
     testing::Values(
