@@ -54,7 +54,7 @@ Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
 struct Method {
   std::string label = "discs and bands";
   bool baseline = false;
-  int bands = 5, most_discs = 8, map_size = 256, rows = 0;
+  int bands = 5, most_discs = 8, map_size = 256, rows = 0, bake_rays = kBakeRays;
   DiscTaps taps;
   int age_columns = 0;  // how far the map has turned since the light was measured
   double update_rate = 1;
@@ -103,6 +103,7 @@ std::vector<Method> sweep(const ChartOptions& o) {
   for (const int b : {2, 3, 5}) out.push_back(with([&](Method& m) { cheaply(m, b, 1, 384); }));
   for (const int s : {32, 64, 128, 512}) out.push_back(with([&](Method& m) { m.map_size = s; }));
   for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
+  for (const int r : {64, 256, 4096}) out.push_back(with([&](Method& m) { m.bake_rays = r; }));
   for (const int frames : {2, 4}) out.push_back(with([&](Method& m) { every(m, frames); }));
   return out;
 }
@@ -139,8 +140,10 @@ using TimeOf = std::function<LightTime()>;
 
 class Charter {
  public:
-  Charter(const ChartOptions& o, const ChartScene& bench, std::vector<ChartPoint>& points)
-      : o_(o), bench_(bench), points_(points) {}
+  /// `bench` is of the asset, by kBakeRays.
+  Charter(const ChartOptions& o, const std::string& asset, const ChartScene& bench,
+          std::vector<ChartPoint>& points)
+      : o_(o), asset_(asset), bench_(bench), points_(points) {}
 
   Result<void> run(const Environment& environment) {
     if (o_.bands.empty() && costs_.per_disc_ms < 0) {
@@ -209,7 +212,9 @@ class Charter {
       return estimator.estimate(measured);
     };
     const bool may_flicker = m.chosen || m.default_plan;
-    return add(m, e, baked_with(m.bands), *light, estimate, may_flicker ? again : LightOf(), truth);
+    auto scene = baked_for(m);
+    if (!scene) return std::unexpected(scene.error());
+    return add(m, e, **scene, *light, estimate, may_flicker ? again : LightOf(), truth);
   }
 
   static Image<Rgb> seen_by(const Method& m, const Environment& e) {
@@ -218,9 +223,19 @@ class Charter {
   }
 
   const PreparedScene& baked_with(int bands) {
-    const auto [known, is_new] = scenes_.try_emplace(bands);
+    const auto [known, is_new] = scenes_.try_emplace({bands, kBakeRays});
     if (is_new) known->second = bench_.prepared_with(bands);
     return known->second;
+  }
+  Result<const PreparedScene*> baked_for(const Method& m) {
+    if (m.bake_rays == kBakeRays) return &baked_with(m.bands);
+    const auto [known, is_new] = scenes_.try_emplace({m.bands, m.bake_rays});
+    if (is_new) {
+      auto other = ChartScene::make(asset_, m.bake_rays);
+      if (!other) return std::unexpected(other.error());
+      known->second = other->prepared_with(m.bands);
+    }
+    return &known->second;
   }
 
   static LightTime time_of(lighting::LightEstimator& estimator,
@@ -300,7 +315,7 @@ class Charter {
     p.taps = m.taps.plane.taps;
     p.object_taps = m.taps.object;
     p.map_size = m.taps.plane.size;
-    p.bake_rays = kBakeRays;
+    p.bake_rays = m.bake_rays;
     p.environment_rows = m.rows > 0 ? m.rows : e.map.height();
     p.update_rate = m.update_rate;
     p.object_rel_rmse = a.object_without_noise;
@@ -372,20 +387,23 @@ class Charter {
 
   static void print(const ChartPoint& p) {
     fmt::print(
-        "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5.2f} {:>9.2f} {:>7.2f} "
+        "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5.2f} {:>9.2f} "
+        "{:>7.2f} "
         "{:>8.4f} {:>8.4f} {:>7.4f} {:>7.1f} {:>7.2g} {:>8.2f}\n",
         p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
-        p.environment_rows, p.update_rate, 100 * p.object_rel_rmse, 100 * p.object_bias,
-        p.shadow_rmse, p.shadow_bias, p.flip, 100 * p.penumbra_error, 100 * p.flicker, p.ms_p50);
+        p.environment_rows, p.bake_rays, p.update_rate, 100 * p.object_rel_rmse,
+        100 * p.object_bias, p.shadow_rmse, p.shadow_bias, p.flip, 100 * p.penumbra_error,
+        100 * p.flicker, p.ms_p50);
   }
 
   const ChartOptions& o_;
+  const std::string& asset_;
   const ChartScene& bench_;
   std::vector<ChartPoint>& points_;
   std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
   lighting::CostModel costs_{0, 0, -1};  // until fitted
-  std::map<int, PreparedScene> scenes_;  // by bands of the bake
-  std::vector<Timing> timings_;          // of the environment at hand
+  std::map<std::pair<int, int>, PreparedScene> scenes_;  // by bands and rays of the bake
+  std::vector<Timing> timings_;                          // of the environment at hand
 };
 
 nlohmann::json to_json(const ChartPoint& p) {
@@ -429,7 +447,7 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
     const Accuracy a = compare_pictures(*ours, *truth, lit, bench.masks());
     ChartPoint p;
     p.environment = environment.name, p.mesh = bench.name(), p.method = "same truncated light";
-    p.coefficients = coefficient_count(bands);
+    p.coefficients = coefficient_count(bands), p.bake_rays = kTruncatedBakeRays;
     p.object_rel_rmse = a.object_without_noise, p.object_bias = a.object_bias;
     p.shadow_rmse = a.shadow_rmse, p.reference_error = a.reference_error;
     points.push_back(p);
@@ -504,14 +522,15 @@ Result<void> chart(const ChartOptions& o) {
   std::vector<ChartPoint> points;
   if (!o.json && !o.truncated)
     fmt::print(
-        "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} {:>7} "
+        "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} "
+        "{:>7} "
         "{:>7} {:>7} {:>8}\n",
-        "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rate", "object %",
+        "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rays", "rate", "object %",
         "bias %", "shadow s", "bias s", "FLIP", "edge %", "F %", "ms");
   for (const std::string& asset : assets) {
     auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
     if (!bench) return std::unexpected(bench.error());
-    Charter charter(o, *bench, points);
+    Charter charter(o, asset, *bench, points);
     for (const Environment& e : *environments)
       PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
   }

@@ -260,13 +260,13 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   open.assign(count, 0);
   const auto last = static_cast<std::size_t>(taps);
   thread_local SharedSight sight;
-  const bool cut = is_cut(plane, disc);
-  all.make(disc, cut ? kMostTaps : std::max(taps, kOpenTaps), 1);
+  // What neighbours average makes do with their taps.
+  const bool averaged = !narrow && !hard, cut = is_cut(plane, disc);
+  all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
   const std::span<const glm::vec3> looked_at = hard ? pattern.at(0) : all.at(0);
   sight.find(casters, object, disc, {looked_at, before_bits(plane, looked_at)});
-  // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc. What nobody
-  // averages takes more than a vertex's own taps.
-  const bool averaged = !narrow && !hard, by_taps = averaged || cut;
+  // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
+  const bool by_taps = averaged || cut;
   const auto tell = [&](std::size_t i, bool lit) {
     const VertexTracer::Sums sums =
         by_taps ? tracer.unhindered(i, averaged ? tracer.taps(i) : looked_at)
