@@ -58,6 +58,7 @@ class Baker {
     for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
     if (options.receiver) add_receiver_points(options.receiver->grid);
+    if (options.sight_cells > 0) sight_ = VertexSight(options.sight_cells, mesh_.positions.size());
     if (options.bounces > 0) bands_ = std::max(bands_, options.indirect_bands);
     coefficients_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
@@ -72,6 +73,7 @@ class Baker {
 
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
+  void trace_sight(const RayScene& scene, std::size_t vertex);
   void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
                  const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
                  PointResult& out) const;
@@ -106,6 +108,7 @@ class Baker {
   int channels_ = 1;
   std::vector<float> shadowed_, current_, next_;  // [point][channel][n]
   std::vector<float> ground_far_;                 // transfer of an unshadowed receiver, per n
+  VertexSight sight_;
   std::mutex progress_mutex_;
   double progress_ = 0;
 };
@@ -157,6 +160,26 @@ void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, c
           options_.receiver->grid.uv(here / scale_ + glm::vec2(centre_.x, centre_.z));
       out.hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
     }
+  }
+}
+
+// Past the mesh alone. Two blocks of four by four rays share a word.
+void Baker::trace_sight(const RayScene& scene, std::size_t vertex) {
+  static_assert(kLanes == 16);
+  const Point& point = points_[vertex];
+  const SightFrame frame = SightFrame::of(vertex, point.normal);
+  const glm::vec3 origin = point.position + kRayNear * point.normal;
+  const int across = sight_.cells / 4;
+  RayScene::Packet packet;
+  for (int block = 0; block < across * across; ++block) {
+    for (int i = 0; i < kLanes; ++i) {
+      const glm::vec3 d =
+          frame.direction(4 * (block % across) + i % 4, 4 * (block / across) + i / 4, sight_.cells);
+      packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
+    }
+    const std::uint32_t open = ~scene.occluded(origin, kRayNear, packet) & 0xffffu;
+    const auto place = static_cast<std::size_t>(block);
+    sight_.open[vertex * sight_.words() + place / 2] |= open << 16 * (place % 2);
   }
 }
 
@@ -419,6 +442,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   std::vector<PointResult> results(points_.size());
   std::uint64_t rays = 0;
   for (const Point& p : points_) rays += static_cast<std::uint64_t>(p.rays);
+  rays += 32 * static_cast<std::uint64_t>(sight_.open.size());
   const auto parallel = [&](auto&& body) {
     parallel_for(std::size_t{0}, points_.size(), kChunk, body);
   };
@@ -427,6 +451,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
     for (std::size_t i = range.begin(); i < range.end(); ++i) {
       trace_point(*scene, is_ground_point(i) ? ground_patterns : patterns, i, results[i]);
       start_transfer(i, results[i]);
+      if (!sight_.empty() && !is_ground_point(i)) trace_sight(*scene, i);
       traced += points_[i].rays;
     }
     report_progress(.9 * traced / static_cast<double>(rays));
@@ -454,6 +479,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
     out.shadow_probes = shadow_probes();
     out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
   }
+  out.sight = std::move(sight_);
   out.mesh = std::move(mesh);
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
   std::vector<PointQuality> by_vertex = quality(results);
@@ -484,6 +510,9 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
+  if (o.sight_cells < 0 || o.sight_cells > VertexSight::kMostCells || o.sight_cells % 8 != 0)
+    return fail(ErrorCode::kInvalid, "cells of sight",
+                fmt::format("must be a multiple of 8 up to {}", VertexSight::kMostCells));
   if (o.indirect_bands < 1 || o.indirect_bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands of reflected light",
                 fmt::format("{} is not in 1..{}", o.indirect_bands, kMaxBands));

@@ -13,7 +13,7 @@
 // Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
 // four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
 // 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are accessors of
-// half-float bits in the order of prt::Transfer.
+// half-float bits in the order of prt::Transfer, the vertices' sight one of words.
 
 namespace penumbra::prt {
 namespace {
@@ -61,20 +61,24 @@ Value number(double v) {
 }
 
 // Accessors of the transfers that no viewer needs.
-struct HalfAccessors {
-  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
+struct OwnAccessors {
+  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1, sight = -1;
 };
 
-Value::Object describe(const BakedObject& o, const HalfAccessors& halves) {
+Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
   Value::Object d;
   d["version"] = Value(kVersion);
   d["bands"] = Value(o.transfer.bands);
   d["channels"] = Value(o.transfer.channels);
-  d["indirect"] = Value(halves.indirect);
+  d["indirect"] = Value(own.indirect);
   d["indirect_bands"] = Value(o.indirect.bands);
   d["rays"] = number(static_cast<double>(o.report.rays));
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
+  if (!o.sight.empty()) {
+    d["sight"] = Value(own.sight);
+    d["sight_cells"] = Value(o.sight.cells);
+  }
   if (o.receiver) {
     const GroundGrid& g = o.receiver->grid;
     const Rgb& a = o.receiver->albedo;
@@ -84,9 +88,9 @@ Value::Object describe(const BakedObject& o, const HalfAccessors& halves) {
     r["half_extent_m"] = number(g.half_extent);
     r["height_m"] = number(g.height);
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
-    r["deficit"] = Value(halves.ground_deficit);
-    r["indirect"] = Value(halves.ground_indirect);
-    r["probes"] = Value(halves.shadow_probes);
+    r["deficit"] = Value(own.ground_deficit);
+    r["indirect"] = Value(own.ground_indirect);
+    r["probes"] = Value(own.shadow_probes);
     r["probe_count"] = Value(static_cast<int>(o.shadow_probes.points));
     d["receiver"] = Value(r);
   }
@@ -122,12 +126,15 @@ Model to_model(const BakedObject& o) {
     return writer.add(t.values.data(), t.values.size() * 2, t.values.size(),
                       TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0);
   };
-  HalfAccessors halves;
-  halves.indirect = add_halves(o.indirect);
+  OwnAccessors own;
+  own.indirect = add_halves(o.indirect);
+  if (!o.sight.empty())
+    own.sight = writer.add(o.sight.open.data(), o.sight.open.size() * 4, o.sight.open.size(),
+                           TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 0);
   if (o.receiver) {
-    halves.ground_deficit = add_halves(o.ground_deficit);
-    halves.ground_indirect = add_halves(o.ground_indirect);
-    if (o.shadow_probes.points > 0) halves.shadow_probes = add_halves(o.shadow_probes);
+    own.ground_deficit = add_halves(o.ground_deficit);
+    own.ground_indirect = add_halves(o.ground_indirect);
+    if (o.shadow_probes.points > 0) own.shadow_probes = add_halves(o.shadow_probes);
   }
   model.meshes.emplace_back().primitives.push_back(primitive);
   model.nodes.emplace_back().mesh = 0;
@@ -136,7 +143,7 @@ Model to_model(const BakedObject& o) {
   model.asset.version = "2.0";
   model.asset.generator = "penumbra";
   Value::Object extras;
-  extras["penumbra"] = Value(describe(o, halves));
+  extras["penumbra"] = Value(describe(o, own));
   model.asset.extras = Value(extras);
   return model;
 }
@@ -238,6 +245,20 @@ bool read_halves(const Model& m, double index, int bands, int channels, std::siz
   return std::ranges::all_of(out.values, [](auto h) { return std::isfinite(float_from_half(h)); });
 }
 
+bool read_sight(const Model& m, const Value& extras, std::size_t vertices, VertexSight& out) {
+  const double index = get(extras, "sight"), cells = get(extras, "sight_cells");
+  if (!(index >= 0 && index < static_cast<double>(m.accessors.size())) ||
+      !(cells >= 8 && cells <= VertexSight::kMostCells) || std::fmod(cells, 8) != 0)
+    return false;
+  const auto bytes = accessor_bytes(m, static_cast<int>(index),
+                                    TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
+  out.cells = static_cast<int>(cells);
+  if (!bytes || bytes->size() != vertices * out.words() * 4) return false;
+  out.open.resize(bytes->size() / 4);
+  std::memcpy(out.open.data(), bytes->data(), bytes->size());
+  return true;
+}
+
 bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   GroundGrid g;
   const double size = get(r, "size");
@@ -291,6 +312,8 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
       !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
                    o.transfer.channels, o.transfer.points, o.indirect))
     return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
+  if (extras->Has("sight") && !read_sight(m, *extras, o.transfer.points, o.sight))
+    return fail(ErrorCode::kUnreadable, file, "damaged sight");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "damaged receiver");
   const auto figure = [&](const char* key) {  // reports only: absent or damaged ones are 0

@@ -22,10 +22,11 @@
 #include "core/pose.h"
 #include "core/result.h"
 #include "core/sh.h"
-#include "prt/animation.h"  // IWYU pragma: export
-#include "prt/live_bake.h"  // IWYU pragma: export
-#include "prt/receiver.h"   // IWYU pragma: export
-#include "prt/sequence.h"   // IWYU pragma: export
+#include "prt/animation.h"     // IWYU pragma: export
+#include "prt/live_bake.h"     // IWYU pragma: export
+#include "prt/receiver.h"      // IWYU pragma: export
+#include "prt/sequence.h"      // IWYU pragma: export
+#include "prt/vertex_sight.h"  // IWYU pragma: export
 
 namespace penumbra::prt {
 
@@ -162,6 +163,8 @@ GroundGrid fit_ground_grid(const Mesh& mesh, float plane_height, int size = 128)
 
 inline constexpr int kIndirectBands = 9;
 inline constexpr int kMostBounces = 256;
+/// Of VertexSight for objects under lamps: 128 bytes a vertex, and a fifth more time.
+inline constexpr int kSightCells = 32;
 
 struct BakeOptions {
   int bands = 5;
@@ -170,6 +173,8 @@ struct BakeOptions {
   int bounces = 4;
   int rays = 1024;         // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
+  /// Along a side of BakedObject::sight, a multiple of 8; 0: none.
+  int sight_cells = 0;
   std::optional<Receiver> receiver;
   /// Bands of what comes by reflection (BakedObject::indirect).
   int indirect_bands = kIndirectBands;
@@ -230,6 +235,8 @@ struct BakedObject {
   /// 5 %: what the governor predicts truncation from. No points without receiver or bounces.
   static constexpr int kShadowProbes = 64;
   Transfer shadow_probes;
+  /// Of the mesh alone: what the receiver hides counts as open.
+  VertexSight sight;
   BakeReport report;
 };
 

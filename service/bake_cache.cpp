@@ -28,8 +28,8 @@ std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
   constexpr std::uint64_t kBakeVersion = 9;
   Fnv1a h;
   h.add(kBakeVersion).add(mesh.positions).add(mesh.normals).add(mesh.albedo).add(mesh.triangles);
-  for (const int n :
-       {o.bands, o.bounces, o.rays, o.ground_rays, o.receiver ? o.receiver->grid.size : 0})
+  for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, o.sight_cells,
+                      o.receiver ? o.receiver->grid.size : 0})
     h.add(n);
   if (o.receiver) {
     const prt::GroundGrid& g = o.receiver->grid;
@@ -154,7 +154,8 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   if (!key) return named(key.error());
   std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
   if (folder && !make_folder(*folder)) folder.reset();
-  const std::string stem = fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).add(options.between).value());
+  const std::string stem =
+      fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).add(options.between).value());
   const fs::path file = folder ? *folder / (stem + kClipKind) : fs::path();
   std::error_code ignored;
   if (folder)

@@ -146,7 +146,8 @@ std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_siz
   for (const PreparedObject& o : scene.objects) {
     bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
     if (discs == 0) continue;
-    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect);
+    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) +
+             o.baked.sight.open.size() * sizeof(o.baked.sight.open[0]);
     bytes += discs *
              (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
               o.baked.transfer.points) *

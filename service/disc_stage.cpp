@@ -13,6 +13,8 @@ namespace {
 // metre's height.
 constexpr double kLeastMove = 1e-3;
 constexpr double kVisibleShare = .005;
+// Of an object's radius, for shadows on planes: a fifteenth of a cell of its shadow's map.
+constexpr float kCoarse = 1e-3f;
 // Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
 constexpr double kAround = shadows::kFieldReach;
 const shadows::DiscShadow kNoShadow;
@@ -57,27 +59,11 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   // Casters point into them.
   stage.quads_.reserve(scene.planes.size());
   stage.outlines_.reserve(scene.objects.size() + 1 + scene.planes.size());
-  float smallest = 1e30f;
-  for (const PreparedObject& o : scene.objects) {
-    auto index = stage.virtual_.add(o.baked.mesh);
-    if (!index) return fail(index.error().code, o.name, index.error().detail);
-    stage.poses_.push_back(o.world_from_bake);
-    stage.moved_from_.emplace_back();
-    stage.other_form_.push_back(0);
-    stage.add_caster(o.baked.mesh, o.world_from_bake, stage.virtual_casters_);
-    if (!o.animation) stage.outlines_.back().find_cuts(o.baked.mesh, stage.virtual_, *index);
-    stage.virtual_.set_pose(*index, o.world_from_bake);
-    const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
-    const float radius = prt::radius_around(o.baked.mesh, centre);
-    stage.spheres_.push_back({glm::dvec3(centre), double(radius)});
-    smallest = std::min(smallest, radius);
-  }
-  if (!scene.real_mesh.triangles.empty()) {
-    auto index = stage.real_.add(scene.real_mesh);
-    if (!index) return fail(index.error().code, "real geometry", index.error().detail);
-    stage.add_caster(scene.real_mesh, {}, stage.real_casters_);
-  }
-  stage.real_casters_on_.assign(scene.planes.size(), stage.real_casters_);
+  stage.coarse_.reserve(scene.objects.size() + 1);
+  stage.sights_.reserve(scene.objects.size());
+  stage.real_on_.resize(scene.planes.size());
+  for (const PreparedObject& o : scene.objects) PENUMBRA_TRY(stage.add_object(o));
+  if (!scene.real_mesh.triangles.empty()) PENUMBRA_TRY(stage.add_real_mesh());
   // One plane blocks only what comes from behind it, which nobody counts anyway.
   for (std::size_t p = 0; p < scene.planes.size() && scene.planes.size() > 1; ++p) {
     const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(scene.planes[p]));
@@ -85,10 +71,47 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
     if (!index) return fail(index.error().code, "real plane", index.error().detail);
     stage.add_caster(quad, {}, stage.real_casters_);
     for (std::size_t other = 0; other < scene.planes.size(); ++other)
-      if (other != p) stage.real_casters_on_[other].push_back(stage.real_casters_.back());
+      if (other != p) stage.real_on_[other].push_back(stage.real_casters_.back());
   }
-  if (!scene.objects.empty()) stage.near_m_ = shadows::Outline::kNear * smallest;
+  if (!scene.objects.empty()) stage.near_m_ = shadows::Outline::kNear * stage.smallest_radius();
   return stage;
+}
+
+Result<void> DiscStage::add_object(const PreparedObject& o) {
+  auto index = virtual_.add(o.baked.mesh);
+  if (!index) return fail(index.error().code, o.name, index.error().detail);
+  poses_.push_back(o.world_from_bake);
+  moved_from_.emplace_back();
+  other_form_.push_back(0);
+  add_caster(o.baked.mesh, o.world_from_bake, virtual_casters_);
+  virtual_on_planes_.push_back(virtual_casters_.back());
+  const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
+  const float radius = prt::radius_around(o.baked.mesh, centre);
+  spheres_.push_back({glm::dvec3(centre), double(radius)});
+  if (!o.animation) {
+    outlines_.back().find_cuts(o.baked.mesh, virtual_, *index);
+    if (!o.baked.sight.empty())
+      virtual_casters_.back().sight = &sights_.emplace_back(o.baked.sight, o.baked.mesh.normals);
+    virtual_on_planes_.back().outline = &coarse_.emplace_back(o.baked.mesh, kCoarse * radius);
+  }
+  virtual_.set_pose(*index, o.world_from_bake);
+  return {};
+}
+
+Result<void> DiscStage::add_real_mesh() {
+  const prt::Mesh& mesh = scene_->real_mesh;
+  auto index = real_.add(mesh);
+  if (!index) return fail(index.error().code, "real geometry", index.error().detail);
+  add_caster(mesh, {}, real_casters_);
+  shadows::Caster on_planes = real_casters_.back();
+  if (!scene_->objects.empty())  // else nobody looks
+    on_planes.outline = &coarse_.emplace_back(mesh, kCoarse * smallest_radius());
+  real_on_.assign(scene_->planes.size(), {on_planes});
+  return {};
+}
+
+float DiscStage::smallest_radius() const {
+  return static_cast<float>(std::ranges::min(spheres_, {}, &Sphere::radius).radius);
 }
 
 void DiscStage::add_caster(const prt::Mesh& mesh, const Pose& pose,
@@ -101,7 +124,8 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   if (!moved_from_[object]) moved_from_[object] = poses_[object];
   poses_[object] = world_from_bake;
   virtual_.set_pose(static_cast<int>(object), world_from_bake);
-  virtual_casters_[object].world_from_mesh = world_from_bake;
+  for (auto* casters : {&virtual_casters_, &virtual_on_planes_})
+    (*casters)[object].world_from_mesh = world_from_bake;
 }
 
 void DiscStage::set_form(std::size_t object) {
@@ -182,7 +206,7 @@ bool DiscStage::may_have_changed(std::size_t object, const lighting::Disc& disc)
   return false;
 }
 
-void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
+void DiscStage::trace(Traced& t, double share, const Surroundings& around, bool all) {
   if (all) {  // else some of it stays as it was traced for the disc that these tell
     t.direction = t.disc.direction;
     t.shape = t.disc.shape;
@@ -205,12 +229,15 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   t.on_plane.resize(scene_->planes.size());
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
-    const std::vector<shadows::Caster>& real = real_casters_on_[p];
-    const shadows::Casters casters{virtual_casters_, real, near_m_, &memo_};
-    shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, taps_.plane, t.on_plane[p]);
+    const std::vector<shadows::Caster>& real = real_on_[p];
+    const shadows::Casters casters{virtual_on_planes_, real, near_m_, &memo_};
+    shadows::DiscShadowOptions options = taps_.plane;
+    options.share = share;
+    shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, options, t.on_plane[p]);
+    options.size /= 2;
     if (!real.empty())
-      shadows::draw_real_shadow(casters, around_, scene_->planes[p], t.disc,
-                                {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
+      shadows::draw_real_shadow(casters, around_, scene_->planes[p], t.disc, options,
+                                t.real_on_plane[p]);
   }
 }
 
@@ -235,7 +262,8 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
     const bool anew = t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
                       std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value();
     if (anew || poses_changed) {
-      trace(t, around, anew);
+      trace(t, mean_irradiance > 0 ? luminance(disc.irradiance()) / mean_irradiance : 1, around,
+            anew);
       changed = true;
     } else if (change <= kVisibleShare * mean_irradiance) {
       t.disc.radiance = before.radiance;  // small changes add up until they are seen

@@ -75,11 +75,15 @@ class DiscStage {
         real_(std::move(real_things)) {}
   shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
   shadows::Casters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
+  Result<void> add_object(const PreparedObject& object);
+  Result<void> add_real_mesh();
   void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
+  float smallest_radius() const;  // of the objects, of which there is one
   /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
   void follow_forms();
-  /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
-  void trace(Traced& traced, const Surroundings& around, bool all);
+  /// `share`: of the mean irradiance. `all`: the disc itself is new or has moved; otherwise only what objects that moved can have
+  /// changed.
+  void trace(Traced& traced, double share, const Surroundings& around, bool all);
   bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
   std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
                                         const Surroundings& around) const;
@@ -92,8 +96,12 @@ class DiscStage {
   std::vector<Traced> traced_, before_;
   std::vector<prt::Mesh> quads_;            // as much of each plane as a shadow can come from
   std::vector<shadows::Outline> outlines_;  // of the objects, then of real things
+  std::vector<shadows::Outline> coarse_;    // of those that keep their form
+  std::vector<prt::SightLookup> sights_;    // of those of which it was baked
   std::vector<shadows::Caster> virtual_casters_, real_casters_;
-  std::vector<std::vector<shadows::Caster>> real_casters_on_;  // by plane: all but the plane itself
+  // What planes get shadows from, coarse where that is known; of real things, by plane, all but the plane itself.
+  std::vector<shadows::Caster> virtual_on_planes_;
+  std::vector<std::vector<shadows::Caster>> real_on_;
   std::vector<shadows::Neighbourhood> around_;
   shadows::OutlineMemo memo_;  // of the disc that is traced
   struct Sphere {

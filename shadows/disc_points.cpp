@@ -8,19 +8,14 @@
 #include "shadows/disc_rays.h"
 #include "shadows/place_kernel.h"
 #include "shadows/shared_sight.h"
+#include "shadows/sight_light.h"
 
 namespace penumbra::shadows {
 
 namespace {
 
-constexpr int kTurns = 64;           // patterns for vertices
 constexpr float kSeenAtAll = .002f;  // mean cosine: less of the disc is not worth a ray
 constexpr int kOpenTaps = 16;        // of the whole disc, for the cosine of an open vertex
-
-// An object on a plane gets nothing from behind it but what the bake knows.
-bool behind(const prt::Plane* plane, const glm::vec3& d) {
-  return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
-}
 
 // Whether some of a disc may be behind the plane: then how much is a question for all of its directions.
 bool is_cut(const prt::Plane* plane, const lighting::Disc& disc) {
@@ -239,6 +234,78 @@ void find_edges(const prt::Mesh& mesh, const std::vector<float>& seen,
   }
 }
 
+// By vertex, over the directions that were asked for it: sums of cosines, of what is seen and of all.
+struct Sums {
+  std::vector<float> seen, open;
+};
+
+// The light of vertices that see all of a disc or nothing. Only the part of it counts, unless neighbours share it or the plane
+// hides some of the disc.
+class Teller {
+ public:
+  /// `alike`: the directions of all vertices, where neighbours do not share theirs.
+  Teller(const VertexTracer& tracer, bool averaged, bool cut, std::span<const glm::vec3> alike,
+         Sums& sums)
+      : tracer_(tracer),
+        averaged_(averaged),
+        by_taps_(averaged || cut),
+        alike_(alike),
+        sums_(sums) {}
+
+  void operator()(std::size_t vertex, bool lit) const {
+    VertexTracer::Sums here{1, 1};
+    if (by_taps_) here = tracer_.unhindered(vertex, averaged_ ? tracer_.taps(vertex) : alike_);
+    sums_.open[vertex] = here.open;
+    sums_.seen[vertex] = lit ? here.seen : 0;
+  }
+
+ private:
+  const VertexTracer& tracer_;
+  bool averaged_, by_taps_;
+  std::span<const glm::vec3> alike_;
+  Sums& sums_;
+};
+
+// Rays where what tells for a whole group of vertices does not do.
+void trace_groups(const VertexTracer& tracer, const SharedSight& sight, const prt::Mesh& mesh,
+                  const lighting::Disc& disc, int taps, std::span<const glm::vec3> asked,
+                  const Teller& tell, Sums& sums) {
+  thread_local std::vector<char> place;  // grow once per thread
+  thread_local std::vector<std::uint32_t> own;
+  const bool narrow = is_narrow(disc), hard = taps == 1;
+  const auto last = static_cast<std::size_t>(taps);
+  ask_groups(tracer, sight, narrow ? 1 : last, sums.seen, sums.open, tell, own);
+  tracer.ask(sight.parts(), asked, static_cast<float>(last), sums.seen, sums.open);
+  // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
+  // To look at every triangle for that costs more than all rays of few vertices.
+  // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
+  constexpr std::size_t kFew = 64;
+  std::size_t traced = 0;
+  if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {
+    tracer.trace(own, 0, 1, sums.seen, sums.open);
+    find_edges(mesh, sums.seen, sums.open, place);
+    std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });
+    traced = 1;
+  }
+  tracer.trace(own, traced, last, sums.seen, sums.open);
+}
+
+// Rays where the object's sight is not sure.
+void trace_unsure(const VertexTracer& tracer, const Caster& object, const lighting::Disc& disc,
+                  int taps, const Teller& tell, Sums& sums) {
+  thread_local std::vector<SightVerdict> verdict;  // grow once per thread
+  thread_local std::vector<std::uint32_t> own;
+  scout(object, disc, verdict);
+  own.clear();
+  for (std::uint32_t i = 0; i < verdict.size(); ++i) {
+    if (verdict[i] == SightVerdict::kMixed)
+      own.push_back(i);
+    else if (verdict[i] != SightVerdict::kTurnedAway)
+      tell(i, verdict[i] == SightVerdict::kLit);
+  }
+  tracer.trace(own, 0, static_cast<std::size_t>(taps), sums.seen, sums.open);
+}
+
 }  // namespace
 
 void trace_disc_light(const Blockers& blockers, const Casters& casters, const Caster& object,
@@ -246,56 +313,41 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
                       std::span<float> out) {
   const prt::Mesh& mesh = *object.mesh;
   // All memory grows once per thread.
-  thread_local TapPattern pattern_memory, all_memory;
-  thread_local std::vector<float> seen_memory, open_memory;  // sums of cosines
-  thread_local std::vector<char> place;
-  thread_local std::vector<std::uint32_t> own;
-  TapPattern &pattern = pattern_memory, &all = all_memory;
-  std::vector<float>&seen = seen_memory, &open = open_memory;
-  const bool narrow = is_narrow(disc), hard = taps == 1;
-  pattern.make(disc, taps, hard ? 1 : kTurns);
-  const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
+  thread_local TapPattern all, pattern_memory;
+  thread_local SharedSight shared;
+  thread_local Sums sums_memory;
+  TapPattern& pattern = pattern_memory;
+  Sums& sums = sums_memory;
+  const bool hard = taps == 1;
   const std::size_t count = mesh.positions.size();
-  seen.assign(count, 0);
-  open.assign(count, 0);
-  const auto last = static_cast<std::size_t>(taps);
-  thread_local SharedSight sight;
+  sums.seen.assign(count, 0);
+  sums.open.assign(count, 0);
   // What neighbours average makes do with their taps.
-  const bool averaged = !narrow && !hard, cut = is_cut(plane, disc);
+  const bool averaged = !is_narrow(disc) && !hard, cut = is_cut(plane, disc);
   all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
-  const std::span<const glm::vec3> looked_at = hard ? pattern.at(0) : all.at(0);
-  sight.find(casters, object, disc, {looked_at, before_bits(plane, looked_at)});
-  // Of what a group tells only the part counts, unless neighbours share it or the plane hides some of the disc.
-  const bool by_taps = averaged || cut;
-  const auto tell = [&](std::size_t i, bool lit) {
-    const VertexTracer::Sums sums =
-        by_taps ? tracer.unhindered(i, averaged ? tracer.taps(i) : looked_at)
-                : VertexTracer::Sums{1, 1};
-    open[i] = sums.open;
-    seen[i] = lit ? sums.seen : 0;
-  };
-  ask_groups(tracer, sight, narrow ? 1 : last, seen, open, tell, own);
-  tracer.ask(sight.parts(), all.at(0), static_cast<float>(last), seen, open);
-  // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
-  // To look at every triangle for that costs more than all rays of few vertices.
-  // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
-  constexpr std::size_t kFew = 64;
-  std::size_t traced = 0;
-  if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {
-    tracer.trace(own, 0, 1, seen, open);
-    find_edges(mesh, seen, open, place);
-    std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });
-    traced = 1;
+  const SightUse use = use_of_sight(casters, object, disc, taps);
+  if (use == SightUse::kAlone) {
+    look_up(object, plane, disc, sums.seen, sums.open);
+  } else {
+    pattern.make(disc, taps, hard ? 1 : kTurns);
+    const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
+    const std::span<const glm::vec3> alike = hard ? pattern.at(0) : all.at(0);
+    const Teller tell(tracer, averaged, cut, alike, sums);
+    if (use == SightUse::kScout) {
+      trace_unsure(tracer, object, disc, taps, tell, sums);
+    } else {
+      shared.find(casters, object, disc, {alike, before_bits(plane, alike)});
+      trace_groups(tracer, shared, mesh, disc, taps, all.at(0), tell, sums);
+    }
   }
-  tracer.trace(own, traced, last, seen, open);
-  smooth(mesh, disc, taps, {&seen, &open});
+  smooth(mesh, disc, taps, {&sums.seen, &sums.open});
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
                        glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
                 out.subspan(part.begin(), part.size()));
     for (std::size_t i = part.begin(); i < part.end(); ++i)
-      out[i] = seen[i] <= 0 ? 0 : seen[i] / open[i] * out[i];
+      out[i] = sums.seen[i] <= 0 ? 0 : sums.seen[i] / sums.open[i] * out[i];
   });
 }
 

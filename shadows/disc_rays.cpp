@@ -24,6 +24,11 @@ Beam beam_of(const lighting::Disc& disc, double more) {
   return {disc.direction, std::sin(std::min(largest_angle(disc) + more, kPi / 2))};
 }
 
+BoundingSphere sphere_of(const Caster& caster) {
+  return {caster.world_from_mesh * glm::dvec3(caster.outline->bounds().centre()),
+          double(caster.outline->radius_m())};
+}
+
 OutlineMemo& memo_of(const Casters& casters) {
   if (casters.memo) return *casters.memo;
   thread_local OutlineMemo empty;

@@ -23,8 +23,25 @@ inline bool is_narrow(const lighting::Disc& disc) {
 /// All of a disc's directions, and those so many radians off it.
 Beam beam_of(const lighting::Disc& disc, double more = 0);
 
+struct BoundingSphere {
+  glm::dvec3 centre;  // world
+  double radius;
+};
+BoundingSphere sphere_of(const Caster& caster);
+/// Whether both are one thing in one place.
+inline bool is_same(const Caster& a, const Caster& b) {
+  return a.outline == b.outline && a.world_from_mesh == b.world_from_mesh;
+}
+
 /// The memo that casters bring, or an empty one.
 OutlineMemo& memo_of(const Casters& casters);
+
+inline constexpr int kTurns = 64;  // copies for vertices
+
+/// An object on a plane gets nothing from behind it but what the bake knows.
+inline bool behind(const prt::Plane* plane, const glm::vec3& d) {
+  return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
+}
 
 /// Directions over a disc in `turns` copies, each turned about its axis by another angle; of a form each takes other points,
 /// as long as there are more points than taps. A single tap in a single turn is the disc's middle.

@@ -1,5 +1,6 @@
 #include "shadows/outline.h"
 
+#include <meshoptimizer.h>
 #include <algorithm>
 #include <cassert>
 #include <cmath>
@@ -41,6 +42,34 @@ std::vector<HalfEdge> half_edges(std::span<const Outline::Triangle> triangles) {
       out.push_back({std::min(a, b), std::max(a, b), a > b, t});
     }
   std::ranges::sort(out, {}, &HalfEdge::key);
+  return out;
+}
+
+// Of the vertices that are used alone: others in the same place would count as a seam, which stays.
+std::vector<Outline::Triangle> simplified(const std::vector<Outline::Triangle>& triangles,
+                                          const std::vector<glm::vec3>& positions,
+                                          float most_off_m) {
+  constexpr std::uint32_t kUnused = 0xffffffffu;
+  std::vector<std::uint32_t> place(positions.size(), kUnused), used, from, to;
+  std::vector<glm::vec3> used_positions;
+  for (const Outline::Triangle& t : triangles)
+    for (const std::uint32_t v : t) {
+      if (place[v] == kUnused) {
+        place[v] = static_cast<std::uint32_t>(used.size());
+        used.push_back(v);
+        used_positions.push_back(positions[v]);
+      }
+      from.push_back(place[v]);
+    }
+  const float* const first = &used_positions[0].x;
+  constexpr std::size_t kStride = sizeof(used_positions[0]);
+  const float extent_m = meshopt_simplifyScale(first, used.size(), kStride);
+  if (!(extent_m > 0)) return triangles;
+  to.resize(from.size());
+  to.resize(meshopt_simplify(to.data(), from.data(), from.size(), first, used.size(), kStride, 0,
+                             most_off_m / extent_m));
+  std::vector<Outline::Triangle> out(to.size() / 3);
+  for (std::size_t i = 0; i < to.size(); ++i) out[i / 3][i % 3] = used[to[i]];
   return out;
 }
 
@@ -98,12 +127,14 @@ void set_cone(std::span<const Outline::Edge> edges, const Outline::Normals& norm
 
 }  // namespace
 
-Outline::Outline(const prt::Mesh& mesh) {
+Outline::Outline(const prt::Mesh& mesh, float most_off_m) {
   const std::vector<std::uint32_t> first = first_in_place(mesh.positions);
   for (const auto& [a, b, c] : mesh.triangles) {
     const Triangle t{first[a], first[b], first[c]};
     if (t[0] != t[1] && t[1] != t[2] && t[2] != t[0]) triangles_.push_back(t);
   }
+  if (most_off_m > 0 && !triangles_.empty())
+    triangles_ = simplified(triangles_, mesh.positions, most_off_m);
   const std::vector<HalfEdge> all = half_edges(triangles_);
   for (auto at = all.begin(); at != all.end();) {
     const auto end = std::find_if(

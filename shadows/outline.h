@@ -26,7 +26,10 @@ class Outline {
 
   Outline() = default;
   /// Vertices in one place count as one, in every form: seams of normals or texture coordinates are no rims.
-  explicit Outline(const prt::Mesh& mesh);
+  /// `most_off_m`: triangles are joined where the surface moves by no more (by meshoptimizer's estimate) and keep
+  /// vertices of the mesh. Not for meshes that will take other forms: what is even now may bend then.
+  /// source: Garland & Heckbert 1997, "Surface Simplification Using Quadric Error Metrics"
+  explicit Outline(const prt::Mesh& mesh, float most_off_m = 0);
   /// Another form of the same mesh: as many vertices, the same triangles.
   void set_form(const prt::Mesh& mesh);
 

@@ -88,6 +88,7 @@ struct Caster {
   const prt::Mesh* mesh;
   const Outline* outline;  // of the mesh as it is
   Pose world_from_mesh;
+  const prt::SightLookup* sight = nullptr;  // of the mesh as it is; null: not known
 };
 
 /// What throws shadows on a plane.
@@ -102,7 +103,8 @@ struct Casters {
 /// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
 /// the same things as `blockers`, `object` among them, with the same near_m: their outlines tell which vertices share rays, and
 /// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the disc's
-/// middle, and the shadow hard; what faces all of the disc keeps its light.
+/// middle, and the shadow hard; what faces all of the disc keeps its light. Of a disc that is wide beside the cells of the
+/// object's sight this is asked instead of up to eight rays, where nothing else may stand between the two.
 /// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a form's points by the golden
 /// ratio; Laine et al. 2005 (PartSeen)
@@ -125,6 +127,9 @@ struct DiscShadowOptions {
   int taps = 16;
   /// Cells along the longer side, at least 16.
   int size = 256;
+  /// About how much of the plane's light the disc brings. A wide one of little takes fewer directions, a quarter at least: their
+  /// error is one of that light.
+  double share = 1;
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole

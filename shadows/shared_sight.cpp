@@ -32,15 +32,11 @@ Box turned(const prt::Bounds& bounds, const glm::mat3& turn) {
 
 // Whether another caster reaches into the sphere around the object.
 bool others_reach(std::span<const Caster> casters, const Caster& object) {
-  const auto sphere = [](const Caster& c) {
-    return std::pair(c.world_from_mesh * glm::dvec3(c.outline->bounds().centre()),
-                     double(c.outline->radius_m()));
-  };
-  const auto [centre, radius] = sphere(object);
+  const BoundingSphere here = sphere_of(object);
   return std::ranges::any_of(casters, [&](const Caster& c) {
-    const auto [other, its_radius] = sphere(c);
-    const bool itself = c.outline == object.outline && c.world_from_mesh == object.world_from_mesh;
-    return !itself && glm::distance(other, centre) < radius + its_radius;
+    const BoundingSphere other = sphere_of(c);
+    return !is_same(c, object) &&
+           glm::distance(other.centre, here.centre) < here.radius + other.radius;
   });
 }
 

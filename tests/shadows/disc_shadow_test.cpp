@@ -373,5 +373,84 @@ TEST(Outline, KnowsRimsSeamsAndWrongTurns) {
   EXPECT_EQ(Outline(thin).triangles().size(), closed.triangles.size());
 }
 
+// RMS of one map at the nodes of another, where either has a shadow.
+double difference(const DiscShadow& a, const DiscShadow& b) {
+  const Pose to_b = b.world_from_map.inverse() * a.world_from_map;
+  double square = 0;
+  std::size_t count = 0;
+  for (int y = 0; y < a.taken.height(); ++y)
+    for (int x = 0; x < a.taken.width(); ++x) {
+      const dvec3 p = to_b * dvec3(x * double(a.cell_m), 0, y * double(a.cell_m));
+      const int i = static_cast<int>(std::lround(p.x / double(b.cell_m))),
+                j = static_cast<int>(std::lround(p.z / double(b.cell_m)));
+      const bool within = i >= 0 && j >= 0 && i < b.taken.width() && j < b.taken.height();
+      const float here = a.taken.at(x, y), there = within ? b.taken.at(i, j) : 0;
+      if (here < .02f && there < .02f) continue;
+      square += std::pow(double(here) - there, 2), ++count;
+    }
+  return std::sqrt(square / static_cast<double>(count));
+}
+
+// A thousandth of the radius is a fifteenth of a map's cell.
+TEST(Outline, ASimplifiedOneThrowsTheSameShadow) {
+  const prt::Mesh mesh = prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f});
+  const Outline whole(mesh);
+  const Outline coarse(mesh, 1e-3f * whole.radius_m()), coarser(mesh, .03f * whole.radius_m());
+  EXPECT_LT(4 * coarse.triangles().size(), whole.triangles().size());
+  EXPECT_EQ(std::ranges::count(coarse.edges(), Outline::kOpen, &Outline::Edge::right), 0)
+      << "no holes";
+  const auto shadow_of = [&](const Outline& outline, double radius_deg) {
+    const Caster caster{&mesh, &outline, {}};
+    Setting s;
+    s.radius_deg = radius_deg;
+    DiscShadow out;
+    draw_disc_shadow({{&caster, 1}, {}, kNear}, kFloor, disc_of(s), {}, out);
+    return out;
+  };
+  for (const double radius_deg : {.3, 3., 12.}) {
+    const DiscShadow truth = shadow_of(whole, radius_deg);
+    EXPECT_LT(difference(shadow_of(coarse, radius_deg), truth), radius_deg < 1 ? .05 : .01)
+        << radius_deg;
+    EXPECT_GT(difference(shadow_of(coarser, radius_deg), truth), .03) << "too few triangles";
+  }
+}
+
+TEST(Outline, SimplifyingKeepsRimsAndSeams) {
+  const auto open = [](const Outline& o) {
+    return std::ranges::count(o.edges(), Outline::kOpen, &Outline::Edge::right);
+  };
+  const prt::Mesh closed = prt::make_knot(.5f, 320, 64, {.5f, .5f, .5f});
+  const Outline torn(shattered(closed), 1e-3f);
+  EXPECT_LT(2 * torn.triangles().size(), closed.triangles.size());
+  EXPECT_EQ(open(torn), 0);
+  EXPECT_GT(open(Outline(bowl(), 1e-3f)), 0);
+  const prt::Mesh flat = prt::make_box({0, 0, 0}, {1, 1, 1}, 8, {});
+  const Outline box(flat, 1e-3f);
+  EXPECT_LT(3 * box.triangles().size(), flat.triangles.size());
+  EXPECT_EQ(open(box), 0);
+  EXPECT_TRUE(Outline(prt::Mesh{}, 1e-3f).triangles().empty());
+}
+
+// The error of fewer directions is one of what little light such a disc brings.
+TEST(DiscShadow, AWideDiscOfLittleLightTakesFewerDirections) {
+  const Scene scene(one(knot()));
+  Setting s;
+  s.radius_deg = 12;
+  const auto with_share = [&](double share) {
+    DiscShadow out;
+    draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, disc_of(s), {16, 128, share}, out);
+    return out;
+  };
+  const DiscShadow whole = with_share(1);
+  EXPECT_LT(difference(with_share(.5), whole), 1e-6);
+  for (const double share : {.3, .1, .02}) {
+    const double error = difference(with_share(share), whole);
+    EXPECT_GT(error, 1e-3) << share;
+    EXPECT_LT(error * share, .01) << share;
+  }
+  s.radius_deg = .3;
+  EXPECT_LT(difference(with_share(.02), with_share(1)), 1e-6) << "a sun keeps all of them";
+}
+
 }  // namespace
 }  // namespace penumbra::shadows

@@ -1,0 +1,81 @@
+// What each vertex of a mesh sees past the mesh itself, kept from its bake: a look-up where a ray would be asked.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <numbers>
+#include <span>
+#include <vector>
+
+namespace penumbra::prt {
+
+/// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets nothing of the mesh.
+struct VertexSight {
+  static constexpr int kMostCells = 256;
+  int cells = 0;  // along a side, a multiple of eight; 0: nothing is known
+  std::vector<std::uint32_t>
+      open;  // words() a vertex; blocks of four by four cells follow each other
+
+  VertexSight() = default;
+  /// in: cells 8..kMostCells
+  VertexSight(int cells_, std::size_t vertices) : cells(cells_), open(words() * vertices) {}
+  bool empty() const { return cells == 0; }
+  std::size_t words() const { return static_cast<std::size_t>(cells * cells / 32); }  // a vertex
+  /// RMS angle that a look-up is off, radians.
+  double blur() const { return std::sqrt(std::numbers::pi / 3) / cells; }
+};
+
+/// Where a vertex's square lies. From one to the next it is turned, and rays go through other places of their cells.
+/// source: hemi-octahedral map, Cigolle, Donow, Evangelakos, Mara, McGuire & Meyer 2014
+struct SightFrame {
+  glm::vec3 first, second, normal;
+  glm::vec2 shift;  // of the ray in its cell, 0..1
+
+  static SightFrame of(std::size_t vertex, const glm::vec3& normal);
+  /// Of the ray in cell (x, y).
+  glm::vec3 direction(int x, int y, int cells) const;
+};
+
+/// Directions to look into, other ones for each of `turns` vertices that follow each other.
+class SightTaps {
+ public:
+  static constexpr std::size_t kEach = 16;
+
+  /// threads: thread-bound; memory grows once
+  void clear() { x_.clear(), y_.clear(), z_.clear(), counts_.clear(); }
+  /// Of one vertex kEach after each other. `counts`: whether its light counts where it is seen.
+  /// in: unit, bake frame
+  void add(const glm::vec3& direction, bool counts) {
+    x_.push_back(direction.x), y_.push_back(direction.y), z_.push_back(direction.z);
+    counts_.push_back(counts ? 1.f : 0.f);
+  }
+  std::size_t turns() const { return x_.size() / kEach; }
+  std::span<const float> x() const { return x_; }
+  std::span<const float> y() const { return y_; }
+  std::span<const float> z() const { return z_; }
+  std::span<const float> counts() const { return counts_; }
+
+ private:
+  std::vector<float> x_, y_, z_, counts_;
+};
+
+/// threads: const members reentrant
+class SightLookup {
+ public:
+  /// Both must outlive it, unchanged.
+  /// in: a sight that is not empty, and the normals that were baked
+  SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals);
+
+  const VertexSight& sight() const { return *sight_; }
+  /// Of vertices [first, last) the sums over their directions of the cosine: of all, and of what counts and is seen.
+  void look(const SightTaps& taps, std::size_t first, std::size_t last, std::span<float> seen,
+            std::span<float> open) const;
+
+ private:
+  const VertexSight* sight_;
+  std::vector<SightFrame> frames_;
+};
+
+}  // namespace penumbra::prt

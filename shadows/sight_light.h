@@ -1,0 +1,28 @@
+// A disc's light on an object by what its vertices are known to see past the object itself.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "shadows/shadows.h"
+
+namespace penumbra::shadows {
+
+enum class SightUse { kNone, kScout, kAlone };
+/// Alone for discs that are wide beside the cells of the sight; as a scout for smaller ones, but for those that are told by
+/// outlines. None for hard shadows, for more rays than it is worth, and where another caster may stand between.
+SightUse use_of_sight(const Casters& casters, const Caster& object, const lighting::Disc& disc,
+                      int taps);
+
+/// By vertex the sums over directions of the disc of the cosine: what is seen before the plane, and all.
+/// threads: as trace_disc_light
+void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
+             std::span<float> seen, std::span<float> open);
+
+enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMixed };
+/// What lies about the disc as far as a look-up may be off: all of it open, or nothing.
+/// threads: as trace_disc_light
+void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out);
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,178 @@
+// What a look-up says is what the ray of that cell found.
+#include "prt/vertex_sight.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <random>
+
+#include "prt/prt.h"
+
+namespace penumbra::prt {
+namespace {
+
+BakedObject baked_knot(int cells) {
+  BakeOptions options;
+  options.rays = options.ground_rays = 64;
+  options.bounces = 0;
+  options.bands = 2;
+  options.sight_cells = cells;
+  const Mesh mesh = make_knot(.4f, 60, 16, {.5f, .5f, .5f});
+  options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 8), {.4f, .4f, .4f}};
+  auto out = bake(mesh, options);
+  EXPECT_TRUE(out);
+  return out ? *out : BakedObject{};
+}
+
+struct World {
+  explicit World(const BakedObject& o) : object(o) { EXPECT_TRUE(rays.add(o.mesh)); }
+  bool open(std::size_t vertex, const glm::vec3& d) const {
+    const glm::vec3 centre = bounds_of(object.mesh).centre();
+    const float near = 1e-4f * radius_around(object.mesh, centre);
+    const glm::vec3 o = object.mesh.positions[vertex] + near * object.mesh.normals[vertex];
+    RayWorld::Rays r;
+    r.ox[0] = o.x, r.oy[0] = o.y, r.oz[0] = o.z;
+    r.dx[0] = d.x, r.dy[0] = d.y, r.dz[0] = d.z;
+    return (rays.occluded(r, 1) & 1) == 0;
+  }
+  const BakedObject& object;
+  RayWorld rays = *RayWorld::create();
+};
+
+struct Looked {
+  std::vector<float> seen, open;
+};
+Looked look(const BakedObject& o, const SightTaps& taps) {
+  const std::size_t count = o.mesh.positions.size();
+  Looked out{std::vector<float>(count), std::vector<float>(count)};
+  SightLookup(o.sight, o.mesh.normals).look(taps, 0, count, out.seen, out.open);
+  return out;
+}
+
+// Each vertex looks along rays of its own, of random cells; the receiver, which its rays cross, does not count.
+TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
+  for (const int cells : {8, 32}) {
+    const BakedObject o = baked_knot(cells);
+    ASSERT_EQ(o.sight.cells, cells);
+    const World world(o);
+    std::mt19937 rng(7);
+    std::uniform_int_distribution<int> cell(0, cells - 1);
+    SightTaps taps;
+    std::vector<float> seen(o.mesh.positions.size(), 0), open = seen;
+    for (std::size_t v = 0; v < seen.size(); ++v) {
+      const SightFrame frame = SightFrame::of(v, o.mesh.normals[v]);
+      for (std::size_t k = 0; k < SightTaps::kEach; ++k) {
+        const glm::vec3 d = frame.direction(cell(rng), cell(rng), cells);
+        const float cosine = glm::dot(d, o.mesh.normals[v]);
+        EXPECT_GE(cosine, 0);
+        const bool counts = k % 5 != 0;
+        taps.add(d, counts);
+        open[v] += cosine;
+        if (counts && world.open(v, d)) seen[v] += cosine;
+      }
+    }
+    const Looked looked = look(o, taps);
+    std::size_t different = 0, dark = 0;
+    for (std::size_t v = 0; v < seen.size(); ++v) {
+      EXPECT_NEAR(looked.open[v], open[v], 1e-4f);
+      different += std::abs(looked.seen[v] - seen[v]) > 1e-4f;
+      dark += seen[v] < .5f * open[v];
+    }
+    // Rays along an edge may go either way in a mesh of another scale.
+    EXPECT_LE(different, seen.size() / 200);
+    EXPECT_GT(dark, seen.size() / 10);
+  }
+}
+
+// Rays lie so that the nearest is off by `blur` in the mean, and nowhere by much more.
+TEST(VertexSight, RaysAreNearToEveryDirection) {
+  std::mt19937 rng(3);
+  std::normal_distribution<float> normal;
+  for (const int cells : {16, 32}) {
+    double square = 0, most = 0;
+    constexpr int kTries = 4000;
+    for (int i = 0; i < kTries; ++i) {
+      const glm::vec3 up = glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)));
+      glm::vec3 d = glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)));
+      if (glm::dot(d, up) < 0) d = -d;
+      const SightFrame frame = SightFrame::of(static_cast<std::size_t>(i), up);
+      float nearest = -1;
+      for (int y = 0; y < cells; ++y)
+        for (int x = 0; x < cells; ++x)
+          nearest = std::max(nearest, glm::dot(d, frame.direction(x, y, cells)));
+      const double angle = std::acos(std::min(1.f, nearest));
+      square += angle * angle;
+      most = std::max(most, angle);
+    }
+    const double blur = VertexSight(cells, 0).blur();
+    EXPECT_NEAR(std::sqrt(square / kTries) / blur, 1, .25) << cells;
+    EXPECT_LT(most, 3.5 * blur) << cells;
+  }
+}
+
+// One ray alone is open: the nearest one. At a corner of the square the look-up may take its neighbour.
+TEST(VertexSight, LooksAlongTheNearestRay) {
+  std::mt19937 rng(5);
+  std::normal_distribution<float> normal;
+  constexpr int kTries = 1000, kCells = 16;
+  int found = 0;
+  for (int i = 0; i < kTries; ++i) {
+    const std::vector<glm::vec3> up{
+        glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)))};
+    glm::vec3 d = glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)));
+    if (glm::dot(d, up[0]) < 0) d = -d;
+    const SightFrame frame = SightFrame::of(0, up[0]);
+    float nearest = -1;
+    std::size_t bit = 0;
+    for (int y = 0; y < kCells; ++y)
+      for (int x = 0; x < kCells; ++x)
+        if (const float here = glm::dot(d, frame.direction(x, y, kCells)); here > nearest) {
+          nearest = here;
+          bit = static_cast<std::size_t>((y / 4 * (kCells / 4) + x / 4) * 16 + y % 4 * 4 + x % 4);
+        }
+    VertexSight sight(kCells, 1);
+    sight.open[bit / 32] = 1u << bit % 32;
+    SightTaps taps;
+    for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
+    float seen = 0, open = 0;
+    SightLookup(sight, up).look(taps, 0, 1, {&seen, 1}, {&open, 1});
+    found += seen > 0;
+  }
+  EXPECT_GT(found, kTries * 8 / 10);
+}
+
+TEST(VertexSight, AnOpenSurfaceSeesEverything) {
+  BakeOptions options;
+  options.rays = options.ground_rays = 64;
+  options.bounces = 0;
+  options.sight_cells = 16;
+  const auto ball = bake(make_sphere({0, 0, 0}, .3f, 3, {.5f, .5f, .5f}), options);
+  ASSERT_TRUE(ball);
+  SightTaps taps;
+  for (int k = 0; k < 32; ++k)
+    taps.add(glm::normalize(glm::vec3(std::cos(k), 1, std::sin(k))), true);
+  const Looked looked = look(*ball, taps);
+  for (std::size_t v = 0; v < looked.open.size(); ++v) {
+    ASSERT_EQ(looked.seen[v], looked.open[v]) << v;
+    if (ball->mesh.normals[v].y < -.8f) {
+      EXPECT_EQ(looked.open[v], 0) << "turned away";
+    }
+  }
+}
+
+TEST(VertexSight, IsMadeOnDemandAndOfSensibleSizes) {
+  EXPECT_TRUE(baked_knot(0).sight.empty());
+  for (const int cells : {-8, 4, 20, VertexSight::kMostCells + 8}) {
+    BakeOptions options;
+    options.rays = options.ground_rays = 64;
+    options.sight_cells = cells;
+    const auto out = bake(make_knot(.4f, 12, 5, {.5f, .5f, .5f}), options);
+    ASSERT_FALSE(out) << cells;
+    EXPECT_EQ(out.error().code, ErrorCode::kInvalid);
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::prt

@@ -1,0 +1,176 @@
+// A disc's light looked up in what vertices are known to see, against rays.
+#include "shadows/sight_light.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
+#include <optional>
+
+#include "core/conventions.h"
+#include "shadows/disc_rays.h"
+
+namespace penumbra::shadows {
+namespace {
+
+using glm::dvec3;
+
+prt::BakedObject baked(prt::Mesh mesh) {
+  prt::BakeOptions options;
+  options.rays = options.ground_rays = 64;
+  options.bounces = 0;
+  options.bands = 1;
+  options.sight_cells = prt::kSightCells;
+  auto out = prt::bake(std::move(mesh), options);
+  EXPECT_TRUE(out);
+  return out ? std::move(*out) : prt::BakedObject{};
+}
+
+lighting::Disc disc(double elevation_deg, double radius) {
+  lighting::Disc d;
+  const double e = elevation_deg * kPi / 180;
+  d.direction = {std::cos(e) * std::cos(.4), std::sin(e), std::cos(e) * std::sin(.4)};
+  d.radius = Radians(radius);
+  d.radiance = {1, 1, 1};
+  return d;
+}
+
+// A long lamp, a degree wide.
+lighting::Disc strip(double elevation_deg) {
+  lighting::Disc d = disc(elevation_deg, .06);
+  const dvec3 along = glm::normalize(glm::cross(d.direction, dvec3(0, 1, 0)));
+  for (int i = 0; i < lighting::Disc::kShapePoints; ++i)
+    d.shape.push_back(glm::normalize(d.direction + (i - 31.5) / 160 * along +
+                                     (i % 2 - .5) * .017 * glm::cross(d.direction, along)));
+  return d;
+}
+
+// A knot in some pose, alone or with another thing.
+struct World {
+  prt::BakedObject knot = baked(prt::make_knot(.5f, 160, 32, {.5f, .5f, .5f}));
+  prt::SightLookup lookup{knot.sight, knot.mesh.normals};
+  Outline outline{knot.mesh}, nobody;
+  prt::Mesh points = knot.mesh;  // each vertex for itself
+  prt::Mesh ball = prt::make_sphere({0, 0, 0}, .2f, 3, {});
+  Outline round{ball};
+  Pose pose{glm::angleAxis(.7, glm::normalize(dvec3(1, .4, -.3))), {.3, .8, -.2}};
+  std::optional<prt::Plane> plane;
+  std::optional<Pose> ball_at;
+  static constexpr float kNear = 3e-5f;
+
+  World() { points.triangles.clear(); }
+  std::vector<Caster> casters(bool with_sight) const {
+    std::vector<Caster> out{{&knot.mesh, &outline, pose, with_sight ? &lookup : nullptr}};
+    if (ball_at) out.push_back({&ball, &round, *ball_at});
+    return out;
+  }
+  SightUse use(const lighting::Disc& d, int taps = 4) const {
+    const auto all = casters(true);
+    return use_of_sight({all, {}, kNear}, all[0], d, taps);
+  }
+  std::vector<float> light(const lighting::Disc& d, bool with_sight) const {
+    const auto all = casters(with_sight);
+    return traced(d, all, all[0], 4);
+  }
+  std::vector<float> truth(const lighting::Disc& d) const {
+    return traced(d, casters(false), {&points, &nobody, pose}, kMostTaps);
+  }
+
+ private:
+  std::vector<float> traced(const lighting::Disc& d, std::span<const Caster> all,
+                            const Caster& object, int taps) const {
+    prt::RayWorld rays = *prt::RayWorld::create();
+    for (const Caster& c : all) {
+      const auto index = rays.add(*c.mesh);
+      EXPECT_TRUE(index);
+      rays.set_pose(*index, c.world_from_mesh);
+    }
+    std::vector<float> out(knot.mesh.positions.size());
+    trace_disc_light({&rays, nullptr, kNear}, {all, {}, kNear}, object, plane ? &*plane : nullptr,
+                     d, taps, out);
+    return out;
+  }
+};
+const World& knot_world() {
+  static const World world;
+  return world;
+}
+
+// RMS, of the mean.
+double error(const std::vector<float>& is, const std::vector<float>& should_be) {
+  double square = 0, mean = 0;
+  for (std::size_t i = 0; i < is.size(); ++i) {
+    square += std::pow(double(is[i]) - should_be[i], 2);
+    mean += should_be[i];
+  }
+  const auto count = static_cast<double>(is.size());
+  return std::sqrt(square / count) / (mean / count);
+}
+
+TEST(SightLight, WideDiscsAreLookedUpAsWellAsRaysFind) {
+  const World& world = knot_world();
+  for (const lighting::Disc& d : {disc(50, .17), disc(20, .3), disc(80, .9), strip(35)}) {
+    SCOPED_TRACE(testing::Message() << d.radius.value() << ' ' << d.shape.size());
+    ASSERT_EQ(world.use(d), SightUse::kAlone);
+    const auto truth = world.truth(d);
+    const double looked_up = error(world.light(d, true), truth),
+                 traced = error(world.light(d, false), truth);
+    EXPECT_LT(looked_up, 1.2 * traced) << "by four rays";
+    EXPECT_LT(looked_up, .15);
+  }
+}
+
+// Cells are too large to tell how much of such a disc is seen, but not where all of it is, or nothing.
+TEST(SightLight, SmallerDiscsAskRaysWhereTheSightIsMixed) {
+  const World& world = knot_world();
+  for (const lighting::Disc& d : {disc(50, .06), disc(25, .09), disc(40, .04)}) {
+    SCOPED_TRACE(d.radius.value());
+    ASSERT_EQ(world.use(d), SightUse::kScout);
+    const auto truth = world.truth(d), asked = world.light(d, true);
+    EXPECT_LT(error(asked, truth), 1.15 * error(world.light(d, false), truth));
+    std::vector<SightVerdict> verdict;
+    scout(world.casters(true)[0], d, verdict);
+    std::size_t wrong = 0, mixed = 0, sure = 0;
+    for (std::size_t i = 0; i < verdict.size(); ++i) {
+      mixed += verdict[i] == SightVerdict::kMixed;
+      if (verdict[i] != SightVerdict::kLit && verdict[i] != SightVerdict::kDark) continue;
+      ++sure;
+      wrong += std::abs(asked[i] - truth[i]) > .2f;
+    }
+    EXPECT_GT(mixed, 0u);
+    EXPECT_GT(sure, 2 * mixed) << "else nothing is won";
+    EXPECT_LT(wrong, sure / 500);
+  }
+}
+
+TEST(SightLight, RaysStayForWhatItCannotTell) {
+  World world;
+  EXPECT_EQ(world.use(disc(50, .005)), SightUse::kNone) << "outlines tell of a sun";
+  EXPECT_EQ(world.use(disc(50, .3), 1), SightUse::kNone) << "hard shadows";
+  EXPECT_EQ(world.use(disc(50, .3), 16), SightUse::kNone) << "who asks for many rays gets them";
+  // Another thing in the light is not in the sight.
+  const lighting::Disc d = disc(50, .17);
+  world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation + 1.5 * d.direction};
+  ASSERT_EQ(world.use(d), SightUse::kNone);
+  const auto shaded = world.light(d, true);
+  EXPECT_EQ(shaded, world.light(d, false));
+  world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation - 3. * d.direction};
+  EXPECT_EQ(world.use(d), SightUse::kAlone) << "behind the object";
+  EXPECT_GT(error(shaded, world.light(d, true)), .1) << "the naive form leaves its shadow out";
+}
+
+TEST(SightLight, LightFromBehindThePlaneDoesNotCount) {
+  World world;
+  for (const double radius : {.3, .08}) {
+    const lighting::Disc d = disc(0, radius);
+    world.plane = prt::Plane{{0, 0, 0}, {0, 1, 0}, {}, {}};
+    ASSERT_NE(world.use(d), SightUse::kNone);
+    const auto above = world.light(d, true), truth = world.truth(d);
+    EXPECT_LT(error(above, truth), 1.2 * error(world.light(d, false), truth)) << radius;
+    world.plane.reset();
+    EXPECT_GT(error(world.light(d, true), truth), .3) << "half of the disc is behind it";
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::shadows
