@@ -452,7 +452,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
       trace_point(*scene, is_ground_point(i) ? ground_patterns : patterns, i, results[i]);
       start_transfer(i, results[i]);
       if (!sight_.empty() && !is_ground_point(i)) trace_sight(*scene, i);
-      traced += points_[i].rays;
+      traced += points_[i].rays + (is_ground_point(i) ? 0 : sight_.cells * sight_.cells);
     }
     report_progress(.9 * traced / static_cast<double>(rays));
   });

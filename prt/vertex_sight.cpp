@@ -10,7 +10,7 @@ namespace penumbra::prt {
 
 SightFrame SightFrame::of(std::size_t vertex, const glm::vec3& normal) {
   const RayPatterns::Turn turn = RayPatterns::turn_of(vertex);
-  const glm::mat3 frame = frame_around(normal);
+  const glm::mat3 frame = frame_around(normal + glm::vec3(0));  // -0 would turn it
   // Neighbours differ most along a sequence of the plane's golden ratio.
   constexpr double kFirst = .7548776662466927, kSecond = .5698402909980532;
   const auto within = [&](double step) {

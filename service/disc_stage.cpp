@@ -13,7 +13,7 @@ namespace {
 // metre's height.
 constexpr double kLeastMove = 1e-3;
 constexpr double kVisibleShare = .005;
-// Of an object's radius, for shadows on planes: a fifteenth of a cell of its shadow's map.
+// Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an eighth under light from above.
 constexpr float kCoarse = 1e-3f;
 // Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
 constexpr double kAround = shadows::kFieldReach;
@@ -206,7 +206,7 @@ bool DiscStage::may_have_changed(std::size_t object, const lighting::Disc& disc)
   return false;
 }
 
-void DiscStage::trace(Traced& t, double share, const Surroundings& around, bool all) {
+void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   if (all) {  // else some of it stays as it was traced for the disc that these tell
     t.direction = t.disc.direction;
     t.shape = t.disc.shape;
@@ -231,13 +231,10 @@ void DiscStage::trace(Traced& t, double share, const Surroundings& around, bool 
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
     const std::vector<shadows::Caster>& real = real_on_[p];
     const shadows::Casters casters{virtual_on_planes_, real, near_m_, &memo_};
-    shadows::DiscShadowOptions options = taps_.plane;
-    options.share = share;
-    shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, options, t.on_plane[p]);
-    options.size /= 2;
+    shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, taps_.plane, t.on_plane[p]);
     if (!real.empty())
-      shadows::draw_real_shadow(casters, around_, scene_->planes[p], t.disc, options,
-                                t.real_on_plane[p]);
+      shadows::draw_real_shadow(casters, around_, scene_->planes[p], t.disc,
+                                {taps_.plane.taps, taps_.plane.size / 2}, t.real_on_plane[p]);
   }
 }
 
@@ -262,8 +259,7 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
     const bool anew = t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
                       std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value();
     if (anew || poses_changed) {
-      trace(t, mean_irradiance > 0 ? luminance(disc.irradiance()) / mean_irradiance : 1, around,
-            anew);
+      trace(t, around, anew);
       changed = true;
     } else if (change <= kVisibleShare * mean_irradiance) {
       t.disc.radiance = before.radiance;  // small changes add up until they are seen

@@ -81,9 +81,8 @@ class DiscStage {
   float smallest_radius() const;  // of the objects, of which there is one
   /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
   void follow_forms();
-  /// `share`: of the mean irradiance. `all`: the disc itself is new or has moved; otherwise only what objects that moved can have
-  /// changed.
-  void trace(Traced& traced, double share, const Surroundings& around, bool all);
+  /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
+  void trace(Traced& traced, const Surroundings& around, bool all);
   bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
   std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
                                         const Surroundings& around) const;

@@ -20,11 +20,8 @@ constexpr int kRim = 2;  // cells around what is drawn
 
 using PlaneTaps = std::pmr::vector<PlaneTap>;
 
-int taps_for(const lighting::Disc& disc, const DiscShadowOptions& options) {
-  if (is_narrow(disc)) return options.taps;
-  constexpr double kMuch = .5;  // of the light
-  const double quarters = std::ceil(4 * std::clamp(options.share / kMuch, 0., 1.));
-  return std::min(kMostTaps, std::max(1, static_cast<int>(quarters)) * options.taps);
+int taps_for(const lighting::Disc& disc, int taps) {
+  return is_narrow(disc) ? taps : std::min(kMostTaps, 4 * taps);
 }
 
 // Bounds of the casters' shadow in the plane frame.
@@ -117,8 +114,8 @@ struct Setting {
   Extent reach;
 };
 
-std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& disc,
-                              const DiscShadowOptions& options, std::pmr::memory_resource* memory) {
+std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& disc, int taps,
+                              std::pmr::memory_resource* memory) {
   // Any direction will do under a light at the zenith.
   const double sine = glm::dot(plane.normal, disc.direction);
   glm::dvec3 away = sine * plane.normal - disc.direction;
@@ -128,7 +125,7 @@ std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& dis
   away = glm::normalize(away);
   const glm::dmat3 axes(away, plane.normal, glm::cross(away, plane.normal));
   thread_local TapPattern pattern;  // grows once per thread
-  pattern.make(disc, taps_for(disc, options), 1);
+  pattern.make(disc, taps_for(disc, taps), 1);
   PlaneTaps above = taps_over(pattern.at(0), glm::transpose(axes), memory);
   if (above.empty()) return std::nullopt;
   const Extent reach = reach_of(above);
@@ -177,7 +174,7 @@ void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lig
   clear(out);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options, scope.memory());
+  const auto setting = set_up(plane, disc, options.taps, scope.memory());
   if (!setting) return;
   const Extent e = shadow_extent(casters.virtual_things, casters.near_m,
                                  setting->world_from_plane.inverse(), setting->reach);
@@ -190,7 +187,7 @@ void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> aro
   clear(out);
   if (around.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options, scope.memory());
+  const auto setting = set_up(plane, disc, options.taps, scope.memory());
   if (!setting) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
   Extent e;
@@ -207,7 +204,7 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   for (DiscShadow& shadow : out) clear(shadow);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options, scope.memory());
+  const auto setting = set_up(plane, disc, options.taps, scope.memory());
   if (!setting) return;
   // A group's casters in one row, so that each map draws its own alone.
   struct Group {

@@ -26,7 +26,7 @@ struct BeamOutline {
   std::span<const std::uint8_t> faces;
 };
 
-/// For one light and one form of every mesh: what it lights and every plane on which it throws shadows ask for the same
+/// For one light and one form of every mesh: all planes on which it throws shadows ask for the same
 /// edges. Clear it when a light or a form changes.
 /// threads: thread-bound; memory grows to that of the largest light
 class OutlineMemo {

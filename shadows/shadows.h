@@ -86,7 +86,7 @@ struct Blockers {
 
 struct Caster {
   const prt::Mesh* mesh;
-  const Outline* outline;  // of the mesh as it is
+  const Outline* outline;  // of the mesh as it is, or simplified (for planes)
   Pose world_from_mesh;
   const prt::SightLookup* sight = nullptr;  // of the mesh as it is; null: not known
 };
@@ -127,9 +127,6 @@ struct DiscShadowOptions {
   int taps = 16;
   /// Cells along the longer side, at least 16.
   int size = 256;
-  /// About how much of the plane's light the disc brings. A wide one of little takes fewer directions, a quarter at least: their
-  /// error is one of that light.
-  double share = 1;
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole
@@ -145,7 +142,7 @@ struct DiscShadow {
   bool empty() const { return taken.empty(); }
 };
 
-/// Exact at every node for each of the disc's directions that is 1.15 degrees above the plane. Shadows longer than ten radii
+/// Exact at every node, for the casters as their outlines have them, for each of the disc's directions that is 1.15 degrees above the plane. Shadows longer than ten radii
 /// of the caster are cut off softly.
 /// errors: none; an empty shadow when no light of the disc reaches the plane's front, or nothing stands above it
 /// threads: reentrant

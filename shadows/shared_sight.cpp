@@ -85,6 +85,13 @@ std::optional<LightGrid> grid_over(const Caster& object, const glm::dvec3& towar
 
 }  // namespace
 
+// By its sphere, which is never smaller than what find() looks at.
+bool SharedSight::counts_parts(const Caster& object, const lighting::Disc& disc) {
+  const double angle = largest_angle(disc), across = 2 * double(object.outline->radius_m()),
+               cell = std::max(double(object.outline->mean_length_m()), across / kMostCells);
+  return angle < kWidest && across * std::tan(angle) < cell;
+}
+
 void SharedSight::find(const Casters& casters, const Caster& object, const lighting::Disc& disc,
                        const Taps& taps) {
   const Outline& outline = *object.outline;
@@ -108,8 +115,7 @@ void SharedSight::find(const Casters& casters, const Caster& object, const light
                  {glm::transpose(turn) * glm::vec3(disc.direction), behind}, places_, sides_);
   std::ranges::transform(sides_, group_.begin(),
                          [](std::uint8_t side) { return side == kBehind ? kTurnedAway : kAlone; });
-  // Of a narrow disc's hard shadow as well: the memo has it for planes anyway.
-  const Beam beam = hard && !is_narrow(disc) ? Beam{disc.direction, 0} : beam_of(disc);
+  const Beam beam = hard ? Beam{disc.direction, 0} : beam_of(disc);
   OutlineMemo& memo = memo_of(casters);
   const Lines lines = lines_of(casters, object, places_, *grid, beam, memo, scope.memory());
   const OutlineGrid outlines(lines.lines, *grid,

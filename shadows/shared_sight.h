@@ -18,6 +18,9 @@ class SharedSight {
   static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu,
                                  kInPart = 0xfffffffdu;
 
+  /// Whether find() counts what vertices in penumbras see (parts()): where the object throws no shadow aside by a cell on itself.
+  static bool counts_parts(const Caster& object, const lighting::Disc& disc);
+
   /// Groups the vertices of `object`, which is one of the casters. `taps` are the disc's; a single one is its middle, which
   /// alone counts.
   void find(const Casters& casters, const Caster& object, const lighting::Disc& disc,

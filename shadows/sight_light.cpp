@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/gtx/quaternion.hpp>
 
 #include "core/parallel.h"
 #include "shadows/disc_rays.h"
+#include "shadows/shared_sight.h"
 
 namespace penumbra::shadows {
 
@@ -36,13 +38,6 @@ bool others_between(std::span<const Caster> casters, const Caster& object,
   });
 }
 
-// Whether outlines are counted for vertices in the penumbra (OutlineGrid::has_lists), which is exact and costs no more: where the
-// disc throws nothing on the object aside by an edge's length.
-bool is_told_by_outlines(const Caster& object, const lighting::Disc& disc) {
-  return 2 * double(object.outline->radius_m()) * std::tan(largest_angle(disc)) <
-         double(object.outline->mean_length_m());
-}
-
 // Directions in the mesh's frame.
 void aim(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
          prt::SightTaps& out) {
@@ -54,18 +49,37 @@ void aim(const Caster& object, const prt::Plane* plane, const lighting::Disc& di
     for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
 }
 
-// Every direction farther from the middle, the farthest by `more`.
+// A form's directions go aside by `more`, each another way.
 void widen(const lighting::Disc& disc, double more, lighting::Disc& out) {
   out = disc;
   out.radius = Radians{disc.radius.value() + more};
-  const double times = 1 + more / largest_angle(disc);
+  const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
+  constexpr double kGolden = 2.399963229728653;
+  double angle = 0;
   for (glm::dvec3& d : out.shape) {
-    const double angle = std::acos(std::clamp(glm::dot(d, disc.direction), -1., 1.));
-    const glm::dvec3 away = d - std::cos(angle) * disc.direction;
-    const double length = glm::length(away);
-    if (length > 0)
-      d = std::cos(times * angle) * disc.direction + std::sin(times * angle) / length * away;
+    angle += kGolden;
+    d = glm::normalize(d +
+                       std::tan(more) * (std::cos(angle) * frame[0] + std::sin(angle) * frame[2]));
   }
+}
+
+// A vertex is sure where those around it say the same: what is thin hides between the rays of one vertex.
+void ask_neighbours(const prt::Mesh& mesh, std::span<SightVerdict> verdict) {
+  constexpr char kLit = 1, kDark = 2, kMixed = 4;
+  thread_local std::vector<char> around;  // grows once per thread
+  around.assign(verdict.size(), 0);
+  const auto said = [&](std::uint32_t v) {
+    constexpr char kBy[] = {0, kDark, kLit, kMixed};  // in SightVerdict's order
+    return kBy[static_cast<std::size_t>(verdict[v])];
+  };
+  for (const auto& [a, b, c] : mesh.triangles) {
+    const char here = static_cast<char>(said(a) | said(b) | said(c));
+    around[a] |= here, around[b] |= here, around[c] |= here;
+  }
+  for (std::size_t i = 0; i < verdict.size(); ++i)
+    if (verdict[i] != SightVerdict::kTurnedAway && around[i] != 0 && around[i] != kLit &&
+        around[i] != kDark)
+      verdict[i] = SightVerdict::kMixed;
 }
 
 }  // namespace
@@ -75,7 +89,7 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
   constexpr int kAsGood = 8;  // rays a vertex
   // RMS angles add up as squares: the disc looks less than a tenth wider.
   constexpr double kWideBeside = 2.5;
-  if (!object.sight || taps == 1 || taps > kAsGood || is_told_by_outlines(object, disc) ||
+  if (!object.sight || taps == 1 || taps > kAsGood || SharedSight::counts_parts(object, disc) ||
       others_between(casters.virtual_things, object, disc) ||
       others_between(casters.real_things, object, disc))
     return SightUse::kNone;
@@ -94,8 +108,7 @@ void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc
 }
 
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out) {
-  constexpr double kFarEnough =
-      1.6;  // of the blur; half as far: 3.8 instead of 2.6 % where it is sure (studio)
+  constexpr double kFarEnough = 1;  // of the blur
   thread_local lighting::Disc wide;  // grow once per thread
   thread_local std::vector<float> seen, open;
   widen(disc, kFarEnough * object.sight->sight().blur(), wide);
@@ -108,6 +121,7 @@ void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVe
              : seen[i] <= 0                         ? SightVerdict::kDark
              : seen[i] >= open[i] * (1 - kRounding) ? SightVerdict::kLit
                                                     : SightVerdict::kMixed;
+  ask_neighbours(*object.mesh, out);
 }
 
 }  // namespace penumbra::shadows

@@ -11,7 +11,8 @@ namespace penumbra::shadows {
 
 enum class SightUse { kNone, kScout, kAlone };
 /// Alone for discs that are wide beside the cells of the sight; as a scout for smaller ones, but for those that are told by
-/// outlines. None for hard shadows, for more rays than it is worth, and where another caster may stand between.
+/// outlines. None for hard shadows, for more rays than it is worth, and where another caster's sphere reaches between: a real
+/// plane's, where there are several, always does.
 SightUse use_of_sight(const Casters& casters, const Caster& object, const lighting::Disc& disc,
                       int taps);
 
@@ -21,7 +22,8 @@ void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc
              std::span<float> seen, std::span<float> open);
 
 enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMixed };
-/// What lies about the disc as far as a look-up may be off: all of it open, or nothing.
+/// Lit or dark where all that lies about the disc, as far as a look-up may be off, is open or nothing is, from a vertex and from
+/// those around it.
 /// threads: as trace_disc_light
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out);
 

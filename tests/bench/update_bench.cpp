@@ -61,21 +61,39 @@ void report(benchmark::State& state, const service::StageTimes& times) {
   for (const auto& [name, p] : times.summary()) state.counters[name + "_ms"] = p.p50_ms;
 }
 
+// What brings the light that moves, or that changes where it stands.
+enum Source { kStands, kSun, kSmallLamp, kBroadLamp };
+
+// The sky's sun as it is, or as a lamp of 5 or 10 degrees of radius; for each update as far as it moves.
+lighting::LightEstimate light_of(Source source) {
+  lighting::LightEstimate out = setup().light;
+  if (source != kSmallLamp && source != kBroadLamp) return out;
+  for (lighting::Disc& d : out.discs) {
+    const double before = d.solid_angle_sr();
+    d.radius = Radians{source == kBroadLamp ? .175 : .087};
+    d.radiance = d.radiance * static_cast<float>(before / d.solid_angle_sr());
+  }
+  return out;
+}
+
 // Peer: the same light once more, which costs the comparison alone.
 void light_update(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
-  const bool sun_moves = state.range(1) != 0;
+  const auto source = static_cast<Source>(state.range(1));
+  const double step = source == kSun ? .01 : .05;  // radians
   service::StageTimes times;
   const auto stage = setup().stage(times);
   if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
+  const lighting::LightEstimate start = light_of(source);
+  lighting::LightEstimate light = start;
   double angle = 0;
-  lighting::LightEstimate light = setup().light;
   compare(
       state,
       [&] {
-        angle += .01;
-        if (sun_moves) light = turned(setup().light, angle);
-        if (!sun_moves) light.light[0] += Rgb{.1f, .1f, .1f}, light.floor_light = light.light;
+        angle += step;
+        if (source != kStands) light = turned(start, angle);
+        if (source == kStands)
+          light.light[0] += Rgb{.1f, .1f, .1f}, light.floor_light = light.light;
         stage->update_light(light, 0);
       },
       [&] { stage->update_light(light, 0); });
@@ -83,10 +101,12 @@ void light_update(benchmark::State& state) {
 }
 BENCHMARK(light_update)
     ->Name("service/light_update_of_the_knot_vs_unchanged_light")
-    ->ArgNames({"threads", "sun_moves"})
-    ->Args({1, 0})
-    ->Args({1, 1})
-    ->Args({2, 1})
+    ->ArgNames({"threads", "source"})
+    ->Args({1, kStands})
+    ->Args({1, kSun})
+    ->Args({1, kSmallLamp})
+    ->Args({1, kBroadLamp})
+    ->Args({2, kSun})
     ->Iterations(3 * kRepeats)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);

@@ -299,6 +299,7 @@ TEST(GroundGrid, PositionAndTextureCoordinateInvertEachOther) {
 TEST(Bake, ProgressRisesToOne) {
   double last = 0;
   BakeOptions options = settings(2, 4, 64);
+  options.sight_cells = 16;
   options.progress = [&](double done) {
     EXPECT_GE(done, last);
     EXPECT_LE(done, 1);

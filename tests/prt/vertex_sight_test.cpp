@@ -112,18 +112,20 @@ TEST(VertexSight, RaysAreNearToEveryDirection) {
   }
 }
 
-// One ray alone is open: the nearest one. At a corner of the square the look-up may take its neighbour.
+// Of one vertex or another one ray alone is open: the nearest one. The map is skewed, so that a look-up between two rays may take
+// the farther one.
 TEST(VertexSight, LooksAlongTheNearestRay) {
   std::mt19937 rng(5);
   std::normal_distribution<float> normal;
   constexpr int kTries = 1000, kCells = 16;
   int found = 0;
   for (int i = 0; i < kTries; ++i) {
-    const std::vector<glm::vec3> up{
-        glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)))};
+    const std::size_t vertex = static_cast<std::size_t>(i) % 7, count = 7;
+    const std::vector<glm::vec3> up(
+        count, glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))));
     glm::vec3 d = glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)));
     if (glm::dot(d, up[0]) < 0) d = -d;
-    const SightFrame frame = SightFrame::of(0, up[0]);
+    const SightFrame frame = SightFrame::of(vertex, up[0]);
     float nearest = -1;
     std::size_t bit = 0;
     for (int y = 0; y < kCells; ++y)
@@ -132,15 +134,15 @@ TEST(VertexSight, LooksAlongTheNearestRay) {
           nearest = here;
           bit = static_cast<std::size_t>((y / 4 * (kCells / 4) + x / 4) * 16 + y % 4 * 4 + x % 4);
         }
-    VertexSight sight(kCells, 1);
-    sight.open[bit / 32] = 1u << bit % 32;
+    VertexSight sight(kCells, count);
+    sight.open[vertex * sight.words() + bit / 32] = 1u << bit % 32;
     SightTaps taps;
     for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
-    float seen = 0, open = 0;
-    SightLookup(sight, up).look(taps, 0, 1, {&seen, 1}, {&open, 1});
-    found += seen > 0;
+    std::vector<float> seen(count), open(count);
+    SightLookup(sight, up).look(taps, 0, count, seen, open);
+    found += seen[vertex] > 0;
   }
-  EXPECT_GT(found, kTries * 8 / 10);
+  EXPECT_GT(found, kTries * 85 / 100);
 }
 
 TEST(VertexSight, AnOpenSurfaceSeesEverything) {
@@ -159,6 +161,17 @@ TEST(VertexSight, AnOpenSurfaceSeesEverything) {
     if (ball->mesh.normals[v].y < -.8f) {
       EXPECT_EQ(looked.open[v], 0) << "turned away";
     }
+  }
+}
+
+// Normals that only differ in the sign of a zero are one, whatever files and placements make of them.
+TEST(VertexSight, ANegativeZeroTurnsNothing) {
+  for (const glm::vec3& n : {glm::vec3(1, 0, 0), {0, 1, 0}, {0, 0, 1}}) {
+    const SightFrame plus = SightFrame::of(3, n),
+                     minus = SightFrame::of(3, glm::vec3(n.x > 0 ? n.x : -0.f, n.y > 0 ? n.y : -0.f,
+                                                         n.z > 0 ? n.z : -0.f));
+    EXPECT_EQ(plus.first, minus.first);
+    EXPECT_EQ(plus.second, minus.second);
   }
 }
 

@@ -9,20 +9,25 @@ namespace {
 
 using glm::dvec3;
 
-PreparedScene two_balls() {
+PreparedScene two_of(const prt::Mesh& thing, int sight_cells) {
   PreparedScene scene;
   scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.4f, .4f, .4f}, {}});
   for (const char* name : {"first", "second"}) {
-    prt::Mesh mesh = prt::make_sphere({0, .2f, 0}, .2f, 3, {.6f, .6f, .6f});
+    prt::Mesh mesh = thing;
     prt::BakeOptions bake;
     bake.rays = bake.ground_rays = 64;
     bake.bounces = 0;
+    bake.sight_cells = sight_cells;
     bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
     auto baked = prt::bake(std::move(mesh), bake);
     EXPECT_TRUE(baked);
     if (baked) scene.objects.push_back({name, std::move(*baked), {}, 0, nullptr});
   }
   return scene;
+}
+
+PreparedScene two_balls() {
+  return two_of(prt::make_sphere({0, .2f, 0}, .2f, 3, {.6f, .6f, .6f}), 0);
 }
 
 lighting::Disc sun(double azimuth) {
@@ -66,6 +71,62 @@ TEST(DiscStage, ObjectsThatMoveRenewAllThatTheyReach) {
 }
 
 // A window's form is long: its round stand-in does not reach what stands before the window's end.
+// Outlines for planes are others than those for objects, and both move.
+TEST(DiscStage, TheShadowOnAPlaneGoesWithItsObject) {
+  const PreparedScene scene = two_balls();
+  const Surroundings around(scene);
+  auto stage = DiscStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  const std::vector<Rgb> open{{1, 1, 1}};
+  const auto middle_x = [&](const dvec3& at) {
+    for (const std::size_t object : {std::size_t{0}, std::size_t{1}})
+      stage->set_pose(object, {{1, 0, 0, 0}, at});
+    stage->update(std::vector{sun(0)}, 1, around);
+    double sum = 0, weight = 0;
+    for (const auto& on_plane : stage->shadows(open)) {
+      const shadows::DiscShadow& s = *on_plane.shadow;
+      for (int y = 0; y < s.taken.height(); ++y)
+        for (int x = 0; x < s.taken.width(); ++x) {
+          const double here = s.taken.at(x, y);
+          sum += here * (s.world_from_map * dvec3(x * s.cell_m, 0, y * s.cell_m)).x;
+          weight += here;
+        }
+    }
+    return sum / weight;
+  };
+  const double before = middle_x({0, 0, 0});
+  EXPECT_NEAR(middle_x({.7, 0, 0}) - before, .7, 1e-3);
+}
+
+// Look-ups find what rays find, to a few hundredths; where the other object may stand before the lamp rays are asked.
+TEST(DiscStage, WhatObjectsWereBakedToSeeIsAsked) {
+  const prt::Mesh knot = prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f});
+  const PreparedScene plain = two_of(knot, 0), known = two_of(knot, prt::kSightCells);
+  lighting::Disc lamp = sun(0);
+  lamp.radius = Radians(.3);
+  for (const double apart : {3., .7}) {
+    std::vector<std::vector<float>> light;
+    for (const PreparedScene* scene : {&plain, &known}) {
+      const Surroundings around(*scene);
+      auto stage = DiscStage::create(*scene, {});
+      ASSERT_TRUE(stage);
+      stage->set_pose(1, {{1, 0, 0, 0}, {apart, .3, 0}});
+      stage->update(std::vector{lamp}, 1, around);
+      light.push_back(light_on(*stage, *scene, 0));
+    }
+    double square = 0, mean = 0;
+    for (std::size_t i = 0; i < light[0].size(); ++i) {
+      square += std::pow(double(light[1][i]) - light[0][i], 2);
+      mean += light[0][i];
+    }
+    const auto count = static_cast<double>(light[0].size());
+    EXPECT_LT(std::sqrt(square / count) / (mean / count), apart > 1 ? .1 : 1e-6) << apart;
+    if (apart > 1) {
+      EXPECT_NE(light[0], light[1]) << "the sight was not asked";
+    }
+  }
+}
+
 TEST(DiscStage, LongSourcesAreSeenPastWhatMovesAtTheirEnd) {
   const PreparedScene scene = two_balls();
   const Surroundings around(scene);
