@@ -23,13 +23,20 @@ double rms_angle(const lighting::Disc& disc) {
   return std::sqrt(sum / static_cast<double>(disc.shape.size()));
 }
 
+// A thing like the object, in its place, hides what the object itself does.
+bool is_twin(const Caster& a, const Caster& b) {
+  return is_same(a, b) ||
+         (a.world_from_mesh == b.world_from_mesh && a.mesh->positions == b.mesh->positions &&
+          a.mesh->triangles == b.mesh->triangles);
+}
+
 // Whether another caster's sphere reaches between the object's and the disc.
 bool others_between(std::span<const Caster> casters, const Caster& object,
                     const lighting::Disc& disc) {
   const BoundingSphere here = sphere_of(object);
   const double spread = largest_angle(disc);
   return std::ranges::any_of(casters, [&](const Caster& c) {
-    if (is_same(c, object)) return false;
+    if (is_twin(c, object)) return false;
     const BoundingSphere other = sphere_of(c);
     const glm::dvec3 apart = other.centre - here.centre;
     const double far = glm::length(apart), both = here.radius + other.radius;
@@ -108,7 +115,7 @@ void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc
 }
 
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out) {
-  constexpr double kFarEnough = 1;  // of the blur
+  constexpr double kFarEnough = 1;   // of the blur
   thread_local lighting::Disc wide;  // grow once per thread
   thread_local std::vector<float> seen, open;
   widen(disc, kFarEnough * object.sight->sight().blur(), wide);

@@ -188,6 +188,18 @@ TEST(SightLight, RaysStayForWhatItCannotTell) {
   EXPECT_GT(error(shaded, world.light(d, true)), .1) << "the naive form leaves its shadow out";
 }
 
+// Or two objects in one place would not look like one.
+TEST(SightLight, AThingLikeTheObjectInItsPlaceIsTheObject) {
+  const World& world = knot_world();
+  const prt::Mesh copy = world.object.mesh;
+  const Outline outline(copy);
+  std::vector<Caster> all = world.casters(true);
+  all.push_back({&copy, &outline, world.pose});
+  EXPECT_EQ(use_of_sight({all, {}, World::kNear}, all[0], disc(50, .3), 4), SightUse::kAlone);
+  all[1].world_from_mesh.translation.x += 1e-3;
+  EXPECT_EQ(use_of_sight({all, {}, World::kNear}, all[0], disc(50, .3), 4), SightUse::kNone);
+}
+
 TEST(SightLight, LightFromBehindThePlaneDoesNotCount) {
   World world;
   for (const double radius : {.3, .08}) {
