@@ -163,7 +163,7 @@ GroundGrid fit_ground_grid(const Mesh& mesh, float plane_height, int size = 128)
 
 inline constexpr int kIndirectBands = 9;
 inline constexpr int kMostBounces = 256;
-/// Of VertexSight for objects under lamps: 128 bytes a vertex, and a fifth more time.
+/// Of VertexSight for objects under lamps: 128 bytes a vertex, and half as much time again.
 inline constexpr int kSightCells = 32;
 
 struct BakeOptions {

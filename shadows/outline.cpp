@@ -12,20 +12,6 @@ namespace penumbra::shadows {
 
 namespace {
 
-// Of the vertices in each place the first.
-std::vector<std::uint32_t> first_in_place(const std::vector<glm::vec3>& positions) {
-  std::vector<std::uint32_t> order(positions.size()), out(positions.size());
-  std::iota(order.begin(), order.end(), 0u);
-  const auto place = [&](std::uint32_t v) {
-    const glm::vec3& p = positions[v];
-    return std::tuple(p.x, p.y, p.z);
-  };
-  std::ranges::stable_sort(order, {}, place);
-  for (std::size_t i = 0; i < order.size(); ++i)
-    out[order[i]] = i > 0 && place(order[i]) == place(order[i - 1]) ? out[order[i - 1]] : order[i];
-  return out;
-}
-
 struct HalfEdge {
   std::uint32_t low, high;  // vertices
   bool back;                // the triangle goes from high to low
@@ -128,7 +114,7 @@ void set_cone(std::span<const Outline::Edge> edges, const Outline::Normals& norm
 }  // namespace
 
 Outline::Outline(const prt::Mesh& mesh, float most_off_m) {
-  const std::vector<std::uint32_t> first = first_in_place(mesh.positions);
+  const std::vector<std::uint32_t> first = prt::places_of(mesh.positions);
   for (const auto& [a, b, c] : mesh.triangles) {
     const Triangle t{first[a], first[b], first[c]};
     if (t[0] != t[1] && t[1] != t[2] && t[2] != t[0]) triangles_.push_back(t);
