@@ -39,8 +39,28 @@ HWY_INLINE Whole Place(Whole x, Whole y, int cells) {
                 hn::Or(hn::ShiftLeft<2>(hn::And(y, three)), hn::And(x, three)));
 }
 
+using IsOpenBits = hn::Mask<decltype(kFloats)>;
+
+// A vertex's words in registers: the fastest where they are few and lanes are many.
+constexpr std::int32_t kInRegisters = 32;  // words
+HWY_INLINE IsOpenBits IsOpenOfFew(const std::uint32_t* words, Whole place) {
+  constexpr auto d = kWhole;
+  constexpr std::int32_t kLanes = hn::MaxLanes(decltype(kWhole){});
+  const auto table = [&](std::int32_t first) {
+    return hn::BitCast(d, hn::LoadU(hn::Rebind<std::uint32_t, decltype(kWhole)>(), words + first));
+  };
+  const auto word = hn::ShiftRight<5>(place);
+  const auto lane = hn::IndicesFromVec(d, hn::And(word, hn::Set(d, kLanes - 1)));
+  auto found = hn::TableLookupLanes(table(0), lane);
+  for (std::int32_t first = kLanes; first < kInRegisters; first += kLanes)
+    found = hn::IfThenElse(hn::Gt(word, hn::Set(d, first - 1)),
+                           hn::TableLookupLanes(table(first), lane), found);
+  const auto bit = hn::Shl(hn::Set(d, 1), hn::And(place, hn::Set(d, 31)));
+  return hn::RebindMask(kFloats, hn::TestBit(found, bit));
+}
+
 // One by one: gathering words is slower.
-HWY_INLINE hn::Mask<decltype(kFloats)> IsOpen(const std::uint32_t* words, Whole place) {
+HWY_INLINE IsOpenBits IsOpenOfMany(const std::uint32_t* words, Whole place) {
   alignas(64) std::int32_t places[SightTaps::kEach];
   hn::Store(place, kWhole, places);
   std::uint32_t bits = 0;
@@ -53,8 +73,13 @@ HWY_INLINE hn::Mask<decltype(kFloats)> IsOpen(const std::uint32_t* words, Whole 
   return hn::LoadMaskBits(kFloats, bytes);
 }
 
-HWY_ATTR void Look(const SightRows& rows, std::size_t first, std::size_t last, float* seen,
-                   float* open) {
+HWY_INLINE IsOpenBits IsOpen(const SightRows& rows, const std::uint32_t* words, Whole place) {
+  if constexpr (hn::MaxLanes(decltype(kWhole){}) >= 8)
+    if (rows.words_each == kInRegisters) return IsOpenOfFew(words, place);
+  return IsOpenOfMany(words, place);
+}
+
+HWY_ATTR void Look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
   const auto d = kFloats;
   const auto zero = hn::Zero(d);
   constexpr std::size_t kAhead = 8, kLine = 16;  // vertices; words
@@ -82,12 +107,11 @@ HWY_ATTR void Look(const SightRows& rows, std::size_t first, std::size_t last, f
           hn::Add(hn::Max(cosine, hn::Set(d, 1e-20f)), hn::Add(hn::Abs(across), hn::Abs(along))));
       const auto column = Cell(hn::Mul(hn::Add(across, along), scale), frame.shift.x, cells),
                  row = Cell(hn::Mul(hn::Sub(across, along), scale), frame.shift.y, cells);
-      const auto is_open = hn::And(before, IsOpen(words, Place(column, row, rows.cells)));
+      const auto is_open = hn::And(before, IsOpen(rows, words, Place(column, row, rows.cells)));
       arrives =
           hn::MulAdd(hn::IfThenElseZero(is_open, cosine), hn::LoadU(d, rows.counts + k), arrives);
     }
-    seen[i] = hn::GetLane(hn::SumOfLanes(d, arrives));
-    open[i] = hn::GetLane(hn::SumOfLanes(d, all));
+    out[i] = {hn::GetLane(hn::SumOfLanes(d, arrives)), hn::GetLane(hn::SumOfLanes(d, all))};
   }
 }
 
@@ -99,8 +123,8 @@ HWY_AFTER_NAMESPACE();
 namespace penumbra::prt {
 HWY_EXPORT(Look);
 
-void look(const SightRows& rows, std::size_t first, std::size_t last, float* seen, float* open) {
-  HWY_DYNAMIC_DISPATCH(Look)(rows, first, last, seen, open);
+void look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
+  HWY_DYNAMIC_DISPATCH(Look)(rows, first, last, out);
 }
 }  // namespace penumbra::prt
 #endif

@@ -14,6 +14,6 @@ struct SightRows {
   std::size_t turns;
 };
 /// Vertices [first, last).
-void look(const SightRows& rows, std::size_t first, std::size_t last, float* seen, float* open);
+void look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out);
 
 }  // namespace penumbra::prt

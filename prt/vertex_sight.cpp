@@ -37,11 +37,11 @@ SightLookup::SightLookup(const VertexSight& sight, std::span<const glm::vec3> no
 }
 
 void SightLookup::look(const SightTaps& taps, std::size_t first, std::size_t last,
-                       std::span<float> seen, std::span<float> open) const {
+                       std::span<CosineSums> out) const {
   assert(taps.turns() > 0 && last <= frames_.size());
   prt::look({frames_.data(), sight_->open.data(), sight_->words(), sight_->cells, taps.x().data(),
              taps.y().data(), taps.z().data(), taps.counts().data(), taps.turns()},
-            first, last, seen.data(), open.data());
+            first, last, out.data());
 }
 
 }  // namespace penumbra::prt

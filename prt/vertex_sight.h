@@ -38,6 +38,18 @@ struct SightFrame {
   glm::vec3 direction(int x, int y, int cells) const;
 };
 
+/// Of a vertex, over some directions, the sums of the cosine.
+struct CosineSums {
+  float seen = 0;  // of what counts and is seen
+  float open = 0;  // of all
+  friend CosineSums operator+(CosineSums a, CosineSums b) {
+    return {a.seen + b.seen, a.open + b.open};
+  }
+  friend CosineSums operator-(CosineSums a, CosineSums b) {
+    return {a.seen - b.seen, a.open - b.open};
+  }
+};
+
 /// Directions to look into, other ones for each of `turns` vertices that follow each other.
 class SightTaps {
  public:
@@ -69,9 +81,9 @@ class SightLookup {
   SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals);
 
   const VertexSight& sight() const { return *sight_; }
-  /// Of vertices [first, last) the sums over their directions of the cosine: of all, and of what counts and is seen.
-  void look(const SightTaps& taps, std::size_t first, std::size_t last, std::span<float> seen,
-            std::span<float> open) const;
+  /// Of vertices [first, last), each over its own directions.
+  void look(const SightTaps& taps, std::size_t first, std::size_t last,
+            std::span<CosineSums> out) const;
 
  private:
   const VertexSight* sight_;

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <initializer_list>
 #include <utility>
 
 #include "core/parallel.h"
@@ -13,6 +12,9 @@
 namespace penumbra::shadows {
 
 namespace {
+
+// By vertex, over the directions that were asked for it.
+using Sums = std::vector<prt::CosineSums>;
 
 constexpr float kSeenAtAll = .002f;  // mean cosine: less of the disc is not worth a ray
 constexpr int kOpenTaps = 16;        // of the whole disc, for the cosine of an open vertex
@@ -31,14 +33,15 @@ std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> di
 }
 
 // Each vertex with its neighbours: few rays a vertex, turned from one to the next, become many.
-void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
-  thread_local std::vector<float> sums;  // grows once per thread
+template <class T>
+void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
+  thread_local std::vector<T> sums;  // grows once per thread
   sums = values;
   for (const auto& [a, b, c] : mesh.triangles) {
-    const float all = values[a] + values[b] + values[c];
-    sums[a] += all - values[a];
-    sums[b] += all - values[b];
-    sums[c] += all - values[c];
+    const T all = values[a] + values[b] + values[c];
+    sums[a] = sums[a] + (all - values[a]);
+    sums[b] = sums[b] + (all - values[b]);
+    sums[c] = sums[c] + (all - values[c]);
   }
   std::swap(sums, values);
 }
@@ -46,13 +49,12 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<float>& values) {
 // Sums over several rays of a disc that is not narrow. Once leaves the beat of the turns with a grid's rows as ripples in
 // broad penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources
 // (studio: 2.5 to 3.3 %).
-void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, int taps,
-            std::initializer_list<std::vector<float>*> sums) {
+template <class T>
+void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, int taps, std::vector<T>& sums) {
   if (is_narrow(disc) || taps == 1) return;
   constexpr double kBroad = .25;  // radians
   const int passes = disc.radius.value() > kBroad ? 3 : 1;
-  for (int pass = 0; pass < passes; ++pass)
-    for (std::vector<float>* values : sums) average_neighbours(mesh, *values);
+  for (int pass = 0; pass < passes; ++pass) average_neighbours(mesh, sums);
 }
 
 // A disc's directions in the normals' frame. Of one that throws hard shadows its middle, as long as the mean of all is: what
@@ -99,14 +101,11 @@ class VertexTracer {
         shift_(world_from_mesh.translation) {}
 
   glm::vec3 normal(std::size_t vertex) const { return turn_ * mesh_.normals[vertex]; }
-  struct Sums {
-    float seen = 0, open = 0;
-  };
   std::span<const glm::vec3> taps(std::size_t vertex) const { return pattern_.at(vertex); }
   /// Of such directions, with nothing in their way.
-  Sums unhindered(std::size_t vertex, std::span<const glm::vec3> directions) const {
+  prt::CosineSums unhindered(std::size_t vertex, std::span<const glm::vec3> directions) const {
     const glm::vec3 n = normal(vertex);
-    Sums out;
+    prt::CosineSums out;
     for (const glm::vec3& d : directions) {
       const float cosine = std::max(0.f, glm::dot(n, d));
       out.open += cosine;
@@ -117,10 +116,10 @@ class VertexTracer {
 
   /// Adds taps [first, last) of the vertices to the sums of cosines.
   void trace(std::span<const std::uint32_t> vertices, std::size_t first, std::size_t last,
-             std::vector<float>& seen, std::vector<float>& open) const {
+             Sums& sums) const {
     parallel_for(std::size_t{0}, vertices.size(), 1024, [&](const auto& part) {
       Packets packets(blockers_, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
-        if (!by_virtual && !by_real) seen[i] += weight;
+        if (!by_virtual && !by_real) sums[i].seen += weight;
       });
       for (const std::uint32_t i : vertices.subspan(part.begin(), part.size())) {
         const glm::vec3 n = normal(i);
@@ -128,7 +127,7 @@ class VertexTracer {
         for (const glm::vec3& d : pattern_.at(i).subspan(first, last - first)) {
           const float cosine = glm::dot(n, d);
           if (cosine <= 0) continue;
-          open[i] += cosine;
+          sums[i].open += cosine;
           if (!behind(plane_, d)) packets.add(i, cosine, o, d);
         }
       }
@@ -136,13 +135,13 @@ class VertexTracer {
   }
   /// By one ray each; sums as large as those of `scale` taps.
   void ask(std::span<const SharedSight::Part> parts, std::span<const glm::vec3> taps, float scale,
-           std::vector<float>& seen, std::vector<float>& open) const {
+           Sums& sums) const {
     parallel_for(std::size_t{0}, parts.size(), 1024, [&](const auto& some) {
       Packets packets(blockers_, [&](std::size_t i, float all, bool by_virtual, bool by_real) {
-        if (!by_virtual && !by_real) seen[i] = all;
+        if (!by_virtual && !by_real) sums[i].seen = all;
       });
       for (const auto& [i, part] : parts.subspan(some.begin(), some.size())) {
-        open[i] = scale * part.open;
+        sums[i].open = scale * part.open;
         if (part.seen > kSeenAtAll)
           packets.add(i, scale * part.seen, origin(i, normal(i)), taps[part.ask]);
       }
@@ -177,8 +176,7 @@ std::size_t probe_of(std::size_t part, std::size_t vertices) {
 // wrong.
 template <class Tell>
 void ask_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_t scouts,
-                std::vector<float>& seen, std::vector<float>& open, Tell tell,
-                std::vector<std::uint32_t>& own) {
+                Sums& sums, Tell tell, std::vector<std::uint32_t>& own) {
   constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
   const std::span<const std::uint32_t> group = sight.group();
   const auto is_grouped = [&](std::size_t i) { return group[i] < sight.groups(); };
@@ -190,12 +188,11 @@ void ask_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_
     if (const std::size_t i = probe_of(part, probe_each);
         i < group.size() && is_grouped(i) && !sight.is_member(i))
       probes.push_back(static_cast<std::uint32_t>(i));
-  tracer.trace(probes, 0, scouts, seen, open);
+  tracer.trace(probes, 0, scouts, sums);
   verdict.assign(sight.groups(), kUnknown);
   for (const std::uint32_t i : probes) {
     const float all = tracer.unhindered(i, tracer.taps(i).first(scouts)).seen;
-    const float arrives = std::exchange(seen[i], 0.f);
-    open[i] = 0;
+    const float arrives = std::exchange(sums[i], {}).seen;
     if (all <= 0) continue;
     constexpr float kRounding = 1e-5f;
     const char one = arrives <= 0 ? kDark : arrives > all - kRounding ? kLit : kMixed;
@@ -216,28 +213,21 @@ void ask_groups(const VertexTracer& tracer, const SharedSight& sight, std::size_
 // kInside for vertices that agree with those around them that all, or that none, of the light arrives. Not so at edges of
 // shadows, and for points that no triangle joins to others (texels of a light map).
 constexpr char kInside = 1, kEdge = 2;
-void find_edges(const prt::Mesh& mesh, const std::vector<float>& seen,
-                const std::vector<float>& open, std::vector<char>& place) {
+void find_edges(const prt::Mesh& mesh, const Sums& sums, std::vector<char>& place) {
   // Turned away says nothing about what stands in the way.
   constexpr char kSome = 1, kNotAll = 2;
   thread_local std::vector<char> light;  // grows once per thread
-  light.resize(seen.size());
-  for (std::size_t i = 0; i < seen.size(); ++i)
-    light[i] =
-        open[i] <= 0
-            ? 0
-            : static_cast<char>((seen[i] > 0 ? kSome : 0) | (seen[i] < open[i] ? kNotAll : 0));
-  place.assign(seen.size(), 0);
+  light.resize(sums.size());
+  std::ranges::transform(sums, light.begin(), [](const prt::CosineSums& here) {
+    const int some = here.seen > 0 ? kSome : 0, not_all = here.seen < here.open ? kNotAll : 0;
+    return static_cast<char>(here.open <= 0 ? 0 : some | not_all);
+  });
+  place.assign(sums.size(), 0);
   for (const auto& [a, b, c] : mesh.triangles) {
     const char here = (light[a] | light[b] | light[c]) == (kSome | kNotAll) ? kEdge : kInside;
     place[a] |= here, place[b] |= here, place[c] |= here;
   }
 }
-
-// By vertex, over the directions that were asked for it: sums of cosines, of what is seen and of all.
-struct Sums {
-  std::vector<float> seen, open;
-};
 
 // The light of vertices that see all of a disc or nothing. Only the part of it counts, unless neighbours share it or the plane
 // hides some of the disc.
@@ -253,10 +243,9 @@ class Teller {
         sums_(sums) {}
 
   void operator()(std::size_t vertex, bool lit) const {
-    VertexTracer::Sums here{1, 1};
+    prt::CosineSums here{1, 1};
     if (by_taps_) here = tracer_.unhindered(vertex, averaged_ ? tracer_.taps(vertex) : alike_);
-    sums_.open[vertex] = here.open;
-    sums_.seen[vertex] = lit ? here.seen : 0;
+    sums_[vertex] = {lit ? here.seen : 0, here.open};
   }
 
  private:
@@ -274,20 +263,20 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, const pr
   thread_local std::vector<std::uint32_t> own;
   const bool narrow = is_narrow(disc), hard = taps == 1;
   const auto last = static_cast<std::size_t>(taps);
-  ask_groups(tracer, sight, narrow ? 1 : last, sums.seen, sums.open, tell, own);
-  tracer.ask(sight.parts(), asked, static_cast<float>(last), sums.seen, sums.open);
+  ask_groups(tracer, sight, narrow ? 1 : last, sums, tell, own);
+  tracer.ask(sight.parts(), asked, static_cast<float>(last), sums);
   // The penumbra of a narrow disc is a line between vertices that see it and vertices that do not: one ray each finds it.
   // To look at every triangle for that costs more than all rays of few vertices.
   // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
   constexpr std::size_t kFew = 64;
   std::size_t traced = 0;
   if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {
-    tracer.trace(own, 0, 1, sums.seen, sums.open);
-    find_edges(mesh, sums.seen, sums.open, place);
+    tracer.trace(own, 0, 1, sums);
+    find_edges(mesh, sums, place);
     std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });
     traced = 1;
   }
-  tracer.trace(own, traced, last, sums.seen, sums.open);
+  tracer.trace(own, traced, last, sums);
 }
 
 // Rays where the object's sight is not sure.
@@ -303,7 +292,7 @@ void trace_unsure(const VertexTracer& tracer, const Caster& object, const lighti
     else if (verdict[i] != SightVerdict::kTurnedAway)
       tell(i, verdict[i] == SightVerdict::kLit);
   }
-  tracer.trace(own, 0, static_cast<std::size_t>(taps), sums.seen, sums.open);
+  tracer.trace(own, 0, static_cast<std::size_t>(taps), sums);
 }
 
 }  // namespace
@@ -320,14 +309,13 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   Sums& sums = sums_memory;
   const bool hard = taps == 1;
   const std::size_t count = mesh.positions.size();
-  sums.seen.assign(count, 0);
-  sums.open.assign(count, 0);
+  sums.assign(count, {});
   // What neighbours average makes do with their taps.
   const bool averaged = !is_narrow(disc) && !hard, cut = is_cut(plane, disc);
   all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
   const SightUse use = use_of_sight(casters, object, disc, taps);
   if (use == SightUse::kAlone) {
-    look_up(object, plane, disc, sums.seen, sums.open);
+    look_up(object, plane, disc, sums);
   } else {
     pattern.make(disc, taps, hard ? 1 : kTurns);
     const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
@@ -340,14 +328,14 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
       trace_groups(tracer, shared, mesh, disc, taps, all.at(0), tell, sums);
     }
   }
-  smooth(mesh, disc, taps, {&sums.seen, &sums.open});
+  smooth(mesh, disc, taps, sums);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
                        glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
                 out.subspan(part.begin(), part.size()));
     for (std::size_t i = part.begin(); i < part.end(); ++i)
-      out[i] = sums.seen[i] <= 0 ? 0 : sums.seen[i] / sums.open[i] * out[i];
+      out[i] = sums[i].seen <= 0 ? 0 : sums[i].seen / sums[i].open * out[i];
   });
 }
 
@@ -377,7 +365,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
       }
     }
   });
-  smooth(mesh, disc, taps, {&out.open, &out.taken, &out.missing});
+  for (auto* sums : {&out.open, &out.taken, &out.missing}) smooth(mesh, disc, taps, *sums);
   all.make(disc, std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

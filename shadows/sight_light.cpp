@@ -105,29 +105,28 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
 }
 
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
-             std::span<float> seen, std::span<float> open) {
+             std::span<prt::CosineSums> out) {
   thread_local prt::SightTaps memory;  // grows once per thread
   prt::SightTaps& taps = memory;
   aim(object, plane, disc, taps);
-  parallel_for(std::size_t{0}, seen.size(), kAtOnce, [&](const auto& part) {
-    object.sight->look(taps, part.begin(), part.end(), seen, open);
-  });
+  parallel_for(std::size_t{0}, out.size(), kAtOnce,
+               [&](const auto& part) { object.sight->look(taps, part.begin(), part.end(), out); });
 }
 
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out) {
   constexpr double kFarEnough = 1;   // of the blur
   thread_local lighting::Disc wide;  // grow once per thread
-  thread_local std::vector<float> seen, open;
+  thread_local std::vector<prt::CosineSums> sums;
   widen(disc, kFarEnough * object.sight->sight().blur(), wide);
   const std::size_t count = object.mesh->positions.size();
-  seen.resize(count), open.resize(count), out.resize(count);
-  look_up(object, nullptr, wide, seen, open);
+  sums.resize(count), out.resize(count);
+  look_up(object, nullptr, wide, sums);
   constexpr float kRounding = 1e-5f;
-  for (std::size_t i = 0; i < count; ++i)
-    out[i] = open[i] <= 0                           ? SightVerdict::kTurnedAway
-             : seen[i] <= 0                         ? SightVerdict::kDark
-             : seen[i] >= open[i] * (1 - kRounding) ? SightVerdict::kLit
-                                                    : SightVerdict::kMixed;
+  std::ranges::transform(sums, out.begin(), [](const prt::CosineSums& here) {
+    if (here.open <= 0) return SightVerdict::kTurnedAway;
+    if (here.seen <= 0) return SightVerdict::kDark;
+    return here.seen >= here.open * (1 - kRounding) ? SightVerdict::kLit : SightVerdict::kMixed;
+  });
   ask_neighbours(*object.mesh, out);
 }
 

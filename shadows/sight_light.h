@@ -19,7 +19,7 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
 /// By vertex the sums over directions of the disc of the cosine: what is seen before the plane, and all.
 /// threads: as trace_disc_light
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
-             std::span<float> seen, std::span<float> open);
+             std::span<prt::CosineSums> out);
 
 enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMixed };
 /// Lit or dark where all that lies about the disc, as far as a look-up may be off, is open or nothing is, from a vertex and from

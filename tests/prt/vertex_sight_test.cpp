@@ -41,13 +41,9 @@ struct World {
   RayWorld rays = *RayWorld::create();
 };
 
-struct Looked {
-  std::vector<float> seen, open;
-};
-Looked look(const BakedObject& o, const SightTaps& taps) {
-  const std::size_t count = o.mesh.positions.size();
-  Looked out{std::vector<float>(count), std::vector<float>(count)};
-  SightLookup(o.sight, o.mesh.normals).look(taps, 0, count, out.seen, out.open);
+std::vector<CosineSums> look(const BakedObject& o, const SightTaps& taps) {
+  std::vector<CosineSums> out(o.mesh.positions.size());
+  SightLookup(o.sight, o.mesh.normals).look(taps, 0, out.size(), out);
   return out;
 }
 
@@ -73,11 +69,11 @@ TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
         if (counts && world.open(v, d)) seen[v] += cosine;
       }
     }
-    const Looked looked = look(o, taps);
+    const std::vector<CosineSums> looked = look(o, taps);
     std::size_t different = 0, dark = 0;
     for (std::size_t v = 0; v < seen.size(); ++v) {
-      EXPECT_NEAR(looked.open[v], open[v], 1e-4f);
-      different += std::abs(looked.seen[v] - seen[v]) > 1e-4f;
+      EXPECT_NEAR(looked[v].open, open[v], 1e-4f);
+      different += std::abs(looked[v].seen - seen[v]) > 1e-4f;
       dark += seen[v] < .5f * open[v];
     }
     // Rays along an edge may go either way in a mesh of another scale.
@@ -138,9 +134,9 @@ TEST(VertexSight, LooksAlongTheNearestRay) {
     sight.open[vertex * sight.words() + bit / 32] = 1u << bit % 32;
     SightTaps taps;
     for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
-    std::vector<float> seen(count), open(count);
-    SightLookup(sight, up).look(taps, 0, count, seen, open);
-    found += seen[vertex] > 0;
+    std::vector<CosineSums> sums(count);
+    SightLookup(sight, up).look(taps, 0, count, sums);
+    found += sums[vertex].seen > 0;
   }
   EXPECT_GT(found, kTries * 85 / 100);
 }
@@ -155,11 +151,11 @@ TEST(VertexSight, AnOpenSurfaceSeesEverything) {
   SightTaps taps;
   for (int k = 0; k < 32; ++k)
     taps.add(glm::normalize(glm::vec3(std::cos(k), 1, std::sin(k))), true);
-  const Looked looked = look(*ball, taps);
-  for (std::size_t v = 0; v < looked.open.size(); ++v) {
-    ASSERT_EQ(looked.seen[v], looked.open[v]) << v;
+  const std::vector<CosineSums> looked = look(*ball, taps);
+  for (std::size_t v = 0; v < looked.size(); ++v) {
+    ASSERT_EQ(looked[v].seen, looked[v].open) << v;
     if (ball->mesh.normals[v].y < -.8f) {
-      EXPECT_EQ(looked.open[v], 0) << "turned away";
+      EXPECT_EQ(looked[v].open, 0) << "turned away";
     }
   }
 }
