@@ -23,6 +23,8 @@ constexpr int kLanes = RayScene::kPacket;
 static_assert(kLanes == lighting::kBasisLanes);
 constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
 constexpr std::size_t kChunk = 64;  // points a task takes at once
+constexpr double kFineShare = .2;   // of a bake's progress
+constexpr int kAllBlocks = VertexSight::kBlocks * VertexSight::kBlocks;
 
 struct Point {
   glm::vec3 position, normal;
@@ -58,7 +60,7 @@ class Baker {
     for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
     if (options.receiver) add_receiver_points(options.receiver->grid);
-    if (options.sight_cells > 0) sight_ = VertexSight(options.sight_cells, mesh_.positions.size());
+    if (options.sight) sight_ = VertexSight(mesh_.positions.size());
     if (options.bounces > 0) bands_ = std::max(bands_, options.indirect_bands);
     coefficients_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
@@ -74,6 +76,8 @@ class Baker {
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
   void trace_sight(const RayScene& scene, std::size_t vertex);
+  std::uint64_t edges_seen_by(std::size_t other, std::size_t vertex) const;
+  void refine_sight(const RayScene& scene);
   void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
                  const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
                  PointResult& out) const;
@@ -163,24 +167,94 @@ void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, c
   }
 }
 
-// Past the mesh alone. Two blocks of four by four rays share a word.
-void Baker::trace_sight(const RayScene& scene, std::size_t vertex) {
-  static_assert(kLanes == 16);
-  const Point& point = points_[vertex];
-  const SightFrame frame = SightFrame::of(vertex, point.normal);
-  const glm::vec3 origin = point.position + kRayNear * point.normal;
-  const int across = sight_.cells / 4;
-  RayScene::Packet packet;
-  for (int block = 0; block < across * across; ++block) {
+// Past the mesh alone.
+class SightRays {
+ public:
+  SightRays(const RayScene& scene, const Point& point, std::size_t vertex)
+      : scene_(scene),
+        frame_(SightFrame::of(vertex, point.normal)),
+        origin_(point.position + kRayNear * point.normal) {}
+  const SightFrame& frame() const { return frame_; }
+  /// Bit by cell of four by four from (x, y).
+  std::uint32_t open(int x, int y, int cells) const {
+    static_assert(kLanes == 16);
+    RayScene::Packet packet;
     for (int i = 0; i < kLanes; ++i) {
-      const glm::vec3 d =
-          frame.direction(4 * (block % across) + i % 4, 4 * (block / across) + i / 4, sight_.cells);
+      const glm::vec3 d = frame_.direction(x + i % 4, y + i / 4, cells);
       packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
     }
-    const std::uint32_t open = ~scene.occluded(origin, kRayNear, packet) & 0xffffu;
-    const auto place = static_cast<std::size_t>(block);
-    sight_.open[vertex * sight_.words() + place / 2] |= open << 16 * (place % 2);
+    return ~scene_.occluded(origin_, kRayNear, packet) & 0xffffu;
   }
+  /// Bit by cell of eight by eight.
+  std::uint64_t fine(int block) const {
+    const int x = 8 * (block % VertexSight::kBlocks), y = 8 * (block / VertexSight::kBlocks);
+    std::uint64_t out = 0;
+    for (const int down : {0, 4})
+      for (const int right : {0, 4}) {
+        std::uint64_t rows = open(x + right, y + down, VertexSight::kFineCells);
+        for (int row = down; row < down + 4; ++row, rows >>= 4)
+          out |= (rows & 15) << (8 * row + right);
+      }
+    return out;
+  }
+
+ private:
+  const RayScene& scene_;
+  SightFrame frame_;
+  glm::vec3 origin_;
+};
+
+void Baker::trace_sight(const RayScene& scene, std::size_t vertex) {
+  const SightRays rays(scene, points_[vertex], vertex);
+  for (int block = 0; block < kAllBlocks; ++block) {
+    const std::uint32_t bits = rays.open(4 * (block % VertexSight::kBlocks),
+                                         4 * (block / VertexSight::kBlocks), VertexSight::kCells);
+    sight_.open[vertex * VertexSight::kWords + static_cast<std::size_t>(block / 2)] |=
+        bits << 16 * (block % 2);
+  }
+}
+
+// Bit by block of `vertex`, where another one sees an edge.
+std::uint64_t Baker::edges_seen_by(std::size_t other, std::size_t vertex) const {
+  const SightFrame from = SightFrame::of(other, points_[other].normal),
+                   to = SightFrame::of(vertex, points_[vertex].normal);
+  std::uint64_t out = 0;
+  for (int block = 0; block < kAllBlocks; ++block) {
+    std::uint32_t few = sight_.block(other, block);
+    if (std::popcount(few) > 8) few ^= 0xffffu;
+    for (; few != 0; few &= few - 1) {
+      const int i = std::countr_zero(few);
+      const glm::vec3 d =
+          from.direction(4 * (block % VertexSight::kBlocks) + i % 4,
+                         4 * (block / VertexSight::kBlocks) + i / 4, VertexSight::kCells);
+      if (glm::dot(d, to.normal) <= 0) continue;
+      const glm::ivec2 at = to.cell(d, VertexSight::kCells) / 4;
+      out |= std::uint64_t{1} << (VertexSight::kBlocks * at.y + at.x);
+    }
+  }
+  return out;
+}
+
+// What is thin hides between the wide cells of one vertex, but not of all around it.
+void Baker::refine_sight(const RayScene& scene) {
+  std::vector<std::vector<std::uint32_t>> around(mesh_.positions.size());
+  for (const auto& t : mesh_.triangles)
+    for (std::size_t k = 0; k < 3; ++k) around[t[k]].push_back(t[(k + 1) % 3]);
+  std::vector<std::vector<std::uint64_t>> fine(mesh_.positions.size());
+  parallel_for(std::size_t{0}, fine.size(), kChunk, [&](const Indices<std::size_t>& range) {
+    for (std::size_t v = range.begin(); v < range.end(); ++v) {
+      std::uint64_t& refined = sight_.refined[v];
+      refined = edges_seen_by(v, v);
+      for (const std::uint32_t other : around[v]) refined |= edges_seen_by(other, v);
+      const SightRays rays(scene, points_[v], v);
+      for (std::uint64_t left = refined; left != 0; left &= left - 1)
+        fine[v].push_back(rays.fine(std::countr_zero(left)));
+    }
+    report_progress(kFineShare * static_cast<double>(range.size()) /
+                    static_cast<double>(fine.size()));
+  });
+  for (const auto& of_vertex : fine)
+    sight_.fine.insert(sight_.fine.end(), of_vertex.begin(), of_vertex.end());
 }
 
 void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
@@ -442,7 +516,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   std::vector<PointResult> results(points_.size());
   std::uint64_t rays = 0;
   for (const Point& p : points_) rays += static_cast<std::uint64_t>(p.rays);
-  rays += 32 * static_cast<std::uint64_t>(sight_.open.size());
+  const std::uint64_t of_sight = sight_.empty() ? 0 : VertexSight::kCells * VertexSight::kCells;
+  rays += of_sight * mesh_.positions.size();
   const auto parallel = [&](auto&& body) {
     parallel_for(std::size_t{0}, points_.size(), kChunk, body);
   };
@@ -452,10 +527,11 @@ Result<BakedObject> Baker::run(Mesh mesh) {
       trace_point(*scene, is_ground_point(i) ? ground_patterns : patterns, i, results[i]);
       start_transfer(i, results[i]);
       if (!sight_.empty() && !is_ground_point(i)) trace_sight(*scene, i);
-      traced += points_[i].rays + (is_ground_point(i) ? 0 : sight_.cells * sight_.cells);
+      traced += points_[i].rays + static_cast<double>(is_ground_point(i) ? 0 : of_sight);
     }
-    report_progress(.9 * traced / static_cast<double>(rays));
+    report_progress((sight_.empty() ? .9 : .9 - kFineShare) * traced / static_cast<double>(rays));
   });
+  if (!sight_.empty()) refine_sight(*scene);
   current_ = shadowed_;
   if (options_.bounces > 0) next_.resize(floats);
   std::array<double, 3> added{}, share{};
@@ -483,7 +559,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   out.mesh = std::move(mesh);
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
   std::vector<PointQuality> by_vertex = quality(results);
-  out.report = {rays, seconds.count(), standard_error(results, by_vertex), std::move(by_vertex)};
+  out.report = {rays + 64 * out.sight.fine.size(), seconds.count(),
+                standard_error(results, by_vertex), std::move(by_vertex)};
   return out;
 }
 
@@ -510,9 +587,6 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
-  if (o.sight_cells < 0 || o.sight_cells > VertexSight::kMostCells || o.sight_cells % 8 != 0)
-    return fail(ErrorCode::kInvalid, "cells of sight",
-                fmt::format("must be a multiple of 8 up to {}", VertexSight::kMostCells));
   if (o.indirect_bands < 1 || o.indirect_bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands of reflected light",
                 fmt::format("{} is not in 1..{}", o.indirect_bands, kMaxBands));

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cstring>
 #include <fstream>
 
@@ -13,7 +14,7 @@
 // Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
 // four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
 // 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are accessors of
-// half-float bits in the order of prt::Transfer, the vertices' sight one of words.
+// half-float bits in the order of prt::Transfer, the vertices' sight three of words.
 
 namespace penumbra::prt {
 namespace {
@@ -62,7 +63,8 @@ Value number(double v) {
 
 // Accessors of the transfers that no viewer needs.
 struct OwnAccessors {
-  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1, sight = -1;
+  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
+  int sight = -1, refined_sight = -1, fine_sight = -1;
 };
 
 Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
@@ -75,10 +77,10 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
   d["rays"] = number(static_cast<double>(o.report.rays));
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
-  if (!o.sight.empty()) {
-    d["sight"] = Value(own.sight);
-    d["sight_cells"] = Value(o.sight.cells);
-  }
+  if (!o.sight.empty())
+    d["vertex_sight"] = Value(Value::Object{{"open", Value(own.sight)},
+                                            {"refined", Value(own.refined_sight)},
+                                            {"fine", Value(own.fine_sight)}});
   if (o.receiver) {
     const GroundGrid& g = o.receiver->grid;
     const Rgb& a = o.receiver->albedo;
@@ -126,11 +128,19 @@ Model to_model(const BakedObject& o) {
     return writer.add(t.values.data(), t.values.size() * 2, t.values.size(),
                       TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0);
   };
+  const auto add_words = [&](const void* data, std::size_t words) {
+    return writer.add(data, words * 4, words, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
+                      TINYGLTF_TYPE_SCALAR, 0);
+  };
   OwnAccessors own;
   own.indirect = add_halves(o.indirect);
-  if (!o.sight.empty())
-    own.sight = writer.add(o.sight.open.data(), o.sight.open.size() * 4, o.sight.open.size(),
-                           TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 0);
+  if (!o.sight.empty()) {
+    own.sight = add_words(o.sight.open.data(), o.sight.open.size());
+    own.refined_sight = add_words(o.sight.refined.data(), 2 * o.sight.refined.size());
+    // An accessor holds at least one.
+    if (!o.sight.fine.empty())
+      own.fine_sight = add_words(o.sight.fine.data(), 2 * o.sight.fine.size());
+  }
   if (o.receiver) {
     own.ground_deficit = add_halves(o.ground_deficit);
     own.ground_indirect = add_halves(o.ground_indirect);
@@ -245,18 +255,25 @@ bool read_halves(const Model& m, double index, int bands, int channels, std::siz
   return std::ranges::all_of(out.values, [](auto h) { return std::isfinite(float_from_half(h)); });
 }
 
-bool read_sight(const Model& m, const Value& extras, std::size_t vertices, VertexSight& out) {
-  const double index = get(extras, "sight"), cells = get(extras, "sight_cells");
-  if (!(index >= 0 && index < static_cast<double>(m.accessors.size())) ||
-      !(cells >= 8 && cells <= VertexSight::kMostCells) || std::fmod(cells, 8) != 0)
-    return false;
+// Words of 32 bits.
+template <class T>
+bool read_words(const Model& m, double index, std::size_t count, std::vector<T>& out) {
+  if (!(index >= 0 && index < static_cast<double>(m.accessors.size()))) return false;
   const auto bytes = accessor_bytes(m, static_cast<int>(index),
                                     TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
-  out.cells = static_cast<int>(cells);
-  if (!bytes || bytes->size() != vertices * out.words() * 4) return false;
-  out.open.resize(bytes->size() / 4);
-  std::memcpy(out.open.data(), bytes->data(), bytes->size());
+  if (!bytes || bytes->size() != count * sizeof(T)) return false;
+  out.resize(count);
+  std::memcpy(out.data(), bytes->data(), bytes->size());
   return true;
+}
+
+bool read_sight(const Model& m, const Value& own, std::size_t vertices, VertexSight& out) {
+  if (!read_words(m, get(own, "open"), vertices * VertexSight::kWords, out.open) ||
+      !read_words(m, get(own, "refined"), vertices, out.refined))
+    return false;
+  std::size_t blocks = 0;
+  for (const std::uint64_t r : out.refined) blocks += static_cast<std::size_t>(std::popcount(r));
+  return blocks == 0 || read_words(m, get(own, "fine"), blocks, out.fine);
 }
 
 bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
@@ -312,7 +329,8 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
       !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
                    o.transfer.channels, o.transfer.points, o.indirect))
     return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
-  if (extras->Has("sight") && !read_sight(m, *extras, o.transfer.points, o.sight))
+  if (extras->Has("vertex_sight") &&
+      !read_sight(m, extras->Get("vertex_sight"), o.transfer.points, o.sight))
     return fail(ErrorCode::kUnreadable, file, "damaged sight");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "damaged receiver");

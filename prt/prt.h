@@ -163,8 +163,6 @@ GroundGrid fit_ground_grid(const Mesh& mesh, float plane_height, int size = 128)
 
 inline constexpr int kIndirectBands = 9;
 inline constexpr int kMostBounces = 256;
-/// Of VertexSight for objects under lamps: 128 bytes a vertex, and half as much time again.
-inline constexpr int kSightCells = 32;
 
 struct BakeOptions {
   int bands = 5;
@@ -173,8 +171,7 @@ struct BakeOptions {
   int bounces = 4;
   int rays = 1024;         // per vertex, a multiple of 64
   int ground_rays = 1024;  // per receiver texel, a multiple of 64
-  /// Along a side of BakedObject::sight, a multiple of 8; 0: none.
-  int sight_cells = 0;
+  bool sight = false;      // whether to find BakedObject::sight
   std::optional<Receiver> receiver;
   /// Bands of what comes by reflection (BakedObject::indirect).
   int indirect_bands = kIndirectBands;

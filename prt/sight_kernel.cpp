@@ -2,6 +2,8 @@
 
 #include <hwy/cache_control.h>
 
+#include <bit>
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "prt/sight_kernel.cpp"
 #include <hwy/foreach_target.h>
@@ -30,68 +32,131 @@ HWY_INLINE Whole Cell(Floats place, float shift, float cells) {
   return hn::ConvertTo(kWhole, hn::Min(hn::Max(at, hn::Zero(d)), hn::Set(d, cells - .5f)));
 }
 
-// Its bit among all of the vertex.
-HWY_INLINE Whole Place(Whole x, Whole y, int cells) {
-  const auto three = hn::Set(kWhole, 3);
-  const auto block =
-      hn::Add(hn::Mul(hn::ShiftRight<2>(y), hn::Set(kWhole, cells / 4)), hn::ShiftRight<2>(x));
-  return hn::Or(hn::ShiftLeft<4>(block),
-                hn::Or(hn::ShiftLeft<2>(hn::And(y, three)), hn::And(x, three)));
+// Of cells in blocks of so many (a power of two) by so many, eight blocks in a row.
+struct Place {
+  Whole block, cell;  // cell of the block
+};
+template <int kShift>
+HWY_INLINE Place PlaceOf(Whole x, Whole y) {
+  const auto within = hn::Set(kWhole, (1 << kShift) - 1);
+  return {hn::Or(hn::ShiftLeft<3>(hn::ShiftRight<kShift>(y)), hn::ShiftRight<kShift>(x)),
+          hn::Or(hn::ShiftLeft<kShift>(hn::And(y, within)), hn::And(x, within))};
 }
 
-using IsOpenBits = hn::Mask<decltype(kFloats)>;
-
-// A vertex's words in registers: the fastest where they are few and lanes are many.
-constexpr std::int32_t kInRegisters = 32;  // words
-HWY_INLINE IsOpenBits IsOpenOfFew(const std::uint32_t* words, Whole place) {
+// The word of each lane, of the vertex's. Where lanes are many a vertex's words fit into registers.
+HWY_INLINE Whole Words(const std::uint32_t* words, Whole at) {
   constexpr auto d = kWhole;
-  constexpr std::int32_t kLanes = hn::MaxLanes(decltype(kWhole){});
-  const auto table = [&](std::int32_t first) {
-    return hn::BitCast(d, hn::LoadU(hn::Rebind<std::uint32_t, decltype(kWhole)>(), words + first));
-  };
-  const auto word = hn::ShiftRight<5>(place);
-  const auto lane = hn::IndicesFromVec(d, hn::And(word, hn::Set(d, kLanes - 1)));
-  auto found = hn::TableLookupLanes(table(0), lane);
-  for (std::int32_t first = kLanes; first < kInRegisters; first += kLanes)
-    found = hn::IfThenElse(hn::Gt(word, hn::Set(d, first - 1)),
-                           hn::TableLookupLanes(table(first), lane), found);
-  const auto bit = hn::Shl(hn::Set(d, 1), hn::And(place, hn::Set(d, 31)));
-  return hn::RebindMask(kFloats, hn::TestBit(found, bit));
-}
-
-// One by one: gathering words is slower.
-HWY_INLINE IsOpenBits IsOpenOfMany(const std::uint32_t* words, Whole place) {
-  alignas(64) std::int32_t places[SightTaps::kEach];
-  hn::Store(place, kWhole, places);
-  std::uint32_t bits = 0;
-  for (std::size_t k = 0; k < hn::Lanes(kWhole); ++k) {
-    const auto at = static_cast<std::uint32_t>(places[k]);
-    bits |= (words[at / 32] >> at % 32 & 1) << k;
+  constexpr hn::Rebind<std::uint32_t, decltype(kWhole)> du;
+  constexpr std::int32_t kLanes = hn::MaxLanes(decltype(kWhole){}), kWords = VertexSight::kWords;
+  if constexpr (kLanes >= 8) {
+    const auto lane = hn::IndicesFromVec(d, hn::And(at, hn::Set(d, kLanes - 1)));
+    const auto of = [&](std::int32_t first) {
+      return hn::TableLookupLanes(hn::BitCast(d, hn::LoadU(du, words + first)), lane);
+    };
+    auto found = of(0);
+    for (std::int32_t first = kLanes; first < kWords; first += kLanes)
+      found = hn::IfThenElse(hn::Gt(at, hn::Set(d, first - 1)), of(first), found);
+    return found;
+  } else {
+    // One by one: gathering is slower.
+    alignas(64) std::int32_t places[SightTaps::kEach];
+    alignas(64) std::uint32_t found[SightTaps::kEach];
+    hn::Store(at, d, places);
+    for (std::size_t k = 0; k < hn::Lanes(d); ++k) found[k] = words[places[k]];
+    return hn::BitCast(d, hn::Load(du, found));
   }
-  const std::uint8_t bytes[8] = {static_cast<std::uint8_t>(bits),
-                                 static_cast<std::uint8_t>(bits >> 8)};
-  return hn::LoadMaskBits(kFloats, bytes);
 }
 
-HWY_INLINE IsOpenBits IsOpen(const SightRows& rows, const std::uint32_t* words, Whole place) {
-  if constexpr (hn::MaxLanes(decltype(kWhole){}) >= 8)
-    if (rows.words_each == kInRegisters) return IsOpenOfFew(words, place);
-  return IsOpenOfMany(words, place);
+using IsOpen = hn::Mask<decltype(kFloats)>;
+using Lanes = hn::Mask<decltype(kWhole)>;
+
+// By lane the sixteen bits of a block.
+HWY_INLINE Whole Blocks(const std::uint32_t* words, Whole block) {
+  const auto d = kWhole;
+  const auto word = Words(words, hn::ShiftRight<1>(block)),
+             shift = hn::ShiftLeft<4>(hn::And(block, hn::Set(d, 1)));
+  return hn::And(hn::Shr(word, shift), hn::Set(d, 0xffff));
 }
 
-HWY_ATTR void Look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
+struct Coarse {
+  static constexpr int kCells = VertexSight::kCells;
+  static HWY_INLINE void Prefetch(const SightRows& rows, std::size_t vertex) {
+    constexpr std::size_t kLine = 16;  // words
+    for (std::size_t at = 0; at < VertexSight::kWords; at += kLine)
+      hwy::Prefetch(rows.open + vertex * VertexSight::kWords + at);
+  }
+  static HWY_INLINE IsOpen Look(const SightRows& rows, std::size_t vertex, Whole x, Whole y,
+                                IsOpen) {
+    const Place place = PlaceOf<2>(x, y);
+    const auto block = Blocks(rows.open + vertex * VertexSight::kWords, place.block);
+    return hn::RebindMask(kFloats, hn::TestBit(block, hn::Shl(hn::Set(kWhole, 1), place.cell)));
+  }
+};
+
+struct Fine {
+  static constexpr int kCells = VertexSight::kFineCells;
+  static HWY_INLINE void Prefetch(const SightRows& rows, std::size_t vertex) {
+    Coarse::Prefetch(rows, vertex);
+    constexpr std::size_t kLine = 8;  // words
+    if (rows.refined[vertex] == 0) return;
+    for (std::size_t at = 0; at < 3 * kLine; at += kLine)
+      hwy::Prefetch(rows.fine + rows.first_fine[vertex] + at);
+  }
+  static HWY_INLINE IsOpen Look(const SightRows& rows, std::size_t vertex, Whole x, Whole y,
+                                IsOpen before) {
+    const auto d = kWhole;
+    const Place place = PlaceOf<3>(x, y);
+    const auto block = Blocks(rows.open + vertex * VertexSight::kWords, place.block);
+    const auto open = hn::Ne(block, hn::Zero(d));
+    const auto refined =
+        hn::And(IsRefined(rows.refined[vertex], place.block), hn::RebindMask(d, before));
+    if (hn::AllFalse(d, refined)) return hn::RebindMask(kFloats, open);
+    return hn::RebindMask(
+        kFloats, hn::Or(hn::AndNot(refined, open), InRefined(rows, vertex, place, refined)));
+  }
+
+ private:
+  static HWY_INLINE Lanes IsRefined(std::uint64_t refined, Whole block) {
+    const auto d = kWhole;
+    const auto half = [&](std::uint64_t bits) {
+      return hn::Set(d, static_cast<std::int32_t>(static_cast<std::uint32_t>(bits)));
+    };
+    const auto bits =
+        hn::IfThenElse(hn::Gt(block, hn::Set(d, 31)), half(refined >> 32), half(refined));
+    return hn::TestBit(bits, hn::Shl(hn::Set(d, 1), hn::And(block, hn::Set(d, 31))));
+  }
+  static HWY_INLINE Lanes InRefined(const SightRows& rows, std::size_t vertex, const Place& place,
+                                    Lanes refined) {
+    alignas(64) std::int32_t blocks[SightTaps::kEach], cells[SightTaps::kEach];
+    hn::Store(place.block, kWhole, blocks);
+    hn::Store(place.cell, kWhole, cells);
+    std::uint8_t bytes[8] = {};
+    hn::StoreMaskBits(kWhole, refined, bytes);
+    unsigned left = bytes[0];
+    if (hn::MaxLanes(decltype(kWhole){}) > 8) left |= static_cast<unsigned>(bytes[1]) << 8;
+    const std::uint64_t* const words = rows.fine + rows.first_fine[vertex];
+    unsigned open = 0;
+    for (; left != 0; left &= left - 1) {
+      const auto k = static_cast<unsigned>(std::countr_zero(left));
+      const std::uint64_t before = (std::uint64_t{1} << blocks[k]) - 1;
+      const std::uint64_t word = words[std::popcount(rows.refined[vertex] & before)];
+      open |= static_cast<unsigned>(word >> cells[k] & 1) << k;
+    }
+    bytes[0] = static_cast<std::uint8_t>(open), bytes[1] = static_cast<std::uint8_t>(open >> 8);
+    return hn::LoadMaskBits(kWhole, bytes);
+  }
+};
+
+template <class Sight>
+HWY_INLINE void Look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
   const auto d = kFloats;
   const auto zero = hn::Zero(d);
-  constexpr std::size_t kAhead = 8, kLine = 16;  // vertices; words
-  const auto cells = static_cast<float>(rows.cells);
+  constexpr std::size_t kAhead = 8;  // vertices
   std::size_t turn = first % rows.turns;
   for (std::size_t i = first; i < last; ++i) {
     const std::size_t from = turn * SightTaps::kEach;
     turn = turn + 1 == rows.turns ? 0 : turn + 1;
-    const std::uint32_t* const words = rows.words + i * rows.words_each;
-    if (i + kAhead < last)
-      for (std::size_t line = 0; line < rows.words_each; line += kLine)
-        hwy::Prefetch(words + kAhead * rows.words_each + line);
+    if (i + kAhead < last) Sight::Prefetch(rows, i + kAhead);
     const SightFrame& frame = rows.frames[i];
     auto all = zero, arrives = zero;
     for (std::size_t k = from; k < from + SightTaps::kEach; k += hn::Lanes(d)) {
@@ -105,14 +170,24 @@ HWY_ATTR void Look(const SightRows& rows, std::size_t first, std::size_t last, C
       const auto scale = hn::Div(
           hn::Set(d, 1.f),
           hn::Add(hn::Max(cosine, hn::Set(d, 1e-20f)), hn::Add(hn::Abs(across), hn::Abs(along))));
-      const auto column = Cell(hn::Mul(hn::Add(across, along), scale), frame.shift.x, cells),
-                 row = Cell(hn::Mul(hn::Sub(across, along), scale), frame.shift.y, cells);
-      const auto is_open = hn::And(before, IsOpen(rows, words, Place(column, row, rows.cells)));
+      const auto column =
+                     Cell(hn::Mul(hn::Add(across, along), scale), frame.shift.x, Sight::kCells),
+                 row = Cell(hn::Mul(hn::Sub(across, along), scale), frame.shift.y, Sight::kCells);
+      const auto is_open = hn::And(before, Sight::Look(rows, i, column, row, before));
       arrives =
           hn::MulAdd(hn::IfThenElseZero(is_open, cosine), hn::LoadU(d, rows.counts + k), arrives);
     }
     out[i] = {hn::GetLane(hn::SumOfLanes(d, arrives)), hn::GetLane(hn::SumOfLanes(d, all))};
   }
+}
+
+HWY_ATTR void LookCoarse(const SightRows& rows, std::size_t first, std::size_t last,
+                         CosineSums* out) {
+  Look<Coarse>(rows, first, last, out);
+}
+HWY_ATTR void LookFine(const SightRows& rows, std::size_t first, std::size_t last,
+                       CosineSums* out) {
+  Look<Fine>(rows, first, last, out);
 }
 
 }  // namespace HWY_NAMESPACE
@@ -121,10 +196,15 @@ HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
 namespace penumbra::prt {
-HWY_EXPORT(Look);
+HWY_EXPORT(LookCoarse);
+HWY_EXPORT(LookFine);
 
-void look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
-  HWY_DYNAMIC_DISPATCH(Look)(rows, first, last, out);
+void look_coarse(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
+  HWY_DYNAMIC_DISPATCH(LookCoarse)(rows, first, last, out);
 }
+void look_fine(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out) {
+  HWY_DYNAMIC_DISPATCH(LookFine)(rows, first, last, out);
+}
+
 }  // namespace penumbra::prt
 #endif

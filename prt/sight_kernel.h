@@ -6,14 +6,16 @@
 namespace penumbra::prt {
 
 struct SightRows {
-  const SightFrame* frames;    // by vertex
-  const std::uint32_t* words;  // by vertex, words_each of them
-  std::size_t words_each;
-  int cells;
+  const SightFrame* frames;  // by vertex
+  const std::uint32_t* open;
+  const std::uint64_t* refined;
+  const std::uint32_t* first_fine;
+  const std::uint64_t* fine;
   const float *x, *y, *z, *counts;  // SightTaps, turn by turn
   std::size_t turns;
 };
 /// Vertices [first, last).
-void look(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out);
+void look_coarse(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out);
+void look_fine(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out);
 
 }  // namespace penumbra::prt

@@ -1,5 +1,6 @@
 #include "prt/vertex_sight.h"
 
+#include <bit>
 #include <cassert>
 #include <glm/geometric.hpp>
 
@@ -29,19 +30,40 @@ glm::vec3 SightFrame::direction(int x, int y, int cells) const {
                         (1 - std::abs(across) - std::abs(along)) * normal);
 }
 
-SightLookup::SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals)
-    : sight_(&sight) {
-  assert(!sight.empty() && sight.open.size() == sight.words() * normals.size());
-  frames_.reserve(normals.size());
-  for (std::size_t i = 0; i < normals.size(); ++i) frames_.push_back(SightFrame::of(i, normals[i]));
+glm::ivec2 SightFrame::cell(const glm::vec3& d, int cells) const {
+  const float across = glm::dot(d, first), along = glm::dot(d, second);
+  const float sum = std::max(glm::dot(d, normal), 1e-20f) + std::abs(across) + std::abs(along);
+  const glm::vec2 at = glm::vec2(across + along, across - along) / sum;
+  const auto most = static_cast<float>(cells);
+  return glm::ivec2(glm::clamp(.5f * most * (at + 1.f) + .5f - shift, 0.f, most - .5f));
 }
 
-void SightLookup::look(const SightTaps& taps, std::size_t first, std::size_t last,
+SightLookup::SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals)
+    : sight_(&sight) {
+  assert(!sight.empty() && sight.refined.size() == normals.size());
+  frames_.reserve(normals.size());
+  first_fine_.reserve(normals.size());
+  std::size_t first = 0;
+  for (std::size_t i = 0; i < normals.size(); ++i) {
+    frames_.push_back(SightFrame::of(i, normals[i]));
+    first_fine_.push_back(static_cast<std::uint32_t>(first));
+    first += static_cast<std::size_t>(std::popcount(sight.refined[i]));
+  }
+  assert(first == sight.fine.size());
+}
+
+void SightLookup::look(const SightTaps& taps, int cells, std::size_t first, std::size_t last,
                        std::span<CosineSums> out) const {
   assert(taps.turns() > 0 && last <= frames_.size());
-  prt::look({frames_.data(), sight_->open.data(), sight_->words(), sight_->cells, taps.x().data(),
-             taps.y().data(), taps.z().data(), taps.counts().data(), taps.turns()},
-            first, last, out.data());
+  assert(cells == VertexSight::kCells || cells == VertexSight::kFineCells);
+  const SightRows rows{frames_.data(),     sight_->open.data(), sight_->refined.data(),
+                       first_fine_.data(), sight_->fine.data(), taps.x().data(),
+                       taps.y().data(),    taps.z().data(),     taps.counts().data(),
+                       taps.turns()};
+  if (cells == VertexSight::kCells)
+    look_coarse(rows, first, last, out.data());
+  else
+    look_fine(rows, first, last, out.data());
 }
 
 }  // namespace penumbra::prt

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <glm/ext/vector_int2.hpp>
 #include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <numbers>
@@ -11,20 +12,27 @@
 
 namespace penumbra::prt {
 
-/// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets nothing of the mesh.
+/// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets nothing of the mesh. Where the
+/// vertex or those around it see an edge there are bits of cells half as wide.
 struct VertexSight {
-  static constexpr int kMostCells = 256;
-  int cells = 0;  // along a side, a multiple of eight; 0: nothing is known
-  std::vector<std::uint32_t>
-      open;  // words() a vertex; blocks of four by four cells follow each other
+  static constexpr int kCells = 32, kFineCells = 64;  // along a side of the square
+  static constexpr int kBlocks = 8;                   // of cells, along a side
+  static constexpr std::size_t kWords = 32;           // a vertex
+  /// kWords a vertex, two blocks of four by four cells in each.
+  std::vector<std::uint32_t> open;
+  /// By vertex, bit by block: whether it has finer cells. All cells of others are alike.
+  std::vector<std::uint64_t> refined;
+  /// Eight by eight finer cells of a refined block in each: those of the first vertex, then of the next one.
+  std::vector<std::uint64_t> fine;
 
   VertexSight() = default;
-  /// in: cells 8..kMostCells
-  VertexSight(int cells_, std::size_t vertices) : cells(cells_), open(words() * vertices) {}
-  bool empty() const { return cells == 0; }
-  std::size_t words() const { return static_cast<std::size_t>(cells * cells / 32); }  // a vertex
+  explicit VertexSight(std::size_t vertices) : open(kWords * vertices), refined(vertices) {}
+  bool empty() const { return refined.empty(); }
+  std::uint32_t block(std::size_t vertex, int at) const {
+    return open[kWords * vertex + static_cast<std::size_t>(at / 2)] >> 16 * (at % 2) & 0xffffu;
+  }
   /// RMS angle that a look-up is off, radians.
-  double blur() const { return std::sqrt(std::numbers::pi / 3) / cells; }
+  static double blur(int cells) { return std::sqrt(std::numbers::pi / 3) / cells; }
 };
 
 /// Where a vertex's square lies. From one to the next it is turned, and rays go through other places of their cells.
@@ -36,6 +44,8 @@ struct SightFrame {
   static SightFrame of(std::size_t vertex, const glm::vec3& normal);
   /// Of the ray in cell (x, y).
   glm::vec3 direction(int x, int y, int cells) const;
+  /// The cell whose ray is about the nearest to a direction of the hemisphere.
+  glm::ivec2 cell(const glm::vec3& direction, int cells) const;
 };
 
 /// Of a vertex, over some directions, the sums of the cosine.
@@ -77,17 +87,18 @@ class SightTaps {
 class SightLookup {
  public:
   /// Both must outlive it, unchanged.
-  /// in: a sight that is not empty, and the normals that were baked
+  /// in: a sight that is not empty, with all of its finer cells, and the normals that were baked
   SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals);
 
-  const VertexSight& sight() const { return *sight_; }
   /// Of vertices [first, last), each over its own directions.
-  void look(const SightTaps& taps, std::size_t first, std::size_t last,
+  /// in: cells kCells, or kFineCells: half as blurred, and slower
+  void look(const SightTaps& taps, int cells, std::size_t first, std::size_t last,
             std::span<CosineSums> out) const;
 
  private:
   const VertexSight* sight_;
   std::vector<SightFrame> frames_;
+  std::vector<std::uint32_t> first_fine_;  // by vertex
 };
 
 }  // namespace penumbra::prt

@@ -38,7 +38,7 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.bounces = o.bounces;
   options.rays = o.samples;
   options.ground_rays = 4 * o.samples;
-  options.sight_cells = prt::kSightCells;
+  options.sight = true;
   if (!(o.receiver_albedo >= 0 && o.receiver_albedo <= 1))
     return fail(ErrorCode::kInvalid, "--receiver-albedo", "not within 0..1");
   const auto a = static_cast<float>(o.receiver_albedo);

@@ -13,8 +13,9 @@ namespace {
 // metre's height.
 constexpr double kLeastMove = 1e-3;
 constexpr double kVisibleShare = .005;
-// Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an eighth under light from above.
-constexpr float kCoarse = 1e-3f;
+// Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an eighth under light from above. As
+// much of the larger cells, about, for broad discs.
+constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
 // Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
 constexpr double kAround = shadows::kFieldReach;
 const shadows::DiscShadow kNoShadow;
@@ -59,7 +60,7 @@ Result<DiscStage> DiscStage::create(const PreparedScene& scene, const DiscTaps& 
   // Casters point into them.
   stage.quads_.reserve(scene.planes.size());
   stage.outlines_.reserve(scene.objects.size() + 1 + scene.planes.size());
-  stage.coarse_.reserve(scene.objects.size() + 1);
+  stage.coarse_.reserve(kCoarse.size() * scene.objects.size() + 1);
   stage.sights_.reserve(scene.objects.size());
   stage.real_on_.resize(scene.planes.size());
   for (const PreparedObject& o : scene.objects) PENUMBRA_TRY(stage.add_object(o));
@@ -84,7 +85,7 @@ Result<void> DiscStage::add_object(const PreparedObject& o) {
   moved_from_.emplace_back();
   other_form_.push_back(0);
   add_caster(o.baked.mesh, o.world_from_bake, virtual_casters_);
-  virtual_on_planes_.push_back(virtual_casters_.back());
+  for (auto& casters : virtual_on_planes_) casters.push_back(virtual_casters_.back());
   const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
   const float radius = prt::radius_around(o.baked.mesh, centre);
   spheres_.push_back({glm::dvec3(centre), double(radius)});
@@ -92,7 +93,9 @@ Result<void> DiscStage::add_object(const PreparedObject& o) {
     outlines_.back().find_cuts(o.baked.mesh, virtual_, *index);
     if (!o.baked.sight.empty())
       virtual_casters_.back().sight = &sights_.emplace_back(o.baked.sight, o.baked.mesh.normals);
-    virtual_on_planes_.back().outline = &coarse_.emplace_back(o.baked.mesh, kCoarse * radius);
+    for (std::size_t k = 0; k < kCoarse.size(); ++k)
+      virtual_on_planes_[k].back().outline =
+          &coarse_.emplace_back(o.baked.mesh, kCoarse[k] * radius);
   }
   virtual_.set_pose(*index, o.world_from_bake);
   return {};
@@ -105,7 +108,7 @@ Result<void> DiscStage::add_real_mesh() {
   add_caster(mesh, {}, real_casters_);
   shadows::Caster on_planes = real_casters_.back();
   if (!scene_->objects.empty())  // else nobody looks
-    on_planes.outline = &coarse_.emplace_back(mesh, kCoarse * smallest_radius());
+    on_planes.outline = &coarse_.emplace_back(mesh, kCoarse[0] * smallest_radius());
   real_on_.assign(scene_->planes.size(), {on_planes});
   return {};
 }
@@ -124,7 +127,7 @@ void DiscStage::set_pose(std::size_t object, const Pose& world_from_bake) {
   if (!moved_from_[object]) moved_from_[object] = poses_[object];
   poses_[object] = world_from_bake;
   virtual_.set_pose(static_cast<int>(object), world_from_bake);
-  for (auto* casters : {&virtual_casters_, &virtual_on_planes_})
+  for (auto* casters : {&virtual_casters_, &virtual_on_planes_[0], &virtual_on_planes_[1]})
     (*casters)[object].world_from_mesh = world_from_bake;
 }
 
@@ -230,7 +233,8 @@ void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
     const std::vector<shadows::Caster>& real = real_on_[p];
-    const shadows::Casters casters{virtual_on_planes_, real, near_m_, &memo_};
+    const shadows::Casters casters{virtual_on_planes_[shadows::is_broad(t.disc) ? 1 : 0], real,
+                                   near_m_, &memo_};
     shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, taps_.plane, t.on_plane[p]);
     if (!real.empty())
       shadows::draw_real_shadow(casters, around_, scene_->planes[p], t.disc,

@@ -2,6 +2,7 @@
 // threads: thread-bound, parallel inside
 #pragma once
 
+#include <array>
 #include <optional>
 #include <span>
 #include <vector>
@@ -98,8 +99,9 @@ class DiscStage {
   std::vector<shadows::Outline> coarse_;    // of those that keep their form
   std::vector<prt::SightLookup> sights_;    // of those of which it was baked
   std::vector<shadows::Caster> virtual_casters_, real_casters_;
-  // What planes get shadows from, coarse where that is known; of real things, by plane, all but the plane itself.
-  std::vector<shadows::Caster> virtual_on_planes_;
+  // What planes get shadows from, coarse where that is known: under discs that are not broad, and that are. Of real things, by
+  // plane, all but the plane itself.
+  std::array<std::vector<shadows::Caster>, 2> virtual_on_planes_;
   std::vector<std::vector<shadows::Caster>> real_on_;
   std::vector<shadows::Neighbourhood> around_;
   shadows::OutlineMemo memo_;  // of the disc that is traced

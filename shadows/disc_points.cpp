@@ -50,8 +50,7 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
 // broad penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources
 // (studio: 2.5 to 3.3 %).
 template <class T>
-void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, int taps, std::vector<T>& sums) {
-  if (is_narrow(disc) || taps == 1) return;
+void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, std::vector<T>& sums) {
   constexpr double kBroad = .25;  // radians
   const int passes = disc.radius.value() > kBroad ? 3 : 1;
   for (int pass = 0; pass < passes; ++pass) average_neighbours(mesh, sums);
@@ -261,7 +260,7 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, const pr
                   const Teller& tell, Sums& sums) {
   thread_local std::vector<char> place;  // grow once per thread
   thread_local std::vector<std::uint32_t> own;
-  const bool narrow = is_narrow(disc), hard = taps == 1;
+  const bool narrow = !is_broad(disc), hard = taps == 1;
   const auto last = static_cast<std::size_t>(taps);
   ask_groups(tracer, sight, narrow ? 1 : last, sums, tell, own);
   tracer.ask(sight.parts(), asked, static_cast<float>(last), sums);
@@ -310,12 +309,16 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   const bool hard = taps == 1;
   const std::size_t count = mesh.positions.size();
   sums.assign(count, {});
-  // What neighbours average makes do with their taps.
-  const bool averaged = !is_narrow(disc) && !hard, cut = is_cut(plane, disc);
-  all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
   const SightUse use = use_of_sight(casters, object, disc, taps);
-  if (use == SightUse::kAlone) {
-    look_up(object, plane, disc, sums);
+  const bool looked_up = use == SightUse::kCoarse || use == SightUse::kFine;
+  // What neighbours average makes do with their taps.
+  const bool averaged = !hard && (looked_up || is_broad(disc)) && is_smooth(disc, *object.outline),
+             cut = is_cut(plane, disc);
+  all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
+  if (looked_up) {
+    look_up(object, plane, disc,
+            use == SightUse::kCoarse ? prt::VertexSight::kCells : prt::VertexSight::kFineCells,
+            sums);
   } else {
     pattern.make(disc, taps, hard ? 1 : kTurns);
     const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
@@ -328,7 +331,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
       trace_groups(tracer, shared, mesh, disc, taps, all.at(0), tell, sums);
     }
   }
-  smooth(mesh, disc, taps, sums);
+  if (averaged) smooth(mesh, disc, sums);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
                        glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
@@ -365,7 +368,8 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
       }
     }
   });
-  for (auto* sums : {&out.open, &out.taken, &out.missing}) smooth(mesh, disc, taps, *sums);
+  if (is_broad(disc) && !hard)
+    for (auto* sums : {&out.open, &out.taken, &out.missing}) smooth(mesh, disc, *sums);
   all.make(disc, std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

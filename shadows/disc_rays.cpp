@@ -20,6 +20,24 @@ double largest_angle(const lighting::Disc& disc) {
   return largest;
 }
 
+double rms_angle(const lighting::Disc& disc) {
+  if (disc.shape.empty()) return disc.radius.value() / std::sqrt(2.);
+  double sum = 0;
+  for (const glm::dvec3& d : disc.shape)
+    sum += std::pow(std::acos(std::clamp(glm::dot(d, disc.direction), -1., 1.)), 2);
+  return std::sqrt(sum / static_cast<double>(disc.shape.size()));
+}
+
+bool is_broad(const lighting::Disc& disc) {
+  constexpr double kFrom = .05;  // radians
+  return largest_angle(disc) >= kFrom;
+}
+
+bool is_smooth(const lighting::Disc& disc, const Outline& outline) {
+  constexpr double kEdges = 1.75;
+  return rms_angle(disc) * outline.radius_m() >= kEdges * outline.mean_length_m();
+}
+
 Beam beam_of(const lighting::Disc& disc, double more) {
   return {disc.direction, std::sin(std::min(largest_angle(disc) + more, kPi / 2))};
 }

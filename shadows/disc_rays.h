@@ -11,14 +11,13 @@ namespace penumbra::shadows {
 
 inline constexpr int kMostTaps = 64;
 
-/// Radians from the disc's middle to its farthest direction.
+/// Radians from the disc's middle, to its farthest direction and in the mean of all.
 double largest_angle(const lighting::Disc& disc);
+double rms_angle(const lighting::Disc& disc);
 
-/// Radians: few vertices lie in penumbras of a narrower disc.
-inline constexpr double kNarrow = .05;
-inline bool is_narrow(const lighting::Disc& disc) {
-  return largest_angle(disc) < kNarrow;
-}
+/// Whether a disc's penumbras on an object, of parts as far as its radius, are wider than a few edges, so that neighbours may share
+/// their light. (A knot of 5,120 vertices under a lamp of 3 degrees: 17 % off where they do, 7 where not; of 38,400: 5, 7.)
+bool is_smooth(const lighting::Disc& disc, const Outline& outline);
 
 /// All of a disc's directions, and those so many radians off it.
 Beam beam_of(const lighting::Disc& disc, double more = 0);

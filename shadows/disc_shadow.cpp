@@ -20,8 +20,10 @@ constexpr int kRim = 2;  // cells around what is drawn
 
 using PlaneTaps = std::pmr::vector<PlaneTap>;
 
-int taps_for(const lighting::Disc& disc, int taps) {
-  return is_narrow(disc) ? taps : std::min(kMostTaps, 4 * taps);
+// Broad penumbras show their directions, and hide cells.
+DiscShadowOptions options_for(const lighting::Disc& disc, const DiscShadowOptions& options) {
+  if (!is_broad(disc)) return options;
+  return {std::min(kMostTaps, 4 * options.taps), options.size * 3 / 4};
 }
 
 // Bounds of the casters' shadow in the plane frame.
@@ -125,7 +127,7 @@ std::optional<Setting> set_up(const prt::Plane& plane, const lighting::Disc& dis
   away = glm::normalize(away);
   const glm::dmat3 axes(away, plane.normal, glm::cross(away, plane.normal));
   thread_local TapPattern pattern;  // grows once per thread
-  pattern.make(disc, taps_for(disc, taps), 1);
+  pattern.make(disc, taps, 1);
   PlaneTaps above = taps_over(pattern.at(0), glm::transpose(axes), memory);
   if (above.empty()) return std::nullopt;
   const Extent reach = reach_of(above);
@@ -174,11 +176,12 @@ void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lig
   clear(out);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options.taps, scope.memory());
+  const auto [taps, size] = options_for(disc, options);
+  const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   const Extent e = shadow_extent(casters.virtual_things, casters.near_m,
                                  setting->world_from_plane.inverse(), setting->reach);
-  if (!e.empty()) draw(casters, *setting, e, options.size, out);
+  if (!e.empty()) draw(casters, *setting, e, size, out);
 }
 
 void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> around,
@@ -187,7 +190,8 @@ void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> aro
   clear(out);
   if (around.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options.taps, scope.memory());
+  const auto [taps, size] = options_for(disc, options);
+  const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
   Extent e;
@@ -196,7 +200,7 @@ void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> aro
     e.low = glm::min(e.low, glm::dvec2(p.x, p.z) - n.radius);
     e.high = glm::max(e.high, glm::dvec2(p.x, p.z) + n.radius);
   }
-  draw({casters.real_things, {}, casters.near_m, casters.memo}, *setting, e, options.size, out);
+  draw({casters.real_things, {}, casters.near_m, casters.memo}, *setting, e, size, out);
 }
 
 void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const lighting::Disc& disc,
@@ -204,7 +208,8 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   for (DiscShadow& shadow : out) clear(shadow);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto setting = set_up(plane, disc, options.taps, scope.memory());
+  const auto [taps, size] = options_for(disc, options);
+  const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   // A group's casters in one row, so that each map draws its own alone.
   struct Group {
@@ -233,7 +238,7 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   if (out.size() < groups.size()) out.resize(groups.size());
   for (std::size_t i = 0; i < groups.size(); ++i)
     draw({groups[i].casters, casters.real_things, casters.near_m, casters.memo}, *setting,
-         groups[i].extent, options.size, out[i]);
+         groups[i].extent, size, out[i]);
 }
 
 }  // namespace penumbra::shadows

@@ -34,15 +34,18 @@ class Layers {
             float cell_m) {
     const std::size_t first = kGroup * group;
     for (std::size_t k = first; k < std::min(first + kGroup, taps.size()); ++k) {
-      shift_x_[k - first] = static_cast<float>(taps[k].shift.x / double(cell_m));
-      shift_z_[k - first] = static_cast<float>(taps[k].shift.y / double(cell_m));
+      shifts_.x[k - first] = static_cast<float>(taps[k].shift.x / double(cell_m));
+      shifts_.z[k - first] = static_cast<float>(taps[k].shift.y / double(cell_m));
     }
     Fallen fallen;
     for (const Side& s : sides) {
-      fall(s, fallen);
-      draw(fallen, static_cast<std::uint16_t>(s.more >> first), s.layers);
-      draw(fallen, static_cast<std::uint16_t>(s.fewer >> first),
-           static_cast<std::int16_t>(-s.layers));
+      const auto more = static_cast<std::uint16_t>(s.more >> first),
+                 fewer = static_cast<std::uint16_t>(s.fewer >> first);
+      if ((more | fewer) == 0) continue;
+      const std::uint16_t crosses =
+          fall({s.from.x, s.from.y, s.from.z, s.to.x, s.to.y, s.to.z}, shifts_, height_, fallen);
+      draw(fallen, more & crosses, s.layers);
+      draw(fallen, fewer & crosses, static_cast<std::int16_t>(-s.layers));
     }
   }
   /// Row y, once.
@@ -53,30 +56,12 @@ class Layers {
  private:
   std::size_t index(int x, int y) const { return static_cast<std::size_t>(y * width_ + x); }
 
-  // A side on the plane, by direction: its lower end, and the rows before which its two ends lie.
-  struct Fallen {
-    alignas(64) float x[kGroup], z[kGroup], slope[kGroup];
-    alignas(64) int row[kGroup], last[kGroup];
-  };
-  void fall(const Side& s, Fallen& out) const {
-    const auto end = static_cast<float>(height_);
-    for (std::size_t k = 0; k < kGroup; ++k) {
-      const float x0 = s.from.x + s.from.y * shift_x_[k], z0 = s.from.z + s.from.y * shift_z_[k],
-                  x1 = s.to.x + s.to.y * shift_x_[k], z1 = s.to.z + s.to.y * shift_z_[k];
-      out.row[k] = ceil_within(z0, end);
-      out.last[k] = ceil_within(z1, end);
-      out.slope[k] = (x1 - x0) / (z1 - z0);
-      out.x[k] = z0 < z1 ? x0 : x1;
-      out.z[k] = z0 < z1 ? z0 : z1;
-    }
-  }
-
-  void draw(const Fallen& side, std::uint16_t directions, std::int16_t layers) {
+  // in: directions that cross a row
+  void draw(const Fallen& side, int directions, std::int16_t layers) {
     const auto right = static_cast<float>(width_);
-    for (unsigned left = directions; left != 0; left &= left - 1) {
+    for (auto left = static_cast<unsigned>(directions); left != 0; left &= left - 1) {
       const auto k = static_cast<std::size_t>(std::countr_zero(left));
       int row = side.row[k], last = side.last[k];
-      if (row == last) continue;
       std::int16_t step = layers;
       if (row > last) std::swap(row, last), step = static_cast<std::int16_t>(-step);
       for (; row < last; ++row) {
@@ -91,7 +76,7 @@ class Layers {
 
   int width_, height_;
   std::vector<Counts>& steps_;
-  alignas(64) std::array<float, kGroup> shift_x_{}, shift_z_{};  // cells a metre
+  Shifts shifts_{};
 };
 
 // The sum of weights for each set of sixteen directions.

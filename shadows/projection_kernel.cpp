@@ -66,6 +66,41 @@ HWY_ATTR void FindFacingAll(const NormalSpans& normals, const Cone& cone,
   part(out.size() - lanes);
 }
 
+// First integer that is not less, of 0..limit.
+template <class D>
+HWY_INLINE hn::Vec<hn::Rebind<std::int32_t, D>> CeilWithin(D d, hn::Vec<D> x, float limit) {
+  return hn::ConvertTo(hn::Rebind<std::int32_t, D>(),
+                       hn::Ceil(hn::Min(hn::Max(hn::Zero(d), x), hn::Set(d, limit))));
+}
+
+HWY_ATTR std::uint16_t Fall(const Stretch& s, const Shifts& shifts, int height, Fallen& out) {
+  const hn::CappedTag<float, kGroup> d;
+  const hn::Rebind<std::int32_t, decltype(d)> di;
+  const std::size_t lanes = hn::Lanes(d);
+  const auto end = static_cast<float>(height);
+  std::uint64_t crosses = 0;
+  for (std::size_t k = 0; k < kGroup; k += lanes) {
+    const auto along_x = hn::Load(d, shifts.x + k), along_z = hn::Load(d, shifts.z + k);
+    const auto z0 = hn::MulAdd(hn::Set(d, s.from_y), along_z, hn::Set(d, s.from_z)),
+               z1 = hn::MulAdd(hn::Set(d, s.to_y), along_z, hn::Set(d, s.to_z));
+    const auto row = CeilWithin(d, z0, end), last = CeilWithin(d, z1, end);
+    std::uint8_t bits[HWY_MAX(8, HWY_MAX_BYTES / 8)] = {};
+    hn::StoreMaskBits(di, hn::Ne(row, last), bits);
+    const std::uint64_t here = Bits(bits, lanes);
+    if (here == 0) continue;
+    crosses |= here << k;
+    const auto x0 = hn::MulAdd(hn::Set(d, s.from_y), along_x, hn::Set(d, s.from_x)),
+               x1 = hn::MulAdd(hn::Set(d, s.to_y), along_x, hn::Set(d, s.to_x));
+    const auto rises = hn::Lt(z0, z1);
+    hn::Store(hn::IfThenElse(rises, x0, x1), d, out.x + k);
+    hn::Store(hn::Min(z0, z1), d, out.z + k);
+    hn::Store(hn::Div(hn::Sub(x1, x0), hn::Sub(z1, z0)), d, out.slope + k);
+    hn::Store(row, di, out.row + k);
+    hn::Store(last, di, out.last + k);
+  }
+  return static_cast<std::uint16_t>(crosses);
+}
+
 HWY_ATTR void SumSteps(Counts* steps, std::size_t nodes, std::uint16_t* blocked) {
 #if HWY_TARGET == HWY_SCALAR
   Counts sum{};
@@ -108,6 +143,7 @@ HWY_AFTER_NAMESPACE();
 namespace penumbra::shadows {
 HWY_EXPORT(FindFacing);
 HWY_EXPORT(FindFacingAll);
+HWY_EXPORT(Fall);
 HWY_EXPORT(SumSteps);
 
 std::uint64_t find_facing(float x, float y, float z, const Directions& directions) {
@@ -116,6 +152,10 @@ std::uint64_t find_facing(float x, float y, float z, const Directions& direction
 
 void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out) {
   HWY_DYNAMIC_DISPATCH(FindFacingAll)(normals, cone, out);
+}
+
+std::uint16_t fall(const Stretch& stretch, const Shifts& shifts, int height, Fallen& out) {
+  return HWY_DYNAMIC_DISPATCH(Fall)(stretch, shifts, height, out);
 }
 
 void sum_steps(Counts* steps, std::size_t nodes, std::uint16_t* blocked) {

@@ -34,6 +34,22 @@ inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
 /// Whether triangles face all directions of a cone, or none: one of the three for each.
 void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out);
 
+/// A stretch of an outline: x and z in cells, y in metres.
+struct Stretch {
+  float from_x, from_y, from_z, to_x, to_y, to_z;
+};
+/// So many directions' shifts of a shadow: cells for each metre of height.
+struct Shifts {
+  alignas(64) float x[kGroup], z[kGroup];
+};
+/// A stretch on the plane, by direction: its lower end, and the rows before which its two ends lie, 0..height.
+struct Fallen {
+  alignas(64) float x[kGroup], z[kGroup], slope[kGroup];
+  alignas(64) int row[kGroup], last[kGroup];
+};
+/// Bit by direction: whether the stretch crosses a row. Those alone are set in `out`, or more.
+std::uint16_t fall(const Stretch& stretch, const Shifts& shifts, int height, Fallen& out);
+
 struct alignas(32) Counts {
   std::int16_t of[kGroup];
 };

@@ -77,6 +77,10 @@ void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarS
 
 // ---------------------------------------------------------------------------------- discs
 
+/// Whether a disc reaches .05 radians (2.9 degrees) or more from its middle: many vertices lie in its penumbras, which need
+/// more directions and less detail than a sun's.
+bool is_broad(const lighting::Disc& disc);
+
 /// What can stand between a point and a disc.
 struct Blockers {
   const prt::RayWorld* virtual_things = nullptr;
@@ -122,10 +126,10 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  /// Directions of the disc, 1..64; four times as many, 64 at most, for one that reaches .05 radians or more from its middle.
-  /// One of a narrower disc is its middle: a hard shadow.
+  /// Directions of the disc, 1..64; four times as many, 64 at most, for a broad one. One of another is its middle: a hard
+  /// shadow.
   int taps = 16;
-  /// Cells along the longer side, at least 16.
+  /// Cells along the longer side, at least 16; three quarters of them for a broad disc.
   int size = 256;
 };
 

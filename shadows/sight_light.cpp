@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <glm/gtx/quaternion.hpp>
 
 #include "core/parallel.h"
 #include "shadows/disc_rays.h"
@@ -13,15 +12,6 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr std::size_t kAtOnce = 1024;  // vertices
-
-// Radians.
-double rms_angle(const lighting::Disc& disc) {
-  if (disc.shape.empty()) return disc.radius.value() / std::sqrt(2.);
-  double sum = 0;
-  for (const glm::dvec3& d : disc.shape)
-    sum += std::pow(std::acos(std::clamp(glm::dot(d, disc.direction), -1., 1.)), 2);
-  return std::sqrt(sum / static_cast<double>(disc.shape.size()));
-}
 
 // A thing like the object, in its place, hides what the object itself does.
 bool is_twin(const Caster& a, const Caster& b) {
@@ -56,20 +46,6 @@ void aim(const Caster& object, const prt::Plane* plane, const lighting::Disc& di
     for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
 }
 
-// A form's directions go aside by `more`, each another way.
-void widen(const lighting::Disc& disc, double more, lighting::Disc& out) {
-  out = disc;
-  out.radius = Radians{disc.radius.value() + more};
-  const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), disc.direction));
-  constexpr double kGolden = 2.399963229728653;
-  double angle = 0;
-  for (glm::dvec3& d : out.shape) {
-    angle += kGolden;
-    d = glm::normalize(d +
-                       std::tan(more) * (std::cos(angle) * frame[0] + std::sin(angle) * frame[2]));
-  }
-}
-
 // A vertex is sure where those around it say the same: what is thin hides between the rays of one vertex.
 void ask_neighbours(const prt::Mesh& mesh, std::span<SightVerdict> verdict) {
   constexpr char kLit = 1, kDark = 2, kMixed = 4;
@@ -94,33 +70,34 @@ void ask_neighbours(const prt::Mesh& mesh, std::span<SightVerdict> verdict) {
 SightUse use_of_sight(const Casters& casters, const Caster& object, const lighting::Disc& disc,
                       int taps) {
   constexpr int kAsGood = 8;  // rays a vertex
-  // RMS angles add up as squares: the disc looks less than a tenth wider.
-  constexpr double kWideBeside = 2.5;
+  // RMS angles of the disc, in those that look-ups are off: they add as squares do. From the first on the disc looks a tenth
+  // wider, from the second on look-ups are as good as four rays.
+  constexpr double kCoarseFrom = 2.5, kFineFrom = 1.7;
   if (!object.sight || taps == 1 || taps > kAsGood || SharedSight::counts_parts(object, disc) ||
       others_between(casters.virtual_things, object, disc) ||
       others_between(casters.real_things, object, disc))
     return SightUse::kNone;
-  return rms_angle(disc) > kWideBeside * object.sight->sight().blur() ? SightUse::kAlone
-                                                                      : SightUse::kScout;
+  const auto beside = [&](int cells) { return rms_angle(disc) / prt::VertexSight::blur(cells); };
+  return beside(prt::VertexSight::kCells) > kCoarseFrom     ? SightUse::kCoarse
+         : beside(prt::VertexSight::kFineCells) > kFineFrom ? SightUse::kFine
+                                                            : SightUse::kScout;
 }
 
-void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
+void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
              std::span<prt::CosineSums> out) {
   thread_local prt::SightTaps memory;  // grows once per thread
   prt::SightTaps& taps = memory;
   aim(object, plane, disc, taps);
-  parallel_for(std::size_t{0}, out.size(), kAtOnce,
-               [&](const auto& part) { object.sight->look(taps, part.begin(), part.end(), out); });
+  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
+    object.sight->look(taps, cells, part.begin(), part.end(), out);
+  });
 }
 
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out) {
-  constexpr double kFarEnough = 1;   // of the blur
-  thread_local lighting::Disc wide;  // grow once per thread
-  thread_local std::vector<prt::CosineSums> sums;
-  widen(disc, kFarEnough * object.sight->sight().blur(), wide);
+  thread_local std::vector<prt::CosineSums> sums;  // grows once per thread
   const std::size_t count = object.mesh->positions.size();
   sums.resize(count), out.resize(count);
-  look_up(object, nullptr, wide, sums);
+  look_up(object, nullptr, disc, prt::VertexSight::kFineCells, sums);
   constexpr float kRounding = 1e-5f;
   std::ranges::transform(sums, out.begin(), [](const prt::CosineSums& here) {
     if (here.open <= 0) return SightVerdict::kTurnedAway;

@@ -9,21 +9,22 @@
 
 namespace penumbra::shadows {
 
-enum class SightUse { kNone, kScout, kAlone };
-/// Alone for discs that are wide beside the cells of the sight; as a scout for smaller ones, but for those that are told by
-/// outlines. None for hard shadows, for more rays than it is worth, and where another caster's sphere reaches between: a real
-/// plane's, where there are several, always does.
+enum class SightUse { kNone, kScout, kCoarse, kFine };
+/// Looked up in the sight's cells, wide or fine, for discs that are wide beside those; as a scout for smaller ones, but for those
+/// that are told by outlines. None for hard shadows, for more rays than it is worth, and where another caster's sphere reaches
+/// between: a real plane's, where there are several, always does.
 SightUse use_of_sight(const Casters& casters, const Caster& object, const lighting::Disc& disc,
                       int taps);
 
-/// By vertex the sums over directions of the disc of the cosine: what is seen before the plane, and all.
+/// By vertex, over directions of the disc; what is behind the plane does not count as seen.
+/// in: cells as SightLookup::look
 /// threads: as trace_disc_light
-void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
+void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
              std::span<prt::CosineSums> out);
 
 enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMixed };
-/// Lit or dark where all that lies about the disc, as far as a look-up may be off, is open or nothing is, from a vertex and from
-/// those around it.
+/// Lit or dark where all of the disc, as finely as a look-up can tell, is open or nothing is, from a vertex and from those around
+/// it.
 /// threads: as trace_disc_light
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out);
 

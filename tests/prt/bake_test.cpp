@@ -299,7 +299,7 @@ TEST(GroundGrid, PositionAndTextureCoordinateInvertEachOther) {
 TEST(Bake, ProgressRisesToOne) {
   double last = 0;
   BakeOptions options = settings(2, 4, 64);
-  options.sight_cells = 16;
+  options.sight = true;
   options.progress = [&](double done) {
     EXPECT_GE(done, last);
     EXPECT_LE(done, 1);

@@ -26,7 +26,7 @@ class BakedFile : public testing::Test {
     options.bands = bands;
     options.rays = options.ground_rays = 64;
     options.bounces = 1;
-    if (with_receiver) options.sight_cells = 8;
+    options.sight = with_receiver;
     const Mesh mesh = make_knot(.37f, 12, 5, albedo);
     if (with_receiver)
       options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 9), {.2f, .3f, .7f}};
@@ -74,7 +74,8 @@ void expect_same(const BakedObject& a, const BakedObject& b) {
   EXPECT_EQ(a.mesh.triangles, b.mesh.triangles);
   expect_same(a.transfer, b.transfer);
   expect_same(a.ground_deficit, b.ground_deficit);
-  EXPECT_EQ(a.sight.cells, b.sight.cells);
+  EXPECT_EQ(a.sight.refined, b.sight.refined);
+  EXPECT_EQ(a.sight.fine, b.sight.fine);
   EXPECT_EQ(a.sight.open, b.sight.open);
   EXPECT_EQ(a.report.rays, b.report.rays);
   EXPECT_EQ(a.report.seconds, b.report.seconds);
@@ -201,11 +202,10 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"count\":60", "\"count\":0"), ErrorCode::kUnreadable) << "no vertices";
   EXPECT_EQ(code("\"deficit\":", "\"surplus\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"version\":3", "\"version\":4"), ErrorCode::kInvalid) << "another version";
-  EXPECT_EQ(code("\"sight_cells\":8", "\"sight_cells\":16"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"sight_cells\":8", "\"sight_cells\":9"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"sight_cells\":8", "\"sight_cells\":4096"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"sight_cells\":8", "\"sight_cells\":-8"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"sight\":", "\"sight\":9"), ErrorCode::kUnreadable) << "no such accessor";
+  EXPECT_EQ(code("\"fine\":", "\"open\":"), ErrorCode::kUnreadable) << "no finer cells";
+  EXPECT_EQ(code("\"fine\":", "\"fine\":9"), ErrorCode::kUnreadable) << "no such accessor";
+  EXPECT_EQ(code("\"refined\":", "\"refined\":9"), ErrorCode::kUnreadable) << "no such accessor";
+  EXPECT_EQ(code("\"open\":", "\"open\":9"), ErrorCode::kUnreadable) << "no such accessor";
   EXPECT_EQ(code("\"_TRANSFER_1\"", "\"_TRANSFER_7\""), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"penumbra\":", "\"elsewhere\":"), ErrorCode::kInvalid) << "not ours";
 }

@@ -2,6 +2,7 @@
 #include "prt/vertex_sight.h"
 
 #include <gtest/gtest.h>
+#include <hwy/targets.h>
 
 #include <algorithm>
 #include <cmath>
@@ -13,12 +14,12 @@
 namespace penumbra::prt {
 namespace {
 
-BakedObject baked_knot(int cells) {
+BakedObject baked_knot(bool sight) {
   BakeOptions options;
   options.rays = options.ground_rays = 64;
   options.bounces = 0;
   options.bands = 2;
-  options.sight_cells = cells;
+  options.sight = sight;
   const Mesh mesh = make_knot(.4f, 60, 16, {.5f, .5f, .5f});
   options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 8), {.4f, .4f, .4f}};
   auto out = bake(mesh, options);
@@ -41,18 +42,17 @@ struct World {
   RayWorld rays = *RayWorld::create();
 };
 
-std::vector<CosineSums> look(const BakedObject& o, const SightTaps& taps) {
+std::vector<CosineSums> look(const BakedObject& o, const SightTaps& taps, int cells) {
   std::vector<CosineSums> out(o.mesh.positions.size());
-  SightLookup(o.sight, o.mesh.normals).look(taps, 0, out.size(), out);
+  SightLookup(o.sight, o.mesh.normals).look(taps, cells, 0, out.size(), out);
   return out;
 }
 
 // Each vertex looks along rays of its own, of random cells; the receiver, which its rays cross, does not count.
 TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
-  for (const int cells : {8, 32}) {
-    const BakedObject o = baked_knot(cells);
-    ASSERT_EQ(o.sight.cells, cells);
-    const World world(o);
+  const BakedObject o = baked_knot(true);
+  const World world(o);
+  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
     std::mt19937 rng(7);
     std::uniform_int_distribution<int> cell(0, cells - 1);
     SightTaps taps;
@@ -69,7 +69,7 @@ TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
         if (counts && world.open(v, d)) seen[v] += cosine;
       }
     }
-    const std::vector<CosineSums> looked = look(o, taps);
+    const std::vector<CosineSums> looked = look(o, taps, cells);
     std::size_t different = 0, dark = 0;
     for (std::size_t v = 0; v < seen.size(); ++v) {
       EXPECT_NEAR(looked[v].open, open[v], 1e-4f);
@@ -86,7 +86,7 @@ TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
 TEST(VertexSight, RaysAreNearToEveryDirection) {
   std::mt19937 rng(3);
   std::normal_distribution<float> normal;
-  for (const int cells : {16, 32}) {
+  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
     double square = 0, most = 0;
     constexpr int kTries = 4000;
     for (int i = 0; i < kTries; ++i) {
@@ -102,7 +102,7 @@ TEST(VertexSight, RaysAreNearToEveryDirection) {
       square += angle * angle;
       most = std::max(most, angle);
     }
-    const double blur = VertexSight(cells, 0).blur();
+    const double blur = VertexSight::blur(cells);
     EXPECT_NEAR(std::sqrt(square / kTries) / blur, 1, .25) << cells;
     EXPECT_LT(most, 3.5 * blur) << cells;
   }
@@ -113,49 +113,61 @@ TEST(VertexSight, RaysAreNearToEveryDirection) {
 TEST(VertexSight, LooksAlongTheNearestRay) {
   std::mt19937 rng(5);
   std::normal_distribution<float> normal;
-  constexpr int kTries = 1000, kCells = 16;
-  int found = 0;
-  for (int i = 0; i < kTries; ++i) {
-    const std::size_t vertex = static_cast<std::size_t>(i) % 7, count = 7;
-    const std::vector<glm::vec3> up(
-        count, glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))));
-    glm::vec3 d = glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)));
-    if (glm::dot(d, up[0]) < 0) d = -d;
-    const SightFrame frame = SightFrame::of(vertex, up[0]);
-    float nearest = -1;
-    std::size_t bit = 0;
-    for (int y = 0; y < kCells; ++y)
-      for (int x = 0; x < kCells; ++x)
-        if (const float here = glm::dot(d, frame.direction(x, y, kCells)); here > nearest) {
-          nearest = here;
-          bit = static_cast<std::size_t>((y / 4 * (kCells / 4) + x / 4) * 16 + y % 4 * 4 + x % 4);
-        }
-    VertexSight sight(kCells, count);
-    sight.open[vertex * sight.words() + bit / 32] = 1u << bit % 32;
-    SightTaps taps;
-    for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
-    std::vector<CosineSums> sums(count);
-    SightLookup(sight, up).look(taps, 0, count, sums);
-    found += sums[vertex].seen > 0;
+  constexpr int kTries = 1000;
+  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+    int found = 0;
+    for (int i = 0; i < kTries; ++i) {
+      const std::size_t vertex = static_cast<std::size_t>(i) % 7, count = 7;
+      const std::vector<glm::vec3> up(
+          count, glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))));
+      glm::vec3 d = glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng)));
+      if (glm::dot(d, up[0]) < 0) d = -d;
+      const SightFrame frame = SightFrame::of(vertex, up[0]);
+      float nearest = -1;
+      std::size_t block = 0, cell = 0;
+      const int side = cells / 8;
+      for (int y = 0; y < cells; ++y)
+        for (int x = 0; x < cells; ++x)
+          if (const float here = glm::dot(d, frame.direction(x, y, cells)); here > nearest) {
+            nearest = here;
+            block = static_cast<std::size_t>(8 * (y / side) + x / side);
+            cell = static_cast<std::size_t>(side * (y % side) + x % side);
+          }
+      VertexSight sight(count);
+      if (cells == VertexSight::kCells) {
+        sight.open[VertexSight::kWords * vertex + block / 2] = 1u << (16 * (block % 2) + cell);
+      } else {
+        sight.refined[vertex] = std::uint64_t{1} << block;
+        sight.fine.push_back(std::uint64_t{1} << cell);
+      }
+      SightTaps taps;
+      for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
+      std::vector<CosineSums> sums(count);
+      SightLookup(sight, up).look(taps, cells, 0, count, sums);
+      found += sums[vertex].seen > 0;
+    }
+    EXPECT_GT(found, kTries * 85 / 100) << cells;
   }
-  EXPECT_GT(found, kTries * 85 / 100);
 }
 
 TEST(VertexSight, AnOpenSurfaceSeesEverything) {
   BakeOptions options;
   options.rays = options.ground_rays = 64;
   options.bounces = 0;
-  options.sight_cells = 16;
+  options.sight = true;
   const auto ball = bake(make_sphere({0, 0, 0}, .3f, 3, {.5f, .5f, .5f}), options);
   ASSERT_TRUE(ball);
   SightTaps taps;
   for (int k = 0; k < 32; ++k)
     taps.add(glm::normalize(glm::vec3(std::cos(k), 1, std::sin(k))), true);
-  const std::vector<CosineSums> looked = look(*ball, taps);
-  for (std::size_t v = 0; v < looked.size(); ++v) {
-    ASSERT_EQ(looked[v].seen, looked[v].open) << v;
-    if (ball->mesh.normals[v].y < -.8f) {
-      EXPECT_EQ(looked[v].open, 0) << "turned away";
+  EXPECT_TRUE(ball->sight.fine.empty());
+  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+    const std::vector<CosineSums> looked = look(*ball, taps, cells);
+    for (std::size_t v = 0; v < looked.size(); ++v) {
+      ASSERT_EQ(looked[v].seen, looked[v].open) << v;
+      if (ball->mesh.normals[v].y < -.8f) {
+        EXPECT_EQ(looked[v].open, 0) << "turned away";
+      }
     }
   }
 }
@@ -171,16 +183,36 @@ TEST(VertexSight, ANegativeZeroTurnsNothing) {
   }
 }
 
-TEST(VertexSight, IsMadeOnDemandAndOfSensibleSizes) {
-  EXPECT_TRUE(baked_knot(0).sight.empty());
-  for (const int cells : {-8, 4, 20, VertexSight::kMostCells + 8}) {
-    BakeOptions options;
-    options.rays = options.ground_rays = 64;
-    options.sight_cells = cells;
-    const auto out = bake(make_knot(.4f, 12, 5, {.5f, .5f, .5f}), options);
-    ASSERT_FALSE(out) << cells;
-    EXPECT_EQ(out.error().code, ErrorCode::kInvalid);
+// Each width of vectors that this machine has, in its own code.
+TEST(VertexSight, LooksAlikeOnEveryKindOfProcessor) {
+  const BakedObject o = baked_knot(true);
+  SightTaps taps;
+  std::mt19937 rng(11);
+  std::normal_distribution<float> normal;
+  for (std::size_t k = 0; k < 5 * SightTaps::kEach; ++k)
+    taps.add(glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))), k % 7 != 0);
+  const std::int64_t targets = hwy::SupportedTargets();
+  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+    const std::vector<CosineSums> best = look(o, taps, cells);
+    for (std::int64_t left = targets; left != 0; left &= left - 1) {
+      SCOPED_TRACE(hwy::TargetName(left & -left));
+      hwy::SetSupportedTargetsForTest(left & -left);
+      hwy::GetChosenTarget().Update(left & -left);
+      const std::vector<CosineSums> here = look(o, taps, cells);
+      std::size_t different = 0;
+      for (std::size_t v = 0; v < best.size(); ++v) {
+        ASSERT_NEAR(here[v].open, best[v].open, 1e-4f);
+        different += std::abs(here[v].seen - best[v].seen) > 1e-4f;
+      }
+      EXPECT_LE(different, best.size() / 200) << "rounding at the rims of cells";
+    }
+    hwy::SetSupportedTargetsForTest(0);
+    hwy::GetChosenTarget().Update(targets);
   }
+}
+
+TEST(VertexSight, IsMadeOnDemand) {
+  EXPECT_TRUE(baked_knot(false).sight.empty());
 }
 
 }  // namespace

@@ -9,7 +9,7 @@ namespace {
 
 using glm::dvec3;
 
-PreparedScene two_of(const prt::Mesh& thing, int sight_cells) {
+PreparedScene two_of(const prt::Mesh& thing, bool sight) {
   PreparedScene scene;
   scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.4f, .4f, .4f}, {}});
   for (const char* name : {"first", "second"}) {
@@ -17,7 +17,7 @@ PreparedScene two_of(const prt::Mesh& thing, int sight_cells) {
     prt::BakeOptions bake;
     bake.rays = bake.ground_rays = 64;
     bake.bounces = 0;
-    bake.sight_cells = sight_cells;
+    bake.sight = sight;
     bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
     auto baked = prt::bake(std::move(mesh), bake);
     EXPECT_TRUE(baked);
@@ -101,7 +101,7 @@ TEST(DiscStage, TheShadowOnAPlaneGoesWithItsObject) {
 // Look-ups find what rays find, to a few hundredths; where the other object may stand before the lamp rays are asked.
 TEST(DiscStage, WhatObjectsWereBakedToSeeIsAsked) {
   const prt::Mesh knot = prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f});
-  const PreparedScene plain = two_of(knot, 0), known = two_of(knot, prt::kSightCells);
+  const PreparedScene plain = two_of(knot, false), known = two_of(knot, true);
   lighting::Disc lamp = sun(0);
   lamp.radius = Radians(.3);
   for (const double apart : {3., .7}) {

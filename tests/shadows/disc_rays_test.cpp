@@ -83,11 +83,11 @@ TEST(DiscRays, WhatIsNarrowIsSoInEveryDirection) {
   lighting::Disc round;
   round.direction = {0, 1, 0};
   round.radius = Radians(.02);
-  EXPECT_TRUE(is_narrow(round));
-  EXPECT_TRUE(is_narrow(strip(.02, .05)));
-  EXPECT_FALSE(is_narrow(strip(.002, .4)));  // as long as it is thin
+  EXPECT_FALSE(is_broad(round));
+  EXPECT_FALSE(is_broad(strip(.02, .05)));
+  EXPECT_TRUE(is_broad(strip(.002, .4)));  // as long as it is thin
   round.radius = Radians(.06);
-  EXPECT_FALSE(is_narrow(round));
+  EXPECT_TRUE(is_broad(round));
 }
 
 }  // namespace

@@ -219,7 +219,7 @@ TEST_P(DrawnShadow, IsWhatRaysFind) {
   for (int y = 1; y + 1 < shadow.taken.height(); ++y)
     for (const int x : {1, shadow.taken.width() - 2}) EXPECT_LT(shadow.taken.at(x, y), .01f);
   const Wrong found = compare(shadow, virtual_things, real_things, floor.normal, disc,
-                              is_narrow(disc) ? s.taps : std::min(64, 4 * s.taps));
+                              is_broad(disc) ? std::min(64, 4 * s.taps) : s.taps);
   EXPECT_GT(found.dark, found.nodes / 50);
   // A node on an edge may go either way.
   EXPECT_LT(found.wrong, found.nodes / 200) << "of " << found.nodes;
@@ -351,7 +351,7 @@ TEST(DrawnShadow, OfRealThingsIsWhatRaysFind) {
     const Neighbourhood around{{0, .2, 0}, 1.2};
     draw_real_shadow({{}, posts.casters(), kNear}, {&around, 1}, kFloor, disc, {16, 128}, shadow);
     ASSERT_FALSE(shadow.empty());
-    const Wrong found = compare(shadow, posts, none, {0, 1, 0}, disc, is_narrow(disc) ? 16 : 64);
+    const Wrong found = compare(shadow, posts, none, {0, 1, 0}, disc, is_broad(disc) ? 64 : 16);
     EXPECT_GT(found.dark, found.nodes / 100);
     EXPECT_LT(found.wrong, found.nodes / 200);
   }

@@ -49,7 +49,8 @@ struct World : test::CasterWorld {
   std::vector<float> own_light(const lighting::Disc& disc, const prt::RayWorld* blockers,
                                int taps = 4) const {
     return light(disc,
-                 {is_narrow(disc) ? &points : meshes.data(), &none, casters[0].world_from_mesh},
+                 {is_broad(disc) && is_smooth(disc, *casters[0].outline) ? meshes.data() : &points,
+                  &none, casters[0].world_from_mesh},
                  blockers, taps);
   }
   // From as many rays of their own; what outlines tell in part from many, by an eighth of the disc.
@@ -400,7 +401,7 @@ double rmse(const std::vector<float>& a, const std::vector<float>& b) {
 TEST(SharedSight, ASmallFormIsNarrow) {
   const World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
   const lighting::Disc disc = form(40, .008, .02);
-  ASSERT_TRUE(is_narrow(disc));
+  ASSERT_FALSE(is_broad(disc));
   const std::vector<float> ours = world.shared_light(disc),
                            four = world.own_light(disc, &world.rays),
                            dense = world.own_light(disc, &world.rays, kMostTaps);
@@ -421,7 +422,7 @@ TEST(SharedSight, ASmallFormSetsInParts) {
   };
   for (const auto& [across, along] : {std::pair(.003, .045), {.045, .003}}) {
     const lighting::Disc disc = form(1.5, across, along);
-    ASSERT_TRUE(is_narrow(disc));
+    ASSERT_FALSE(is_broad(disc));
     EXPECT_LT(rmse(light(world.casters[0], disc, 4),
                    light({&world.points, &world.none, {}}, disc, kMostTaps)),
               .04)
@@ -435,7 +436,7 @@ TEST(SharedSight, NeighboursAskOtherPartsOfAForm) {
   const World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
   for (const auto& [across, along] : {std::pair(.08, .3), {.25, .1}}) {
     const lighting::Disc disc = form(50, across, along);
-    ASSERT_FALSE(is_narrow(disc));
+    ASSERT_TRUE(is_broad(disc));
     const std::vector<float> ours = world.shared_light(disc),
                              dense = world.own_light(disc, &world.rays, kMostTaps);
     EXPECT_LT(rmse(ours, dense), .015) << across;
