@@ -278,20 +278,38 @@ void trace_groups(const VertexTracer& tracer, const SharedSight& sight, const pr
   tracer.trace(own, traced, last, sums);
 }
 
-// Rays where the object's sight is not sure.
+// Rays where the object's sight is not sure; where it may be, two ask whether there is a need for the others.
 void trace_unsure(const VertexTracer& tracer, const Caster& object, const lighting::Disc& disc,
                   int taps, const Teller& tell, Sums& sums) {
+  constexpr std::size_t kAsks = 2;                 // one misses thin penumbras
   thread_local std::vector<SightVerdict> verdict;  // grow once per thread
-  thread_local std::vector<std::uint32_t> own;
+  thread_local std::vector<std::uint32_t> own, asked;
   scout(object, disc, verdict);
-  own.clear();
-  for (std::uint32_t i = 0; i < verdict.size(); ++i) {
-    if (verdict[i] == SightVerdict::kMixed)
-      own.push_back(i);
-    else if (verdict[i] != SightVerdict::kTurnedAway)
-      tell(i, verdict[i] == SightVerdict::kLit);
-  }
-  tracer.trace(own, 0, static_cast<std::size_t>(taps), sums);
+  own.clear(), asked.clear();
+  for (std::uint32_t i = 0; i < verdict.size(); ++i) switch (verdict[i]) {
+      case SightVerdict::kTurnedAway:
+        break;
+      case SightVerdict::kDark:
+      case SightVerdict::kLit:
+        tell(i, verdict[i] == SightVerdict::kLit);
+        break;
+      case SightVerdict::kMaybeDark:
+      case SightVerdict::kMaybeLit:
+        asked.push_back(i);
+        break;
+      case SightVerdict::kMixed:
+        own.push_back(i);
+    }
+  const auto last = static_cast<std::size_t>(taps);
+  tracer.trace(own, 0, last, sums);
+  tracer.trace(asked, 0, kAsks, sums);
+  std::erase_if(asked, [&](std::uint32_t i) {
+    const bool lit = verdict[i] == SightVerdict::kMaybeLit;
+    const bool is_so = lit ? sums[i].seen >= sums[i].open : sums[i].seen <= 0;
+    if (is_so) tell(i, lit);
+    return is_so;
+  });
+  tracer.trace(asked, kAsks, last, sums);
 }
 
 }  // namespace

@@ -23,7 +23,7 @@ using PlaneTaps = std::pmr::vector<PlaneTap>;
 // Broad penumbras show their directions, and hide cells.
 DiscShadowOptions options_for(const lighting::Disc& disc, const DiscShadowOptions& options) {
   if (!is_broad(disc)) return options;
-  return {std::min(kMostTaps, 4 * options.taps), options.size * 3 / 4};
+  return {std::min(kMostTaps, 4 * options.taps), options.size * 5 / 8};
 }
 
 // Bounds of the casters' shadow in the plane frame.

@@ -129,7 +129,7 @@ struct DiscShadowOptions {
   /// Directions of the disc, 1..64; four times as many, 64 at most, for a broad one. One of another is its middle: a hard
   /// shadow.
   int taps = 16;
-  /// Cells along the longer side, at least 16; three quarters of them for a broad disc.
+  /// Cells along the longer side, at least 16; five eighths of them for a broad disc.
   int size = 256;
 };
 

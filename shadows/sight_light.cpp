@@ -51,18 +51,27 @@ void ask_neighbours(const prt::Mesh& mesh, std::span<SightVerdict> verdict) {
   constexpr char kLit = 1, kDark = 2, kMixed = 4;
   thread_local std::vector<char> around;  // grows once per thread
   around.assign(verdict.size(), 0);
-  const auto said = [&](std::uint32_t v) {
-    constexpr char kBy[] = {0, kDark, kLit, kMixed};  // in SightVerdict's order
-    return kBy[static_cast<std::size_t>(verdict[v])];
+  const auto said = [&](std::uint32_t v) -> char {
+    switch (verdict[v]) {
+      case SightVerdict::kTurnedAway:
+        return 0;
+      case SightVerdict::kLit:
+        return kLit;
+      case SightVerdict::kDark:
+        return kDark;
+      default:
+        return kMixed;
+    }
   };
   for (const auto& [a, b, c] : mesh.triangles) {
     const char here = static_cast<char>(said(a) | said(b) | said(c));
     around[a] |= here, around[b] |= here, around[c] |= here;
   }
   for (std::size_t i = 0; i < verdict.size(); ++i)
-    if (verdict[i] != SightVerdict::kTurnedAway && around[i] != 0 && around[i] != kLit &&
-        around[i] != kDark)
-      verdict[i] = SightVerdict::kMixed;
+    if (verdict[i] == SightVerdict::kLit && (around[i] & ~kLit) != 0)
+      verdict[i] = SightVerdict::kMaybeLit;
+    else if (verdict[i] == SightVerdict::kDark && (around[i] & ~kDark) != 0)
+      verdict[i] = SightVerdict::kMaybeDark;
 }
 
 }  // namespace
@@ -71,8 +80,9 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
                       int taps) {
   constexpr int kAsGood = 8;  // rays a vertex
   // RMS angles of the disc, in those that look-ups are off: they add as squares do. From the first on the disc looks a tenth
-  // wider, from the second on look-ups are as good as four rays.
-  constexpr double kCoarseFrom = 2.5, kFineFrom = 1.7;
+  // wider, from the second on look-ups are about as good as four
+  // rays.
+  constexpr double kCoarseFrom = 2.5, kFineFrom = 1.5;
   if (!object.sight || taps == 1 || taps > kAsGood || SharedSight::counts_parts(object, disc) ||
       others_between(casters.virtual_things, object, disc) ||
       others_between(casters.real_things, object, disc))

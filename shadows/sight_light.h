@@ -22,9 +22,9 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
              std::span<prt::CosineSums> out);
 
-enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMixed };
-/// Lit or dark where all of the disc, as finely as a look-up can tell, is open or nothing is, from a vertex and from those around
-/// it.
+enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMaybeDark, kMaybeLit, kMixed };
+/// Lit or dark where all of the disc, as finely as a look-up can tell, is open or nothing is; maybe so where a vertex beside it
+/// says otherwise.
 /// threads: as trace_disc_light
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out);
 

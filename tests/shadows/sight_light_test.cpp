@@ -149,7 +149,7 @@ TEST(SightLight, LampsAreLookedUpInFinerCells) {
 // Cells are too large to tell how much of such a disc is seen, but not where all of it is, or nothing.
 TEST(SightLight, SmallerDiscsAskRaysWhereTheSightIsMixed) {
   const World& world = knot_world();
-  for (const lighting::Disc& d : {disc(50, .03), disc(25, .034), disc(40, .027)}) {
+  for (const lighting::Disc& d : {disc(50, .03), disc(25, .033), disc(40, .027)}) {
     SCOPED_TRACE(d.radius.value());
     ASSERT_EQ(world.use(d), SightUse::kScout);
     const auto truth = world.truth(d), asked = world.light(d, true);
