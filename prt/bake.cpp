@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 #include <mutex>
+#include <optional>
 #include <utility>
 
 #include "core/parallel.h"
@@ -14,6 +15,7 @@
 #include "prt/bake_rules.h"
 #include "prt/prt.h"
 #include "prt/ray_pattern.h"
+#include "prt/sight_bake.h"
 
 namespace penumbra::prt {
 
@@ -24,7 +26,6 @@ static_assert(kLanes == lighting::kBasisLanes);
 constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
 constexpr std::size_t kChunk = 64;  // points a task takes at once
 constexpr double kFineShare = .2;   // of a bake's progress
-constexpr int kAllBlocks = VertexSight::kBlocks * VertexSight::kBlocks;
 
 struct Point {
   glm::vec3 position, normal;
@@ -60,7 +61,6 @@ class Baker {
     for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
     if (options.receiver) add_receiver_points(options.receiver->grid);
-    if (options.sight) sight_ = VertexSight(mesh_.positions.size());
     if (options.bounces > 0) bands_ = std::max(bands_, options.indirect_bands);
     coefficients_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
@@ -75,9 +75,7 @@ class Baker {
 
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
-  void trace_sight(const RayScene& scene, std::size_t vertex);
-  std::uint64_t edges_seen_by(std::size_t other, std::size_t vertex) const;
-  void refine_sight(const RayScene& scene);
+  std::uint64_t trace_all(const RayScene& scene, std::vector<PointResult>& out);
   void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
                  const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
                  PointResult& out) const;
@@ -165,96 +163,6 @@ void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, c
       out.hits.push_back({BounceHit::kGround, uv.x, uv.y, weight[i]});
     }
   }
-}
-
-// Past the mesh alone.
-class SightRays {
- public:
-  SightRays(const RayScene& scene, const Point& point, std::size_t vertex)
-      : scene_(scene),
-        frame_(SightFrame::of(vertex, point.normal)),
-        origin_(point.position + kRayNear * point.normal) {}
-  const SightFrame& frame() const { return frame_; }
-  /// Bit by cell of four by four from (x, y).
-  std::uint32_t open(int x, int y, int cells) const {
-    static_assert(kLanes == 16);
-    RayScene::Packet packet;
-    for (int i = 0; i < kLanes; ++i) {
-      const glm::vec3 d = frame_.direction(x + i % 4, y + i / 4, cells);
-      packet.x[i] = d.x, packet.y[i] = d.y, packet.z[i] = d.z;
-    }
-    return ~scene_.occluded(origin_, kRayNear, packet) & 0xffffu;
-  }
-  /// Bit by cell of eight by eight.
-  std::uint64_t fine(int block) const {
-    const int x = 8 * (block % VertexSight::kBlocks), y = 8 * (block / VertexSight::kBlocks);
-    std::uint64_t out = 0;
-    for (const int down : {0, 4})
-      for (const int right : {0, 4}) {
-        std::uint64_t rows = open(x + right, y + down, VertexSight::kFineCells);
-        for (int row = down; row < down + 4; ++row, rows >>= 4)
-          out |= (rows & 15) << (8 * row + right);
-      }
-    return out;
-  }
-
- private:
-  const RayScene& scene_;
-  SightFrame frame_;
-  glm::vec3 origin_;
-};
-
-void Baker::trace_sight(const RayScene& scene, std::size_t vertex) {
-  const SightRays rays(scene, points_[vertex], vertex);
-  for (int block = 0; block < kAllBlocks; ++block) {
-    const std::uint32_t bits = rays.open(4 * (block % VertexSight::kBlocks),
-                                         4 * (block / VertexSight::kBlocks), VertexSight::kCells);
-    sight_.open[vertex * VertexSight::kWords + static_cast<std::size_t>(block / 2)] |=
-        bits << 16 * (block % 2);
-  }
-}
-
-// Bit by block of `vertex`, where another one sees an edge.
-std::uint64_t Baker::edges_seen_by(std::size_t other, std::size_t vertex) const {
-  const SightFrame from = SightFrame::of(other, points_[other].normal),
-                   to = SightFrame::of(vertex, points_[vertex].normal);
-  std::uint64_t out = 0;
-  for (int block = 0; block < kAllBlocks; ++block) {
-    std::uint32_t few = sight_.block(other, block);
-    if (std::popcount(few) > 8) few ^= 0xffffu;
-    for (; few != 0; few &= few - 1) {
-      const int i = std::countr_zero(few);
-      const glm::vec3 d =
-          from.direction(4 * (block % VertexSight::kBlocks) + i % 4,
-                         4 * (block / VertexSight::kBlocks) + i / 4, VertexSight::kCells);
-      if (glm::dot(d, to.normal) <= 0) continue;
-      const glm::ivec2 at = to.cell(d, VertexSight::kCells) / 4;
-      out |= std::uint64_t{1} << (VertexSight::kBlocks * at.y + at.x);
-    }
-  }
-  return out;
-}
-
-// What is thin hides between the wide cells of one vertex, but not of all around it.
-void Baker::refine_sight(const RayScene& scene) {
-  std::vector<std::vector<std::uint32_t>> around(mesh_.positions.size());
-  for (const auto& t : mesh_.triangles)
-    for (std::size_t k = 0; k < 3; ++k) around[t[k]].push_back(t[(k + 1) % 3]);
-  std::vector<std::vector<std::uint64_t>> fine(mesh_.positions.size());
-  parallel_for(std::size_t{0}, fine.size(), kChunk, [&](const Indices<std::size_t>& range) {
-    for (std::size_t v = range.begin(); v < range.end(); ++v) {
-      std::uint64_t& refined = sight_.refined[v];
-      refined = edges_seen_by(v, v);
-      for (const std::uint32_t other : around[v]) refined |= edges_seen_by(other, v);
-      const SightRays rays(scene, points_[v], v);
-      for (std::uint64_t left = refined; left != 0; left &= left - 1)
-        fine[v].push_back(rays.fine(std::countr_zero(left)));
-    }
-    report_progress(kFineShare * static_cast<double>(range.size()) /
-                    static_cast<double>(fine.size()));
-  });
-  for (const auto& of_vertex : fine)
-    sight_.fine.insert(sight_.fine.end(), of_vertex.begin(), of_vertex.end());
 }
 
 void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
@@ -498,6 +406,34 @@ Transfer Baker::shadow_probes() const {
   return out;
 }
 
+// Transfer without bounces, and what vertices see past the mesh alone. Returns the number of rays.
+std::uint64_t Baker::trace_all(const RayScene& scene, std::vector<PointResult>& out) {
+  const RayPatterns patterns(options_.rays), ground_patterns(options_.ground_rays);
+  std::optional<SightBake> sight;
+  if (options_.sight) sight.emplace(mesh_, scene);
+  const auto rays_of = [&](std::size_t i) {
+    return static_cast<std::uint64_t>(points_[i].rays +
+                                      (sight && !is_ground_point(i) ? SightBake::kRays : 0));
+  };
+  std::uint64_t rays = 0;
+  for (std::size_t i = 0; i < points_.size(); ++i) rays += rays_of(i);
+  const double share = (sight ? .9 - kFineShare : .9) / static_cast<double>(rays);
+  parallel_for(std::size_t{0}, points_.size(), kChunk, [&](const Indices<std::size_t>& range) {
+    double traced = 0;
+    for (std::size_t i = range.begin(); i < range.end(); ++i) {
+      trace_point(scene, is_ground_point(i) ? ground_patterns : patterns, i, out[i]);
+      start_transfer(i, out[i]);
+      if (sight && !is_ground_point(i)) sight->trace(i);
+      traced += static_cast<double>(rays_of(i));
+    }
+    report_progress(share * traced);
+  });
+  if (!sight) return rays;
+  sight->refine([&](double done) { report_progress(kFineShare * done); });
+  sight_ = sight->take();
+  return rays + 64 * sight_.fine.size();
+}
+
 Result<BakedObject> Baker::run(Mesh mesh) {
   const auto start = std::chrono::steady_clock::now();
   auto scene = RayScene::build(mesh_);
@@ -512,26 +448,11 @@ Result<BakedObject> Baker::run(Mesh mesh) {
       ground_far_.push_back(
           static_cast<float>(lighting::cosine_coefficient(l) / kPi * up[sh_index(l, m)]));
 
-  const RayPatterns patterns(options_.rays), ground_patterns(options_.ground_rays);
   std::vector<PointResult> results(points_.size());
-  std::uint64_t rays = 0;
-  for (const Point& p : points_) rays += static_cast<std::uint64_t>(p.rays);
-  const std::uint64_t of_sight = sight_.empty() ? 0 : VertexSight::kCells * VertexSight::kCells;
-  rays += of_sight * mesh_.positions.size();
+  const std::uint64_t rays = trace_all(*scene, results);
   const auto parallel = [&](auto&& body) {
     parallel_for(std::size_t{0}, points_.size(), kChunk, body);
   };
-  parallel([&](const Indices<std::size_t>& range) {
-    double traced = 0;
-    for (std::size_t i = range.begin(); i < range.end(); ++i) {
-      trace_point(*scene, is_ground_point(i) ? ground_patterns : patterns, i, results[i]);
-      start_transfer(i, results[i]);
-      if (!sight_.empty() && !is_ground_point(i)) trace_sight(*scene, i);
-      traced += points_[i].rays + static_cast<double>(is_ground_point(i) ? 0 : of_sight);
-    }
-    report_progress((sight_.empty() ? .9 : .9 - kFineShare) * traced / static_cast<double>(rays));
-  });
-  if (!sight_.empty()) refine_sight(*scene);
   current_ = shadowed_;
   if (options_.bounces > 0) next_.resize(floats);
   std::array<double, 3> added{}, share{};
@@ -557,10 +478,10 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   }
   out.sight = std::move(sight_);
   out.mesh = std::move(mesh);
+  if (options_.progress) options_.progress(1);  // shares do not add up to it to the last bit
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
   std::vector<PointQuality> by_vertex = quality(results);
-  out.report = {rays + 64 * out.sight.fine.size(), seconds.count(),
-                standard_error(results, by_vertex), std::move(by_vertex)};
+  out.report = {rays, seconds.count(), standard_error(results, by_vertex), std::move(by_vertex)};
   return out;
 }
 

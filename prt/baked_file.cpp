@@ -268,6 +268,7 @@ bool read_words(const Model& m, double index, std::size_t count, std::vector<T>&
 }
 
 bool read_sight(const Model& m, const Value& own, std::size_t vertices, VertexSight& out) {
+  if (!own.IsObject()) return false;
   if (!read_words(m, get(own, "open"), vertices * VertexSight::kWords, out.open) ||
       !read_words(m, get(own, "refined"), vertices, out.refined))
     return false;
@@ -277,6 +278,7 @@ bool read_sight(const Model& m, const Value& own, std::size_t vertices, VertexSi
 }
 
 bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
+  if (!r.IsObject()) return false;
   GroundGrid g;
   const double size = get(r, "size");
   if (!(size >= 2 && size <= 4096)) return false;
@@ -303,9 +305,9 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
 }
 
 const Value* own_extras(const Model& m) {
-  return m.asset.extras.IsObject() && m.asset.extras.Has("penumbra")
-             ? &m.asset.extras.Get("penumbra")
-             : nullptr;
+  if (!m.asset.extras.IsObject() || !m.asset.extras.Has("penumbra")) return nullptr;
+  const Value& own = m.asset.extras.Get("penumbra");
+  return own.IsObject() ? &own : nullptr;
 }
 
 Result<BakedObject> from_model(const Model& m, const std::string& file) {

@@ -114,7 +114,8 @@ Result<void> DiscStage::add_real_mesh() {
 }
 
 float DiscStage::smallest_radius() const {
-  return static_cast<float>(std::ranges::min(spheres_, {}, &Sphere::radius).radius);
+  return static_cast<float>(
+      std::ranges::min(spheres_, {}, &shadows::BoundingSphere::radius).radius);
 }
 
 void DiscStage::add_caster(const prt::Mesh& mesh, const Pose& pose,
@@ -192,20 +193,14 @@ std::array<float, kSides> DiscStage::floor_share(std::size_t object, const light
 // Whether an object moved, or another one that stands or stood between it and the disc.
 bool DiscStage::may_have_changed(std::size_t object, const lighting::Disc& disc) const {
   if (moved_from_[object]) return true;
-  const glm::dvec3 here = poses_[object] * spheres_[object].centre;
-  double spread = disc.radius.value();  // a form may be longer than it is round
-  for (const glm::dvec3& d : disc.shape)
-    spread = std::max(spread, angle_between(d, disc.direction));
-  for (std::size_t i = 0; i < poses_.size(); ++i) {
-    if (!moved_from_[i]) continue;
-    for (const Pose& pose : {*moved_from_[i], poses_[i]}) {
-      const glm::dvec3 apart = pose * spheres_[i].centre - here;
-      const double far = glm::length(apart), both = spheres_[object].radius + spheres_[i].radius;
-      if (far <= both ||
-          angle_between(apart / far, disc.direction) < std::asin(both / far) + spread)
-        return true;
-    }
-  }
+  const auto at = [&](std::size_t i, const Pose& pose) {
+    return shadows::BoundingSphere{pose * spheres_[i].centre, spheres_[i].radius};
+  };
+  const shadows::BoundingSphere here = at(object, poses_[object]);
+  for (std::size_t i = 0; i < poses_.size(); ++i)
+    if (moved_from_[i] && (shadows::may_hide(at(i, *moved_from_[i]), here, disc) ||
+                           shadows::may_hide(at(i, poses_[i]), here, disc)))
+      return true;
   return false;
 }
 

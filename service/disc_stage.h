@@ -104,13 +104,9 @@ class DiscStage {
   std::array<std::vector<shadows::Caster>, 2> virtual_on_planes_;
   std::vector<std::vector<shadows::Caster>> real_on_;
   std::vector<shadows::Neighbourhood> around_;
-  shadows::OutlineMemo memo_;  // of the disc that is traced
-  struct Sphere {
-    glm::dvec3 centre;  // bake frame
-    double radius;
-  };
-  std::vector<Sphere> spheres_;                  // around the objects
-  std::vector<std::optional<Pose>> moved_from_;  // by object, since the last update
+  shadows::OutlineMemo memo_;                     // of the disc that is traced
+  std::vector<shadows::BoundingSphere> spheres_;  // around the objects, bake frame
+  std::vector<std::optional<Pose>> moved_from_;   // by object, since the last update
   float near_m_ = 1e-4f;
 };
 

@@ -6,6 +6,7 @@
 #include "core/parallel.h"
 #include "shadows/disc_rays.h"
 #include "shadows/place_kernel.h"
+#include "shadows/shared_light.h"
 #include "shadows/shared_sight.h"
 #include "shadows/sight_light.h"
 
@@ -30,30 +31,6 @@ std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> di
   for (std::size_t k = 0; k < directions.size(); ++k)
     if (!behind(plane, directions[k])) out |= std::uint64_t{1} << k;
   return out;
-}
-
-// Each vertex with its neighbours: few rays a vertex, turned from one to the next, become many.
-template <class T>
-void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
-  thread_local std::vector<T> sums;  // grows once per thread
-  sums = values;
-  for (const auto& [a, b, c] : mesh.triangles) {
-    const T all = values[a] + values[b] + values[c];
-    sums[a] = sums[a] + (all - values[a]);
-    sums[b] = sums[b] + (all - values[b]);
-    sums[c] = sums[c] + (all - values[c]);
-  }
-  std::swap(sums, values);
-}
-
-// Sums over several rays of a disc that is not narrow. Once leaves the beat of the turns with a grid's rows as ripples in
-// broad penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources
-// (studio: 2.5 to 3.3 %).
-template <class T>
-void smooth(const prt::Mesh& mesh, const lighting::Disc& disc, std::vector<T>& sums) {
-  constexpr double kBroad = .25;  // radians
-  const int passes = disc.radius.value() > kBroad ? 3 : 1;
-  for (int pass = 0; pass < passes; ++pass) average_neighbours(mesh, sums);
 }
 
 // A disc's directions in the normals' frame. Of one that throws hard shadows its middle, as long as the mean of all is: what
@@ -286,7 +263,8 @@ void trace_unsure(const VertexTracer& tracer, const Caster& object, const lighti
   thread_local std::vector<std::uint32_t> own, asked;
   scout(object, disc, verdict);
   own.clear(), asked.clear();
-  for (std::uint32_t i = 0; i < verdict.size(); ++i) switch (verdict[i]) {
+  for (std::uint32_t i = 0; i < verdict.size(); ++i) {
+    switch (verdict[i]) {
       case SightVerdict::kTurnedAway:
         break;
       case SightVerdict::kDark:
@@ -300,6 +278,7 @@ void trace_unsure(const VertexTracer& tracer, const Caster& object, const lighti
       case SightVerdict::kMixed:
         own.push_back(i);
     }
+  }
   const auto last = static_cast<std::size_t>(taps);
   tracer.trace(own, 0, last, sums);
   tracer.trace(asked, 0, kAsks, sums);
@@ -349,7 +328,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
       trace_groups(tracer, shared, mesh, disc, taps, all.at(0), tell, sums);
     }
   }
-  if (averaged) smooth(mesh, disc, sums);
+  if (averaged) share_light(mesh, disc, sums);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
                        glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
@@ -387,7 +366,7 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
     }
   });
   if (is_broad(disc) && !hard)
-    for (auto* sums : {&out.open, &out.taken, &out.missing}) smooth(mesh, disc, *sums);
+    for (auto* sums : {&out.open, &out.taken, &out.missing}) share_light(mesh, disc, *sums);
   all.make(disc, std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

@@ -42,6 +42,14 @@ Beam beam_of(const lighting::Disc& disc, double more) {
   return {disc.direction, std::sin(std::min(largest_angle(disc) + more, kPi / 2))};
 }
 
+bool may_hide(const BoundingSphere& one, const BoundingSphere& from, const lighting::Disc& disc) {
+  const glm::dvec3 apart = one.centre - from.centre;
+  const double far = glm::length(apart), both = one.radius + from.radius;
+  if (far <= both) return true;
+  const double aside = std::acos(std::clamp(glm::dot(apart / far, disc.direction), -1., 1.));
+  return aside < std::asin(both / far) + largest_angle(disc);
+}
+
 BoundingSphere sphere_of(const Caster& caster) {
   return {caster.world_from_mesh * glm::dvec3(caster.outline->bounds().centre()),
           double(caster.outline->radius_m())};

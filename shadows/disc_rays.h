@@ -22,10 +22,6 @@ bool is_smooth(const lighting::Disc& disc, const Outline& outline);
 /// All of a disc's directions, and those so many radians off it.
 Beam beam_of(const lighting::Disc& disc, double more = 0);
 
-struct BoundingSphere {
-  glm::dvec3 centre;  // world
-  double radius;
-};
 BoundingSphere sphere_of(const Caster& caster);
 /// Whether both are one thing in one place.
 inline bool is_same(const Caster& a, const Caster& b) {

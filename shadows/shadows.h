@@ -81,6 +81,13 @@ void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarS
 /// more directions and less detail than a sun's.
 bool is_broad(const lighting::Disc& disc);
 
+struct BoundingSphere {
+  glm::dvec3 centre;
+  double radius;
+};
+/// Whether anything in the one sphere may stand between anything in the other and some of a disc.
+bool may_hide(const BoundingSphere& one, const BoundingSphere& from, const lighting::Disc& disc);
+
 /// What can stand between a point and a disc.
 struct Blockers {
   const prt::RayWorld* virtual_things = nullptr;
@@ -121,6 +128,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
 struct DiscAtVertices {
   std::vector<float> open, taken, missing;
 };
+/// Neighbours share the light of broad discs, whatever the lengths of edges.
 /// in: the mesh in the world frame; taps 1..64, one is the disc's middle. threads: reentrant, parallel inside
 void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);

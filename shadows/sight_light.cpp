@@ -20,18 +20,11 @@ bool is_twin(const Caster& a, const Caster& b) {
           a.mesh->triangles == b.mesh->triangles);
 }
 
-// Whether another caster's sphere reaches between the object's and the disc.
 bool others_between(std::span<const Caster> casters, const Caster& object,
                     const lighting::Disc& disc) {
   const BoundingSphere here = sphere_of(object);
-  const double spread = largest_angle(disc);
   return std::ranges::any_of(casters, [&](const Caster& c) {
-    if (is_twin(c, object)) return false;
-    const BoundingSphere other = sphere_of(c);
-    const glm::dvec3 apart = other.centre - here.centre;
-    const double far = glm::length(apart), both = here.radius + other.radius;
-    return far <= both || std::acos(std::clamp(glm::dot(apart / far, disc.direction), -1., 1.)) <
-                              std::asin(both / far) + spread;
+    return !is_twin(c, object) && may_hide(sphere_of(c), here, disc);
   });
 }
 
@@ -78,19 +71,18 @@ void ask_neighbours(const prt::Mesh& mesh, std::span<SightVerdict> verdict) {
 
 SightUse use_of_sight(const Casters& casters, const Caster& object, const lighting::Disc& disc,
                       int taps) {
-  constexpr int kAsGood = 8;  // rays a vertex
-  // RMS angles of the disc, in those that look-ups are off: they add as squares do. From the first on the disc looks a tenth
-  // wider, from the second on look-ups are about as good as four
-  // rays.
+  // RMS angles of the disc, in those that look-ups are off: they add as squares do. From the first on the disc looks less than a
+  // tenth wider, which is as good as eight rays a vertex; from the second on look-ups in finer cells are about as good as four.
   constexpr double kCoarseFrom = 2.5, kFineFrom = 1.5;
-  if (!object.sight || taps == 1 || taps > kAsGood || SharedSight::counts_parts(object, disc) ||
+  constexpr int kMostRays = 8;
+  if (!object.sight || taps == 1 || taps > kMostRays || SharedSight::counts_parts(object, disc) ||
       others_between(casters.virtual_things, object, disc) ||
       others_between(casters.real_things, object, disc))
     return SightUse::kNone;
   const auto beside = [&](int cells) { return rms_angle(disc) / prt::VertexSight::blur(cells); };
-  return beside(prt::VertexSight::kCells) > kCoarseFrom     ? SightUse::kCoarse
-         : beside(prt::VertexSight::kFineCells) > kFineFrom ? SightUse::kFine
-                                                            : SightUse::kScout;
+  if (beside(prt::VertexSight::kCells) > kCoarseFrom) return SightUse::kCoarse;
+  const double fine_from = taps > 4 ? kCoarseFrom : kFineFrom;
+  return beside(prt::VertexSight::kFineCells) > fine_from ? SightUse::kFine : SightUse::kScout;
 }
 
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,

@@ -3,6 +3,7 @@
 
 #include "bench/harness.h"
 #include "capture/capture.h"
+#include "core/conventions.h"
 #include "service/pipeline.h"
 
 namespace penumbra::bench {
@@ -62,16 +63,28 @@ void report(benchmark::State& state, const service::StageTimes& times) {
 }
 
 // What brings the light that moves, or that changes where it stands.
-enum Source { kStands, kSun, kSmallLamp, kBroadLamp };
+enum Source { kStands, kSun, kSpot, kSmallLamp, kBroadLamp, kThreeLamps };
 
-// The sky's sun as it is, or as a lamp of 5 or 10 degrees of radius; for each update as far as it moves.
+double radius_of(Source source) {
+  constexpr double kDegrees[] = {0, 0, 1.9, 5, 10, 10};  // in its order
+  return kDegrees[source] * kPi / 180;
+}
+
+// The sky's sun as it is, or as a lamp; for each update as far as it moves.
 lighting::LightEstimate light_of(Source source) {
   lighting::LightEstimate out = setup().light;
-  if (source != kSmallLamp && source != kBroadLamp) return out;
-  for (lighting::Disc& d : out.discs) {
-    const double before = d.solid_angle_sr();
-    d.radius = Radians{source == kBroadLamp ? .175 : .087};
-    d.radiance = d.radiance * static_cast<float>(before / d.solid_angle_sr());
+  if (source == kStands || source == kSun) return out;
+  lighting::Disc& lamp = out.discs[0];
+  const double before = lamp.solid_angle_sr();
+  lamp.radius = Radians{radius_of(source)};
+  lamp.radiance = lamp.radiance * static_cast<float>(before / lamp.solid_angle_sr());
+  out.discs.resize(1);
+  if (source != kThreeLamps) return out;
+  for (const int id : {2, 3}) {
+    out.discs.push_back(out.discs[0]);
+    out.discs.back().id = id;
+    out.discs.back().direction =
+        glm::angleAxis(id * 1., glm::dvec3(0, 1, 0)) * out.discs[0].direction;
   }
   return out;
 }
@@ -104,8 +117,10 @@ BENCHMARK(light_update)
     ->ArgNames({"threads", "source"})
     ->Args({1, kStands})
     ->Args({1, kSun})
+    ->Args({1, kSpot})
     ->Args({1, kSmallLamp})
     ->Args({1, kBroadLamp})
+    ->Args({1, kThreeLamps})
     ->Args({2, kSun})
     ->Iterations(3 * kRepeats)
     ->UseManualTime()

@@ -297,16 +297,20 @@ TEST(GroundGrid, PositionAndTextureCoordinateInvertEachOther) {
 }
 
 TEST(Bake, ProgressRisesToOne) {
-  double last = 0;
-  BakeOptions options = settings(2, 4, 64);
-  options.sight = true;
-  options.progress = [&](double done) {
-    EXPECT_GE(done, last);
-    EXPECT_LE(done, 1);
-    last = done;
-  };
-  baked(make_knot(1, 60, 12, kWhite), options);
-  EXPECT_NEAR(last, 1, 1e-9);
+  for (const int bounces : {0, 4})
+    for (const bool sight : {false, true}) {
+      SCOPED_TRACE(testing::Message() << bounces << ' ' << sight);
+      double last = 0;
+      BakeOptions options = settings(2, bounces, 64);
+      options.sight = sight;
+      options.progress = [&](double done) {
+        EXPECT_GE(done, last);
+        EXPECT_LE(done, 1);
+        last = done;
+      };
+      baked(make_knot(1, 60, 12, kWhite), options);
+      EXPECT_EQ(last, 1) << "or a bar's line does not end";
+    }
 }
 
 TEST(Bake, StandardErrorFallsWithMoreRays) {

@@ -103,6 +103,33 @@ TEST_F(BakedFile, RoundTripIsExact) {
       }
 }
 
+TEST_F(BakedFile, SightWithoutFinerCellsComesBack) {
+  BakeOptions options;
+  options.rays = options.ground_rays = 64;
+  options.sight = true;
+  const auto ball = bake(make_sphere({0, 0, 0}, .3f, 2, {.5f, .5f, .5f}), options);
+  ASSERT_TRUE(ball);
+  ASSERT_TRUE(ball->sight.fine.empty());
+  ASSERT_TRUE(write_baked(file("ball.glb"), *ball));
+  const auto back = read_baked(file("ball.glb"));
+  ASSERT_TRUE(back) << back.error().detail;
+  expect_same(*ball, *back);
+}
+
+TEST_F(BakedFile, SightWhosePartsDoNotAgreeIsAnError) {
+  const BakedObject whole = object(true, {.5f, .5f, .5f});
+  ASSERT_EQ(error_of(written(whole)), std::nullopt);
+  BakedObject fewer = whole;
+  fewer.sight.fine.pop_back();
+  EXPECT_EQ(error_of(written(fewer)), ErrorCode::kUnreadable);
+  BakedObject more = whole;
+  more.sight.refined[0] ^= 1;
+  EXPECT_EQ(error_of(written(more)), ErrorCode::kUnreadable);
+  BakedObject short_ = whole;
+  short_.sight.refined.pop_back();
+  EXPECT_EQ(error_of(written(short_)), ErrorCode::kUnreadable);
+}
+
 TEST_F(BakedFile, SameObjectGivesTheSameBytes) {
   const BakedObject o = object(true, {.9f, .1f, .35f});
   const std::string first = written(o);
@@ -202,6 +229,8 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"count\":60", "\"count\":0"), ErrorCode::kUnreadable) << "no vertices";
   EXPECT_EQ(code("\"deficit\":", "\"surplus\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"version\":3", "\"version\":4"), ErrorCode::kInvalid) << "another version";
+  EXPECT_EQ(code("\"vertex_sight\":", "\"vertex_sight\":7,\"x\":"), ErrorCode::kUnreadable);
+  EXPECT_EQ(code("\"receiver\":", "\"receiver\":7,\"x\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"fine\":", "\"open\":"), ErrorCode::kUnreadable) << "no finer cells";
   EXPECT_EQ(code("\"fine\":", "\"fine\":9"), ErrorCode::kUnreadable) << "no such accessor";
   EXPECT_EQ(code("\"refined\":", "\"refined\":9"), ErrorCode::kUnreadable) << "no such accessor";

@@ -192,7 +192,14 @@ TEST(VertexSight, LooksAlikeOnEveryKindOfProcessor) {
   for (std::size_t k = 0; k < 5 * SightTaps::kEach; ++k)
     taps.add(glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))), k % 7 != 0);
   const std::int64_t targets = hwy::SupportedTargets();
+  struct Restore {
+    ~Restore() {
+      hwy::SetSupportedTargetsForTest(0);
+      hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+    }
+  } restore;
   for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+    hwy::GetChosenTarget().Update(targets);
     const std::vector<CosineSums> best = look(o, taps, cells);
     for (std::int64_t left = targets; left != 0; left &= left - 1) {
       SCOPED_TRACE(hwy::TargetName(left & -left));
@@ -206,9 +213,57 @@ TEST(VertexSight, LooksAlikeOnEveryKindOfProcessor) {
       }
       EXPECT_LE(different, best.size() / 200) << "rounding at the rims of cells";
     }
-    hwy::SetSupportedTargetsForTest(0);
-    hwy::GetChosenTarget().Update(targets);
   }
+}
+
+// What look-ups rely on.
+TEST(VertexSight, FinerCellsStandWhereAnEdgeIsSeen) {
+  const BakedObject o = baked_knot(true);
+  const std::size_t count = o.mesh.positions.size();
+  ASSERT_EQ(o.sight.refined.size(), count);
+  ASSERT_EQ(o.sight.open.size(), count * VertexSight::kWords);
+  std::size_t blocks = 0, by_others = 0;
+  for (std::size_t v = 0; v < count; ++v)
+    for (int b = 0; b < VertexSight::kBlocks * VertexSight::kBlocks; ++b) {
+      const std::uint32_t bits = o.sight.block(v, b);
+      const bool mixed = bits != 0 && bits != 0xffffu, refined = (o.sight.refined[v] >> b & 1) != 0;
+      ASSERT_TRUE(refined || !mixed) << v << ' ' << b;
+      blocks += refined;
+      by_others += refined && !mixed;
+    }
+  EXPECT_EQ(o.sight.fine.size(), blocks);
+  EXPECT_GT(by_others, blocks / 20) << "where neighbours alone see one";
+  EXPECT_LT(blocks, count * 40);
+  constexpr std::size_t kEach = 64, kReceiver = 8 * 8 * 64;
+  EXPECT_EQ(o.report.rays, count * kEach + kReceiver +
+                               count * VertexSight::kCells * VertexSight::kCells + 64 * blocks);
+}
+
+// A mesh whose triangles have vertices of their own asks as many.
+TEST(VertexSight, SeamsAreNoRims) {
+  const Mesh whole = make_knot(.4f, 60, 16, {.5f, .5f, .5f});
+  Mesh split;
+  for (const auto& t : whole.triangles) {
+    const auto first = static_cast<std::uint32_t>(split.positions.size());
+    for (const std::uint32_t v : t) {
+      split.positions.push_back(whole.positions[v]);
+      split.normals.push_back(whole.normals[v]);
+      split.albedo.push_back(whole.albedo[v]);
+    }
+    split.triangles.push_back({first, first + 1, first + 2});
+  }
+  const auto refined = [](const Mesh& mesh) {
+    BakeOptions options;
+    options.rays = options.ground_rays = 64;
+    options.bounces = 0;
+    options.sight = true;
+    const auto o = bake(mesh, options);
+    EXPECT_TRUE(o);
+    return double(o->sight.fine.size()) / double(mesh.positions.size());
+  };
+  const double share = refined(split) / refined(whole);
+  EXPECT_GT(share, .99) << "the naive form asks one neighbour";
+  EXPECT_LT(share, 1.1) << "copies look another way";
 }
 
 TEST(VertexSight, IsMadeOnDemand) {

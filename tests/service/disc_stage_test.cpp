@@ -27,7 +27,7 @@ PreparedScene two_of(const prt::Mesh& thing, bool sight) {
 }
 
 PreparedScene two_balls() {
-  return two_of(prt::make_sphere({0, .2f, 0}, .2f, 3, {.6f, .6f, .6f}), 0);
+  return two_of(prt::make_sphere({0, .2f, 0}, .2f, 3, {.6f, .6f, .6f}), false);
 }
 
 lighting::Disc sun(double azimuth) {
@@ -78,10 +78,11 @@ TEST(DiscStage, TheShadowOnAPlaneGoesWithItsObject) {
   auto stage = DiscStage::create(scene, {});
   ASSERT_TRUE(stage);
   const std::vector<Rgb> open{{1, 1, 1}};
+  lighting::Disc light = sun(0);
   const auto middle_x = [&](const dvec3& at) {
     for (const std::size_t object : {std::size_t{0}, std::size_t{1}})
       stage->set_pose(object, {{1, 0, 0, 0}, at});
-    stage->update(std::vector{sun(0)}, 1, around);
+    stage->update(std::vector{light}, 1, around);
     double sum = 0, weight = 0;
     for (const auto& on_plane : stage->shadows(open)) {
       const shadows::DiscShadow& s = *on_plane.shadow;
@@ -94,8 +95,12 @@ TEST(DiscStage, TheShadowOnAPlaneGoesWithItsObject) {
     }
     return sum / weight;
   };
-  const double before = middle_x({0, 0, 0});
-  EXPECT_NEAR(middle_x({.7, 0, 0}) - before, .7, 1e-3);
+  for (const double radius : {.02, .1}) {
+    light.radius = Radians(radius);
+    EXPECT_EQ(shadows::is_broad(light), radius == .1);
+    const double before = middle_x({0, 0, 0});
+    EXPECT_NEAR(middle_x({.7, 0, 0}) - before, .7, 1e-3) << radius;
+  }
 }
 
 // Look-ups find what rays find, to a few hundredths; where the other object may stand before the lamp rays are asked.

@@ -90,5 +90,28 @@ TEST(DiscRays, WhatIsNarrowIsSoInEveryDirection) {
   EXPECT_TRUE(is_broad(round));
 }
 
+TEST(DiscRays, RmsAngleIsTheCapsOrTheForms) {
+  lighting::Disc round;
+  round.direction = {0, 1, 0};
+  round.radius = Radians(.1);
+  EXPECT_NEAR(rms_angle(round), .1 / std::sqrt(2.), 1e-9);
+  const lighting::Disc thin = strip(.002, .4);
+  EXPECT_GT(rms_angle(thin), .15 / std::sqrt(3.));
+  EXPECT_LT(rms_angle(thin), largest_angle(thin));
+}
+
+// The same lamp is smooth on a fine mesh and not on a coarse one; on one mesh a wide lamp is and a narrow one is not.
+TEST(DiscRays, NeighboursShareLightWhereEdgesAreShort) {
+  const prt::Mesh fine = prt::make_knot(.5f, 320, 52, {}), coarse = prt::make_knot(.5f, 80, 16, {});
+  lighting::Disc lamp;
+  lamp.direction = {0, 1, 0};
+  lamp.radius = Radians(.08);
+  EXPECT_TRUE(is_smooth(lamp, Outline(fine)));
+  EXPECT_FALSE(is_smooth(lamp, Outline(coarse)));
+  EXPECT_TRUE(is_smooth(lamp, Outline())) << "nothing to blur";
+  lamp.radius = Radians(.02);
+  EXPECT_FALSE(is_smooth(lamp, Outline(fine)));
+}
+
 }  // namespace
 }  // namespace penumbra::shadows

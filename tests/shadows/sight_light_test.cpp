@@ -133,6 +133,7 @@ TEST(SightLight, LampsAreLookedUpInFinerCells) {
     const auto truth = world.truth(d);
     EXPECT_LT(error(world.light(d, true), truth), 1.2 * error(world.light(d, false), truth))
         << "by four rays";
+    EXPECT_LT(error(world.light(d, true), truth), .1) << "averaged it is up to 20 % off";
     const auto wrong = [&](int cells) {
       std::vector<prt::CosineSums> sums(truth.size());
       look_up(world.casters(true)[0], nullptr, d, cells, sums);
@@ -200,6 +201,9 @@ TEST(SightLight, RaysStayForWhatItCannotTell) {
   EXPECT_EQ(world.use(disc(50, .005)), SightUse::kNone) << "outlines tell of a sun";
   EXPECT_EQ(world.use(disc(50, .3), 1), SightUse::kNone) << "hard shadows";
   EXPECT_EQ(world.use(disc(50, .3), 16), SightUse::kNone) << "who asks for many rays gets them";
+  EXPECT_EQ(world.use(disc(50, .3), 8), SightUse::kCoarse);
+  EXPECT_EQ(world.use(disc(50, .04), 4), SightUse::kFine);
+  EXPECT_EQ(world.use(disc(50, .04), 8), SightUse::kScout) << "as good as four rays, not as eight";
   // Another thing in the light is not in the sight.
   const lighting::Disc d = disc(50, .17);
   world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation + 1.5 * d.direction};
@@ -225,10 +229,11 @@ TEST(SightLight, AThingLikeTheObjectInItsPlaceIsTheObject) {
 
 TEST(SightLight, LightFromBehindThePlaneDoesNotCount) {
   World world;
-  for (const double radius : {.3, .08}) {
+  for (const auto& [radius, use] :
+       {std::pair(.3, SightUse::kCoarse), {.08, SightUse::kFine}, {.03, SightUse::kScout}}) {
     const lighting::Disc d = disc(0, radius);
     world.plane = prt::Plane{{0, 0, 0}, {0, 1, 0}, {}, {}};
-    ASSERT_NE(world.use(d), SightUse::kNone);
+    ASSERT_EQ(world.use(d), use);
     const auto above = world.light(d, true), truth = world.truth(d);
     EXPECT_LT(error(above, truth), 1.2 * error(world.light(d, false), truth)) << radius;
     world.plane.reset();
