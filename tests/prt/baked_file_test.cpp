@@ -12,6 +12,7 @@
 
 #include "core/files.h"
 #include "prt/prt.h"
+#include "tests/fuzz/mutate.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::prt {
@@ -237,6 +238,45 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"open\":", "\"open\":9"), ErrorCode::kUnreadable) << "no such accessor";
   EXPECT_EQ(code("\"_TRANSFER_1\"", "\"_TRANSFER_7\""), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"penumbra\":", "\"elsewhere\":"), ErrorCode::kInvalid) << "not ours";
+}
+
+// Whatever comes back fits together: what is not so would be read past its end.
+TEST_F(BakedFile, DamageAnywhereIsAnErrorOrAnObject) {
+  const std::string whole = written(object(true, {.9f, .1f, .35f}));
+  const Parts parts = split(whole);
+  int read = 0, refused = 0;
+  const auto take = [&](std::string_view bytes) {
+    put(file("damaged.glb"), bytes);
+    const auto o = read_baked(file("damaged.glb"));
+    if (!o) return void(++refused);
+    ++read;
+    const std::size_t count = o->mesh.positions.size();
+    ASSERT_EQ(o->mesh.normals.size(), count);
+    ASSERT_EQ(o->transfer.points, count);
+    for (const auto& t : o->mesh.triangles)
+      for (const std::uint32_t v : t) ASSERT_LT(v, count);
+    if (o->sight.empty()) return;
+    ASSERT_EQ(o->sight.refined.size(), count);
+    const SightLookup lookup(o->sight, o->mesh.normals);
+    SightTaps taps;
+    for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
+    std::vector<CosineSums> sums(count);
+    for (const int cells : {VertexSight::kCells, VertexSight::kFineCells})
+      lookup.look(taps, cells, 0, count, sums);
+  };
+  const auto as_bytes = [](const std::string& s) {
+    return std::span(reinterpret_cast<const unsigned char*>(s.data()), s.size());
+  };
+  const auto as_text = [](std::span<const unsigned char> b) {
+    return std::string(reinterpret_cast<const char*>(b.data()), b.size());
+  };
+  test::mutate_and_run(as_bytes(whole), 400, 1, [&](auto b) { take(as_text(b)); });
+  test::mutate_and_run(as_bytes(parts.json), 400, 2,
+                       [&](auto b) { take(glb(as_text(b), parts.bytes)); });
+  test::mutate_and_run(as_bytes(parts.bytes), 400, 3,
+                       [&](auto b) { take(glb(parts.json, as_text(b))); });
+  EXPECT_GT(read, 50) << "else only the first check is tested";
+  EXPECT_GT(refused, 50);
 }
 
 TEST_F(BakedFile, DeclaredSizeIsCheckedBeforeItIsAllocated) {
