@@ -305,7 +305,6 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   Sums& sums = sums_memory;
   const bool hard = taps == 1;
   const std::size_t count = mesh.positions.size();
-  sums.assign(count, {});
   const SightUse use = use_of_sight(casters, object, disc, taps);
   const bool looked_up = use == SightUse::kCoarse || use == SightUse::kFine;
   // What neighbours average makes do with their taps.
@@ -313,10 +312,12 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
              cut = is_cut(plane, disc);
   all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
   if (looked_up) {
+    sums.resize(count);
     look_up(object, plane, disc,
             use == SightUse::kCoarse ? prt::VertexSight::kCells : prt::VertexSight::kFineCells,
             sums);
   } else {
+    sums.assign(count, {});
     pattern.make(disc, taps, hard ? 1 : kTurns);
     const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
     const std::span<const glm::vec3> alike = hard ? pattern.at(0) : all.at(0);

@@ -115,7 +115,7 @@ struct Casters {
 /// the same things as `blockers`, `object` among them, with the same near_m: their outlines tell which vertices share rays, and
 /// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the disc's
 /// middle, and the shadow hard; what faces all of the disc keeps its light. Of a disc that is wide beside the cells of the
-/// object's sight this is asked instead of up to eight rays, where nothing else may stand between the two.
+/// object's sight this is asked instead of rays (up to eight; four for lamps of a few degrees), where nothing else may stand between the two.
 /// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a form's points by the golden
 /// ratio; Laine et al. 2005 (PartSeen)

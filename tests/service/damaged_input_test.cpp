@@ -101,6 +101,7 @@ TEST_F(DamagedInput, BakedObject) {
   prt::BakeOptions options;
   options.bands = 2;
   options.rays = options.ground_rays = 64;
+  options.sight = true;
   options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 4), {}};
   const auto baked = prt::bake(std::move(mesh), options);
   ASSERT_TRUE(baked);
