@@ -1,10 +1,9 @@
-#include <Eigen/Eigenvalues>
-
 #include <algorithm>
 #include <cmath>
 #include <numeric>
 
 #include "core/scratch.h"
+#include "lighting/disc_shape.h"
 #include "lighting/latlong_kernel.h"
 #include "lighting/lighting.h"
 
@@ -17,17 +16,26 @@ constexpr float kStep = 300;        // regions with a larger range than this are
 constexpr double kRoundness = 1.2;  // of a 1.8:1 rectangle
 constexpr double kOneSource = .02;  // radians
 constexpr double kSmall = .01;  // radians: the form of smaller sources cannot be seen in a shadow
-constexpr int kShapeDepth = 6;  // 2^6 = Disc::kShapePoints
 constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
 
 // Temporaries come from the thread's scratch memory.
 template <class T>
 using Vector = std::pmr::vector<T>;
 
-// Pixels [x0, x1) of row y that are brighter than the level.
+// Pixels [x0, x1) of row y.
 struct Run {
   int y, x0, x1;
+  float peak = 0;  // of luminance
+  double sum = 0;  // of luminance
+  int length() const { return x1 - x0; }
 };
+
+// The one after its last.
+void add_pixel(float luminance, Run& run) {
+  ++run.x1;
+  run.peak = std::max(run.peak, luminance);
+  run.sum += luminance;
+}
 
 class DisjointSets {
  public:
@@ -49,29 +57,30 @@ struct Region {
   Region(const allocator_type& memory) : runs(memory) {}
   Region(Region&&) = default;
   Region(Region&& other, const allocator_type& memory)
-      : runs(std::move(other.runs), memory), peak(other.peak) {}
+      : runs(std::move(other.runs), memory), peak(other.peak), pixels(other.pixels) {}
   Region& operator=(Region&&) = default;
+  void add(const Run& run) {
+    runs.push_back(run);
+    peak = std::max(peak, run.peak);
+    pixels += static_cast<std::size_t>(run.length());
+  }
 
   Vector<Run> runs;
   float peak = 0;
+  std::size_t pixels = 0;
 };
 
 // What was cut off a pixel.
 struct Excess {
   int x, y;
   Rgb radiance;
-  glm::dvec3 direction;
-};
-
-struct Share {
-  double weight = 0;
-  glm::dvec3 direction{0};
+  double flux;  // luminance times solid angle
 };
 
 struct Candidate {
   Vector<Excess> pixels;
-  glm::dvec3 centre;
-  double flux;         // luminance times solid angle
+  glm::dvec3 centre, moment;  // moment: sum of flux times direction
+  double flux;
   double solid_angle;  // of an even disc with the same second moment of radiance
   bool clipped;
 };
@@ -130,6 +139,7 @@ class Peeler {
   void cut(const Region& region, float level, bool clipped = false);
   void add_candidate(Vector<Excess> pixels, bool clipped);
   void put_back(std::span<const Excess> pixels);
+  Vector<Share> shares_of(const Candidate& candidate) const;
   std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
   void join_concentric();
   void choose();
@@ -183,7 +193,7 @@ double Peeler::mean_below(double level) const {
   double mean = split_.mean_luminance;
   for (const Run& r : bright_parts(static_cast<float>(level)))
     mean -= grid_.weight[static_cast<std::size_t>(r.y)] *
-            row_luminance_above(&map_.at(r.x0, r.y).r, r.x1 - r.x0, static_cast<float>(level)) /
+            row_luminance_above(&map_.at(r.x0, r.y).r, r.length(), static_cast<float>(level)) /
             (4 * kPi);
   return std::max(0., mean);  // of a map that is black but for its sources, but for rounding
 }
@@ -192,14 +202,16 @@ Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
   Vector<Run> runs(memory_);
   for (const Run& r : within) {
     const auto row = map_.row(r.y);
-    for (int x = r.x0; x < r.x1;) {
-      if (!(luminance(row[static_cast<std::size_t>(x)]) > level)) {
-        ++x;
+    bool open = false;
+    for (int x = r.x0; x < r.x1; ++x) {
+      const float l = luminance(row[static_cast<std::size_t>(x)]);
+      if (!(l > level)) {
+        open = false;
         continue;
       }
-      const int start = x;
-      while (x < r.x1 && luminance(row[static_cast<std::size_t>(x)]) > level) ++x;
-      runs.push_back({r.y, start, x});
+      if (!open) runs.push_back({r.y, x, x});
+      open = true;
+      add_pixel(l, runs.back());
     }
   }
   return runs;
@@ -232,12 +244,7 @@ Vector<Region> Peeler::regions_of(std::span<const Run> runs) const {
   Vector<Region> regions(memory_);
   regions.reserve(runs.size());
   for (std::size_t i = 0; i < runs.size(); ++i) regions.emplace_back();
-  for (std::size_t i = 0; i < runs.size(); ++i) {
-    Region& region = regions[sets.find(i)];
-    region.runs.push_back(runs[i]);
-    for (int x = runs[i].x0; x < runs[i].x1; ++x)
-      region.peak = std::max(region.peak, luminance(map_.at(x, runs[i].y)));
-  }
+  for (std::size_t i = 0; i < runs.size(); ++i) regions[sets.find(i)].add(runs[i]);
   std::erase_if(regions, [](const Region& r) { return r.runs.empty(); });
   return regions;
 }
@@ -256,9 +263,7 @@ void Peeler::peel(const Region& region, float level) {
 
 double Peeler::flux_of(const Region& region) const {
   double sum = 0;
-  for (const Run& r : region.runs)
-    for (int x = r.x0; x < r.x1; ++x)
-      sum += grid_.weight[static_cast<std::size_t>(r.y)] * luminance(map_.at(x, r.y));
+  for (const Run& r : region.runs) sum += grid_.weight[static_cast<std::size_t>(r.y)] * r.sum;
   return sum;
 }
 
@@ -268,15 +273,13 @@ void Peeler::cut_clipped(float level) {
   Vector<Run> runs(memory_);
   for (const std::uint32_t i : clipped_) {
     const int y = static_cast<int>(i) / map_.width(), x = static_cast<int>(i) % map_.width();
-    if (!runs.empty() && runs.back().y == y && runs.back().x1 == x)
-      ++runs.back().x1;
-    else
-      runs.push_back({y, x, x + 1});
+    if (runs.empty() || runs.back().y != y || runs.back().x1 != x) runs.push_back({y, x, x});
+    add_pixel(luminance(map_.at(x, y)), runs.back());
   }
   for (const Region& region : regions_of(runs)) {
     double solid_angle = 0;
     for (const Run& r : region.runs)
-      solid_angle += grid_.weight[static_cast<std::size_t>(r.y)] * (r.x1 - r.x0);
+      solid_angle += grid_.weight[static_cast<std::size_t>(r.y)] * r.length();
     cut(region, std::min(level, static_cast<float>(.5 * flux_of(region) / solid_angle)), true);
   }
 }
@@ -285,35 +288,38 @@ void Peeler::cut_clipped(float level) {
 // region's own mean: a window that dims slowly then leaves the list with nothing left in it.
 void Peeler::cut(const Region& region, float level, bool clipped) {
   Vector<Excess> above(memory_);
+  above.reserve(region.pixels);
   for (const Run& r : region.runs) {
     const std::span<Rgb> row = map_.row_to_change(r.y);
+    const double weight = grid_.weight[static_cast<std::size_t>(r.y)];
     for (int x = r.x0; x < r.x1; ++x) {
       Rgb& c = row[static_cast<std::size_t>(x)];
       const float l = luminance(c);
       if (!(l > level)) continue;
-      above.push_back({x, r.y, c * (1 - level / l), direction(x, r.y)});
-      c = c * (level / l);
+      const float kept = level / l;
+      const Rgb excess = c * (1 - kept);
+      above.push_back({x, r.y, excess, weight * luminance(excess)});
+      c = c * kept;
     }
   }
   add_candidate(std::move(above), clipped);
 }
 
 void Peeler::add_candidate(Vector<Excess> pixels, bool clipped) {
-  double flux = 0, square = 0;
-  glm::dvec3 centre(0);
+  double flux = 0, square = 0;  // square: of luminance, times solid angle
+  glm::dvec3 moment(0);
   for (const Excess& p : pixels) {
-    const double w = grid_.weight[static_cast<std::size_t>(p.y)], l = luminance(p.radiance);
-    flux += w * l;
-    square += w * l * l;
-    centre += w * l * p.direction;
+    flux += p.flux;
+    square += p.flux * p.flux / grid_.weight[static_cast<std::size_t>(p.y)];
+    moment += p.flux * direction(p.x, p.y);
   }
   if (!(flux > (clipped ? 0 : least_flux_))) {
     put_back(pixels);
     return;
   }
-  const double cap = std::min(2 * kPi, flux * flux / square), length = glm::length(centre);
-  const glm::dvec3 direction = length > 1e-9 * flux ? centre / length : glm::dvec3(0, 1, 0);
-  candidates_.push_back({std::move(pixels), direction, flux, cap, clipped});
+  const double cap = std::min(2 * kPi, flux * flux / square), length = glm::length(moment);
+  const glm::dvec3 centre = length > 1e-9 * flux ? moment / length : glm::dvec3(0, 1, 0);
+  candidates_.push_back({std::move(pixels), centre, moment, flux, cap, clipped});
 }
 
 void Peeler::put_back(std::span<const Excess> pixels) {
@@ -321,64 +327,44 @@ void Peeler::put_back(std::span<const Excess> pixels) {
     map_.row_to_change(p.y)[static_cast<std::size_t>(p.x)] += p.radiance;
 }
 
-// Equal shares of the energy, by halving across the longest axis six times.
-void halve(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out) {
-  double weight = 0;
-  glm::dvec3 mean(0);
-  for (const Share& s : shares) weight += s.weight, mean += s.weight * s.direction;
-  mean = mean / weight;
-  if (depth == 0 || shares.size() < 2) {
-    out.insert(out.end(), std::size_t{1} << depth, glm::normalize(mean));
-    return;
+// Of blocks of pixels: five hundred shares are plenty for 64 points.
+Vector<Share> Peeler::shares_of(const Candidate& c) const {
+  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 500));
+  Vector<Share> shares(memory_), across(static_cast<std::size_t>(map_.width()), memory_);
+  Vector<std::size_t> touched(memory_);  // of `across`, in this row of blocks
+  shares.reserve(c.pixels.size());
+  touched.reserve(across.size());
+  const auto end_row = [&] {
+    for (const std::size_t column : touched) {
+      Share& sum = across[column];
+      shares.push_back({sum.weight, sum.direction / sum.weight});
+      sum = {};
+    }
+    touched.clear();
+  };
+  Vector<std::size_t> column_of(memory_);  // a division for each pixel would take half of the time
+  for (int x = 0; x < map_.width(); ++x) column_of.push_back(static_cast<std::size_t>(x / block));
+  int y = -1;
+  for (const Excess& p : c.pixels) {
+    if (!(p.flux > 0)) continue;
+    if (p.y != y && p.y / block != y / block) end_row();
+    y = p.y;
+    const std::size_t column = column_of[static_cast<std::size_t>(p.x)];
+    Share& sum = across[column];
+    if (sum.weight == 0) touched.push_back(column);
+    sum.weight += p.flux, sum.direction += p.flux * direction(p.x, p.y);
   }
-  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
-  for (const Share& s : shares) {
-    const glm::dvec3 d = s.direction - mean;
-    const Eigen::Vector3d v(d.x, d.y, d.z);
-    spread += s.weight * v * v.transpose();
-  }
-  const Eigen::Vector3d axis =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvectors().col(2);
-  std::ranges::sort(shares, {}, [&](const Share& s) {
-    return axis.dot(Eigen::Vector3d(s.direction.x, s.direction.y, s.direction.z));
-  });
-  std::size_t middle = 0;
-  for (double sum = 0; sum + .5 * shares[middle].weight < .5 * weight; ++middle)
-    sum += shares[middle].weight;
-  middle = std::clamp<std::size_t>(middle, 1, shares.size() - 1);
-  halve(shares.first(middle), depth - 1, out);
-  halve(shares.subspan(middle), depth - 1, out);
+  end_row();
+  return shares;
 }
 
 // Where the energy lies when a round disc would misplace it.
 std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
-  double spread = 0;
-  for (const Excess& p : c.pixels)
-    spread += grid_.weight[static_cast<std::size_t>(p.y)] * luminance(p.radiance) / c.flux *
-              (2 - 2 * glm::dot(p.direction, c.centre));
-  // Mean square distance of an even disc of that solid angle: a^2/2 with pi a^2 = the solid angle.
+  // Mean square distance from the centre; of an even disc of that solid angle: a^2/2 with pi a^2 = the solid angle.
+  const double spread = 2 - 2 * glm::dot(c.moment, c.centre) / c.flux;
   if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};
-  // A thousand shares are plenty for 64 points.
-  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 1000));
-  Vector<std::pair<std::int64_t, Share>> parts(memory_);  // by block
-  parts.reserve(c.pixels.size());
-  for (const Excess& p : c.pixels) {
-    const double w = grid_.weight[static_cast<std::size_t>(p.y)] * luminance(p.radiance);
-    parts.push_back({std::int64_t{p.y / block} * map_.width() + p.x / block, {w, w * p.direction}});
-  }
-  std::ranges::sort(parts, {}, &std::pair<std::int64_t, Share>::first);
-  Vector<Share> shares(memory_);
-  for (std::size_t i = 0; i < parts.size();) {
-    const std::int64_t at = parts[i].first;
-    Share sum;
-    for (; i < parts.size() && parts[i].first == at; ++i)
-      sum.weight += parts[i].second.weight, sum.direction += parts[i].second.direction;
-    shares.push_back({sum.weight, sum.direction / sum.weight});
-  }
-  std::vector<glm::dvec3> out;
-  out.reserve(Disc::kShapePoints);
-  halve(shares, kShapeDepth, out);
-  return out;
+  Vector<Share> shares = shares_of(c);
+  return shape_points(shares);
 }
 
 // The steps of one small source (a sun and its glow within a degree) are one disc: its second moment is the
@@ -394,6 +380,7 @@ void Peeler::join_concentric() {
       const double flux = a.flux + b.flux;
       a.solid_angle = (a.flux * a.solid_angle + b.flux * b.solid_angle) / flux;
       a.centre = glm::normalize(a.flux * a.centre + b.flux * b.centre);
+      a.moment += b.moment;
       a.flux = flux;
       a.clipped |= b.clipped;
       a.pixels.insert(a.pixels.end(), b.pixels.begin(), b.pixels.end());
@@ -455,14 +442,6 @@ Result<void> Peeler::run() {
 
 }  // namespace
 
-double Disc::solid_angle_sr() const {
-  return 4 * kPi * std::pow(std::sin(.5 * radius.value()), 2);
-}
-
-Rgb Disc::irradiance() const {
-  return radiance * static_cast<float>(kPi * std::pow(std::sin(radius.value()), 2));
-}
-
 Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
                          std::span<const std::uint32_t> clipped) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
@@ -471,89 +450,6 @@ Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, Disc
                 "its clipped pixels are out of order or outside");
   split.rest.reset(map);
   return Peeler(options, clipped, split).run();
-}
-
-namespace {
-
-// Points of equal solid angle over the disc: f(direction, solid angle of the point).
-template <class F>
-void over_disc(const Disc& disc, F f) {
-  for (const glm::dvec3& d : disc.shape)
-    f(d, disc.solid_angle_sr() / static_cast<double>(disc.shape.size()));
-  if (!disc.shape.empty()) return;
-  constexpr int kPoints = 256;
-  const glm::dvec3 axis = disc.direction,
-                   side = glm::normalize(glm::cross(
-                       axis, std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0))),
-                   up = glm::cross(side, axis);
-  const double height = 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
-  for (int k = 0; k < kPoints; ++k) {
-    const double c = 1 - height * (k + .5) / kPoints, s = std::sqrt(1 - c * c),
-                 a = k * 2.399963229728653;
-    f(c * axis + s * (std::cos(a) * side + std::sin(a) * up), 2 * kPi * height / kPoints);
-  }
-}
-
-// A round disc is a zonal function.
-RadianceSh project_round(const Disc& disc, int bands) {
-  RadianceSh out(bands);
-  double basis[kMaxCoefficients];
-  evaluate_basis(bands, disc.direction, basis);
-  const double c = std::cos(disc.radius.value());
-  double before = 1, here = c;  // P_{l-1}, P_l at l = 1
-  for (int l = 0; l < bands; ++l) {
-    double zonal = std::sqrt(kPi) * 2 * std::pow(std::sin(.5 * disc.radius.value()), 2);
-    if (l > 0) {
-      const double after = ((2 * l + 1) * c * here - l * before) / (l + 1);
-      zonal = std::sqrt(kPi / (2 * l + 1)) * (before - after);
-      before = here, here = after;
-    }
-    const double k = zonal * std::sqrt(4 * kPi / (2 * l + 1));
-    for (int m = -l; m <= l; ++m) {
-      const int n = sh_index(l, m);
-      out[n] = disc.radiance * static_cast<float>(k * basis[n]);
-    }
-  }
-  return out;
-}
-
-RadianceSh project_points(const Disc& disc, int bands, bool above) {
-  double sum[kMaxCoefficients] = {}, basis[kMaxCoefficients];
-  over_disc(disc, [&](const glm::dvec3& d, double solid_angle) {
-    if (above && d.y <= 0) return;
-    evaluate_basis(bands, d, basis);
-    for (int n = 0; n < coefficient_count(bands); ++n) sum[n] += solid_angle * basis[n];
-  });
-  RadianceSh out(bands);
-  for (int n = 0; n < out.size(); ++n) out[n] = disc.radiance * static_cast<float>(sum[n]);
-  return out;
-}
-
-// In front of a surface with that normal, all of it.
-bool is_in_front(const Disc& disc, const glm::dvec3& normal) {
-  return disc.shape.empty() && disc.radius.value() < kPi / 2 &&
-         glm::dot(disc.direction, normal) >= std::sin(disc.radius.value());
-}
-
-}  // namespace
-
-RadianceSh project_disc(const Disc& disc, int bands) {
-  return disc.shape.empty() ? project_round(disc, bands) : project_points(disc, bands, false);
-}
-
-RadianceSh project_disc_above(const Disc& disc, int bands) {
-  return is_in_front(disc, {0, 1, 0}) ? project_round(disc, bands)
-                                      : project_points(disc, bands, true);
-}
-
-Rgb irradiance(const Disc& disc, const glm::dvec3& normal) {
-  if (is_in_front(disc, normal))
-    return disc.irradiance() * static_cast<float>(glm::dot(disc.direction, normal));
-  double sum = 0;
-  over_disc(disc, [&](const glm::dvec3& d, double solid_angle) {
-    sum += solid_angle * std::max(0., glm::dot(d, normal));
-  });
-  return disc.radiance * static_cast<float>(sum);
 }
 
 }  // namespace penumbra::lighting

@@ -1,0 +1,75 @@
+#include "lighting/disc_shape.h"
+
+#include <Eigen/Eigenvalues>
+
+#include <algorithm>
+#include <bit>
+#include <glm/geometric.hpp>
+
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+
+namespace {
+
+glm::dvec3 longest_axis(std::span<const Share> shares, const glm::dvec3& mean) {
+  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
+  for (const Share& s : shares) {
+    const glm::dvec3 d = s.direction - mean;
+    const Eigen::Vector3d v(d.x, d.y, d.z);
+    spread += s.weight * v * v.transpose();
+  }
+  const Eigen::Vector3d axis =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>().computeDirect(spread).eigenvectors().col(2);
+  return {axis.x(), axis.y(), axis.z()};
+}
+
+// Puts those of the lower half of the weight first and returns how many they are: not none, not all. By halving the number again
+// and again, of which each part is looked at once: sorting takes three times as long.
+std::size_t halve(std::span<Share> shares, double weight) {
+  std::size_t first = 0, last = shares.size();
+  double before = 0;  // weight of those ahead of `first`
+  while (first < last) {
+    const std::size_t middle = first + (last - first) / 2;
+    const auto at = [&](std::size_t i) { return shares.begin() + static_cast<std::ptrdiff_t>(i); };
+    std::ranges::nth_element(at(first), at(middle), at(last), {}, &Share::along);
+    double below = 0;
+    for (std::size_t i = first; i < middle; ++i) below += shares[i].weight;
+    if (before + below + .5 * shares[middle].weight < .5 * weight) {
+      before += below + shares[middle].weight;
+      first = middle + 1;
+    } else {
+      last = middle;
+    }
+  }
+  return std::clamp<std::size_t>(first, 1, shares.size() - 1);
+}
+
+void add_points(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out) {
+  double weight = 0;
+  glm::dvec3 mean(0);
+  for (const Share& s : shares) weight += s.weight, mean += s.weight * s.direction;
+  mean = mean / weight;
+  if (depth == 0 || shares.size() < 2) {
+    out.insert(out.end(), std::size_t{1} << depth, glm::normalize(mean));
+    return;
+  }
+  const glm::dvec3 axis = longest_axis(shares, mean);
+  for (Share& s : shares) s.along = glm::dot(axis, s.direction);
+  const std::size_t lower = halve(shares, weight);
+  add_points(shares.first(lower), depth - 1, out);
+  add_points(shares.subspan(lower), depth - 1, out);
+}
+
+}  // namespace
+
+std::vector<glm::dvec3> shape_points(std::span<Share> shares) {
+  constexpr int kDepth = std::countr_zero(static_cast<unsigned>(Disc::kShapePoints));
+  static_assert(1 << kDepth == Disc::kShapePoints);
+  std::vector<glm::dvec3> out;
+  out.reserve(Disc::kShapePoints);
+  add_points(shares, kDepth, out);
+  return out;
+}
+
+}  // namespace penumbra::lighting
