@@ -29,7 +29,7 @@ HWY_INLINE Floats Along(const glm::vec3& axis, Floats x, Floats y, Floats z) {
 HWY_INLINE Whole Cell(Floats place, float shift, float cells) {
   const auto d = kFloats;
   const auto at = hn::MulAdd(place, hn::Set(d, .5f * cells), hn::Set(d, .5f * cells + .5f - shift));
-  return hn::ConvertTo(kWhole, hn::Min(hn::Max(at, hn::Zero(d)), hn::Set(d, cells - .5f)));
+  return hn::ConvertTo(kWhole, hn::Min(at, hn::Set(d, cells - .5f)));  // just below 0 is 0
 }
 
 // Of cells in blocks of so many (a power of two) by so many, eight blocks in a row.
@@ -87,9 +87,14 @@ struct Coarse {
   }
   static HWY_INLINE IsOpen Look(const SightRows& rows, std::size_t vertex, Whole x, Whole y,
                                 IsOpen) {
-    const Place place = PlaceOf<2>(x, y);
-    const auto block = Blocks(rows.open + vertex * VertexSight::kWords, place.block);
-    return hn::RebindMask(kFloats, hn::TestBit(block, hn::Shl(hn::Set(kWhole, 1), place.cell)));
+    // Of x four cells in a block and two blocks in a word, of y four cells in a block.
+    const auto d = kWhole;
+    const auto three = hn::Set(d, 3);
+    const auto word = Words(rows.open + vertex * VertexSight::kWords,
+                            hn::Or(hn::AndNot(three, y), hn::ShiftRight<3>(x)));
+    const auto bit = hn::Or(hn::Or(hn::And(x, three), hn::ShiftLeft<2>(hn::And(y, three))),
+                            hn::ShiftLeft<2>(hn::And(x, hn::Set(d, 4))));
+    return hn::RebindMask(kFloats, hn::TestBit(hn::Shr(word, bit), hn::Set(d, 1)));
   }
 };
 
@@ -127,23 +132,18 @@ struct Fine {
   }
   static HWY_INLINE Lanes InRefined(const SightRows& rows, std::size_t vertex, const Place& place,
                                     Lanes refined) {
-    alignas(64) std::int32_t blocks[SightTaps::kEach], cells[SightTaps::kEach];
-    hn::Store(place.block, kWhole, blocks);
+    // One by one, all of them: branches that depend on lanes cost more.
+    alignas(64) std::int32_t blocks[SightTaps::kEach], cells[SightTaps::kEach],
+        open[SightTaps::kEach];
+    hn::Store(hn::IfThenElseZero(refined, place.block), kWhole, blocks);
     hn::Store(place.cell, kWhole, cells);
-    std::uint8_t bytes[8] = {};
-    hn::StoreMaskBits(kWhole, refined, bytes);
-    unsigned left = bytes[0];
-    if (hn::MaxLanes(decltype(kWhole){}) > 8) left |= static_cast<unsigned>(bytes[1]) << 8;
     const std::uint64_t* const words = rows.fine + rows.first_fine[vertex];
-    unsigned open = 0;
-    for (; left != 0; left &= left - 1) {
-      const auto k = static_cast<unsigned>(std::countr_zero(left));
+    const std::uint64_t all = rows.refined[vertex];
+    for (std::size_t k = 0; k < hn::Lanes(kWhole); ++k) {
       const std::uint64_t before = (std::uint64_t{1} << blocks[k]) - 1;
-      const std::uint64_t word = words[std::popcount(rows.refined[vertex] & before)];
-      open |= static_cast<unsigned>(word >> cells[k] & 1) << k;
+      open[k] = static_cast<std::int32_t>(words[std::popcount(all & before)] >> cells[k] & 1);
     }
-    bytes[0] = static_cast<std::uint8_t>(open), bytes[1] = static_cast<std::uint8_t>(open >> 8);
-    return hn::LoadMaskBits(kWhole, bytes);
+    return hn::And(refined, hn::Ne(hn::Load(kWhole, open), hn::Zero(kWhole)));
   }
 };
 
@@ -153,10 +153,12 @@ HWY_INLINE void Look(const SightRows& rows, std::size_t first, std::size_t last,
   const auto zero = hn::Zero(d);
   constexpr std::size_t kAhead = 8;  // vertices
   std::size_t turn = first % rows.turns;
-  for (std::size_t i = first; i < last; ++i) {
+  const auto vertex = [&](std::size_t place) { return rows.which ? rows.which[place] : place; };
+  for (std::size_t place = first; place < last; ++place) {
     const std::size_t from = turn * SightTaps::kEach;
     turn = turn + 1 == rows.turns ? 0 : turn + 1;
-    if (i + kAhead < last) Sight::Prefetch(rows, i + kAhead);
+    if (place + kAhead < last) Sight::Prefetch(rows, vertex(place + kAhead));
+    const std::size_t i = vertex(place);
     const SightFrame& frame = rows.frames[i];
     auto all = zero, arrives = zero;
     for (std::size_t k = from; k < from + SightTaps::kEach; k += hn::Lanes(d)) {
@@ -177,7 +179,7 @@ HWY_INLINE void Look(const SightRows& rows, std::size_t first, std::size_t last,
       arrives =
           hn::MulAdd(hn::IfThenElseZero(is_open, cosine), hn::LoadU(d, rows.counts + k), arrives);
     }
-    out[i] = {hn::GetLane(hn::SumOfLanes(d, arrives)), hn::GetLane(hn::SumOfLanes(d, all))};
+    out[place] = {hn::GetLane(hn::SumOfLanes(d, arrives)), hn::GetLane(hn::SumOfLanes(d, all))};
   }
 }
 

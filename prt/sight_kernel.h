@@ -13,8 +13,9 @@ struct SightRows {
   const std::uint64_t* fine;
   const float *x, *y, *z, *counts;  // SightTaps, turn by turn
   std::size_t turns;
+  const std::uint32_t* which;  // vertices; null: all
 };
-/// Vertices [first, last).
+/// [first, last) of the vertices.
 void look_coarse(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out);
 void look_fine(const SightRows& rows, std::size_t first, std::size_t last, CosineSums* out);
 

@@ -4,6 +4,7 @@
 #include <cassert>
 #include <glm/geometric.hpp>
 
+#include "prt/prt.h"
 #include "prt/ray_pattern.h"
 #include "prt/sight_kernel.h"
 
@@ -38,8 +39,9 @@ glm::ivec2 SightFrame::cell(const glm::vec3& d, int cells) const {
   return glm::ivec2(glm::clamp(.5f * most * (at + 1.f) + .5f - shift, 0.f, most - .5f));
 }
 
-SightLookup::SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals)
-    : sight_(&sight) {
+SightLookup::SightLookup(const VertexSight& sight, const Mesh& mesh)
+    : sight_(&sight), samples_(mesh) {
+  const std::vector<glm::vec3>& normals = mesh.normals;
   assert(!sight.empty() && sight.refined.size() == normals.size());
   frames_.reserve(normals.size());
   first_fine_.reserve(normals.size());
@@ -52,14 +54,21 @@ SightLookup::SightLookup(const VertexSight& sight, std::span<const glm::vec3> no
   assert(first == sight.fine.size());
 }
 
-void SightLookup::look(const SightTaps& taps, int cells, std::size_t first, std::size_t last,
-                       std::span<CosineSums> out) const {
-  assert(taps.turns() > 0 && last <= frames_.size());
+void SightLookup::look(const SightTaps& taps, int cells, std::span<const std::uint32_t> vertices,
+                       std::size_t first, std::size_t last, std::span<CosineSums> out) const {
+  assert(taps.turns() > 0 && last <= (vertices.empty() ? frames_.size() : vertices.size()));
   assert(cells == VertexSight::kCells || cells == VertexSight::kFineCells);
-  const SightRows rows{frames_.data(),     sight_->open.data(), sight_->refined.data(),
-                       first_fine_.data(), sight_->fine.data(), taps.x().data(),
-                       taps.y().data(),    taps.z().data(),     taps.counts().data(),
-                       taps.turns()};
+  const SightRows rows{frames_.data(),
+                       sight_->open.data(),
+                       sight_->refined.data(),
+                       first_fine_.data(),
+                       sight_->fine.data(),
+                       taps.x().data(),
+                       taps.y().data(),
+                       taps.z().data(),
+                       taps.counts().data(),
+                       taps.turns(),
+                       vertices.empty() ? nullptr : vertices.data()};
   if (cells == VertexSight::kCells)
     look_coarse(rows, first, last, out.data());
   else

@@ -10,6 +10,8 @@
 #include <span>
 #include <vector>
 
+#include "prt/vertex_samples.h"
+
 namespace penumbra::prt {
 
 /// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets nothing of the mesh. Where the
@@ -86,17 +88,24 @@ class SightTaps {
 /// threads: const members reentrant
 class SightLookup {
  public:
-  /// Both must outlive it, unchanged.
-  /// in: a sight that is not empty, with all of its finer cells, and the normals that were baked
-  SightLookup(const VertexSight& sight, std::span<const glm::vec3> normals);
+  /// The sight must outlive it, unchanged.
+  /// in: a sight that is not empty, with all of its finer cells, and the mesh that was baked
+  SightLookup(const VertexSight& sight, const Mesh& mesh);
 
+  const VertexSamples& samples() const { return samples_; }
   /// Of vertices [first, last), each over its own directions.
   /// in: cells kCells, or kFineCells: half as blurred, and slower
   void look(const SightTaps& taps, int cells, std::size_t first, std::size_t last,
-            std::span<CosineSums> out) const;
+            std::span<CosineSums> out) const {
+    look(taps, cells, {}, first, last, out);
+  }
+  /// The same of places [first, last) of a list of vertices; directions and `out` are by place.
+  void look(const SightTaps& taps, int cells, std::span<const std::uint32_t> vertices,
+            std::size_t first, std::size_t last, std::span<CosineSums> out) const;
 
  private:
   const VertexSight* sight_;
+  VertexSamples samples_;
   std::vector<SightFrame> frames_;
   std::vector<std::uint32_t> first_fine_;  // by vertex
 };

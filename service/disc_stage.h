@@ -16,7 +16,7 @@
 namespace penumbra::service {
 
 struct DiscTaps {
-  int object = 4;  // rays a vertex and disc; by one its shadow is hard
+  int object = 4;  // rays a vertex and disc, half of them for weak discs; by one its shadow is hard
   shadows::DiscShadowOptions plane;
 };
 
@@ -30,9 +30,10 @@ class DiscStage {
   /// Follows the mesh of an object that moves by itself.
   void set_form(std::size_t object);
   /// Brings everything up to date with the discs and with what stands around. True when anything was traced or a radiance
-  /// changed visibly, relative to `mean_irradiance`.
+  /// changed visibly, relative to `mean_irradiance`. `open_irradiance[p]` is the light of open plane p, discs included: shadows
+  /// of what brings little of it are drawn less finely; none: all finely.
   bool update(std::span<const lighting::Disc> discs, double mean_irradiance,
-              const Surroundings& around);
+              const Surroundings& around, std::span<const Rgb> open_irradiance = {});
 
   /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
   /// there are several.
@@ -74,6 +75,11 @@ class DiscStage {
         taps_(taps),
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
+  // Of all sources: the mean over normals, and on planes (none: not known).
+  struct OpenLight {
+    double mean_irradiance;
+    std::span<const Rgb> on_planes;
+  };
   shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
   shadows::Casters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
   Result<void> add_object(const PreparedObject& object);
@@ -83,7 +89,9 @@ class DiscStage {
   /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
   void follow_forms();
   /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
-  void trace(Traced& traced, const Surroundings& around, bool all);
+  void trace(Traced& traced, const Surroundings& around, const OpenLight& open, bool all);
+  int object_taps(const lighting::Disc& disc, double mean_irradiance) const;
+  void trace_planes(Traced& traced, std::span<const Rgb> open_irradiance);
   bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
   std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
                                         const Surroundings& around) const;

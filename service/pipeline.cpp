@@ -150,10 +150,14 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     const StageTimer timer(times_, "surroundings");
     surroundings_.look(discs_.blockers(), poses);
   }
+  std::vector<Rgb> open;
+  for (const prt::Plane& plane : scene_.planes)
+    open.push_back(open_irradiance(light, plane.normal));
   bool discs_changed = false;
   {
     const StageTimer timer(times_, "discs");
-    discs_changed = discs_.update(light.discs, kPi * luminance(light.mean_radiance), surroundings_);
+    discs_changed =
+        discs_.update(light.discs, kPi * luminance(light.mean_radiance), surroundings_, open);
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
@@ -176,9 +180,6 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   poses_ = poses;
   if (!relit && !discs_changed && !moved && !measured) return false;
   share_shadows(poses);
-  std::vector<Rgb> open;
-  for (const prt::Plane& plane : scene_.planes)
-    open.push_back(open_irradiance(light, plane.normal));
   auto on_planes = discs_.shadows(open);
   lamps_.append(open, on_planes);
   compositor_->set_disc_shadows(on_planes);

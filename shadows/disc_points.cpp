@@ -210,24 +210,38 @@ void find_edges(const prt::Mesh& mesh, const Sums& sums, std::vector<char>& plac
 class Teller {
  public:
   /// `alike`: the directions of all vertices, where neighbours do not share theirs.
-  Teller(const VertexTracer& tracer, bool averaged, bool cut, std::span<const glm::vec3> alike,
-         Sums& sums)
-      : tracer_(tracer),
-        averaged_(averaged),
-        by_taps_(averaged || cut),
-        alike_(alike),
-        sums_(sums) {}
+  Teller(const VertexTracer& tracer, const prt::Plane* plane, bool averaged, bool cut,
+         std::span<const glm::vec3> alike, Sums& sums)
+      : tracer_(tracer), averaged_(averaged), cut_(cut), alike_(alike), sums_(sums) {
+    for (const glm::vec3& d : alike) {
+      all_ += d;
+      if (!behind(plane, d)) before_ += d;
+    }
+    all_ /= static_cast<float>(alike.size()), before_ /= static_cast<float>(alike.size());
+    for (const glm::vec3& d : alike) reach_ = std::max(reach_, glm::distance(d, all_));
+  }
 
   void operator()(std::size_t vertex, bool lit) const {
-    prt::CosineSums here{1, 1};
-    if (by_taps_) here = tracer_.unhindered(vertex, averaged_ ? tracer_.taps(vertex) : alike_);
+    prt::CosineSums here = averaged_     ? tracer_.unhindered(vertex, tracer_.taps(vertex))
+                           : cut_ && lit ? of_alike(vertex)
+                                         : prt::CosineSums{1, 1};
     sums_[vertex] = {lit ? here.seen : 0, here.open};
   }
 
  private:
+  // What faces all of the disc has the light of its mean direction.
+  prt::CosineSums of_alike(std::size_t vertex) const {
+    const glm::vec3 n = tracer_.normal(vertex);
+    const float open = glm::dot(n, all_);
+    if (open <= reach_) return tracer_.unhindered(vertex, alike_);
+    return {glm::dot(n, before_), open};
+  }
+
   const VertexTracer& tracer_;
-  bool averaged_, by_taps_;
+  bool averaged_, cut_;
   std::span<const glm::vec3> alike_;
+  glm::vec3 all_{0}, before_{0};
+  float reach_ = 0;
   Sums& sums_;
 };
 
@@ -310,18 +324,19 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
   // What neighbours average makes do with their taps.
   const bool averaged = !hard && (looked_up || is_broad(disc)) && is_smooth(disc, *object.outline),
              cut = is_cut(plane, disc);
+  const bool few = looked_up && averaged && is_very_smooth(disc, *object.outline);
   all.make(disc, cut && !averaged ? kMostTaps : std::max(taps, kOpenTaps), 1);
   if (looked_up) {
     sums.resize(count);
-    look_up(object, plane, disc,
-            use == SightUse::kCoarse ? prt::VertexSight::kCells : prt::VertexSight::kFineCells,
-            sums);
+    const int cells =
+        use == SightUse::kCoarse ? prt::VertexSight::kCells : prt::VertexSight::kFineCells;
+    (few ? look_up_shared : look_up)(object, plane, disc, cells, sums);
   } else {
     sums.assign(count, {});
     pattern.make(disc, taps, hard ? 1 : kTurns);
     const VertexTracer tracer(blockers, mesh, object.world_from_mesh, plane, pattern);
     const std::span<const glm::vec3> alike = hard ? pattern.at(0) : all.at(0);
-    const Teller tell(tracer, averaged, cut, alike, sums);
+    const Teller tell(tracer, plane, averaged, cut, alike, sums);
     if (use == SightUse::kScout) {
       trace_unsure(tracer, object, disc, taps, tell, sums);
     } else {
@@ -329,7 +344,7 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
       trace_groups(tracer, shared, mesh, disc, taps, all.at(0), tell, sums);
     }
   }
-  if (averaged) share_light(mesh, disc, sums);
+  if (averaged) share_light(mesh, sharings(disc) - (few ? 1 : 0), sums);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction),
                        glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
@@ -367,7 +382,8 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
     }
   });
   if (is_broad(disc) && !hard)
-    for (auto* sums : {&out.open, &out.taken, &out.missing}) share_light(mesh, disc, *sums);
+    for (auto* sums : {&out.open, &out.taken, &out.missing})
+      share_light(mesh, sharings(disc), *sums);
   all.make(disc, std::max(taps, kOpenTaps), 1);
   const OpenDisc whole(all.at(0), glm::vec3(disc.direction), glm::mat3(1), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

@@ -33,9 +33,20 @@ bool is_broad(const lighting::Disc& disc) {
   return largest_angle(disc) >= kFrom;
 }
 
+namespace {
+
+// Of an object's part as far as its radius.
+bool is_wide(const lighting::Disc& disc, const Outline& outline, double edges) {
+  return rms_angle(disc) * outline.radius_m() >= edges * outline.mean_length_m();
+}
+
+}  // namespace
+
 bool is_smooth(const lighting::Disc& disc, const Outline& outline) {
-  constexpr double kEdges = 1.75;
-  return rms_angle(disc) * outline.radius_m() >= kEdges * outline.mean_length_m();
+  return is_wide(disc, outline, 1.75);
+}
+bool is_very_smooth(const lighting::Disc& disc, const Outline& outline) {
+  return is_wide(disc, outline, 4);
 }
 
 Beam beam_of(const lighting::Disc& disc, double more) {

@@ -20,10 +20,16 @@ constexpr int kRim = 2;  // cells around what is drawn
 
 using PlaneTaps = std::pmr::vector<PlaneTap>;
 
-// Broad penumbras show their directions, and hide cells.
+// Broad penumbras show their directions, and hide cells: so many that the steps of the light on the plane are alike.
 DiscShadowOptions options_for(const lighting::Disc& disc, const DiscShadowOptions& options) {
   if (!is_broad(disc)) return options;
-  return {std::min(kMostTaps, 4 * options.taps), options.size * 5 / 8};
+  // What brings half of the light needs all of them; less is missed in what brings less.
+  constexpr double kAll = .5, kLeast = .25;
+  constexpr int kFewestCells = 4 * kRim;
+  const double fine = std::clamp(options.share / kAll, kLeast, 1.);
+  const int taps = std::min(kMostTaps, 4 * options.taps),
+            cells = static_cast<int>(.625 * .5 * (1 + fine) * options.size);
+  return {static_cast<int>(std::ceil(fine * taps)), std::max(cells, kFewestCells), options.share};
 }
 
 // Bounds of the casters' shadow in the plane frame.
@@ -176,7 +182,7 @@ void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lig
   clear(out);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto [taps, size] = options_for(disc, options);
+  const auto [taps, size, share] = options_for(disc, options);
   const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   const Extent e = shadow_extent(casters.virtual_things, casters.near_m,
@@ -190,7 +196,7 @@ void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> aro
   clear(out);
   if (around.empty()) return;
   const Scratch::Scope scope;
-  const auto [taps, size] = options_for(disc, options);
+  const auto [taps, size, share] = options_for(disc, options);
   const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
@@ -208,7 +214,7 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   for (DiscShadow& shadow : out) clear(shadow);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto [taps, size] = options_for(disc, options);
+  const auto [taps, size, share] = options_for(disc, options);
   const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   // A group's casters in one row, so that each map draws its own alone.

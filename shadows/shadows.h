@@ -134,11 +134,12 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  /// Directions of the disc, 1..64; four times as many, 64 at most, for a broad one. One of another is its middle: a hard
-  /// shadow.
+  /// Directions of the disc, 1..64; four times as many, 64 at most, for a broad one that brings half of the light or more, as
+  /// many for one that brings an eighth or less. One of another is its middle: a hard shadow.
   int taps = 16;
-  /// Cells along the longer side, at least 16; five eighths of them for a broad disc.
+  /// Cells along the longer side, at least 16; five eighths of them for a broad disc, down to two fifths for a weak one.
   int size = 256;
+  double share = 1;  // of the plane's light, that the disc brings, 0..1
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole

@@ -39,32 +39,31 @@ void aim(const Caster& object, const prt::Plane* plane, const lighting::Disc& di
     for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
 }
 
-// A vertex is sure where those around it say the same: what is thin hides between the rays of one vertex.
-void ask_neighbours(const prt::Mesh& mesh, std::span<SightVerdict> verdict) {
-  constexpr char kLit = 1, kDark = 2, kMixed = 4;
-  thread_local std::vector<char> around;  // grows once per thread
-  around.assign(verdict.size(), 0);
-  const auto said = [&](std::uint32_t v) -> char {
-    switch (verdict[v]) {
-      case SightVerdict::kTurnedAway:
-        return 0;
-      case SightVerdict::kLit:
-        return kLit;
-      case SightVerdict::kDark:
-        return kDark;
-      default:
-        return kMixed;
-    }
-  };
-  for (const auto& [a, b, c] : mesh.triangles) {
-    const char here = static_cast<char>(said(a) | said(b) | said(c));
-    around[a] |= here, around[b] |= here, around[c] |= here;
-  }
-  for (std::size_t i = 0; i < verdict.size(); ++i)
-    if (verdict[i] == SightVerdict::kLit && (around[i] & ~kLit) != 0)
-      verdict[i] = SightVerdict::kMaybeLit;
-    else if (verdict[i] == SightVerdict::kDark && (around[i] & ~kDark) != 0)
-      verdict[i] = SightVerdict::kMaybeDark;
+// What the samples see, and after the last one nothing.
+const std::vector<prt::CosineSums>& look_from_samples(const Caster& object, const prt::Plane* plane,
+                                                      const lighting::Disc& disc, int cells) {
+  thread_local prt::SightTaps taps_memory;  // grow once per thread
+  thread_local std::vector<prt::CosineSums> sums_memory;
+  prt::SightTaps& taps = taps_memory;
+  std::vector<prt::CosineSums>& sums = sums_memory;
+  aim(object, plane, disc, taps);
+  const std::span<const std::uint32_t> vertices = object.sight->samples().vertices();
+  sums.resize(vertices.size() + 1);
+  sums.back() = {};
+  parallel_for(std::size_t{0}, vertices.size(), kAtOnce, [&](const auto& part) {
+    object.sight->look(taps, cells, vertices, part.begin(), part.end(), sums);
+  });
+  return sums;
+}
+
+// What samples say of a disc: nothing, where they are turned away.
+enum Says : std::uint8_t { kSaysLit = 1, kSaysDark = 2, kSaysMixed = 4 };
+
+std::uint8_t says(const prt::CosineSums& here) {
+  constexpr float kRounding = 1e-5f;
+  if (here.open <= 0) return 0;
+  if (here.seen <= 0) return kSaysDark;
+  return here.seen >= here.open * (1 - kRounding) ? kSaysLit : kSaysMixed;
 }
 
 }  // namespace
@@ -95,18 +94,47 @@ void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc
   });
 }
 
-void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out) {
-  thread_local std::vector<prt::CosineSums> sums;  // grows once per thread
-  const std::size_t count = object.mesh->positions.size();
-  sums.resize(count), out.resize(count);
-  look_up(object, nullptr, disc, prt::VertexSight::kFineCells, sums);
-  constexpr float kRounding = 1e-5f;
-  std::ranges::transform(sums, out.begin(), [](const prt::CosineSums& here) {
-    if (here.open <= 0) return SightVerdict::kTurnedAway;
-    if (here.seen <= 0) return SightVerdict::kDark;
-    return here.seen >= here.open * (1 - kRounding) ? SightVerdict::kLit : SightVerdict::kMixed;
+void look_up_shared(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
+                    int cells, std::span<prt::CosineSums> out) {
+  const std::vector<prt::CosineSums>& seen = look_from_samples(object, plane, disc, cells);
+  const prt::VertexSamples& samples = object.sight->samples();
+  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const auto& [a, b, c, d] = samples.around(i);
+      out[i] = (seen[a] + seen[b]) + (seen[c] + seen[d]);
+    }
   });
-  ask_neighbours(*object.mesh, out);
+}
+
+void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out) {
+  thread_local std::vector<std::uint8_t> by_sample;  // grows once per thread
+  const std::vector<prt::CosineSums>& seen =
+      look_from_samples(object, nullptr, disc, prt::VertexSight::kFineCells);
+  std::vector<std::uint8_t>& said = by_sample;
+  said.resize(seen.size());
+  std::ranges::transform(seen, said.begin(), says);
+  const prt::VertexSamples& samples = object.sight->samples();
+  const glm::vec3 towards =
+      glm::transpose(object.world_from_mesh.rotation_matrix()) * glm::vec3(disc.direction);
+  const auto turned_away = -static_cast<float>(std::sin(largest_angle(disc)));
+  const std::span<const glm::vec3> normals = object.mesh->normals;
+  out.resize(normals.size());
+  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const auto& [a, b, c, d] = samples.around(i);
+      const int all = said[a] | said[b] | said[c] | said[d];
+      if (glm::dot(normals[i], towards) <= turned_away)
+        out[i] = SightVerdict::kTurnedAway;
+      else if (all == kSaysLit)
+        out[i] = SightVerdict::kLit;
+      else if (all == kSaysDark)
+        out[i] = SightVerdict::kDark;
+      else if (!samples.is_sample(i) || said[a] == kSaysMixed)
+        out[i] = SightVerdict::kMixed;
+      else
+        out[i] = said[a] == kSaysLit ? SightVerdict::kMaybeLit : SightVerdict::kMaybeDark;
+    }
+  });
 }
 
 }  // namespace penumbra::shadows

@@ -22,9 +22,14 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
              std::span<prt::CosineSums> out);
 
+/// The same where neighbours share light: only the mesh's samples look, and each vertex has what those at and beside it see.
+/// One that grazes the disc stays dark where all of these are turned away from it.
+void look_up_shared(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
+                    int cells, std::span<prt::CosineSums> out);
+
 enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMaybeDark, kMaybeLit, kMixed };
-/// Lit or dark where all of the disc, as finely as a look-up can tell, is open or nothing is; maybe so where a vertex beside it
-/// says otherwise.
+/// Lit or dark where the samples at and beside a vertex agree that all of the disc, as finely as a look-up can tell, is open or that
+/// nothing is; a sample maybe so where others say otherwise.
 /// threads: as trace_disc_light
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out);
 

@@ -42,7 +42,7 @@ void use(const prt::BakedObject& o) {
   for (std::size_t k = 0; k < prt::SightTaps::kEach; ++k)
     taps.add({.6f, k % 2 == 0 ? .8f : -.8f, 0}, true);
   std::vector<prt::CosineSums> sums(count);
-  const prt::SightLookup lookup(o.sight, o.mesh.normals);
+  const prt::SightLookup lookup(o.sight, o.mesh);
   for (const int cells : {prt::VertexSight::kCells, prt::VertexSight::kFineCells})
     lookup.look(taps, cells, 0, count, sums);
   for (const prt::CosineSums& s : sums)

@@ -257,7 +257,7 @@ TEST_F(BakedFile, DamageAnywhereIsAnErrorOrAnObject) {
       for (const std::uint32_t v : t) ASSERT_LT(v, count);
     if (o->sight.empty()) return;
     ASSERT_EQ(o->sight.refined.size(), count);
-    const SightLookup lookup(o->sight, o->mesh.normals);
+    const SightLookup lookup(o->sight, o->mesh);
     SightTaps taps;
     for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
     std::vector<CosineSums> sums(count);

@@ -44,7 +44,7 @@ struct World {
 
 std::vector<CosineSums> look(const BakedObject& o, const SightTaps& taps, int cells) {
   std::vector<CosineSums> out(o.mesh.positions.size());
-  SightLookup(o.sight, o.mesh.normals).look(taps, cells, 0, out.size(), out);
+  SightLookup(o.sight, o.mesh).look(taps, cells, 0, out.size(), out);
   return out;
 }
 
@@ -143,7 +143,7 @@ TEST(VertexSight, LooksAlongTheNearestRay) {
       SightTaps taps;
       for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
       std::vector<CosineSums> sums(count);
-      SightLookup(sight, up).look(taps, cells, 0, count, sums);
+      SightLookup(sight, Mesh{up, up, {}, {}}).look(taps, cells, 0, count, sums);
       found += sums[vertex].seen > 0;
     }
     EXPECT_GT(found, kTries * 85 / 100) << cells;

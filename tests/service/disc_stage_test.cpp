@@ -132,6 +132,36 @@ TEST(DiscStage, WhatObjectsWereBakedToSeeIsAsked) {
   }
 }
 
+// Rays and cells go where the light is: a source among much other light has fewer, and no other shadow than it had.
+TEST(DiscStage, WeakSourcesAreAskedLess) {
+  const PreparedScene scene = two_of(prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f}), false);
+  const Surroundings around(scene);
+  const auto lamp_of = [](double radius) {
+    lighting::Disc lamp = sun(0);
+    lamp.radius = Radians(radius);
+    return lamp;
+  };
+  const auto traced = [&](const lighting::Disc& lamp, double others, int taps) {
+    auto stage = DiscStage::create(scene, {taps, {}});
+    EXPECT_TRUE(stage);
+    stage->set_pose(1, {{1, 0, 0, 0}, {3, 0, 0}});
+    const float open = luminance(lighting::irradiance(lamp, {0, 1, 0}));
+    const std::vector<Rgb> on_plane(1, Rgb{open, open, open} * static_cast<float>(1 + others));
+    stage->update(std::vector{lamp}, luminance(lamp.irradiance()) * (.25 + others), around,
+                  on_plane);
+    const auto shadows = stage->shadows(on_plane);
+    return std::pair(light_on(*stage, scene, 0),
+                     shadows.empty() ? std::size_t{0} : shadows[0].shadow->taken.area());
+  };
+  const lighting::Disc spot = lamp_of(.02), broad = lamp_of(.2);
+  EXPECT_EQ(traced(broad, 9, 4).first, traced(broad, 0, 2).first) << "half of the rays";
+  EXPECT_NE(traced(broad, 9, 4).first, traced(broad, 0, 4).first);
+  EXPECT_EQ(traced(broad, 9, 1).first, traced(broad, 0, 1).first) << "hard ones stay hard";
+  EXPECT_EQ(traced(broad, 9, 2).first, traced(broad, 0, 2).first) << "and soft ones soft";
+  EXPECT_EQ(traced(spot, 9, 4).second, traced(spot, 0, 4).second);
+  EXPECT_LT(traced(broad, 9, 4).second, traced(broad, 0, 4).second / 2) << "cells of its map";
+}
+
 TEST(DiscStage, LongSourcesAreSeenPastWhatMovesAtTheirEnd) {
   const PreparedScene scene = two_balls();
   const Surroundings around(scene);

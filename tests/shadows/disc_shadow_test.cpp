@@ -225,6 +225,49 @@ TEST_P(DrawnShadow, IsWhatRaysFind) {
   EXPECT_LT(found.wrong, found.nodes / 200) << "of " << found.nodes;
 }
 
+// Nodes of one map where they lie on another one.
+float at(const DiscShadow& shadow, const dvec3& world) {
+  const dvec3 p = shadow.world_from_map.inverse() * world / double(shadow.cell_m);
+  const int x = static_cast<int>(std::floor(p.x)), y = static_cast<int>(std::floor(p.z));
+  if (x < 0 || y < 0 || x + 1 >= shadow.taken.width() || y + 1 >= shadow.taken.height()) return 0;
+  const auto u = static_cast<float>(p.x - x), v = static_cast<float>(p.z - y);
+  return (1 - v) * ((1 - u) * shadow.taken.at(x, y) + u * shadow.taken.at(x + 1, y)) +
+         v * ((1 - u) * shadow.taken.at(x, y + 1) + u * shadow.taken.at(x + 1, y + 1));
+}
+
+// A broad lamp that brings little is drawn with fewer directions and cells: its error counts by what it brings.
+TEST(DiscShadow, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
+  const Scene scene(one(knot()));
+  const lighting::Disc lamp = disc_of({"", {}, {}, 40, 10});
+  const auto drawn = [&](const DiscShadowOptions& options) {
+    DiscShadow out;
+    draw_disc_shadow({scene.casters(), {}, kNear}, kFloor, lamp, options, out);
+    return out;
+  };
+  const DiscShadow truth = drawn({16, 1024});
+  const auto error = [&](const DiscShadow& shadow) {
+    double sum = 0;
+    int nodes = 0;
+    for (int y = 0; y < truth.taken.height(); y += 4)
+      for (int x = 0; x < truth.taken.width(); x += 4, ++nodes)
+        sum += std::pow(at(shadow, truth.world_from_map * (double(truth.cell_m) * dvec3(x, 0, y))) -
+                            truth.taken.at(x, y),
+                        2);
+    return std::sqrt(sum / nodes);
+  };
+  const DiscShadow strong = drawn({16, 256, .5}), half = drawn({16, 256, .25}),
+                   weak = drawn({16, 256, .05});
+  const DiscShadow all = drawn({16, 256});
+  EXPECT_EQ(strong.taken.pixels().size(), all.taken.pixels().size());
+  EXPECT_LT(half.taken.area(), .7 * static_cast<double>(strong.taken.area()));
+  EXPECT_LT(weak.taken.area(), .5 * static_cast<double>(strong.taken.area()));
+  EXPECT_GT(error(weak), 1.2 * error(strong)) << "the naive form draws all lamps alike";
+  EXPECT_LT(.25 * error(half), .5 * error(strong) + .002);
+  EXPECT_LT(.05 * error(weak), .5 * error(strong));
+  EXPECT_LT(error(weak), .05);
+  EXPECT_FALSE(drawn({1, 16, 0}).empty()) << "the fewest cells";
+}
+
 // What lights by a form throws shadows by sixteen of its directions where it is small in every direction, by all 64 where not.
 TEST(DiscShadow, AFormTakesTheDirectionsThatItsReachNeeds) {
   const Scene scene(one(knot())), nobody({});

@@ -49,7 +49,7 @@ lighting::Disc strip(double elevation_deg) {
 // An object in some pose, alone or with another thing.
 struct World {
   prt::BakedObject object;
-  prt::SightLookup lookup{object.sight, object.mesh.normals};
+  prt::SightLookup lookup{object.sight, object.mesh};
   Outline outline{object.mesh}, nobody;
   prt::Mesh points = object.mesh;  // each vertex for itself
   prt::Mesh ball = prt::make_sphere({0, 0, 0}, .2f, 3, {});
@@ -122,6 +122,37 @@ TEST(SightLight, WideDiscsAreLookedUpAsWellAsRaysFind) {
     EXPECT_LT(looked_up, 1.2 * traced) << "by four rays";
     EXPECT_LT(looked_up, .15);
   }
+}
+
+// Under discs that are wide beside edges half of the vertices look for all.
+TEST(SightLight, FewVerticesLookForAllUnderVeryWideDiscs) {
+  const World& world = knot_world();
+  const Caster object = world.casters(true)[0];
+  for (const lighting::Disc& d : {disc(20, .3), disc(60, .35), disc(80, .9)}) {
+    SCOPED_TRACE(d.radius.value());
+    ASSERT_TRUE(is_very_smooth(d, world.outline));
+    ASSERT_LT(object.sight->samples().vertices().size(), object.mesh->positions.size() * 6 / 10);
+    const auto truth = world.truth(d);
+    EXPECT_LT(error(world.light(d, true), truth), 1.2 * error(world.light(d, false), truth))
+        << "by four rays, shared by all";
+    std::vector<prt::CosineSums> own(truth.size()), shared(truth.size());
+    look_up(object, nullptr, d, prt::VertexSight::kCells, own);
+    look_up_shared(object, nullptr, d, prt::VertexSight::kCells, shared);
+    std::vector<float> alone(truth.size());
+    std::ranges::transform(own, alone.begin(),
+                           [](const auto& s) { return s.seen / prt::SightTaps::kEach; });
+    EXPECT_LT(error(world.light(d, true), truth), 1.1 * error(alone, truth))
+        << "by twice as many look-ups";
+    // Of vertices that face the disc how many have no light since nobody around them faces it.
+    std::size_t lost = 0, facing = 0;
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      facing += own[i].open > 0;
+      lost += own[i].open > 0 && shared[i].open <= 0;
+    }
+    EXPECT_GT(facing, truth.size() / 4);
+    EXPECT_LT(lost, facing / 100);
+  }
+  EXPECT_FALSE(is_very_smooth(strip(35), world.outline)) << "19 % off, 13 where all look";
 }
 
 // So are lamps of a few degrees, in finer cells. (At sharp edges of shadows rays are better, in broad ones look-ups.)
