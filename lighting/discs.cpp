@@ -332,7 +332,7 @@ Vector<Share> Peeler::shares_of(const Candidate& c) const {
   const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 500));
   Vector<Share> shares(memory_), across(static_cast<std::size_t>(map_.width()), memory_);
   Vector<std::size_t> touched(memory_);  // of `across`, in this row of blocks
-  shares.reserve(c.pixels.size());
+  shares.reserve(2048);
   touched.reserve(across.size());
   const auto end_row = [&] {
     for (const std::size_t column : touched) {

@@ -1,6 +1,7 @@
 #include "prt/vertex_samples.h"
 
 #include <algorithm>
+#include <glm/geometric.hpp>
 
 #include "prt/prt.h"
 
@@ -34,6 +35,25 @@ Neighbours neighbours_of(const Mesh& mesh) {
   return out;
 }
 
+double mean_edge(const Mesh& mesh) {
+  double sum = 0;
+  for (const auto& [a, b, c] : mesh.triangles)
+    sum += double(glm::distance(mesh.positions[a], mesh.positions[b])) +
+           double(glm::distance(mesh.positions[b], mesh.positions[c])) +
+           double(glm::distance(mesh.positions[c], mesh.positions[a]));
+  return mesh.triangles.empty() ? 0 : sum / (3 * static_cast<double>(mesh.triangles.size()));
+}
+
+// Those beside it lie near and look the same way, so that they see what it does: not so in a dent, nor at the end of long edges.
+bool is_like_its_neighbours(const Mesh& mesh, const Neighbours& near, std::uint32_t vertex,
+                            double longest) {
+  constexpr float kAlike = .7f;  // cosine
+  return std::ranges::all_of(near.of(vertex), [&](std::uint32_t k) {
+    return glm::dot(mesh.normals[vertex], mesh.normals[k]) >= kAlike &&
+           double(glm::distance(mesh.positions[vertex], mesh.positions[k])) <= longest;
+  });
+}
+
 }  // namespace
 
 // Whom all around it can spare is left out, one after the other.
@@ -45,8 +65,10 @@ VertexSamples::VertexSamples(const Mesh& mesh) {
   for (std::size_t i = 0; i < count; ++i) left[i] = near.of(i).size();
   constexpr std::uint32_t kNone = ~std::uint32_t{0};
   std::vector<std::uint32_t> place(count, kNone);
+  const double longest = 2 * mean_edge(mesh);
   for (std::uint32_t i = 0; i < count; ++i) {
-    if (std::ranges::all_of(near.of(i), [&](std::uint32_t k) { return left[k] > kLeast; })) {
+    if (is_like_its_neighbours(mesh, near, i, longest) &&
+        std::ranges::all_of(near.of(i), [&](std::uint32_t k) { return left[k] > kLeast; })) {
       for (const std::uint32_t k : near.of(i)) --left[k];
       continue;
     }
@@ -54,12 +76,18 @@ VertexSamples::VertexSamples(const Mesh& mesh) {
     vertices_.push_back(i);
   }
   around_.resize(count);
+  std::vector<std::uint32_t> beside;
   for (std::size_t i = 0; i < count; ++i) {
     around_[i].fill(static_cast<std::uint32_t>(vertices_.size()));
     std::size_t used = 0;
     if (place[i] != kNone) around_[i][used++] = place[i];
+    beside.clear();
     for (const std::uint32_t k : near.of(i))
-      if (k != i && place[k] != kNone && used < kMost) around_[i][used++] = place[k];
+      if (k != i && place[k] != kNone) beside.push_back(place[k]);
+    // Of many, some from all over their list: numbers go around a mesh in rows.
+    const std::size_t taken = std::min(beside.size(), kMost - used);
+    for (std::size_t k = 0; k < taken; ++k)
+      around_[i][used++] = beside[(2 * k + 1) * beside.size() / (2 * taken)];
   }
 }
 

@@ -213,8 +213,7 @@ bool DiscStage::may_have_changed(std::size_t object, const lighting::Disc& disc)
   return false;
 }
 
-void DiscStage::trace(Traced& t, const Surroundings& around, const OpenLight& open, bool all) {
-  const int taps = object_taps(t.disc, open.mean_irradiance);
+void DiscStage::trace(Traced& t, const Surroundings& around, bool all) {
   if (all) {  // else some of it stays as it was traced for the disc that these tell
     t.direction = t.disc.direction;
     t.shape = t.disc.shape;
@@ -232,19 +231,33 @@ void DiscStage::trace(Traced& t, const Surroundings& around, const OpenLight& op
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
     shadows::trace_disc_light(rays(), casters(), virtual_casters_[i],
-                              o.baked.receiver ? &own : nullptr, t.disc, taps, t.cosine[i]);
+                              o.baked.receiver ? &own : nullptr, t.disc, t.detail.object_taps,
+                              t.cosine[i]);
   }
-  trace_planes(t, open.on_planes);
+  trace_planes(t);
 }
 
-// Half of the rays, but two, for what brings less than half of the light to those who face it. (Under immenstadter's sun of .4 the
-// knot is 1.91 instead of 1.86 % off.)
-int DiscStage::object_taps(const lighting::Disc& disc, double mean_irradiance) const {
-  const bool is_weak = luminance(disc.irradiance()) < mean_irradiance;
-  return is_weak && taps_.object > 2 ? (taps_.object + 1) / 2 : taps_.object;
+// More at once, less only when a good deal less would do: a light at the limit must not change back and forth.
+DiscStage::Detail DiscStage::detail_for(const lighting::Disc& disc, const OpenLight& open,
+                                        const Detail& before) const {
+  constexpr double kGoodDeal = .7;
+  const auto of_plane = [](double share) { return share >= .5 ? 1 : share >= .25 ? .5 : .25; };
+  double share = open.on_planes.empty() ? 1 : 0;
+  for (std::size_t p = 0; p < open.on_planes.size(); ++p) {
+    const Rgb here = share_of(disc, scene_->planes[p], open.on_planes[p]);
+    share = std::max({share, double(here.r), double(here.g), double(here.b)});
+  }
+  Detail out{taps_.object, of_plane(share)};
+  if (before.plane > out.plane) out.plane = std::min(before.plane, of_plane(share / kGoodDeal));
+  // Two rays are the fewest that are soft. (Under immenstadter's sun the knot is 1.91 instead of 1.86 % off.)
+  const bool was_strong = before.object_taps == taps_.object;
+  const double limit = (was_strong ? kGoodDeal : 1) * open.mean_irradiance;
+  if (luminance(disc.irradiance()) < limit && taps_.object > 2)
+    out.object_taps = (taps_.object + 1) / 2;
+  return out;
 }
 
-void DiscStage::trace_planes(Traced& t, std::span<const Rgb> open_irradiance) {
+void DiscStage::trace_planes(Traced& t) {
   t.on_plane.resize(scene_->planes.size());
   t.real_on_plane.resize(scene_->planes.size());
   for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
@@ -252,10 +265,7 @@ void DiscStage::trace_planes(Traced& t, std::span<const Rgb> open_irradiance) {
     const shadows::Casters casters{virtual_on_planes_[shadows::is_broad(t.disc) ? 1 : 0], real,
                                    near_m_, &memo_};
     shadows::DiscShadowOptions options = taps_.plane;
-    if (!open_irradiance.empty()) {
-      const Rgb share = share_of(t.disc, scene_->planes[p], open_irradiance[p]);
-      options.share = std::max({share.r, share.g, share.b});
-    }
+    options.fineness = t.detail.plane;
     shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, options, t.on_plane[p]);
     options.size /= 2;
     if (!real.empty())
@@ -282,10 +292,13 @@ bool DiscStage::update(std::span<const lighting::Disc> discs, double mean_irradi
     changed |= known == before_.end() || change > kVisibleShare * mean_irradiance;
     const lighting::Disc before = t.disc;
     t.disc = disc;
+    const Detail detail = detail_for(disc, {mean_irradiance, open_irradiance}, t.detail);
     const bool anew = t.cosine.empty() || move > kLeastMove + .1 * disc.radius.value() ||
-                      std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value();
+                      std::abs(t.radius - disc.radius.value()) > .1 * disc.radius.value() ||
+                      detail.object_taps > t.detail.object_taps || detail.plane > t.detail.plane;
+    if (anew) t.detail = detail;
     if (anew || poses_changed) {
-      trace(t, around, {mean_irradiance, open_irradiance}, anew);
+      trace(t, around, anew);
       changed = true;
     } else if (change <= kVisibleShare * mean_irradiance) {
       t.disc.radiance = before.radiance;  // small changes add up until they are seen

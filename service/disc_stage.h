@@ -16,7 +16,9 @@
 namespace penumbra::service {
 
 struct DiscTaps {
-  int object = 4;  // rays a vertex and disc, half of them for weak discs; by one its shadow is hard
+  /// Rays a vertex and disc; half of them, at least two, for one that sends who faces it less than the mean light of all normals
+  /// (a fill light too, on the side that the others do not reach). By one its shadow is hard.
+  int object = 4;
   shadows::DiscShadowOptions plane;
 };
 
@@ -59,7 +61,18 @@ class DiscStage {
   std::vector<compositor::DiscShadowOnPlane> shadows(std::span<const Rgb> open_irradiance) const;
 
  private:
+  // Of all sources: the mean over normals, and on planes (none: not known).
+  struct OpenLight {
+    double mean_irradiance;
+    std::span<const Rgb> on_planes;
+  };
+  // How finely a disc is traced, by what it brings.
+  struct Detail {
+    int object_taps = 0;
+    double plane = 0;  // DiscShadowOptions::fineness
+  };
   struct Traced {
+    Detail detail;            // as it was traced
     lighting::Disc disc;      // as it is now
     glm::dvec3 direction{0};  // as it was traced, and its form
     std::vector<glm::dvec3> shape;
@@ -75,11 +88,6 @@ class DiscStage {
         taps_(taps),
         virtual_(std::move(virtual_things)),
         real_(std::move(real_things)) {}
-  // Of all sources: the mean over normals, and on planes (none: not known).
-  struct OpenLight {
-    double mean_irradiance;
-    std::span<const Rgb> on_planes;
-  };
   shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
   shadows::Casters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
   Result<void> add_object(const PreparedObject& object);
@@ -89,9 +97,9 @@ class DiscStage {
   /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
   void follow_forms();
   /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
-  void trace(Traced& traced, const Surroundings& around, const OpenLight& open, bool all);
-  int object_taps(const lighting::Disc& disc, double mean_irradiance) const;
-  void trace_planes(Traced& traced, std::span<const Rgb> open_irradiance);
+  void trace(Traced& traced, const Surroundings& around, bool all);
+  void trace_planes(Traced& traced);
+  Detail detail_for(const lighting::Disc& disc, const OpenLight& open, const Detail& before) const;
   bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
   std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
                                         const Surroundings& around) const;

@@ -20,16 +20,17 @@ constexpr int kRim = 2;  // cells around what is drawn
 
 using PlaneTaps = std::pmr::vector<PlaneTap>;
 
-// Broad penumbras show their directions, and hide cells: so many that the steps of the light on the plane are alike.
-DiscShadowOptions options_for(const lighting::Disc& disc, const DiscShadowOptions& options) {
-  if (!is_broad(disc)) return options;
-  // What brings half of the light needs all of them; less is missed in what brings less.
-  constexpr double kAll = .5, kLeast = .25;
-  constexpr int kFewestCells = 4 * kRim;
-  const double fine = std::clamp(options.share / kAll, kLeast, 1.);
-  const int taps = std::min(kMostTaps, 4 * options.taps),
-            cells = static_cast<int>(.625 * .5 * (1 + fine) * options.size);
-  return {static_cast<int>(std::ceil(fine * taps)), std::max(cells, kFewestCells), options.share};
+// Broad penumbras show their directions, and hide cells.
+struct Detail {
+  int taps, size;
+};
+Detail detail_for(const lighting::Disc& disc, const DiscShadowOptions& options) {
+  if (!is_broad(disc)) return {options.taps, options.size};
+  constexpr int kFewest = 4, kFewestCells = 4 * kRim;
+  const int taps = std::min(kMostTaps, 4 * options.taps);
+  const double cells = .625 * .5 * (1 + options.fineness) * options.size;
+  return {std::max(kFewest, static_cast<int>(options.fineness * taps)),
+          std::max(kFewestCells, static_cast<int>(cells))};
 }
 
 // Bounds of the casters' shadow in the plane frame.
@@ -182,7 +183,7 @@ void draw_disc_shadow(const Casters& casters, const prt::Plane& plane, const lig
   clear(out);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto [taps, size, share] = options_for(disc, options);
+  const auto [taps, size] = detail_for(disc, options);
   const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   const Extent e = shadow_extent(casters.virtual_things, casters.near_m,
@@ -196,7 +197,7 @@ void draw_real_shadow(const Casters& casters, std::span<const Neighbourhood> aro
   clear(out);
   if (around.empty()) return;
   const Scratch::Scope scope;
-  const auto [taps, size, share] = options_for(disc, options);
+  const auto [taps, size] = detail_for(disc, options);
   const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   const Pose plane_from_world = setting->world_from_plane.inverse();
@@ -214,7 +215,7 @@ void draw_disc_shadows(const Casters& casters, const prt::Plane& plane, const li
   for (DiscShadow& shadow : out) clear(shadow);
   if (casters.virtual_things.empty()) return;
   const Scratch::Scope scope;
-  const auto [taps, size, share] = options_for(disc, options);
+  const auto [taps, size] = detail_for(disc, options);
   const auto setting = set_up(plane, disc, taps, scope.memory());
   if (!setting) return;
   // A group's casters in one row, so that each map draws its own alone.

@@ -116,6 +116,8 @@ struct Casters {
 /// in a small disc's penumbra which of sixteen directions, or of `taps` if those are more, a vertex sees. One tap is the disc's
 /// middle, and the shadow hard; what faces all of the disc keeps its light. Of a disc that is wide beside the cells of the
 /// object's sight this is asked instead of rays (up to eight; four for lamps of a few degrees), where nothing else may stand between the two.
+/// Half of the vertices look for all then, if the disc is wide beside edges too (a vertex that grazes it stays dark where all that look
+/// for it are turned away), and under small discs they tell which vertices need rays.
 /// in: taps 1..64, rays a vertex at most; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a form's points by the golden
 /// ratio; Laine et al. 2005 (PartSeen)
@@ -134,12 +136,13 @@ void trace_disc_vertices(const Blockers& blockers, const prt::Mesh& mesh,
                          const lighting::Disc& disc, int taps, DiscAtVertices& out);
 
 struct DiscShadowOptions {
-  /// Directions of the disc, 1..64; four times as many, 64 at most, for a broad one that brings half of the light or more, as
-  /// many for one that brings an eighth or less. One of another is its middle: a hard shadow.
+  /// Directions of the disc, 1..64; four times as many, 4 to 64, for a broad one. One of another is its middle: a hard shadow.
   int taps = 16;
-  /// Cells along the longer side, at least 16; five eighths of them for a broad disc, down to two fifths for a weak one.
+  /// Cells along the longer side, at least 16; five eighths of them for a broad disc.
   int size = 256;
-  double share = 1;  // of the plane's light, that the disc brings, 0..1
+  /// Of a broad disc so many of these directions are taken, and (1 + fineness)/2 of these cells: 1, 1/2 or 1/4. Steps in the shadow
+  /// of what brings little light are small.
+  double fineness = 1;
 };
 
 /// The share of one disc that virtual things take from a real plane, on a rectangle that holds the whole

@@ -28,7 +28,7 @@ void look_up_shared(const Caster& object, const prt::Plane* plane, const lightin
                     int cells, std::span<prt::CosineSums> out);
 
 enum class SightVerdict : std::uint8_t { kTurnedAway, kDark, kLit, kMaybeDark, kMaybeLit, kMixed };
-/// Lit or dark where the samples at and beside a vertex agree that all of the disc, as finely as a look-up can tell, is open or that
+/// Lit or dark where samples at and beside a vertex agree that all of the disc, as finely as a look-up can tell, is open or that
 /// nothing is; a sample maybe so where others say otherwise.
 /// threads: as trace_disc_light
 void scout(const Caster& object, const lighting::Disc& disc, std::vector<SightVerdict>& out);

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <glm/geometric.hpp>
 #include <set>
 
 #include "prt/prt.h"
@@ -47,6 +48,22 @@ TEST(VertexSamples, ThreeAreAtOrBesideEachVertex) {
       }
     }
   }
+}
+
+// What lies in a dent sees less than those around it do.
+TEST(VertexSamples, WhatLooksAnotherWayLooksForItself) {
+  Mesh mesh = make_sphere({0, 0, 0}, 1, 4, {.5f, .5f, .5f});
+  std::size_t left_out = 0;
+  for (const std::uint32_t dent : {0u, 100u, 500u}) {
+    left_out += !VertexSamples(mesh).is_sample(dent);
+    Mesh dented = mesh;
+    dented.positions[dent] *= .5f;
+    EXPECT_TRUE(VertexSamples(dented).is_sample(dent)) << "at the end of long edges";
+    dented = mesh;
+    dented.normals[dent] = glm::normalize(glm::cross(mesh.normals[dent], glm::vec3(.3f, .5f, .8f)));
+    EXPECT_TRUE(VertexSamples(dented).is_sample(dent)) << "turned";
+  }
+  EXPECT_GT(left_out, 0u) << "others look for some of them as long as they are not";
 }
 
 // Nobody can look for a point that no triangle joins to others, nor for the corners of a triangle alone.

@@ -162,6 +162,36 @@ TEST(DiscStage, WeakSourcesAreAskedLess) {
   EXPECT_LT(traced(broad, 9, 4).second, traced(broad, 0, 4).second / 2) << "cells of its map";
 }
 
+// A lamp that is switched on fades in: what was found while it was faint does not do when it is all of the light. A little up and
+// down at a limit changes nothing.
+TEST(DiscStage, ALampThatFadesInIsTracedAnew) {
+  const PreparedScene scene = two_of(prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f}), false);
+  const Surroundings around(scene);
+  lighting::Disc lamp = sun(0);
+  lamp.radius = Radians(.2);
+  const auto update = [&](DiscStage& stage, double share) {
+    lighting::Disc now = lamp;
+    now.radiance = lamp.radiance * static_cast<float>(share);
+    const Rgb all = lighting::irradiance(lamp, {0, 1, 0});
+    stage.update(std::vector{now}, luminance(lamp.irradiance()) * .9, around, std::vector{all});
+    return std::pair(light_on(stage, scene, 0), stage.shadows(std::vector{all})[0].shadow->taken);
+  };
+  auto fading = DiscStage::create(scene, {}), fresh = DiscStage::create(scene, {});
+  ASSERT_TRUE(fading && fresh);
+  for (DiscStage* stage : {&*fading, &*fresh}) stage->set_pose(1, {{1, 0, 0, 0}, {3, 0, 0}});
+  const auto faint = update(*fading, .05), whole = update(*fading, 1), at_once = update(*fresh, 1);
+  EXPECT_EQ(whole.first, at_once.first);
+  EXPECT_EQ(whole.second, at_once.second);
+  EXPECT_LT(faint.second.area(), whole.second.area() / 2);
+  // Turned with each update: nothing is kept.
+  for (const double share : {.51, .49, .45, .51}) {
+    lamp.direction = glm::normalize(lamp.direction + dvec3(.1, 0, 0));
+    EXPECT_GT(update(*fading, share).second.area(), 1.5 * double(faint.second.area())) << share;
+  }
+  lamp.direction = glm::normalize(lamp.direction + dvec3(.1, 0, 0));
+  EXPECT_LT(update(*fading, .1).second.area(), 1.5 * double(faint.second.area()));
+}
+
 TEST(DiscStage, LongSourcesAreSeenPastWhatMovesAtTheirEnd) {
   const PreparedScene scene = two_balls();
   const Surroundings around(scene);
