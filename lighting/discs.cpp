@@ -327,12 +327,12 @@ void Peeler::put_back(std::span<const Excess> pixels) {
     map_.row_to_change(p.y)[static_cast<std::size_t>(p.x)] += p.radiance;
 }
 
-// Of blocks of pixels: five hundred shares are plenty for 64 points.
+// Of blocks of pixels: a thousand shares are plenty for 64 points.
 Vector<Share> Peeler::shares_of(const Candidate& c) const {
-  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 500));
+  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 1000));
   Vector<Share> shares(memory_), across(static_cast<std::size_t>(map_.width()), memory_);
   Vector<std::size_t> touched(memory_);  // of `across`, in this row of blocks
-  shares.reserve(2048);
+  shares.reserve(4096);
   touched.reserve(across.size());
   const auto end_row = [&] {
     for (const std::size_t column : touched) {
