@@ -134,7 +134,7 @@ TEST(DiscStage, WhatObjectsWereBakedToSeeIsAsked) {
 
 // Rays and cells go where the light is: a source among much other light has fewer, and no other shadow than it had.
 TEST(DiscStage, WeakSourcesAreAskedLess) {
-  const prt::Mesh knot = prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f});
+  const prt::Mesh knot = prt::make_knot(.4f, 160, 32, {.6f, .6f, .6f});
   const PreparedScene known = two_of(knot, true), plain = two_of(knot, false);
   const auto lamp_of = [](double radius) {
     lighting::Disc lamp = sun(0);
