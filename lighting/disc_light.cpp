@@ -1,4 +1,5 @@
 // What a disc sends: in harmonics, and to a surface.
+#include <algorithm>
 #include <cmath>
 
 #include "lighting/lighting.h"

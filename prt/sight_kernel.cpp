@@ -32,15 +32,14 @@ HWY_INLINE Whole Cell(Floats place, float shift, float cells) {
   return hn::ConvertTo(kWhole, hn::Min(at, hn::Set(d, cells - .5f)));  // just below 0 is 0
 }
 
-// Of cells in blocks of so many (a power of two) by so many, eight blocks in a row.
+// Of finer cells, in blocks of eight by eight, eight blocks in a row.
 struct Place {
   Whole block, cell;  // cell of the block
 };
-template <int kShift>
 HWY_INLINE Place PlaceOf(Whole x, Whole y) {
-  const auto within = hn::Set(kWhole, (1 << kShift) - 1);
-  return {hn::Or(hn::ShiftLeft<3>(hn::ShiftRight<kShift>(y)), hn::ShiftRight<kShift>(x)),
-          hn::Or(hn::ShiftLeft<kShift>(hn::And(y, within)), hn::And(x, within))};
+  const auto within = hn::Set(kWhole, 7);
+  return {hn::Or(hn::AndNot(within, y), hn::ShiftRight<3>(x)),
+          hn::Or(hn::ShiftLeft<3>(hn::And(y, within)), hn::And(x, within))};
 }
 
 // The word of each lane, of the vertex's. Where lanes are many a vertex's words fit into registers.
@@ -110,7 +109,7 @@ struct Fine {
   static HWY_INLINE IsOpen Look(const SightRows& rows, std::size_t vertex, Whole x, Whole y,
                                 IsOpen before) {
     const auto d = kWhole;
-    const Place place = PlaceOf<3>(x, y);
+    const Place place = PlaceOf(x, y);
     const auto block = Blocks(rows.open + vertex * VertexSight::kWords, place.block);
     const auto open = hn::Ne(block, hn::Zero(d));
     const auto refined =

@@ -266,7 +266,7 @@ void DiscStage::trace_planes(Traced& t) {
     const shadows::Casters casters{virtual_on_planes_[shadows::is_broad(t.disc) ? 1 : 0], real,
                                    near_m_, &memo_};
     shadows::DiscShadowOptions options = taps_.plane;
-    options.fineness = t.detail.plane;
+    options.fineness = std::min(options.fineness, t.detail.plane);
     shadows::draw_disc_shadows(casters, scene_->planes[p], t.disc, options, t.on_plane[p]);
     options.size /= 2;
     if (!real.empty())

@@ -16,8 +16,8 @@
 namespace penumbra::service {
 
 struct DiscTaps {
-  /// Rays a vertex and disc; on what knows its sight half of them, at least two, for one that sends who faces it less than the mean light of all normals
-  /// (a fill light too, on the side that the others do not reach). By one its shadow is hard.
+  /// Rays a vertex and disc; on what knows its sight half of them, at least two, for one that sends who faces it less than the
+  /// mean light of all normals (a fill light too, on the side that the others do not reach). By one its shadow is hard.
   int object = 4;
   shadows::DiscShadowOptions plane;
 };
