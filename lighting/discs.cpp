@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 
 #include "core/scratch.h"
@@ -30,11 +31,24 @@ struct Run {
   int length() const { return x1 - x0; }
 };
 
-// The one after its last.
-void add_pixel(float luminance, Run& run) {
-  ++run.x1;
-  run.peak = std::max(run.peak, luminance);
-  run.sum += luminance;
+// luminance: of its pixels. In eight sums side by side, so that none waits for another.
+Run run_of(int y, int x0, int x1, const float* luminance) {
+  constexpr int kSums = 8;
+  float peak[kSums] = {}, sum[kSums] = {};
+  const auto add = [&](int i, float l) {
+    peak[i] = std::max(peak[i], l);
+    sum[i] += l;
+  };
+  int k = 0;
+  for (; k + kSums <= x1 - x0; k += kSums)
+    for (int i = 0; i < kSums; ++i) add(i, luminance[k + i]);
+  for (; k < x1 - x0; ++k) add(0, luminance[k]);
+  Run run{y, x0, x1};
+  for (int i = 0; i < kSums; ++i) {
+    run.peak = std::max(run.peak, peak[i]);
+    run.sum += static_cast<double>(sum[i]);
+  }
+  return run;
 }
 
 class DisjointSets {
@@ -70,19 +84,27 @@ struct Region {
   std::size_t pixels = 0;
 };
 
-// What was cut off a pixel.
-struct Excess {
-  int x, y;
-  Rgb radiance;
-  double flux;  // luminance times solid angle
-};
-
+// What was cut off some pixels, and its sums. Flux: luminance times solid angle.
 struct Candidate {
-  Vector<Excess> pixels;
-  glm::dvec3 centre, moment;  // moment: sum of flux times direction
-  double flux;
-  double solid_angle;  // of an even disc with the same second moment of radiance
-  bool clipped;
+  explicit Candidate(std::pmr::memory_resource* memory)
+      : runs(memory), radiance(memory), luminance(memory) {}
+  void append(const Candidate& other) {
+    runs.insert(runs.end(), other.runs.begin(), other.runs.end());
+    radiance.insert(radiance.end(), other.radiance.begin(), other.radiance.end());
+    luminance.insert(luminance.end(), other.luminance.begin(), other.luminance.end());
+    power += other.power, moment += other.moment, flux += other.flux;
+    clipped |= other.clipped;
+  }
+
+  Vector<Run> runs;
+  Vector<Rgb> radiance;     // of their pixels, one after the other
+  Vector<float> luminance;  // likewise
+  glm::dvec3 power{0};      // radiance times solid angle
+  glm::dvec3 moment{0};     // sum of flux times direction
+  glm::dvec3 centre{0, 1, 0};
+  double flux = 0;
+  double solid_angle = 0;  // of an even disc with the same second moment of radiance
+  bool clipped = false;
 };
 
 // Of a lat-long map's pixels.
@@ -90,13 +112,13 @@ struct Directions {
   int width = 0, height = 0;
   std::vector<double> weight;                  // solid angle of a pixel, by row
   std::vector<std::pair<double, double>> row;  // of a direction: across and up, by row
-  std::vector<glm::dvec2> column;              // its x and z where across is 1, by column
+  std::vector<float> column_x, column_z;       // of it where across is 1, by column
 };
 
 const Directions& directions_of(int width, int height) {
   thread_local Directions known;
   if (known.width == width && known.height == height) return known;
-  known = {width, height, {}, {}, {}};
+  known = {width, height, {}, {}, {}, {}};
   for (int y = 0; y < height; ++y) {
     known.weight.push_back(latlong_solid_angle(y, width, height));
     const glm::dvec3 d = latlong_direction(.5, y + .5, width, height);
@@ -104,15 +126,18 @@ const Directions& directions_of(int width, int height) {
   }
   for (int x = 0; x < width; ++x) {
     const glm::dvec3 d = latlong_direction(x + .5, .5 * height, width, height);
-    known.column.emplace_back(d.x, d.z);
+    known.column_x.push_back(static_cast<float>(d.x));
+    known.column_z.push_back(static_cast<float>(d.z));
   }
   return known;
 }
 
 class Peeler {
  public:
-  Peeler(const DiscOptions& options, std::span<const std::uint32_t> clipped, DiscSplit& split)
-      : options_(options),
+  Peeler(const MapLuminance& luminance, const DiscOptions& options,
+         std::span<const std::uint32_t> clipped, DiscSplit& split)
+      : luminance_(luminance),
+        options_(options),
         clipped_(clipped),
         map_(split.rest),
         discs_(split.discs),
@@ -122,12 +147,7 @@ class Peeler {
   Result<void> run();
 
  private:
-  glm::dvec3 direction(int x, int y) const {
-    const auto [across, up] = grid_.row[static_cast<std::size_t>(y)];
-    const glm::dvec2& around = grid_.column[static_cast<std::size_t>(x)];
-    return {across * around.x, up, across * around.y};
-  }
-  Result<double> measure();
+  Result<double> mean() const;
   Vector<Run> bright_parts(float level) const;
   double mean_below(double level) const;
   Vector<Region> regions_above(float level) const;
@@ -137,8 +157,7 @@ class Peeler {
   double flux_of(const Region& region) const;
   void cut_clipped(float level);
   void cut(const Region& region, float level, bool clipped = false);
-  void add_candidate(Vector<Excess> pixels, bool clipped);
-  void put_back(std::span<const Excess> pixels);
+  void put_back(const Candidate& candidate);
   Vector<Share> shares_of(const Candidate& candidate) const;
   std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
   void join_concentric();
@@ -146,25 +165,21 @@ class Peeler {
 
   Scratch::Scope scope_;
   std::pmr::memory_resource* const memory_ = scope_.memory();
+  const MapLuminance& luminance_;
   const DiscOptions& options_;
   std::span<const std::uint32_t> clipped_;
   PatchedMap& map_;
   std::vector<Disc>& discs_;
   DiscSplit& split_;
   const Directions& grid_;
-  Vector<float> block_peak_{memory_};  // by row, kPeakBlock pixels each
   Vector<Candidate> candidates_{memory_};
   double least_flux_ = 0;
 };
 
-// The brightest luminance of each block. Returns the mean.
-Result<double> Peeler::measure() {
-  const std::size_t blocks = static_cast<std::size_t>(map_.width() + kPeakBlock - 1) / kPeakBlock;
-  block_peak_.assign(blocks * static_cast<std::size_t>(map_.height()), 0);
+Result<double> Peeler::mean() const {
   double mean = 0;
   for (int y = 0; y < map_.height(); ++y) {
-    const double sum = row_luminance(&map_.row(y)[0].r, map_.width(),
-                                     &block_peak_[static_cast<std::size_t>(y) * blocks]);
+    const double sum = luminance_.row_sum[static_cast<std::size_t>(y)];
     if (!std::isfinite(sum))
       return fail(ErrorCode::kNonFinite, "environment", "holds NaN or infinite radiance");
     mean += grid_.weight[static_cast<std::size_t>(y)] * sum / (4 * kPi);
@@ -175,7 +190,7 @@ Result<double> Peeler::measure() {
 // The parts of rows whose blocks reach above the level.
 Vector<Run> Peeler::bright_parts(float level) const {
   Vector<Run> parts(memory_);
-  auto peak = block_peak_.begin();
+  auto peak = luminance_.block_peak.begin();
   for (int y = 0; y < map_.height(); ++y)
     for (int x = 0; x < map_.width(); x += kPeakBlock) {
       if (!(*peak++ > level)) continue;
@@ -200,18 +215,16 @@ double Peeler::mean_below(double level) const {
 
 Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
   Vector<Run> runs(memory_);
+  Vector<float> brightness(static_cast<std::size_t>(map_.width()), memory_);
   for (const Run& r : within) {
-    const auto row = map_.row(r.y);
-    bool open = false;
-    for (int x = r.x0; x < r.x1; ++x) {
-      const float l = luminance(row[static_cast<std::size_t>(x)]);
-      if (!(l > level)) {
-        open = false;
-        continue;
-      }
-      if (!open) runs.push_back({r.y, x, x});
-      open = true;
-      add_pixel(l, runs.back());
+    pixel_luminance(&map_.at(r.x0, r.y).r, r.length(), brightness.data());
+    const float* const l = brightness.data();
+    const int n = r.length();
+    for (int k = 0; k < n; ++k) {
+      if (!(l[k] > level)) continue;
+      const int first = k;
+      while (k < n && l[k] > level) ++k;
+      runs.push_back(run_of(r.y, r.x0 + first, r.x0 + k, l + first));
     }
   }
   return runs;
@@ -270,12 +283,14 @@ double Peeler::flux_of(const Region& region) const {
 // Clipped pixels come first, so that the disc is where they are and what they lack is not spread
 // over the glow around them. Down to half of their own mean where that is not six times the rest.
 void Peeler::cut_clipped(float level) {
-  Vector<Run> runs(memory_);
+  Vector<Run> parts(memory_);
   for (const std::uint32_t i : clipped_) {
     const int y = static_cast<int>(i) / map_.width(), x = static_cast<int>(i) % map_.width();
-    if (runs.empty() || runs.back().y != y || runs.back().x1 != x) runs.push_back({y, x, x});
-    add_pixel(luminance(map_.at(x, y)), runs.back());
+    if (parts.empty() || parts.back().y != y || parts.back().x1 != x) parts.push_back({y, x, x});
+    ++parts.back().x1;
   }
+  constexpr float kAll = -std::numeric_limits<float>::infinity();
+  const Vector<Run> runs = runs_above(kAll, parts);
   for (const Region& region : regions_of(runs)) {
     double solid_angle = 0;
     for (const Run& r : region.runs)
@@ -287,72 +302,81 @@ void Peeler::cut_clipped(float level) {
 // Cuts the region down to the level and turns what was above into a candidate. The level, not a share of the
 // region's own mean: a window that dims slowly then leaves the list with nothing left in it.
 void Peeler::cut(const Region& region, float level, bool clipped) {
-  Vector<Excess> above(memory_);
-  above.reserve(region.pixels);
+  Candidate c(memory_);
+  c.runs.assign(region.runs.begin(), region.runs.end());
+  c.radiance.resize(region.pixels);
+  c.luminance.resize(region.pixels);
+  c.clipped = clipped;
+  double square = 0;  // of luminance, times solid angle
+  std::size_t first = 0;
   for (const Run& r : region.runs) {
-    const std::span<Rgb> row = map_.row_to_change(r.y);
+    CutSums sums;
+    const auto x0 = static_cast<std::size_t>(r.x0);
+    cut_row(&map_.row_to_change(r.y)[x0].r, r.length(), level, &grid_.column_x[x0],
+            &grid_.column_z[x0], &c.radiance[first].r, &c.luminance[first], sums);
+    first += static_cast<std::size_t>(r.length());
+    const auto [across, up] = grid_.row[static_cast<std::size_t>(r.y)];
     const double weight = grid_.weight[static_cast<std::size_t>(r.y)];
-    for (int x = r.x0; x < r.x1; ++x) {
-      Rgb& c = row[static_cast<std::size_t>(x)];
-      const float l = luminance(c);
-      if (!(l > level)) continue;
-      const float kept = level / l;
-      const Rgb excess = c * (1 - kept);
-      above.push_back({x, r.y, excess, weight * luminance(excess)});
-      c = c * kept;
-    }
+    const glm::dvec3 rgb(sums.rgb[0], sums.rgb[1], sums.rgb[2]);
+    const double sum = glm::dot(rgb, {kLuminance[0], kLuminance[1], kLuminance[2]});
+    c.power += weight * rgb;
+    c.flux += weight * sum;
+    c.moment += weight * glm::dvec3(across * sums.x, up * sum, across * sums.z);
+    square += weight * sums.square;
   }
-  add_candidate(std::move(above), clipped);
-}
-
-void Peeler::add_candidate(Vector<Excess> pixels, bool clipped) {
-  double flux = 0, square = 0;  // square: of luminance, times solid angle
-  glm::dvec3 moment(0);
-  for (const Excess& p : pixels) {
-    flux += p.flux;
-    square += p.flux * p.flux / grid_.weight[static_cast<std::size_t>(p.y)];
-    moment += p.flux * direction(p.x, p.y);
-  }
-  if (!(flux > (clipped ? 0 : least_flux_))) {
-    put_back(pixels);
+  if (!(c.flux > (clipped ? 0 : least_flux_))) {
+    put_back(c);
     return;
   }
-  const double cap = std::min(2 * kPi, flux * flux / square), length = glm::length(moment);
-  const glm::dvec3 centre = length > 1e-9 * flux ? moment / length : glm::dvec3(0, 1, 0);
-  candidates_.push_back({std::move(pixels), centre, moment, flux, cap, clipped});
+  c.solid_angle = std::min(2 * kPi, c.flux * c.flux / square);
+  const double length = glm::length(c.moment);
+  if (length > 1e-9 * c.flux) c.centre = c.moment / length;
+  candidates_.push_back(std::move(c));
 }
 
-void Peeler::put_back(std::span<const Excess> pixels) {
-  for (const Excess& p : pixels)
-    map_.row_to_change(p.y)[static_cast<std::size_t>(p.x)] += p.radiance;
+void Peeler::put_back(const Candidate& c) {
+  auto radiance = c.radiance.begin();
+  for (const Run& r : c.runs)
+    for (Rgb& pixel : map_.row_to_change(r.y).subspan(static_cast<std::size_t>(r.x0),
+                                                      static_cast<std::size_t>(r.length())))
+      pixel += *radiance++;
 }
 
 // Of blocks of pixels: a thousand shares are plenty for 64 points.
 Vector<Share> Peeler::shares_of(const Candidate& c) const {
-  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.pixels.size()) / 1000));
-  Vector<Share> shares(memory_), across(static_cast<std::size_t>(map_.width()), memory_);
-  Vector<std::size_t> touched(memory_);  // of `across`, in this row of blocks
+  const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.luminance.size()) / 1000));
+  Vector<Share> shares(memory_),
+      across_blocks(static_cast<std::size_t>(map_.width() / block + 1), memory_);
+  Vector<std::size_t> touched(memory_);  // of `across_blocks`, in this row of blocks
   shares.reserve(4096);
-  touched.reserve(across.size());
+  touched.reserve(across_blocks.size());
   const auto end_row = [&] {
     for (const std::size_t column : touched) {
-      Share& sum = across[column];
-      shares.push_back({sum.weight, sum.direction / sum.weight});
+      Share& sum = across_blocks[column];
+      if (sum.weight > 0) shares.push_back({sum.weight, sum.direction / sum.weight});
       sum = {};
     }
     touched.clear();
   };
-  Vector<std::size_t> column_of(memory_);  // a division for each pixel would take half of the time
-  for (int x = 0; x < map_.width(); ++x) column_of.push_back(static_cast<std::size_t>(x / block));
+  auto luminance = c.luminance.begin();
   int y = -1;
-  for (const Excess& p : c.pixels) {
-    if (!(p.flux > 0)) continue;
-    if (p.y != y && p.y / block != y / block) end_row();
-    y = p.y;
-    const std::size_t column = column_of[static_cast<std::size_t>(p.x)];
-    Share& sum = across[column];
-    if (sum.weight == 0) touched.push_back(column);
-    sum.weight += p.flux, sum.direction += p.flux * direction(p.x, p.y);
+  for (const Run& r : c.runs) {
+    if (r.y / block != y / block) end_row();
+    y = r.y;
+    const auto [across, up] = grid_.row[static_cast<std::size_t>(y)];
+    const double weight = grid_.weight[static_cast<std::size_t>(y)];
+    for (int x = r.x0; x < r.x1;) {
+      const int column = x / block, end = std::min(r.x1, (column + 1) * block);
+      glm::vec3 sum(0);  // of luminance, and times what the column's direction has
+      for (; x < end; ++x, ++luminance)
+        sum += *luminance * glm::vec3(1, grid_.column_x[static_cast<std::size_t>(x)],
+                                      grid_.column_z[static_cast<std::size_t>(x)]);
+      Share& share = across_blocks[static_cast<std::size_t>(column)];
+      if (share.weight == 0) touched.push_back(static_cast<std::size_t>(column));
+      share.weight += weight * double(sum.x);
+      share.direction +=
+          weight * glm::dvec3(across * double(sum.y), up * double(sum.x), across * double(sum.z));
+    }
   }
   end_row();
   return shares;
@@ -377,13 +401,9 @@ void Peeler::join_concentric() {
       if (apart > kOneSource ||
           std::max(a.solid_angle, b.solid_angle) > kPi * kOneSource * kOneSource)
         continue;
-      const double flux = a.flux + b.flux;
-      a.solid_angle = (a.flux * a.solid_angle + b.flux * b.solid_angle) / flux;
+      a.solid_angle = (a.flux * a.solid_angle + b.flux * b.solid_angle) / (a.flux + b.flux);
       a.centre = glm::normalize(a.flux * a.centre + b.flux * b.centre);
-      a.moment += b.moment;
-      a.flux = flux;
-      a.clipped |= b.clipped;
-      a.pixels.insert(a.pixels.end(), b.pixels.begin(), b.pixels.end());
+      a.append(b);
       candidates_.erase(candidates_.begin() + static_cast<std::ptrdiff_t>(k));
     }
 }
@@ -398,18 +418,14 @@ void Peeler::choose() {
   for (const Candidate& c : candidates_) {
     int& places = c.clipped ? for_clipped : for_others;
     if ((c.flux < least_flux_ && !c.clipped) || places <= 0) {
-      put_back(c.pixels);
+      put_back(c);
       continue;
     }
     --places;
-    double rgb[3] = {};
-    for (const Excess& p : c.pixels)
-      for (int k = 0; k < 3; ++k)
-        rgb[k] += grid_.weight[static_cast<std::size_t>(p.y)] * p.radiance[k];
     Disc disc;
     disc.direction = c.centre;
     disc.radius = Radians(std::acos(1 - c.solid_angle / (2 * kPi)));
-    for (int k = 0; k < 3; ++k) disc.radiance[k] = static_cast<float>(rgb[k] / c.solid_angle);
+    for (int k = 0; k < 3; ++k) disc.radiance[k] = static_cast<float>(c.power[k] / c.solid_angle);
     disc.shape = shape_of(c);
     disc.clipped = c.clipped;
     discs_.push_back(std::move(disc));
@@ -418,13 +434,12 @@ void Peeler::choose() {
 
 Result<void> Peeler::run() {
   discs_.clear();
-  auto mean = measure();
-  if (!mean) return std::unexpected(mean.error());
-  split_.mean_luminance = *mean;
-  if (!(*mean > 0)) return {};
-  least_flux_ = options_.least_share * kPi * *mean;
+  PENUMBRA_ASSIGN(whole, mean());
+  split_.mean_luminance = whole;
+  if (!(whole > 0)) return {};
+  least_flux_ = options_.least_share * kPi * whole;
   // The mean of what is not a source: three steps bring it within a percent.
-  double rest = *mean;
+  double rest = whole;
   for (int i = 0; i < 3; ++i) rest = mean_below(kAboveMean * rest);
   const auto level = static_cast<float>(kAboveMean * rest);
   if (!clipped_.empty()) cut_clipped(level);
@@ -442,14 +457,23 @@ Result<void> Peeler::run() {
 
 }  // namespace
 
-Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
+Result<void> split_discs(const Image<Rgb>& map, const MapLuminance& luminance,
+                         const DiscOptions& options, DiscSplit& split,
                          std::span<const std::uint32_t> clipped) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   if (!std::ranges::is_sorted(clipped) || (!clipped.empty() && clipped.back() >= map.area()))
     return fail(ErrorCode::kInvalid, "environment",
                 "its clipped pixels are out of order or outside");
   split.rest.reset(map);
-  return Peeler(options, clipped, split).run();
+  return Peeler(luminance, options, clipped, split).run();
+}
+
+Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
+                         std::span<const std::uint32_t> clipped) {
+  MapLuminance luminance;
+  luminance.resize(map.width(), map.height());
+  for (int y = 0; y < map.height(); ++y) luminance.read_row(map, y);
+  return split_discs(map, luminance, options, split, clipped);
 }
 
 }  // namespace penumbra::lighting

@@ -12,6 +12,11 @@ namespace {
 constexpr int kGlance = 8;  // maps between predictions where no disc would be used
 constexpr int kCalm = 8;    // maps without clipping before that
 
+// Whether a projector can read maps of this width; others take the slow way.
+bool in_quarters(int width) {
+  return width % 4 == 0;
+}
+
 void add_discs(std::span<const Disc> discs, Projection& projection) {
   for (const Disc& disc : discs) {
     const RadianceSh whole = project_disc(disc, kMaxBands),
@@ -30,25 +35,32 @@ LightEstimator::~LightEstimator() = default;
 LightEstimator::LightEstimator(LightEstimator&&) noexcept = default;
 LightEstimator& LightEstimator::operator=(LightEstimator&&) noexcept = default;
 
-template <class Map>
-Result<Projection> LightEstimator::project(const Map& map, const Image<float>& confidence) {
-  if (confidence.empty()) return project_whole(map);
-  if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
-    hole_fit_ = std::make_unique<HoleFit>(confidence);
-  auto moments = project_whole(map);
-  if (!moments) return moments;
-  return hole_fit_->fill(moments->light);
-}
-
-template <class Map>
-Result<Projection> LightEstimator::project_whole(const Map& map) {
-  if (map.width() % 4 != 0) return project_latlong(map, kMaxBands);
+LatLongProjector& LightEstimator::projector_for(const Image<Rgb>& map) {
   if (!projector_ || width_ != map.width() || height_ != map.height()) {
     projector_ = std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands);
     width_ = map.width();
     height_ = map.height();
   }
-  return projector_->project(map);
+  return *projector_;
+}
+
+Result<Projection> LightEstimator::project(const Image<Rgb>& map) {
+  if (!in_quarters(map.width())) return project_latlong(map, kMaxBands);
+  return projector_for(map).project(map);
+}
+
+// After peel().
+Result<Projection> LightEstimator::project_rest() {
+  if (!in_quarters(split_.rest.width())) return project_latlong(split_.rest, kMaxBands);
+  return projector_->project_read(split_.rest);
+}
+
+Result<Projection> LightEstimator::fill_holes(const Result<Projection>& moments,
+                                              const Image<float>& confidence) {
+  if (!moments || confidence.empty()) return moments;
+  if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
+    hole_fit_ = std::make_unique<HoleFit>(confidence);
+  return hole_fit_->fill(moments->light);
 }
 
 // Into split_; returns what tracked discs leave over, as discs.
@@ -56,7 +68,13 @@ Result<std::vector<Disc>> LightEstimator::peel(const Environment& environment) {
   maps_since_split_ = 0;
   DiscOptions found = options_.discs;
   found.least_share /= 2;
-  PENUMBRA_TRY(split_discs(environment.radiance, found, split_, environment.clipped));
+  const Image<Rgb>& map = environment.radiance;
+  if (in_quarters(map.width())) {
+    PENUMBRA_TRY(projector_for(map).read(map, luminance_));
+    PENUMBRA_TRY(split_discs(map, luminance_, found, split_, environment.clipped));
+  } else {
+    PENUMBRA_TRY(split_discs(map, found, split_, environment.clipped));
+  }
   const double irradiance = kPi * split_.mean_luminance;
   auto left_over =
       tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs);
@@ -80,12 +98,12 @@ std::vector<Disc> LightEstimator::choose_discs(std::vector<Disc> left_over) {
 Result<Projection> LightEstimator::measure_whole(const Environment& environment) {
   if (++maps_since_split_ >= kGlance) {
     PENUMBRA_ASSIGN(left_over, peel(environment));
-    PENUMBRA_ASSIGN(rest, project(split_.rest, environment.confidence));
+    PENUMBRA_ASSIGN(rest, fill_holes(project_rest(), environment.confidence));
     add_discs(left_over, rest);
     plan_ = plan_for(rest, environment.time);
   }
   split_.discs.clear();
-  auto whole = project(environment.radiance, environment.confidence);
+  auto whole = fill_holes(project(environment.radiance), environment.confidence);
   if (whole && options_.filter) filter_.update(environment.time, *whole);
   return whole;
 }
@@ -97,8 +115,9 @@ Result<Projection> LightEstimator::measure_split(const Environment& environment)
     PENUMBRA_ASSIGN(rest, peel(environment));
     left_over = std::move(rest);
   }
-  auto projection = options_.discs.most > 0 ? project(split_.rest, environment.confidence)
-                                            : project(environment.radiance, environment.confidence);
+  auto projection =
+      fill_holes(options_.discs.most > 0 ? project_rest() : project(environment.radiance),
+                 environment.confidence);
   if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
   // What tracked ones leave over is not filtered: it completes the disc of this map.

@@ -114,13 +114,18 @@ HWY_ATTR void RowFourierSums(const RowTables& t, const float* rgb, double (*out_
   }
 }
 
+template <class D, class V = hn::Vec<D>>
+HWY_INLINE V LuminanceOf(D d, V r, V g, V b) {
+  return hn::MulAdd(
+      hn::Set(d, kLuminance[0]), r,
+      hn::MulAdd(hn::Set(d, kLuminance[1]), g, hn::Mul(hn::Set(d, kLuminance[2]), b)));
+}
+
 template <class D>
 HWY_INLINE hn::Vec<D> LuminanceAt(D d, const float* rgb) {
   hn::Vec<D> r, g, b;
   hn::LoadInterleaved3(d, rgb, r, g, b);
-  return hn::MulAdd(
-      hn::Set(d, kLuminance[0]), r,
-      hn::MulAdd(hn::Set(d, kLuminance[1]), g, hn::Mul(hn::Set(d, kLuminance[2]), b)));
+  return LuminanceOf(d, r, g, b);
 }
 
 HWY_ATTR double Luminance(const float* rgb, int width, float* peaks) {
@@ -164,6 +169,61 @@ HWY_ATTR double LuminanceAbove(const float* rgb, int width, float level) {
   return out;
 }
 
+HWY_ATTR void PixelLuminance(const float* rgb, int width, float* out) {
+  const Lanes d;
+  const hn::CappedTag<float, 1> one;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  int k = 0;
+  for (; k + lanes <= width; k += lanes) hn::StoreU(LuminanceAt(d, rgb + 3 * k), d, out + k);
+  for (; k < width; ++k) hn::StoreU(LuminanceAt(one, rgb + 3 * k), one, out + k);
+}
+
+struct Cut {
+  float* rgb;
+  float level;
+  const float *column_x, *column_z;
+  float *excess_rgb, *excess_luminance;
+};
+
+// As many whole vectors as fit into [k, width); returns where they end.
+template <class D>
+HWY_ATTR int CutVectors(D d, const Cut& cut, int k, int width, CutSums& sums) {
+  using V = hn::Vec<D>;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  if (k + lanes > width) return k;
+  const V level = hn::Set(d, cut.level), one = hn::Set(d, 1.f);
+  V sum[3] = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+  V square = hn::Zero(d), x = hn::Zero(d), z = hn::Zero(d);
+  for (; k + lanes <= width; k += lanes) {
+    V r, g, b;
+    hn::LoadInterleaved3(d, cut.rgb + 3 * k, r, g, b);
+    const V before = LuminanceOf(d, r, g, b);
+    const V kept = hn::IfThenElse(hn::Gt(before, level), hn::Div(level, before), one);
+    const V gone = hn::Sub(one, kept);
+    const V er = hn::Mul(r, gone), eg = hn::Mul(g, gone), eb = hn::Mul(b, gone);
+    hn::StoreInterleaved3(hn::Mul(r, kept), hn::Mul(g, kept), hn::Mul(b, kept), d, cut.rgb + 3 * k);
+    hn::StoreInterleaved3(er, eg, eb, d, cut.excess_rgb + 3 * k);
+    const V l = LuminanceOf(d, er, eg, eb);
+    hn::StoreU(l, d, cut.excess_luminance + k);
+    sum[0] = hn::Add(sum[0], er), sum[1] = hn::Add(sum[1], eg), sum[2] = hn::Add(sum[2], eb);
+    square = hn::MulAdd(l, l, square);
+    x = hn::MulAdd(l, hn::LoadU(d, cut.column_x + k), x);
+    z = hn::MulAdd(l, hn::LoadU(d, cut.column_z + k), z);
+  }
+  const auto total = [&](V v) HWY_ATTR { return double(hn::GetLane(hn::SumOfLanes(d, v))); };
+  for (int c = 0; c < 3; ++c) sums.rgb[c] += total(sum[c]);
+  sums.square += total(square), sums.x += total(x), sums.z += total(z);
+  return k;
+}
+
+HWY_ATTR void CutRow(float* rgb, int width, float level, const float* column_x,
+                     const float* column_z, float* excess_rgb, float* excess_luminance,
+                     CutSums& sums) {
+  const Cut cut{rgb, level, column_x, column_z, excess_rgb, excess_luminance};
+  const int k = CutVectors(Lanes(), cut, 0, width, sums);
+  CutVectors(hn::CappedTag<float, 1>(), cut, k, width, sums);
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace penumbra::lighting
 HWY_AFTER_NAMESPACE();
@@ -173,6 +233,8 @@ namespace penumbra::lighting {
 HWY_EXPORT(RowFourierSums);
 HWY_EXPORT(Luminance);
 HWY_EXPORT(LuminanceAbove);
+HWY_EXPORT(PixelLuminance);
+HWY_EXPORT(CutRow);
 
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]) {
@@ -183,8 +245,25 @@ double row_luminance(const float* rgb, int width, float* peaks) {
   return HWY_DYNAMIC_DISPATCH(Luminance)(rgb, width, peaks);
 }
 
+void MapLuminance::read_row(const Image<Rgb>& map, int y) {
+  const auto row = static_cast<std::size_t>(y);
+  row_sum[row] =
+      row_luminance(&map.row(y)[0].r, map.width(),
+                    &block_peak[row * static_cast<std::size_t>(peak_blocks(map.width()))]);
+}
+
 double row_luminance_above(const float* rgb, int width, float level) {
   return HWY_DYNAMIC_DISPATCH(LuminanceAbove)(rgb, width, level);
+}
+
+void pixel_luminance(const float* rgb, int width, float* out) {
+  HWY_DYNAMIC_DISPATCH(PixelLuminance)(rgb, width, out);
+}
+
+void cut_row(float* rgb, int width, float level, const float* column_x, const float* column_z,
+             float* excess_rgb, float* excess_luminance, CutSums& sums) {
+  HWY_DYNAMIC_DISPATCH(CutRow)
+  (rgb, width, level, column_x, column_z, excess_rgb, excess_luminance, sums);
 }
 }  // namespace penumbra::lighting
 #endif

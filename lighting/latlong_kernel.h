@@ -1,6 +1,8 @@
 // Sums over one lat-long row, with run-time choice of the vector instructions.
 #pragma once
 
+#include "lighting/map_luminance.h"
+
 namespace penumbra::lighting {
 
 /// Cosine and sine tables over the first quarter turn: cosine[m * stride + k] = cos(m p_k),
@@ -17,11 +19,23 @@ struct RowTables {
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]);
 
-inline constexpr int kPeakBlock = 64;  // pixels
 /// The sum of a row's luminance, not finite where a pixel is not. peaks: the largest value, at least 0, of each
-/// kPeakBlock pixels; (width + kPeakBlock - 1) / kPeakBlock of them.
+/// kPeakBlock pixels; peak_blocks(width) of them.
 double row_luminance(const float* rgb, int width, float* peaks);
 /// The sum of what is above the level.
 double row_luminance_above(const float* rgb, int width, float level);
+/// Of each pixel.
+void pixel_luminance(const float* rgb, int width, float* out);
+
+/// What was cut off some pixels of a row.
+struct CutSums {
+  double rgb[3] = {};
+  double square = 0;    // of luminance
+  double x = 0, z = 0;  // luminance times the column's direction
+};
+/// Cuts brighter pixels down to the luminance `level` > 0. column_x, column_z: a direction for each pixel.
+/// out: what was cut off, 0 of darker pixels; adds it to `sums`
+void cut_row(float* rgb, int width, float level, const float* column_x, const float* column_z,
+             float* excess_rgb, float* excess_luminance, CutSums& sums);
 
 }  // namespace penumbra::lighting

@@ -19,6 +19,7 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "core/units.h"
+#include "lighting/map_luminance.h"
 #include "lighting/patched_map.h"
 
 namespace penumbra::lighting {
@@ -106,11 +107,15 @@ class LatLongProjector {
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
   /// threads: internally parallel, the same bits on any number of cores; no allocation
   Result<Projection> project(const Image<Rgb>& map);
-  Result<Projection> project(const PatchedMap& map);
+  /// The same in two steps, for who looks for sources in between and cuts them out: a map is read once, and of `changed`,
+  /// which refers to the map that was read last, the changed rows alone.
+  Result<void> read(const Image<Rgb>& map, MapLuminance& luminance);
+  Result<Projection> project_read(const PatchedMap& changed);
 
  private:
+  Result<void> check_size(int width, int height) const;
   template <class Map>
-  Result<Projection> project_rows(const Map& map);
+  Result<Projection> sum_up(const Map& map) const;
   struct Tables;
   std::unique_ptr<Tables> tables_;
 };
@@ -174,11 +179,16 @@ struct DiscSplit {
 /// thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of rest and discs
 /// together is the map's, channel by channel. Works on the full map: reduced to 64 rows a sun would move by up to 1.4
 /// degrees.
+/// in:      luminance: of this map, see LatLongProjector::read
 /// out:     split.rest refers to the map, which must outlive it, and keeps its memory between calls
 /// errors:  kInvalid (empty), kNonFinite
 /// Every connected region of `clipped` pixels (Environment::clipped) is a disc of its own whatever
 /// its share, and before all others where there are more than `most`.
 /// source:  after Nowrouzezahrai, Geiger, Mitchell, Sumner, Jarosz & Gross 2011, section 4
+Result<void> split_discs(const Image<Rgb>& map, const MapLuminance& luminance,
+                         const DiscOptions& options, DiscSplit& split,
+                         std::span<const std::uint32_t> clipped = {});
+/// Reads the map itself.
 Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
                          std::span<const std::uint32_t> clipped = {});
 Result<void> split_discs(const Image<Rgb>&& map, const DiscOptions& options, DiscSplit& split,
@@ -486,10 +496,10 @@ class LightEstimator {
   Result<void> complete(const Completion& completion) { return completions_.remember(completion); }
 
  private:
-  template <class Map>
-  Result<Projection> project(const Map& map, const Image<float>& confidence);
-  template <class Map>
-  Result<Projection> project_whole(const Map& map);
+  LatLongProjector& projector_for(const Image<Rgb>& map);
+  Result<Projection> project(const Image<Rgb>& map);
+  Result<Projection> project_rest();
+  Result<Projection> fill_holes(const Result<Projection>& moments, const Image<float>& confidence);
   Plan plan_for(const Projection& rest, TimestampNs time);
   Result<std::vector<Disc>> peel(const Environment& environment);
   std::vector<Disc> choose_discs(std::vector<Disc> left_over);
@@ -498,6 +508,7 @@ class LightEstimator {
 
   std::unique_ptr<class HoleFit> hole_fit_;
   EstimateOptions options_;
+  MapLuminance luminance_;
   DiscSplit split_;
   DiscTracker tracker_;
   CompletionMemory completions_;

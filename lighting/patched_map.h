@@ -26,6 +26,7 @@ class PatchedMap {
   }
   int width() const { return map_ ? map_->width() : 0; }
   int height() const { return map_ ? map_->height() : 0; }
+  bool is_changed(int y) const { return place_[index(y)] >= 0; }
   std::span<const Rgb> row(int y) const {
     const int place = place_[index(y)];
     if (place < 0) return map_->row(y);

@@ -1,4 +1,5 @@
 #include <fmt/format.h>
+#include <hwy/aligned_allocator.h>
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <algorithm>
@@ -23,6 +24,12 @@ constexpr int rounded_up(int n, int multiple) {
   return (n + multiple - 1) / multiple * multiple;
 }
 
+hwy::AlignedFreeUniquePtr<float[]> zeros(int count) {
+  auto out = hwy::AllocateAligned<float>(static_cast<std::size_t>(count));
+  std::fill_n(out.get(), count, 0.f);
+  return out;
+}
+
 template <class Map>
 Error first_non_finite(const Map& map) {
   for (int y = 0; y < map.height(); ++y)
@@ -43,25 +50,26 @@ struct RowSums {
 struct LatLongProjector::Tables {
   static constexpr int kParts = 8;  // rows side by side on several threads
   int width, height, bands;
-  std::vector<float> cosine, sine, scratch;  // scratch: for kParts
+  hwy::AlignedFreeUniquePtr<float[]> cosine, sine, scratch;  // scratch: for kParts
   std::vector<RowSums> rows;
+  std::vector<char> changes;     // by row: it did after the last map had been read, and may again
   std::vector<double> legendre;  // per row: w_j K_lm P_lm(cos th_j), m-major, l >= m
   RowTables row;
   ShRotation to_world;
 
   Tables(int w, int h, int b) : width(w), height(h), bands(b), to_world(kWorldFromRowFrame, b) {
     const int stride = rounded_up(w / 4, 64);
-    cosine.resize(static_cast<std::size_t>(b) * stride);
-    sine.resize(cosine.size());
-    scratch.resize(std::size_t{kParts} * 12 * static_cast<std::size_t>(stride));
+    cosine = zeros(b * stride), sine = zeros(b * stride);
+    scratch = zeros(kParts * 12 * stride);
     rows.resize(static_cast<std::size_t>(h));
+    changes.resize(rows.size());
     for (int m = 0; m < b; ++m)
       for (int k = 0; k < w / 4; ++k) {
         const double p = 2 * kPi * (k + .5) / w;
         cosine[static_cast<std::size_t>(m * stride + k)] = static_cast<float>(std::cos(m * p));
         sine[static_cast<std::size_t>(m * stride + k)] = static_cast<float>(std::sin(m * p));
       }
-    row = {w, b, stride, cosine.data(), sine.data(), scratch.data()};
+    row = {w, b, stride, cosine.get(), sine.get(), scratch.get()};
     double basis[kMaxCoefficients];
     for (int j = 0; j < h; ++j) {
       // At azimuth 0 the cosine terms of the basis are the weighted Legendre functions themselves.
@@ -73,12 +81,14 @@ struct LatLongProjector::Tables {
     }
   }
 
-  template <class Map>
-  void sum_rows(const Map& map) {
+  // Those rows that `look`, which sees each of them, says are wanted.
+  template <class Map, class Look>
+  void sum_rows(const Map& map, const Look& look) {
     parallel_for(0, kParts, [&](int part) {
       RowTables own = row;
       own.scratch += part * 12 * own.stride;
       for (int j = height * part / kParts; j < height * (part + 1) / kParts; ++j) {
+        if (!look(j)) continue;
         RowSums& sums = rows[static_cast<std::size_t>(j)];
         row_fourier_sums(own, &map.row(j)[0].r, sums.cosine, sums.sine);
       }
@@ -111,21 +121,25 @@ struct Sums {
 
 }  // namespace
 
-template <class Map>
-Result<Projection> LatLongProjector::project_rows(const Map& map) {
+Result<void> LatLongProjector::check_size(int width, int height) const {
   const Tables& t = *tables_;
-  if (map.width() != t.width || map.height() != t.height)
-    return fail(
-        ErrorCode::kInvalid, "environment",
-        fmt::format("{}x{} pixels, expected {}x{}", map.width(), map.height(), t.width, t.height));
+  if (width == t.width && height == t.height) return {};
+  return fail(ErrorCode::kInvalid, "environment",
+              fmt::format("{}x{} pixels, expected {}x{}", width, height, t.width, t.height));
+}
+
+// The map itself is only asked which of its pixels is not finite.
+template <class Map>
+Result<Projection> LatLongProjector::sum_up(const Map& map) const {
+  const Tables& t = *tables_;
   Sums all, above;
-  tables_->sum_rows(map);
   const double* legendre = t.legendre.data();
   for (int j = 0; j < t.height; ++j) {
     // Rows are summed from the zenith; at the horizon the sum so far is the upper hemisphere's. The middle
     // row of an odd number lies half above.
     if (t.height % 2 == 0 && j == t.height / 2) above = all;
-    const Sums before = t.height % 2 == 1 && j == t.height / 2 ? all : Sums{};
+    const bool is_middle = t.height % 2 == 1 && j == t.height / 2;
+    if (is_middle) above = all;
     const RowSums& row = t.rows[static_cast<std::size_t>(j)];
     for (int m = 0; m < t.bands; ++m)
       for (int l = m; l < t.bands; ++l) {
@@ -134,9 +148,9 @@ Result<Projection> LatLongProjector::project_rows(const Map& map) {
         if (m > 0)  // local azimuth is -p, hence the minus
           for (int c = 0; c < 3; ++c) all.term[sh_index(l, -m)][c] -= w * row.sine[m][c];
       }
-    if (t.height % 2 == 1 && j == t.height / 2)
+    if (is_middle)
       for (int n = 0; n < kMaxCoefficients; ++n)
-        for (int c = 0; c < 3; ++c) above.term[n][c] = .5 * (before.term[n][c] + all.term[n][c]);
+        for (int c = 0; c < 3; ++c) above.term[n][c] = .5 * (above.term[n][c] + all.term[n][c]);
   }
   const RadianceSh local = all.to_light(t.bands);
   for (const Rgb& term : local.terms())
@@ -145,15 +159,34 @@ Result<Projection> LatLongProjector::project_rows(const Map& map) {
 }
 
 Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
-  return project_rows(map);
+  PENUMBRA_TRY(check_size(map.width(), map.height()));
+  tables_->sum_rows(map, [](int) { return true; });
+  return sum_up(map);
 }
-Result<Projection> LatLongProjector::project(const PatchedMap& map) {
-  return project_rows(map);
+
+Result<void> LatLongProjector::read(const Image<Rgb>& map, MapLuminance& luminance) {
+  PENUMBRA_TRY(check_size(map.width(), map.height()));
+  luminance.resize(map.width(), map.height());
+  tables_->sum_rows(map, [&](int y) {
+    luminance.read_row(map, y);
+    return !tables_->changes[static_cast<std::size_t>(y)];
+  });
+  return {};
+}
+
+Result<Projection> LatLongProjector::project_read(const PatchedMap& changed) {
+  PENUMBRA_TRY(check_size(changed.width(), changed.height()));
+  tables_->sum_rows(changed, [&](int y) {
+    char& changes = tables_->changes[static_cast<std::size_t>(y)];
+    const bool was_left_out = changes;
+    changes = changed.is_changed(y);
+    return changes || was_left_out;
+  });
+  return sum_up(changed);
 }
 
 Result<Projection> project_latlong(const PatchedMap& map, int bands) {
-  if (map.width() == 0 || map.width() % 4 != 0) return project_latlong(map.whole(), bands);
-  return LatLongProjector(map.width(), map.height(), bands).project(map);
+  return project_latlong(map.whole(), bands);
 }
 
 Result<Projection> project_latlong(const Image<Rgb>& map, int bands) {
