@@ -6,13 +6,11 @@
 namespace penumbra::prt {
 
 struct SightRows {
-  const SightFrame* frames;  // by vertex
+  const SightHead* heads;  // by vertex
   const std::uint32_t* open;
-  const std::uint64_t* refined;
-  const std::uint32_t* first_fine;
   const std::uint64_t* fine;
   const float *x, *y, *z, *counts;  // SightTaps, turn by turn
-  std::size_t turns;
+  std::size_t each, turns;
   const std::uint32_t* which;  // vertices; null: all
 };
 /// [first, last) of the vertices.

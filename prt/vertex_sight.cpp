@@ -43,33 +43,27 @@ SightLookup::SightLookup(const VertexSight& sight, const Mesh& mesh)
     : sight_(&sight), samples_(mesh) {
   const std::vector<glm::vec3>& normals = mesh.normals;
   assert(!sight.empty() && sight.refined.size() == normals.size());
-  frames_.reserve(normals.size());
-  first_fine_.reserve(normals.size());
+  heads_.reserve(normals.size());
   std::size_t first = 0;
   for (std::size_t i = 0; i < normals.size(); ++i) {
-    frames_.push_back(SightFrame::of(i, normals[i]));
-    first_fine_.push_back(static_cast<std::uint32_t>(first));
+    heads_.push_back(
+        {SightFrame::of(i, normals[i]), static_cast<std::uint32_t>(first), sight.refined[i]});
     first += static_cast<std::size_t>(std::popcount(sight.refined[i]));
   }
   assert(first == sight.fine.size());
 }
 
-void SightLookup::look(const SightTaps& taps, int cells, std::span<const std::uint32_t> vertices,
+void SightLookup::look(const SightTaps& taps, std::span<const std::uint32_t> vertices,
                        std::size_t first, std::size_t last, std::span<CosineSums> out) const {
-  assert(taps.turns() > 0 && last <= (vertices.empty() ? frames_.size() : vertices.size()));
-  assert(cells == VertexSight::kCells || cells == VertexSight::kFineCells);
-  const SightRows rows{frames_.data(),
-                       sight_->open.data(),
-                       sight_->refined.data(),
-                       first_fine_.data(),
-                       sight_->fine.data(),
-                       taps.x().data(),
-                       taps.y().data(),
-                       taps.z().data(),
-                       taps.counts().data(),
-                       taps.turns(),
-                       vertices.empty() ? nullptr : vertices.data()};
-  if (cells == VertexSight::kCells)
+  assert(taps.turns() > 0 && last <= (vertices.empty() ? heads_.size() : vertices.size()));
+  assert((taps.cells() == VertexSight::kCells && taps.each() == SightTaps::kMost) ||
+         (taps.cells() == VertexSight::kFineCells && taps.each() % SightTaps::kFew == 0));
+  const SightRows rows{heads_.data(),        sight_->open.data(),
+                       sight_->fine.data(),  taps.x().data(),
+                       taps.y().data(),      taps.z().data(),
+                       taps.counts().data(), taps.each(),
+                       taps.turns(),         vertices.empty() ? nullptr : vertices.data()};
+  if (taps.cells() == VertexSight::kCells)
     look_coarse(rows, first, last, out.data());
   else
     look_fine(rows, first, last, out.data());

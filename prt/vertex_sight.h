@@ -1,6 +1,7 @@
 // What each vertex of a mesh sees past the mesh itself, kept from its bake: a look-up where a ray would be asked.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <glm/ext/vector_int2.hpp>
@@ -50,6 +51,20 @@ struct SightFrame {
   glm::ivec2 cell(const glm::vec3& direction, int cells) const;
 };
 
+/// What a look-up asks first of a vertex, in one line of the cache.
+struct alignas(64) SightHead {
+  SightFrame frame;
+  std::uint32_t first_fine;  // of its refined blocks
+  std::uint64_t refined;
+
+  bool is_refined(int block) const { return refined >> block & 1; }
+  /// Where the finer cells of a refined block are; of others some place that there is.
+  std::size_t fine_at(int block) const {
+    const std::uint64_t before = refined & ((std::uint64_t{1} << block) - 1);
+    return is_refined(block) ? first_fine + static_cast<unsigned>(std::popcount(before)) : 0;
+  }
+};
+
 /// Of a vertex, over some directions, the sums of the cosine.
 struct CosineSums {
   float seen = 0;  // of what counts and is seen
@@ -65,23 +80,31 @@ struct CosineSums {
 /// Directions to look into, other ones for each of `turns` vertices that follow each other.
 class SightTaps {
  public:
-  static constexpr std::size_t kEach = 16;
+  static constexpr std::size_t kMost = 16, kFew = 8;  // a vertex
 
   /// threads: thread-bound; memory grows once
-  void clear() { x_.clear(), y_.clear(), z_.clear(), counts_.clear(); }
-  /// Of one vertex kEach after each other. `counts`: whether its light counts where it is seen.
+  /// in: cells kCells, or kFineCells: half as blurred, and slower; each kMost, or in finer cells kFew
+  void clear(int cells, std::size_t each = kMost) {
+    cells_ = cells, each_ = each;
+    x_.clear(), y_.clear(), z_.clear(), counts_.clear();
+  }
+  /// Of one vertex `each` after each other. `counts`: whether its light counts where it is seen.
   /// in: unit, bake frame
   void add(const glm::vec3& direction, bool counts) {
     x_.push_back(direction.x), y_.push_back(direction.y), z_.push_back(direction.z);
     counts_.push_back(counts ? 1.f : 0.f);
   }
-  std::size_t turns() const { return x_.size() / kEach; }
+  int cells() const { return cells_; }
+  std::size_t each() const { return each_; }
+  std::size_t turns() const { return x_.size() / each_; }
   std::span<const float> x() const { return x_; }
   std::span<const float> y() const { return y_; }
   std::span<const float> z() const { return z_; }
   std::span<const float> counts() const { return counts_; }
 
  private:
+  int cells_ = VertexSight::kCells;
+  std::size_t each_ = kMost;
   std::vector<float> x_, y_, z_, counts_;
 };
 
@@ -94,20 +117,18 @@ class SightLookup {
 
   const VertexSamples& samples() const { return samples_; }
   /// Of vertices [first, last), each over its own directions.
-  /// in: cells kCells, or kFineCells: half as blurred, and slower
-  void look(const SightTaps& taps, int cells, std::size_t first, std::size_t last,
+  void look(const SightTaps& taps, std::size_t first, std::size_t last,
             std::span<CosineSums> out) const {
-    look(taps, cells, {}, first, last, out);
+    look(taps, {}, first, last, out);
   }
   /// The same of places [first, last) of a list of vertices; directions and `out` are by place.
-  void look(const SightTaps& taps, int cells, std::span<const std::uint32_t> vertices,
-            std::size_t first, std::size_t last, std::span<CosineSums> out) const;
+  void look(const SightTaps& taps, std::span<const std::uint32_t> vertices, std::size_t first,
+            std::size_t last, std::span<CosineSums> out) const;
 
  private:
   const VertexSight* sight_;
   VertexSamples samples_;
-  std::vector<SightFrame> frames_;
-  std::vector<std::uint32_t> first_fine_;  // by vertex
+  std::vector<SightHead> heads_;  // by vertex
 };
 
 }  // namespace penumbra::prt

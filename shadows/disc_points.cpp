@@ -330,7 +330,10 @@ void trace_disc_light(const Blockers& blockers, const Casters& casters, const Ca
     sums.resize(count);
     const int cells =
         use == SightUse::kCoarse ? prt::VertexSight::kCells : prt::VertexSight::kFineCells;
-    (few ? look_up_shared : look_up)(object, plane, disc, cells, sums);
+    if (few)
+      look_up_shared(object, plane, disc, cells, sums);
+    else
+      look_up(object, plane, disc, cells, averaged, sums);
   } else {
     sums.assign(count, {});
     pattern.make(disc, taps, hard ? 1 : kTurns);

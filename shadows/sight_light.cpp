@@ -29,14 +29,19 @@ bool others_between(std::span<const Caster> casters, const Caster& object,
 }
 
 // Directions in the mesh's frame.
-void aim(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,
-         prt::SightTaps& out) {
+void aim(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
+         std::size_t each, prt::SightTaps& out) {
   thread_local TapPattern pattern;  // grows once per thread
-  pattern.make(disc, prt::SightTaps::kEach, kTurns);
+  pattern.make(disc, static_cast<int>(each), kTurns);
   const glm::mat3 mesh_from_world = glm::transpose(object.world_from_mesh.rotation_matrix());
-  out.clear();
+  out.clear(cells, each);
   for (std::size_t turn = 0; turn < kTurns; ++turn)
     for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
+}
+
+// Directions where others beside a vertex look too: what is looked for in finer cells is small and lies in few of them.
+std::size_t enough(int cells) {
+  return cells == prt::VertexSight::kFineCells ? prt::SightTaps::kFew : prt::SightTaps::kMost;
 }
 
 // What the samples see, and after the last one nothing.
@@ -46,12 +51,12 @@ const std::vector<prt::CosineSums>& look_from_samples(const Caster& object, cons
   thread_local std::vector<prt::CosineSums> sums_memory;
   prt::SightTaps& taps = taps_memory;
   std::vector<prt::CosineSums>& sums = sums_memory;
-  aim(object, plane, disc, taps);
+  aim(object, plane, disc, cells, enough(cells), taps);
   const std::span<const std::uint32_t> vertices = object.sight->samples().vertices();
   sums.resize(vertices.size() + 1);
   sums.back() = {};
   parallel_for(std::size_t{0}, vertices.size(), kAtOnce, [&](const auto& part) {
-    object.sight->look(taps, cells, vertices, part.begin(), part.end(), sums);
+    object.sight->look(taps, vertices, part.begin(), part.end(), sums);
   });
   return sums;
 }
@@ -85,13 +90,12 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
 }
 
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
-             std::span<prt::CosineSums> out) {
+             bool averaged, std::span<prt::CosineSums> out) {
   thread_local prt::SightTaps memory;  // grows once per thread
   prt::SightTaps& taps = memory;
-  aim(object, plane, disc, taps);
-  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
-    object.sight->look(taps, cells, part.begin(), part.end(), out);
-  });
+  aim(object, plane, disc, cells, averaged ? enough(cells) : prt::SightTaps::kMost, taps);
+  parallel_for(std::size_t{0}, out.size(), kAtOnce,
+               [&](const auto& part) { object.sight->look(taps, part.begin(), part.end(), out); });
 }
 
 void look_up_shared(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc,

@@ -17,10 +17,10 @@ SightUse use_of_sight(const Casters& casters, const Caster& object, const lighti
                       int taps);
 
 /// By vertex, over directions of the disc; what is behind the plane does not count as seen.
-/// in: cells as SightLookup::look
+/// in: cells as SightTaps::clear; averaged: whether neighbours share the light afterwards, and make do with fewer directions
 /// threads: as trace_disc_light
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::Disc& disc, int cells,
-             std::span<prt::CosineSums> out);
+             bool averaged, std::span<prt::CosineSums> out);
 
 /// The same where neighbours share light: only the mesh's samples look, and each vertex has what those at and beside it see.
 /// One that grazes the disc stays dark where all of these are turned away from it.

@@ -38,13 +38,15 @@ void use(const prt::BakedObject& o) {
   std::vector<float> relit(3 * o.transfer.stride);
   prt::relight(o.transfer, light, relit);
   if (o.sight.empty()) return;
-  prt::SightTaps taps;
-  for (std::size_t k = 0; k < prt::SightTaps::kEach; ++k)
-    taps.add({.6f, k % 2 == 0 ? .8f : -.8f, 0}, true);
   std::vector<prt::CosineSums> sums(count);
   const prt::SightLookup lookup(o.sight, o.mesh);
-  for (const int cells : {prt::VertexSight::kCells, prt::VertexSight::kFineCells})
-    lookup.look(taps, cells, 0, count, sums);
+  for (const int cells : {prt::VertexSight::kCells, prt::VertexSight::kFineCells}) {
+    prt::SightTaps taps;
+    taps.clear(cells);
+    for (std::size_t k = 0; k < prt::SightTaps::kMost; ++k)
+      taps.add({.6f, k % 2 == 0 ? .8f : -.8f, 0}, true);
+    lookup.look(taps, 0, count, sums);
+  }
   for (const prt::CosineSums& s : sums)
     if (std::isnan(s.seen + s.open)) __builtin_trap();
 }

@@ -258,11 +258,14 @@ TEST_F(BakedFile, DamageAnywhereIsAnErrorOrAnObject) {
     if (o->sight.empty()) return;
     ASSERT_EQ(o->sight.refined.size(), count);
     const SightLookup lookup(o->sight, o->mesh);
-    SightTaps taps;
-    for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
     std::vector<CosineSums> sums(count);
-    for (const int cells : {VertexSight::kCells, VertexSight::kFineCells})
-      lookup.look(taps, cells, 0, count, sums);
+    for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+      SightTaps taps;
+      taps.clear(cells);
+      for (std::size_t k = 0; k < SightTaps::kMost; ++k)
+        taps.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
+      lookup.look(taps, 0, count, sums);
+    }
   };
   const auto as_bytes = [](const std::string& s) {
     return std::span(reinterpret_cast<const unsigned char*>(s.data()), s.size());

@@ -42,24 +42,33 @@ struct World {
   RayWorld rays = *RayWorld::create();
 };
 
-std::vector<CosineSums> look(const BakedObject& o, const SightTaps& taps, int cells) {
+std::vector<CosineSums> look(const BakedObject& o, const SightTaps& taps) {
   std::vector<CosineSums> out(o.mesh.positions.size());
-  SightLookup(o.sight, o.mesh).look(taps, cells, 0, out.size(), out);
+  SightLookup(o.sight, o.mesh).look(taps, 0, out.size(), out);
   return out;
 }
+
+struct Way {
+  int cells;
+  std::size_t each;
+};
+constexpr Way kWays[] = {{VertexSight::kCells, SightTaps::kMost},
+                         {VertexSight::kFineCells, SightTaps::kMost},
+                         {VertexSight::kFineCells, SightTaps::kFew}};
 
 // Each vertex looks along rays of its own, of random cells; the receiver, which its rays cross, does not count.
 TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
   const BakedObject o = baked_knot(true);
   const World world(o);
-  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+  for (const auto& [cells, each] : kWays) {
     std::mt19937 rng(7);
     std::uniform_int_distribution<int> cell(0, cells - 1);
     SightTaps taps;
+    taps.clear(cells, each);
     std::vector<float> seen(o.mesh.positions.size(), 0), open = seen;
     for (std::size_t v = 0; v < seen.size(); ++v) {
       const SightFrame frame = SightFrame::of(v, o.mesh.normals[v]);
-      for (std::size_t k = 0; k < SightTaps::kEach; ++k) {
+      for (std::size_t k = 0; k < each; ++k) {
         const glm::vec3 d = frame.direction(cell(rng), cell(rng), cells);
         const float cosine = glm::dot(d, o.mesh.normals[v]);
         EXPECT_GE(cosine, 0);
@@ -69,7 +78,7 @@ TEST(VertexSight, AlongItsRaysALookUpIsTheRay) {
         if (counts && world.open(v, d)) seen[v] += cosine;
       }
     }
-    const std::vector<CosineSums> looked = look(o, taps, cells);
+    const std::vector<CosineSums> looked = look(o, taps);
     std::size_t different = 0, dark = 0;
     for (std::size_t v = 0; v < seen.size(); ++v) {
       EXPECT_NEAR(looked[v].open, open[v], 1e-4f);
@@ -141,9 +150,10 @@ TEST(VertexSight, LooksAlongTheNearestRay) {
         sight.fine.push_back(std::uint64_t{1} << cell);
       }
       SightTaps taps;
-      for (std::size_t k = 0; k < SightTaps::kEach; ++k) taps.add(d, true);
+      taps.clear(cells);
+      for (std::size_t k = 0; k < SightTaps::kMost; ++k) taps.add(d, true);
       std::vector<CosineSums> sums(count);
-      SightLookup(sight, Mesh{up, up, {}, {}}).look(taps, cells, 0, count, sums);
+      SightLookup(sight, Mesh{up, up, {}, {}}).look(taps, 0, count, sums);
       found += sums[vertex].seen > 0;
     }
     EXPECT_GT(found, kTries * 85 / 100) << cells;
@@ -157,12 +167,13 @@ TEST(VertexSight, AnOpenSurfaceSeesEverything) {
   options.sight = true;
   const auto ball = bake(make_sphere({0, 0, 0}, .3f, 3, {.5f, .5f, .5f}), options);
   ASSERT_TRUE(ball);
-  SightTaps taps;
-  for (int k = 0; k < 32; ++k)
-    taps.add(glm::normalize(glm::vec3(std::cos(k), 1, std::sin(k))), true);
   EXPECT_TRUE(ball->sight.fine.empty());
   for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
-    const std::vector<CosineSums> looked = look(*ball, taps, cells);
+    SightTaps taps;
+    taps.clear(cells);
+    for (int k = 0; k < 32; ++k)
+      taps.add(glm::normalize(glm::vec3(std::cos(k), 1, std::sin(k))), true);
+    const std::vector<CosineSums> looked = look(*ball, taps);
     for (std::size_t v = 0; v < looked.size(); ++v) {
       ASSERT_EQ(looked[v].seen, looked[v].open) << v;
       if (ball->mesh.normals[v].y < -.8f) {
@@ -186,11 +197,8 @@ TEST(VertexSight, ANegativeZeroTurnsNothing) {
 // Each width of vectors that this machine has, in its own code.
 TEST(VertexSight, LooksAlikeOnEveryKindOfProcessor) {
   const BakedObject o = baked_knot(true);
-  SightTaps taps;
   std::mt19937 rng(11);
   std::normal_distribution<float> normal;
-  for (std::size_t k = 0; k < 5 * SightTaps::kEach; ++k)
-    taps.add(glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))), k % 7 != 0);
   const std::int64_t targets = hwy::SupportedTargets();
   struct Restore {
     ~Restore() {
@@ -198,14 +206,18 @@ TEST(VertexSight, LooksAlikeOnEveryKindOfProcessor) {
       hwy::GetChosenTarget().Update(hwy::SupportedTargets());
     }
   } restore;
-  for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
+  for (const auto& [cells, each] : kWays) {
+    SightTaps taps;
+    taps.clear(cells, each);
+    for (std::size_t k = 0; k < 5 * each; ++k)
+      taps.add(glm::normalize(glm::vec3(normal(rng), normal(rng), normal(rng))), k % 7 != 0);
     hwy::GetChosenTarget().Update(targets);
-    const std::vector<CosineSums> best = look(o, taps, cells);
+    const std::vector<CosineSums> best = look(o, taps);
     for (std::int64_t left = targets; left != 0; left &= left - 1) {
       SCOPED_TRACE(hwy::TargetName(left & -left));
       hwy::SetSupportedTargetsForTest(left & -left);
       hwy::GetChosenTarget().Update(left & -left);
-      const std::vector<CosineSums> here = look(o, taps, cells);
+      const std::vector<CosineSums> here = look(o, taps);
       std::size_t different = 0;
       for (std::size_t v = 0; v < best.size(); ++v) {
         ASSERT_NEAR(here[v].open, best[v].open, 1e-4f);

@@ -136,11 +136,11 @@ TEST(SightLight, FewVerticesLookForAllUnderVeryWideDiscs) {
     EXPECT_LT(error(world.light(d, true), truth), 1.2 * error(world.light(d, false), truth))
         << "by four rays, shared by all";
     std::vector<prt::CosineSums> own(truth.size()), shared(truth.size());
-    look_up(object, nullptr, d, prt::VertexSight::kCells, own);
+    look_up(object, nullptr, d, prt::VertexSight::kCells, false, own);
     look_up_shared(object, nullptr, d, prt::VertexSight::kCells, shared);
     std::vector<float> alone(truth.size());
     std::ranges::transform(own, alone.begin(),
-                           [](const auto& s) { return s.seen / prt::SightTaps::kEach; });
+                           [](const auto& s) { return s.seen / prt::SightTaps::kMost; });
     EXPECT_LT(error(world.light(d, true), truth), 1.1 * error(alone, truth))
         << "by twice as many look-ups";
     // Of vertices that face the disc how many have no light since nobody around them faces it.
@@ -167,10 +167,10 @@ TEST(SightLight, LampsAreLookedUpInFinerCells) {
     EXPECT_LT(error(world.light(d, true), truth), .1) << "averaged it is up to 20 % off";
     const auto wrong = [&](int cells) {
       std::vector<prt::CosineSums> sums(truth.size());
-      look_up(world.casters(true)[0], nullptr, d, cells, sums);
+      look_up(world.casters(true)[0], nullptr, d, cells, false, sums);
       std::vector<float> seen(truth.size());
       std::ranges::transform(sums, seen.begin(),
-                             [](const auto& s) { return s.seen / prt::SightTaps::kEach; });
+                             [&](const auto& s) { return s.seen / prt::SightTaps::kMost; });
       return error(seen, truth);
     };
     EXPECT_GT(wrong(prt::VertexSight::kCells), 1.25 * wrong(prt::VertexSight::kFineCells))
