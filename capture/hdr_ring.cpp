@@ -10,6 +10,7 @@
 #include "capture/pose_warp.h"
 #include "capture/table_merger.h"
 #include "core/half.h"
+#include "core/scratch.h"
 
 namespace penumbra::capture {
 
@@ -141,19 +142,21 @@ Result<void> HdrRing::merge_now(const std::optional<Frame>& replaced) {
   const auto bytes = [](const FramePixels& p) { return std::get_if<Image<Rgb8>>(&p); };
   if (!std::ranges::all_of(slots_, [&](const Slot& s) { return bytes(*s.pixels()); }))
     return merge_all();
-  std::vector<Exposure> exposures;
-  for (const Slot& s : slots_) exposures.push_back(s.nominal);
-  const bool anew =
-      !std::ranges::equal(exposures, table_exposures_, [](const Exposure& a, const Exposure& b) {
+  const bool anew = !std::ranges::equal(
+      slots_, table_exposures_,
+      [](const Exposure& a, const Exposure& b) {
         return a.product() == b.product() && a.gain == b.gain;
-      });
+      },
+      &Slot::nominal);
   if (anew) {
-    auto table = TableMerger::make(exposures, camera_);
+    table_exposures_.clear();
+    for (const Slot& s : slots_) table_exposures_.push_back(s.nominal);
+    auto table = TableMerger::make(table_exposures_, camera_);
     table_ = table ? std::make_unique<TableMerger>(std::move(*table)) : nullptr;
-    table_exposures_ = exposures;
   }
   if (!table_) return merge_all();
-  std::vector<TableMerger::Slot> slots;
+  const Scratch::Scope scope;
+  std::pmr::vector<TableMerger::Slot> slots(scope.memory());
   for (const Slot& s : slots_) slots.push_back({bytes(*s.pixels()), s.frame.exposure, s.placed});
   if (!anew && replaced && bytes(*replaced->pixels)) {
     const TableMerger::Slot before{bytes(*replaced->pixels), replaced->exposure, 0};

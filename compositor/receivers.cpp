@@ -104,7 +104,7 @@ DiscLookup disc_lookup(const prt::PinholeView& view, const shadows::DiscShadow& 
 }  // namespace
 
 bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
-                               const Receiver& r, PlaneLookup& lookup) const {
+                               const Receiver& r, PlaneLookup& lookup) {
   if (!r.visible) return false;
   const double h = r.grid.height;
   const glm::dvec3 corners[4] = {{r.low.x, h, r.low.y},
@@ -118,11 +118,13 @@ bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& c
   lookup.size = r.grid.size;
   lookup.at = homography(view, r.world_from_bake.inverse() * view.world_from_camera, h,
                          {r.grid.centre.x, r.grid.centre.y}, r.grid.half_extent);
+  const std::size_t first = half_images_.size();
   find_visible(view, r.world_from_bake * glm::dvec3(0, h, 0),
-               r.world_from_bake.rotation * glm::dvec3(0, 1, 0), lookup.visible);
+               r.world_from_bake.rotation * glm::dvec3(0, 1, 0));
   const glm::dvec2 centre(r.grid.centre.x, r.grid.centre.y);
   const double half = r.grid.half_extent;
-  add_sides(lookup.at, (r.low - centre) / half, (r.high - centre) / half, lookup.visible);
+  add_sides(lookup.at, (r.low - centre) / half, (r.high - centre) / half);
+  lookup.visible = {first, half_images_.size() - first};
   return true;
 }
 
@@ -130,6 +132,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   lookups_.clear();
   taken_.clear();
   missing_.clear();
+  fine_missing_.clear();
+  half_images_.clear();
   Rect all;
   const glm::dmat4 clip_from_world = clip_from_world_of(view);
   PlaneLookup lookup;
@@ -149,13 +153,15 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   const auto look_up = [&](const shadows::DiscShadow& s, const Image<float>& nodes,
                            const Rgb& share, const Rect& area) {
     DiscLookup out = disc_lookup(view, s, nodes, samples_, share, area);
+    const std::size_t first = half_images_.size();
     find_visible(view, s.world_from_map.translation,
-                 s.world_from_map.rotation * glm::dvec3(0, 1, 0), out.visible);
-    add_sides(out.at, {0, 0}, {nodes.width() - 1, nodes.height() - 1}, out.visible);
+                 s.world_from_map.rotation * glm::dvec3(0, 1, 0));
+    add_sides(out.at, {0, 0}, {nodes.width() - 1, nodes.height() - 1});
+    out.visible = {first, half_images_.size() - first};
     return out;
   };
   for (const RealDisc& d : real_discs_)
-    missing_.push_back({look_up(d.shadow, d.shadow.taken, d.share, disc_area(d.shadow)), {}});
+    missing_.push_back(look_up(d.shadow, d.shadow.taken, d.share, disc_area(d.shadow)));
   for (const OnPlane& d : discs_) {
     const shadows::DiscShadow& s = d.shadow;
     if (s.empty()) continue;
@@ -163,8 +169,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     if (area.empty()) continue;
     taken_.push_back(look_up(s, s.taken, d.share, area));
     if (d.real >= 0 && !s.missing.empty())
-      missing_[static_cast<std::size_t>(d.real)].within.push_back(
-          look_up(s, s.missing, d.share, area));
+      fine_missing_.push_back(
+          {static_cast<std::size_t>(d.real), look_up(s, s.missing, d.share, area)});
     all = united(all, area);
   }
   return all;
@@ -173,9 +179,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
 // 1/t along the ray of a pixel to a plane is (n.d)/(n.(p - eye)): linear in the pixel, and largest for the
 // nearest plane.
 void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& point,
-                             const glm::dvec3& normal, std::vector<HalfImage>& out) const {
+                             const glm::dvec3& normal) {
   constexpr double kSame = 1e-6;
-  out.clear();
   const glm::dmat3 turn = view.world_from_camera.rotation_matrix();
   const auto nearness = [&](const glm::dvec3& p, const glm::dvec3& n) {
     const double height = glm::dot(n, p - view.world_from_camera.translation);
@@ -192,17 +197,17 @@ void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& poi
         std::abs(glm::dot(normal, other.point - point)) < 1e-3)
       continue;
     const HalfImage there = nearness(other.point, other.normal);
-    out.push_back({own.a - there.a, own.b - there.b, own.c - there.c});
+    half_images_.push_back({own.a - there.a, own.b - there.b, own.c - there.c});
   }
 }
 
 // (x, z) = (X, Z)/W is at or past a side where X - side W >= 0 in front of the camera: linear in the pixel. Half a pixel
 // more, for those that a side passes through.
-void Receivers::add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high,
-                          std::vector<HalfImage>& out) {
+void Receivers::add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high) {
   const auto past = [&](int axis, double side, double sign) {
     const auto term = [&](int k) { return sign * (at.h[axis][k] - side * at.h[2][k]); };
-    out.push_back({term(0), term(1), term(2) + .5 * (std::abs(term(0)) + std::abs(term(1)))});
+    half_images_.push_back(
+        {term(0), term(1), term(2) + .5 * (std::abs(term(0)) + std::abs(term(1)))});
   };
   for (const int axis : {0, 1}) {
     past(axis, low[axis], 1);
@@ -222,10 +227,9 @@ Rect Receivers::reach_in_row(int y) const {
   return all;
 }
 
-Receivers::Columns Receivers::visible_columns(const std::vector<HalfImage>& in_front, int y,
-                                              const Rect& area) {
+Receivers::Columns Receivers::visible_columns(const Sides& sides, int y, const Rect& area) const {
   double first = area.x0, last = area.x1;
-  for (const HalfImage& h : in_front) {
+  for (const HalfImage& h : std::span(half_images_).subspan(sides.first, sides.count)) {
     const double rest = h.b * (y + .5) + h.c;
     if (std::abs(h.a) < 1e-15) {
       if (rest < 0) return {0, 0};
@@ -252,7 +256,7 @@ Columns within(Columns c, const Rect& area) {
 }  // namespace
 
 void Receivers::multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
-                         float* b) {
+                         float* b) const {
   if (y < plane.area.y0 || y >= plane.area.y1) return;
   const Columns c = within(visible_columns(plane.visible, y, plane.area), area);
   if (c.x0 >= c.x1) return;
@@ -274,7 +278,7 @@ bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) 
 void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                              std::span<float> b) const {
   thread_local std::vector<float> row;  // grows once per thread
-  for (const RealLookup& disc : missing_) {
+  for (std::size_t disc = 0; disc < missing_.size(); ++disc) {
     row.assign(r.size(), 0.f);
     const auto load = [&](const DiscLookup& d) {
       if (y < d.area.y0 || y >= d.area.y1) return;
@@ -282,9 +286,10 @@ void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::s
       if (c.x0 < c.x1)
         load_disc_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
     };
-    load(disc.around);
-    for (const DiscLookup& fine : disc.within) load(fine);
-    const Rgb& share = disc.around.share;
+    load(missing_[disc]);
+    for (const FineLookup& fine : fine_missing_)
+      if (fine.real == disc) load(fine.map);
+    const Rgb& share = missing_[disc].share;
     for (std::size_t x = 0; x < row.size(); ++x) {
       r[x] -= share.r * row[x];
       g[x] -= share.g * row[x];

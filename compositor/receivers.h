@@ -26,6 +26,11 @@ struct HalfImage {
   double a, b, c;
 };
 
+/// Some of Receivers' half images.
+struct Sides {
+  std::size_t first = 0, count = 0;
+};
+
 /// A shadow ratio of 0 to 1.5 in one word: a pixel reads four instead of twelve, which is most of what it costs. What is
 /// missing from 1 in steps of 1/1364 (red, green) and 1/682 (blue), so that an open plane is exactly 1.
 struct PackedRatio {
@@ -45,7 +50,7 @@ struct PlaneLookup {
   const std::uint32_t* ratio;  // PackedRatio, size x size
   int size;
   Rect area;  // pixels that the visible part can reach
-  std::vector<HalfImage> visible{};
+  Sides visible{};
 };
 
 /// The shadow of one disc on a plane, likewise.
@@ -56,7 +61,7 @@ struct DiscLookup {
   int samples;  // a pixel along each axis: a hard edge must not show its pixels
   Rgb share;    // of the disc in the light of the open plane
   Rect area;
-  std::vector<HalfImage> visible{};
+  Sides visible{};
 };
 
 class Receivers {
@@ -106,9 +111,9 @@ class Receivers {
     shadows::DiscShadow shadow;
     Rgb share;
   };
-  struct RealLookup {
-    DiscLookup around;
-    std::vector<DiscLookup> within;  // finer, where virtual things shade the disc
+  struct FineLookup {  // where virtual things shade a disc
+    std::size_t real;  // in real_discs_
+    DiscLookup map;
   };
   struct RealPlane {
     glm::dvec3 point, normal;
@@ -116,16 +121,16 @@ class Receivers {
   struct Columns {
     int x0, x1;
   };
-  void find_visible(const prt::PinholeView& view, const glm::dvec3& point, const glm::dvec3& normal,
-                    std::vector<HalfImage>& out) const;
-  /// Adds the pixels that touch positions [low, high] of a plane.
-  static void add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high,
-                        std::vector<HalfImage>& out);
-  static Columns visible_columns(const std::vector<HalfImage>& in_front, int y, const Rect& area);
+  /// To half_images_: where a plane is in front of all real ones.
+  void find_visible(const prt::PinholeView& view, const glm::dvec3& point,
+                    const glm::dvec3& normal);
+  /// To half_images_: the pixels that touch positions [low, high] of a plane.
+  void add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high);
+  Columns visible_columns(const Sides& sides, int y, const Rect& area) const;
   bool prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
-                      const Receiver& receiver, PlaneLookup& out) const;
-  static void multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
-                       float* b);
+                      const Receiver& receiver, PlaneLookup& out);
+  void multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
+                float* b) const;
   void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                     std::span<float> b) const;
   /// The discs' shadows, and what is left of it all by real things.
@@ -140,7 +145,9 @@ class Receivers {
   std::vector<PlaneLookup> lookups_;
   std::optional<PlaneLookup> real_lookup_;
   std::vector<DiscLookup> taken_;
-  std::vector<RealLookup> missing_;  // of real_discs_ that are in view
+  std::vector<DiscLookup> missing_;  // of real_discs_
+  std::vector<FineLookup> fine_missing_;
+  std::vector<HalfImage> half_images_;  // of the lookups
 };
 
 /// Multiplies ratios of pixels [x0, x1) of row y into r[0 .. x1-x0) and so on.

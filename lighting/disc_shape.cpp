@@ -6,8 +6,6 @@
 #include <bit>
 #include <glm/geometric.hpp>
 
-#include "lighting/lighting.h"
-
 namespace penumbra::lighting {
 
 namespace {
@@ -45,13 +43,13 @@ std::size_t halve(std::span<Share> shares, double weight) {
   return std::clamp<std::size_t>(first, 1, shares.size() - 1);
 }
 
-void add_points(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out) {
+void add_points(std::span<Share> shares, int depth, Disc::Shape& out) {
   double weight = 0;
   glm::dvec3 mean(0);
   for (const Share& s : shares) weight += s.weight, mean += s.weight * s.direction;
   mean = mean / weight;
   if (depth == 0 || shares.size() < 2) {
-    out.insert(out.end(), std::size_t{1} << depth, glm::normalize(mean));
+    for (int i = 0; i < 1 << depth; ++i) out.push_back(glm::normalize(mean));
     return;
   }
   const glm::dvec3 axis = longest_axis(shares, mean);
@@ -63,11 +61,10 @@ void add_points(std::span<Share> shares, int depth, std::vector<glm::dvec3>& out
 
 }  // namespace
 
-std::vector<glm::dvec3> shape_points(std::span<Share> shares) {
+Disc::Shape shape_points(std::span<Share> shares) {
   constexpr int kDepth = std::countr_zero(static_cast<unsigned>(Disc::kShapePoints));
   static_assert(1 << kDepth == Disc::kShapePoints);
-  std::vector<glm::dvec3> out;
-  out.reserve(Disc::kShapePoints);
+  Disc::Shape out;
   add_points(shares, kDepth, out);
   return out;
 }

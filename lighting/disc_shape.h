@@ -3,7 +3,8 @@
 
 #include <glm/vec3.hpp>
 #include <span>
-#include <vector>
+
+#include "lighting/lighting.h"
 
 namespace penumbra::lighting {
 
@@ -17,6 +18,6 @@ struct Share {
 /// Disc::kShapePoints unit directions, neighbours in neighbouring places at every power of two: the energy is halved across its
 /// longest axis again and again.
 /// in: at least one share, in any order; left in another one
-std::vector<glm::dvec3> shape_points(std::span<Share> shares);
+Disc::Shape shape_points(std::span<Share> shares);
 
 }  // namespace penumbra::lighting

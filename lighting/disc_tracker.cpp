@@ -1,6 +1,9 @@
 #include <algorithm>
 #include <cmath>
+#include <memory_resource>
+#include <utility>
 
+#include "core/scratch.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {
@@ -27,8 +30,7 @@ bool may_be_same(const Disc& a, const Disc& b) {
 
 }  // namespace
 
-std::optional<std::size_t> DiscTracker::match(const Disc& disc,
-                                              const std::vector<bool>& taken) const {
+std::optional<std::size_t> DiscTracker::match(const Disc& disc, std::span<const char> taken) const {
   std::optional<std::size_t> best;
   double closest = -2;
   for (std::size_t k = 0; k < known_.size(); ++k) {
@@ -49,32 +51,33 @@ int DiscTracker::number_of(const Disc& disc, TimestampNs time) {
   return id;
 }
 
-std::vector<Disc> DiscTracker::update(TimestampNs time, double least_share, double mean_irradiance,
-                                      std::vector<Disc>& discs) {
+void DiscTracker::update(TimestampNs time, double least_share, double mean_irradiance,
+                         std::vector<Disc>& discs, std::vector<Disc>& left_over) {
   const double step = first_ ? 1 : std::clamp((time - time_) / kFade, 0., 1.);
-  std::vector<Disc> left_over;
-  std::vector<bool> taken(known_.size(), false);
+  left_over.clear();
+  const Scratch::Scope scope;
+  std::pmr::vector<char> taken(known_.size(), 0, scope.memory());
   // Energy that was in the list and is not claimed yet: where sources part or join, it goes along.
-  std::vector<double> unclaimed;
+  std::pmr::vector<double> unclaimed(scope.memory());
   for (const Known& k : known_) unclaimed.push_back(k.weight * flux(k.disc));
-  std::vector<std::pair<Disc, std::optional<std::size_t>>> found;
-  for (Disc& disc : discs) {  // the strongest chooses first
+  found_.clear();
+  for (const Disc& disc : discs) {  // the strongest chooses first
     const auto before = match(disc, taken);
     // A clipped source enters at any share: what is measured of it does not tell what it sends.
     if (!before && !disc.clipped && flux(disc) < least_share * mean_irradiance) {
-      left_over.push_back(std::move(disc));
+      left_over.push_back(disc);
       continue;
     }
     if (before) {
-      taken[*before] = true;
+      taken[*before] = 1;
       unclaimed[*before] = std::max(0., unclaimed[*before] - flux(disc));
     }
-    found.emplace_back(std::move(disc), before);
+    found_.push_back({disc, before});
   }
   for (std::size_t k = 0; k < known_.size(); ++k)
     if (!taken[k]) lost_.push_back({known_[k].disc, time});
-  std::vector<Known> now;
-  for (auto& [disc, before] : found) {
+  now_.clear();
+  for (auto& [disc, before] : found_) {
     const double own =
         before ? known_[*before].weight * std::min(flux(disc), flux(known_[*before].disc)) : 0;
     double carried = own;
@@ -89,9 +92,9 @@ std::vector<Disc> DiscTracker::update(TimestampNs time, double least_share, doub
     const double weight =
         before && !joined ? known_[*before].weight : carried / std::max(flux(disc), 1e-30);
     disc.id = before ? known_[*before].disc.id : number_of(disc, time);
-    now.push_back({std::move(disc), static_cast<float>(std::min(1., weight + step))});
+    now_.push_back({disc, static_cast<float>(std::min(1., weight + step))});
   }
-  known_ = std::move(now);
+  std::swap(known_, now_);
   time_ = time;
   first_ = false;
   discs.clear();
@@ -102,7 +105,6 @@ std::vector<Disc> DiscTracker::update(TimestampNs time, double least_share, doub
     left_over.push_back(k.disc);
     left_over.back().radiance = k.disc.radiance * (1 - k.weight);
   }
-  return left_over;
 }
 
 }  // namespace penumbra::lighting

@@ -159,7 +159,7 @@ class Peeler {
   void cut(const Region& region, float level, bool clipped = false);
   void put_back(const Candidate& candidate);
   Vector<Share> shares_of(const Candidate& candidate) const;
-  std::vector<glm::dvec3> shape_of(const Candidate& candidate) const;
+  Disc::Shape shape_of(const Candidate& candidate) const;
   void join_concentric();
   void choose();
 
@@ -383,7 +383,7 @@ Vector<Share> Peeler::shares_of(const Candidate& c) const {
 }
 
 // Where the energy lies when a round disc would misplace it.
-std::vector<glm::dvec3> Peeler::shape_of(const Candidate& c) const {
+Disc::Shape Peeler::shape_of(const Candidate& c) const {
   // Mean square distance from the centre; of an even disc of that solid angle: a^2/2 with pi a^2 = the solid angle.
   const double spread = 2 - 2 * glm::dot(c.moment, c.centre) / c.flux;
   if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};

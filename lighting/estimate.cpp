@@ -63,8 +63,8 @@ Result<Projection> LightEstimator::fill_holes(const Result<Projection>& moments,
   return hole_fit_->fill(moments->light);
 }
 
-// Into split_; returns what tracked discs leave over, as discs.
-Result<std::vector<Disc>> LightEstimator::peel(const Environment& environment) {
+// Into split_ and left_over_.
+Result<void> LightEstimator::peel(const Environment& environment) {
   maps_since_split_ = 0;
   DiscOptions found = options_.discs;
   found.least_share /= 2;
@@ -76,30 +76,29 @@ Result<std::vector<Disc>> LightEstimator::peel(const Environment& environment) {
     PENUMBRA_TRY(split_discs(map, found, split_, environment.clipped));
   }
   const double irradiance = kPi * split_.mean_luminance;
-  auto left_over =
-      tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs);
-  completions_.apply(split_.discs, left_over);
-  return left_over;
+  tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs,
+                  left_over_);
+  completions_.apply(split_.discs, left_over_);
+  return {};
 }
 
-// As many as the plan says, and all that are clipped; returns the others after `left_over`.
-std::vector<Disc> LightEstimator::choose_discs(std::vector<Disc> left_over) {
+// As many as the plan says, and all that are clipped; the others are left over.
+void LightEstimator::choose_discs() {
   auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan_->discs));
   for (std::size_t i = used; i < split_.discs.size(); ++i)
     if (split_.discs[i].clipped) used = i + 1;
   plan_->discs = std::max(plan_->discs, static_cast<int>(used));
-  left_over.insert(left_over.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
-                   split_.discs.end());
+  left_over_.insert(left_over_.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
+                    split_.discs.end());
   split_.discs.resize(used);
-  return left_over;
 }
 
 // Without discs: the whole light in harmonics. Split now and then, for what the governor predicts.
 Result<Projection> LightEstimator::measure_whole(const Environment& environment) {
   if (++maps_since_split_ >= kGlance) {
-    PENUMBRA_ASSIGN(left_over, peel(environment));
+    PENUMBRA_TRY(peel(environment));
     PENUMBRA_ASSIGN(rest, fill_holes(project_rest(), environment.confidence));
-    add_discs(left_over, rest);
+    add_discs(left_over_, rest);
     plan_ = plan_for(rest, environment.time);
   }
   split_.discs.clear();
@@ -110,31 +109,28 @@ Result<Projection> LightEstimator::measure_whole(const Environment& environment)
 
 // With the plan's discs in split_, all others in harmonics.
 Result<Projection> LightEstimator::measure_split(const Environment& environment) {
-  std::vector<Disc> left_over;
-  if (options_.discs.most > 0) {
-    PENUMBRA_ASSIGN(rest, peel(environment));
-    left_over = std::move(rest);
-  }
+  left_over_.clear();
+  if (options_.discs.most > 0) PENUMBRA_TRY(peel(environment));
   auto projection =
       fill_holes(options_.discs.most > 0 ? project_rest() : project(environment.radiance),
                  environment.confidence);
   if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
   // What tracked ones leave over is not filtered: it completes the disc of this map.
-  const auto tracked =
-      std::ranges::stable_partition(left_over, [](const Disc& disc) { return disc.id == 0; });
-  add_discs({left_over.begin(), tracked.begin()}, *projection);
-  left_over.erase(left_over.begin(), tracked.begin());
+  const auto is_weak = [](const Disc& disc) { return disc.id == 0; };
+  for (const Disc& disc : left_over_)
+    if (is_weak(disc)) add_discs({&disc, 1}, *projection);
+  std::erase_if(left_over_, is_weak);
   if (options_.filter) filter_.update(environment.time, *projection);
   if (governor_) {
     plan_ = plan_for(*projection, environment.time);
-    left_over = choose_discs(std::move(left_over));
+    choose_discs();
   }
-  add_discs(left_over, *projection);
+  add_discs(left_over_, *projection);
   return projection;
 }
 
-Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
+Result<void> LightEstimator::estimate(const Environment& environment, LightEstimate& out) {
   if (environment.radiance.empty())
     return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   // A source at the edge of clipping must not change sides with every map.
@@ -150,12 +146,11 @@ Result<LightEstimate> LightEstimator::estimate(const Environment& environment) {
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
   const auto projection = without_discs ? measure_whole(environment) : measure_split(environment);
   if (!projection) return std::unexpected(projection.error());
-  LightEstimate estimate =
-      make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.discs);
-  estimate.plan = plan_;
-  estimate.time = environment.time;
-  estimate.clipped_fraction = environment.clipped_fraction;
-  return estimate;
+  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.discs, out);
+  out.plan = plan_;
+  out.time = environment.time;
+  out.clipped_fraction = environment.clipped_fraction;
+  return {};
 }
 
 void LightEstimator::govern(const Governance& governance) {
@@ -177,11 +172,20 @@ Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {
 }
 
 LightEstimate make_estimate(const Projection& projection, int bands, std::vector<Disc> discs) {
-  const RadianceSh& nine_bands = projection.light;
   LightEstimate estimate;
+  make_estimate(projection, bands, std::span<const Disc>(discs), estimate);
+  return estimate;
+}
+
+void make_estimate(const Projection& projection, int bands, std::span<const Disc> discs,
+                   LightEstimate& estimate) {
+  const RadianceSh& nine_bands = projection.light;
+  std::vector<Disc> list = std::move(estimate.discs);
+  list.assign(discs.begin(), discs.end());
+  estimate = {};
   estimate.light = nine_bands.with_bands(bands);
   estimate.floor_light = floor_light(projection.above, bands);
-  estimate.discs = std::move(discs);
+  estimate.discs = std::move(list);
   estimate.valid = true;
   estimate.coverage = projection.coverage;
   // A fit to a small part of the sphere may swing below zero elsewhere.
@@ -200,7 +204,6 @@ LightEstimate make_estimate(const Projection& projection, int bands, std::vector
   const double mean_irradiance = kPi * luminance(estimate.mean_radiance);
   if (bands < nine_bands.bands() && mean_irradiance > 0)
     estimate.truncation_error = std::sqrt(left_out / (4 * kPi)) / mean_irradiance;
-  return estimate;
 }
 
 Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options) {

@@ -16,6 +16,7 @@
 #include "core/conventions.h"
 #include "core/environment.h"
 #include "core/image.h"
+#include "core/inplace_vector.h"
 #include "core/result.h"
 #include "core/sh.h"
 #include "core/units.h"
@@ -146,6 +147,7 @@ Result<Projection> project_samples(const LightSamples& samples, int bands);
 /// solid angle.
 struct Disc {
   static constexpr int kShapePoints = 64;
+  using Shape = InplaceVector<glm::dvec3, kShapePoints>;
 
   int id = 0;                     // the same source keeps its number over time (DiscTracker)
   glm::dvec3 direction{0, 1, 0};  // to the centre of its energy, unit
@@ -153,7 +155,7 @@ struct Disc {
   Rgb radiance;                   // mean over the cap, on top of the rest
   /// Where a round disc would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
   /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
-  std::vector<glm::dvec3> shape;
+  Shape shape{};
   bool clipped = false;  // saturated in every exposure: its radiance is a lower bound, or completed
 
   double solid_angle_sr() const;
@@ -282,9 +284,9 @@ class DiscTracker {
   static constexpr Seconds kFade{.2};
 
   /// in:  what split_discs found at half the least share, mean_irradiance = pi times the mean radiance
-  /// out: `discs` holds what is used, its radiance times its weight; returns what is left over as discs
-  std::vector<Disc> update(TimestampNs time, double least_share, double mean_irradiance,
-                           std::vector<Disc>& discs);
+  /// out: `discs` holds what is used, its radiance times its weight; left_over the rest of it, as discs
+  void update(TimestampNs time, double least_share, double mean_irradiance,
+              std::vector<Disc>& discs, std::vector<Disc>& left_over);
 
  private:
   struct Known {
@@ -295,11 +297,16 @@ class DiscTracker {
     Disc disc;
     TimestampNs since;
   };
-  std::optional<std::size_t> match(const Disc& disc, const std::vector<bool>& taken) const;
+  struct Found {
+    Disc disc;
+    std::optional<std::size_t> before;  // in known_
+  };
+  std::optional<std::size_t> match(const Disc& disc, std::span<const char> taken) const;
   int number_of(const Disc& disc, TimestampNs time);
 
-  std::vector<Known> known_;
+  std::vector<Known> known_, now_;
   std::vector<Lost> lost_;
+  std::vector<Found> found_;
   TimestampNs time_;
   int next_id_ = 1;
   bool first_ = true;
@@ -489,8 +496,14 @@ class LightEstimator {
   /// As Governor::allow_discs; nothing without governance. With none the map is split only now and then, for the
   /// prediction, unless something in it is clipped.
   void allow_discs(int most);
-  /// in: radiance 0 where the confidence is 0
-  Result<LightEstimate> estimate(const Environment& environment);
+  /// in:  radiance 0 where the confidence is 0
+  /// out: keeps its memory; as it was after an error
+  Result<void> estimate(const Environment& environment, LightEstimate& out);
+  Result<LightEstimate> estimate(const Environment& environment) {
+    LightEstimate out;
+    PENUMBRA_TRY(estimate(environment, out));
+    return out;
+  }
   /// From the next map on, as long as the disc is tracked and clipped.
   /// errors: as CompletionMemory::remember
   Result<void> complete(const Completion& completion) { return completions_.remember(completion); }
@@ -501,8 +514,8 @@ class LightEstimator {
   Result<Projection> project_rest();
   Result<Projection> fill_holes(const Result<Projection>& moments, const Image<float>& confidence);
   Plan plan_for(const Projection& rest, TimestampNs time);
-  Result<std::vector<Disc>> peel(const Environment& environment);
-  std::vector<Disc> choose_discs(std::vector<Disc> left_over);
+  Result<void> peel(const Environment& environment);
+  void choose_discs();
   Result<Projection> measure_whole(const Environment& environment);
   Result<Projection> measure_split(const Environment& environment);
 
@@ -510,6 +523,7 @@ class LightEstimator {
   EstimateOptions options_;
   MapLuminance luminance_;
   DiscSplit split_;
+  std::vector<Disc> left_over_;  // of the split: what is not used as discs
   DiscTracker tracker_;
   CompletionMemory completions_;
   LightFilter filter_;
@@ -526,6 +540,8 @@ class LightEstimator {
 /// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `discs` come
 /// on top of the projection.
 LightEstimate make_estimate(const Projection& nine_bands, int bands, std::vector<Disc> discs = {});
+void make_estimate(const Projection& nine_bands, int bands, std::span<const Disc> discs,
+                   LightEstimate& out);
 
 /// Of a still map: LightEstimator's first estimate.
 /// errors: as LightEstimator::estimate

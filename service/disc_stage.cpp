@@ -25,7 +25,7 @@ double angle_between(const glm::dvec3& a, const glm::dvec3& b) {
 }
 
 // Largest move of the points of two forms; a form that came or went moved as far as can be.
-double move_of(const std::vector<glm::dvec3>& before, const std::vector<glm::dvec3>& now) {
+double move_of(std::span<const glm::dvec3> before, std::span<const glm::dvec3> now) {
   if (before.size() != now.size()) return kPi;
   double largest = 0;
   for (std::size_t i = 0; i < now.size(); ++i)
@@ -341,9 +341,9 @@ DiscStage::AtVertices DiscStage::at_vertices(const prt::Mesh& mesh) const {
   return out;
 }
 
-std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(
-    std::span<const Rgb> open_irradiance) const {
-  std::vector<compositor::DiscShadowOnPlane> out;
+void DiscStage::shadows(std::span<const Rgb> open_irradiance,
+                        std::vector<compositor::DiscShadowOnPlane>& out) const {
+  out.clear();
   for (const Traced& t : traced_)
     for (std::size_t p = 0; p < t.on_plane.size(); ++p) {
       const Rgb share = share_of(t.disc, scene_->planes[p], open_irradiance[p]);
@@ -355,7 +355,6 @@ std::vector<compositor::DiscShadowOnPlane> DiscStage::shadows(
       // What is left of this light counts for the others' shadows too.
       if (real && !any) out.push_back({&kNoShadow, share, real});
     }
-  return out;
 }
 
 }  // namespace penumbra::service

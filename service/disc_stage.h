@@ -58,7 +58,8 @@ class DiscStage {
   AtVertices at_vertices(const prt::Mesh& mesh) const;
 
   /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, discs included.
-  std::vector<compositor::DiscShadowOnPlane> shadows(std::span<const Rgb> open_irradiance) const;
+  void shadows(std::span<const Rgb> open_irradiance,
+               std::vector<compositor::DiscShadowOnPlane>& out) const;
 
  private:
   // Of all sources: the mean over normals, and on planes (none: not known).
@@ -75,7 +76,7 @@ class DiscStage {
     Detail detail;            // as it was traced
     lighting::Disc disc;      // as it is now
     glm::dvec3 direction{0};  // as it was traced, and its form
-    std::vector<glm::dvec3> shape;
+    lighting::Disc::Shape shape{};
     double radius = 0;
     std::vector<std::vector<float>> cosine;                  // by object, by vertex
     std::vector<std::array<float, kSides>> floor_share;      // by object

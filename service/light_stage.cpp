@@ -200,7 +200,7 @@ Environment& LightStage::whole() {
   return environment_;
 }
 
-Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame) {
+Result<void> LightStage::process(const capture::Frame& frame, lighting::LightEstimate& out) {
   ++frames_;
   PENUMBRA_TRY(follow(frame));
   Result<void> failed;
@@ -218,12 +218,12 @@ Result<lighting::LightEstimate> LightStage::process(const capture::Frame& frame)
   // What the first exposures saturate a shorter one may still resolve.
   const auto owes = [](const View& v) { return v.fresh && !v.knows_bracket(); };
   if (std::ranges::any_of(views_, owes)) environment.clipped.clear();
-  auto estimate = [&] {
+  {
     const StageTimer timer(times_, "light");
-    return estimator_.estimate(environment);
-  }();
-  if (estimate) say_once(*estimate);
-  return estimate;
+    PENUMBRA_TRY(estimator_.estimate(environment, out));
+  }
+  say_once(out);
+  return {};
 }
 
 void LightStage::say_once(const lighting::LightEstimate& estimate) {

@@ -34,7 +34,13 @@ class LightStage {
   /// The time of the light is that of its stalest camera.
   /// errors: as HdrRing::add and capture::sights_of (kUndetermined is an ordinary state: all black or all clipped, a ball
   /// out of the picture)
-  Result<lighting::LightEstimate> process(const capture::Frame& frame);
+  /// out: keeps its memory; as it was after an error
+  Result<void> process(const capture::Frame& frame, lighting::LightEstimate& out);
+  Result<lighting::LightEstimate> process(const capture::Frame& frame) {
+    lighting::LightEstimate out;
+    PENUMBRA_TRY(process(frame, out));
+    return out;
+  }
   /// The map that the newest light came from, lat-long in world directions; as process() left it, also when it failed.
   const Environment& environment() const { return blend_ ? environment_ : views_[0].map; }
   struct ViewGain {

@@ -140,7 +140,9 @@ bool ComposeStage::move_to(double seconds) {
 
 bool ComposeStage::update_light(const lighting::LightEstimate& light, double seconds) {
   const bool other_form = move_to(seconds);
-  std::vector<Pose> poses;
+  std::swap(poses_, poses_before_);
+  std::vector<Pose>& poses = poses_;
+  poses.clear();
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     poses.push_back(objects_[i].prepared->pose_at(seconds));
     compositor_->set_pose(objects_[i].handle, poses[i]);
@@ -150,14 +152,14 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
     const StageTimer timer(times_, "surroundings");
     surroundings_.look(discs_.blockers(), poses);
   }
-  std::vector<Rgb> open;
+  open_.clear();
   for (const prt::Plane& plane : scene_.planes)
-    open.push_back(open_irradiance(light, plane.normal));
+    open_.push_back(open_irradiance(light, plane.normal));
   bool discs_changed = false;
   {
     const StageTimer timer(times_, "discs");
     discs_changed =
-        discs_.update(light.discs, kPi * luminance(light.mean_radiance), surroundings_, open);
+        discs_.update(light.discs, kPi * luminance(light.mean_radiance), surroundings_, open_);
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");
@@ -176,13 +178,12 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
       relit |= update_object(i, poses, light, discs_changed, other_form);
   lit_before_ = true;
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
-  const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_;
-  poses_ = poses;
+  const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_before_;
   if (!relit && !discs_changed && !moved && !measured) return false;
   share_shadows(poses);
-  auto on_planes = discs_.shadows(open);
-  lamps_.append(open, on_planes);
-  compositor_->set_disc_shadows(on_planes);
+  discs_.shadows(open_, on_planes_);
+  lamps_.append(open_, on_planes_);
+  compositor_->set_disc_shadows(on_planes_);
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
     compositor_->set_ratios(0, real_.ratios(light, poses, lamps_));
@@ -314,14 +315,13 @@ compositor::View ComposeStage::view_of(const capture::Frame& frame) {
           calib::vignetting_of(p, camera.info.vignetting)};
 }
 
-Result<Composited> ComposeStage::process(const capture::Frame& frame,
-                                         const lighting::LightEstimate& light) {
-  Composited out;
+Result<void> ComposeStage::process(const capture::Frame& frame,
+                                   const lighting::LightEstimate& light, Composited& out) {
   out.relit = update_light(light, (frame.time - TimestampNs{0}).count());
   const StageTimer timer(times_, "composite");
   PENUMBRA_ASSIGN(touched, compositor_->composite(view_of(frame), *frame.pixels, out.pixels));
   out.touched = touched;
-  return out;
+  return {};
 }
 
 Result<void> ComposeStage::begin(const capture::Frame& frame, const lighting::LightEstimate& light,

@@ -83,7 +83,14 @@ class ComposeStage {
   void warm_up();
   /// Composites one view frame under `light`.
   /// errors: as Compositor::composite
-  Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light);
+  /// out: keeps its memory: once it has had a frame, nothing comes from the heap
+  Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
+                       Composited& out);
+  Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light) {
+    Composited out;
+    PENUMBRA_TRY(process(frame, light, out));
+    return out;
+  }
   /// process() but for what needs the stage no more. The stage must outlive the frame.
   Result<void> begin(const capture::Frame& frame, const lighting::LightEstimate& light,
                      BegunFrame& out);
@@ -175,7 +182,9 @@ class ComposeStage {
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
   std::vector<Object> objects_;
-  std::vector<Pose> poses_;  // of the last update
+  std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
+  std::vector<Rgb> open_;                   // irradiance of each open plane
+  std::vector<compositor::DiscShadowOnPlane> on_planes_;
   bool lit_before_ = false;
 };
 

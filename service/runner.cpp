@@ -88,14 +88,11 @@ class Replay {
   const std::optional<Error>& last_unusable() const { return last_unusable_; }
 
   Result<void> add_environment(const capture::Frame& frame) {
-    auto estimated = light_.process(frame);
-    if (estimated) {
-      estimate_ = std::move(*estimated);
-    } else if (is_ordinary(estimated.error())) {
+    const auto measured = light_.process(frame, estimate_);
+    if (!measured) {
+      if (!is_ordinary(measured.error())) return measured;
       ++counts_.unusable;
-      last_unusable_ = estimated.error();
-    } else {
-      return std::unexpected(estimated.error());
+      last_unusable_ = measured.error();
     }
     return light_.settled() ? compose_waiting() : Result<void>{};
   }

@@ -8,7 +8,11 @@ namespace penumbra::service {
 void StageTimes::add(const std::string& stage, double ms) {
   const std::scoped_lock lock(mutex_);
   auto found = std::ranges::find(stages_, stage, &Stage::name);
-  if (found == stages_.end()) found = stages_.insert(stages_.end(), Stage{stage, {}, 0});
+  if (found == stages_.end()) {
+    found = stages_.insert(stages_.end(), Stage{stage, {}, 0});
+    // No frame pays for more room later; the system gives the memory when it is written to.
+    found->ms.reserve(kMostSamples);
+  }
   if (found->ms.size() < kMostSamples) {
     found->ms.push_back(static_cast<float>(ms));
   } else {

@@ -59,6 +59,49 @@ TEST(RowLuminance, TellsEveryPixelThatIsNotFinite) {
         }
 }
 
+// Every width has another rest after whole vectors.
+TEST(CutRow, TakesWhatIsAboveTheLevelAndNothingElse) {
+  for (const int width : {1, 2, 5, 8, 15, 16, 17, 33, 64, 100}) {
+    SCOPED_TRACE(width);
+    const auto count = static_cast<std::size_t>(width);
+    const Image<Rgb> before = noise(width, 1, 3);
+    Image<Rgb> map = before;
+    std::vector<float> across(count), along(count), excess_luminance(count), brightness(count + 1);
+    brightness.back() = -7;
+    for (std::size_t x = 0; x < count; ++x)
+      across[x] = static_cast<float>(std::cos(double(x))),
+      along[x] = static_cast<float>(std::sin(double(x)));
+    std::vector<Rgb> excess(count);
+    constexpr float kLevel = 4;
+    CutSums sums;
+    sums.square = 1;  // is added to
+    cut_row(&map.row(0)[0].r, width, kLevel, across.data(), along.data(), &excess[0].r,
+            excess_luminance.data(), sums);
+    pixel_luminance(&before.row(0)[0].r, width, brightness.data());
+    EXPECT_EQ(brightness.back(), -7);
+    double red = 0, square = 1, x_sum = 0, z_sum = 0;
+    for (std::size_t x = 0; x < count; ++x) {
+      const Rgb& was = before.row(0)[x];
+      const Rgb& is = map.row(0)[x];
+      EXPECT_NEAR(brightness[x], luminance(was), 1e-5f * luminance(was));
+      EXPECT_NEAR(luminance(is), std::min(kLevel, luminance(was)), 1e-5f * kLevel);
+      EXPECT_NEAR(excess_luminance[x], luminance(excess[x]), 1e-5f * luminance(was));
+      if (luminance(was) < kLevel) {
+        EXPECT_EQ(is, was);
+      }
+      for (int c = 0; c < 3; ++c) EXPECT_NEAR(is[c] + excess[x][c], was[c], 1e-5f * was[c]);
+      const auto e = static_cast<double>(luminance(excess[x]));
+      red += static_cast<double>(excess[x].r), square += e * e;
+      x_sum += e * double(across[x]), z_sum += e * double(along[x]);
+    }
+    const double all = 1e-5 * (1 + square);
+    EXPECT_NEAR(sums.rgb[0], red, all);
+    EXPECT_NEAR(sums.square, square, all);
+    EXPECT_NEAR(sums.x, x_sum, all);
+    EXPECT_NEAR(sums.z, z_sum, all);
+  }
+}
+
 // Sources over the border of two blocks of a row, in its last one, which is narrower, and over the seam.
 TEST(Peeling, FindsSourcesInEveryBlockOfARow) {
   Image<Rgb> map(200, 100);
@@ -123,6 +166,32 @@ TEST(Peeling, TheRestIsProjectedAsACopyOfItWouldBe) {
   ASSERT_TRUE(patched && copied && all);
   EXPECT_TRUE(patched->light == copied->light);
   EXPECT_LT(luminance(patched->light[0]), .5f * luminance(all->light[0]));
+}
+
+// A map that is read first and projected with its changes, again and again with other rows changed, is as that of a copy: what
+// the projector expects to change may stay, and what it does not expect may change.
+TEST(Projector, OfAMapThatWasReadSumsTheChangesAlone) {
+  constexpr int kWidth = 64, kHeight = 32;
+  LatLongProjector projector(kWidth, kHeight, 5);
+  MapLuminance luminance_of_rows;
+  const std::vector<std::vector<int>> changed_rows = {{}, {3, 4}, {4, 30}, {}, {0, 31}, {7}};
+  for (std::size_t i = 0; i < changed_rows.size(); ++i) {
+    Image<Rgb> map = noise(kWidth, kHeight, 1 + static_cast<float>(i));
+    ASSERT_TRUE(projector.read(map, luminance_of_rows));
+    for (int y = 0; y < kHeight; ++y) {
+      double sum = 0;
+      for (const Rgb& c : map.row(y)) sum += static_cast<double>(luminance(c));
+      EXPECT_NEAR(luminance_of_rows.row_sum[static_cast<std::size_t>(y)], sum, 1e-5 * sum);
+    }
+    PatchedMap patched(map);
+    for (const int y : changed_rows[i]) patched.row_to_change(y)[5] = {};
+    const auto read = projector.project_read(patched);
+    const auto copied = project_latlong(patched.whole(), 5);
+    ASSERT_TRUE(read && copied);
+    EXPECT_TRUE(read->light == copied->light) << i;
+    EXPECT_TRUE(read->above == copied->above) << i;
+  }
+  EXPECT_FALSE(projector.read(noise(kWidth / 2, kHeight, 1), luminance_of_rows));
 }
 
 // What is left of the mean is then rounding, which may be less than nothing.

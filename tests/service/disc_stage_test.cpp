@@ -45,6 +45,13 @@ std::vector<float> light_on(DiscStage& stage, const PreparedScene& scene, std::s
   return out;
 }
 
+std::vector<compositor::DiscShadowOnPlane> shadows_of(const DiscStage& stage,
+                                                      const std::vector<Rgb>& open_irradiance) {
+  std::vector<compositor::DiscShadowOnPlane> out;
+  stage.shadows(open_irradiance, out);
+  return out;
+}
+
 // What is kept of the last update must be what a stage of its own would find.
 TEST(DiscStage, ObjectsThatMoveRenewAllThatTheyReach) {
   const PreparedScene scene = two_balls();
@@ -84,7 +91,7 @@ TEST(DiscStage, TheShadowOnAPlaneGoesWithItsObject) {
       stage->set_pose(object, {{1, 0, 0, 0}, at});
     stage->update(std::vector{light}, 1, around);
     double sum = 0, weight = 0;
-    for (const auto& on_plane : stage->shadows(open)) {
+    for (const auto& on_plane : shadows_of(*stage, open)) {
       const shadows::DiscShadow& s = *on_plane.shadow;
       for (int y = 0; y < s.taken.height(); ++y)
         for (int x = 0; x < s.taken.width(); ++x) {
@@ -151,7 +158,7 @@ TEST(DiscStage, WeakSourcesAreAskedLess) {
     const std::vector<Rgb> on_plane(1, Rgb{open, open, open} * static_cast<float>(1 + others));
     stage->update(std::vector{lamp}, luminance(lamp.irradiance()) * (.25 + others), around,
                   on_plane);
-    const auto shadows = stage->shadows(on_plane);
+    const auto shadows = shadows_of(*stage, on_plane);
     return std::pair(light_on(*stage, scene, 0),
                      shadows.empty() ? std::size_t{0} : shadows[0].shadow->taken.area());
   };
@@ -179,7 +186,7 @@ TEST(DiscStage, ALampThatFadesInIsTracedAnew) {
     now.radiance = lamp.radiance * static_cast<float>(share);
     const Rgb all = lighting::irradiance(lamp, {0, 1, 0});
     stage.update(std::vector{now}, luminance(lamp.irradiance()) * .9, around, std::vector{all});
-    return std::pair(light_on(stage, scene, 0), stage.shadows(std::vector{all})[0].shadow->taken);
+    return std::pair(light_on(stage, scene, 0), shadows_of(stage, {all})[0].shadow->taken);
   };
   auto fading = DiscStage::create(scene, {}), fresh = DiscStage::create(scene, {});
   ASSERT_TRUE(fading && fresh);
@@ -254,7 +261,7 @@ TEST(DiscStage, APlaneDoesNotShadeItself) {
     if (glm::dot(normal, sun(0).direction) < .05) continue;
     stage.update(std::vector{sun(0)}, 1, around);
     for (const compositor::DiscShadowOnPlane& on :
-         stage.shadows(std::vector<Rgb>(2, Rgb{100, 100, 100}))) {
+         shadows_of(stage, std::vector<Rgb>(2, Rgb{100, 100, 100}))) {
       if (!on.real || glm::dot(on.real->world_from_map.rotation * dvec3(0, 1, 0), normal) < .99)
         continue;
       ++looked_at;

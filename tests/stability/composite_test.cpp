@@ -176,7 +176,9 @@ TEST(NoLight, MakesNeitherNanNorShadow) {
     auto stage = DiscStage::create(scene, {});
     ASSERT_TRUE(stage) << stage.error().detail;
     stage->update(light->discs, kPi * luminance(light->mean_radiance), Surroundings(scene));
-    for (const auto& shadow : stage->shadows(std::vector<Rgb>{open}))
+    std::vector<compositor::DiscShadowOnPlane> on_planes;
+    stage->shadows(std::vector<Rgb>{open}, on_planes);
+    for (const auto& shadow : on_planes)
       for (int c = 0; c < 3; ++c)
         ASSERT_TRUE(shadow.share[c] >= 0 && shadow.share[c] <= 1) << scale;
     shadows::ReceiverLight on_floor(light->floor_light);
