@@ -26,20 +26,35 @@ void expect_none(const Counted& c, const std::string& what) {
   EXPECT_EQ(c.calls, 0u) << what << ": " << c.bytes << " bytes";
 }
 
-TEST(Allocations, OfALightUpdateAndAFrame) {
-  if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
-  // Each worker brings memory of its own when it first takes part, whenever that is.
-  const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
-  auto world = *capture::FloorWorld::make(capture::make_room_environment(256, 128));
+PreparedScene scene_on(const Rgb& floor_albedo) {
   PreparedScene scene;
-  scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, world->mean_floor_albedo(), {}});
-  prt::Mesh mesh = prt::make_sphere({0, .2f, 0}, .2f, 4, {.5f, .5f, .5f});
+  scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, floor_albedo, {}});
+  prt::Mesh mesh = prt::make_knot(.5f, 160, 32, {.5f, .5f, .5f});
   prt::BakeOptions bake;
   bake.rays = bake.ground_rays = 64;
   bake.bounces = 1;
   bake.sight = true;
   bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
-  scene.objects.push_back({"sphere", *prt::bake(std::move(mesh), bake), {}, 0, nullptr});
+  scene.objects.push_back({"knot", *prt::bake(std::move(mesh), bake), {}, 0, nullptr});
+  return scene;
+}
+
+// As from one map to the next under a head that turns: all sources are traced anew.
+lighting::LightEstimate turned(lighting::LightEstimate light, std::size_t step) {
+  const glm::dmat3 turn =
+      glm::mat3_cast(glm::angleAxis(.04 * double(step % 7), glm::dvec3(0, 1, 0)));
+  for (lighting::Disc& d : light.discs) {
+    d.direction = turn * d.direction;
+    for (glm::dvec3& s : d.shape) s = turn * s;
+  }
+  return light;
+}
+
+void expect_none_after_warm_up(Image<Rgb> environment) {
+  // Each worker brings memory of its own when it first takes part, whenever that is.
+  const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+  auto world = *capture::FloorWorld::make(std::move(environment));
+  const PreparedScene scene = scene_on(world->mean_floor_albedo());
   capture::StudioOptions options;
   options.environment_width = 256, options.environment_height = 128;
   options.view_width = 320, options.view_height = 180, options.view_focal_px = 240;
@@ -56,7 +71,7 @@ TEST(Allocations, OfALightUpdateAndAFrame) {
   constexpr std::size_t kWarm = 90;
   lighting::LightEstimate estimate;
   Composited composited;
-  std::size_t seen = 0, moved = 0;
+  std::size_t seen = 0, moved = 0, traced = 0;
   while (auto frame = *studio.next()) {
     ++seen;
     if (light.takes(frame->camera)) {
@@ -67,15 +82,23 @@ TEST(Allocations, OfALightUpdateAndAFrame) {
     const Counted c =
         count([&] { ASSERT_TRUE((*compose)->process(*frame, estimate, composited)); });
     if (seen > kWarm) expect_none(c, "frame " + std::to_string(seen));
-    ++moved;
-    lighting::LightEstimate turned = estimate;
-    for (auto& d : turned.discs)
-      d.direction = glm::normalize(d.direction + .002 * double(moved % 7) * glm::dvec3(1, 0, 0));
-    const Counted m = count([&] { (*compose)->update_light(turned, 0); });
-    if (seen > kWarm) expect_none(m, "moved discs " + std::to_string(seen));
+    const lighting::LightEstimate other = turned(estimate, ++moved);
+    const Counted m = count([&] { traced += (*compose)->update_light(other, 0); });
+    if (seen > kWarm) expect_none(m, "turned light " + std::to_string(seen));
   }
   EXPECT_GT(seen, kWarm + 20);
+  EXPECT_GT(traced, moved / 2);
   EXPECT_FALSE(estimate.discs.empty());
+}
+
+TEST(Allocations, OfALightUpdateAndAFrameInARoom) {
+  if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
+  expect_none_after_warm_up(capture::make_room_environment(256, 128));
+}
+
+TEST(Allocations, OfALightUpdateAndAFrameUnderASun) {
+  if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
+  expect_none_after_warm_up(capture::make_sky_environment(256, 128, .7));
 }
 
 }  // namespace
