@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -150,9 +151,9 @@ class Peeler {
   Result<double> mean() const;
   Vector<Run> bright_parts(float level) const;
   double mean_below(double level) const;
-  Vector<Region> regions_above(float level) const;
+  Vector<Region> regions_above(float level);
   Vector<Region> regions_of(std::span<const Run> runs) const;
-  Vector<Run> runs_above(float level, std::span<const Run> within) const;
+  Vector<Run> runs_above(float level, std::span<const Run> within);
   void peel(const Region& region, float level);
   double flux_of(const Region& region) const;
   void cut_clipped(float level);
@@ -173,6 +174,7 @@ class Peeler {
   DiscSplit& split_;
   const Directions& grid_;
   Vector<Candidate> candidates_{memory_};
+  Vector<float> brightness_{static_cast<std::size_t>(map_.width()), memory_};  // of part of a row
   double least_flux_ = 0;
 };
 
@@ -213,12 +215,11 @@ double Peeler::mean_below(double level) const {
   return std::max(0., mean);  // of a map that is black but for its sources, but for rounding
 }
 
-Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
+Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) {
   Vector<Run> runs(memory_);
-  Vector<float> brightness(static_cast<std::size_t>(map_.width()), memory_);
   for (const Run& r : within) {
-    pixel_luminance(&map_.at(r.x0, r.y).r, r.length(), brightness.data());
-    const float* const l = brightness.data();
+    pixel_luminance(&map_.at(r.x0, r.y).r, r.length(), brightness_.data());
+    const float* const l = brightness_.data();
     const int n = r.length();
     for (int k = 0; k < n; ++k) {
       if (!(l[k] > level)) continue;
@@ -230,7 +231,7 @@ Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) const {
   return runs;
 }
 
-Vector<Region> Peeler::regions_above(float level) const {
+Vector<Region> Peeler::regions_above(float level) {
   return regions_of(runs_above(level, bright_parts(level)));
 }
 
@@ -307,12 +308,13 @@ void Peeler::cut(const Region& region, float level, bool clipped) {
   c.radiance.resize(region.pixels);
   c.luminance.resize(region.pixels);
   c.clipped = clipped;
-  double square = 0;  // of luminance, times solid angle
+  double square = 0;  // of luminance in its unit, times solid angle
+  const float unit = std::max(region.peak, std::numeric_limits<float>::min());
   std::size_t first = 0;
   for (const Run& r : region.runs) {
     CutSums sums;
     const auto x0 = static_cast<std::size_t>(r.x0);
-    cut_row(&map_.row_to_change(r.y)[x0].r, r.length(), level, &grid_.column_x[x0],
+    cut_row(&map_.row_to_change(r.y)[x0].r, r.length(), level, unit, &grid_.column_x[x0],
             &grid_.column_z[x0], &c.radiance[first].r, &c.luminance[first], sums);
     first += static_cast<std::size_t>(r.length());
     const auto [across, up] = grid_.row[static_cast<std::size_t>(r.y)];
@@ -328,7 +330,8 @@ void Peeler::cut(const Region& region, float level, bool clipped) {
     put_back(c);
     return;
   }
-  c.solid_angle = std::min(2 * kPi, c.flux * c.flux / square);
+  const double flux_in_units = c.flux / static_cast<double>(unit);
+  c.solid_angle = std::min(2 * kPi, flux_in_units * flux_in_units / square);
   const double length = glm::length(c.moment);
   if (length > 1e-9 * c.flux) c.centre = c.moment / length;
   candidates_.push_back(std::move(c));
@@ -464,6 +467,7 @@ Result<void> split_discs(const Image<Rgb>& map, const MapLuminance& luminance,
   if (!std::ranges::is_sorted(clipped) || (!clipped.empty() && clipped.back() >= map.area()))
     return fail(ErrorCode::kInvalid, "environment",
                 "its clipped pixels are out of order or outside");
+  assert(luminance.is_of(map));
   split.rest.reset(map);
   return Peeler(luminance, options, clipped, split).run();
 }

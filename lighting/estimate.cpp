@@ -166,9 +166,9 @@ void LightEstimator::allow_discs(int most) {
 }
 
 Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {
-  const ErrorTable errors({&rest.above, split_.discs}, governance_->probes,
-                          governance_->limits.most_bands, governance_->limits.most_discs);
-  return governor_->update(errors, time);
+  errors_.predict({&rest.above, split_.discs}, governance_->probes, governance_->limits.most_bands,
+                  governance_->limits.most_discs);
+  return governor_->update(errors_, time);
 }
 
 LightEstimate make_estimate(const Projection& projection, int bands, std::vector<Disc> discs) {

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cmath>
+#include <memory_resource>
 
+#include "core/scratch.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {
@@ -24,7 +26,7 @@ double narrowness(const Disc& disc) {
 
 // s at the probes under harmonics `light`, with `traced` irradiance that is taken care of elsewhere.
 void add_ratio(const ShadowProbes& probes, const RadianceSh& light, double open, double sign,
-               std::vector<double>& out) {
+               std::span<double> out) {
   if (!(open > 0)) return;
   for (std::size_t p = 0; p < out.size(); ++p) {
     double sum = 0;
@@ -37,10 +39,12 @@ void add_ratio(const ShadowProbes& probes, const RadianceSh& light, double open,
 
 }  // namespace
 
-ErrorTable::ErrorTable(const SplitLight& light, const ShadowProbes& probes, int most_bands,
-                       int most_discs)
-    : most_bands_(most_bands),
-      most_discs_(std::min(most_discs, static_cast<int>(light.discs.size()))) {
+void ErrorTable::predict(const SplitLight& light, const ShadowProbes& probes, int most_bands,
+                         int most_discs) {
+  most_bands_ = most_bands;
+  most_discs_ = std::min(most_discs, static_cast<int>(light.discs.size()));
+  const Scratch::Scope scope;
+  std::pmr::vector<double> truth(scope.memory()), difference(probes.count(), scope.memory());
   const glm::dvec3 up(0, 1, 0);
   const auto open_of = [&](const RadianceSh& l) { return luminance(evaluate(irradiance(l), up)); };
   errors_.resize(static_cast<std::size_t>((most_discs_ + 1) * most_bands_));
@@ -61,11 +65,11 @@ ErrorTable::ErrorTable(const SplitLight& light, const ShadowProbes& probes, int 
     }
     const RadianceSh full = floor_light(above, kMaxBands);
     const double open = std::max(open_of(full) + traced, 1e-30);
-    std::vector<double> truth(probes.count());
+    truth.assign(probes.count(), 0);
     add_ratio(probes, full, open, -1, truth);
     for (int bands = 1; bands <= most_bands_; ++bands) {
       const RadianceSh cut = floor_light(above, bands);
-      std::vector<double> difference = truth;
+      std::ranges::copy(truth, difference.begin());
       add_ratio(probes, cut, open_of(cut) + traced, 1, difference);
       double square = 0;
       for (const double d : difference) square += d * d;

@@ -180,7 +180,7 @@ HWY_ATTR void PixelLuminance(const float* rgb, int width, float* out) {
 
 struct Cut {
   float* rgb;
-  float level;
+  float level, per_unit;
   const float *column_x, *column_z;
   float *excess_rgb, *excess_luminance;
 };
@@ -191,7 +191,7 @@ HWY_ATTR int CutVectors(D d, const Cut& cut, int k, int width, CutSums& sums) {
   using V = hn::Vec<D>;
   const int lanes = static_cast<int>(hn::Lanes(d));
   if (k + lanes > width) return k;
-  const V level = hn::Set(d, cut.level), one = hn::Set(d, 1.f);
+  const V level = hn::Set(d, cut.level), one = hn::Set(d, 1.f), per_unit = hn::Set(d, cut.per_unit);
   V sum[3] = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
   V square = hn::Zero(d), x = hn::Zero(d), z = hn::Zero(d);
   for (; k + lanes <= width; k += lanes) {
@@ -206,7 +206,8 @@ HWY_ATTR int CutVectors(D d, const Cut& cut, int k, int width, CutSums& sums) {
     const V l = LuminanceOf(d, er, eg, eb);
     hn::StoreU(l, d, cut.excess_luminance + k);
     sum[0] = hn::Add(sum[0], er), sum[1] = hn::Add(sum[1], eg), sum[2] = hn::Add(sum[2], eb);
-    square = hn::MulAdd(l, l, square);
+    const V units = hn::Mul(l, per_unit);
+    square = hn::MulAdd(units, units, square);
     x = hn::MulAdd(l, hn::LoadU(d, cut.column_x + k), x);
     z = hn::MulAdd(l, hn::LoadU(d, cut.column_z + k), z);
   }
@@ -216,10 +217,10 @@ HWY_ATTR int CutVectors(D d, const Cut& cut, int k, int width, CutSums& sums) {
   return k;
 }
 
-HWY_ATTR void CutRow(float* rgb, int width, float level, const float* column_x,
+HWY_ATTR void CutRow(float* rgb, int width, float level, float unit, const float* column_x,
                      const float* column_z, float* excess_rgb, float* excess_luminance,
                      CutSums& sums) {
-  const Cut cut{rgb, level, column_x, column_z, excess_rgb, excess_luminance};
+  const Cut cut{rgb, level, 1 / unit, column_x, column_z, excess_rgb, excess_luminance};
   const int k = CutVectors(Lanes(), cut, 0, width, sums);
   CutVectors(hn::CappedTag<float, 1>(), cut, k, width, sums);
 }
@@ -260,10 +261,10 @@ void pixel_luminance(const float* rgb, int width, float* out) {
   HWY_DYNAMIC_DISPATCH(PixelLuminance)(rgb, width, out);
 }
 
-void cut_row(float* rgb, int width, float level, const float* column_x, const float* column_z,
-             float* excess_rgb, float* excess_luminance, CutSums& sums) {
+void cut_row(float* rgb, int width, float level, float unit, const float* column_x,
+             const float* column_z, float* excess_rgb, float* excess_luminance, CutSums& sums) {
   HWY_DYNAMIC_DISPATCH(CutRow)
-  (rgb, width, level, column_x, column_z, excess_rgb, excess_luminance, sums);
+  (rgb, width, level, unit, column_x, column_z, excess_rgb, excess_luminance, sums);
 }
 }  // namespace penumbra::lighting
 #endif

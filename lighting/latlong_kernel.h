@@ -30,12 +30,13 @@ void pixel_luminance(const float* rgb, int width, float* out);
 /// What was cut off some pixels of a row.
 struct CutSums {
   double rgb[3] = {};
-  double square = 0;    // of luminance
+  double square = 0;    // of luminance over its unit
   double x = 0, z = 0;  // luminance times the column's direction
 };
-/// Cuts brighter pixels down to the luminance `level` > 0. column_x, column_z: a direction for each pixel.
+/// Cuts brighter pixels down to a luminance `level`, at least 0. column_x, column_z: a direction for each pixel. unit: about the
+/// largest luminance, of which squares must neither vanish nor overflow.
 /// out: what was cut off, 0 of darker pixels; adds it to `sums`
-void cut_row(float* rgb, int width, float level, const float* column_x, const float* column_z,
-             float* excess_rgb, float* excess_luminance, CutSums& sums);
+void cut_row(float* rgb, int width, float level, float unit, const float* column_x,
+             const float* column_z, float* excess_rgb, float* excess_luminance, CutSums& sums);
 
 }  // namespace penumbra::lighting

@@ -109,7 +109,8 @@ class LatLongProjector {
   /// threads: internally parallel, the same bits on any number of cores; no allocation
   Result<Projection> project(const Image<Rgb>& map);
   /// The same in two steps, for who looks for sources in between and cuts them out: a map is read once, and of `changed`,
-  /// which refers to the map that was read last, the changed rows alone.
+  /// which refers to that map, the changed rows alone. Nothing else is read or projected in between. What is not finite is
+  /// found by project_read, and by who looks at the luminance. `luminance` keeps its memory.
   Result<void> read(const Image<Rgb>& map, MapLuminance& luminance);
   Result<Projection> project_read(const PatchedMap& changed);
 
@@ -190,6 +191,9 @@ struct DiscSplit {
 Result<void> split_discs(const Image<Rgb>& map, const MapLuminance& luminance,
                          const DiscOptions& options, DiscSplit& split,
                          std::span<const std::uint32_t> clipped = {});
+Result<void> split_discs(const Image<Rgb>&& map, const MapLuminance& luminance,
+                         const DiscOptions& options, DiscSplit& split,
+                         std::span<const std::uint32_t> clipped = {}) = delete;
 /// Reads the map itself.
 Result<void> split_discs(const Image<Rgb>& map, const DiscOptions& options, DiscSplit& split,
                          std::span<const std::uint32_t> clipped = {});
@@ -339,7 +343,12 @@ struct ShadowProbes {
 /// for nine bands, and what our own steps cost.
 class ErrorTable {
  public:
-  ErrorTable(const SplitLight& light, const ShadowProbes& probes, int most_bands, int most_discs);
+  ErrorTable() = default;
+  ErrorTable(const SplitLight& light, const ShadowProbes& probes, int most_bands, int most_discs) {
+    predict(light, probes, most_bands, most_discs);
+  }
+  /// Anew; keeps its memory.
+  void predict(const SplitLight& light, const ShadowProbes& probes, int most_bands, int most_discs);
   int most_bands() const { return most_bands_; }
   int most_discs() const { return most_discs_; }
   double error(int bands, int discs) const {
@@ -347,7 +356,7 @@ class ErrorTable {
   }
 
  private:
-  int most_bands_, most_discs_;
+  int most_bands_ = 0, most_discs_ = 0;
   std::vector<double> errors_;
 };
 
@@ -529,6 +538,7 @@ class LightEstimator {
   LightFilter filter_;
   std::optional<Governance> governance_;
   std::optional<Governor> governor_;
+  ErrorTable errors_;
   std::optional<Plan> plan_;
   int maps_since_split_ = 0;
   bool without_discs_ = false;  // the map before was measured whole
@@ -540,6 +550,8 @@ class LightEstimator {
 /// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `discs` come
 /// on top of the projection.
 LightEstimate make_estimate(const Projection& nine_bands, int bands, std::vector<Disc> discs = {});
+/// in: discs other than out's own
+/// out: keeps its memory
 void make_estimate(const Projection& nine_bands, int bands, std::span<const Disc> discs,
                    LightEstimate& out);
 

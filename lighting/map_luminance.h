@@ -22,6 +22,10 @@ struct MapLuminance {
     block_peak.resize(static_cast<std::size_t>(height) *
                       static_cast<std::size_t>(peak_blocks(width)));
   }
+  bool is_of(const Image<Rgb>& map) const {
+    return row_sum.size() == static_cast<std::size_t>(map.height()) &&
+           block_peak.size() == row_sum.size() * static_cast<std::size_t>(peak_blocks(map.width()));
+  }
   /// threads: rows may be read at the same time
   void read_row(const Image<Rgb>& map, int y);
 };

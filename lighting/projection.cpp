@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <new>
 #include <vector>
 
 #include "core/parallel.h"
@@ -26,6 +27,7 @@ constexpr int rounded_up(int n, int multiple) {
 
 hwy::AlignedFreeUniquePtr<float[]> zeros(int count) {
   auto out = hwy::AllocateAligned<float>(static_cast<std::size_t>(count));
+  if (!out) throw std::bad_alloc();
   std::fill_n(out.get(), count, 0.f);
   return out;
 }
@@ -210,6 +212,8 @@ constexpr double kFullCoverage = .999;  // above this the plain sum is more accu
 constexpr double kLeastCoverage = .02;
 
 using Matrix = Eigen::MatrixXd;
+/// Of one light; takes nothing from the heap.
+using Moments = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::ColMajor, kMaxCoefficients, 3>;
 
 // Sums over the seen pixels of w Y Y^T, of w L Y^T and of w.
 struct NormalEquations {
@@ -227,7 +231,8 @@ struct NormalEquations {
   }
 };
 
-RadianceSh to_light(const Matrix& coefficients, int bands) {
+template <class Coefficients>
+RadianceSh to_light(const Coefficients& coefficients, int bands) {
   RadianceSh light(bands);
   for (int n = 0; n < light.size(); ++n)
     for (int c = 0; c < 3; ++c) light[n][c] = static_cast<float>(coefficients(n, c));
@@ -328,12 +333,13 @@ RadianceSh floor_light(const RadianceSh& above, int bands) {
     return all;
   }();
   const RadianceSh used = above.with_bands(bands);
-  Matrix moments(coefficient_count(bands), 3);
+  Moments moments(coefficient_count(bands), 3);
   for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m)
       for (int c = 0; c < 3; ++c)
         moments(sh_index(l, m), c) = used[sh_index(l, m)][c] * (1 + kBelowWeight * parity(m));
-  return to_light(systems[static_cast<std::size_t>(bands - 1)].solve(moments), bands);
+  const Moments fit = systems[static_cast<std::size_t>(bands - 1)].solve(moments);
+  return to_light(fit, bands);
 }
 
 Result<Projection> project_samples(const LightSamples& s, int bands) {
@@ -387,10 +393,11 @@ Result<Projection> HoleFit::fill(const RadianceSh& moments) const {
   if (coverage_ < kLeastCoverage)
     return fail(ErrorCode::kUndetermined, "environment",
                 fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage_));
-  Matrix right(kMaxCoefficients, 3);
+  Moments right(kMaxCoefficients, 3);
   for (int n = 0; n < kMaxCoefficients; ++n)
     for (int c = 0; c < 3; ++c) right(n, c) = moments[n][c];
-  const RadianceSh light = to_light(system_.solve(right), kMaxBands);
+  const Moments fit = system_.solve(right);
+  const RadianceSh light = to_light(fit, kMaxBands);
   return Projection{light, moments_above(light), coverage_};
 }
 

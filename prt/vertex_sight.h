@@ -1,7 +1,6 @@
 // What each vertex of a mesh sees past the mesh itself, kept from its bake: a look-up where a ray would be asked.
 #pragma once
 
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <glm/ext/vector_int2.hpp>
@@ -56,13 +55,6 @@ struct alignas(64) SightHead {
   SightFrame frame;
   std::uint32_t first_fine;  // of its refined blocks
   std::uint64_t refined;
-
-  bool is_refined(int block) const { return refined >> block & 1; }
-  /// Where the finer cells of a refined block are; of others some place that there is.
-  std::size_t fine_at(int block) const {
-    const std::uint64_t before = refined & ((std::uint64_t{1} << block) - 1);
-    return is_refined(block) ? first_fine + static_cast<unsigned>(std::popcount(before)) : 0;
-  }
 };
 
 /// Of a vertex, over some directions, the sums of the cosine.

@@ -317,10 +317,11 @@ compositor::View ComposeStage::view_of(const capture::Frame& frame) {
 
 Result<void> ComposeStage::process(const capture::Frame& frame,
                                    const lighting::LightEstimate& light, Composited& out) {
-  out.relit = update_light(light, (frame.time - TimestampNs{0}).count());
+  const bool relit = update_light(light, (frame.time - TimestampNs{0}).count());
   const StageTimer timer(times_, "composite");
   PENUMBRA_ASSIGN(touched, compositor_->composite(view_of(frame), *frame.pixels, out.pixels));
   out.touched = touched;
+  out.relit = relit;
   return {};
 }
 

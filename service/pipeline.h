@@ -83,7 +83,7 @@ class ComposeStage {
   void warm_up();
   /// Composites one view frame under `light`.
   /// errors: as Compositor::composite
-  /// out: keeps its memory: once it has had a frame, nothing comes from the heap
+  /// out: keeps its memory: once it has had a frame nothing comes from the heap, without real meshes, lamps and clips
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light) {

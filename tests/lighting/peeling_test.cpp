@@ -74,8 +74,8 @@ TEST(CutRow, TakesWhatIsAboveTheLevelAndNothingElse) {
     std::vector<Rgb> excess(count);
     constexpr float kLevel = 4;
     CutSums sums;
-    sums.square = 1;  // is added to
-    cut_row(&map.row(0)[0].r, width, kLevel, across.data(), along.data(), &excess[0].r,
+    sums.square = 1;  // is added to, in squares of 2
+    cut_row(&map.row(0)[0].r, width, kLevel, 2, across.data(), along.data(), &excess[0].r,
             excess_luminance.data(), sums);
     pixel_luminance(&before.row(0)[0].r, width, brightness.data());
     EXPECT_EQ(brightness.back(), -7);
@@ -91,7 +91,7 @@ TEST(CutRow, TakesWhatIsAboveTheLevelAndNothingElse) {
       }
       for (int c = 0; c < 3; ++c) EXPECT_NEAR(is[c] + excess[x][c], was[c], 1e-5f * was[c]);
       const auto e = static_cast<double>(luminance(excess[x]));
-      red += static_cast<double>(excess[x].r), square += e * e;
+      red += static_cast<double>(excess[x].r), square += e * e / 4;
       x_sum += e * double(across[x]), z_sum += e * double(along[x]);
     }
     const double all = 1e-5 * (1 + square);
@@ -158,14 +158,40 @@ TEST(Peeling, RemembersNothingOfTheMapBefore) {
 }
 
 TEST(Peeling, TheRestIsProjectedAsACopyOfItWouldBe) {
-  const Image<Rgb> map = with_sun(noise(64, 32, 1), 1e5f);
+  // Two suns of which only one has a place: what was cut of the other is put back.
+  Image<Rgb> map = with_sun(noise(64, 32, 1), 1e5f);
+  map.at(30, 20) = {3e4f, 3e4f, 3e4f};
+  LatLongProjector projector(64, 32, 5);
+  MapLuminance read;
   DiscSplit split;
-  ASSERT_TRUE(split_discs(map, {}, split));
-  const auto patched = project_latlong(split.rest, 5),
+  ASSERT_TRUE(projector.read(map, read));
+  ASSERT_TRUE(split_discs(map, read, {.most = 1}, split));
+  const auto patched = projector.project_read(split.rest),
              copied = project_latlong(split.rest.whole(), 5), all = project_latlong(map, 5);
   ASSERT_TRUE(patched && copied && all);
   EXPECT_TRUE(patched->light == copied->light);
+  EXPECT_TRUE(patched->above == copied->above);
   EXPECT_LT(luminance(patched->light[0]), .5f * luminance(all->light[0]));
+}
+
+// In float the square of a faint sun's radiance is nothing, and that of an absurd one no number.
+TEST(Peeling, ASourceIsAsWideInAnyUnit) {
+  const Image<Rgb> map = with_sun(noise(64, 32, 1), 1e4f);
+  DiscSplit split;
+  ASSERT_TRUE(split_discs(map, {}, split));
+  ASSERT_EQ(split.discs.size(), 1u);
+  const Disc usual = split.discs[0];
+  EXPECT_LT(usual.radius.value(), .15);
+  for (const float scale : {1e-30f, 1e-20f, 1e20f}) {
+    SCOPED_TRACE(scale);
+    Image<Rgb> scaled = map;
+    for (Rgb& c : scaled.pixels()) c = c * scale;
+    ASSERT_TRUE(split_discs(scaled, {}, split));
+    ASSERT_EQ(split.discs.size(), 1u);
+    EXPECT_NEAR(split.discs[0].radius.value(), usual.radius.value(), 1e-5);
+    EXPECT_NEAR(double(split.discs[0].radiance.g) / double(scale), double(usual.radiance.g),
+                1e-4 * double(usual.radiance.g));
+  }
 }
 
 // A map that is read first and projected with its changes, again and again with other rows changed, is as that of a copy: what
@@ -192,6 +218,72 @@ TEST(Projector, OfAMapThatWasReadSumsTheChangesAlone) {
     EXPECT_TRUE(read->above == copied->above) << i;
   }
   EXPECT_FALSE(projector.read(noise(kWidth / 2, kHeight, 1), luminance_of_rows));
+}
+
+// What an error or another use left of the maps before does not show.
+TEST(Projector, ReadsAndProjectionsInAnyOrder) {
+  LatLongProjector projector(64, 32, 4);
+  MapLuminance read;
+  Image<Rgb> first = noise(64, 32, 1), second = noise(64, 32, 5);
+  const auto expect_right = [&](const Image<Rgb>& map, int changed_row, int times) {
+    PatchedMap patched(map);
+    if (changed_row >= 0) patched.row_to_change(changed_row)[9] = {};
+    const auto copied = project_latlong(patched.whole(), 4);
+    for (int i = 0; i < times; ++i) {
+      const auto projected = projector.project_read(patched);
+      ASSERT_TRUE(projected && copied);
+      EXPECT_TRUE(projected->light == copied->light) << changed_row << ", " << i;
+    }
+  };
+  ASSERT_TRUE(projector.read(first, read));
+  expect_right(first, 5, 2);
+  ASSERT_TRUE(projector.read(second, read));  // and left, as after an error in between
+  ASSERT_TRUE(projector.read(first, read));
+  expect_right(first, 7, 1);
+  ASSERT_TRUE(projector.project(second));
+  ASSERT_TRUE(projector.read(second, read));
+  expect_right(second, -1, 2);
+  Image<Rgb> bad = first;
+  bad.at(3, 7).g = std::numeric_limits<float>::quiet_NaN();
+  ASSERT_TRUE(projector.read(bad, read));
+  EXPECT_FALSE(projector.project_read(PatchedMap(bad)));
+  ASSERT_TRUE(projector.read(first, read));
+  expect_right(first, 0, 1);
+}
+
+// An estimate that is filled again holds nothing of before; after an error it is what it was.
+TEST(Estimator, AReusedEstimateIsAsAFreshOne) {
+  const EstimateOptions options{.bands = 4, .filter = false};
+  const Image<Rgb> sunny = with_sun(noise(64, 32, 1), 1e4f), even = Image<Rgb>(64, 32, {1, 1, 1}),
+                   other_size = with_sun(noise(50, 26, .2f), 900);
+  Image<Rgb> bad = sunny;
+  bad.at(1, 1).r = std::numeric_limits<float>::quiet_NaN();
+  LightEstimator estimator(options);
+  LightEstimate reused;
+  std::int64_t second = 0;
+  for (const Image<Rgb>* map : {&sunny, &even, &other_size, &even, &sunny}) {
+    // Long after each other, so that no source is remembered.
+    const auto at = [&](const Image<Rgb>& m) {
+      return Environment{m, {}, TimestampNs{++second * 10'000'000'000}, 0, 0};
+    };
+    ASSERT_TRUE(estimator.estimate(at(*map), reused));
+    const LightEstimate before = reused;
+    EXPECT_FALSE(estimator.estimate(at(bad), reused));
+    EXPECT_TRUE(reused.light == before.light);
+    EXPECT_EQ(reused.discs.size(), before.discs.size());
+    EXPECT_EQ(reused.time.value, before.time.value);
+    const auto fresh = LightEstimator(options).estimate(at(*map));
+    ASSERT_TRUE(fresh);
+    EXPECT_TRUE(reused.light == fresh->light);
+    EXPECT_TRUE(reused.floor_light == fresh->floor_light);
+    ASSERT_EQ(reused.discs.size(), fresh->discs.size());
+    for (std::size_t i = 0; i < reused.discs.size(); ++i) {
+      EXPECT_EQ(reused.discs[i].direction, fresh->discs[i].direction);
+      EXPECT_TRUE(reused.discs[i].shape == fresh->discs[i].shape);
+    }
+    EXPECT_EQ(reused.truncation_error.has_value(), fresh->truncation_error.has_value());
+    EXPECT_FALSE(reused.plan);
+  }
 }
 
 // What is left of the mean is then rounding, which may be less than nothing.

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "capture/capture.h"
+#include "service/light_file.h"
 #include "service/pipeline.h"
 
 namespace penumbra::service {
@@ -64,6 +65,9 @@ void expect_none_after_warm_up(Image<Rgb> environment) {
   capture::Studio studio(world, options);
   StageTimes times;
   auto light = *LightStage::create(studio.cameras(), {}, times);
+  const auto governance = make_governance(scene, .02, false);
+  ASSERT_TRUE(governance);
+  light.govern(*governance);
   auto compose = ComposeStage::create(studio.cameras(), scene,
                                       compositor::Compositor::Surface::kOffscreen, times);
   if (!compose && compose.error().code == ErrorCode::kUnavailable)
