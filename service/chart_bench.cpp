@@ -50,6 +50,12 @@ LightTime time_updates(ComposeStage& stage, const lighting::LightEstimate& light
       runs, [&](int run) { stage.update_light(turned(light, kTurn * (runs - run)), 0); });
 }
 
+// With what a look-up asks first.
+std::size_t of_sight(const prt::VertexSight& s) {
+  return s.open.size() * sizeof(s.open[0]) + s.fine.size() * sizeof(s.fine[0]) +
+         s.refined.size() * (sizeof(s.refined[0]) + sizeof(prt::SightHead));
+}
+
 }  // namespace
 
 prt::Transfer with_bands(const prt::Transfer& t, int bands) {
@@ -146,8 +152,7 @@ std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_siz
   for (const PreparedObject& o : scene.objects) {
     bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
     if (discs == 0) continue;
-    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) +
-             o.baked.sight.open.size() * sizeof(o.baked.sight.open[0]);
+    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) + of_sight(o.baked.sight);
     bytes += discs *
              (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
               o.baked.transfer.points) *

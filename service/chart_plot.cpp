@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <nlohmann/json.hpp>
 #include <numeric>
 #include <set>
 #include <tuple>
@@ -29,6 +30,40 @@ std::string quoted(const std::string& cell) {
 
 std::string number(double value) {
   return std::isfinite(value) ? fmt::format("{:.6g}", value) : std::string();
+}
+
+std::string csv_cell(const nlohmann::ordered_json& cell) {
+  if (cell.is_string()) return quoted(cell.get_ref<const std::string&>());
+  if (cell.is_boolean()) return cell.get<bool>() ? "1" : "0";
+  return cell.is_number_float() ? number(cell.get<double>()) : cell.dump();
+}
+
+nlohmann::ordered_json row_of(const ChartPoint& p) {
+  return {{"environment", p.environment},
+          {"mesh", p.mesh},
+          {"method", p.method},
+          {"baseline", p.baseline},
+          {"coefficients", p.coefficients},
+          {"discs", p.discs},
+          {"taps", p.taps},
+          {"object_taps", p.object_taps},
+          {"map_size_px", p.map_size},
+          {"bake_rays", p.bake_rays},
+          {"environment_rows", p.environment_rows},
+          {"updates_per_frame", p.update_rate},
+          {"object_rel_rmse", p.object_rel_rmse},
+          {"object_rel_bias", p.object_bias},
+          {"shadow_rmse", p.shadow_rmse},
+          {"shadow_bias", p.shadow_bias},
+          {"penumbra_rel_error", p.penumbra_error},
+          {"hdr_flip_mean", p.flip},
+          {"flicker_rel", p.flicker},
+          {"light_update_p50_ms", p.ms_p50},
+          {"light_update_p99_ms", p.ms_p99},
+          {"memory_bytes", p.bytes},
+          {"chosen", p.chosen},
+          {"discs_allowed", p.most_discs},
+          {"reference_rel_error", p.reference_error}};
 }
 
 // ---- What one picture shows. ----
@@ -340,21 +375,22 @@ std::string unused(const std::string& name, std::set<std::string>& used) {
 }  // namespace
 
 std::string chart_csv(std::span<const ChartPoint> points) {
-  std::string out =
-      "environment,mesh,method,baseline,coefficients,discs,taps,object_taps,map_size_px,bake_rays,"
-      "environment_rows,updates_per_frame,object_rel_rmse,object_rel_bias,shadow_rmse,shadow_bias,"
-      "penumbra_rel_error,hdr_flip_mean,flicker_rel,light_update_p50_ms,light_update_p99_ms,"
-      "memory_bytes,chosen,discs_allowed,reference_rel_error\n";
-  for (const ChartPoint& p : points)
-    out += fmt::format(
-        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n",
-        quoted(p.environment), quoted(p.mesh), quoted(p.method), int{p.baseline}, p.coefficients,
-        p.discs, p.taps, p.object_taps, p.map_size, p.bake_rays, p.environment_rows,
-        number(p.update_rate), number(p.object_rel_rmse), number(p.object_bias),
-        number(p.shadow_rmse), number(p.shadow_bias), number(p.penumbra_error), number(p.flip),
-        number(p.flicker), number(p.ms_p50), number(p.ms_p99), p.bytes, int{p.chosen}, p.most_discs,
-        number(p.reference_error));
+  const nlohmann::ordered_json columns = row_of({});
+  std::string header, out;
+  for (const auto& [column, cell] : columns.items()) header += ',' + column;
+  out = header.substr(1) + '\n';
+  for (const nlohmann::ordered_json& row : chart_json(points)) {
+    std::string line;
+    for (const auto& [column, cell] : row.items()) line += ',' + csv_cell(cell);
+    out += line.substr(1) + '\n';
+  }
   return out;
+}
+
+nlohmann::ordered_json chart_json(std::span<const ChartPoint> points) {
+  auto rows = nlohmann::ordered_json::array();
+  for (const ChartPoint& p : points) rows.push_back(row_of(p));
+  return rows;
 }
 
 std::vector<std::size_t> pareto_front(std::span<const std::pair<double, double>> points) {

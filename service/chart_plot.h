@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <filesystem>
 #include <limits>
+#include <nlohmann/json_fwd.hpp>
 #include <span>
 #include <string>
 #include <utility>
@@ -35,6 +36,8 @@ struct ChartPoint {
 /// Every point as a row under a header that names units; cells quoted as RFC 4180 asks, lines ended
 /// by LF. What is not finite is an empty cell.
 std::string chart_csv(std::span<const ChartPoint> points);
+/// The same as an array of objects by the columns' names; what is not finite becomes null when it is printed.
+nlohmann::ordered_json chart_json(std::span<const ChartPoint> points);
 
 /// Indices of the points (cost, error) that no other beats, in order of cost: no other is as good
 /// in both and better in one. Equal points stand together; what is not finite is left out.

@@ -406,26 +406,6 @@ class Charter {
   std::vector<Timing> timings_;                          // of the environment at hand
 };
 
-nlohmann::json to_json(const ChartPoint& p) {
-  return {{"environment", p.environment},
-          {"mesh", p.mesh},
-          {"method", p.method},
-          {"baseline", p.baseline},
-          {"coefficients", p.coefficients},
-          {"discs", p.discs},
-          {"object_rel_rmse", p.object_rel_rmse},
-          {"object_bias", p.object_bias},
-          {"shadow_rmse", p.shadow_rmse},
-          {"shadow_bias", p.shadow_bias},
-          {"flip", p.flip},
-          {"penumbra_rel_error", p.penumbra_error},
-          {"flicker_rel", p.flicker},
-          {"light_update_p50_ms", p.ms_p50},
-          {"light_update_p99_ms", p.ms_p99},
-          {"memory_bytes", p.bytes},
-          {"reference_error", p.reference_error}};
-}
-
 // What our own steps cost: both sides under the same truncated light.
 Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
                              const Environment& environment, std::vector<ChartPoint>& points) {
@@ -541,9 +521,7 @@ Result<void> chart(const ChartOptions& o) {
       spdlog::warn("no plots: {}: {}", plots.error().where, plots.error().detail);
   PENUMBRA_TRY(output->keep());
   if (o.json) {
-    nlohmann::json rows = nlohmann::json::array();
-    for (const ChartPoint& p : points) rows.push_back(to_json(p));
-    print_json({{"rows", rows}});
+    print_json({{"rows", chart_json(points)}});
   } else {
     fmt::print("{}/accuracy.csv, {}/error-time.svg\n", o.output, o.output);
   }

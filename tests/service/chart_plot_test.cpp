@@ -7,6 +7,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <limits>
+#include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "core/files.h"
@@ -82,6 +83,25 @@ TEST(ChartCsv, QuotesOnlyWhatNeedsIt) {
   const std::string csv = chart_csv(std::vector{p});
   EXPECT_NE(csv.find("\n\"hall, \"\"north\"\"\",\"two\nlines\",plain_name,0,"), std::string::npos)
       << csv;
+}
+
+TEST(ChartJson, HasTheTablesColumns) {
+  ChartPoint p;
+  p.method = "SH, \"25\"";
+  p.chosen = true;
+  p.map_size = 256;
+  p.ms_p50 = .25;
+  const auto rows = chart_json(std::vector{p});
+  ASSERT_EQ(rows.size(), 1u);
+  std::string header;
+  for (const auto& [column, cell] : rows[0].items()) header += (header.empty() ? "" : ",") + column;
+  EXPECT_EQ(header, lines_of(chart_csv(std::vector{p}))[0]);
+  EXPECT_EQ(rows[0]["method"], p.method);
+  EXPECT_EQ(rows[0]["chosen"], true);
+  EXPECT_EQ(rows[0]["map_size_px"], 256);
+  EXPECT_EQ(rows[0]["light_update_p50_ms"], .25);
+  EXPECT_EQ(rows[0]["penumbra_rel_error"].dump(), "null");
+  EXPECT_TRUE(chart_json({}).empty());
 }
 
 TEST(GnuplotQuoted, LeavesNothingToSubstitute) {
