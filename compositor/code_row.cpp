@@ -139,10 +139,35 @@ HWY_EXPORT(CompositeCodes);
 HWY_EXPORT(DecodeCodes);
 HWY_EXPORT(EncodeCodes);
 
-void decode_codes(const CodeCurve& curve, const float* const* roundings, const Rgb8* pixels,
-                  std::size_t count, const SignalRows& out) {
-  const CodeCurve::Tables8 tables[3] = {curve.tables8(0), curve.tables8(1), curve.tables8(2)};
-  HWY_DYNAMIC_DISPATCH(DecodeCodes)(tables, roundings, &pixels->r, count, out);
+namespace {
+
+// Tables with another signal for the largest code: a copy where it is another one, small beside a row.
+class ClippedTables {
+ public:
+  ClippedTables(const CodeCurve& curve, const Rgb& clipped)
+      : tables{curve.tables8(0), curve.tables8(1), curve.tables8(2)} {
+    for (int c = 0; c < 3; ++c) {
+      CodeCurve::Tables8& t = tables[c];
+      if (t.decode[255] == clipped[c]) continue;
+      std::copy_n(t.decode, 255, decode_[c]);
+      decode_[c][255] = clipped[c];
+      t.decode = decode_[c];
+    }
+  }
+  ClippedTables(const ClippedTables&) = delete;
+
+  CodeCurve::Tables8 tables[3];
+
+ private:
+  float decode_[3][256];
+};
+
+}  // namespace
+
+void decode_codes(const CodeCurve& curve, const Rgb& clipped, const float* const* roundings,
+                  const Rgb8* pixels, std::size_t count, const SignalRows& out) {
+  const ClippedTables with(curve, clipped);
+  HWY_DYNAMIC_DISPATCH(DecodeCodes)(with.tables, roundings, &pixels->r, count, out);
 }
 
 void encode_codes(const CodeCurve& curve, const SignalRows& in, const std::uint32_t* touched,
@@ -151,11 +176,12 @@ void encode_codes(const CodeCurve& curve, const SignalRows& in, const std::uint3
   HWY_DYNAMIC_DISPATCH(EncodeCodes)(tables, in, touched, count, &pixels->r);
 }
 
-std::size_t composite_codes(const CodeCurve& curve, const float* object, const float* r,
-                            const float* g, const float* b, Rgb8* pixels, std::size_t count) {
+std::size_t composite_codes(const CodeCurve& curve, const Rgb& clipped, const float* object,
+                            const float* r, const float* g, const float* b, Rgb8* pixels,
+                            std::size_t count) {
   static_assert(sizeof(Rgb8) == 3);
-  const CodeCurve::Tables8 tables[3] = {curve.tables8(0), curve.tables8(1), curve.tables8(2)};
-  return HWY_DYNAMIC_DISPATCH(CompositeCodes)(tables, object, r, g, b, &pixels->r, count);
+  const ClippedTables with(curve, clipped);
+  return HWY_DYNAMIC_DISPATCH(CompositeCodes)(with.tables, object, r, g, b, &pixels->r, count);
 }
 }  // namespace penumbra::compositor
 #endif

@@ -9,18 +9,19 @@
 namespace penumbra::compositor {
 
 /// `pixels` of one row in place; ratios r, g, b one a pixel; `object`: four floats a pixel (premultiplied signal and
-/// coverage) or null. Pixels with coverage 0 and ratios of exactly 1 stay bit for bit. Returns how many were written.
-std::size_t composite_codes(const CodeCurve& curve, const float* object, const float* r,
-                            const float* g, const float* b, Rgb8* pixels, std::size_t count);
+/// coverage) or null; `clipped`: the signal of code 255. Pixels with coverage 0 and ratios of exactly 1 stay bit for bit. Returns how many were written.
+std::size_t composite_codes(const CodeCurve& curve, const Rgb& clipped, const float* object,
+                            const float* r, const float* g, const float* b, Rgb8* pixels,
+                            std::size_t count);
 
 /// Three planes of a row, `stride` floats apart, with room for kLookLanes - 1 floats more than it has pixels.
 struct SignalRows {
   float *signal, *rounding;
   std::size_t stride;
 };
-/// Codes to signal, and to the variance that their rounding left in it: by channel, 256 values each.
-void decode_codes(const CodeCurve& curve, const float* const* roundings, const Rgb8* pixels,
-                  std::size_t count, const SignalRows& out);
+/// Codes to signal, 255 to `clipped`, and to the variance that their rounding left in it: by channel, 256 values each.
+void decode_codes(const CodeCurve& curve, const Rgb& clipped, const float* const* roundings,
+                  const Rgb8* pixels, std::size_t count, const SignalRows& out);
 /// Signal to codes, of pixels that are touched (not 0).
 void encode_codes(const CodeCurve& curve, const SignalRows& in, const std::uint32_t* touched,
                   std::size_t count, Rgb8* pixels);

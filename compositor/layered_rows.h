@@ -18,7 +18,15 @@ namespace penumbra::compositor {
 template <class Code>
 struct Coded {
   const CodeCurve& curve;
-  float decode(int c, Code code) const { return curve.decode(c, code); }
+  Rgb clipped;  // of the largest code
+
+  explicit Coded(const View& view) : curve(*view.curve) {
+    for (int c = 0; c < 3; ++c)
+      clipped[c] = std::max(curve.decode(c, curve.largest_code()), view.clipped_signal[c]);
+  }
+  float decode(int c, Code code) const {
+    return code == curve.largest_code() ? clipped[c] : curve.decode(c, code);
+  }
   Code encode(int c, float v) const {
     if constexpr (sizeof(Code) == 1)
       return curve.encode8(c, v);

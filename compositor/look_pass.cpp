@@ -21,8 +21,8 @@ Roundings<std::uint8_t> roundings_of(const Codec& codec, std::uint8_t) {
   for (int c = 0; c < 3; ++c)
     for (int z = 0; z < 256; ++z) {
       const int below = std::max(z - 1, 0), above = std::min(z + 1, 255);
-      const float step = (codec.decode(c, static_cast<std::uint8_t>(above)) -
-                          codec.decode(c, static_cast<std::uint8_t>(below))) /
+      const float step = (codec.curve.decode(c, static_cast<unsigned>(above)) -
+                          codec.curve.decode(c, static_cast<unsigned>(below))) /
                          static_cast<float>(above - below);
       out[static_cast<std::size_t>(c)][static_cast<std::size_t>(z)] = step * step / 12;
     }
@@ -110,7 +110,7 @@ void encode_row(const Codec& codec, const SignalRows& in, const std::uint32_t* t
 void decode_row(const Coded<std::uint8_t>& codec, const Roundings<std::uint8_t>& roundings,
                 const Rgb8* pixels, std::size_t count, const SignalRows& out) {
   const float* const tables[] = {roundings[0].data(), roundings[1].data(), roundings[2].data()};
-  decode_codes(codec.curve, tables, pixels, count, out);
+  decode_codes(codec.curve, codec.clipped, tables, pixels, count, out);
 }
 void encode_row(const Coded<std::uint8_t>& codec, const SignalRows& in,
                 const std::uint32_t* touched, std::size_t count, Rgb8* pixels) {
@@ -195,9 +195,9 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
 std::size_t composite_look(const View& view, FramePixels& frame, const Layered& in,
                            LookPlanes& planes) {
   if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    return composite_rows(Coded<std::uint8_t>{*view.curve}, *f8, in, view.look, planes);
+    return composite_rows(Coded<std::uint8_t>(view), *f8, in, view.look, planes);
   if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    return composite_rows(Coded<std::uint16_t>{*view.curve}, *f16, in, view.look, planes);
+    return composite_rows(Coded<std::uint16_t>(view), *f16, in, view.look, planes);
   return composite_rows(Linear{}, std::get<Image<Rgb>>(frame), in, view.look, planes);
 }
 

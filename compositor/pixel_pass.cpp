@@ -32,7 +32,7 @@ std::size_t composite_part(const Codec& codec, const float* object, const float*
 // Eight bits are what cameras deliver live: in vectors.
 std::size_t composite_part(const Coded<std::uint8_t>& codec, const float* object, const float* r,
                            const float* g, const float* b, Rgb8* pixels, std::size_t count) {
-  return composite_codes(codec.curve, object, r, g, b, pixels, count);
+  return composite_codes(codec.curve, codec.clipped, object, r, g, b, pixels, count);
 }
 
 // The pixels of one row from in.area; `object`: their row of the layer, or none.
@@ -89,9 +89,9 @@ std::size_t composite_rows(Share share, const Codec& codec, Image<Pixel>& frame,
 
 std::size_t composite_share(Share share, const View& view, FramePixels& frame, const Layered& in) {
   if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    return composite_rows(share, Coded<std::uint8_t>{*view.curve}, *f8, in);
+    return composite_rows(share, Coded<std::uint8_t>(view), *f8, in);
   if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    return composite_rows(share, Coded<std::uint16_t>{*view.curve}, *f16, in);
+    return composite_rows(share, Coded<std::uint16_t>(view), *f16, in);
   return composite_rows(share, Linear{}, std::get<Image<Rgb>>(frame), in);
 }
 

@@ -9,6 +9,7 @@
 
 #include "core/conventions.h"
 #include "service/flip.h"
+#include "service/governor_bench.h"
 #include "service/pipeline.h"
 #include "service/progress.h"
 
@@ -100,6 +101,18 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   if (!masks) return std::unexpected(masks.error());
   bench.masks_ = std::move(*masks);
   return bench;
+}
+
+Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
+                                    const lighting::CostModel& costs) {
+  lighting::DiscSplit split;
+  PENUMBRA_TRY(lighting::split_discs(environment, {}, split));
+  auto rest = lighting::project_latlong(split.rest, kMaxBands);
+  if (!rest) return std::unexpected(rest.error());
+  const lighting::Governor::Limits limits;
+  const lighting::ErrorTable table({&rest->above, split.discs}, shadow_probes(scene.prepared()),
+                                   limits.most_bands, limits.most_discs);
+  return lighting::Governor({}, costs).cheapest(table, limits.budget);
 }
 
 Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error) {

@@ -37,6 +37,11 @@ class ChartScene {
   prt::PinholeView view_;
 };
 
+/// What the governor takes for one environment by itself, as the program does at its default budget.
+/// errors: as split_discs and project_latlong
+Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
+                                    const lighting::CostModel& costs);
+
 /// What every method is held against.
 struct Truth {
   Still empty;  // the floor without the object

@@ -178,17 +178,10 @@ class Charter {
  private:
   // What the program picks by itself with the default budget.
   Result<void> governed(const Environment& e, const Truth& truth) {
-    lighting::DiscSplit split;
-    PENUMBRA_TRY(lighting::split_discs(e.map, {}, split));
-    auto rest = lighting::project_latlong(split.rest, kMaxBands);
-    if (!rest) return fail(rest.error().code, e.name, rest.error().detail);
-    const lighting::Governor governor({}, costs_);
-    const lighting::Governor::Limits limits;
-    const lighting::ErrorTable table({&rest->above, split.discs}, shadow_probes(bench_.prepared()),
-                                     limits.most_bands, limits.most_discs);
-    const lighting::Plan plan = governor.cheapest(table, limits.budget);
+    auto plan = default_plan(bench_, e.map, costs_);
+    if (!plan) return fail(plan.error().code, e.name, plan.error().detail);
     Method m;
-    m.label = "governor", m.bands = plan.bands, m.most_discs = plan.discs, m.chosen = true;
+    m.label = "governor", m.bands = plan->bands, m.most_discs = plan->discs, m.chosen = true;
     return ours(m, e, truth);
   }
 
@@ -451,7 +444,8 @@ Result<void> chart_governor(const ChartOptions& o) {
                               progress_bar("random scenes"));
   if (!proof) return std::unexpected(proof.error());
   if (o.json) {
-    print_json({{"factor", proof->factor},
+    print_json({{"needed_factor", proof->needed_factor},
+                {"factor", proof->factor},
                 {"calibration_scenes", proof->calibration},
                 {"scenes", proof->scenes},
                 {"promised", proof->promised},
@@ -466,15 +460,15 @@ Result<void> chart_governor(const ChartOptions& o) {
   fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a disc, one thread\n",
              costs->base_ms, costs->per_coefficient_ms, costs->per_disc_ms);
   fmt::print(
-      "factor {:.2f} from {} scenes; of {} others {} had a plan within {:.3f}, {} kept it "
-      "(at least {:.1f} % with 95 % confidence)\n",
-      proof->factor, proof->calibration, proof->scenes, proof->promised, o.budget, proof->kept,
-      100 * proof->coverage_low);
+      "{} scenes need a factor of {:.2f}, taken {:.2f}; of {} others {} had a plan within {:.3f}, "
+      "{} kept it (at least {:.1f} % with 95 % confidence)\n",
+      proof->calibration, proof->needed_factor, proof->factor, proof->scenes, proof->promised,
+      o.budget, proof->kept, 100 * proof->coverage_low);
   fmt::print(
       "chosen: {:.1f} bands and {:.1f} discs on average, error mean {:.4f} worst {:.4f}; "
-      "{:.0f} % dearer than the cheapest sufficient plan\n",
+      "{:.1f} times the cost of the cheapest sufficient plan\n",
       proof->mean_bands, proof->mean_discs, proof->mean_error, proof->worst_error,
-      100 * proof->mean_regret);
+      1 + proof->mean_regret);
   return {};
 }
 

@@ -335,14 +335,14 @@ Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting:
     const auto plans = next_scene(seed);
     if (!plans) return std::unexpected(plans.error());
     for (const double b : kBudgets)
-      proof.factor = std::max(proof.factor, plans->least_factor(costs, b));
+      proof.needed_factor = std::max(proof.needed_factor, plans->least_factor(costs, b));
   }
-  const double used = std::max(proof.factor, lighting::Governor::kCalibrated);
+  proof.factor = std::max(proof.needed_factor, lighting::Governor::kCalibrated);
   for (std::uint32_t seed = kFirstTest; proof.scenes < test_scenes;) {
     const auto plans = next_scene(seed);
     if (!plans) return std::unexpected(plans.error());
     ++proof.scenes;
-    const auto chosen = plans->choose(costs, budget, used);
+    const auto chosen = plans->choose(costs, budget, proof.factor);
     if (!chosen) continue;  // it says that it cannot
     const double measured = plans->measured_error(*chosen);
     ++proof.promised;

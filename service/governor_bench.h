@@ -43,7 +43,8 @@ Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed,
 double clopper_pearson_low(int successes, int trials);
 
 struct GovernorProof {
-  double factor = 0;  // the largest least_factor of the calibration scenes over kBudgets
+  double needed_factor = 0;  // the largest least_factor of the calibration scenes over kBudgets
+  double factor = 0;         // that the promise was made with
   int calibration = 0, scenes = 0, promised = 0, kept = 0;
   double coverage_low = 0;  // Clopper-Pearson
   double mean_regret = 0;   // cost over the cheapest plan that truly is within the budget, minus 1

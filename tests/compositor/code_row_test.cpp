@@ -36,8 +36,11 @@ Row random_row(std::size_t count, std::mt19937& random) {
 }
 
 // One pixel at a time, as the formula says.
-std::size_t plainly(const CodeCurve& curve, const Row& row, bool with_object,
+std::size_t plainly(const CodeCurve& curve, const Rgb& clipped, const Row& row, bool with_object,
                     std::vector<Rgb8>& pixels) {
+  const auto decode = [&](int c, std::uint8_t code) {
+    return code == 255 ? clipped[c] : curve.decode(c, code);
+  };
   std::size_t touched = 0;
   for (std::size_t i = 0; i < pixels.size(); ++i) {
     const float none[4] = {};
@@ -46,9 +49,9 @@ std::size_t plainly(const CodeCurve& curve, const Row& row, bool with_object,
     ++touched;
     const float behind = 1 - v[3];
     Rgb8& p = pixels[i];
-    p.r = curve.encode8(0, v[0] + behind * row.r[i] * curve.decode(0, p.r));
-    p.g = curve.encode8(1, v[1] + behind * row.g[i] * curve.decode(1, p.g));
-    p.b = curve.encode8(2, v[2] + behind * row.b[i] * curve.decode(2, p.b));
+    p.r = curve.encode8(0, v[0] + behind * row.r[i] * decode(0, p.r));
+    p.g = curve.encode8(1, v[1] + behind * row.g[i] * decode(1, p.g));
+    p.b = curve.encode8(2, v[2] + behind * row.b[i] * decode(2, p.b));
   }
   return touched;
 }
@@ -58,12 +61,14 @@ TEST(CodeRow, EqualsTheFormulaPixelByPixelForEveryLength) {
   std::mt19937 random(5);
   for (std::size_t count = 0; count < 200; count += count < 70 ? 1 : 13)
     for (const bool with_object : {false, true}) {
-      const Row row = random_row(count, random);
+      Row row = random_row(count, random);
+      for (std::size_t i = 0; i < count; i += 3) row.pixels[i].g = 255;
+      const Rgb clipped = with_object ? Rgb{1, 1, 1} : Rgb{1, 2.5f, 1.2f};
       std::vector<Rgb8> expected = row.pixels, got = row.pixels;
       got.push_back({1, 2, 3});  // what follows the row
-      const std::size_t touched = plainly(curve, row, with_object, expected);
-      EXPECT_EQ(composite_codes(curve, with_object ? row.object.data() : nullptr, row.r.data(),
-                                row.g.data(), row.b.data(), got.data(), count),
+      const std::size_t touched = plainly(curve, clipped, row, with_object, expected);
+      EXPECT_EQ(composite_codes(curve, clipped, with_object ? row.object.data() : nullptr,
+                                row.r.data(), row.g.data(), row.b.data(), got.data(), count),
                 touched);
       ASSERT_EQ(got.back(), (Rgb8{1, 2, 3}));
       got.pop_back();
@@ -79,8 +84,8 @@ TEST(CodeRow, NotANumberIsBlackAndInfinityWhite) {
   object[0] = kNan, object[4] = kInf, object[8] = -kInf;
   for (const std::size_t i : {3, 7, 11}) object[i] = 1;
   std::vector<Rgb8> pixels(16, Rgb8{90, 90, 90});
-  composite_codes(curve, object.data(), ratio.data(), ratio.data(), ratio.data(), pixels.data(),
-                  16);
+  composite_codes(curve, {1, 1, 1}, object.data(), ratio.data(), ratio.data(), ratio.data(),
+                  pixels.data(), 16);
   EXPECT_EQ(pixels[0].r, 0);
   EXPECT_EQ(pixels[1].r, 255);
   EXPECT_EQ(pixels[2].r, 0);

@@ -1,8 +1,13 @@
 // The composite where light, frame or exposure are extreme, and where everything turns.
 #include <gtest/gtest.h>
 
+#include <random>
+#include <set>
+
+#include "service/governor_bench.h"
 #include "service/pipeline.h"
 #include "tests/stability/maps.h"
+#include "tests/stability/series.h"
 
 namespace penumbra::service {
 namespace {
@@ -232,12 +237,14 @@ TEST_F(Composite, BlackStaysBlackAndBlownOutStaysInRange) {
         composited(Image<Rgb8>(kWidth, kHeight, {code, code, code}), light));
   };
   const Image<Rgb8> black = run(0), blown = run(255);
-  int brighter = 0, darker = 0, wrapped = 0;
+  int brighter = 0, darker = 0, wrapped = 0, below_black = 0;
   for (std::size_t i = 0; i < black.area(); ++i) {
     const Rgb s = ratio.pixels()[i];
     ASSERT_TRUE(is_finite(s));
     if (!open[i]) continue;
     ASSERT_EQ(black.pixels()[i], Rgb8()) << i;
+    // Naive: what the object takes subtracted, as the dissertation's eq. 8.4 has it.
+    below_black += 0 - (1 - s.g) * .4f * luminance(open_irradiance(light, kUp)) / float(kPi) < 0;
     const std::uint8_t out[3] = {blown.pixels()[i].r, blown.pixels()[i].g, blown.pixels()[i].b};
     for (int c = 0; c < 3; ++c) {
       // A clipped pixel is at least full scale: it is shaded from there, and clipped again.
@@ -253,6 +260,45 @@ TEST_F(Composite, BlackStaysBlackAndBlownOutStaysInRange) {
   EXPECT_GT(brighter, 50) << "no ratio above one to clip";
   EXPECT_GT(darker, 300);
   EXPECT_GT(wrapped, 50) << "the naive byte would do";
+  EXPECT_GT(below_black, 300) << "a difference would do";
+}
+
+// Where the floor is known to be brighter than the sensor can say, its shadow is a part of that.
+TEST_F(Composite, ShadowOnABlownOutFloorStartsFromWhatTheFloorReallySends) {
+  PENUMBRA_STAND(scene_of(slab(), true));
+  const std::vector<bool> open = open_pixels();
+  const auto light = estimate_of(sunny_map());
+  const Image<Rgb> ratio = composited_floats(light);
+  const Rgb floor = open_irradiance(light, kUp) * float(.4 / kPi);  // radiance, of albedo .4
+  for (const double times : {.5, 1.5, 2.5}) {                       // full scale
+    const double exposure_s = times / double(std::min({floor.r, floor.g, floor.b}));
+    const auto out = std::get<Image<Rgb8>>(
+        composited(Image<Rgb8>(kWidth, kHeight, {255, 255, 255}), light, 0, exposure_s));
+    const auto out16 = std::get<Image<Rgb16>>(
+        composited(Image<Rgb16>(kWidth, kHeight, {65535, 65535, 65535}), light, 0, exposure_s));
+    int too_dark = 0, shaded = 0;
+    for (std::size_t i = 0; i < out.area(); ++i) {
+      if (!open[i]) continue;
+      const Rgb s = ratio.pixels()[i];
+      const std::uint8_t got[3] = {out.pixels()[i].r, out.pixels()[i].g, out.pixels()[i].b};
+      const std::uint16_t got16[3] = {out16.pixels()[i].r, out16.pixels()[i].g,
+                                      out16.pixels()[i].b};
+      for (int c = 0; c < 3; ++c) {
+        const float sends = std::max(1.f, floor[c] * float(exposure_s));
+        ASSERT_NEAR(got[c], curve8_->encode(c, std::min(1.f, s[c] * sends)), 1) << i;
+        ASSERT_NEAR(got16[c], curve16_->encode(c, std::min(1.f, s[c] * sends)), 64) << i;
+        shaded += s[c] < .9f;
+        // Naive: shaded from full scale.
+        too_dark += got[c] - int(curve8_->encode(c, std::min(1.f, s[c]))) > 40;
+      }
+    }
+    EXPECT_GT(shaded, 900);
+    if (times < 1) {
+      EXPECT_EQ(too_dark, 0) << "a pixel that clips beside a floor that does not is at full scale";
+    } else {
+      EXPECT_GT(too_dark, 300) << times;
+    }
+  }
 }
 
 TEST_F(Composite, ShadowRatioDoesNotFollowTheExposureOfTheFeed) {
@@ -414,6 +460,72 @@ TEST_F(Composite, LightTurnedWithTheObjectChangesNothing) {
     EXPECT_LE(largest, .1);
     EXPECT_GT(rms_difference(naive, straight), .05);
   }
+}
+
+// ------------------------------------------------------------------------------- ten minutes
+
+// Governed light of a camera's noisy maps, all the way to the picture.
+TEST_F(Composite, TenMinutesOfOneSceneStandStill) {
+  PENUMBRA_STAND(scene_of(slab(), true));
+  constexpr int kMaps = 1000;
+  constexpr float kNoise = .03f;
+  Image<Rgb> scene = test::sky_over_ground(128, 64);
+  test::add_disc(scene, test::direction_at(.5, .8), 6 * kDegree, {90, 85, 70});
+  test::add_disc(scene, test::direction_at(-2, .4), 4 * kDegree, {90, 85, 70});
+  lighting::LightEstimator estimator({});
+  estimator.govern({{}, {}, shadow_probes(scene_)});
+  const std::vector<bool> open = open_pixels();
+  std::mt19937 random(7);
+  std::normal_distribution<float> gauss(1, kNoise);
+  test::Series shadow, object, naive;
+  std::set<std::pair<int, int>> plans;
+  Image<Rgb> before;
+  double pixel_changes = 0, largest = 0;
+  std::vector<std::size_t> shaded;
+  for (int i = 0; i < kMaps; ++i) {
+    Image<Rgb> map = scene;
+    for (Rgb& c : map.pixels()) c = c * gauss(random);
+    const auto brightest =
+        std::ranges::max_element(map.pixels(), {}, [](const Rgb& c) { return luminance(c); });
+    naive.values.push_back(luminance(*brightest));  // as one hard light takes it
+    const auto light = estimator.estimate(
+        test::environment_at(std::move(map), std::int64_t{600'000'000'000} / kMaps * i));
+    ASSERT_TRUE(light && light->plan);
+    plans.emplace(light->plan->bands, light->plan->discs);
+    const Image<Rgb> picture = composited_floats(*light, .6 * i);
+    if (i == 0) {
+      before = picture;
+      for (std::size_t p = 0; p < picture.area(); ++p)
+        if (open[p] && luminance(picture.pixels()[p]) < .9f) shaded.push_back(p);
+    }
+    double left = 0, seen = 0;
+    for (const std::size_t p : shaded) {
+      const double now = luminance(picture.pixels()[p]),
+                   change = now - double(luminance(before.pixels()[p]));
+      left += now, pixel_changes += change * change;
+      largest = std::max(largest, std::abs(change));
+    }
+    for (std::size_t p = 0; p < picture.area(); ++p)
+      if (!open[p]) seen += double(luminance(picture.pixels()[p]));
+    shadow.values.push_back(left / double(shaded.size()));
+    object.values.push_back(seen);
+    before = picture;
+  }
+  const double pixel =
+      std::sqrt(pixel_changes / (double(shaded.size()) * (kMaps - 1))) / shadow.mean();
+  std::printf(
+      "ten minutes: shadow %.3f %%, its pixels %.3f %%, at most %.3f in s, object %.3f %%, "
+      "brightest pixel %.1f %%\n",
+      100 * shadow.flicker(), 100 * pixel, largest, 100 * object.flicker(), 100 * naive.flicker());
+  ASSERT_GT(shaded.size(), 300U);
+  EXPECT_EQ(plans.size(), 1U) << "the governor wavers";
+  expect_no_drift(shadow, "shadow");
+  expect_no_drift(object, "object");
+  EXPECT_LT(shadow.flicker(), .1 * double(kNoise));
+  EXPECT_LT(object.flicker(), .25 * double(kNoise));
+  EXPECT_LT(pixel, double(kNoise));
+  EXPECT_LT(largest, .05) << "a shadow pops";
+  EXPECT_GT(naive.flicker(), .3 * double(kNoise)) << "the brightest pixel would do";
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 
 #include "service/pipeline.h"
 #include "tests/stability/maps.h"
+#include "tests/stability/series.h"
 
 namespace penumbra::lighting {
 namespace {
@@ -303,37 +304,6 @@ INSTANTIATE_TEST_SUITE_P(Tracking, TwoSources,
 
 // ------------------------------------------------------------------------------- ten minutes
 
-struct Series {
-  std::vector<double> values;
-
-  double mean(std::size_t first, std::size_t count) const {
-    double sum = 0;
-    for (std::size_t i = first; i < first + count; ++i) sum += values[i];
-    return sum / static_cast<double>(count);
-  }
-  double mean() const { return mean(0, values.size()); }
-  double deviation() const {
-    const double m = mean();
-    double sum = 0;
-    for (const double v : values) sum += (v - m) * (v - m);
-    return std::sqrt(sum / static_cast<double>(values.size()));
-  }
-  // RMS change from one to the next over the mean: F of methods 9, for a scene that does not
-  // change.
-  double flicker() const {
-    double sum = 0;
-    for (std::size_t i = 1; i < values.size(); ++i) sum += std::pow(values[i] - values[i - 1], 2);
-    return std::sqrt(sum / static_cast<double>(values.size() - 1)) / mean();
-  }
-};
-
-void expect_no_drift(const Series& s, const char* name) {
-  constexpr std::size_t kPart = 100;
-  const double sigma = s.deviation() * std::sqrt(2. / kPart);
-  EXPECT_NEAR(s.mean(0, kPart), s.mean(s.values.size() - kPart, kPart), 3 * sigma + 1e-6 * s.mean())
-      << name;
-}
-
 TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) {
   constexpr int kWidth = 128, kHeight = 64, kMaps = 2000, kPatterns = 61;
   constexpr std::int64_t kStepNs = 600'000'000'000 / kMaps;
@@ -352,7 +322,7 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
       directions.push_back(latlong_direction(x + .5, y + .5, kWidth, kHeight));
 
   LightEstimator estimator({});
-  Series floor, wall, share, put_in, naive;
+  test::Series floor, wall, share, put_in, naive;
   std::set<int> ids;
   const dvec3 wall_normal(0, 0, 1);
   for (int i = 0; i < kMaps; ++i) {
@@ -387,11 +357,11 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
       "flicker: put in %.3f %%, floor %.3f %%, wall %.3f %%, share %.3f %%, naive %.1f %%\n",
       100 * put_in.flicker(), 100 * floor.flicker(), 100 * wall.flicker(), 100 * share.flicker(),
       100 * naive.flicker());
-  expect_no_drift(floor, "floor");
-  expect_no_drift(wall, "wall");
-  expect_no_drift(share, "share");
+  test::expect_no_drift(floor, "floor");
+  test::expect_no_drift(wall, "wall");
+  test::expect_no_drift(share, "share");
   EXPECT_EQ(ids.size(), 2U);
-  for (const Series* s : {&floor, &wall, &share}) EXPECT_LT(s->flicker(), kNoise);
+  for (const test::Series* s : {&floor, &wall, &share}) EXPECT_LT(s->flicker(), kNoise);
   EXPECT_GT(naive.flicker(), std::sqrt(2.) * kNoise) << "the brightest pixel would do";
   // The estimate adds nothing to what came in.
   double added = 0;
