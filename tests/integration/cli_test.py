@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Runs the program as a user does: cli_test.py PROGRAM [CLASS...]"""
 
+import csv
 import json
 import math
 import os
@@ -230,6 +231,28 @@ class Bake(CliTest):
             rows = sorted((row["bytes"], row["rendered_rel_rmse"]) for row in chart["rows"] if row["coder"] == coder)
             self.assertGreater(rows[0][1], rows[-1][1], coder)  # more bytes, less error
         self.assertTrue((out / "rate-distortion.csv").stat().st_size > 0)
+
+    def test_lights_are_charted(self):
+        out = self.root / "lights"
+        with_sun = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--discs", 2, "--error", 0.03,
+                                 "--out", out)["rows"]
+        self.assertEqual([row["environment"] for row in with_sun], ["room", "clear-sky"])
+        without = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--discs", 0, "--error", 0.03,
+                                "--out", self.root / "harmonics")["rows"]
+        for disc, harmonics in zip(with_sun, without):
+            self.assertEqual((disc["coefficients"], disc["discs_allowed"], harmonics["discs"]), (25, 2, 0))
+            self.assertGreater(disc["discs"], 0)
+            self.assertGreater(disc["light_update_p50_ms"], 0)
+            self.assertGreater(disc["memory_bytes"], harmonics["memory_bytes"])
+        self.assertLess(2 * with_sun[1]["shadow_rmse"], without[1]["shadow_rmse"])  # the reference's noise, .03, on both
+        with (out / "accuracy.csv").open() as table:
+            rows = list(csv.DictReader(table))
+        self.assertEqual(list(rows[0]), list(with_sun[0]))
+        for name in ("error-time.svg", "error-time-room.svg", "error-time-clear-sky.svg"):
+            self.assertIn("</svg>", (out / name).read_text())
+        self.expect_refusal(["--bands", "1..9"], "chart", "--bands", 10, "--out", self.root / "none")
+        self.expect_refusal(["absent.hdr"], "chart", "--environment", self.root / "absent.hdr", "--out", self.root / "none")
+        self.assertFalse((self.root / "none").exists())
 
 
 class Render(CliTest):
