@@ -247,7 +247,7 @@ class Bake(CliTest):
         self.assertLess(2 * with_sun[1]["shadow_rmse"], without[1]["shadow_rmse"])  # the reference's noise, .03, on both
         with (out / "accuracy.csv").open() as table:
             rows = list(csv.DictReader(table))
-        self.assertEqual(list(rows[0]), list(with_sun[0]))
+        self.assertEqual(set(rows[0]), set(with_sun[0]))
         for name in ("error-time.svg", "error-time-room.svg", "error-time-clear-sky.svg"):
             self.assertIn("</svg>", (out / name).read_text())
         self.expect_refusal(["--bands", "1..9"], "chart", "--bands", 10, "--out", self.root / "none")
