@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <ranges>
 #include <type_traits>
 
 #include "core/toml_keys.h"
@@ -204,15 +205,27 @@ Vignetting vignetting_of(const Projection& camera, const std::array<double, 3>& 
           glm::length(size) / 2};
 }
 
-bool is_plausible(const Vignetting& v, const Projection& camera) {
+namespace {
+
+// Shares from the middle out to the farthest corner.
+auto shares_of(const Vignetting& v, const Projection& camera) {
+  constexpr int kSteps = 64;
   const glm::dvec2 size(camera.width, camera.height);
   const glm::dvec2 farthest = glm::max(v.centre_px, size - v.centre_px);
-  constexpr int kSteps = 64;
-  for (int i = 0; i <= kSteps; ++i) {
-    const double left = v.at(v.centre_px + farthest * (double(i) / kSteps));
-    if (!(left >= .02 && left <= 1.5)) return false;
-  }
-  return true;
+  return std::views::iota(0, kSteps + 1) | std::views::transform([&v, farthest](int i) {
+           return v.at(v.centre_px + farthest * (double(i) / kSteps));
+         });
+}
+
+}  // namespace
+
+bool is_plausible(const Vignetting& v, const Projection& camera) {
+  return std::ranges::all_of(shares_of(v, camera),
+                             [](double left) { return left >= .02 && left <= 1.5; });
+}
+
+double least_share(const Vignetting& v, const Projection& camera) {
+  return v.none() ? 1 : std::ranges::min(shares_of(v, camera));
 }
 
 Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> pictures,

@@ -18,6 +18,8 @@ namespace penumbra::calib {
 Vignetting vignetting_of(const Projection& camera, const std::array<double, 3>& terms);
 /// Whether V stays within 0.02..1.5 over the whole picture.
 bool is_plausible(const Vignetting& vignetting, const Projection& camera);
+/// The least of V over the whole picture.
+double least_share(const Vignetting& vignetting, const Projection& camera);
 
 struct EvenPicture {
   std::string name;

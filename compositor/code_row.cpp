@@ -141,16 +141,17 @@ HWY_EXPORT(EncodeCodes);
 
 namespace {
 
-// Tables with another signal for the largest code: a copy where it is another one, small beside a row.
+// Tables where the largest code stands for more: a copy where it does, small beside a row.
 class ClippedTables {
  public:
   ClippedTables(const CodeCurve& curve, const Rgb& clipped)
       : tables{curve.tables8(0), curve.tables8(1), curve.tables8(2)} {
     for (int c = 0; c < 3; ++c) {
       CodeCurve::Tables8& t = tables[c];
-      if (t.decode[255] == clipped[c]) continue;
-      std::copy_n(t.decode, 255, decode_[c]);
-      decode_[c][255] = clipped[c];
+      if (!(clipped[c] > t.decode[255])) continue;
+      std::copy_n(t.decode, 256, decode_[c]);
+      for (unsigned code = 255; t.decode[code] > kClipping * t.decode[255]; --code)
+        decode_[c][code] = decode_clipped(curve, c, code, clipped[c]);
       t.decode = decode_[c];
     }
   }

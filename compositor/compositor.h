@@ -48,9 +48,9 @@ struct View {
   float signal_per_radiance = 1;     // sensor signal (fraction of full scale) per unit of radiance
   CameraLook look{};
   Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
-  /// What the largest code stands for where a shadow falls on it, in signal: full scale, or more where it is known that the
-  /// surface is brighter. Not for float frames.
-  Rgb clipped_signal{1, 1, 1};
+  /// What the largest code stands for, in signal, where a shadow falls on it or an object's edge lies over it: what the code says, or
+  /// more where it is known that the surface is brighter. Not for float frames.
+  Rgb clipped_signal{};
 };
 
 /// How an object looks beyond its vertices.

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "compositor/code_row.h"
 #include "compositor/half_rows.h"
 #include "compositor/layers.h"
 #include "compositor/receivers.h"
@@ -18,15 +19,10 @@ namespace penumbra::compositor {
 template <class Code>
 struct Coded {
   const CodeCurve& curve;
-  Rgb clipped;  // of the largest code
+  Rgb clipped;  // signal of the largest code
 
-  explicit Coded(const View& view) : curve(*view.curve) {
-    for (int c = 0; c < 3; ++c)
-      clipped[c] = std::max(curve.decode(c, curve.largest_code()), view.clipped_signal[c]);
-  }
-  float decode(int c, Code code) const {
-    return code == curve.largest_code() ? clipped[c] : curve.decode(c, code);
-  }
+  explicit Coded(const View& view) : curve(*view.curve), clipped(view.clipped_signal) {}
+  float decode(int c, Code code) const { return decode_clipped(curve, c, code, clipped[c]); }
   Code encode(int c, float v) const {
     if constexpr (sizeof(Code) == 1)
       return curve.encode8(c, v);

@@ -56,15 +56,10 @@ std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
 // coefficients give 2.05.
 constexpr double kPatternsError = 5e-4;
 
-// What every plane sends at least where nothing shades it. Real meshes and planes of unknown albedo may send less.
-Rgb least_radiance(const PreparedScene& scene, std::span<const Rgb> open) {
-  if (scene.planes.empty() || !scene.real_mesh.triangles.empty()) return {};
-  Rgb least(HUGE_VALF, HUGE_VALF, HUGE_VALF);
-  for (std::size_t p = 0; p < scene.planes.size(); ++p) {
-    const Rgb radiance = scene.planes[p].albedo * open[p] * static_cast<float>(1 / kPi);
-    for (int c = 0; c < 3; ++c) least[c] = std::min(least[c], radiance[c]);
-  }
-  return least;
+// What the floor sends where nothing shades it, if it is all that is real; 0 where its albedo is not known.
+Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
+  if (scene.planes.size() != 1 || !scene.real_mesh.triangles.empty()) return {};
+  return scene.planes[0].albedo * open[0] * static_cast<float>(1 / kPi);
 }
 
 }  // namespace
@@ -166,7 +161,7 @@ bool ComposeStage::update_light(const lighting::LightEstimate& light, double sec
   open_.clear();
   for (const prt::Plane& plane : scene_.planes)
     open_.push_back(open_irradiance(light, plane.normal));
-  least_floor_ = least_radiance(scene_, open_);
+  floor_radiance_ = radiance_of_floor(scene_, open_);
   bool discs_changed = false;
   {
     const StageTimer timer(times_, "discs");
@@ -321,13 +316,13 @@ compositor::View ComposeStage::view_of(const capture::Frame& frame) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const calib::Projection& p = camera.info.projection;
   const Vignetting vignetting = calib::vignetting_of(p, camera.info.vignetting);
-  const double corner = std::clamp(vignetting.at_squared(1), 0., 1.);
   return {{p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
           curve_for(camera, *frame.pixels),
           static_cast<float>(frame.exposure.product()),
           look_of(camera.info, frame),
           vignetting,
-          least_floor_ * static_cast<float>(frame.exposure.product() * corner)};
+          floor_radiance_ *
+              static_cast<float>(frame.exposure.product() * calib::least_share(vignetting, p))};
 }
 
 Result<void> ComposeStage::process(const capture::Frame& frame,

@@ -184,7 +184,7 @@ class ComposeStage {
   std::vector<Object> objects_;
   std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
   std::vector<Rgb> open_;                   // irradiance of each open plane
-  Rgb least_floor_;                         // radiance of the planes in the open, the least of each channel; 0: unknown
+  Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
   std::vector<compositor::DiscShadowOnPlane> on_planes_;
   bool lit_before_ = false;
 };

@@ -39,7 +39,7 @@ Row random_row(std::size_t count, std::mt19937& random) {
 std::size_t plainly(const CodeCurve& curve, const Rgb& clipped, const Row& row, bool with_object,
                     std::vector<Rgb8>& pixels) {
   const auto decode = [&](int c, std::uint8_t code) {
-    return code == 255 ? clipped[c] : curve.decode(c, code);
+    return decode_clipped(curve, c, code, clipped[c]);
   };
   std::size_t touched = 0;
   for (std::size_t i = 0; i < pixels.size(); ++i) {
@@ -74,6 +74,25 @@ TEST(CodeRow, EqualsTheFormulaPixelByPixelForEveryLength) {
       got.pop_back();
       ASSERT_EQ(got, expected) << count;
     }
+}
+
+TEST(CodeRow, CodesNearTheLargestRiseToWhatItStandsFor) {
+  for (const int bits : {8, 16}) {
+    const CodeCurve curve = test::srgb_curve(bits);
+    const unsigned last = curve.largest_code();
+    EXPECT_FLOAT_EQ(decode_clipped(curve, 1, last, 2.5f), 2.5f);
+    EXPECT_EQ(decode_clipped(curve, 1, last, .5f), curve.decode(1, last)) << "never less";
+    float before = 0, step = 0;
+    for (unsigned code = 0; code <= last; ++code) {
+      const float now = decode_clipped(curve, 1, code, 2.5f);
+      if (curve.decode(1, code) <= .95f) {
+        ASSERT_EQ(now, curve.decode(1, code)) << code;
+      }
+      ASSERT_GE(now, before) << code;
+      step = std::max(step, now - before), before = now;
+    }
+    EXPECT_LT(step, .35f) << "noise about full scale would make specks";
+  }
 }
 
 TEST(CodeRow, NotANumberIsBlackAndInfinityWhite) {

@@ -2,40 +2,17 @@
 // that a disc stands for.
 #include <gtest/gtest.h>
 
-#include "capture/capture.h"
 #include "prt/prt.h"
-#include "service/light_file.h"
 #include "shadows/shadows.h"
 #include "tests/stability/maps.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/environment_maps.h"
 
 namespace penumbra {
 namespace {
 
 using glm::dvec3;
 
-// Built in, or of the shared data; nothing where that is absent.
-std::optional<Image<Rgb>> map_of(const std::string& name) {
-  if (name == "room") return capture::make_room_environment(1024, 512);
-  if (name == "clear_sky") return capture::make_sky_environment(1024, 512, .8);
-  const auto path = test::shared_data("envmaps/" + name + "_1k.hdr");
-  if (!path) return std::nullopt;
-  auto light = service::read_light(path->string(), std::nullopt);
-  if (!light) return std::nullopt;
-  auto map = capture::to_latlong(light->file);
-  return map ? std::optional(std::move(*map)) : std::nullopt;
-}
-
-class Map : public testing::TestWithParam<const char*> {
- protected:
-  void SetUp() override {
-    map_ = map_of(GetParam());
-    if (!map_)
-      GTEST_SKIP() << "shared data file absent: envmaps/" << GetParam() << "_1k.hdr"
-                   << " (set PENUMBRA_SHARED_DATA to the folder that holds it)";
-  }
-  std::optional<Image<Rgb>> map_;
-};
+class Map : public testing::TestWithParam<const char*> {};
 
 std::string name_of(const testing::TestParamInfo<const char*>& p) {
   return p.param;
@@ -46,8 +23,9 @@ std::string name_of(const testing::TestParamInfo<const char*>& p) {
 class MapSources : public Map {};
 
 TEST_P(MapSources, LeaveNoNegativeRadianceAndNoNegativeIrradiance) {
+  PENUMBRA_NEED_ENVIRONMENT(map, GetParam());
   lighting::DiscSplit split;
-  ASSERT_TRUE(lighting::split_discs(*map_, {}, split));
+  ASSERT_TRUE(lighting::split_discs(map, {}, split));
   for (int y = 0; y < split.rest.height(); ++y)
     for (const Rgb& c : split.rest.row(y))
       for (int i = 0; i < 3; ++i) ASSERT_GE(c[i], 0) << "row " << y;
@@ -56,8 +34,8 @@ TEST_P(MapSources, LeaveNoNegativeRadianceAndNoNegativeIrradiance) {
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
   for (const int bands : {3, 5}) {
-    const auto ours = lighting::estimate_map(*map_, {bands, {}});
-    const auto naive = lighting::project_latlong(*map_, bands);
+    const auto ours = lighting::estimate_map(map, {bands, {}});
+    const auto naive = lighting::project_latlong(map, bands);
     ASSERT_TRUE(ours && naive);
     const IrradianceSh rest = lighting::irradiance(ours->light),
                        whole = lighting::irradiance(naive->light);
@@ -154,13 +132,14 @@ double taken_at(const shadows::DiscShadow& s, const dvec3& place) {
 class MapSun : public Map {};
 
 TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
+  PENUMBRA_NEED_ENVIRONMENT(map, GetParam());
   lighting::DiscSplit split;
-  ASSERT_TRUE(lighting::split_discs(*map_, {}, split));
+  ASSERT_TRUE(lighting::split_discs(map, {}, split));
   ASSERT_FALSE(split.discs.empty());
   const lighting::Disc& sun = split.discs[0];
-  const auto pixels = pixels_of_sun(*map_, split);
+  const auto pixels = pixels_of_sun(map, split);
   // What all of the map throws beside it, in harmonics.
-  const auto naive_light = lighting::project_latlong(*map_, 3);
+  const auto naive_light = lighting::project_latlong(map, 3);
   ASSERT_TRUE(naive_light);
   std::vector<std::pair<dvec3, double>> harmonic;
   double basis[kMaxCoefficients];
