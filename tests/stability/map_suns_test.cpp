@@ -5,6 +5,7 @@
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 #include "tests/stability/maps.h"
+#include "tests/stability/taken.h"
 #include "tests/support/environment_maps.h"
 
 namespace penumbra {
@@ -122,15 +123,6 @@ std::vector<std::pair<dvec3, double>> pixels_of_sun(const Image<Rgb>& map,
   return out;
 }
 
-double taken_at(const shadows::DiscShadow& s, const dvec3& place) {
-  const dvec3 at = s.world_from_map.inverse() * place / double(s.cell_m);
-  const int x = static_cast<int>(std::floor(at.x)), y = static_cast<int>(std::floor(at.z));
-  if (x < 0 || y < 0 || x + 1 >= s.taken.width() || y + 1 >= s.taken.height()) return 0;
-  const double u = at.x - x, v = at.z - y;
-  const auto t = [&](int i, int j) { return double(s.taken.at(x + i, y + j)); };
-  return (1 - v) * ((1 - u) * t(0, 0) + u * t(1, 0)) + v * ((1 - u) * t(0, 1) + u * t(1, 1));
-}
-
 class MapSun : public Map {};
 
 TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
@@ -183,12 +175,12 @@ TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
         double last = middle - reach;
         for (int i = 0; i <= kSteps; ++i) {
           const double x = middle + reach * (2. * i / kSteps - 1);
-          if (taken_at(shadow, start + x * along) >= share) return .5 * (x + last);
+          if (test::taken_at(shadow, start + x * along) >= share) return .5 * (x + last);
           last = x;
         }
         return double{NAN};
       };
-      const double all = taken_at(shadow, start + (middle + .8 * reach) * along);
+      const double all = test::taken_at(shadow, start + (middle + .8 * reach) * along);
       EXPECT_NEAR(all, 1, .02) << height;
       const double width = crossing(.9) - crossing(.1), expected = height * truth.width();
       ASSERT_TRUE(std::isfinite(width)) << height;

@@ -5,6 +5,7 @@
 #include "service/disc_stage.h"
 #include "service/pipeline.h"
 #include "tests/stability/maps.h"
+#include "tests/stability/taken.h"
 
 namespace penumbra::shadows {
 namespace {
@@ -21,16 +22,6 @@ prt::Mesh plate(double height, double size, double yaw) {
   prt::Mesh mesh = prt::make_box({0, h, -.5f * s}, {s, h + .01f * s, .5f * s}, 1, {.5f, .5f, .5f});
   prt::transform(mesh, glm::mat4_cast(glm::angleAxis(yaw, dvec3(0, 1, 0))));
   return mesh;
-}
-
-// Share that is taken at a place of the floor: bilinear, as the compositor reads it.
-float taken_at(const DiscShadow& s, const dvec3& place) {
-  const dvec3 at = s.world_from_map.inverse() * place / double(s.cell_m);
-  const int x = static_cast<int>(std::floor(at.x)), y = static_cast<int>(std::floor(at.z));
-  if (x < 0 || y < 0 || x + 1 >= s.taken.width() || y + 1 >= s.taken.height()) return 0;
-  const auto u = static_cast<float>(at.x - x), v = static_cast<float>(at.z - y);
-  const auto t = [&](int i, int j) { return s.taken.at(x + i, y + j); };
-  return (1 - v) * ((1 - u) * t(0, 0) + u * t(1, 0)) + v * ((1 - u) * t(0, 1) + u * t(1, 1));
 }
 
 // Where the taken share first reaches a level, going into the shadow.
@@ -119,7 +110,7 @@ TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
     const double expected = 2 * height * tangent * share, cell = shadow.cell_m;
     for (int line = 0; line < 3; ++line) {
       const dvec3 start = (line - 1) * .1 * size * aside;
-      const auto taken = [&](double x) { return double(taken_at(shadow, start + x * along)); };
+      const auto taken = [&](double x) { return test::taken_at(shadow, start + x * along); };
       const double from = -.4 * size, to = .45 * size, middle = crossing(taken, .5, from, to),
                    width = crossing(taken, .9, from, to) - crossing(taken, .1, from, to);
       ASSERT_TRUE(std::isfinite(width)) << height;
