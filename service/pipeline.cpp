@@ -99,8 +99,10 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   auto stage = std::unique_ptr<ComposeStage>(
       new ComposeStage(std::move(*compositor), std::move(*discs), std::move(*completion), scene,
                        std::move(moving), times));
-  for (const capture::CameraInfo& c : cameras)
-    stage->views_.push_back({c, std::nullopt, std::nullopt});
+  for (const capture::CameraInfo& c : cameras) {
+    const Vignetting vignetting = calib::vignetting_of(c.projection, c.vignetting);
+    stage->views_.push_back({c, vignetting, calib::least_share(vignetting, c.projection)});
+  }
   if (!scene.real_mesh.triangles.empty()) stage->compositor_->add_occluder(scene.real_mesh);
   if (scene.real && scene.real->baked.receiver)
     stage->compositor_->add_real_receiver(scene.real->baked.receiver->grid,
@@ -315,14 +317,12 @@ void ComposeStage::warm_up() {
 compositor::View ComposeStage::view_of(const capture::Frame& frame) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   const calib::Projection& p = camera.info.projection;
-  const Vignetting vignetting = calib::vignetting_of(p, camera.info.vignetting);
   return {{p.width, p.height, p.focal_px, p.principal_px, frame.world_from_camera},
           curve_for(camera, *frame.pixels),
           static_cast<float>(frame.exposure.product()),
           look_of(camera.info, frame),
-          vignetting,
-          floor_radiance_ *
-              static_cast<float>(frame.exposure.product() * calib::least_share(vignetting, p))};
+          camera.vignetting,
+          floor_radiance_ * static_cast<float>(frame.exposure.product() * camera.least_share)};
 }
 
 Result<void> ComposeStage::process(const capture::Frame& frame,

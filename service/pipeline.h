@@ -131,7 +131,9 @@ class ComposeStage {
   };
   struct ViewCamera {
     capture::CameraInfo info;
-    std::optional<CodeCurve> curve8, curve16;
+    Vignetting vignetting;
+    double least_share;  // of the light that the lens leaves anywhere
+    std::optional<CodeCurve> curve8{}, curve16{};
   };
 
   ComposeStage(std::unique_ptr<compositor::Compositor> compositor, DiscStage discs,
