@@ -1,6 +1,7 @@
 #include <variant>
 
-#include "capture/capture.h"
+#include "capture/frames.h"
+
 
 namespace penumbra::capture {
 

@@ -13,8 +13,9 @@
 #include <string>
 #include <vector>
 
-#include "calib/calib.h"
-#include "capture/cameras.h"
+#include "calib/camera/noise.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/response.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
@@ -77,6 +78,21 @@ struct Frame {
 
 int width(const FramePixels& pixels);
 int height(const FramePixels& pixels);
+
+/// What became of a camera's frames.
+struct CameraCounts {
+  std::uint64_t arrived = 0;        // whole, whatever their labels
+  std::uint64_t frames = 0;         // handed on
+  std::uint64_t lost = 0;           // never arrived
+  std::uint64_t damaged = 0;        // arrived in part
+  std::uint64_t refused = 0;        // showed another exposure than their label said
+  std::uint64_t reconnected = 0;    // times that the camera came back
+  std::optional<int> delay_frames;  // between a request and the first frame that shows it
+  bool deaf = false;                // its pictures do not follow the exposures that it is asked for
+  std::vector<Exposure> exposures;  // that it is asked for in turn
+  std::optional<double>
+      light_error;  // that they leave, of an irradiance; nothing: they were not chosen
+};
 
 /// A stream of frames of several cameras in order of time.
 class FrameSource {

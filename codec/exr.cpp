@@ -21,8 +21,8 @@
 #include <vector>
 
 #include "codec/codec.h"
-#include "codec/colour.h"
-#include "codec/formats.h"
+#include "codec/internal/colour.h"
+#include "codec/internal/formats.h"
 #include "core/files.h"
 
 namespace penumbra::codec {

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "codec/codec.h"
-#include "codec/formats.h"
-#include "codec/frame_header.h"
+#include "codec/internal/formats.h"
+#include "codec/internal/frame_header.h"
 #include "core/files.h"
 
 namespace penumbra::codec {

@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "codec/codec.h"
-#include "codec/colour.h"
-#include "codec/formats.h"
+#include "codec/internal/colour.h"
+#include "codec/internal/formats.h"
 
 namespace penumbra::codec {
 namespace {

@@ -1,4 +1,4 @@
-#include "compositor/camera_look.h"
+#include "compositor/internal/camera_look.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "compositor/canvas.h"
+#include "compositor/internal/canvas.h"
 
 #include <utility>
 

@@ -1,4 +1,4 @@
-#include "compositor/code_row.h"
+#include "compositor/internal/code_row.h"
 
 #include <algorithm>
 

@@ -4,11 +4,11 @@
 
 #include <cassert>
 
-#include "compositor/camera_look.h"
-#include "compositor/gl.h"
-#include "compositor/gpu_relight.h"
-#include "compositor/layered_rows.h"
-#include "compositor/pixel_pass.h"
+#include "compositor/internal/camera_look.h"
+#include "compositor/internal/gl.h"
+#include "compositor/internal/gpu_relight.h"
+#include "compositor/internal/layered_rows.h"
+#include "compositor/internal/pixel_pass.h"
 #include "core/aside.h"
 
 namespace penumbra::compositor {

@@ -14,13 +14,19 @@
 #include <string>
 #include <vector>
 
-#include "core/code_curve.h"
+#include "prt/bake/bake.h"
+#include "prt/clip/light_map.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/pinhole_view.h"
+#include "prt/geometry/receiver.h"
+#include "shadows/field/planar_shadow.h"
+#include "shadows/silhouette/disc_shadow.h"
+#include "calib/camera/code_curve.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
-#include "core/vignetting.h"
-#include "prt/prt.h"
-#include "shadows/shadows.h"
+#include "calib/camera/vignetting.h"
 
 namespace penumbra::compositor {
 

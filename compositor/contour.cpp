@@ -1,4 +1,4 @@
-#include "compositor/contour.h"
+#include "compositor/internal/contour.h"
 
 #include <algorithm>
 #include <cmath>

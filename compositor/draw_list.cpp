@@ -1,4 +1,4 @@
-#include "compositor/draw_list.h"
+#include "compositor/internal/draw_list.h"
 
 #include <algorithm>
 #include <array>

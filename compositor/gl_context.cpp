@@ -6,7 +6,7 @@
 #include <cstring>
 #include <vector>
 
-#include "compositor/gl.h"
+#include "compositor/internal/gl.h"
 
 namespace penumbra::compositor {
 

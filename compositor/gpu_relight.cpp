@@ -1,4 +1,4 @@
-#include "compositor/gpu_relight.h"
+#include "compositor/internal/gpu_relight.h"
 
 #include <fmt/format.h>
 

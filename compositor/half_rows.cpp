@@ -1,4 +1,4 @@
-#include "compositor/half_rows.h"
+#include "compositor/internal/half_rows.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "compositor/half_rows.cpp"

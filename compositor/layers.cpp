@@ -1,4 +1,4 @@
-#include "compositor/layers.h"
+#include "compositor/internal/layers.h"
 
 #include <fmt/format.h>
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "compositor/camera_look.h"
+#include "compositor/internal/camera_look.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "compositor/look_kernel.cpp"

@@ -2,9 +2,9 @@
 
 #include <atomic>
 
-#include "compositor/camera_look.h"
-#include "compositor/code_row.h"
-#include "compositor/layered_rows.h"
+#include "compositor/internal/camera_look.h"
+#include "compositor/internal/code_row.h"
+#include "compositor/internal/layered_rows.h"
 #include "core/parallel.h"
 
 namespace penumbra::compositor {

@@ -3,7 +3,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/vector_relational.hpp>
 
-#include "compositor/layers.h"
+#include "compositor/internal/layers.h"
 
 namespace penumbra::compositor {
 

@@ -1,9 +1,9 @@
-#include "compositor/pixel_pass.h"
+#include "compositor/internal/pixel_pass.h"
 
 #include <atomic>
 
-#include "compositor/code_row.h"
-#include "compositor/layered_rows.h"
+#include "compositor/internal/code_row.h"
+#include "compositor/internal/layered_rows.h"
 #include "core/parallel.h"
 
 namespace penumbra::compositor {

@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "compositor/receivers.h"
+#include "compositor/internal/receivers.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "compositor/plane_kernel.cpp"

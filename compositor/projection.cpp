@@ -1,4 +1,4 @@
-#include "compositor/projection.h"
+#include "compositor/internal/projection.h"
 
 namespace penumbra::compositor {
 

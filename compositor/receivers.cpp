@@ -1,4 +1,4 @@
-#include "compositor/receivers.h"
+#include "compositor/internal/receivers.h"
 
 #include <algorithm>
 #include <cmath>

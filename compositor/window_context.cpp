@@ -1,7 +1,7 @@
 #define GLFW_INCLUDE_NONE
 #include <GLFW/glfw3.h>
 
-#include "compositor/gl.h"
+#include "compositor/internal/gl.h"
 
 namespace penumbra::compositor {
 

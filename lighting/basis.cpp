@@ -1,7 +1,9 @@
 #include <algorithm>
 
-#include "lighting/lighting.h"
-#include "lighting/sh_recursion.h"
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/irradiance.h"
+#include "lighting/internal/sh_recursion.h"
 
 namespace penumbra::lighting {
 

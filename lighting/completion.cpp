@@ -5,7 +5,12 @@
 #include <cmath>
 #include <functional>
 
-#include "lighting/lighting.h"
+#include "lighting/basis.h"
+#include "lighting/completion.h"
+#include "lighting/disc.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+
 
 namespace penumbra::lighting {
 

@@ -2,7 +2,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "lighting/lighting.h"
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/irradiance.h"
+
 
 namespace penumbra::lighting {
 

@@ -1,4 +1,4 @@
-#include "lighting/disc_shape.h"
+#include "lighting/internal/disc_shape.h"
 
 #include <Eigen/Eigenvalues>
 

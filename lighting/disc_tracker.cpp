@@ -3,8 +3,9 @@
 #include <memory_resource>
 #include <utility>
 
+#include "lighting/disc.h"
+#include "lighting/disc_tracker.h"
 #include "core/scratch.h"
-#include "lighting/lighting.h"
 
 namespace penumbra::lighting {
 

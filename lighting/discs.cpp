@@ -4,10 +4,13 @@
 #include <limits>
 #include <numeric>
 
+#include "lighting/disc.h"
+#include "lighting/discs.h"
+#include "lighting/map_luminance.h"
+#include "lighting/patched_map.h"
 #include "core/scratch.h"
-#include "lighting/disc_shape.h"
-#include "lighting/latlong_kernel.h"
-#include "lighting/lighting.h"
+#include "lighting/internal/disc_shape.h"
+#include "lighting/internal/latlong_kernel.h"
 
 namespace penumbra::lighting {
 

@@ -2,8 +2,15 @@
 #include <cmath>
 #include <utility>
 
-#include "lighting/hole_fit.h"
-#include "lighting/lighting.h"
+#include "lighting/disc.h"
+#include "lighting/discs.h"
+#include "lighting/estimate.h"
+#include "lighting/governor.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+#include "lighting/light_filter.h"
+#include "lighting/projection.h"
+#include "lighting/internal/hole_fit.h"
 
 namespace penumbra::lighting {
 

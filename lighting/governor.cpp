@@ -2,8 +2,12 @@
 #include <cmath>
 #include <memory_resource>
 
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/governor.h"
+#include "lighting/irradiance.h"
+#include "lighting/projection.h"
 #include "core/scratch.h"
-#include "lighting/lighting.h"
 
 namespace penumbra::lighting {
 

@@ -1,4 +1,4 @@
-#include "lighting/latlong_kernel.h"
+#include "lighting/internal/latlong_kernel.h"
 
 #include "core/conventions.h"
 

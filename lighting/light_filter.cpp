@@ -1,7 +1,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "lighting/lighting.h"
+#include "lighting/light_filter.h"
+#include "lighting/projection.h"
+
 
 namespace penumbra::lighting {
 

@@ -7,10 +7,14 @@
 #include <new>
 #include <vector>
 
+#include "lighting/basis.h"
+#include "lighting/map_luminance.h"
+#include "lighting/patched_map.h"
+#include "lighting/projection.h"
+#include "lighting/rotation.h"
 #include "core/parallel.h"
-#include "lighting/hole_fit.h"
-#include "lighting/latlong_kernel.h"
-#include "lighting/lighting.h"
+#include "lighting/internal/hole_fit.h"
+#include "lighting/internal/latlong_kernel.h"
 
 namespace penumbra::lighting {
 

@@ -1,6 +1,7 @@
 #include <cassert>
 
-#include "lighting/lighting.h"
+#include "lighting/rotation.h"
+
 
 namespace penumbra::lighting {
 

@@ -7,8 +7,8 @@
 #include <thread>
 
 #include "codec/codec.h"
-#include "service/output.h"
-#include "service/report.h"
+#include "tools/common/output.h"
+#include "runtime/pipeline/report.h"
 
 namespace penumbra::service {
 

@@ -8,10 +8,11 @@
 #include <utility>
 #include <vector>
 
-#include "capture/capture.h"
+#include "capture/device/cameras.h"
+#include "capture/frames.h"
+#include "lighting/light_estimate.h"
 #include "core/result.h"
-#include "lighting/lighting.h"
-#include "service/stage_times.h"
+#include "core/stage_times.h"
 
 namespace penumbra::service {
 

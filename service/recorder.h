@@ -7,7 +7,7 @@
 #include <functional>
 #include <vector>
 
-#include "capture/capture.h"
+#include "capture/frames.h"
 #include "core/result.h"
 #include "core/units.h"
 

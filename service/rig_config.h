@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "capture/capture.h"
+#include "capture/device/rig.h"
 #include "core/result.h"
 
 namespace penumbra::service {

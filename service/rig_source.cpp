@@ -1,7 +1,7 @@
 #include "service/rig_source.h"
 
-#include "service/progress.h"
-#include "service/studio_setup.h"
+#include "tools/common/progress.h"
+#include "runtime/studio/studio_setup.h"
 
 namespace penumbra::service {
 

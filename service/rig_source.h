@@ -3,10 +3,10 @@
 
 #include <memory>
 
-#include "capture/capture.h"
+#include "capture/frames.h"
 #include "core/result.h"
 #include "service/rig_config.h"
-#include "service/scene.h"
+#include "runtime/scene/scene.h"
 
 namespace penumbra::service {
 

@@ -2,7 +2,7 @@
 
 #include "bench/harness.h"
 #include "prt/prt.h"
-#include "prt/ray_pattern.h"
+#include "prt/geometry/ray_pattern.h"
 
 namespace penumbra::bench {
 namespace {

@@ -6,8 +6,8 @@
 
 #include "bench/harness.h"
 #include "capture/capture.h"
-#include "capture/exposure_schedule.h"
-#include "capture/table_merger.h"
+#include "capture/device/internal/exposure_schedule.h"
+#include "capture/hdr/internal/table_merger.h"
 #include "core/conventions.h"
 #include "core/half.h"
 #include "core/parallel.h"

@@ -4,7 +4,7 @@
 #include "bench/harness.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
-#include "service/pipeline.h"
+#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::bench {
 namespace {

@@ -1,4 +1,4 @@
-#include "calib/camera_calibration.h"
+#include "calib/estimate/camera_calibration.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,5 +1,5 @@
 // Exposure labels: right for every delay, and refused where the picture says otherwise.
-#include "capture/bracketed_camera.h"
+#include "capture/device/internal/bracketed_camera.h"
 
 #include <gtest/gtest.h>
 

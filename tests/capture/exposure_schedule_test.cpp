@@ -1,5 +1,5 @@
 // The schedule that follows the light: as few exposures as its error allows, within the sensor's limits.
-#include "capture/exposure_schedule.h"
+#include "capture/device/internal/exposure_schedule.h"
 
 #include <gtest/gtest.h>
 
@@ -7,7 +7,7 @@
 #include <cstdio>
 #include <numeric>
 
-#include "capture/bracketed_camera.h"
+#include "capture/device/internal/bracketed_camera.h"
 #include "core/conventions.h"
 #include "core/half.h"
 #include "tests/support/brackets.h"

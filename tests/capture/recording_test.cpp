@@ -1,4 +1,4 @@
-#include "capture/recording.h"
+#include "capture/recording/recording.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

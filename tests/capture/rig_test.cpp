@@ -1,5 +1,5 @@
 // Several cameras as one source: order, unplugging, closing; and the tables of rig.toml that name them.
-#include "capture/rig.h"
+#include "capture/device/rig.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "capture/shared_surfaces.h"
+#include "capture/environment/shared_surfaces.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Stacks as people take them: times that are not known, cameras held by hand, people who walk through.
-#include "capture/stacks.h"
+#include "capture/hdr/stacks.h"
 
 #include <gtest/gtest.h>
 

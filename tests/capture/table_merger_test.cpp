@@ -4,7 +4,7 @@
 #include <cmath>
 #include <numeric>
 
-#include "capture/table_merger.h"
+#include "capture/hdr/internal/table_merger.h"
 #include "core/half.h"
 #include "tests/support/brackets.h"
 

@@ -5,7 +5,7 @@
 #include <glm/gtc/quaternion.hpp>
 
 #include "capture/capture.h"
-#include "capture/pose_warp.h"
+#include "capture/hdr/pose_warp.h"
 #include "core/conventions.h"
 #include "core/half.h"
 

@@ -1,4 +1,4 @@
-#include "codec/rgbe_video.h"
+#include "tools/chart/rgbe_video.h"
 
 #include <gtest/gtest.h>
 

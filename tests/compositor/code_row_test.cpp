@@ -1,4 +1,4 @@
-#include "compositor/code_row.h"
+#include "compositor/internal/code_row.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 #include <random>
 #include <vector>
 
-#include "compositor/camera_look.h"
+#include "compositor/internal/camera_look.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {

@@ -1,5 +1,5 @@
 // One sample a pixel and contours, against 256 samples and against four.
-#include "compositor/contour.h"
+#include "compositor/internal/contour.h"
 
 #include <gtest/gtest.h>
 
@@ -9,7 +9,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <random>
 
-#include "compositor/projection.h"
+#include "compositor/internal/projection.h"
 #include "core/half.h"
 #include "core/image.h"
 

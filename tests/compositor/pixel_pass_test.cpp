@@ -1,11 +1,11 @@
 // The two shares of a frame against what each pixel is to become, looked up one by one.
-#include "compositor/pixel_pass.h"
+#include "compositor/internal/pixel_pass.h"
 
 #include <gtest/gtest.h>
 
 #include <glm/gtc/quaternion.hpp>
 
-#include "compositor/layered_rows.h"
+#include "compositor/internal/layered_rows.h"
 #include "core/half.h"
 
 namespace penumbra::compositor {

@@ -1,5 +1,5 @@
 // Rows of shadow ratios against what each pixel's ray meets, looked up one by one.
-#include "compositor/receivers.h"
+#include "compositor/internal/receivers.h"
 
 #include <gtest/gtest.h>
 

@@ -6,7 +6,7 @@
 #include <limits>
 #include <vector>
 
-#include "core/code_curve.h"
+#include "calib/camera/code_curve.h"
 
 namespace penumbra {
 namespace {

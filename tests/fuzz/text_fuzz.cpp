@@ -7,7 +7,7 @@
 #include <string_view>
 
 #include "calib/calib.h"
-#include "capture/folder_format.h"
+#include "capture/recording/folder_format.h"
 #include "core/toml_keys.h"
 
 // libFuzzer's entry point, by its own name and types. The first byte chooses the reader.

@@ -1,5 +1,5 @@
 // Points of equal energy in place of a source's pixels.
-#include "lighting/disc_shape.h"
+#include "lighting/internal/disc_shape.h"
 
 #include <gtest/gtest.h>
 

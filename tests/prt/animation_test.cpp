@@ -1,4 +1,4 @@
-#include "prt/animation.h"
+#include "prt/geometry/animation.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

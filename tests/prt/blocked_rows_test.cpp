@@ -1,4 +1,4 @@
-#include "prt/blocked_rows.h"
+#include "prt/transfer/internal/blocked_rows.h"
 
 #include <gtest/gtest.h>
 

@@ -1,11 +1,11 @@
-#include "prt/key_frames.h"
+#include "prt/clip/key_frames.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "prt/prt.h"
-#include "prt/sequence.h"
+#include "prt/clip/sequence.h"
 
 namespace penumbra::prt {
 namespace {

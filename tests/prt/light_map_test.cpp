@@ -1,4 +1,4 @@
-#include "prt/light_map.h"
+#include "prt/clip/light_map.h"
 
 #include <gtest/gtest.h>
 

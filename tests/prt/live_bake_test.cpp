@@ -1,4 +1,4 @@
-#include "prt/live_bake.h"
+#include "prt/clip/live_bake.h"
 
 #include <gtest/gtest.h>
 

@@ -1,11 +1,11 @@
-#include "prt/seams.h"
+#include "prt/clip/internal/seams.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
-#include "prt/frame_bake.h"
+#include "prt/clip/internal/frame_bake.h"
 #include "prt/prt.h"
 #include "tests/support/characters.h"
 

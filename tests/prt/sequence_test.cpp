@@ -1,4 +1,4 @@
-#include "prt/sequence.h"
+#include "prt/clip/sequence.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,9 +10,9 @@
 #include <set>
 
 #include "core/files.h"
-#include "prt/frame_bake.h"
+#include "prt/clip/internal/frame_bake.h"
 #include "prt/prt.h"
-#include "prt/sequence_codec.h"
+#include "prt/clip/internal/sequence_codec.h"
 #include "tests/support/characters.h"
 #include "tests/support/temp_folder.h"
 

@@ -1,5 +1,5 @@
 // Vertices that look around for those beside them.
-#include "prt/vertex_samples.h"
+#include "prt/transfer/vertex_samples.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // What a look-up says is what the ray of that cell found.
-#include "prt/vertex_sight.h"
+#include "prt/transfer/vertex_sight.h"
 
 #include <gtest/gtest.h>
 #include <hwy/targets.h>

@@ -1,4 +1,4 @@
-#include "service/accuracy.h"
+#include "tools/chart/accuracy.h"
 
 #include <gtest/gtest.h>
 

@@ -7,8 +7,8 @@
 #include <string>
 
 #include "capture/capture.h"
-#include "service/light_file.h"
-#include "service/pipeline.h"
+#include "runtime/pipeline/light_file.h"
+#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::service {
 namespace {

@@ -1,5 +1,5 @@
 // Characters in scenes: against the path tracer, through files, and with everything else that a scene has.
-#include "service/animated.h"
+#include "runtime/scene/animated.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -8,9 +8,9 @@
 #include <cstring>
 #include <fstream>
 
-#include "service/accuracy.h"
-#include "service/light_file.h"
-#include "service/still.h"
+#include "tools/chart/accuracy.h"
+#include "runtime/pipeline/light_file.h"
+#include "tools/common/still.h"
 #include "tests/stability/maps.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"

@@ -1,4 +1,4 @@
-#include "service/bake_cache.h"
+#include "runtime/scene/bake_cache.h"
 
 #include <gtest/gtest.h>
 

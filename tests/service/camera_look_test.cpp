@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include "service/pipeline.h"
+#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::service {
 namespace {

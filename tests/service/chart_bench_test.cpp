@@ -1,4 +1,4 @@
-#include "service/chart_bench.h"
+#include "tools/chart/chart_bench.h"
 
 #include <gtest/gtest.h>
 

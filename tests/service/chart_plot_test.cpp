@@ -1,4 +1,4 @@
-#include "service/chart_plot.h"
+#include "tools/chart/chart_plot.h"
 
 #include <gtest/gtest.h>
 
@@ -11,7 +11,7 @@
 #include <sstream>
 
 #include "core/files.h"
-#include "service/gnuplot.h"
+#include "tools/common/gnuplot.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::service {

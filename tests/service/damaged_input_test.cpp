@@ -8,7 +8,7 @@
 #include "core/files.h"
 #include "prt/prt.h"
 #include "service/rig_config.h"
-#include "service/scene.h"
+#include "runtime/scene/scene.h"
 #include "tests/fuzz/mutate.h"
 #include "tests/support/temp_folder.h"
 

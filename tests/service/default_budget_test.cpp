@@ -2,9 +2,9 @@
 // really stands; beside it what others would show.
 #include <gtest/gtest.h>
 
-#include "service/baselines.h"
-#include "service/chart_bench.h"
-#include "service/governor_bench.h"
+#include "tools/chart/baselines.h"
+#include "tools/chart/chart_bench.h"
+#include "tools/chart/governor_bench.h"
 #include "tests/support/environment_maps.h"
 
 namespace penumbra::service {

@@ -1,4 +1,4 @@
-#include "service/depth_mesh.h"
+#include "runtime/scene/depth_mesh.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "service/disc_stage.h"
+#include "runtime/shading/disc_stage.h"
 
 #include <gtest/gtest.h>
 

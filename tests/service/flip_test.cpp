@@ -1,4 +1,4 @@
-#include "service/flip.h"
+#include "tools/chart/flip.h"
 
 #include <gtest/gtest.h>
 

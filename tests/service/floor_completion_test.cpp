@@ -1,8 +1,8 @@
-#include "service/floor_completion.h"
+#include "runtime/shading/floor_completion.h"
 
 #include <gtest/gtest.h>
 
-#include "service/pipeline.h"
+#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::service {
 namespace {

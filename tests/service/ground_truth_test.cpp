@@ -2,7 +2,7 @@
 // shadow map, interpolation and composite cost, apart from truncation.
 #include <gtest/gtest.h>
 
-#include "service/accuracy.h"
+#include "tools/chart/accuracy.h"
 
 namespace penumbra::service {
 namespace {

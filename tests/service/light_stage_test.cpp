@@ -5,7 +5,7 @@
 #include <glm/gtc/quaternion.hpp>
 
 #include "core/conventions.h"
-#include "service/pipeline.h"
+#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::service {
 namespace {

@@ -6,7 +6,7 @@
 #include <iomanip>
 
 #include "codec/codec.h"
-#include "service/accuracy.h"
+#include "tools/chart/accuracy.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 

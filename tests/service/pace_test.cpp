@@ -1,4 +1,4 @@
-#include "service/pace.h"
+#include "runtime/pipeline/internal/pace.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "service/plot_layout.h"
+#include "tools/chart/plot_layout.h"
 
 #include <gtest/gtest.h>
 

@@ -1,11 +1,11 @@
-#include "service/prop_world.h"
+#include "runtime/studio/prop_world.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "core/conventions.h"
-#include "service/scene.h"
+#include "runtime/scene/scene.h"
 
 namespace penumbra::service {
 namespace {

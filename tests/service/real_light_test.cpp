@@ -7,7 +7,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <nlohmann/json.hpp>
 
-#include "service/light_file.h"
+#include "runtime/pipeline/light_file.h"
 #include "tests/support/shared_data.h"
 
 namespace penumbra::service {

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "core/conventions.h"
-#include "service/accuracy.h"
+#include "tools/chart/accuracy.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"

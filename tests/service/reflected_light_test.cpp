@@ -5,7 +5,7 @@
 
 #include "capture/capture.h"
 #include "core/conventions.h"
-#include "service/pipeline.h"
+#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::service {
 namespace {

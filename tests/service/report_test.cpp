@@ -1,4 +1,4 @@
-#include "service/report.h"
+#include "runtime/pipeline/report.h"
 
 #include <gtest/gtest.h>
 

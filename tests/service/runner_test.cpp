@@ -1,4 +1,4 @@
-#include "service/runner.h"
+#include "runtime/pipeline/runner.h"
 
 #include <gtest/gtest.h>
 
@@ -7,8 +7,8 @@
 #include <chrono>
 #include <thread>
 
-#include "service/light_file.h"
-#include "service/studio_setup.h"
+#include "runtime/pipeline/light_file.h"
+#include "runtime/studio/studio_setup.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::service {

@@ -1,4 +1,4 @@
-#include "service/scene.h"
+#include "runtime/scene/scene.h"
 
 #include <gtest/gtest.h>
 

@@ -7,8 +7,8 @@
 
 #include "codec/codec.h"
 #include "core/conventions.h"
-#include "service/frame_mailbox.h"
-#include "service/light_stage.h"
+#include "runtime/pipeline/internal/frame_mailbox.h"
+#include "runtime/pipeline/light_stage.h"
 #include "tests/support/shared_data.h"
 
 namespace penumbra::service {

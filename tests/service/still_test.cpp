@@ -1,4 +1,4 @@
-#include "service/still.h"
+#include "tools/common/still.h"
 
 #include <gtest/gtest.h>
 

@@ -7,9 +7,9 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
-#include "capture/rig.h"
+#include "capture/device/rig.h"
 #include "service/http_api.h"
-#include "service/runner.h"
+#include "runtime/pipeline/runner.h"
 #include "tests/support/fake_camera.h"
 
 namespace penumbra::service {

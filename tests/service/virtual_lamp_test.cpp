@@ -5,8 +5,8 @@
 
 #include "core/conventions.h"
 #include "lighting/lighting.h"
-#include "service/accuracy.h"
-#include "service/still.h"
+#include "tools/chart/accuracy.h"
+#include "tools/common/still.h"
 #include "tests/support/worlds.h"
 
 namespace penumbra::service {

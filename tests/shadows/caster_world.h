@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "shadows/disc_rays.h"
-#include "shadows/shared_sight.h"
+#include "shadows/silhouette/disc_rays.h"
+#include "shadows/visibility/internal/shared_sight.h"
 
 namespace penumbra::shadows::test {
 

@@ -1,4 +1,4 @@
-#include "shadows/disc_rays.h"
+#include "shadows/silhouette/disc_rays.h"
 
 #include <gtest/gtest.h>
 

@@ -6,7 +6,7 @@
 #include <glm/gtc/matrix_transform.hpp>
 
 #include "core/conventions.h"
-#include "shadows/disc_rays.h"
+#include "shadows/silhouette/disc_rays.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::shadows {

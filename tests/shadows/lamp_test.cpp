@@ -1,4 +1,4 @@
-#include "shadows/lamp.h"
+#include "shadows/visibility/lamp.h"
 
 #include <gtest/gtest.h>
 

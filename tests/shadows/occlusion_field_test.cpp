@@ -1,4 +1,4 @@
-#include "shadows/occlusion_field.h"
+#include "shadows/field/occlusion_field.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // Outlines found patch by patch are those of a look at every edge.
-#include "shadows/outline_sides.h"
+#include "shadows/silhouette/internal/outline_sides.h"
 
 #include <gtest/gtest.h>
 

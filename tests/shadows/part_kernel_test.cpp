@@ -1,5 +1,5 @@
 // Counting layers in vectors against one direction at a time, for any number of directions.
-#include "shadows/part_kernel.h"
+#include "shadows/visibility/internal/part_kernel.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // What outlines leave of a disc in sight: by closed form, and by many rays.
-#include "shadows/part_seen.h"
+#include "shadows/visibility/internal/part_seen.h"
 
 #include <gtest/gtest.h>
 

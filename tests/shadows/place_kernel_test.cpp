@@ -1,4 +1,4 @@
-#include "shadows/place_kernel.h"
+#include "shadows/silhouette/place_kernel.h"
 
 #include <gtest/gtest.h>
 

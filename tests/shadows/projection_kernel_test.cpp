@@ -1,5 +1,5 @@
 // Stretches of outlines on the plane, on every kind of processor that this one can be.
-#include "shadows/projection_kernel.h"
+#include "shadows/silhouette/projection_kernel.h"
 
 #include <gtest/gtest.h>
 #include <hwy/targets.h>

@@ -1,5 +1,5 @@
 // Vertices that share a ray have the light that a ray of their own would give them.
-#include "shadows/shared_sight.h"
+#include "shadows/visibility/internal/shared_sight.h"
 
 #include <gtest/gtest.h>
 

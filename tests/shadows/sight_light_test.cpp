@@ -1,5 +1,5 @@
 // A disc's light looked up in what vertices are known to see, against rays.
-#include "shadows/sight_light.h"
+#include "shadows/visibility/internal/sight_light.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 #include <optional>
 
 #include "core/conventions.h"
-#include "shadows/disc_rays.h"
+#include "shadows/silhouette/disc_rays.h"
 #include "tests/shadows/caster_world.h"
 
 namespace penumbra::shadows {

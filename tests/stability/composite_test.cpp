@@ -4,9 +4,9 @@
 #include <random>
 #include <set>
 
-#include "calib/vignetting_calibration.h"
-#include "service/governor_bench.h"
-#include "service/pipeline.h"
+#include "calib/estimate/vignetting_calibration.h"
+#include "tools/chart/governor_bench.h"
+#include "runtime/shading/compose_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
 

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "lighting/lighting.h"
-#include "service/still.h"
+#include "tools/common/still.h"
 
 namespace penumbra::service {
 namespace {

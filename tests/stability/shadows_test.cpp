@@ -2,8 +2,8 @@
 // floor.
 #include <gtest/gtest.h>
 
-#include "service/disc_stage.h"
-#include "service/pipeline.h"
+#include "runtime/shading/disc_stage.h"
+#include "runtime/shading/compose_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/taken.h"
 

@@ -6,7 +6,7 @@
 
 #include "core/conventions.h"
 #include "lighting/lighting.h"
-#include "service/accuracy.h"
+#include "tools/chart/accuracy.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"

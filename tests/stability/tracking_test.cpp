@@ -3,7 +3,7 @@
 
 #include <set>
 
-#include "service/pipeline.h"
+#include "runtime/shading/compose_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
 

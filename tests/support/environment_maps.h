@@ -4,7 +4,7 @@
 #include <string>
 
 #include "capture/capture.h"
-#include "service/light_file.h"
+#include "runtime/pipeline/light_file.h"
 #include "tests/support/shared_data.h"
 
 namespace penumbra::test {

@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "service/scene.h"
+#include "runtime/scene/scene.h"
 
 namespace penumbra::test {
 

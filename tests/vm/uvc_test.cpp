@@ -9,8 +9,8 @@
 #include <cstdlib>
 #include <thread>
 
-#include "capture/bracketed_camera.h"
-#include "capture/v4l2_node.h"
+#include "capture/device/internal/bracketed_camera.h"
+#include "capture/device/internal/v4l2_node.h"
 #include "core/half.h"
 #include "tests/vm/uvc_scene.h"
 

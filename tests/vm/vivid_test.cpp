@@ -8,7 +8,7 @@
 
 #include "capture/capture.h"
 #include "capture/raw_formats.h"
-#include "capture/v4l2_node.h"
+#include "capture/device/internal/v4l2_node.h"
 
 namespace penumbra::capture {
 namespace {

@@ -1,0 +1,19 @@
+// How noisy a camera's signal is.
+#pragma once
+
+
+namespace penumbra::calib {
+
+/// Signal y in fractions of full scale at gain g: var(y) = g y / full_well + (g read)^2, where
+/// `full_well` is in electrons at gain 1 and `read` in fractions of full scale at gain 1.
+/// Quantisation is added by whoever knows the bit depth.
+/// source: Hasinoff et al. 2010, eq. 1-3
+struct NoiseModel {
+  double full_well_electrons = 20000;
+  double read_fraction = 5e-4;
+  double variance(double y, double gain) const {
+    return gain * y / full_well_electrons + gain * gain * read_fraction * read_fraction;
+  }
+};
+
+}  // namespace penumbra::calib

@@ -1,0 +1,24 @@
+// What each pixel of a camera sees of the sphere.
+// threads: reentrant
+#pragma once
+
+#include <glm/vec3.hpp>
+#include <vector>
+
+#include "calib/camera/projection.h"
+
+namespace penumbra::calib {
+
+/// Per pixel: unit direction through its centre, exact solid angle (integrated over the pixel's
+/// valid part; pixels partly outside the sphere's image count only their part), confidence 0..1 (0
+/// = not seen). The solid angles of a whole-sphere projection sum to 4 pi within 1e-6. source:
+/// central radial lens r(th): dw/dA = sin th/(r r'); mirror ball 4/R^2; plane element of a cube
+struct ProjectionTable {
+  int width = 0, height = 0;
+  std::vector<glm::vec3> direction;
+  std::vector<float> solid_angle_sr;
+  std::vector<float> confidence;
+};
+ProjectionTable make_projection_table(const Projection& projection);
+
+}  // namespace penumbra::calib

@@ -1,0 +1,46 @@
+// A camera's intrinsics from pictures of a board.
+// source: Zhang 2000 (planes), Kannala & Brandt 2006, Usenko et al. 2018; robust loss Huber 1964
+// threads: reentrant
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "calib/camera/projection.h"
+#include "calib/estimate/boards.h"
+#include "core/pose.h"
+
+namespace penumbra::calib {
+
+/// What became of one picture's board.
+struct BoardFit {
+  std::string name;
+  double rms_px = 0;                     // of the distance between corner and prediction
+  bool used = true;                      // false: its corners contradict all the others
+  Pose camera_from_board;                // board: x right, y up, z towards who looks at it
+  std::vector<glm::dvec2> residuals_px;  // found minus predicted
+};
+
+struct CameraCalibration {
+  Projection projection;
+  glm::dvec2 focal_sigma_px{0, 0}, principal_sigma_px{0, 0};  // one standard deviation
+  std::array<double, 5> distortion_sigma{};
+  double rms_px = 0;  // over the boards used
+  std::vector<BoardFit> boards;
+  double reach = 0;     // largest distance of a corner from the middle, in half diagonals
+  double coverage = 0;  // part of an 8 x 6 grid over the picture with a corner in each cell
+};
+
+struct CameraCalibrationOptions {
+  bool undistorted = false;  // keep the distortion at 0
+};
+
+/// kind: pinhole, equidistant, kb4 or double-sphere. Needs corners that reach outwards and boards that are tilted; boards
+/// whose corners contradict the rest are left out and named.
+/// errors: kInvalid (kind), kUndetermined (says what to capture instead)
+Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, ProjectionKind kind,
+                                           int width, int height,
+                                           const CameraCalibrationOptions& options = {});
+
+}  // namespace penumbra::calib

@@ -1,0 +1,462 @@
+// Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", eq. 3:
+//   min sum_ik w(Z_ik) (g(Z_ik) - ln E_i - ln t_k)^2 + lambda (smoothness of g).
+// Differs from the paper, and from OpenCV's CalibrateDebevec (whose hat weight is 1, not 0, on clipped codes: a bracket
+// of seven stops then comes out 20 % wrong), in three points:
+// - codes that may be clipped or black have weight 0;
+// - the curve has a dozen terms, its local exponent dg/d(ln z) at a few codes, none of which may fall: a power of the
+//   code, whatever its exponent, costs no smoothness, and neither a toe nor a shoulder is bent;
+// - the ln E_i are eliminated beforehand (Schur complement), so that any number of samples costs the same to solve.
+//
+// Calls OpenCV for the linear solver; its exceptions end here.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "calib/camera/response.h"
+#include "calib/estimate/estimate_response.h"
+
+
+namespace penumbra::calib {
+namespace {
+
+using Picture = Image<Rgb8>;
+using Pictures = std::span<const Picture* const>;
+
+constexpr int kCodes = 256;
+// A code this close to either end may be clipped or buried in noise.
+constexpr int kBlack = 3, kClipped = 252;
+// Above it the curve is known least (a hat's weight is a tenth) and films glow around bright things: full scale is put a
+// twentieth above it, so that a merge takes such codes as clipped.
+constexpr int kLastTrusted = 240;
+constexpr double kClipLevel = .95;  // the merge's
+// Fewer pixels than this do not make a curve; more than that only cost time.
+constexpr std::size_t kMinSamples = 50, kMaxSamples = 4000;
+constexpr double kSmoothness = 1e-6;
+constexpr std::array<const char*, 3> kChannelNames{"red", "green", "blue"};
+
+std::unexpected<Error> invalid(std::string detail) {
+  return fail(ErrorCode::kInvalid, "bracket", std::move(detail));
+}
+std::unexpected<Error> undetermined(std::string detail) {
+  return fail(ErrorCode::kUndetermined, "bracket", std::move(detail));
+}
+
+int channel_of(const Rgb8& p, int c) {
+  return c == 0 ? p.r : c == 1 ? p.g : p.b;
+}
+bool is_border(const Rgb8& p) {
+  return p == Rgb8{0, 0, 255};
+}
+
+Result<void> check_arguments(Pictures pictures, std::span<const Seconds> times) {
+  if (pictures.size() != times.size())
+    return invalid(fmt::format("{} pictures, but {} times", pictures.size(), times.size()));
+  if (pictures.size() < 2) return invalid("fewer than 2 pictures");
+  for (std::size_t k = 0; k < pictures.size(); ++k) {
+    if (!pictures[k] || pictures[k]->empty()) return invalid(fmt::format("picture {} is empty", k));
+    if (!pictures[k]->same_size(*pictures[0]))
+      return invalid(fmt::format("picture {} is {}x{}, picture 0 {}x{}", k, pictures[k]->width(),
+                                 pictures[k]->height(), pictures[0]->width(),
+                                 pictures[0]->height()));
+    if (!std::isfinite(times[k].count()) || times[k].count() <= 0)
+      return invalid(
+          fmt::format("exposure time {} is {}, not a positive number", k, times[k].count()));
+  }
+  const auto [shortest, longest] = std::ranges::minmax_element(times);
+  // Grossberg & Nayar 2003: without a trusted ratio of exposures every power of a curve fits too.
+  if (longest->count() < shortest->count() * 1.01)
+    return undetermined("all exposure times are equal");
+  return {};
+}
+
+// ------------------------------------------------------------------------------- samples
+
+struct Candidate {
+  int x = 0, y = 0;
+  double mean = 0;   // of its codes over the bracket
+  int contrast = 0;  // largest difference to a neighbour: small survives misregistration
+};
+
+/// What a coarse walk over the bracket finds, per channel.
+struct Survey {
+  std::array<std::vector<Candidate>, 3> candidates;  // usable in two pictures or more
+  std::array<bool, 3> moves{};  // some usable pixel changes its code with the exposure
+  bool any_pixel = false, any_above_black = false, any_below_clip = false;
+};
+
+int contrast_at(Pictures pictures, int x, int y, int c) {
+  int contrast = 0;
+  for (const Picture* p : pictures) {
+    const int here = channel_of(p->at(x, y), c);
+    for (const auto& [dx, dy] : {std::pair{-1, 0}, {1, 0}, {0, -1}, {0, 1}}) {
+      const int nx = std::clamp(x + dx, 0, p->width() - 1),
+                ny = std::clamp(y + dy, 0, p->height() - 1);
+      contrast = std::max(contrast, std::abs(channel_of(p->at(nx, ny), c) - here));
+    }
+  }
+  return contrast;
+}
+
+void survey_channel(Pictures pictures, int x, int y, int c, Survey& survey) {
+  int usable = 0, lowest = kCodes, highest = -1;
+  double sum = 0;
+  for (const Picture* p : pictures) {
+    const int code = channel_of(p->at(x, y), c);
+    sum += code;
+    survey.any_above_black |= code > kBlack;
+    survey.any_below_clip |= code < kClipped;
+    if (code <= kBlack || code >= kClipped) continue;
+    ++usable;
+    lowest = std::min(lowest, code);
+    highest = std::max(highest, code);
+  }
+  if (usable < 2) return;
+  const auto n = static_cast<std::size_t>(c);
+  survey.moves[n] = survey.moves[n] || highest > lowest;
+  survey.candidates[n].push_back(
+      {x, y, sum / static_cast<double>(pictures.size()), contrast_at(pictures, x, y, c)});
+}
+
+Survey survey_bracket(Pictures pictures) {
+  const int width = pictures[0]->width(), height = pictures[0]->height();
+  // About 40,000 pixels hold enough to choose from.
+  const int step =
+      std::max(1, static_cast<int>(std::sqrt(width * static_cast<double>(height) / 4e4)));
+  Survey survey;
+  for (int y = step / 2; y < height; y += step) {
+    for (int x = step / 2; x < width; x += step) {
+      if (std::ranges::any_of(pictures, [&](const Picture* p) { return is_border(p->at(x, y)); }))
+        continue;
+      survey.any_pixel = true;
+      for (int c = 0; c < 3; ++c) survey_channel(pictures, x, y, c, survey);
+    }
+  }
+  return survey;
+}
+
+Result<void> check_survey(const Survey& survey) {
+  if (!survey.any_pixel) return undetermined("nothing but registration borders");
+  if (!survey.any_above_black) return undetermined("every picture is black");
+  if (!survey.any_below_clip) return undetermined("every picture is clipped");
+  for (std::size_t c = 0; c < 3; ++c) {
+    const auto& candidates = survey.candidates[c];
+    if (candidates.size() < kMinSamples)
+      return undetermined(fmt::format(
+          "no overlap: {} sampled pixels are well exposed in two pictures in {}, {} are needed",
+          candidates.size(), kChannelNames[c], kMinSamples));
+    const auto [low, high] = std::ranges::minmax(candidates, {}, &Candidate::mean);
+    if (high.mean - low.mean < 4)
+      return undetermined(fmt::format("one colour: {} is the same everywhere", kChannelNames[c]));
+    if (!survey.moves[c])
+      return undetermined(fmt::format("{} does not change with the exposure", kChannelNames[c]));
+  }
+  return {};
+}
+
+/// Longer exposures are never darker, over the pixels that are used: else the times belong to other
+/// pictures, and no curve explains them.
+Result<void> check_order(Pictures pictures, std::span<const Seconds> times, const Survey& survey) {
+  std::vector<std::size_t> order(pictures.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::ranges::stable_sort(order, {}, [&](std::size_t k) { return times[k]; });
+  double previous = -1;
+  for (const std::size_t k : order) {
+    double sum = 0;
+    for (const Candidate& p : survey.candidates[1]) sum += pictures[k]->at(p.x, p.y).g;
+    const double mean = sum / static_cast<double>(survey.candidates[1].size());
+    if (mean < previous - 1)
+      return undetermined(fmt::format("picture {} is darker than one with a shorter exposure", k));
+    previous = mean;
+  }
+  return {};
+}
+
+/// `count` candidates spread evenly over brightness, the smoothest ones of each brightness first.
+std::vector<Candidate> spread(std::vector<Candidate> candidates, std::size_t count) {
+  std::ranges::stable_sort(candidates, {}, &Candidate::contrast);
+  std::array<std::vector<Candidate>, kCodes / 2> buckets;
+  for (const Candidate& c : candidates)
+    buckets[std::min(buckets.size() - 1, static_cast<std::size_t>(c.mean / 2))].push_back(c);
+  std::vector<Candidate> chosen;
+  for (std::size_t depth = 0; chosen.size() < count; ++depth)
+    for (const auto& bucket : buckets)
+      if (depth < bucket.size() && chosen.size() < count) chosen.push_back(bucket[depth]);
+  return chosen;
+}
+
+// ------------------------------------------------------------------------------- curve
+
+/// Hat weight (the paper's eq. 4) over the usable codes, 0 outside.
+double weight_of(int code) {
+  const double lowest = std::min(code - kBlack, kClipped - code);
+  return std::max(0., lowest) / ((kClipped - kBlack) / 2.);
+}
+
+/// Normal equations for ln of the light of codes 1..255 (rows code - 1).
+struct Equations {
+  cv::Mat matrix = cv::Mat::zeros(kCodes - 1, kCodes - 1, CV_64F);
+  cv::Mat right = cv::Mat::zeros(kCodes - 1, 1, CV_64F);
+  double total_weight = 0;
+};
+
+/// One pixel: min over ln E of sum w_k (g_k - ln t_k - ln E)^2 = sum w_k (g_k - ln t_k)^2 less its
+/// weighted mean's square.
+void add_pixel(Equations& equations, std::span<const std::pair<int, double>> codes_and_log_times) {
+  double weights = 0, log_time = 0;
+  for (const auto& [code, t] : codes_and_log_times) {
+    weights += weight_of(code);
+    log_time += weight_of(code) * t;
+  }
+  if (weights <= 0) return;
+  log_time /= weights;
+  equations.total_weight += weights;
+  for (const auto& [a, ta] : codes_and_log_times) {
+    const double wa = weight_of(a);
+    equations.right.at<double>(a - 1) += wa * (ta - log_time);
+    equations.matrix.at<double>(a - 1, a - 1) += wa;
+    for (const auto& [b, tb] : codes_and_log_times)
+      equations.matrix.at<double>(a - 1, b - 1) -= wa * weight_of(b) / weights;
+  }
+}
+
+/// The curves that are looked for, as Grossberg & Nayar 2004 look within a few terms: the local exponent
+/// e = dg/d(ln z) is piecewise linear over the code between these knots. Column j holds g(z) for e_j = 1 and all others
+/// 0, with g(128) = 0 for the scale that no bracket can tell.
+constexpr std::array<double, 13> kKnots{0, 5, 10, 18, 32, 64, 112, 160, 200, 224, 240, 248, 255};
+constexpr int kTerms = static_cast<int>(kKnots.size());
+
+cv::Mat curve_terms() {
+  cv::Mat out = cv::Mat::zeros(kCodes - 1, kTerms, CV_64F);
+  for (int z = 1; z < kCodes - 1; ++z) {  // from z to z + 1
+    const double at = z + .5, step = std::log((z + 1.) / z);
+    for (int j = 0; j < kTerms; ++j) out.at<double>(z, j) = out.at<double>(z - 1, j);
+    const auto above = std::ranges::upper_bound(kKnots, at);
+    const auto j = static_cast<int>(above - kKnots.begin());
+    const double share = (at - *(above - 1)) / (*above - *(above - 1));
+    out.at<double>(z, j - 1) += (1 - share) * step;
+    out.at<double>(z, j) += share * step;
+  }
+  const cv::Mat middle = out.row(kCodes / 2 - 1).clone();
+  for (int z = 0; z < kCodes - 1; ++z) out.row(z) -= middle;
+  return out;
+}
+
+/// Where no pixel speaks the exponent stays as it is beside: lambda (e_j - e_(j+1))^2.
+cv::Mat smoothness_of_terms(double total_weight) {
+  cv::Mat out = cv::Mat::zeros(kTerms, kTerms, CV_64F);
+  const double lambda = kSmoothness * total_weight;
+  for (int j = 0; j + 1 < kTerms; ++j) {
+    out.at<double>(j, j) += lambda;
+    out.at<double>(j + 1, j + 1) += lambda;
+    out.at<double>(j, j + 1) -= lambda;
+    out.at<double>(j + 1, j) -= lambda;
+  }
+  return out;
+}
+
+/// The solution of `matrix` x = `right` with no x below a least slope: what would fall is held there and the rest solved
+/// again (an active set, Lawson & Hanson 1974). Nothing when singular.
+std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
+  constexpr double kLeast = .1;  // twice the code is at least a tenth of an octave more light
+  std::vector<bool> held(static_cast<std::size_t>(kTerms), false);
+  for (;;) {
+    cv::Mat m = matrix.clone(), r = right.clone(), x;
+    for (int j = 0; j < kTerms; ++j) {
+      if (!held[static_cast<std::size_t>(j)]) continue;
+      r -= kLeast * m.col(j);
+      m.row(j) = 0;
+      m.col(j) = 0;
+      m.at<double>(j, j) = 1;
+      r.at<double>(j) = kLeast;
+    }
+    if (!cv::solve(m, r, x, cv::DECOMP_CHOLESKY)) return std::nullopt;
+    bool falls = false;
+    for (int j = 0; j < kTerms; ++j) {
+      if (held[static_cast<std::size_t>(j)] || x.at<double>(j) >= kLeast) continue;
+      held[static_cast<std::size_t>(j)] = falls = true;
+    }
+    if (!falls) return x;
+  }
+}
+
+/// ln of the light for codes 1..255 of one channel.
+Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Seconds> times,
+                                        const std::vector<Candidate>& samples, int channel) {
+  try {
+    Equations equations;
+    std::vector<std::pair<int, double>> codes_and_log_times;
+    for (const Candidate& s : samples) {
+      codes_and_log_times.clear();
+      for (std::size_t k = 0; k < pictures.size(); ++k) {
+        const int code = channel_of(pictures[k]->at(s.x, s.y), channel);
+        if (weight_of(code) > 0) codes_and_log_times.emplace_back(code, std::log(times[k].count()));
+      }
+      add_pixel(equations, codes_and_log_times);
+    }
+    const cv::Mat terms = curve_terms();
+    const auto exponents =
+        rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
+               terms.t() * equations.right);
+    if (!exponents)
+      return undetermined(fmt::format("the equations of {} are singular",
+                                      kChannelNames[static_cast<std::size_t>(channel)]));
+    const cv::Mat curve = terms * *exponents;
+    return std::vector<double>(curve.begin<double>(), curve.end<double>());
+  } catch (const std::exception& e) {  // cv::Exception is one
+    return undetermined(std::string("OpenCV: ") + e.what());
+  }
+}
+
+/// Least-squares monotone fit (pool adjacent violators; Barlow et al. 1972).
+std::vector<double> monotone(const std::vector<double>& values) {
+  struct Block {
+    double mean;
+    std::size_t count;
+  };
+  std::vector<Block> blocks;
+  for (const double v : values) {
+    blocks.push_back({v, 1});
+    while (blocks.size() > 1 && blocks[blocks.size() - 2].mean > blocks.back().mean) {
+      const Block last = blocks.back();
+      blocks.pop_back();
+      Block& into = blocks.back();
+      const auto a = static_cast<double>(into.count), b = static_cast<double>(last.count);
+      into.mean = (a * into.mean + b * last.mean) / (a + b);
+      into.count += last.count;
+    }
+  }
+  std::vector<double> out;
+  for (const Block& b : blocks) out.insert(out.end(), b.count, b.mean);
+  return out;
+}
+
+Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_light) {
+  std::vector<double> light{0};
+  for (const double g : log_light) light.push_back(std::exp(g - log_light.back()));
+  light[0] = std::max(0., 2 * light[1] - light[2]);  // a logarithm cannot say 0
+  if (!std::ranges::all_of(light, [](double v) { return std::isfinite(v); }))
+    return undetermined("the equations have no finite solution");
+  light = monotone(light);
+  const double white = light[static_cast<std::size_t>(kLastTrusted)] / kClipLevel;
+  if (!(white > 0) || light.front() >= white)
+    return undetermined("the equations give no rising curve");
+  std::vector<float> decode;
+  for (const double v : light) decode.push_back(static_cast<float>(std::clamp(v / white, 0., 1.)));
+  return decode;
+}
+
+}  // namespace
+
+Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
+                                   std::span<const Seconds> times) {
+  PENUMBRA_TRY(check_arguments(pictures, times));
+  const Survey survey = survey_bracket(pictures);
+  PENUMBRA_TRY(check_survey(survey));
+  PENUMBRA_TRY(check_order(pictures, times, survey));
+  std::array<std::vector<float>, 3> decode;
+  for (int c = 0; c < 3; ++c) {
+    const auto n = static_cast<std::size_t>(c);
+    const auto count = std::min(kMaxSamples, survey.candidates[n].size());
+    PENUMBRA_ASSIGN(curve, solve_curve(pictures, times, spread(survey.candidates[n], count), c));
+    PENUMBRA_ASSIGN(channel, decode_from_curve(curve));
+    decode[n] = std::move(channel);
+  }
+  return Response::from_table(std::move(decode));
+}
+
+namespace {
+
+// Every second row or column of squares of a picture: parts that see the same scene, or different places of it.
+enum class Part { kEvenRows, kOddRows, kLeft, kRight };
+
+Picture part_of(const Picture& whole, Part part) {
+  const bool rows = part == Part::kEvenRows || part == Part::kOddRows;
+  const int half = whole.width() / 2;
+  Picture out(rows ? whole.width() : half, rows ? whole.height() / 2 : whole.height());
+  const int x0 = part == Part::kRight ? half : 0, y0 = part == Part::kOddRows ? 1 : 0;
+  for (int y = 0; y < out.height(); ++y)
+    for (int x = 0; x < out.width(); ++x) out.at(x, y) = whole.at(x + x0, rows ? 2 * y + y0 : y);
+  return out;
+}
+
+Result<Response> estimate_from(Pictures pictures, std::span<const Seconds> times, Part part) {
+  std::vector<Picture> parts;
+  std::vector<const Picture*> pointers;
+  for (const Picture* p : pictures) parts.push_back(part_of(*p, part));
+  for (const Picture& p : parts) pointers.push_back(&p);
+  return estimate_response(pointers, times);
+}
+
+struct CodeRange {
+  int low = kBlack + 1, high = kLastTrusted;
+};
+
+// What a part's pictures hold, without the outermost hundredth: beyond it its curve is a guess.
+CodeRange codes_of(Pictures pictures, Part part) {
+  std::array<std::size_t, 256> counts{};
+  std::size_t all = 0;
+  for (const Picture* whole : pictures)
+    for (const Rgb8& p : part_of(*whole, part).pixels())
+      for (const int code : {p.r, p.g, p.b})
+        if (code > kBlack && code <= kLastTrusted) ++counts[static_cast<std::size_t>(code)], ++all;
+  CodeRange range;
+  for (std::size_t seen = 0; range.low < kLastTrusted; ++range.low)
+    if ((seen += counts[static_cast<std::size_t>(range.low)]) * 100 > all) break;
+  for (std::size_t seen = 0; range.high > kBlack; --range.high)
+    if ((seen += counts[static_cast<std::size_t>(range.high)]) * 100 > all) break;
+  return range;
+}
+
+// RMS over the codes that can be told, of full scale, after the best common factor.
+double difference(const Response& a, const Response& b, const CodeRange& range = {}) {
+  double sum = 0;
+  int count = 0;
+  for (int c = 0; c < 3; ++c) {
+    double ab = 0, bb = 0;
+    const auto at = [&](const Response& r, int code) { return r.decode(code / 255., c); };
+    for (int code = range.low; code <= range.high; ++code) {
+      ab += at(a, code) * at(b, code);
+      bb += at(b, code) * at(b, code);
+    }
+    for (int code = range.low; code <= range.high; ++code, ++count)
+      sum += std::pow(at(a, code) - at(b, code) * ab / bb, 2);
+  }
+  return std::sqrt(sum / count);
+}
+
+}  // namespace
+
+Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
+                                               std::span<const Seconds> times) {
+  PENUMBRA_ASSIGN(whole, estimate_response(pictures, times));
+  ResponseCalibration out{std::move(whole), 0, {}};
+  const auto even = estimate_from(pictures, times, Part::kEvenRows),
+             odd = estimate_from(pictures, times, Part::kOddRows);
+  if (!even || !odd)
+    return undetermined("too few pixels to tell how sure the curve is: take larger pictures");
+  // The mean of two halves is half as uncertain as their difference.
+  out.sigma = difference(*even, *odd) / 2;
+  const auto left = estimate_from(pictures, times, Part::kLeft),
+             right = estimate_from(pictures, times, Part::kRight);
+  const CodeRange l = codes_of(pictures, Part::kLeft), r = codes_of(pictures, Part::kRight);
+  const CodeRange both{std::max(l.low, r.low), std::min(l.high, r.high)};
+  constexpr int kTooFew = 64;  // codes
+  if (!left || !right || both.high - both.low < kTooFew) return out;
+  out.between_places = difference(*left, *right, both);
+  constexpr double kMost = .05;
+  if (*out.between_places > kMost && *out.between_places > 4 * out.sigma)
+    return undetermined(fmt::format(
+        "the left and the right half have curves {:.0f} % apart: switch local tone mapping "
+        "(\"HDR\", \"dynamic contrast\") off, or keep the scene still",
+        100 * *out.between_places));
+  return out;
+}
+
+}  // namespace penumbra::calib

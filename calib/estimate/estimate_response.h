@@ -1,0 +1,33 @@
+// A camera's response from a bracket.
+// threads: reentrant
+#pragma once
+
+#include <optional>
+#include <span>
+
+#include "calib/camera/response.h"
+#include "core/image.h"
+#include "core/result.h"
+#include "core/units.h"
+
+namespace penumbra::calib {
+
+/// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes
+/// left out, made monotone; masked pixels are pure blue (0,0,255) registration borders. errors:
+/// kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one colour)
+Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
+                                   std::span<const Seconds> times);
+
+struct ResponseCalibration {
+  Response response;
+  double sigma = 0;  // one standard deviation of the curve, RMS over the codes, of full scale
+  std::optional<double>
+      between_places;  // RMS difference between the curves of the left and the right half over the codes that both hold
+};
+
+/// estimate_response with how sure it is.
+/// errors: as estimate_response; kUndetermined (the curve depends on the place: local tone mapping)
+Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
+                                               std::span<const Seconds> times);
+
+}  // namespace penumbra::calib

@@ -1,0 +1,63 @@
+// Part of calib.h: a camera's noise from frames of a still scene (photon transfer).
+// source: Janesick, Photon Transfer, 2007; noise model of Hasinoff et al. 2010
+// threads: reentrant
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "calib/camera/noise.h"
+#include "calib/camera/response.h"
+#include "core/units.h"
+
+namespace penumbra::calib {
+
+/// Codes of some thirty thousand pixels, evenly over the picture, through many frames of one exposure.
+class StillSeries {
+ public:
+  explicit StillSeries(double gain) : gain_(gain) {}
+  /// 8 or 16 bits; frames beyond the first 64 are passed over.
+  /// errors: kInvalid (float pixels, another size or depth than the first)
+  Result<void> add(const FramePixels& frame, const std::string& name);
+  std::size_t frames() const { return codes_.size(); }
+  double gain() const { return gain_; }
+  int bits() const { return bits_; }
+  /// Of one frame: r, g, b of each pixel in turn.
+  const std::vector<std::vector<std::uint16_t>>& codes() const { return codes_; }
+
+ private:
+  double gain_;
+  int bits_ = 0, width_ = 0, height_ = 0;
+  std::vector<std::vector<std::uint16_t>> codes_;
+};
+
+/// Mean of many samples of about one brightness.
+struct NoisePoint {
+  double signal = 0, gain = 1;
+  double variance = 0;  // through time, without the rounding of codes
+  double samples = 0;
+};
+
+struct NoiseCalibration {
+  NoiseModel model;
+  double full_well_sigma = 0, read_sigma = 0;  // one standard deviation
+  double black_level = 0;                      // of full scale
+  double error = 0;  // of the model's standard deviation, RMS over the points, relative
+  std::vector<NoisePoint> points;
+};
+
+/// From series of a still scene, best with everything from dark to bright, and of the capped lens if there are any: those tell
+/// the black level, which is `black_level` without them. Slow changes of the light are taken out, and samples that are
+/// clipped, at code 0 or too quiet for their codes (a third of a step) are left out.
+/// errors: kUndetermined (says what to capture instead: fewer than 8 frames, one brightness, no noise above the codes)
+Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
+                                         std::span<const StillSeries> capped,
+                                         const Response& response, double black_level);
+
+/// "version = 1" and [noise]: full_well_electrons, read_fraction, black_level, how sure they are.
+std::string print_noise_file(const NoiseCalibration& calibration);
+}  // namespace penumbra::calib

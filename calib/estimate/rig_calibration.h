@@ -1,0 +1,75 @@
+// Part of calib.h: where the cameras of a rig stand, from a board that several of them see at once.
+// source: bundle adjustment, Triggs et al. 2000; hand-eye start, Park & Martin 1994; time offset, Furgale et al. 2013
+// threads: reentrant
+#pragma once
+
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "calib/camera/projection.h"
+#include "calib/estimate/boards.h"
+#include "core/pose.h"
+
+namespace penumbra::calib {
+
+struct RigCameraInput {
+  std::string name;
+  Projection projection;  // as calibrate_camera() found it
+};
+
+struct RigObservation {
+  std::size_t camera = 0;
+  double time_s = 0;
+  BoardView view;
+};
+
+/// Of a body that the cameras are fixed to.
+struct TrackerPose {
+  double time_s = 0;
+  Pose world_from_body;
+};
+
+struct RigOptions {
+  std::vector<TrackerPose> tracker;  // by time; empty: none
+  double tracker_sigma_m = .001, tracker_sigma_rad = .001;
+  double most_offset_s = .5;     // of the tracker's clock
+  double simultaneous_s = .005;  // frames closer than this show one moment
+};
+
+struct RigCameraPose {
+  Pose rig_from_camera;
+  glm::dvec3 position_sigma_m{0},
+      rotation_sigma_rad{0};  // one standard deviation, in the rig's axes
+  double rms_px = 0;
+  std::size_t boards = 0;
+};
+
+struct RigCalibration {
+  std::vector<RigCameraPose> cameras;
+  struct BoardAt {
+    double time_s;
+    Pose rig_from_board;  // the board's axes: x right, y up, z towards who looks at it
+  };
+  std::vector<BoardAt> rig_from_board;  // at each moment that counted
+  std::optional<double>
+      tracker_offset_s;  // a frame of camera time t was taken at t + offset of the tracker's
+  double tracker_offset_sigma_s = 0;
+  double rms_px = 0;
+  std::vector<std::string> left_out;  // boards whose corners contradict the rest
+};
+
+/// The rig's frame is the first camera's; with tracker poses it is the tracked body, and the board must stand still.
+/// Without, the board or the rig may move. The lenses are taken as exact.
+/// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (says what to capture instead: a camera
+/// that never sees the board together with the others, a rig that turns about one axis alone or too slowly, boards or a
+/// tracker that contradict the rest)
+Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
+                                     std::span<const RigObservation> observations,
+                                     const RigOptions& options = {});
+
+/// A board's pose in front of a known camera; nothing where its corners fit none.
+std::optional<Pose> board_pose(const Projection& projection, const BoardView& view);
+
+}  // namespace penumbra::calib

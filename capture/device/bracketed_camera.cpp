@@ -1,0 +1,108 @@
+#include "capture/device/internal/bracketed_camera.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace penumbra::capture {
+
+Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
+  device_ = std::move(device);
+  // A new device counts from the start and follows as late as the old one did.
+  labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
+  counter_ = {};
+  told_ = false;
+  lost_before_ = counts_.lost;
+  if (auto_schedule_ && schedule_.empty()) take(auto_schedule_->probe(limits()));
+  if (schedule_.empty()) return {};
+  return ask();
+}
+
+// What the device makes of a plan: times in its steps, each once.
+void BracketedCamera::take(std::vector<Exposure> planned) {
+  for (Exposure& e : planned) e = device_->nearest(e);
+  const auto same = [](const Exposure& a, const Exposure& b) {
+    return a.time == b.time && a.gain == b.gain;
+  };
+  const auto rest = std::ranges::unique(planned, same);
+  planned.erase(rest.begin(), rest.end());
+  std::erase_if(planned, [](const Exposure& e) { return !(e.product() > 0); });
+  if (planned.empty()) return;
+  schedule_ = planned;
+  next_ = 0;
+  auto_schedule_->use(std::move(planned));
+}
+
+// A device makes of an exposure beyond its range the nearest that it has.
+ExposureLimits BracketedCamera::limits() const {
+  constexpr double kOfAPeriod = .9, kHighGain = 16;  // beyond, noise grows with the signal
+  const auto nearest = [&](double time, double gain) {
+    return device_->nearest({Seconds(time), Gain(gain)});
+  };
+  ExposureLimits out;
+  // A range that begins at nothing begins at the shortest time that anyone needs.
+  out.shortest = std::max(out.shortest, nearest(out.shortest.count(), 1).time);
+  out.longest = std::max(out.shortest, nearest(kOfAPeriod / fps_, 1).time);
+  out.most = std::max(Gain(1), nearest(out.longest.count(), kHighGain).gain);
+  return out;
+}
+
+Result<void> BracketedCamera::ask() {
+  const Exposure wanted = device_->nearest(schedule_[next_++ % schedule_.size()]);
+  PENUMBRA_TRY(device_->request(wanted));
+  if (!told_) labels_.requested(counter_.at(device_->now()), wanted);
+  return {};
+}
+
+Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
+  // When a request takes effect is certain only where it is made soon after a frame arrived.
+  auto came = device_->wait(timeout, counter_.fresh());
+  if (!came) {
+    device_.reset();
+    return std::unexpected(came.error());
+  }
+  if (!*came) return std::nullopt;
+  const CameraFrame& raw = **came;
+  const std::uint64_t number = counter_.count(raw.sequence, raw.time, device_->now());
+  if (asks_each_frame()) PENUMBRA_TRY(ask());
+  auto pixels = device_->pixels();
+  counts_.damaged += static_cast<std::uint64_t>(raw.damaged_before) + !pixels;
+  counts_.lost = lost_before_ + counter_.lost();
+  if (!pixels) return std::nullopt;
+  ++counts_.arrived;
+  if (raw.applied) take_told(number, *raw.applied);
+  const ExposureLabels::Label label = label_of(raw.time, number, *pixels);
+  if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.refused;
+  if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
+  ++counts_.frames;
+  if (auto_schedule_ && auto_schedule_->see(*pixels, label.exposure, raw.time)) {
+    take(auto_schedule_->plan().exposures);
+  }
+  counts_.exposures = schedule_;
+  if (auto_schedule_) counts_.light_error = auto_schedule_->plan().error();
+  return Frame{0,
+               sent_++,
+               raw.time,
+               label.exposure,
+               info_.world_from_camera,
+               std::make_shared<const FramePixels>(std::move(*pixels)),
+               device_->jpeg()};
+}
+
+// A frame that tells its exposure needs no delay; what it tells is checked like any label.
+void BracketedCamera::take_told(std::uint64_t number, Exposure exposure) {
+  if (!std::exchange(told_, true)) labels_ = ExposureLabels(0);
+  labels_.requested(number, exposure);
+}
+
+ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t number,
+                                                const FramePixels& pixels) {
+  using enum ExposureLabels::Verdict;
+  if (schedule_.empty()) return {kGood, {Seconds(1), Gain(1)}};
+  if (!asks_each_frame()) return {kGood, device_->nearest(schedule_[0])};
+  const auto label = labels_.judge(number, time, meter_.measure(pixels));
+  counts_.delay_frames = labels_.delay();
+  counts_.deaf = labels_.deaf();
+  return label;
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,245 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include "capture/hdr/merge.h"
+#include "capture/device/internal/bracketed_camera.h"
+#include "core/median.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr int kMostDelay = 10;           // frames
+constexpr std::size_t kRemembered = 24;  // frames
+constexpr std::size_t kFirst = 18,
+                      kEnough = 12;  // frames that tell the delay, at the start and later
+constexpr double kExact = .12;       // natural logarithm: how well a slip's ratio fits
+constexpr double kAgrees = .25;      // a third of a stop: less is flicker
+constexpr double kUniform =
+    .12;  // of the blocks' offsets: a change of exposure is the same everywhere
+constexpr double kPatience = 4;      // frames refused before the delay is looked for anew
+constexpr double kForgiveness = .8;  // of earlier refusals, for each good frame
+constexpr int kMostPatience = 24;    // after so many the light has changed after all
+constexpr int kFollows = 8;          // good frames in a row that no chance explains
+constexpr std::size_t kLeastBlocks = 6;
+constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
+
+// Median over the blocks that both know, and the median distance from it.
+struct Offset {
+  double value = 0, spread = 0;
+};
+std::optional<Offset> offset_between(const std::vector<float>& signal,
+                                     const std::vector<float>& radiance) {
+  std::vector<double> logs;
+  for (std::size_t i = 0; i < std::min(signal.size(), radiance.size()); ++i)
+    if (signal[i] > 0 && radiance[i] > 0) logs.push_back(std::log(signal[i] / radiance[i]));
+  if (logs.size() < kLeastBlocks) return std::nullopt;
+  Offset out;
+  out.value = median(logs);
+  for (double& l : logs) l = std::abs(l - out.value);
+  out.spread = median(logs);
+  return out;
+}
+
+}  // namespace
+
+std::uint64_t FrameCounter::at(TimestampNs time) const {
+  const double passed = period_ > 0 ? std::floor(((time - time_).count() - latency_) / period_) : 0;
+  return number_ + static_cast<std::uint64_t>(std::clamp(passed, 0., 1000.));
+}
+
+// Drivers stamp a frame when it begins; it arrives up to a period or two later.
+Seconds FrameCounter::fresh() const {
+  constexpr double kSoon = .4;  // of a period
+  return Seconds(period_ > 0 ? latency_ + kSoon * period_ : 1e9);
+}
+
+std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived) {
+  constexpr double kForget =
+      .02;  // of a period a frame: what grew is believed after a second or two
+  latency_ = std::min(latency_ + kForget * period_, std::max(0., (arrived - time).count()));
+  constexpr std::size_t kFewestPeriods = 5, kPeriods = 15;
+  constexpr std::uint64_t kMostMissing = 600;  // a longer gap is a new start
+  if (!sequence_) {
+    sequence_ = sequence, time_ = time;
+    return number_;
+  }
+  const double apart = (time - time_).count();
+  std::uint64_t step = sequence > *sequence_ ? sequence - *sequence_ : 1;
+  // Late delivery moves a time by less than half a period.
+  if (period_ > 0 && std::round(apart / period_) > static_cast<double>(step))
+    step = static_cast<std::uint64_t>(std::min(apart / period_ + .5, double{kMostMissing}));
+  step = std::min(step, kMostMissing);
+  periods_.push_back(apart / static_cast<double>(step));
+  if (periods_.size() > kPeriods) periods_.pop_front();
+  if (periods_.size() >= kFewestPeriods) {
+    std::vector<double> all(periods_.begin(), periods_.end());
+    period_ = median(all);
+  }
+  lost_ += step - 1;
+  number_ += step;
+  sequence_ = sequence, time_ = time;
+  return number_;
+}
+
+Brightness BrightnessMeter::measure(const FramePixels& pixels) {
+  constexpr int kSamples = 10;  // a side of a block
+  constexpr float kClipped = .95f, kDark = .005f;
+  const auto meter = [](const auto& image, const CodeCurve& codes) {
+    Brightness out;
+    for (int by = 0; by < Brightness::kRows; ++by)
+      for (int bx = 0; bx < Brightness::kColumns; ++bx) {
+        float sum = 0;
+        int usable = 0;
+        for (int k = 0; k < kSamples * kSamples; ++k) {
+          const int x = ((bx * kSamples + k % kSamples) * 2 + 1) * image.width() /
+                        (2 * kSamples * Brightness::kColumns),
+                    y = ((by * kSamples + k / kSamples) * 2 + 1) * image.height() /
+                        (2 * kSamples * Brightness::kRows);
+          const auto& p = image.at(x, y);
+          const float linear[] = {codes.decode(0, p.r), codes.decode(1, p.g), codes.decode(2, p.b)};
+          const float most = std::max({linear[0], linear[1], linear[2]}),
+                      mean = (linear[0] + linear[1] + linear[2]) / 3;
+          if (most > kClipped || mean < kDark) continue;
+          sum += mean, ++usable;
+        }
+        // Blocks that are partly clipped would seem too dark.
+        out.blocks.push_back(usable == kSamples * kSamples ? sum / static_cast<float>(usable)
+                                                           : 0.f);
+      }
+    return out;
+  };
+  if (const auto* codes8 = std::get_if<Image<Rgb8>>(&pixels)) return meter(*codes8, curve(8));
+  if (const auto* codes16 = std::get_if<Image<Rgb16>>(&pixels)) return meter(*codes16, curve(16));
+  return {};
+}
+
+const CodeCurve& BrightnessMeter::curve(int bits) {
+  if (!curve_ || curve_->largest_code() + 1 != 1u << bits)
+    curve_ = make_code_curve(camera_.response, bits, camera_.black_level);
+  return *curve_;
+}
+
+void ExposureLabels::requested(std::uint64_t after_frame, Exposure exposure) {
+  requests_.push_back({after_frame, exposure});
+  while (requests_.size() > kRemembered + kMostDelay) requests_.pop_front();
+}
+
+std::optional<Exposure> ExposureLabels::in_force(std::uint64_t frame, int delay) const {
+  for (auto r = requests_.rbegin(); r != requests_.rend(); ++r)
+    if (r->after_frame + static_cast<std::uint64_t>(delay) <= frame) return r->exposure;
+  return std::nullopt;
+}
+
+// Mean distance between neighbouring frames' changes of brightness and those that the delay explains, without the worst
+// fifth: single slips, and frames from before the first request.
+double ExposureLabels::disagreement(int delay) const {
+  constexpr double kFar = 2;
+  std::vector<double> distances;
+  for (std::size_t i = 1; i < seen_.size(); ++i) {
+    const auto before = in_force(seen_[i - 1].frame, delay), now = in_force(seen_[i].frame, delay);
+    const auto change = offset_between(seen_[i].brightness.blocks, seen_[i - 1].brightness.blocks);
+    if (!before || !now || !change) continue;
+    distances.push_back(
+        std::min(kFar, std::abs(change->value - std::log(now->product() / before->product()))));
+  }
+  if (distances.size() < 4) return kFar;
+  std::ranges::sort(distances);
+  const std::size_t kept = distances.size() - distances.size() / 5;
+  return std::accumulate(distances.begin(), distances.begin() + static_cast<std::ptrdiff_t>(kept),
+                         0.) /
+         static_cast<double>(kept);
+}
+
+// The shortest delay that explains the frames about as well as any: a schedule that repeats hides whole turns of it.
+void ExposureLabels::find_delay() {
+  constexpr double kTied = .03;
+  double least = 2;
+  std::array<double, kMostDelay + 1> scores{};
+  for (int delay = 1; delay <= kMostDelay; ++delay)
+    least = std::min(least, scores[static_cast<std::size_t>(delay)] = disagreement(delay));
+  suspicion_ = 0;
+  deaf_ = least > kAgrees;
+  if (deaf_) return;
+  const auto tied = [&](double score) { return score < least + kTied; };
+  const int best =
+      static_cast<int>(std::find_if(scores.begin() + 1, scores.end(), tied) - scores.begin());
+  if (delay_ == best) return;
+  delay_ = best;
+  refused_in_a_row_ = 0;
+  if (radiance_.empty()) begin_with_history();
+}
+
+// Single frames of the history may be mislabelled: each block's median is not.
+void ExposureLabels::begin_with_history() {
+  std::vector<std::vector<double>> blocks;
+  for (const Seen& s : seen_) {
+    const auto exposure = in_force(s.frame, *delay_);
+    blocks.resize(std::max(blocks.size(), s.brightness.blocks.size()));
+    for (std::size_t i = 0; exposure && i < s.brightness.blocks.size(); ++i)
+      if (s.brightness.blocks[i] > 0)
+        blocks[i].push_back(s.brightness.blocks[i] / exposure->product());
+  }
+  radiance_.clear();
+  for (std::vector<double>& b : blocks)
+    radiance_.push_back(b.empty() ? 0.f : static_cast<float>(median(b)));
+}
+
+ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs time,
+                                            const Brightness& seen) {
+  seen_.push_back({frame, seen});
+  while (seen_.size() > (delay_ ? kEnough : kRemembered)) seen_.pop_front();
+  if (!delay_) {
+    if (seen_.size() >= kFirst) find_delay();
+    return {};
+  }
+  const auto label = in_force(frame, *delay_);
+  if (!label) return {};
+  const auto offset = offset_between(seen.blocks, radiance_);
+  const double difference = offset ? offset->value - std::log(label->product()) : 0;
+  if (!offset && !radiance_.empty())
+    return {Verdict::kGood, *label};  // too dark or clipped to tell
+  if (std::abs(difference) < kAgrees)
+    return accept(*label, time, seen, offset && offset->spread < kUniform ? difference : drift_);
+  // A slip changes everything by the ratio of two requests; anything else is a change of light.
+  const bool slipped =
+      offset->spread < kUniform && std::ranges::any_of(requests_, [&](const Request& r) {
+        return std::abs(offset->value - std::log(r.exposure.product())) < kExact &&
+               std::abs(std::log(r.exposure.product() / label->product())) > kAgrees;
+      });
+  if (!slipped || refused_in_a_row_ >= kMostPatience) {
+    radiance_.clear();
+    return accept(*label, time, seen, 0);
+  }
+  ++refused_in_a_row_;
+  good_in_a_row_ = 0;
+  if (++suspicion_ >= kPatience) find_delay();
+  return {Verdict::kRefused, *label};
+}
+
+// Uniform offsets that come and go within a second are the mains' or the metadata's: the exposure takes them.
+ExposureLabels::Label ExposureLabels::accept(const Exposure& exposure, TimestampNs time,
+                                             const Brightness& seen, double offset) {
+  const double passed = std::clamp((time - last_).count(), 0., 1.);
+  last_ = time;
+  refused_in_a_row_ = 0;
+  suspicion_ *= kForgiveness;
+  if (++good_in_a_row_ >= kFollows) deaf_ = false;
+  const double flicker = offset - drift_;
+  drift_ += flicker * (1 - std::exp(-passed / kDriftSeconds));
+  Label out{Verdict::kGood, exposure};
+  out.exposure.gain = exposure.gain * std::exp(flicker);
+  const auto scale = static_cast<float>(1 / out.exposure.product());
+  radiance_.resize(seen.blocks.size());
+  constexpr float kNewShare = .3f;
+  for (std::size_t i = 0; i < radiance_.size(); ++i) {
+    if (seen.blocks[i] <= 0) continue;
+    const float now = seen.blocks[i] * scale;
+    radiance_[i] = radiance_[i] > 0 ? (1 - kNewShare) * radiance_[i] + kNewShare * now : now;
+  }
+  return out;
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,149 @@
+// Private to capture: a camera that cycles through exposures, and frames that carry what was applied to them.
+// Nothing here reads a clock: times come with the frames.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "capture/device/cameras.h"
+#include "capture/device/internal/exposure_schedule.h"
+#include "capture/frames.h"
+#include "calib/camera/code_curve.h"
+
+namespace penumbra::capture {
+
+/// Numbers the sensor's frames, also those that never arrived: drivers count only what reached them, times tell the rest.
+class FrameCounter {
+ public:
+  /// The frame's number, which grows by one a period. `arrived`: when it could be read first.
+  std::uint64_t count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived);
+  /// The newest frame that can be read at a time: what a request at that time comes after, however late frames are read.
+  std::uint64_t at(TimestampNs time) const;
+  /// How old a frame is that was read soon after it arrived.
+  Seconds fresh() const;
+  std::uint64_t lost() const { return lost_; }
+
+ private:
+  std::optional<std::uint64_t> sequence_;
+  TimestampNs time_;
+  std::uint64_t number_ = 0, lost_ = 0;
+  std::deque<double> periods_;  // seconds
+  double period_ = 0;           // their median; 0 while there are too few
+  double latency_ = 1e9;        // seconds from a frame's time to its arrival, the least of late
+};
+
+/// Mean linear signal on a coarse grid; 0 where too much is clipped or dark to tell.
+struct Brightness {
+  static constexpr int kColumns = 16, kRows = 9;
+  std::vector<float> blocks;
+};
+class BrightnessMeter {
+ public:
+  explicit BrightnessMeter(const CameraInfo& camera) : camera_(camera) {}
+  Brightness measure(const FramePixels& pixels);
+
+ private:
+  const CodeCurve& curve(int bits);
+  CameraInfo camera_;
+  std::optional<CodeCurve> curve_;
+};
+
+/// The exposure in force at each frame, from the requests and the camera's delay, checked against what frames show.
+class ExposureLabels {
+ public:
+  /// `delay`: frames between a request and the first frame that shows it; nothing: measured first.
+  explicit ExposureLabels(std::optional<int> delay) : delay_(delay) {}
+
+  void requested(std::uint64_t after_frame, Exposure exposure);
+  enum class Verdict {
+    kGood,
+    kMeasuring,  // not yet known how late the camera follows
+    kRefused,    // the frame contradicts its label
+  };
+  struct Label {
+    Verdict verdict = Verdict::kMeasuring;
+    Exposure exposure;
+  };
+  /// Frames in their order.
+  Label judge(std::uint64_t frame, TimestampNs time, const Brightness& seen);
+
+  std::optional<int> delay() const { return delay_; }
+  /// True while no delay explains what is seen: the camera does not follow.
+  bool deaf() const { return deaf_; }
+
+ private:
+  struct Request {
+    std::uint64_t after_frame;
+    Exposure exposure;
+  };
+  struct Seen {
+    std::uint64_t frame;
+    Brightness brightness;
+  };
+  std::optional<Exposure> in_force(std::uint64_t frame, int delay) const;
+  double disagreement(int delay) const;
+  void find_delay();
+  void begin_with_history();
+  Label accept(const Exposure& exposure, TimestampNs time, const Brightness& seen, double offset);
+
+  std::optional<int> delay_;
+  std::deque<Request> requests_;
+  std::deque<Seen> seen_;        // newest last
+  std::vector<float> radiance_;  // of the blocks; 0: unknown
+  double drift_ = 0;             // slow part of the offsets, natural logarithm
+  TimestampNs last_;
+  double suspicion_ = 0;  // refusals of late
+  int refused_in_a_row_ = 0, good_in_a_row_ = 0;
+  bool deaf_ = false;
+};
+
+/// A camera with its schedule. threads: thread-bound
+class BracketedCamera {
+ public:
+  /// `light_error`: the schedule is chosen, so that the light's error stays below this share of it.
+  BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay,
+                  std::optional<double> light_error = {}, double fps = 30)
+      : info_(std::move(info)),
+        schedule_(std::move(schedule)),
+        delay_(delay),
+        fps_(fps),
+        meter_(info_),
+        labels_(delay) {
+    if (light_error) auto_schedule_.emplace(info_, *light_error);
+  }
+
+  /// Takes a device over, also a new one after the old one has gone.
+  Result<void> connect(std::unique_ptr<CameraDevice> device);
+  bool connected() const { return device_ != nullptr; }
+  void disconnect() { device_.reset(); }
+  /// The next frame whose label holds; nothing when none came in time.
+  /// errors: kClosed (the device is gone)
+  Result<std::optional<Frame>> next(Seconds timeout);
+  const CameraCounts& counts() const { return counts_; }
+
+ private:
+  Result<void> ask();
+  ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
+  void take_told(std::uint64_t number, Exposure exposure);
+  ExposureLimits limits() const;
+  void take(std::vector<Exposure> planned);
+  bool asks_each_frame() const { return auto_schedule_ || schedule_.size() > 1; }
+  CameraInfo info_;
+  std::vector<Exposure> schedule_;
+  std::optional<int> delay_;  // as configured
+  double fps_;
+  std::optional<AutoSchedule> auto_schedule_;
+  BrightnessMeter meter_;
+  ExposureLabels labels_;
+  FrameCounter counter_;
+  std::unique_ptr<CameraDevice> device_;
+  std::size_t next_ = 0;  // in the schedule
+  std::uint64_t sent_ = 0, lost_before_ = 0;
+  bool told_ = false;  // the camera's frames tell their exposures
+  CameraCounts counts_;
+};
+
+}  // namespace penumbra::capture

@@ -1,0 +1,156 @@
+#include "capture/device/rig.h"
+
+#include <algorithm>
+#include <chrono>
+#include <mutex>
+#include <stop_token>
+
+#include "capture/device/internal/bracketed_camera.h"
+#include "capture/device/internal/libcamera_device.h"
+#include "capture/device/internal/v4l2_node.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr std::size_t kQueued = 8;  // frames of all cameras
+constexpr Seconds kTurn{.1}, kRetry{.25};
+constexpr Seconds kSilence{
+    2};  // and four exposures: a stream that gives nothing for so long is opened anew
+
+// The camera as it was configured, or the same one under another device: after a replug the number may have changed.
+Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
+                                                 const std::string& name, OpenCamera open) {
+  auto device = open(settings);
+  if (device || name.empty()) return device;
+  CameraList list;
+  is_libcamera(settings.device) ? list_libcamera(list) : list_v4l2(list);
+  for (const CameraListing& other : list.cameras) {
+    if (other.name != name || other.device == settings.device) continue;
+    CameraSettings there = settings;
+    there.device = other.device;
+    if (auto found = open(there)) return found;
+  }
+  return device;
+}
+
+}  // namespace
+
+// One camera and its thread.
+struct Rig::Station {
+  Station(RigCamera c, int number, OpenCamera opener, Bounded<Frame>& out, Latest<Error>& error)
+      : camera(std::move(c)),
+        bracketed(camera.info, camera.schedule, camera.delay_frames, camera.light_error,
+                  camera.settings.fps),
+        index(number),
+        open(opener),
+        frames(out),
+        failed(error) {
+    for (const Exposure& e : camera.schedule) longest = std::max(longest, e.time);
+  }
+
+  Result<void> start(std::unique_ptr<CameraDevice> device) {
+    name = device->name();
+    PENUMBRA_TRY(bracketed.connect(std::move(device)));
+    thread = std::jthread([this](const std::stop_token& stop) { run(stop); });
+    return {};
+  }
+  void run(const std::stop_token& stop) noexcept {
+    try {
+      while (!stop.stop_requested()) {
+        if (!bracketed.connected() && !reconnect()) {
+          std::this_thread::sleep_for(kRetry);
+          continue;
+        }
+        const auto before = std::chrono::steady_clock::now();
+        const std::uint64_t arrived = arrivals();
+        auto frame = bracketed.next(kTurn);
+        publish();
+        silent = arrivals() != arrived
+                     ? Seconds(0)
+                     : silent + Seconds(std::chrono::steady_clock::now() - before);
+        if (silent > kSilence + 4 * longest) bracketed.disconnect(), silent = Seconds(0);
+        if (!frame || !*frame) continue;  // gone, or nothing yet
+        (*frame)->camera = index;
+        frames.try_push(std::move(**frame));
+      }
+    } catch (const std::exception& e) {
+      failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
+      frames.close();
+    }
+  }
+  std::uint64_t arrivals() const { return bracketed.counts().arrived; }
+  bool reconnect() {
+    auto device = find_again(camera.settings, name, open);
+    if (!device || !bracketed.connect(std::move(*device))) return false;
+    ++reconnected;
+    return true;
+  }
+  void publish() {
+    const std::scoped_lock lock(mutex);
+    counts = bracketed.counts();
+    counts.reconnected = reconnected;
+  }
+
+  RigCamera camera;
+  BracketedCamera bracketed;
+  std::string name;
+  int index;
+  OpenCamera open;
+  Bounded<Frame>& frames;
+  Latest<Error>& failed;
+  Seconds longest{0}, silent{0};
+  std::uint64_t reconnected = 0;
+  mutable std::mutex mutex;
+  CameraCounts counts;  // guarded by mutex
+  std::jthread thread;  // last: joined before the rest goes
+};
+
+Rig::Rig() : frames_(kQueued) {}
+Rig::~Rig() {
+  close();
+}
+
+Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamera open) {
+  if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig", "no camera");
+  auto rig = std::unique_ptr<Rig>(new Rig);
+  std::vector<std::unique_ptr<CameraDevice>> devices;
+  for (RigCamera& camera : cameras) {
+    camera.settings.width = camera.info.projection.width;
+    camera.settings.height = camera.info.projection.height;
+    PENUMBRA_ASSIGN(device, open(camera.settings));
+    devices.push_back(std::move(device));
+    rig->infos_.push_back(camera.info);
+    if (camera.info.role == Role::kView && rig->view_rate_ == 0)
+      rig->view_rate_ = camera.settings.fps;
+  }
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    rig->stations_.push_back(std::make_unique<Station>(std::move(cameras[i]), static_cast<int>(i),
+                                                       open, rig->frames_, rig->failed_));
+    PENUMBRA_TRY(rig->stations_.back()->start(std::move(devices[i])));
+  }
+  return rig;
+}
+
+Result<std::optional<Frame>> Rig::next() {
+  auto frame = frames_.pop();
+  if (frame) return frame;
+  if (auto error = failed_.take()) return std::unexpected(std::move(*error));
+  return std::nullopt;
+}
+
+void Rig::close() {
+  frames_.close();
+  for (const auto& station : stations_) station->thread.request_stop();
+}
+
+std::vector<CameraCounts> Rig::counts() const {
+  std::vector<CameraCounts> out;
+  for (const auto& station : stations_) {
+    const std::scoped_lock lock(station->mutex);
+    out.push_back(station->counts);
+  }
+  return out;
+}
+
+}  // namespace penumbra::capture

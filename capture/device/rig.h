@@ -1,0 +1,61 @@
+// Real cameras as one source of frames: each on a thread of its own, opened again when it comes back.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "capture/device/cameras.h"
+#include "capture/frames.h"
+#include "core/queues.h"
+
+namespace penumbra::capture {
+
+struct RigCamera {
+  CameraInfo info;  // the projection has the size that is asked of the camera
+  CameraSettings settings;
+  std::vector<Exposure>
+      schedule;  // in turn; one: fixed; none: as the camera stands, counted as one second
+  std::optional<double>
+      light_error;  // instead: the fewest exposures that keep the light's error below this
+  std::optional<int> delay_frames;  // between a request and its effect; nothing: measured
+};
+
+/// The [[camera]] tables of a rig.toml (docs/serve.md); other tables are left alone.
+/// errors: kNotFound, kUnreadable, kInvalid (file, line, key)
+Result<std::vector<RigCamera>> read_rig_cameras(const std::filesystem::path& path);
+
+/// What opens cameras; another one in tests.
+using OpenCamera = Result<std::unique_ptr<CameraDevice>> (*)(const CameraSettings&);
+
+/// threads: next() and cameras() thread-bound; close() and counts() thread-safe
+class Rig : public FrameSource {
+ public:
+  /// errors: as open_camera; kInvalid (a schedule for a camera whose exposure cannot be set)
+  static Result<std::unique_ptr<Rig>> open(std::vector<RigCamera> cameras,
+                                           OpenCamera open = open_camera);
+  ~Rig() override;
+
+  const std::vector<CameraInfo>& cameras() const override { return infos_; }
+  /// Waits for a frame of any camera; nothing after close(). A camera that has gone only stays silent: it is looked for
+  /// four times a second until it is back.
+  /// errors: kUnavailable (a camera's thread failed)
+  Result<std::optional<Frame>> next() override;
+  double view_rate() const override { return view_rate_; }
+  bool is_live() const override { return true; }
+  void close() override;
+
+  std::vector<CameraCounts> counts() const override;
+
+ private:
+  struct Station;
+  Rig();
+  std::vector<CameraInfo> infos_;
+  double view_rate_ = 0;
+  Bounded<Frame> frames_;
+  Latest<Error> failed_;  // of a thread, before frames_ is closed
+  std::vector<std::unique_ptr<Station>> stations_;
+};
+
+}  // namespace penumbra::capture

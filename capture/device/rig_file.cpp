@@ -1,0 +1,115 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "capture/device/rig.h"
+#include "capture/recording/camera_table.h"
+#include "core/toml_keys.h"
+
+namespace penumbra::capture {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::string_view kDeviceKeys[] = {"device", "format",    "fps",          "exposures_s",
+                                            "gains",  "unit_gain", "delay_frames", "light_error"};
+
+Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
+  std::vector<Exposure> schedule;
+  if (!keys.has("exposures_s")) return schedule;
+  constexpr std::size_t kMost = 16;
+  PENUMBRA_ASSIGN(times, keys.numbers("exposures_s"));
+  std::vector<double> gains(times.size(), 1.);
+  if (keys.has("gains")) {
+    PENUMBRA_ASSIGN(given, keys.numbers("gains", times.size()));
+    gains = given;
+  }
+  if (times.empty() || times.size() > kMost)
+    return keys.invalid("exposures_s", fmt::format("not \"auto\" or 1 to {} exposures", kMost));
+  for (std::size_t i = 0; i < times.size(); ++i) {
+    if (!(times[i] > 0 && times[i] <= 60))
+      return keys.invalid("exposures_s", "not within 0..60 seconds");
+    if (!(gains[i] > 0 && gains[i] <= 1e4)) return keys.invalid("gains", "not within 0..10000");
+    schedule.push_back({Seconds(times[i]), Gain(gains[i])});
+  }
+  return schedule;
+}
+
+// A schedule, or "auto" and what it has to reach.
+Result<void> read_exposures(const TomlKeys& keys, RigCamera& camera) {
+  const bool automatic = keys.text("exposures_s").value_or("") == "auto";
+  if (!automatic) {
+    if (keys.has("light_error"))
+      return keys.invalid("light_error", "only with exposures_s = \"auto\"");
+    PENUMBRA_ASSIGN(schedule, read_schedule(keys));
+    camera.schedule = std::move(schedule);
+    return {};
+  }
+  if (keys.has("gains")) return keys.invalid("gains", "not with exposures_s = \"auto\"");
+  constexpr double kUsualError = .01;
+  camera.light_error = kUsualError;
+  if (!keys.has("light_error")) return {};
+  PENUMBRA_ASSIGN(error, keys.number("light_error"));
+  if (!(error > 0 && error < 1)) return keys.invalid("light_error", "not within 0..1");
+  camera.light_error = error;
+  return {};
+}
+
+Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
+  std::vector<std::string_view> known(kCameraKeys.begin(), kCameraKeys.end());
+  std::erase(known, "frames");
+  known.insert(known.end(), std::begin(kDeviceKeys), std::end(kDeviceKeys));
+  PENUMBRA_TRY(keys.only(known));
+  RigCamera camera;
+  PENUMBRA_ASSIGN(info, read_camera_info(keys));
+  camera.info = std::move(info);
+  if (!keys.has("response")) return keys.invalid("response", "missing");
+  PENUMBRA_ASSIGN(response, read_response(keys, {}));
+  camera.info.response = response;
+  PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
+  PENUMBRA_ASSIGN(device, keys.text("device"));
+  camera.settings.device = device;
+  if (keys.has("format")) {
+    PENUMBRA_ASSIGN(format, keys.text("format"));
+    camera.settings.format = format;
+  }
+  if (keys.has("fps")) {
+    PENUMBRA_ASSIGN(fps, keys.number("fps"));
+    if (!(fps > 0 && fps <= 1000)) return keys.invalid("fps", "not within 0..1000");
+    camera.settings.fps = fps;
+  }
+  if (keys.has("unit_gain")) {
+    PENUMBRA_ASSIGN(unit, keys.number("unit_gain"));
+    if (!(unit > 0)) return keys.invalid("unit_gain", "not positive");
+    camera.settings.unit_gain = unit;
+  }
+  if (keys.has("delay_frames")) {
+    PENUMBRA_ASSIGN(delay, keys.integer("delay_frames", 1, 10));
+    camera.delay_frames = delay;
+  }
+  PENUMBRA_TRY(read_exposures(keys, camera));
+  return camera;
+}
+
+}  // namespace
+
+Result<std::vector<RigCamera>> read_rig_cameras(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
+  PENUMBRA_ASSIGN(list, keys.tables("camera"));
+  std::vector<RigCamera> cameras;
+  for (const toml::table* table : list) {
+    const TomlKeys camera_keys(path, *table);
+    PENUMBRA_ASSIGN(camera, read_rig_camera(camera_keys));
+    for (const RigCamera& other : cameras) {
+      if (other.info.name == camera.info.name)
+        return camera_keys.invalid("name", fmt::format("\"{}\" is used twice", other.info.name));
+      if (other.settings.device == camera.settings.device)
+        return camera_keys.invalid("device",
+                                   fmt::format("\"{}\" is used twice", other.settings.device));
+    }
+    cameras.push_back(std::move(camera));
+  }
+  return cameras;
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,30 @@
+// Environment maps from files.
+// threads: reentrant
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <optional>
+
+#include "calib/camera/projection.h"
+#include "calib/camera/projection_table.h"
+#include "core/image.h"
+#include "core/result.h"
+
+namespace penumbra::capture {
+
+/// An environment file in any supported projection as directions, solid angles and radiance. The
+/// mapping comes from the OpenEXR attribute where there is one, else from `projection`, else from
+/// the shape: 2:1 lat-long, 3:4 vertical cross, 1:1 angular. Non-finite pixels get no solid angle.
+struct EnvironmentFile {
+  calib::Projection projection;
+  calib::ProjectionTable table;
+  Image<Rgb> radiance;
+  std::size_t non_finite = 0;
+};
+Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
+                                         std::optional<calib::ProjectionKind> projection);
+/// Any of them resampled to lat-long (a plain lat-long file keeps its pixels).
+Result<Image<Rgb>> to_latlong(const EnvironmentFile& file);
+
+}  // namespace penumbra::capture

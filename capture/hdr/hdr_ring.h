@@ -1,0 +1,70 @@
+// The HDR merge at camera rate.
+// threads: thread-bound
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "capture/frames.h"
+#include "capture/hdr/merge.h"
+#include "core/image.h"
+#include "core/result.h"
+#include "core/units.h"
+
+namespace penumbra::capture {
+
+class TableMerger;  // private: table_merger.h
+
+/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new image. What moved or
+/// changed since an older exposure was taken leaves no ghost: older samples that contradict newer ones by the noise
+/// model are left out, and light that thereby vanished from one place while another became brighter than the newest
+/// exposure can tell stays whole (a lamp that moves; frames of 8 bits) until a shorter exposure has seen it. When the camera
+/// turns (Frame::world_from_camera) older exposures are turned with it; what they did not see is taken from the newest.
+/// source: sample rejection at 3.5 sigma, Granados et al. 2010
+class HdrRing {
+ public:
+  HdrRing(CameraInfo camera, int slots);
+  ~HdrRing();
+  HdrRing(HdrRing&&) noexcept;
+  HdrRing& operator=(HdrRing&&) noexcept;
+  /// errors: kInvalid (size changed, bad exposure), kUndetermined as merge()
+  Result<const MergedImage*> add(const Frame& frame);
+  /// Different exposures that stand in the ring.
+  std::size_t exposures() const { return slots_.size(); }
+  /// False while a shorter exposure may still come: until one came back, or so many different ones stand in the ring.
+  bool knows_bracket() const { return came_back_ || slots_.size() >= kUsualBracket; }
+
+ private:
+  static constexpr std::size_t kUsualBracket = 4;
+  struct Slot {
+    Frame frame;
+    Exposure nominal;          // as its exposure came first; flicker moves the frames' own
+    double gain_log = 0;       // of late, in the mean
+    std::uint64_t placed = 0;  // frames that the ring had taken before
+    // As the camera would have seen it from where it looks now; null: as it is.
+    std::shared_ptr<const FramePixels> turned{};
+    Image<std::uint8_t> valid{};  // of `turned`
+    const std::shared_ptr<const FramePixels>& pixels() const {
+      return turned ? turned : frame.pixels;
+    }
+  };
+  bool turn_to(const Frame& newest);
+  void fill_unseen(Slot& slot, const Frame& newest) const;
+  Slot* slot_of(const Exposure& exposure);
+  Result<void> merge_now(const std::optional<Frame>& replaced);
+  Result<void> merge_all();
+  CameraInfo camera_;
+  std::size_t most_slots_;
+  bool came_back_ = false;   // an exposure
+  bool was_turned_ = false;  // some slot, at the last merge
+  std::uint64_t taken_ = 0;
+  std::vector<Slot> slots_;  // longest exposure first
+  std::vector<Exposure> table_exposures_;
+  std::unique_ptr<TableMerger> table_;
+  MergedImage merged_;
+};
+
+}  // namespace penumbra::capture

@@ -1,0 +1,62 @@
+// Private to capture: whether two samples of a pixel can show the same radiance.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+
+#include "capture/hdr/merge_math.h"
+
+namespace penumbra::capture {
+
+/// Standard deviations between two samples of the same radiance that chance explains. source: Granados et al. 2010
+inline constexpr double kMostSigmas = 3.5;
+/// For cameras whose noise is a guess.
+inline constexpr double kMostSigmasOfAGuess = 7;
+inline constexpr double most_sigmas(bool noise_known) {
+  return noise_known ? kMostSigmas : kMostSigmasOfAGuess;
+}
+/// Of the radiance: what response curve and exposure times leave wrong.
+inline constexpr double kModelError = .01;
+
+/// A sample that may be clipped; then its signal is a lower bound.
+struct Sample {
+  double signal;
+  bool clipped;
+};
+
+/// Both under the hypothesis that they show one radiance, whose estimate is their sum over the sum of exposures.
+inline bool contradict(const Sample& a, const Exposure& exposure_a, const Sample& b,
+                       const Exposure& exposure_b, const calib::NoiseModel& noise,
+                       const QuantisationStep& step, int channel, double sigmas) {
+  if (a.clipped && b.clipped) return false;
+  const double ea = exposure_a.product(), eb = exposure_b.product();
+  const double xa = a.signal / ea, xb = b.signal / eb;
+  if ((a.clipped && xb >= xa) || (b.clipped && xa >= xb)) return false;
+  const double x = std::max(0., (a.signal + b.signal) / (ea + eb));
+  const auto variance = [&](double e, double gain) {
+    return (noise.variance(e * x, gain) + step.variance(channel, e * x)) / (e * e);
+  };
+  const double all = variance(ea, exposure_a.gain.value()) + variance(eb, exposure_b.gain.value()) +
+                     kModelError * kModelError * x * x;
+  return std::abs(xa - xb) > sigmas * std::sqrt(all);
+}
+
+/// For each 8-bit code of one exposure, the codes of another that can show the same radiance: low | high << 8.
+using AllowedCodes = std::array<std::uint32_t, 256>;
+
+/// What turns codes into samples, for one channel.
+struct CodeSamples {
+  const CodeCurve& curve;
+  const calib::NoiseModel& noise;
+  QuantisationStep step;
+  unsigned first_clipped;
+  int channel;
+  Sample operator()(unsigned code) const {
+    return {static_cast<double>(curve.decode(channel, code)), code >= first_clipped};
+  }
+};
+AllowedCodes allowed_codes(const CodeSamples& samples, const Exposure& known, const Exposure& asked,
+                           double sigmas);
+
+}  // namespace penumbra::capture

@@ -1,0 +1,207 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <numeric>
+
+#include "capture/hdr/internal/contradiction.h"
+#include "core/parallel.h"
+
+namespace penumbra::capture {
+
+CodeCurve make_code_curve(const calib::Response& response, int bits, double black_level) {
+  return CodeCurve({response.decode_table(bits, 0), response.decode_table(bits, 1),
+                    response.decode_table(bits, 2)},
+                   static_cast<float>(black_level));
+}
+
+Result<void> check_exposures(std::span<const Exposure> exposures) {
+  for (std::size_t k = 0; k < exposures.size(); ++k) {
+    const double t = exposures[k].time.count(), g = exposures[k].gain.value();
+    if (!(std::isfinite(t) && t > 0) || !(std::isfinite(g) && g > 0))
+      return fail(ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
+                  fmt::format("{} s at gain {}: both must be positive and finite", t, g));
+    constexpr double kLargest = 1e12;  // beyond, radiance leaves the range of floats
+    if (t * g > kLargest || t * g < 1 / kLargest)
+      return fail(ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
+                  fmt::format("{} s at gain {}: no camera exposes so", t, g));
+  }
+  return {};
+}
+
+namespace {
+
+template <class Pixel>
+class Stack {
+ public:
+  Stack(const ExposureStack& in, const CodeCurve* curve)
+      : in_(in), curve_(curve), order_(in.trust) {
+    for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
+    if (curve) step_ = QuantisationStep(*curve);
+    if (order_.empty()) {
+      order_.resize(in.exposures.size());
+      std::iota(order_.begin(), order_.end(), std::size_t{0});
+    }
+  }
+  int width() const { return images_[0]->width(); }
+  int height() const { return images_[0]->height(); }
+
+  Sample sample(std::size_t k, std::size_t i, int c) const {
+    const Pixel& p = images_[k]->pixels()[i];
+    const auto code = c == 0 ? p.r : c == 1 ? p.g : p.b;
+    if constexpr (std::is_same_v<Pixel, Rgb>) {
+      const bool finite = std::isfinite(code);
+      return {finite ? static_cast<double>(code) - in_.black_level : 0, !finite};
+    } else {
+      const double signal = static_cast<double>(curve_->decode(c, code));
+      return {signal, signal + in_.black_level >= kClipLevel};
+    }
+  }
+
+  bool shows(std::size_t k, std::size_t i) const {
+    return in_.valid.empty() || in_.valid[k].area() == 0 || in_.valid[k].pixels()[i] != 0;
+  }
+  struct Value {
+    double radiance;
+    bool clipped, black;
+  };
+  /// The exposures that count: all that show the pixel or, with an order of trust, from the most trusted on those whose
+  /// samples agree with all before, in every channel.
+  void counting(std::size_t i, std::vector<std::size_t>& out) const {
+    out.clear();
+    for (const std::size_t k : order_) {
+      if (!shows(k, i)) continue;
+      const bool fits =
+          in_.trust.empty() || std::ranges::none_of(out, [&](std::size_t j) {
+            for (int c = 0; c < 3; ++c)
+              if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k],
+                             in_.noise, step_, c, most_sigmas(in_.noise_known)))
+                return true;
+            return false;
+          });
+      if (fits) out.push_back(k);
+    }
+  }
+  Value merge(std::size_t i, int c, std::span<const std::size_t> exposures) const {
+    thread_local std::vector<Measurement> measured;
+    measured.clear();
+    double lower_bound = 0, longest = 0, longest_gain = 1;
+    for (const std::size_t k : exposures) {
+      const Sample s = sample(k, i, c);
+      const double e = in_.exposures[k].product(), g = in_.exposures[k].gain.value();
+      if (s.clipped) {
+        lower_bound = std::max(lower_bound, s.signal / e);
+        continue;
+      }
+      measured.push_back({s.signal, e, g});
+      if (e > longest) longest = e, longest_gain = g;
+    }
+    if (measured.empty()) return {lower_bound, true, false};
+    const double x = estimate_radiance(measured, in_.noise, step_, c);
+    const double floor = in_.noise.variance(0, longest_gain) + step_.variance(c, 0);
+    return {x, false, x * longest < 2 * std::sqrt(floor)};
+  }
+
+ private:
+  const ExposureStack& in_;
+  const CodeCurve* curve_;
+  QuantisationStep step_;
+  std::vector<std::size_t> order_;
+  std::vector<const Image<Pixel>*> images_;
+};
+
+template <class Pixel>
+MergedFloat merge_pixels(const ExposureStack& in, const CodeCurve* curve) {
+  const Stack<Pixel> stack(in, curve);
+  MergedFloat out;
+  out.radiance = Image<Rgb>(stack.width(), stack.height());
+  out.clipped = Image<std::uint8_t>(stack.width(), stack.height());
+  std::atomic<std::size_t> clipped = 0, black = 0;
+  parallel_for(0, stack.height(), 8, [&](const auto& rows) {
+    std::size_t clipped_here = 0, black_here = 0;
+    std::vector<std::size_t> exposures;
+    const auto first =
+        static_cast<std::size_t>(rows.begin()) * static_cast<std::size_t>(stack.width());
+    const auto last =
+        static_cast<std::size_t>(rows.end()) * static_cast<std::size_t>(stack.width());
+    for (std::size_t i = first; i < last; ++i) {
+      bool any_clipped = false, all_black = true;
+      stack.counting(i, exposures);
+      for (int c = 0; c < 3; ++c) {
+        const auto v = stack.merge(i, c, exposures);
+        out.radiance.pixels()[i][c] = static_cast<float>(v.radiance);
+        any_clipped |= v.clipped;
+        all_black &= v.black;
+      }
+      out.clipped.pixels()[i] = any_clipped;
+      clipped_here += any_clipped;
+      black_here += all_black;
+    }
+    clipped += clipped_here;
+    black += black_here;
+  });
+  const auto area = static_cast<double>(out.radiance.area());
+  out.clipped_fraction = static_cast<double>(clipped) / area;
+  out.black_fraction = static_cast<double>(black) / area;
+  return out;
+}
+
+Result<void> check_stack(const ExposureStack& stack) {
+  if (stack.frames.empty()) return fail(ErrorCode::kInvalid, "exposure stack", "has no frames");
+  if (stack.frames.size() != stack.exposures.size())
+    return fail(
+        ErrorCode::kInvalid, "exposure stack",
+        fmt::format("{} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
+  PENUMBRA_TRY(check_exposures(stack.exposures));
+  std::vector<std::size_t> trust = stack.trust;
+  std::ranges::sort(trust);
+  for (std::size_t k = 0; k < trust.size(); ++k)
+    if (trust[k] != k || trust.size() != stack.frames.size())
+      return fail(ErrorCode::kInvalid, "exposure stack",
+                  "its order of trust is no order of its frames");
+  if (!stack.valid.empty() && stack.valid.size() != stack.frames.size())
+    return fail(ErrorCode::kInvalid, "exposure stack",
+                fmt::format("{} frames but {} masks", stack.frames.size(), stack.valid.size()));
+  const FramePixels& first = *stack.frames[0];
+  for (std::size_t k = 0; k < stack.frames.size(); ++k) {
+    const FramePixels& f = *stack.frames[k];
+    if (f.index() != first.index())
+      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
+                  "another bit depth than the first");
+    if (width(f) != width(first) || height(f) != height(first))
+      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
+                  fmt::format("{}x{}, expected {}x{} as the first", width(f), height(f),
+                              width(first), height(first)));
+    if (!stack.valid.empty() && stack.valid[k].area() > 0 &&
+        (stack.valid[k].width() != width(f) || stack.valid[k].height() != height(f)))
+      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
+                  "its mask is of another size");
+    if (width(f) == 0 || height(f) == 0)
+      return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1), "has no pixels");
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<MergedFloat> merge(const ExposureStack& stack) {
+  PENUMBRA_TRY(check_stack(stack));
+  MergedFloat out;
+  if (std::holds_alternative<Image<Rgb>>(*stack.frames[0])) {
+    out = merge_pixels<Rgb>(stack, nullptr);
+  } else {
+    const bool wide = std::holds_alternative<Image<Rgb16>>(*stack.frames[0]);
+    const CodeCurve curve = make_code_curve(stack.response, wide ? 16 : 8, stack.black_level);
+    out = wide ? merge_pixels<Rgb16>(stack, &curve) : merge_pixels<Rgb8>(stack, &curve);
+  }
+  if (out.clipped_fraction == 1)
+    return fail(ErrorCode::kUndetermined, "exposure stack",
+                "every pixel is clipped in every exposure; expose shorter");
+  if (out.black_fraction == 1)
+    return fail(ErrorCode::kUndetermined, "exposure stack",
+                "every pixel is black in every exposure; expose longer or open the lens");
+  return out;
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,43 @@
+// Stacks of pictures as people take them: by hand, with exposures that the metadata tells wrong or not at all.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "calib/camera/code_curve.h"
+#include "core/image.h"
+#include "core/result.h"
+
+namespace penumbra::capture {
+
+struct ExposureStack;
+
+/// Exposure of `b` over that of `a` by the pixels that both tell.
+struct ExposureRatio {
+  double ratio = 1;
+  double low = 1, high = 1;  // 95 % of the estimates of resampled pictures lie between
+  double share = 0;          // of the pictures' patches
+  std::size_t blocks = 0;    // of 4x4 pixels that took part
+};
+/// Median over blocks of 4x4 pixels in which neither clips nor is dark, so that what moved has no say; its interval by
+/// resampling the blocks, and wider where the dark and the bright of the pictures disagree: the curve does not fit. The
+/// ratio holds under the given curve: another curve, another ratio.
+/// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell)
+/// source: Hanji & Mantiuk 2023 (ratios from overlaps); gauge: Grossberg & Nayar 2003
+Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
+                                              const CodeCurve& curve);
+
+/// How far the pictures of a hand-held stack lay from the reference, pixels in the mean.
+struct Alignment {
+  std::vector<double> moved_px;
+};
+/// Brings the pictures (8 bits) of a stack onto the reference by a homography each; what a picture does not show
+/// is marked as not valid. Parallax and what moved on its own remain: a merge with an order of trust leaves them out.
+/// errors: kInvalid (not 8 bits, no such reference), kUndetermined (too little in common: the picture's number)
+/// source: SIFT, Lowe 2004; consensus, Fischler & Bolles 1981
+Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference);
+
+}  // namespace penumbra::capture

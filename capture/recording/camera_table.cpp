@@ -1,0 +1,469 @@
+#include "capture/recording/camera_table.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
+
+#include "capture/sights.h"
+#include "codec/codec.h"
+#include "core/conventions.h"
+
+namespace penumbra::capture {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::string_view kLensKeys[] = {"crop_px",      "projection",      "focal_px",
+                                          "principal_px", "distortion",      "intrinsics",
+                                          "field_deg",    "camera_from_lens"};
+constexpr std::string_view kBallKeys[] = {"outline_px", "centre_m", "radius_m", "reflectance"};
+
+Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(values, keys.numbers(key, 2));
+  return glm::dvec2{values[0], values[1]};
+}
+
+struct Size {
+  int width = 0, height = 0;
+};
+
+Result<Size> read_size(const TomlKeys& keys) {
+  PENUMBRA_ASSIGN(width, keys.integer("width", 1, codec::kMaxSide));
+  PENUMBRA_ASSIGN(height, keys.integer("height", 1, codec::kMaxSide));
+  constexpr double kMostPixels = 128e6;  // a frame, its light and its ring still fit into memory
+  if (double(width) * height > kMostPixels)
+    return keys.invalid("width", fmt::format("{} x {} pixels are more than {:.0f} million", width,
+                                             height, kMostPixels / 1e6));
+  return Size{width, height};
+}
+
+Result<calib::Projection> read_own_projection(const TomlKeys& keys, const Size& size) {
+  PENUMBRA_ASSIGN(name, keys.text("projection"));
+  const auto kind = calib::projection_kind(name);
+  if (!kind)
+    return keys.invalid("projection", fmt::format("\"{}\": {}", name, kind.error().detail));
+  auto projection = calib::make_projection(*kind, size.width, size.height);
+  if (!projection) return keys.invalid("projection", name + ": " + projection.error().detail);
+  for (const std::string_view key : {"focal_px", "principal_px"}) {
+    if (!keys.has(key)) continue;
+    if (!calib::has_intrinsics(*kind))
+      return keys.invalid(key, "the projection " + name + " has none");
+    PENUMBRA_ASSIGN(pair, read_pair(keys, key));
+    if (key == "focal_px" && (pair.x <= 0 || pair.y <= 0)) return keys.invalid(key, "not positive");
+    (key == "focal_px" ? projection->focal_px : projection->principal_px) = pair;
+  }
+  if (!keys.has("distortion")) return projection;
+  PENUMBRA_ASSIGN(distortion, keys.numbers("distortion"));
+  auto distorted = calib::with_distortion(*projection, distortion);
+  if (!distorted) return keys.invalid("distortion", distorted.error().detail);
+  return distorted;
+}
+
+/// A file of `calibrate camera`: one camera with a projection of its own; its other keys are its own, too.
+Result<calib::Projection> read_lens_file(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys file(path, root);
+  PENUMBRA_TRY(file.version(1));
+  PENUMBRA_ASSIGN(list, file.tables("camera"));
+  if (list.size() != 1)
+    return file.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
+  const TomlKeys keys(path, *list[0]);
+  for (const std::string_view key : {"intrinsics", "lens"})
+    if (keys.has(key)) return keys.invalid(key, "a file of intrinsics has its own projection");
+  PENUMBRA_ASSIGN(size, read_size(keys));
+  return read_own_projection(keys, size);
+}
+
+Result<calib::Projection> read_intrinsics(const TomlKeys& keys) {
+  for (const std::string_view key : {"projection", "focal_px", "principal_px", "distortion"})
+    if (keys.has(key)) return keys.invalid(key, "intrinsics has it already");
+  PENUMBRA_ASSIGN(name, keys.text("intrinsics"));
+  PENUMBRA_ASSIGN(projection, read_lens_file(keys.path().parent_path() / name));
+  for (const auto& [key, size] :
+       {std::pair{"width", projection.width}, {"height", projection.height}}) {
+    if (!keys.has(key)) continue;
+    PENUMBRA_ASSIGN(asked, keys.integer(key, 1, codec::kMaxSide));
+    if (asked != size)
+      return keys.invalid(key, fmt::format("{}, but {} is for {}", asked, name, size));
+  }
+  return projection;
+}
+
+Result<calib::Projection> read_projection(const TomlKeys& keys) {
+  if (keys.has("intrinsics")) return read_intrinsics(keys);
+  PENUMBRA_ASSIGN(size, read_size(keys));
+  return read_own_projection(keys, size);
+}
+
+/// A rotation and a translation, column-major, within the rounding of a file's few digits.
+Result<Pose> read_pose(const TomlKeys& keys, std::string_view key = "world_from_camera") {
+  constexpr double tolerance = 1e-3;
+  PENUMBRA_ASSIGN(m, keys.numbers(key, 16));
+  if (m[3] != 0 || m[7] != 0 || m[11] != 0 || m[15] != 1)
+    return keys.invalid(key, "the last row is not 0 0 0 1 (the list is column-major)");
+  const glm::dmat3 r(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
+  for (int a = 0; a < 3; ++a)
+    for (int b = 0; b < 3; ++b)
+      if (std::abs(glm::dot(r[a], r[b]) - (a == b ? 1 : 0)) > tolerance)
+        return keys.invalid(key, "not a rigid transform: its axes are not orthonormal");
+  if (glm::determinant(r) < 0) return keys.invalid(key, "not a rigid transform: it mirrors");
+  return Pose{glm::normalize(glm::quat_cast(r)), {m[12], m[13], m[14]}};
+}
+
+Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
+  PENUMBRA_ASSIGN(name, keys.text("name"));
+  if (name.empty()) return keys.invalid("name", "empty");
+  if (std::ranges::any_of(name, [](unsigned char c) { return std::iscntrl(c); }))
+    return keys.invalid("name", "has control characters");
+  PENUMBRA_ASSIGN(role, keys.text("role"));
+  if (role != "environment" && role != "view")
+    return keys.invalid("role", fmt::format("\"{}\", expected environment or view", role));
+  info.name = name;
+  info.role = role == "view" ? Role::kView : Role::kEnvironment;
+  if (!keys.has("eye")) return {};
+  PENUMBRA_ASSIGN(eye, keys.text("eye"));
+  if (!eye.empty() && eye != "left" && eye != "right")
+    return keys.invalid("eye", fmt::format("\"{}\", expected left or right", eye));
+  info.eye = eye;
+  return {};
+}
+
+/// A file of `calibrate noise`.
+Result<void> read_noise(const TomlKeys& keys, CameraInfo& info) {
+  if (!keys.has("noise")) return {};
+  for (const std::string_view key : {"black_level", "full_well_electrons", "read_fraction"})
+    if (keys.has(key)) return keys.invalid(key, "noise has it already");
+  PENUMBRA_ASSIGN(name, keys.text("noise"));
+  PENUMBRA_ASSIGN(bytes, read_bytes(keys.path().parent_path() / name));
+  PENUMBRA_ASSIGN(
+      noise, calib::parse_noise_file({reinterpret_cast<const char*>(bytes.data()), bytes.size()},
+                                     keys.path().parent_path() / name));
+  info.noise = noise.model;
+  info.noise_known = true;
+  info.black_level = noise.black_level;
+  return {};
+}
+
+Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
+  if (keys.has("black_level")) {
+    PENUMBRA_ASSIGN(black, keys.number("black_level"));
+    if (black < 0 || black >= 1)
+      return keys.invalid("black_level", "not within 0..1 of full scale");
+    info.black_level = black;
+  }
+  if (keys.has("full_well_electrons")) {
+    PENUMBRA_ASSIGN(electrons, keys.number("full_well_electrons"));
+    if (electrons <= 0) return keys.invalid("full_well_electrons", "not positive");
+    info.noise.full_well_electrons = electrons;
+    info.noise_known = true;
+  }
+  if (keys.has("read_fraction")) {
+    PENUMBRA_ASSIGN(read, keys.number("read_fraction"));
+    if (read < 0 || read >= 1)
+      return keys.invalid("read_fraction", "not within 0..1 of full scale");
+    info.noise.read_fraction = read;
+  }
+  if (keys.has("psf_sigma_px")) {
+    PENUMBRA_ASSIGN(sigma, keys.number("psf_sigma_px"));
+    if (!(sigma >= 0 && sigma <= kLargestPsfSigma))
+      return keys.invalid("psf_sigma_px", fmt::format("not within 0..{} pixels", kLargestPsfSigma));
+    info.psf_sigma_px = sigma;
+  }
+  return {};
+}
+
+bool is_float_file(const FrameRow& row) {
+  std::string extension = fs::path(row.file).extension().string();
+  std::ranges::transform(extension, extension.begin(),
+                         [](unsigned char c) { return std::tolower(c); });
+  return extension == ".exr" || extension == ".hdr";
+}
+
+/// Three terms, or a file of `calibrate vignetting`.
+Result<void> read_vignetting(const TomlKeys& keys, CameraInfo& info) {
+  if (!keys.has("vignetting")) return {};
+  if (const auto name = keys.text("vignetting")) {
+    const fs::path path = keys.path().parent_path() / *name;
+    PENUMBRA_ASSIGN(bytes, read_bytes(path));
+    PENUMBRA_ASSIGN(terms, calib::parse_vignetting_file(
+                               {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path));
+    info.vignetting = terms;
+  } else {
+    PENUMBRA_ASSIGN(terms, keys.numbers("vignetting", 3));
+    info.vignetting = {terms[0], terms[1], terms[2]};
+  }
+  if (!calib::has_intrinsics(info.projection.kind))
+    return keys.invalid(
+        "vignetting", "the projection " +
+                          std::string(calib::projection_name(info.projection.kind)) + " has none");
+  const auto plausible = [&](const calib::Projection& p) {
+    return calib::is_plausible(calib::vignetting_of(p, info.vignetting), p);
+  };
+  if (info.lenses.empty() ? plausible(info.projection)
+                          : std::ranges::all_of(info.lenses, plausible, &Lens::projection))
+    return {};
+  return keys.invalid("vignetting",
+                      "leaves less than 2 % or more than 150 % of the light somewhere");
+}
+
+/// Nine numbers by rows, or a file of `calibrate colour`.
+Result<void> read_colour(const TomlKeys& keys, CameraInfo& info) {
+  if (!keys.has("colour")) return {};
+  if (info.role != Role::kEnvironment)
+    return keys.invalid("colour", "carries an environment camera's radiance to the view camera's");
+  if (const auto name = keys.text("colour")) {
+    PENUMBRA_ASSIGN(bytes, read_bytes(keys.path().parent_path() / *name));
+    PENUMBRA_ASSIGN(matrix, calib::parse_colour_file(
+                                {reinterpret_cast<const char*>(bytes.data()), bytes.size()},
+                                keys.path().parent_path() / *name));
+    info.colour = matrix;
+    return {};
+  }
+  PENUMBRA_ASSIGN(m, keys.numbers("colour", 9));
+  for (int i = 0; i < 9; ++i) info.colour[i % 3][i / 3] = m[static_cast<std::size_t>(i)];
+  if (const auto carries = calib::check_colour_matrix(info.colour); !carries)
+    return keys.invalid("colour", carries.error().detail);
+  return {};
+}
+
+/// From a file of `calibrate rig`, by the camera's name.
+Result<void> read_pose_file(const TomlKeys& keys, CameraInfo& info) {
+  if (!keys.has("pose")) return {};
+  if (keys.has("world_from_camera")) return keys.invalid("pose", "world_from_camera is there, too");
+  PENUMBRA_ASSIGN(name, keys.text("pose"));
+  const fs::path path = keys.path().parent_path() / name;
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys file(path, root);
+  PENUMBRA_TRY(file.version(1));
+  PENUMBRA_ASSIGN(cameras, file.tables("camera"));
+  for (const toml::table* table : cameras) {
+    const TomlKeys camera(path, *table);
+    PENUMBRA_ASSIGN(other, camera.text("name"));
+    if (other != info.name) continue;
+    PENUMBRA_ASSIGN(pose, read_pose(camera));
+    info.world_from_camera = pose;
+    return {};
+  }
+  return keys.invalid("pose", fmt::format("{} has no camera \"{}\"", name, info.name));
+}
+
+/// A part of a picture of this size.
+Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
+  PENUMBRA_TRY(keys.only(kLensKeys));
+  Lens lens;
+  Size size = picture;
+  if (keys.has("crop_px")) {
+    PENUMBRA_ASSIGN(crop, keys.numbers("crop_px", 4));
+    const bool inside = crop[0] >= 0 && crop[1] >= 0 && crop[2] >= 2 && crop[3] >= 2 &&
+                        crop[0] + crop[2] <= picture.width && crop[1] + crop[3] <= picture.height;
+    if (!inside || std::ranges::any_of(crop, [](double c) { return c != std::floor(c); }))
+      return keys.invalid("crop_px",
+                          fmt::format("x, y, width, height are not whole pixels of {} x {}",
+                                      picture.width, picture.height));
+    lens.x_px = static_cast<int>(crop[0]), lens.y_px = static_cast<int>(crop[1]);
+    size = {static_cast<int>(crop[2]), static_cast<int>(crop[3])};
+  }
+  PENUMBRA_ASSIGN(projection,
+                  keys.has("intrinsics") ? read_intrinsics(keys) : read_own_projection(keys, size));
+  if (projection.width != size.width || projection.height != size.height)
+    return keys.invalid("intrinsics",
+                        fmt::format("is for {} x {}, but the lens has {} x {}", projection.width,
+                                    projection.height, size.width, size.height));
+  if (!calib::has_intrinsics(projection.kind))
+    return keys.invalid("projection", "of a lens: equidistant, kb4, double-sphere or pinhole");
+  lens.projection = projection;
+  PENUMBRA_ASSIGN(field_deg, keys.number("field_deg"));
+  if (!(field_deg > 0 && field_deg <= 360))
+    return keys.invalid("field_deg", "not within 0..360 degrees from edge to edge");
+  lens.half_field_rad = field_deg / 360 * kPi;
+  if (!keys.has("camera_from_lens")) return lens;
+  PENUMBRA_ASSIGN(pose, read_pose(keys, "camera_from_lens"));
+  lens.camera_from_lens = pose.rotation;
+  return lens;
+}
+
+/// Where a camera has them; its projection is then the first lens's, in the coordinates of the whole picture.
+Result<void> read_lenses(const TomlKeys& keys, CameraInfo& info) {
+  constexpr std::size_t kMost = 16;
+  for (const std::string_view key :
+       {"projection", "intrinsics", "focal_px", "principal_px", "distortion"})
+    if (keys.has(key)) return keys.invalid(key, "each [[camera.lens]] has its own");
+  PENUMBRA_ASSIGN(tables, keys.tables("lens"));
+  if (tables.empty() || tables.size() > kMost)
+    return keys.invalid("lens", fmt::format("{} lenses, not 1 to {}", tables.size(), kMost));
+  PENUMBRA_ASSIGN(size, read_size(keys));
+  for (const toml::table* table : tables) {
+    PENUMBRA_ASSIGN(lens, read_lens(TomlKeys(keys.path(), *table), size));
+    info.lenses.push_back(lens);
+  }
+  const Lens& first = info.lenses.front();
+  info.projection = first.projection;
+  info.projection.principal_px += glm::dvec2(first.x_px, first.y_px);
+  info.projection.width = size.width, info.projection.height = size.height;
+  return {};
+}
+
+Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
+  PENUMBRA_TRY(keys.only(kBallKeys));
+  Ball ball;
+  if (keys.has("outline_px") == keys.has("centre_m"))
+    return keys.invalid(keys.has("centre_m") ? "centre_m" : "ball",
+                        "a ball needs either outline_px or centre_m and radius_m");
+  if (keys.has("outline_px")) {
+    PENUMBRA_ASSIGN(o, keys.numbers("outline_px", 3));
+    if (keys.has("radius_m"))
+      return keys.invalid("radius_m", "goes with centre_m: an outline needs none");
+    if (!(o[2] > 0)) return keys.invalid("outline_px", "its radius is not positive");
+    ball.outline_px = Ball::Outline{{o[0], o[1]}, o[2]};
+    info.ball = ball;
+    if (const auto seen = sights_of(info, {}); !seen)
+      return keys.invalid("outline_px", seen.error().detail);
+  } else {
+    PENUMBRA_ASSIGN(c, keys.numbers("centre_m", 3));
+    PENUMBRA_ASSIGN(radius, keys.number("radius_m"));
+    if (!(radius > 0)) return keys.invalid("radius_m", "not positive");
+    ball.centre_m = {c[0], c[1], c[2]};
+    ball.radius_m = radius;
+  }
+  info.ball = ball;
+  if (!keys.has("reflectance")) return {};
+  PENUMBRA_ASSIGN(r, keys.numbers("reflectance", 3));
+  for (const double c : r)
+    if (!(c > 0 && c <= 1)) return keys.invalid("reflectance", "not within 0..1");
+  info.ball_reflectance = {static_cast<float>(r[0]), static_cast<float>(r[1]),
+                           static_cast<float>(r[2])};
+  return {};
+}
+
+/// What else than its whole picture shows the surroundings.
+Result<void> read_sights(const TomlKeys& keys, CameraInfo& info) {
+  if (keys.has("lens")) {
+    PENUMBRA_TRY(read_lenses(keys, info));
+    if (info.role != Role::kEnvironment) return keys.invalid("lens", "is for environment cameras");
+  } else {
+    PENUMBRA_ASSIGN(projection, read_projection(keys));
+    info.projection = projection;
+  }
+  if (!keys.has("ball")) return {};
+  if (info.role != Role::kView) return keys.invalid("ball", "stands in a view camera's picture");
+  PENUMBRA_ASSIGN(ball, keys.table("ball"));
+  return read_ball(ball, info);
+}
+
+}  // namespace
+
+Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows) {
+  if (!keys.has("response")) {
+    if (std::ranges::all_of(rows, is_float_file)) return calib::Response::linear();
+    return keys.invalid("response", "missing");
+  }
+  PENUMBRA_ASSIGN(text, keys.text("response"));
+  auto response = calib::parse_response(text, keys.path().parent_path());
+  // An error within a response file already names that file and its line.
+  if (!response && response.error().code == ErrorCode::kInvalid && response.error().where == text)
+    return keys.invalid("response", fmt::format("\"{}\": {}", text, response.error().detail));
+  return response;
+}
+
+Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
+  CameraInfo info;
+  PENUMBRA_TRY(read_identity(keys, info));
+  PENUMBRA_TRY(read_sights(keys, info));
+  PENUMBRA_TRY(read_noise(keys, info));
+  PENUMBRA_TRY(read_sensor(keys, info));
+  PENUMBRA_TRY(read_vignetting(keys, info));
+  PENUMBRA_TRY(read_colour(keys, info));
+  PENUMBRA_TRY(read_pose_file(keys, info));
+  if (keys.has("world_from_camera")) {
+    PENUMBRA_ASSIGN(pose, read_pose(keys));
+    info.world_from_camera = pose;
+  }
+  return info;
+}
+
+Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response) {
+  if (!keys.has("white_balance")) return {};
+  PENUMBRA_ASSIGN(gains, keys.numbers("white_balance", 3));
+  auto balanced = response.with_white_balance({gains[0], gains[1], gains[2]});
+  if (!balanced) return keys.invalid("white_balance", balanced.error().detail);
+  response = std::move(*balanced);
+  return {};
+}
+
+namespace {
+
+std::string print_projection(const calib::Projection& p) {
+  std::string text = fmt::format("projection = \"{}\"\n", calib::projection_name(p.kind));
+  if (calib::has_intrinsics(p.kind))
+    text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
+                        p.focal_px.y, p.principal_px.x, p.principal_px.y);
+  if (p.is_distorted())
+    text += fmt::format("distortion = [{}]\n",
+                        fmt::join(p.distortion.begin(),
+                                  p.distortion.begin() + calib::distortion_count(p.kind), ", "));
+  return text;
+}
+
+std::string print_lens(const Lens& lens) {
+  const glm::dmat4 m = glm::mat4_cast(lens.camera_from_lens);
+  return fmt::format(
+      "\n[[camera.lens]]\ncrop_px = [{}, {}, {}, {}]\n{}field_deg = {}\ncamera_from_lens = [{}]\n",
+      lens.x_px, lens.y_px, lens.projection.width, lens.projection.height,
+      print_projection(lens.projection), lens.half_field_rad * 360 / kPi,
+      fmt::join(&m[0][0], &m[0][0] + 16, ", "));
+}
+
+std::string print_ball(const Ball& ball, const Rgb& reflectance) {
+  const std::string where =
+      ball.outline_px ? fmt::format("outline_px = [{}, {}, {}]\n", ball.outline_px->centre.x,
+                                    ball.outline_px->centre.y, ball.outline_px->radius)
+                      : fmt::format("centre_m = [{}, {}, {}]\nradius_m = {}\n", ball.centre_m.x,
+                                    ball.centre_m.y, ball.centre_m.z, ball.radius_m);
+  return fmt::format("\n[camera.ball]\n{}reflectance = [{}, {}, {}]\n", where, reflectance.r,
+                     reflectance.g, reflectance.b);
+}
+
+std::string print_sights(const CameraInfo& c) {
+  std::string text;
+  for (const Lens& lens : c.lenses) text += print_lens(lens);
+  if (c.ball) text += print_ball(*c.ball, c.ball_reflectance);
+  return text;
+}
+
+}  // namespace
+
+std::string print_camera(const CameraInfo& c, const std::string& response,
+                         const std::string& frames) {
+  std::string text = fmt::format("\n[[camera]]\nname = {}\nrole = \"{}\"\n", toml_quoted(c.name),
+                                 c.role == Role::kView ? "view" : "environment");
+  if (!c.eye.empty()) text += fmt::format("eye = \"{}\"\n", c.eye);
+  text += fmt::format("width = {}\nheight = {}\n", c.projection.width, c.projection.height);
+  if (c.lenses.empty()) text += print_projection(c.projection);
+  text += fmt::format("response = {}\nblack_level = {}\n", toml_quoted(response), c.black_level);
+  const auto& gains = c.response.white_balance();
+  // A response file has the gains in its tables.
+  if (gains != std::array<double, 3>{1, 1, 1} && response == c.response.describe())
+    text += fmt::format("white_balance = [{}]\n", fmt::join(gains, ", "));
+  const calib::NoiseModel usual;
+  if (c.noise_known || c.noise.full_well_electrons != usual.full_well_electrons)
+    text += fmt::format("full_well_electrons = {}\n", c.noise.full_well_electrons);
+  if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
+    text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
+  if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
+  if (c.vignetting != std::array<double, 3>{})
+    text += fmt::format("vignetting = [{}]\n", fmt::join(c.vignetting, ", "));
+  if (c.colour != glm::dmat3(1)) {
+    const glm::dmat3 rows = glm::transpose(c.colour);
+    text += fmt::format("colour = [{}]\n", fmt::join(&rows[0][0], &rows[0][0] + 9, ", "));
+  }
+  const glm::dmat4 m = c.world_from_camera.matrix();
+  text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
+  if (!frames.empty()) text += fmt::format("frames = {}\n", toml_quoted(frames));
+  return text + print_sights(c);
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,49 @@
+// Private to capture: one [[camera]] table, read and written, as capture.toml, rig.toml and camera files share it.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "capture/recording/folder_format.h"
+#include "core/toml_keys.h"
+
+namespace penumbra::capture {
+
+inline constexpr std::array<std::string_view, 24> kCameraKeys{"name",
+                                                              "role",
+                                                              "eye",
+                                                              "width",
+                                                              "height",
+                                                              "projection",
+                                                              "focal_px",
+                                                              "principal_px",
+                                                              "distortion",
+                                                              "intrinsics",
+                                                              "response",
+                                                              "black_level",
+                                                              "white_balance",
+                                                              "frames",
+                                                              "world_from_camera",
+                                                              "full_well_electrons",
+                                                              "read_fraction",
+                                                              "psf_sigma_px",
+                                                              "colour",
+                                                              "pose",
+                                                              "noise",
+                                                              "lens",
+                                                              "ball",
+                                                              "vignetting"};
+
+/// All of a camera but its frames and, since that may depend on them, its response and its white balance. Keys are the
+/// caller's to check.
+/// errors: kNotFound, kUnreadable, kInvalid (file, line, key)
+Result<CameraInfo> read_camera_info(const TomlKeys& keys);
+
+/// Codes mean nothing without a response; float frames need none.
+Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows);
+Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response);
+
+}  // namespace penumbra::capture

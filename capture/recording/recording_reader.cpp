@@ -1,0 +1,373 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <deque>
+#include <map>
+#include <tuple>
+
+#include "capture/recording/folder_format.h"
+#include "capture/raw_formats.h"
+#include "capture/recording/recording.h"
+#include "capture/recording/internal/recording_format.h"
+#include "core/toml_keys.h"
+
+extern "C" {
+#include <libavcodec/avcodec.h>
+#include <libavformat/avformat.h>
+#include <libswscale/swscale.h>
+}
+
+#include <linux/videodev2.h>
+
+namespace penumbra::capture {
+namespace fs = std::filesystem;
+namespace {
+
+// Cameras are coded side by side, so that one's frame may stand behind the other's later ones. So many frames are read
+// ahead to hand them on in order of time.
+constexpr std::size_t kAhead = 64;
+// Pictures of one camera that wait for their labels; more in a row without one are no recording of ours.
+constexpr std::size_t kMostWaiting = 64;
+
+struct FreePacket {
+  void operator()(AVPacket* p) const { av_packet_free(&p); }
+};
+using Packet = std::unique_ptr<AVPacket, FreePacket>;
+
+struct FreeContainer {
+  void operator()(AVFormatContext* c) const { avformat_close_input(&c); }
+};
+struct FreeDecoder {
+  void operator()(AVCodecContext* c) const { avcodec_free_context(&c); }
+};
+struct FreeFrame {
+  void operator()(AVFrame* f) const { av_frame_free(&f); }
+};
+struct FreeScaler {
+  void operator()(SwsContext* s) const { sws_freeContext(s); }
+};
+
+// One camera's pictures, decoded.
+class PictureTrack {
+ public:
+  static Result<PictureTrack> open(const AVStream& stream, const CameraInfo& camera);
+  Result<FramePixels> decode(const AVPacket& packet);
+  [[nodiscard]] bool is_jpeg() const { return jpeg_.has_value(); }
+  [[nodiscard]] int stream() const { return stream_; }
+
+  int labels = -1;             // stream
+  std::deque<Packet> waiting;  // pictures
+
+ private:
+  Result<void> open_decoder(const AVStream& stream);
+  Result<FramePixels> from_frame();
+  int stream_ = 0, width_ = 0, height_ = 0;
+  std::optional<RawConverter> jpeg_;
+  std::unique_ptr<AVCodecContext, FreeDecoder> decoder_;
+  std::unique_ptr<AVFrame, FreeFrame> frame_;
+  std::unique_ptr<SwsContext, FreeScaler> to_rgb_;  // only reorders channels
+  int scaled_format_ = AV_PIX_FMT_NONE;
+};
+
+Result<PictureTrack> PictureTrack::open(const AVStream& stream, const CameraInfo& camera) {
+  PictureTrack out;
+  out.stream_ = stream.index;
+  out.width_ = camera.projection.width;
+  out.height_ = camera.projection.height;
+  const AVCodecParameters& c = *stream.codecpar;
+  if (c.width != out.width_ || c.height != out.height_)
+    return fail(ErrorCode::kInvalid, camera.name,
+                fmt::format("{}x{}, expected {}x{}", c.width, c.height, out.width_, out.height_));
+  if (c.codec_id == AV_CODEC_ID_MJPEG) {
+    PENUMBRA_ASSIGN(
+        converter, RawConverter::make(
+                       {.fourcc = V4L2_PIX_FMT_MJPEG, .width = out.width_, .height = out.height_}));
+    out.jpeg_ = std::move(converter);
+    return out;
+  }
+  if (c.codec_id != AV_CODEC_ID_FFVHUFF)
+    return fail(
+        ErrorCode::kInvalid, camera.name,
+        fmt::format("coded as {}, expected ffvhuff or mjpeg", avcodec_get_name(c.codec_id)));
+  PENUMBRA_TRY(out.open_decoder(stream));
+  return out;
+}
+
+Result<void> PictureTrack::open_decoder(const AVStream& stream) {
+  const AVCodec* codec = avcodec_find_decoder(AV_CODEC_ID_FFVHUFF);
+  if (!codec) return fail(ErrorCode::kUnavailable, "FFmpeg", "has no FFVHUFF decoder");
+  decoder_.reset(avcodec_alloc_context3(codec));
+  frame_.reset(av_frame_alloc());
+  int r = avcodec_parameters_to_context(decoder_.get(), stream.codecpar);
+  decoder_->thread_count = 1;
+  if (r >= 0) r = avcodec_open2(decoder_.get(), codec, nullptr);
+  if (r < 0) return fail(ErrorCode::kUnreadable, "pictures", av_reason(r));
+  return {};
+}
+
+Result<FramePixels> PictureTrack::decode(const AVPacket& packet) {
+  if (jpeg_)
+    return jpeg_->convert(
+        {reinterpret_cast<const std::byte*>(packet.data), static_cast<std::size_t>(packet.size)});
+  int r = avcodec_send_packet(decoder_.get(), &packet);
+  if (r >= 0) r = avcodec_receive_frame(decoder_.get(), frame_.get());
+  if (r < 0) return fail(ErrorCode::kUnreadable, "picture", av_reason(r));
+  auto pixels = from_frame();
+  av_frame_unref(frame_.get());
+  return pixels;
+}
+
+Result<FramePixels> PictureTrack::from_frame() {
+  const AVFrame& f = *frame_;
+  if (f.width != width_ || f.height != height_)
+    return fail(ErrorCode::kUnreadable, "picture", fmt::format("{}x{}", f.width, f.height));
+  if (f.format == AV_PIX_FMT_GBRP16LE) {
+    Image<Rgb16> out(width_, height_);
+    for (int y = 0; y < height_; ++y) {
+      const auto* g = reinterpret_cast<const std::uint16_t*>(f.data[0] + y * f.linesize[0]);
+      const auto* b = reinterpret_cast<const std::uint16_t*>(f.data[1] + y * f.linesize[1]);
+      const auto* red = reinterpret_cast<const std::uint16_t*>(f.data[2] + y * f.linesize[2]);
+      const auto row = out.row(y);
+      for (std::size_t x = 0; x < row.size(); ++x) row[x] = {red[x], g[x], b[x]};
+    }
+    return out;
+  }
+  const auto format = static_cast<AVPixelFormat>(f.format);
+  if (!to_rgb_ || scaled_format_ != f.format) {
+    to_rgb_.reset(sws_getContext(width_, height_, format, width_, height_, AV_PIX_FMT_RGB24,
+                                 SWS_POINT, nullptr, nullptr, nullptr));
+    scaled_format_ = f.format;
+  }
+  if (!to_rgb_) return fail(ErrorCode::kUnreadable, "picture", "no RGB");
+  Image<Rgb8> out(width_, height_);
+  std::uint8_t* const to[] = {&out.pixels()[0].r};
+  const int stride[] = {3 * width_};
+  sws_scale(to_rgb_.get(), f.data, f.linesize, 0, height_, to, stride);
+  return out;
+}
+
+// ------------------------------------------------------------------------------- the file
+
+struct Coded {
+  std::size_t camera;
+  std::uint64_t sequence;
+  FrameRow row;
+  Packet picture;
+};
+
+std::string text_of(const AVDictionary* tags, const char* key) {
+  const AVDictionaryEntry* entry = av_dict_get(tags, key, nullptr, 0);
+  return entry ? entry->value : "";
+}
+
+class Recording final : public FrameSource {
+ public:
+  static Result<std::unique_ptr<FrameSource>> open(const fs::path& path);
+  const std::vector<CameraInfo>& cameras() const override { return cameras_; }
+  double view_rate() const override { return view_rate_; }
+  Result<std::optional<Frame>> next() override;
+
+ private:
+  Result<void> open_container();
+  Result<void> read_cameras();
+  Result<void> find_tracks();
+  Result<void> keep_picture(Packet packet);
+  Result<void> keep_label(const AVPacket& label, std::size_t camera);
+  Result<void> read_ahead();
+  std::unexpected<Error> unreadable(std::string detail) const {
+    return fail(ErrorCode::kUnreadable, path_.string(), std::move(detail));
+  }
+  // Of a label or picture in this file.
+  std::string at(const AVPacket& packet) const {
+    return fmt::format("{}, byte {}", path_.string(), packet.pos);
+  }
+
+  fs::path path_;
+  std::unique_ptr<AVFormatContext, FreeContainer> container_;
+  std::vector<CameraInfo> cameras_;
+  std::vector<PictureTrack> tracks_;
+  std::deque<Coded> ahead_;
+  bool ended_ = false;
+  double view_rate_ = 0;
+};
+
+Result<void> Recording::open_container() {
+  const AVInputFormat* matroska = av_find_input_format("matroska");
+  AVFormatContext* opened = avformat_alloc_context();
+  opened->max_index_size = 1 << 16;  // we read from the first frame to the last
+  // "file:" keeps a name with a colon from being taken as a protocol.
+  if (const int r =
+          avformat_open_input(&opened, ("file:" + path_.string()).c_str(), matroska, nullptr);
+      r < 0)
+    return unreadable(r == AVERROR_INVALIDDATA ? "not a Matroska file, or its head is damaged"
+                      : r == AVERROR_EOF || r == AVERROR(EIO) ? "ends before its first frame"
+                                                              : av_reason(r));
+  container_.reset(opened);
+  return {};
+}
+
+Result<void> Recording::read_cameras() {
+  std::map<std::string, std::string> attached;
+  for (unsigned i = 0; i < container_->nb_streams; ++i) {
+    const AVStream& s = *container_->streams[i];
+    if (s.codecpar->codec_type == AVMEDIA_TYPE_ATTACHMENT && s.codecpar->extradata_size > 0)
+      attached[text_of(s.metadata, "filename")] =
+          std::string(reinterpret_cast<const char*>(s.codecpar->extradata),
+                      static_cast<std::size_t>(s.codecpar->extradata_size));
+  }
+  const auto manifest = attached.find(std::string(kCamerasAttachment));
+  if (manifest == attached.end())
+    return fail(ErrorCode::kInvalid, path_.string(),
+                fmt::format("not a recording of penumbra: no {} in it", kCamerasAttachment));
+  const fs::path named = path_ / manifest->first;
+  PENUMBRA_ASSIGN(root, parse_toml_text(manifest->second, named));
+  const TomlKeys keys(named, root);
+  constexpr std::string_view known[] = {"version", "view_rate_fps", "camera"};
+  PENUMBRA_TRY(keys.only(known));
+  PENUMBRA_TRY(keys.version(1));
+  PENUMBRA_ASSIGN(rate, keys.number("view_rate_fps"));
+  if (rate < 0 || rate > 1e4) return keys.invalid("view_rate_fps", "not within 0..10000");
+  view_rate_ = rate;
+  PENUMBRA_ASSIGN(cameras, capture::read_cameras(root, named, [&](const std::string& name) {
+                    const auto file = attached.find(name);
+                    if (file != attached.end())
+                      return calib::parse_response_file(file->second, path_ / name);
+                    if (name.ends_with(kResponseSuffix))
+                      return Result<calib::Response>(
+                          fail(ErrorCode::kUnreadable, named.string(), name + " is missing"));
+                    return calib::parse_response(name);
+                  }));
+  cameras_ = std::move(cameras);
+  return {};
+}
+
+Result<void> Recording::find_tracks() {
+  for (unsigned i = 0; i < container_->nb_streams; ++i) {
+    const AVStream& s = *container_->streams[i];
+    if (s.codecpar->codec_type == AVMEDIA_TYPE_VIDEO) {
+      if (tracks_.size() == cameras_.size()) return unreadable("more picture tracks than cameras");
+      auto track = PictureTrack::open(s, cameras_[tracks_.size()]);
+      if (!track)
+        return fail(track.error().code, path_.string(),
+                    track.error().where + ": " + track.error().detail);
+      tracks_.push_back(std::move(*track));
+    }
+  }
+  if (tracks_.size() != cameras_.size())
+    return unreadable(
+        fmt::format("{} picture tracks for {} cameras", tracks_.size(), cameras_.size()));
+  for (std::size_t n = 0; n < tracks_.size(); ++n) {
+    for (unsigned i = 0; i < container_->nb_streams; ++i) {
+      const AVStream& s = *container_->streams[i];
+      if (s.codecpar->codec_type == AVMEDIA_TYPE_SUBTITLE &&
+          text_of(s.metadata, "title") == label_title(cameras_[n].name))
+        tracks_[n].labels = s.index;
+    }
+    if (tracks_[n].labels < 0) return unreadable("no labels of " + cameras_[n].name);
+  }
+  return {};
+}
+
+Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path) {
+  av_log_set_level(AV_LOG_FATAL);
+  auto out = std::make_unique<Recording>();
+  out->path_ = path;
+  PENUMBRA_TRY(out->open_container());
+  PENUMBRA_TRY(out->read_cameras());
+  PENUMBRA_TRY(out->find_tracks());
+  return out;
+}
+
+Result<void> Recording::keep_picture(Packet packet) {
+  for (PictureTrack& track : tracks_) {
+    if (track.stream() != packet->stream_index) continue;
+    if (track.waiting.size() == kMostWaiting)
+      return fail(ErrorCode::kUnreadable, at(*packet), "pictures without labels");
+    track.waiting.push_back(std::move(packet));
+    break;
+  }
+  return {};
+}
+
+// The label's picture came just before it, at the same time. Damage in the file may have taken either: a picture is
+// never given another one's label.
+Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
+  const std::string_view text(reinterpret_cast<const char*>(label.data),
+                              static_cast<std::size_t>(label.size));
+  PENUMBRA_ASSIGN(row, parse_row(text, true, at(label)));
+  const auto slash = row.file.rfind('/');
+  std::uint64_t sequence = 0;
+  const char* const end = row.file.data() + row.file.size();
+  if (slash == std::string::npos || row.file.substr(0, slash) != cameras_[n].name ||
+      std::from_chars(row.file.data() + slash + 1, end, sequence).ptr != end)
+    return fail(ErrorCode::kUnreadable, at(label),
+                fmt::format("\"{}\" is no frame of {}", row.file, cameras_[n].name));
+  auto& waiting = tracks_[n].waiting;
+  while (!waiting.empty() && waiting.front()->pts < label.pts) waiting.pop_front();
+  if (waiting.empty() || waiting.front()->pts != label.pts) return {};
+  ahead_.push_back({n, sequence, std::move(row), std::move(waiting.front())});
+  waiting.pop_front();
+  return {};
+}
+
+Result<void> Recording::read_ahead() {
+  while (!ended_ && ahead_.size() < kAhead) {
+    Packet packet(av_packet_alloc());
+    const int r = av_read_frame(container_.get(), packet.get());
+    ended_ = r < 0;
+    // A recording that was cut off ends inside an element.
+    if (r == AVERROR_EOF || r == AVERROR_INVALIDDATA) break;
+    if (ended_) return unreadable(av_reason(r));  // once: what was read before is still handed on
+    const auto labelled = std::ranges::find(tracks_, packet->stream_index, &PictureTrack::labels);
+    if (labelled == tracks_.end())
+      PENUMBRA_TRY(keep_picture(std::move(packet)));
+    else
+      PENUMBRA_TRY(keep_label(*packet, static_cast<std::size_t>(labelled - tracks_.begin())));
+  }
+  return {};
+}
+
+Result<std::optional<Frame>> Recording::next() {
+  PENUMBRA_TRY(read_ahead());
+  if (ahead_.empty()) return std::nullopt;
+  // At the same time the light comes before the picture that it lights.
+  const auto first = std::ranges::min_element(ahead_, {}, [&](const Coded& c) {
+    return std::tuple(c.row.time, cameras_[c.camera].role == Role::kView, c.camera);
+  });
+  const Coded coded = std::move(*first);
+  ahead_.erase(first);
+  PictureTrack& track = tracks_[coded.camera];
+  auto pixels = track.decode(*coded.picture);
+  if (!pixels)
+    return fail(ErrorCode::kUnreadable, at(*coded.picture),
+                fmt::format("{}: {}", coded.row.file, pixels.error().detail));
+  Frame frame{static_cast<int>(coded.camera),
+              coded.sequence,
+              coded.row.time,
+              coded.row.exposure,
+              *coded.row.pose,
+              std::make_shared<const FramePixels>(std::move(*pixels))};
+  if (track.is_jpeg()) {
+    const auto* bytes = reinterpret_cast<const std::byte*>(coded.picture->data);
+    frame.jpeg = std::make_shared<const std::vector<std::byte>>(bytes, bytes + coded.picture->size);
+  }
+  return frame;
+}
+
+}  // namespace
+
+Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path) {
+  std::error_code ignored;
+  if (!fs::exists(path, ignored)) return fail(ErrorCode::kNotFound, path.string(), "no such file");
+  return Recording::open(path);
+}
+
+Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path) {
+  std::error_code ignored;
+  if (!fs::exists(path, ignored))
+    return fail(ErrorCode::kNotFound, path.string(), "no such recording or capture folder");
+  return fs::is_regular_file(path, ignored) ? open_recording(path) : open_capture_folder(path);
+}
+
+}  // namespace penumbra::capture

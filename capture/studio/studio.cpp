@@ -1,0 +1,214 @@
+#include <algorithm>
+#include <cmath>
+
+#include "capture/frames.h"
+#include "capture/hdr/merge.h"
+#include "capture/studio/sensor.h"
+#include "capture/studio/studio.h"
+#include "capture/studio/world.h"
+#include "core/conventions.h"
+#include "core/parallel.h"
+
+namespace penumbra::capture {
+
+namespace {
+
+constexpr int kEnvironmentCamera = 0, kViewCamera = 1;
+
+// Average over the pixel of what the world shows; a map of the same size is copied by its pixel
+// centres.
+Image<Rgb> film_environment(const World& world, int width, int height) {
+  const auto* floor_world = dynamic_cast<const FloorWorld*>(&world);
+  if (floor_world && floor_world->environment().width() == width &&
+      floor_world->environment().height() == height)
+    return floor_world->environment();
+  constexpr int kSamples = 6;
+  Image<Rgb> out(width, height);
+  parallel_for(0, height, [&](int y) {
+    for (int x = 0; x < width; ++x) {
+      Rgb sum;
+      for (int k = 0; k < kSamples * kSamples; ++k)
+        sum += world.far_radiance(latlong_direction(x + (k % kSamples + .5) / kSamples,
+                                                    y + (double(k / kSamples) + .5) / kSamples,
+                                                    width, height));
+      out.at(x, y) = sum * (1.f / (kSamples * kSamples));
+    }
+  });
+  return out;
+}
+
+Image<Rgb> film_view(const World& world, const CameraInfo& camera) {
+  constexpr int kSamples = 3;
+  const calib::Projection& p = camera.projection;
+  Image<Rgb> out(p.width, p.height);
+  parallel_for(0, p.height, [&](int y) {
+    for (int x = 0; x < p.width; ++x) {
+      Rgb sum;
+      for (int k = 0; k < kSamples * kSamples; ++k) {
+        const double px = x + (k % kSamples + .5) / kSamples,
+                     py = y + (double(k / kSamples) + .5) / kSamples;
+        const glm::dvec3 d((px - p.principal_px.x) / p.focal_px.x,
+                           -(py - p.principal_px.y) / p.focal_px.y, -1);
+        sum += world.radiance(camera.world_from_camera.translation,
+                              glm::normalize(camera.world_from_camera.rotation * d));
+      }
+      out.at(x, y) = sum * (1.f / (kSamples * kSamples));
+    }
+  });
+  return out;
+}
+
+double mean_luminance(const Image<Rgb>& image, int first_row, int last_row) {
+  double sum = 0;
+  for (int y = first_row; y < last_row; ++y)
+    for (const Rgb& c : image.row(y)) sum += luminance(c);
+  return sum / (static_cast<double>(last_row - first_row) * image.width());
+}
+
+std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
+  CameraInfo environment;
+  environment.name = "environment";
+  environment.role = Role::kEnvironment;
+  environment.projection = {
+      calib::ProjectionKind::kLatLong, o.environment_width, o.environment_height, {}, {}};
+  environment.world_from_camera.translation = {0, 1, 0};
+  environment.response = o.sensor.response;
+  environment.noise = o.sensor.noise;
+  environment.noise_known = o.sensor.noisy;
+  environment.black_level = o.sensor.black_level;
+  CameraInfo view = environment;
+  view.name = "view";
+  view.role = Role::kView;
+  view.projection = {calib::ProjectionKind::kPinhole,
+                     o.view_width,
+                     o.view_height,
+                     {o.view_focal_px, o.view_focal_px},
+                     {o.view_width / 2., o.view_height / 2.}};
+  view.psf_sigma_px = o.sensor.psf_sigma_px;
+  view.world_from_camera = o.world_from_view;
+  return {environment, view};
+}
+
+}  // namespace
+
+Pose look_at(const glm::dvec3& eye, const glm::dvec3& target) {
+  const glm::dvec3 back = glm::normalize(eye - target);
+  const glm::dvec3 right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));
+  return {glm::normalize(glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back))), eye};
+}
+
+std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor) {
+  constexpr double kLongest = 1. / 30, kShortest = 1. / 64000, kFull = .9;
+  double brightest = 0, mean = 0, area = 0;
+  for (int y = 0; y < environment.height(); ++y) {
+    const double w = latlong_solid_angle(y, environment.width(), environment.height());
+    for (const Rgb& c : environment.row(y)) {
+      brightest = std::max(brightest, double(std::max({c.r, c.g, c.b})));
+      mean += w * luminance(c);
+      area += w;
+    }
+  }
+  mean /= area;
+  // Darkest radiance that matters for lighting: a hundredth of the mean, at SNR 3 with
+  // quantisation.
+  const double darkest = .01 * mean;
+  const CodeCurve curve = make_code_curve(sensor.response, sensor.bits, sensor.black_level);
+  double low = 1;
+  for (unsigned code = 1; code < curve.largest_code(); ++code) {
+    const double y = curve.decode(1, code),
+                 step = curve.decode(1, code + 1) - curve.decode(1, code);
+    if (y > 3 * std::sqrt(sensor.noise.variance(y, 1) + step * step / 12)) {
+      low = y;
+      break;
+    }
+  }
+  const double shortest = std::clamp(kFull / brightest, kShortest, kLongest);
+  const double longest = std::clamp(low / darkest, shortest, kLongest);
+  // Each exposure covers the range from `low` to full scale; they share the range evenly.
+  const int count =
+      1 + static_cast<int>(std::ceil(std::log(longest / shortest) / std::log(kFull / low) - 1e-9));
+  std::vector<Exposure> out;
+  for (int k = 0; k < count; ++k)
+    out.push_back(
+        {Seconds(longest * std::pow(shortest / longest, count > 1 ? double(k) / (count - 1) : 0.)),
+         Gain(1)});
+  return out;
+}
+
+Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
+    : options_(std::move(options)), world_(std::move(world)), cameras_(make_cameras(options_)) {
+  environment_radiance_ =
+      film_environment(*world_, options_.environment_width, options_.environment_height);
+  view_radiance_ = film_view(*world_, cameras_[kViewCamera]);
+  blur(view_radiance_, options_.sensor.psf_sigma_px);  // once: it stands still
+  options_.sensor.psf_sigma_px = 0;
+  if (options_.schedule.empty())
+    options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
+  if (!options_.view_exposure) {
+    // The lower third shows the floor.
+    const int h = view_radiance_.height();
+    options_.view_exposure =
+        Exposure{Seconds(.3 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
+  }
+  for (int i = 0; i < options_.clip; ++i) {
+    const std::uint64_t seed = options_.seed + 1000003 * static_cast<std::uint64_t>(i);
+    view_clip_.push_back(film(kViewCamera, *options_.view_exposure, seed));
+    for (const Exposure& e : options_.schedule)
+      environment_clip_.push_back(
+          film(kEnvironmentCamera, e, 7919 * seed + environment_clip_.size()));
+  }
+}
+
+std::shared_ptr<const FramePixels> Studio::film(int camera, const Exposure& exposure,
+                                                std::uint64_t seed) const {
+  FramePixels pixels;
+  expose(options_.sensor, camera == kViewCamera ? view_radiance_ : environment_radiance_, exposure,
+         seed, pixels);
+  return std::make_shared<const FramePixels>(std::move(pixels));
+}
+
+Frame Studio::environment_frame(std::uint64_t index) {
+  // The sensor answers a request only `control_delay_frames` later; the label is what was applied.
+  const auto delay = static_cast<std::uint64_t>(options_.control_delay_frames);
+  const std::uint64_t request = index >= delay ? index - delay : 0;
+  Frame frame;
+  frame.camera = kEnvironmentCamera;
+  frame.sequence = index;
+  frame.time = TimestampNs{0} + Seconds(static_cast<double>(index) / options_.environment_fps);
+  frame.exposure = options_.schedule[request % options_.schedule.size()];
+  frame.world_from_camera = cameras_[kEnvironmentCamera].world_from_camera;
+  frame.pixels = environment_clip_.empty()
+                     ? film(kEnvironmentCamera, frame.exposure, options_.seed * 7919 + 2 * index)
+                     : environment_clip_[request % environment_clip_.size()];
+  return frame;
+}
+
+Frame Studio::view_frame(std::uint64_t index) {
+  Frame frame;
+  frame.camera = kViewCamera;
+  frame.sequence = index;
+  // Half a frame after the environment, as free-running cameras are.
+  frame.time = TimestampNs{0} + Seconds((static_cast<double>(index) + .5) / options_.view_fps);
+  frame.exposure = *options_.view_exposure;
+  frame.world_from_camera = cameras_[kViewCamera].world_from_camera;
+  frame.pixels = view_clip_.empty()
+                     ? film(kViewCamera, frame.exposure, options_.seed * 104729 + 2 * index + 1)
+                     : view_clip_[index % view_clip_.size()];
+  return frame;
+}
+
+Result<std::optional<Frame>> Studio::next() {
+  const auto dropped = [&](std::uint64_t index) {
+    return options_.drop_every > 0 &&
+           (index + 1) % static_cast<std::uint64_t>(options_.drop_every) == 0;
+  };
+  while (dropped(next_environment_)) ++next_environment_;
+  while (dropped(next_view_)) ++next_view_;
+  if (next_view_ >= static_cast<std::uint64_t>(options_.view_frames)) return std::optional<Frame>();
+  const double environment_time = static_cast<double>(next_environment_) / options_.environment_fps;
+  const double view_time = (static_cast<double>(next_view_) + .5) / options_.view_fps;
+  if (environment_time <= view_time) return std::optional(environment_frame(next_environment_++));
+  return std::optional(view_frame(next_view_++));
+}
+
+}  // namespace penumbra::capture

@@ -1,0 +1,74 @@
+// A synthetic studio: a world seen by an environment camera and a view camera.
+// threads: classes are thread-bound
+#pragma once
+
+#include <cstdint>
+#include <glm/vec3.hpp>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "capture/frames.h"
+#include "capture/studio/sensor.h"
+#include "capture/studio/world.h"
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/result.h"
+#include "core/units.h"
+
+namespace penumbra::capture {
+
+struct StudioOptions {
+  int environment_width = 1024, environment_height = 512;
+  int view_width = 1280, view_height = 720;
+  Pose world_from_view;  // where the view camera stands
+  double view_focal_px = 1100;
+  double environment_fps = 30, view_fps = 30;
+  std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
+  std::optional<Exposure>
+      view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
+  Sensor sensor;      // of both cameras; the blur is the view camera's alone
+  /// Frames between a requested exposure and its effect; labels always say what was applied.
+  int control_delay_frames = 0;
+  int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none
+  int view_frames = 120;
+  std::uint64_t seed = 1;
+  /// Distinct noise patterns of either camera (of every exposure), filmed before the first frame; 0: each frame new.
+  int clip = 0;
+};
+
+/// The world seen by an environment camera (lat-long, at (0, 1, 0)) and a view camera (pinhole).
+class Studio : public FrameSource {
+ public:
+  Studio(std::shared_ptr<const World> world, StudioOptions options);
+  const std::vector<CameraInfo>& cameras() const override { return cameras_; }
+  Result<std::optional<Frame>> next() override;
+  double view_rate() const override { return options_.view_fps; }
+
+  std::span<const Exposure> schedule() const { return options_.schedule; }
+  Exposure view_exposure() const { return *options_.view_exposure; }
+  /// The view camera's linear picture, blurred, without noise: the truth behind every view frame.
+  const Image<Rgb>& view_radiance() const { return view_radiance_; }
+
+ private:
+  std::shared_ptr<const FramePixels> film(int camera, const Exposure& exposure,
+                                          std::uint64_t seed) const;
+  Frame environment_frame(std::uint64_t index);
+  Frame view_frame(std::uint64_t index);
+  StudioOptions options_;
+  std::shared_ptr<const World> world_;
+  std::vector<CameraInfo> cameras_;
+  Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras
+  std::vector<std::shared_ptr<const FramePixels>> environment_clip_, view_clip_;
+  std::uint64_t next_environment_ = 0, next_view_ = 0;
+};
+
+/// The fewest exposures that cover the light's range (methods: schedule), longest first, times in
+/// seconds within [1/64000, 1/30] at gain 1.
+std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor);
+
+/// A camera at `eye` that looks at `target`, +y up.
+Pose look_at(const glm::dvec3& eye, const glm::dvec3& target);
+
+}  // namespace penumbra::capture

@@ -1,0 +1,100 @@
+// Lines in the picture where what is seen of an object ends, and the pixels that they cut shared out by area: edges as
+// smooth as of many samples a pixel where GL took one.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <glm/mat4x4.hpp>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <span>
+#include <vector>
+
+#include "prt/geometry/mesh.h"
+#include "compositor/internal/canvas.h"
+
+namespace penumbra::compositor {
+
+/// An edge of a surface, in pixels of the frame, x to the right and y down. Who goes from `from` to `to` in the picture has the
+/// surface at the left hand.
+struct Line {
+  glm::vec2 from, to;
+};
+
+/// The contour of a mesh in a view. One thread at a time.
+class Contour {
+ public:
+  using Triangle = std::array<std::uint32_t, 3>;
+
+  /// Vertices in one place count as one, in every form.
+  explicit Contour(const prt::Mesh& mesh);
+
+  /// False of meshes with edges that no triangle has, where parts of different albedo may go through each other (looked at in
+  /// the form given here, and so taken of more than 256 parts), or with so many creases that finding lines takes too long.
+  bool serves() const { return serves_; }
+
+  /// Appends the edges of `triangles` between front and back, at borders and at creases (where the two sides have vertices of
+  /// their own); those that other surfaces hide too. False, and nothing seen, where a triangle reaches behind the camera.
+  /// fronts_only: triangles seen from behind are not drawn
+  bool find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
+            bool fronts_only, const glm::dmat4& clip_from_object, int frame_width, int frame_height,
+            std::vector<Line>& out);
+  /// The triangles that can be seen, of the last find().
+  std::span<const Triangle> seen() const { return seen_; }
+
+ private:
+  struct Edge {
+    std::uint32_t from, to;
+    std::int32_t next;  // of the same lower place
+    bool front, inner;  // inner: a triangle that continues it is at the other side
+  };
+  void project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
+               int frame_width, int frame_height);
+  bool see_facings(std::span<const Triangle> triangles);
+  void meet(std::uint32_t from, std::uint32_t to, bool front);
+
+  // Triangles around a place, one bit each; no edge between two places without all bits is a line.
+  enum Facing : std::uint8_t { kFront = 1, kBack = 2, kBoth = 3 };
+
+  std::vector<std::uint32_t> place_;  // by vertex, the first one there
+  std::vector<std::uint8_t> rim_;     // by place, kBoth at borders and creases
+  std::vector<std::uint8_t> around_;  // by place, in this view
+  std::vector<std::uint8_t> facing_;  // by triangle
+  std::vector<glm::vec3> projected_;  // pixels and 1/metre
+  std::vector<std::int32_t> first_;   // by place, of the edges that have it as their lower one
+  std::vector<Edge> edges_;
+  std::vector<Triangle> seen_;
+  bool serves_ = true;
+};
+
+/// Lines pass between the middles of neighbouring pixels: of the pixel that one cuts, the neighbour across gets what lies
+/// beyond, by its length on the column (or row, for steep lines) through the middles. Of several lines in one gap the
+/// outermost counts. The layer holds one sample a pixel.
+/// source: Persson 2011, Geometric Post-process Anti-Aliasing
+class ContourSmoother {
+ public:
+  /// False, the layer being good for nothing, where parts before the background are so thin that samples missed too much of
+  /// them.
+  bool smooth(std::span<const Line> lines, Layer& layer);
+
+ private:
+  // Of a pixel to the next one along an axis, right or down.
+  struct Crossing {
+    std::uint32_t gap;  // twice the pixel's index in the layer, one more: down
+    float at;           // 0..1 from the one middle to the other
+    bool surface_before;
+  };
+  struct Share {
+    std::size_t pixel;
+    float of_neighbour;
+    std::array<std::uint16_t, 4> neighbour;  // as it was drawn
+  };
+  void collect(const Line& line, const Rect& rect);
+  void decide(std::span<const Crossing> gap, const Layer& layer);
+
+  std::vector<Crossing> crossings_;
+  std::vector<Share> shares_;
+  std::size_t at_background_ = 0, missed_ = 0;  // gaps
+};
+
+}  // namespace penumbra::compositor

@@ -1,0 +1,104 @@
+// Rows of what the compositor puts into a frame, for the passes over its pixels.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "compositor/internal/code_row.h"
+#include "compositor/internal/half_rows.h"
+#include "compositor/internal/layers.h"
+#include "compositor/internal/receivers.h"
+#include "calib/camera/code_curve.h"
+#include "calib/camera/vignetting.h"
+
+namespace penumbra::compositor {
+
+/// Access to one kind of pixel: linear signal in, linear signal out.
+template <class Code>
+struct Coded {
+  const CodeCurve& curve;
+  Rgb clipped;  // signal of the largest code
+
+  explicit Coded(const View& view) : curve(*view.curve), clipped(view.clipped_signal) {}
+  float decode(int c, Code code) const { return decode_clipped(curve, c, code, clipped[c]); }
+  Code encode(int c, float v) const {
+    if constexpr (sizeof(Code) == 1)
+      return curve.encode8(c, v);
+    else
+      return static_cast<Code>(curve.encode(c, v));
+  }
+};
+struct Linear {
+  static float decode(int, float v) { return v; }
+  static float encode(int, float v) { return v; }
+};
+
+/// Rows of one worker: shadow ratios and the layers as floats.
+struct RowBuffers {
+  std::vector<float> r, g, b, object, hidden;
+  void resize(std::size_t width) {
+    for (auto* v : {&r, &g, &b}) v->resize(width);
+    for (auto* v : {&object, &hidden}) v->resize(4 * width);
+  }
+};
+
+inline bool has_row(const Layer& layer, int y) {
+  return y >= layer.rect.y0 && y < layer.rect.y1;
+}
+
+inline void load_row(const Layer& layer, int y, std::vector<float>& out) {
+  floats_from_halves(layer.row(y), std::span(out).first(layer.row(y).size()));
+}
+
+/// What one frame is composited from.
+struct Layered {
+  const Layer &objects, &hidden;
+  const Receivers& receivers;
+  Rect area;  // all that is touched at most
+  const Vignetting& vignetting;
+
+  /// The same for row y alone, `area` being what is touched there at most.
+  Layered row(int y) const {
+    Rect part = receivers.reach_in_row(y);
+    for (const Layer* layer : {&objects, &hidden})
+      if (has_row(*layer, y)) part = united(part, {layer->rect.x0, y, layer->rect.x1, y + 1});
+    return within(part);
+  }
+  Layered within(const Rect& part) const { return {objects, hidden, receivers, part, vignetting}; }
+};
+
+/// The objects' row as the lens lets it through.
+inline void load_objects(const Layered& in, int y, std::vector<float>& out) {
+  load_row(in.objects, y, out);
+  if (in.vignetting.none()) return;
+  for (int x = in.objects.rect.x0; x < in.objects.rect.x1; ++x) {
+    const auto left = static_cast<float>(in.vignetting.at({x + .5, y + .5}));
+    float* const pixel = &out[static_cast<std::size_t>(x - in.objects.rect.x0) * 4];
+    for (int c = 0; c < 3; ++c) pixel[c] *= left;
+  }
+}
+
+/// Ratios of the row; real geometry in front of the receiver brings its own. False when no shadow
+/// reaches it: then they are 1.
+inline bool load_shadows(const Layered& in, int y, RowBuffers& rows) {
+  const auto width = static_cast<std::size_t>(in.area.width());
+  for (auto* v : {&rows.r, &rows.g, &rows.b}) std::fill_n(v->begin(), width, 1.f);
+  const bool on_planes =
+      in.receivers.load_row(y, in.area, rows.r.data(), rows.g.data(), rows.b.data());
+  if (!has_row(in.hidden, y)) return on_planes;
+  load_row(in.hidden, y, rows.hidden);
+  for (int x = std::max(in.hidden.rect.x0, in.area.x0); x < std::min(in.hidden.rect.x1, in.area.x1);
+       ++x) {
+    const float* const real = &rows.hidden[static_cast<std::size_t>(x - in.hidden.rect.x0) * 4];
+    const auto i = static_cast<std::size_t>(x - in.area.x0);
+    const float seen = 1 - real[3];
+    rows.r[i] = 1 + seen * (rows.r[i] - 1) - real[0];
+    rows.g[i] = 1 + seen * (rows.g[i] - 1) - real[1];
+    rows.b[i] = 1 + seen * (rows.b[i] - 1) - real[2];
+  }
+  return true;
+}
+
+}  // namespace penumbra::compositor

@@ -1,0 +1,141 @@
+// What GL draws: the objects' radiance and coverage, and what real geometry hides.
+#pragma once
+
+#include <array>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "compositor/internal/canvas.h"
+#include "compositor/compositor.h"
+#include "compositor/internal/contour.h"
+#include "compositor/internal/draw_list.h"
+#include "compositor/internal/gl.h"
+#include "compositor/internal/projection.h"
+
+namespace penumbra::compositor {
+
+class Layers {
+ public:
+  static Result<Layers> create(int width, int height, int oversampling);
+
+  int add_object(const prt::BakedObject& object, const Appearance& appearance);
+  void set_form(int object, const prt::Mesh& mesh);
+  void set_pose(int object, const Pose& world_from_bake);
+  void set_light(int object, std::span<const float> relit);
+  int add_occluder(const prt::Mesh& mesh);
+  /// Shadow ratios at the vertices of real geometry.
+  void set_ratios(int occluder, std::span<const Rgb> ratios);
+  void add_plane(const glm::dvec3& point, const glm::dvec3& normal);
+
+  bool has_occluders() const { return !occluders_.empty(); }
+  /// The rectangle that draw() gives the layer of objects.
+  Rect reach_of_objects(const prt::PinholeView& camera) const;
+  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, averaged over each pixel: of samples, or
+  /// where that shows no worse of one sample and the objects' contours. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
+  /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller
+  /// keeps them.
+  Result<void> draw(const View& view, const Rect& receiver_area, SharedLayer& objects,
+                    SharedLayer& hidden);
+
+ private:
+  struct LightMap {
+    GlTexture texture{};
+    int width = 0, height = 0;
+    std::size_t first = 0;                     // point of its first texel
+    std::vector<std::array<int, 2>> places{};  // of the texels
+    std::vector<Rgb> pixels{};
+  };
+  struct Object {
+    GlVertexArray geometry{};
+    GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
+    std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
+    std::optional<LightMap> light_map{};
+    DrawList triangles;
+    std::span<const DrawList::Triangle> shown{};  // of `triangles`, in `indices`
+    // Of what one sample a pixel may do for, and the vertices in their present form.
+    std::optional<Contour> contour{};
+    std::vector<glm::vec3> positions{};
+    bool changes_form;
+    std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
+    GLsizei index_count = 0, seen_count = 0;
+    bool every_triangle = true;  // in `indices`; otherwise those selected for `colours`
+    bool selection_stale = true;
+    bool moves = false;  // has been given another form: what the list of triangles tells of is gone
+    std::size_t stride = 0;  // floats a colour plane
+    prt::Bounds bounds;
+    float tolerance;  // of `triangles`, metres
+    double area_m2;   // of all triangles, at rest
+    Pose world_from_bake{};
+  };
+  struct Occluder {
+    GlVertexArray geometry;
+    GlBuffer vertices, deficits, indices;
+    GLsizei index_count = 0;
+  };
+  struct RealPlane {
+    glm::dvec3 point, normal;
+    Occluder quad;
+  };
+  struct OccluderMesh {
+    std::vector<glm::vec3> positions;
+    std::vector<std::array<std::uint32_t, 3>> triangles;
+    std::optional<prt::Bounds> shaded;  // of the triangles with a ratio other than 1
+  };
+  struct Drawn {
+    View view;
+    Rect receiver_area;
+  };
+
+  Layers(int width, int height, int oversampling, GlProgram object, GlProgram textured,
+         GlProgram occluder, GlTexture white)
+      : width_(width),
+        height_(height),
+        fine_(oversampling > 2),
+        objects_canvas_(oversampling),
+        plain_canvas_(1),
+        hidden_canvas_(oversampling),
+        object_program_(std::move(object)),
+        textured_program_(std::move(textured)),
+        occluder_program_(std::move(occluder)),
+        white_(std::move(white)) {}
+  void draw_occluders(const glm::dmat4& clip_from_world);
+  void draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world);
+  static void add_pictures(Object& object, const prt::BakedObject& baked,
+                           const Appearance& appearance);
+  static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
+                             const std::vector<Rgb>& albedo);
+  static Occluder upload(const prt::Mesh& mesh);
+  void draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone);
+  void bind_pictures(const Object& object, GLuint program) const;
+  void choose_triangles(Object& object, const prt::PinholeView& camera) const;
+  static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
+  Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
+                                     Layer& out);
+  Result<void> draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
+                       Layer& out);
+  static double distance_to_box(const Object& object, const glm::dvec3& eye);
+  static bool fronts_only(const Object& object, const glm::dvec3& eye);
+  /// How deep an object lies behind the plane, metres; not above 0 where that hides nothing.
+  static double hidden_m(const RealPlane& plane, const Object& object, const glm::dvec3& eye);
+  bool in_view(const Object& object, const glm::dmat4& clip_from_world) const;
+  bool one_sample_does(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) const;
+  bool one_sample_does(const Object& object, const prt::PinholeView& camera) const;
+  bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world);
+  Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
+
+  int width_, height_;
+  bool fine_;  // stills: every triangle
+  Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
+  GlProgram object_program_, textured_program_, occluder_program_;
+  GlTexture white_;  // of one texel
+  std::vector<Object> objects_;
+  std::vector<Occluder> occluders_;
+  std::vector<RealPlane> planes_;
+  std::vector<OccluderMesh> occluder_meshes_;  // by occluder
+  ContourSmoother smoother_;
+  std::vector<Line> lines_;
+  std::optional<Drawn> drawn_;  // what the caller's layers show
+};
+
+}  // namespace penumbra::compositor

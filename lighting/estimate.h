@@ -1,0 +1,109 @@
+// Environments in, light estimates out.
+// threads: free functions reentrant; LightEstimator thread-bound
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "core/environment.h"
+#include "core/image.h"
+#include "core/result.h"
+#include "core/sh.h"
+#include "core/units.h"
+#include "lighting/completion.h"
+#include "lighting/disc.h"
+#include "lighting/disc_tracker.h"
+#include "lighting/discs.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "lighting/light_filter.h"
+#include "lighting/map_luminance.h"
+#include "lighting/projection.h"
+
+namespace penumbra::lighting {
+
+struct EstimateOptions {
+  int bands = 5;
+  DiscOptions discs{};  // most = 0: harmonics alone
+  bool filter = true;   // of streams, see LightFilter
+};
+
+/// Keeps tables between environments of one size.
+/// threads: thread-bound; no allocation after the first environment of a size without holes
+class LightEstimator {
+ public:
+  explicit LightEstimator(const EstimateOptions& options);
+  ~LightEstimator();
+  LightEstimator(LightEstimator&&) noexcept;
+  LightEstimator& operator=(LightEstimator&&) noexcept;
+  /// From now on bands and discs are the governor's choice within the options'; estimates carry the plan.
+  void govern(const Governance& governance);
+  /// As Governor::allow_discs; nothing without governance. With none the map is split only now and then, for the
+  /// prediction, unless something in it is clipped.
+  void allow_discs(int most);
+  /// in:  radiance 0 where the confidence is 0
+  /// out: keeps its memory; as it was after an error
+  Result<void> estimate(const Environment& environment, LightEstimate& out);
+  Result<LightEstimate> estimate(const Environment& environment) {
+    LightEstimate out;
+    PENUMBRA_TRY(estimate(environment, out));
+    return out;
+  }
+  /// From the next map on, as long as the disc is tracked and clipped.
+  /// errors: as CompletionMemory::remember
+  Result<void> complete(const Completion& completion) { return completions_.remember(completion); }
+
+ private:
+  LatLongProjector& projector_for(const Image<Rgb>& map);
+  Result<Projection> project(const Image<Rgb>& map);
+  Result<Projection> project_rest();
+  Result<Projection> fill_holes(const Result<Projection>& moments, const Image<float>& confidence);
+  Plan plan_for(const Projection& rest, TimestampNs time);
+  Result<void> peel(const Environment& environment);
+  void choose_discs();
+  Result<Projection> measure_whole(const Environment& environment);
+  Result<Projection> measure_split(const Environment& environment);
+
+  std::unique_ptr<class HoleFit> hole_fit_;
+  EstimateOptions options_;
+  MapLuminance luminance_;
+  DiscSplit split_;
+  std::vector<Disc> left_over_;  // of the split: what is not used as discs
+  DiscTracker tracker_;
+  CompletionMemory completions_;
+  LightFilter filter_;
+  std::optional<Governance> governance_;
+  std::optional<Governor> governor_;
+  ErrorTable errors_;
+  std::optional<Plan> plan_;
+  int maps_since_split_ = 0;
+  bool without_discs_ = false;  // the map before was measured whole
+  int maps_unclipped_ = 0;
+  int width_ = 0, height_ = 0;
+  std::unique_ptr<LatLongProjector> projector_;
+};
+
+/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `discs` come
+/// on top of the projection.
+LightEstimate make_estimate(const Projection& nine_bands, int bands, std::vector<Disc> discs = {});
+/// in: discs other than out's own
+/// out: keeps its memory
+void make_estimate(const Projection& nine_bands, int bands, std::span<const Disc> discs,
+                   LightEstimate& out);
+
+/// Of a still map: LightEstimator's first estimate.
+/// errors: as LightEstimator::estimate
+Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options);
+
+/// Discs and rest together in harmonics, for who lights by harmonics alone.
+RadianceSh whole_light(const LightEstimate& estimate);
+RadianceSh whole_floor_light(const LightEstimate& estimate);
+
+/// Largest possible change of any diffuse surface's exit radiance between two lights, relative to
+/// the mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3
+/// pi)).
+double largest_visible_change(const RadianceSh& before, const RadianceSh& after);
+
+}  // namespace penumbra::lighting

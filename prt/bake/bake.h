@@ -1,0 +1,83 @@
+// Precomputed radiance transfer of an object on its receiver.
+// Frames: a mesh lives in its bake frame (y up = the receiver's normal, metres); the light is rotated into that frame.
+// Back faces are black, in the bake and in the reference alike.
+// threads: reentrant and internally parallel (TBB)
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <glm/mat3x3.hpp>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "core/result.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/receiver.h"
+#include "prt/transfer/transfer.h"
+#include "prt/transfer/vertex_sight.h"
+
+namespace penumbra::prt {
+
+inline constexpr int kMostBounces = 256;
+
+struct BakeOptions {
+  int bands = 5;
+  /// Of light between the object's parts, and between object and receiver. From the second on, what comes after the
+  /// last is continued as a geometric series.
+  int bounces = 4;
+  int rays = 1024;         // per vertex, a multiple of 64
+  int ground_rays = 1024;  // per receiver texel, a multiple of 64
+  bool sight = false;      // whether to find BakedObject::sight
+  std::optional<Receiver> receiver;
+  /// Bands of what comes by reflection (BakedObject::indirect).
+  int indirect_bands = kIndirectBands;
+  /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places. Turned with the
+  /// material they give what only turns the same transfer in all poses, but for single rays that graze an edge.
+  std::span<const glm::mat3> ray_frames{};
+  std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
+};
+
+/// How well a vertex is known; not kept in files.
+struct PointQuality {
+  float standard_error = 0;  // of t_0, share of an open point's
+  float behind = 0;  // share of its rays that met a surface from behind: it lies within something
+};
+
+struct BakeReport {
+  std::uint64_t rays = 0;
+  double seconds = 0;
+  /// RMS over vertices of the standard error of t_0 relative to the mean t_0, from the spread of
+  /// four quarters of the rays; an upper bound, since together they are stratified finer.
+  double standard_error = 0;
+  std::vector<PointQuality> quality;  // by vertex
+};
+
+struct BakedObject {
+  Mesh mesh;
+  Transfer transfer;
+  std::optional<Receiver> receiver;
+  /// (E0_n - E_n)/pi at the receiver's texels, row by row: what the object takes of an unshadowed
+  /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
+  Transfer ground_deficit;
+  /// The share of `transfer`, and of the receiver's irradiance/pi, that came by reflection between object and
+  /// receiver: smooth, so at most kIndirectBands, and what a disc needs beside its direct light.
+  Transfer indirect, ground_indirect;
+  /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform sky would darken by
+  /// 5 %: what the governor predicts truncation from. No points without receiver or bounces.
+  static constexpr int kShadowProbes = 64;
+  Transfer shadow_probes;
+  /// Of the mesh alone: what the receiver hides counts as open.
+  VertexSight sight;
+  BakeReport report;
+};
+
+/// Precomputes transfer at every vertex, and at the texels of the receiver with the object in
+/// place.
+/// errors:  kInvalid (options), kUnavailable (Embree)
+/// source:  Sloan, Kautz & Snyder 2002; t
+/// = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine
+///          (convex shapes come out exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
+Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
+
+}  // namespace penumbra::prt

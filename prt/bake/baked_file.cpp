@@ -1,0 +1,406 @@
+#include <fmt/format.h>
+#include <tiny_gltf.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cstring>
+#include <fstream>
+
+#include "prt/bake/bake.h"
+#include "prt/bake/baked_file.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/receiver.h"
+#include "prt/transfer/transfer.h"
+#include "prt/transfer/vertex_sight.h"
+#include "core/files.h"
+#include "core/half.h"
+
+// Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
+// four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
+// 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are accessors of
+// half-float bits in the order of prt::Transfer, the vertices' sight three of words.
+
+namespace penumbra::prt {
+namespace {
+
+constexpr int kVersion = 3;
+using tinygltf::Model;
+using tinygltf::Value;
+
+class Writer {
+ public:
+  explicit Writer(Model& model) : model_(model) { model_.buffers.emplace_back(); }
+
+  int add(const void* data, std::size_t bytes, std::size_t count, int component, int type,
+          int target) {
+    auto& buffer = model_.buffers[0].data;
+    buffer.resize((buffer.size() + 3) / 4 * 4);
+    tinygltf::BufferView view;
+    view.buffer = 0;
+    view.byteOffset = buffer.size();
+    view.byteLength = bytes;
+    view.target = target;
+    const auto* first = static_cast<const unsigned char*>(data);
+    buffer.insert(buffer.end(), first, first + bytes);
+    model_.bufferViews.push_back(view);
+    tinygltf::Accessor accessor;
+    accessor.bufferView = static_cast<int>(model_.bufferViews.size()) - 1;
+    accessor.componentType = component;
+    accessor.type = type;
+    accessor.count = count;
+    model_.accessors.push_back(accessor);
+    return static_cast<int>(model_.accessors.size()) - 1;
+  }
+  template <class T>
+  int add_vertices(const std::vector<T>& data, int type) {
+    return add(data.data(), data.size() * sizeof(T), data.size(), TINYGLTF_COMPONENT_TYPE_FLOAT,
+               type, TINYGLTF_TARGET_ARRAY_BUFFER);
+  }
+
+ private:
+  Model& model_;
+};
+
+Value number(double v) {
+  return Value(v);
+}
+
+// Accessors of the transfers that no viewer needs.
+struct OwnAccessors {
+  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
+  int sight = -1, refined_sight = -1, fine_sight = -1;
+};
+
+Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
+  Value::Object d;
+  d["version"] = Value(kVersion);
+  d["bands"] = Value(o.transfer.bands);
+  d["channels"] = Value(o.transfer.channels);
+  d["indirect"] = Value(own.indirect);
+  d["indirect_bands"] = Value(o.indirect.bands);
+  d["rays"] = number(static_cast<double>(o.report.rays));
+  d["seconds"] = number(o.report.seconds);
+  d["standard_error"] = number(o.report.standard_error);
+  if (!o.sight.empty())
+    d["vertex_sight"] = Value(Value::Object{{"open", Value(own.sight)},
+                                            {"refined", Value(own.refined_sight)},
+                                            {"fine", Value(own.fine_sight)}});
+  if (o.receiver) {
+    const GroundGrid& g = o.receiver->grid;
+    const Rgb& a = o.receiver->albedo;
+    Value::Object r;
+    r["size"] = Value(g.size);
+    r["centre_m"] = Value(Value::Array{number(g.centre.x), number(g.centre.y)});
+    r["half_extent_m"] = number(g.half_extent);
+    r["height_m"] = number(g.height);
+    r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
+    r["deficit"] = Value(own.ground_deficit);
+    r["indirect"] = Value(own.ground_indirect);
+    r["probes"] = Value(own.shadow_probes);
+    r["probe_count"] = Value(static_cast<int>(o.shadow_probes.points));
+    d["receiver"] = Value(r);
+  }
+  return d;
+}
+
+Model to_model(const BakedObject& o) {
+  Model model;
+  Writer writer(model);
+  tinygltf::Primitive primitive;
+  primitive.mode = TINYGLTF_MODE_TRIANGLES;
+  primitive.attributes["POSITION"] = writer.add_vertices(o.mesh.positions, TINYGLTF_TYPE_VEC3);
+  const Bounds b = bounds_of(o.mesh);
+  model.accessors.back().minValues = {b.low.x, b.low.y, b.low.z};
+  model.accessors.back().maxValues = {b.high.x, b.high.y, b.high.z};
+  primitive.attributes["NORMAL"] = writer.add_vertices(o.mesh.normals, TINYGLTF_TYPE_VEC3);
+  primitive.attributes["COLOR_0"] = writer.add_vertices(o.mesh.albedo, TINYGLTF_TYPE_VEC3);
+  const int per_channel = coefficient_count(o.transfer.bands),
+            values = o.transfer.channels * per_channel;
+  for (int first = 0; first < values; first += 4) {
+    std::vector<std::array<float, 4>> quad(o.transfer.points);
+    for (std::size_t p = 0; p < o.transfer.points; ++p)
+      for (int k = 0; k < 4 && first + k < values; ++k)
+        quad[p][static_cast<std::size_t>(k)] =
+            o.transfer.value((first + k) / per_channel, (first + k) % per_channel, p);
+    primitive.attributes[fmt::format("_TRANSFER_{}", first / 4)] =
+        writer.add_vertices(quad, TINYGLTF_TYPE_VEC4);
+  }
+  primitive.indices = writer.add(o.mesh.triangles.data(), o.mesh.triangles.size() * 12,
+                                 o.mesh.triangles.size() * 3, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
+                                 TINYGLTF_TYPE_SCALAR, TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
+  const auto add_halves = [&](const Transfer& t) {
+    return writer.add(t.values.data(), t.values.size() * 2, t.values.size(),
+                      TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 0);
+  };
+  const auto add_words = [&](const void* data, std::size_t words) {
+    return writer.add(data, words * 4, words, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
+                      TINYGLTF_TYPE_SCALAR, 0);
+  };
+  OwnAccessors own;
+  own.indirect = add_halves(o.indirect);
+  if (!o.sight.empty()) {
+    own.sight = add_words(o.sight.open.data(), o.sight.open.size());
+    own.refined_sight = add_words(o.sight.refined.data(), 2 * o.sight.refined.size());
+    // An accessor holds at least one.
+    if (!o.sight.fine.empty())
+      own.fine_sight = add_words(o.sight.fine.data(), 2 * o.sight.fine.size());
+  }
+  if (o.receiver) {
+    own.ground_deficit = add_halves(o.ground_deficit);
+    own.ground_indirect = add_halves(o.ground_indirect);
+    if (o.shadow_probes.points > 0) own.shadow_probes = add_halves(o.shadow_probes);
+  }
+  model.meshes.emplace_back().primitives.push_back(primitive);
+  model.nodes.emplace_back().mesh = 0;
+  model.scenes.emplace_back().nodes = {0};
+  model.defaultScene = 0;
+  model.asset.version = "2.0";
+  model.asset.generator = "penumbra";
+  Value::Object extras;
+  extras["penumbra"] = Value(describe(o, own));
+  model.asset.extras = Value(extras);
+  return model;
+}
+
+// Bytes of an accessor, checked against view and buffer; nothing when anything is off.
+std::optional<std::span<const unsigned char>> accessor_bytes(const Model& m, int index,
+                                                             int component, int type,
+                                                             std::size_t element_bytes) {
+  if (index < 0 || static_cast<std::size_t>(index) >= m.accessors.size()) return std::nullopt;
+  const auto& a = m.accessors[static_cast<std::size_t>(index)];
+  if (a.componentType != component || a.type != type || a.bufferView < 0 || a.byteOffset != 0 ||
+      static_cast<std::size_t>(a.bufferView) >= m.bufferViews.size())
+    return std::nullopt;
+  const auto& v = m.bufferViews[static_cast<std::size_t>(a.bufferView)];
+  if (v.buffer < 0 || static_cast<std::size_t>(v.buffer) >= m.buffers.size() || v.byteStride != 0)
+    return std::nullopt;
+  const auto& data = m.buffers[static_cast<std::size_t>(v.buffer)].data;
+  if (v.byteOffset > data.size() || v.byteLength > data.size() - v.byteOffset ||
+      a.count > v.byteLength / element_bytes)
+    return std::nullopt;
+  return std::span(data).subspan(v.byteOffset, a.count * element_bytes);
+}
+
+template <class T>
+bool read_attribute(const Model& m, const tinygltf::Primitive& p, const std::string& name, int type,
+                    std::vector<T>& out) {
+  const auto found = p.attributes.find(name);
+  if (found == p.attributes.end()) return false;
+  const auto bytes =
+      accessor_bytes(m, found->second, TINYGLTF_COMPONENT_TYPE_FLOAT, type, sizeof(T));
+  if (!bytes) return false;
+  out.resize(bytes->size() / sizeof(T));
+  if (!out.empty()) std::memcpy(out.data(), bytes->data(), bytes->size());
+  return !out.empty();
+}
+
+bool finite(std::span<const float> values) {
+  return std::ranges::all_of(values, [](float v) { return std::isfinite(v); });
+}
+
+bool read_mesh(const Model& m, const tinygltf::Primitive& p, Mesh& mesh) {
+  if (!read_attribute(m, p, "POSITION", TINYGLTF_TYPE_VEC3, mesh.positions) ||
+      !read_attribute(m, p, "NORMAL", TINYGLTF_TYPE_VEC3, mesh.normals) ||
+      !read_attribute(m, p, "COLOR_0", TINYGLTF_TYPE_VEC3, mesh.albedo))
+    return false;
+  const std::size_t n = mesh.positions.size();
+  const auto indices =
+      accessor_bytes(m, p.indices, TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
+  if (n == 0 || mesh.normals.size() != n || mesh.albedo.size() != n || !indices ||
+      indices->size() % 12 != 0)
+    return false;
+  mesh.triangles.resize(indices->size() / 12);
+  std::memcpy(mesh.triangles.data(), indices->data(), indices->size());
+  return !mesh.triangles.empty() && finite({&mesh.positions[0].x, 3 * n}) &&
+         finite({&mesh.normals[0].x, 3 * n}) && finite({&mesh.albedo[0].r, 3 * n}) &&
+         std::ranges::all_of(mesh.triangles,
+                             [&](const auto& t) { return t[0] < n && t[1] < n && t[2] < n; });
+}
+
+bool read_transfer(const Model& m, const tinygltf::Primitive& p, int bands, int channels,
+                   BakedObject& o) {
+  o.transfer = Transfer(bands, channels, o.mesh.positions.size());
+  const int per_channel = coefficient_count(bands), values = channels * per_channel;
+  for (int first = 0; first < values; first += 4) {
+    std::vector<std::array<float, 4>> quad;
+    if (!read_attribute(m, p, fmt::format("_TRANSFER_{}", first / 4), TINYGLTF_TYPE_VEC4, quad) ||
+        quad.size() != o.transfer.points || !finite({quad[0].data(), quad.size() * 4}))
+      return false;
+    for (std::size_t i = 0; i < quad.size(); ++i)
+      for (int k = 0; k < 4 && first + k < values; ++k)
+        o.transfer.set((first + k) / per_channel, (first + k) % per_channel, i,
+                       quad[i][static_cast<std::size_t>(k)]);
+  }
+  return true;
+}
+
+double get(const Value& v, const char* key) {
+  const Value& found = v.Get(key);
+  return found.IsNumber() ? found.GetNumberAsDouble() : NAN;
+}
+double get(const Value& v, const char* key, int i) {
+  const Value& found = v.Get(key);
+  if (!found.IsArray() || found.ArrayLen() <= static_cast<std::size_t>(i)) return NAN;
+  const Value& item = found.Get(i);
+  return item.IsNumber() ? item.GetNumberAsDouble() : NAN;
+}
+
+// `index` as the file gives it; the file must hold the values before any room is made for them.
+bool read_halves(const Model& m, double index, int bands, int channels, std::size_t points,
+                 Transfer& out) {
+  if (!(index >= 0 && index < static_cast<double>(m.accessors.size()))) return false;
+  const auto bytes = accessor_bytes(
+      m, static_cast<int>(index), TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_SCALAR, 2);
+  const std::size_t values = (points + 63) / 64 * 64 * static_cast<std::size_t>(channels) *
+                             static_cast<std::size_t>(coefficient_count(bands));
+  if (!bytes || bytes->size() != values * 2) return false;
+  out = Transfer(bands, channels, points);
+  std::memcpy(out.values.data(), bytes->data(), bytes->size());
+  return std::ranges::all_of(out.values, [](auto h) { return std::isfinite(float_from_half(h)); });
+}
+
+// Words of 32 bits.
+template <class T>
+bool read_words(const Model& m, double index, std::size_t count, std::vector<T>& out) {
+  if (!(index >= 0 && index < static_cast<double>(m.accessors.size()))) return false;
+  const auto bytes = accessor_bytes(m, static_cast<int>(index),
+                                    TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
+  if (!bytes || bytes->size() != count * sizeof(T)) return false;
+  out.resize(count);
+  std::memcpy(out.data(), bytes->data(), bytes->size());
+  return true;
+}
+
+bool read_sight(const Model& m, const Value& own, std::size_t vertices, VertexSight& out) {
+  if (!own.IsObject()) return false;
+  if (!read_words(m, get(own, "open"), vertices * VertexSight::kWords, out.open) ||
+      !read_words(m, get(own, "refined"), vertices, out.refined))
+    return false;
+  std::size_t blocks = 0;
+  for (const std::uint64_t r : out.refined) blocks += static_cast<std::size_t>(std::popcount(r));
+  return blocks == 0 || read_words(m, get(own, "fine"), blocks, out.fine);
+}
+
+bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
+  if (!r.IsObject()) return false;
+  GroundGrid g;
+  const double size = get(r, "size");
+  if (!(size >= 2 && size <= 4096)) return false;
+  g.size = static_cast<int>(size);
+  g.centre = {get(r, "centre_m", 0), get(r, "centre_m", 1)};
+  g.half_extent = static_cast<float>(get(r, "half_extent_m"));
+  g.height = static_cast<float>(get(r, "height_m"));
+  const Rgb albedo{static_cast<float>(get(r, "albedo", 0)), static_cast<float>(get(r, "albedo", 1)),
+                   static_cast<float>(get(r, "albedo", 2))};
+  const float all[] = {g.centre.x, g.centre.y, g.half_extent, g.height,
+                       albedo.r,   albedo.g,   albedo.b};
+  if (!finite(all) || g.half_extent <= 0) return false;
+  const double probes = get(r, "probe_count");
+  if (!(probes >= 0 && probes <= BakedObject::kShadowProbes)) return false;
+  if (probes > 0 && !read_halves(m, get(r, "probes"), kMaxBands, 1,
+                                 static_cast<std::size_t>(probes), o.shadow_probes))
+    return false;
+  const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
+  o.receiver = Receiver{g, albedo};
+  return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,
+                     o.ground_deficit) &&
+         read_halves(m, get(r, "indirect"), o.indirect.bands, o.transfer.channels, texels,
+                     o.ground_indirect);
+}
+
+const Value* own_extras(const Model& m) {
+  if (!m.asset.extras.IsObject() || !m.asset.extras.Has("penumbra")) return nullptr;
+  const Value& own = m.asset.extras.Get("penumbra");
+  return own.IsObject() ? &own : nullptr;
+}
+
+Result<BakedObject> from_model(const Model& m, const std::string& file) {
+  const Value* extras = own_extras(m);
+  if (!extras) return fail(ErrorCode::kInvalid, file, "glTF without baked transfer; bake it first");
+  if (get(*extras, "version") != kVersion)
+    return fail(ErrorCode::kInvalid, file,
+                fmt::format("baked by another version, expected {}", kVersion));
+  const double bands = get(*extras, "bands"), channels = get(*extras, "channels");
+  if (!(bands >= 1 && bands <= kMaxBands) || !(channels == 1 || channels == 3))
+    return fail(ErrorCode::kUnreadable, file, "damaged: bands or channels out of range");
+  if (m.meshes.size() != 1 || m.meshes[0].primitives.size() != 1)
+    return fail(ErrorCode::kUnreadable, file, "damaged: one mesh with one primitive expected");
+  BakedObject o;
+  const auto& primitive = m.meshes[0].primitives[0];
+  if (!read_mesh(m, primitive, o.mesh)) return fail(ErrorCode::kUnreadable, file, "damaged mesh");
+  if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
+    return fail(ErrorCode::kUnreadable, file, "damaged transfer");
+  const double indirect_bands = get(*extras, "indirect_bands");
+  if (!(indirect_bands >= 1 && indirect_bands <= kMaxBands) ||
+      !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
+                   o.transfer.channels, o.transfer.points, o.indirect))
+    return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
+  if (extras->Has("vertex_sight") &&
+      !read_sight(m, extras->Get("vertex_sight"), o.transfer.points, o.sight))
+    return fail(ErrorCode::kUnreadable, file, "damaged sight");
+  if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
+    return fail(ErrorCode::kUnreadable, file, "damaged receiver");
+  const auto figure = [&](const char* key) {  // reports only: absent or damaged ones are 0
+    const double v = get(*extras, key);
+    return v >= 0 && v < 1e18 ? v : 0;
+  };
+  o.report = {
+      static_cast<std::uint64_t>(figure("rays")), figure("seconds"), figure("standard_error"), {}};
+  return o;
+}
+
+// A stream that failed half way is not reported: the header tells how long the file has to be.
+bool is_whole(const std::filesystem::path& glb) {
+  std::array<unsigned char, 12> header{};
+  std::ifstream file(glb, std::ios::binary);
+  if (!file.read(reinterpret_cast<char*>(header.data()), header.size())) return false;
+  std::uint64_t length = 0;
+  for (std::size_t i = 0; i < 4; ++i) length |= std::uint64_t{header[8 + i]} << 8 * i;
+  std::error_code failed;
+  return std::filesystem::file_size(glb, failed) == length && !failed;
+}
+
+}  // namespace
+
+Result<void> write_baked(const std::filesystem::path& path, const BakedObject& object) {
+  return replace_file(path, [&](const std::filesystem::path& temporary) -> Result<void> {
+    Model model = to_model(object);
+    if (!tinygltf::TinyGLTF().WriteGltfSceneToFile(&model, temporary.string(), true, true, false,
+                                                   true))
+      return fail(ErrorCode::kUnwritable, path.string(), "cannot write the file");
+    if (!is_whole(temporary))
+      return fail(ErrorCode::kUnwritable, path.string(),
+                  "cannot write all of the file; is the disk full?");
+    return {};
+  });
+}
+
+Result<BakedObject> read_baked(const std::filesystem::path& path) {
+  auto bytes = read_bytes(path);
+  if (!bytes) return std::unexpected(bytes.error());
+  Model model;
+  std::string error, warning;
+  try {
+    if (!tinygltf::TinyGLTF().LoadBinaryFromMemory(&model, &error, &warning, bytes->data(),
+                                                   static_cast<unsigned>(bytes->size()))) {
+      std::ranges::replace(error, '\n', ' ');
+      return fail(ErrorCode::kUnreadable, path.string(),
+                  error.empty() ? "not a binary glTF" : error);
+    }
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kUnreadable, path.string(), e.what());
+  }
+  return from_model(model, path.string());
+}
+
+bool is_baked_file(const std::filesystem::path& path) {
+  const auto bytes = read_bytes(path);
+  if (!bytes || bytes->size() < 20 || std::memcmp(bytes->data(), "glTF", 4) != 0) return false;
+  // The asset entry is part of the JSON chunk that opens the file.
+  const std::string_view text(reinterpret_cast<const char*>(bytes->data()), bytes->size());
+  return text.find("\"penumbra\"") != std::string_view::npos &&
+         text.find("_TRANSFER_0") != std::string_view::npos;
+}
+
+}  // namespace penumbra::prt

@@ -1,0 +1,233 @@
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/mat3x3.hpp>
+#include <glm/matrix.hpp>
+#include <map>
+#include <numbers>
+#include <numeric>
+#include <tuple>
+#include <utility>
+
+#include "prt/geometry/animation.h"
+#include "prt/geometry/mesh.h"
+
+
+namespace penumbra::prt {
+
+Bounds bounds_of(const Mesh& mesh) {
+  Bounds b{glm::vec3(HUGE_VALF), glm::vec3(-HUGE_VALF)};
+  for (const glm::vec3& p : mesh.positions) {
+    b.low = glm::min(b.low, p);
+    b.high = glm::max(b.high, p);
+  }
+  return b;
+}
+
+std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions) {
+  std::vector<std::uint32_t> order(positions.size()), first(positions.size());
+  std::iota(order.begin(), order.end(), 0u);
+  const auto key = [&](std::uint32_t v) {
+    const glm::vec3& p = positions[v];
+    return std::tuple(p.x, p.y, p.z);
+  };
+  std::ranges::sort(order, {}, [&](std::uint32_t v) { return std::pair(key(v), v); });
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    const bool again = i > 0 && key(order[i]) == key(order[i - 1]);
+    first[order[i]] = again ? first[order[i - 1]] : order[i];
+  }
+  return first;
+}
+
+float radius_around(const Mesh& mesh, const glm::vec3& centre) {
+  float largest = 0;
+  for (const glm::vec3& p : mesh.positions) largest = std::max(largest, glm::distance(p, centre));
+  return largest;
+}
+
+void transform(Mesh& mesh, const glm::dmat4& matrix) {
+  const glm::dmat3 normal_matrix = glm::transpose(glm::inverse(glm::dmat3(matrix)));
+  for (glm::vec3& p : mesh.positions) p = glm::vec3(matrix * glm::dvec4(p, 1));
+  for (glm::vec3& n : mesh.normals) n = glm::vec3(glm::normalize(normal_matrix * glm::dvec3(n)));
+  if (glm::determinant(glm::dmat3(matrix)) < 0)
+    for (auto& t : mesh.triangles) std::swap(t[1], t[2]);
+}
+
+void append(Mesh& mesh, const Mesh& other) {
+  const auto first = static_cast<std::uint32_t>(mesh.positions.size());
+  mesh.positions.insert(mesh.positions.end(), other.positions.begin(), other.positions.end());
+  mesh.normals.insert(mesh.normals.end(), other.normals.begin(), other.normals.end());
+  mesh.albedo.insert(mesh.albedo.end(), other.albedo.begin(), other.albedo.end());
+  for (const auto& t : other.triangles)
+    mesh.triangles.push_back({t[0] + first, t[1] + first, t[2] + first});
+}
+
+namespace {
+
+class Subdivider {
+ public:
+  Subdivider(Mesh& mesh, float longest) : mesh_(mesh), longest_(longest) {}
+
+  // One round: every edge that is too long gets its midpoint; each triangle is cut by how many it
+  // has.
+  bool round() {
+    midpoints_.clear();
+    std::vector<std::array<std::uint32_t, 3>> out;
+    out.reserve(mesh_.triangles.size() * 2);
+    const std::size_t before = mesh_.triangles.size();
+    for (const auto& t : mesh_.triangles) split(t, out);
+    mesh_.triangles = std::move(out);
+    return mesh_.triangles.size() != before;
+  }
+  // Of what edge each new vertex is the middle.
+  std::vector<std::array<std::uint32_t, 2>> ends() && { return std::move(ends_); }
+
+ private:
+  static constexpr std::uint32_t kNone = 0xffffffffu;
+
+  std::uint32_t midpoint(std::uint32_t a, std::uint32_t b) {
+    if (glm::distance(mesh_.positions[a], mesh_.positions[b]) <= longest_) return kNone;
+    const auto [found, fresh] = midpoints_.try_emplace(std::minmax(a, b), kNone);
+    if (!fresh) return found->second;
+    const auto index = static_cast<std::uint32_t>(mesh_.positions.size());
+    mesh_.positions.push_back(.5f * (mesh_.positions[a] + mesh_.positions[b]));
+    const glm::vec3 n = mesh_.normals[a] + mesh_.normals[b];
+    mesh_.normals.push_back(glm::length(n) > 1e-6f ? glm::normalize(n) : mesh_.normals[a]);
+    mesh_.albedo.push_back((mesh_.albedo[a] + mesh_.albedo[b]) * .5f);
+    ends_.push_back({a, b});
+    return found->second = index;
+  }
+
+  void split(const std::array<std::uint32_t, 3>& t,
+             std::vector<std::array<std::uint32_t, 3>>& out) {
+    std::array<std::uint32_t, 3> m{midpoint(t[0], t[1]), midpoint(t[1], t[2]),
+                                   midpoint(t[2], t[0])};
+    const auto cuts = std::ranges::count_if(m, [](auto i) { return i != kNone; });
+    if (cuts == 0) return out.push_back(t);
+    if (cuts == 3) {
+      out.insert(out.end(),
+                 {{t[0], m[0], m[2]}, {m[0], t[1], m[1]}, {m[2], m[1], t[2]}, {m[0], m[1], m[2]}});
+      return;
+    }
+    // Turn the triangle so that its first edge is cut and, with two cuts, its third is not.
+    std::size_t first = 0;
+    while (m[first] == kNone || (cuts == 2 && m[(first + 2) % 3] != kNone)) ++first;
+    const auto a = t[first], b = t[(first + 1) % 3], c = t[(first + 2) % 3];
+    const auto ab = m[first], bc = m[(first + 1) % 3];
+    if (cuts == 1) {
+      out.insert(out.end(), {{a, ab, c}, {ab, b, c}});
+    } else {
+      out.insert(out.end(), {{ab, b, bc}, {a, ab, bc}, {a, bc, c}});
+    }
+  }
+
+  Mesh& mesh_;
+  float longest_;
+  std::vector<std::array<std::uint32_t, 2>> ends_;
+  std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> midpoints_;
+};
+
+}  // namespace
+
+std::vector<std::array<std::uint32_t, 2>> subdivide(Mesh& mesh, float longest_edge,
+                                                    std::size_t triangle_limit) {
+  Subdivider subdivider(mesh, longest_edge);
+  while (mesh.triangles.size() * 2 < triangle_limit && subdivider.round()) {
+  }
+  return std::move(subdivider).ends();
+}
+
+Mesh make_sphere(const glm::vec3& centre, float radius, int subdivisions, Rgb albedo) {
+  constexpr float g = std::numbers::phi_v<float>;
+  Mesh mesh;
+  mesh.positions = {{-1, g, 0},  {1, g, 0},  {-1, -g, 0}, {1, -g, 0}, {0, -1, g},  {0, 1, g},
+                    {0, -1, -g}, {0, 1, -g}, {g, 0, -1},  {g, 0, 1},  {-g, 0, -1}, {-g, 0, 1}};
+  mesh.triangles = {{0, 11, 5}, {0, 5, 1},  {0, 1, 7},   {0, 7, 10}, {0, 10, 11},
+                    {1, 5, 9},  {5, 11, 4}, {11, 10, 2}, {10, 7, 6}, {7, 1, 8},
+                    {3, 9, 4},  {3, 4, 2},  {3, 2, 6},   {3, 6, 8},  {3, 8, 9},
+                    {4, 9, 5},  {2, 4, 11}, {6, 2, 10},  {8, 6, 7},  {9, 8, 1}};
+  for (glm::vec3& p : mesh.positions) p = glm::normalize(p);
+  mesh.normals = mesh.positions;
+  mesh.albedo.assign(mesh.positions.size(), albedo);
+  for (int i = 0; i < subdivisions; ++i) {
+    Subdivider(mesh, 0).round();
+    for (glm::vec3& p : mesh.positions) p = glm::normalize(p);
+  }
+  mesh.normals = mesh.positions;
+  for (glm::vec3& p : mesh.positions) p = centre + radius * p;
+  return mesh;
+}
+
+Mesh make_box(const glm::vec3& low, const glm::vec3& high, int n, Rgb albedo) {
+  Mesh mesh;
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+      const auto first = static_cast<std::uint32_t>(mesh.positions.size());
+      glm::vec3 normal(0);
+      normal[axis] = side ? 1.f : -1.f;
+      for (int j = 0; j <= n; ++j)
+        for (int i = 0; i <= n; ++i) {
+          glm::vec3 p;
+          p[axis] = side ? high[axis] : low[axis];
+          p[u] = low[u] + (high[u] - low[u]) * static_cast<float>(i) / static_cast<float>(n);
+          p[v] = low[v] + (high[v] - low[v]) * static_cast<float>(j) / static_cast<float>(n);
+          mesh.positions.push_back(p);
+          mesh.normals.push_back(normal);
+          mesh.albedo.push_back(albedo);
+        }
+      for (int j = 0; j < n; ++j)
+        for (int i = 0; i < n; ++i) {
+          const auto a = first + static_cast<std::uint32_t>(j * (n + 1) + i);
+          const auto b = a + 1, c = a + static_cast<std::uint32_t>(n) + 1, d = c + 1;
+          if (side) {
+            mesh.triangles.insert(mesh.triangles.end(), {{a, b, d}, {a, d, c}});
+          } else {
+            mesh.triangles.insert(mesh.triangles.end(), {{a, d, b}, {a, c, d}});
+          }
+        }
+    }
+  return mesh;
+}
+
+Mesh make_knot(float height, int segments, int sides, Rgb albedo) {
+  // Centre line of the (2, 3) torus knot, standing upright. The torus' own normal frames the tube:
+  // it is periodic, so the last ring meets the first.
+  const auto line = [](double t) {
+    const double r = 2 + std::cos(3 * t);
+    return glm::dvec3(r * std::cos(2 * t), r * std::sin(2 * t), std::sin(3 * t));
+  };
+  constexpr double kTube = .52;
+  Mesh mesh;
+  const double step = 2 * std::numbers::pi / segments;
+  for (int i = 0; i < segments; ++i) {
+    const double t = i * step;
+    const glm::dvec3 c = line(t), tangent = glm::normalize(line(t + 1e-4) - line(t - 1e-4));
+    const glm::dvec3 outward(std::cos(3 * t) * std::cos(2 * t), std::cos(3 * t) * std::sin(2 * t),
+                             std::sin(3 * t));
+    const glm::dvec3 side = glm::normalize(outward - tangent * glm::dot(outward, tangent));
+    const glm::dvec3 up = glm::cross(tangent, side);
+    for (int j = 0; j < sides; ++j) {
+      const double a = 2 * std::numbers::pi * j / sides;
+      const glm::dvec3 n = std::cos(a) * side + std::sin(a) * up;
+      mesh.positions.emplace_back(c + kTube * n);
+      mesh.normals.emplace_back(n);
+      mesh.albedo.push_back(albedo);
+    }
+  }
+  const auto rings = static_cast<std::uint32_t>(segments), n = static_cast<std::uint32_t>(sides);
+  for (std::uint32_t i = 0; i < rings; ++i)
+    for (std::uint32_t j = 0; j < n; ++j) {
+      const std::uint32_t here = i * n, next = (i + 1) % rings * n, k = (j + 1) % n;
+      mesh.triangles.insert(mesh.triangles.end(),
+                            {{here + j, next + k, next + j}, {here + j, here + k, next + k}});
+    }
+  const Bounds b = bounds_of(mesh);
+  const float scale = height / (b.high.y - b.low.y);
+  glm::dmat4 m(scale);
+  m[3] = glm::dvec4(-scale * b.centre().x, -scale * b.low.y, -scale * b.centre().z, 1);
+  transform(mesh, m);
+  return mesh;
+}
+
+}  // namespace penumbra::prt

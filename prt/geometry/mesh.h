@@ -1,0 +1,64 @@
+// Triangle meshes: made, read, transformed.
+// threads: reentrant
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <glm/mat4x4.hpp>
+#include <glm/vec3.hpp>
+#include <span>
+#include <vector>
+
+#include "core/image.h"
+#include "core/result.h"
+#include "prt/geometry/animation.h"
+
+namespace penumbra::prt {
+
+struct Mesh {
+  std::vector<glm::vec3>
+      positions;  // those that no triangle uses are points to be baked and lit, e.g. texels
+  std::vector<glm::vec3> normals;                       // unit, one per position
+  std::vector<Rgb> albedo;                              // 0..1, one per position
+  std::vector<std::array<std::uint32_t, 3>> triangles;  // counter-clockwise seen from outside
+};
+
+struct Bounds {
+  glm::vec3 low, high;
+  glm::vec3 centre() const { return .5f * (low + high); }
+};
+Bounds bounds_of(const Mesh& mesh);
+/// By vertex, the first one in the same place, to the bit (0 and -0 are one): normals and the like split vertices where the
+/// surface goes on.
+std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions);
+/// Largest distance of a vertex from `centre`.
+float radius_around(const Mesh& mesh, const glm::vec3& centre);
+/// Affine map of positions; normals follow by the inverse transpose.
+void transform(Mesh& mesh, const glm::dmat4& matrix);
+void append(Mesh& mesh, const Mesh& other);
+/// Splits every edge longer than `longest_edge` (shared edges alike, so no cracks); at most
+/// `triangle_limit` triangles. Vertex transfer needs edges shorter than the shading features.
+/// Returns of what edge each new vertex is the middle, in their order.
+std::vector<std::array<std::uint32_t, 2>> subdivide(Mesh& mesh, float longest_edge,
+                                                    std::size_t triangle_limit = 400'000);
+
+/// Sphere from a subdivided icosahedron, unit outward normals.
+Mesh make_sphere(const glm::vec3& centre, float radius, int subdivisions, Rgb albedo);
+/// Axis-aligned box with flat faces of n x n quads.
+Mesh make_box(const glm::vec3& low, const glm::vec3& high, int n, Rgb albedo);
+/// (2, 3) torus knot resting on y = 0: the shape of the built-in demo.
+Mesh make_knot(float height, int segments, int sides, Rgb albedo);
+
+struct Import {
+  Mesh mesh;
+  std::size_t degenerate_triangles = 0;  // removed
+};
+/// glTF (.gltf, .glb), OBJ, PLY, STL, FBX or COLLADA, at rest pose; normals are made where absent.
+/// Materials give the albedo, `default_albedo` where there is none.
+/// errors:  kNotFound, kUnreadable, kInvalid (no triangles, all degenerate), kNonFinite (vertex
+/// named)
+Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo);
+
+}  // namespace penumbra::prt

@@ -1,0 +1,17 @@
+// A pinhole camera and where it stands.
+#pragma once
+
+#include <glm/vec2.hpp>
+
+#include "core/pose.h"
+
+namespace penumbra::prt {
+
+struct PinholeView {
+  int width = 0, height = 0;
+  glm::dvec2 focal_px{0, 0}, principal_px{0, 0};
+  Pose world_from_camera;
+  friend bool operator==(const PinholeView&, const PinholeView&) = default;
+};
+
+}  // namespace penumbra::prt

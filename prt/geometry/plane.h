@@ -1,0 +1,18 @@
+// An infinite real plane.
+#pragma once
+
+#include <functional>
+#include <glm/vec3.hpp>
+
+#include "core/image.h"
+
+namespace penumbra::prt {
+
+/// An infinite real plane. `texture` scales the albedo by position where given.
+struct Plane {
+  glm::dvec3 point{0, 0, 0}, normal{0, 1, 0};
+  Rgb albedo{.5f, .5f, .5f};
+  std::function<Rgb(const glm::dvec3&)> texture;
+};
+
+}  // namespace penumbra::prt

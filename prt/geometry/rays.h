@@ -1,0 +1,94 @@
+// Ray queries over Embree.
+// threads: queries reentrant
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <glm/vec3.hpp>
+#include <memory>
+#include <optional>
+
+#include "core/pose.h"
+#include "core/result.h"
+#include "prt/geometry/mesh.h"
+
+namespace penumbra::prt {
+
+struct Hit {
+  std::uint32_t triangle;
+  float distance, u, v;  // position = (1-u-v) a + u b + v c
+  bool front;            // seen against the geometric normal
+};
+
+/// Triangle rays over Embree.
+class RayScene {
+ public:
+  /// errors: kInvalid (no triangles), kUnavailable (Embree says why)
+  static Result<RayScene> build(const Mesh& mesh);
+  ~RayScene();
+  RayScene(RayScene&&) noexcept;
+  RayScene& operator=(RayScene&&) noexcept;
+
+  /// Another form of the same mesh: as many vertices, the same triangles. Only while no ray is under way.
+  void set_form(const Mesh& form);
+
+  std::optional<Hit> intersect(const glm::vec3& origin, const glm::vec3& direction, float near,
+                               float far = 1e30f) const;
+  bool occluded(const glm::vec3& origin, const glm::vec3& direction, float near,
+                float far = 1e30f) const;
+
+  static constexpr int kPacket = 16;
+  struct Packet {
+    alignas(64) float x[kPacket], y[kPacket], z[kPacket];  // unit directions
+    alignas(64) float distance[kPacket], u[kPacket], v[kPacket];
+    alignas(64) std::uint32_t triangle[kPacket];  // kMiss or the triangle
+    alignas(64) bool front[kPacket];
+  };
+  static constexpr std::uint32_t kMiss = 0xffffffffu;
+  /// Sixteen rays from one origin: nearest hits.
+  void intersect(const glm::vec3& origin, float near, Packet& packet) const;
+  /// Sixteen rays from one origin: bit i is set when ray i is blocked.
+  std::uint32_t occluded(const glm::vec3& origin, float near, const Packet& packet) const;
+
+ private:
+  struct Impl;
+  explicit RayScene(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Meshes at rigid poses in one world, for shadow rays through all of them.
+/// threads: occluded() reentrant; everything else only while no ray is under way
+class RayWorld {
+ public:
+  /// errors: kUnavailable (Embree says why)
+  static Result<RayWorld> create();
+  ~RayWorld();
+  RayWorld(RayWorld&&) noexcept;
+  RayWorld& operator=(RayWorld&&) noexcept;
+
+  /// The number names the mesh from then on.
+  /// errors: kInvalid (no triangles), kUnavailable
+  Result<int> add(const Mesh& mesh);
+  void set_pose(int mesh, const Pose& world_from_mesh);
+  /// Another form of the same mesh: as many vertices, the same triangles.
+  void set_form(int mesh, const Mesh& form);
+  bool empty() const;
+
+  static constexpr int kPacket = 16;
+  struct Rays {
+    alignas(64) float ox[kPacket], oy[kPacket], oz[kPacket];  // origins, metres
+    alignas(64) float dx[kPacket], dy[kPacket], dz[kPacket];  // unit directions
+    alignas(64) float far[kPacket];  // metres: blockers beyond do not count
+    Rays() { std::fill_n(far, kPacket, 1e30f); }
+  };
+  /// Bit i is set when one of the first `count` rays, i, is blocked by any mesh but `except`.
+  std::uint32_t occluded(const Rays& rays, int count = kPacket, int except = -1) const;
+  std::uint32_t occluded_by(int mesh, const Rays& rays, int count = kPacket) const;
+
+ private:
+  struct Impl;
+  explicit RayWorld(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace penumbra::prt

@@ -1,0 +1,102 @@
+#include <fmt/format.h>
+#include <algorithm>
+#include <cmath>
+
+#include "lighting/basis.h"
+#include "lighting/irradiance.h"
+#include "prt/reference/environment_light.h"
+#include "core/conventions.h"
+
+namespace penumbra::prt {
+
+Result<EnvironmentLight> EnvironmentLight::from_map(const Image<Rgb>& map) {
+  if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  EnvironmentLight light;
+  light.map_ = map;
+  double total = 0;
+  for (int y = 0; y < map.height(); ++y) {
+    const double w = latlong_solid_angle(y, map.width(), map.height());
+    double row = 0;
+    for (int x = 0; x < map.width(); ++x) {
+      const Rgb& c = map.at(x, y);
+      if (!is_finite(c))
+        return fail(ErrorCode::kNonFinite, "environment",
+                    fmt::format("pixel {},{} is not finite", x, y));
+      row += w * std::max(0.f, luminance(c));
+      light.cumulative_columns_.push_back(static_cast<float>(row));
+    }
+    // Each row's own distribution, normalised; an all-black row is uniform and never chosen.
+    for (int x = 0; x < map.width(); ++x) {
+      float& c = light.cumulative_columns_[static_cast<std::size_t>(y * map.width() + x)];
+      c = row > 0 ? static_cast<float>(c / row)
+                  : static_cast<float>(x + 1) / static_cast<float>(map.width());
+    }
+    total += row;
+    light.cumulative_rows_.push_back(static_cast<float>(total));
+  }
+  if (total <= 0) return fail(ErrorCode::kUndetermined, "environment", "is black everywhere");
+  for (float& r : light.cumulative_rows_) r = static_cast<float>(r / total);
+  light.total_ = total;
+  return light;
+}
+
+EnvironmentLight EnvironmentLight::from_sh(const RadianceSh& sh) {
+  // Sampled by its magnitude on a coarse grid, over a floor that leaves no direction out.
+  constexpr int kWidth = 128, kHeight = 64;
+  Image<Rgb> magnitude(kWidth, kHeight);
+  double mean = 0;
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      const Rgb c = lighting::evaluate(sh, latlong_direction(x + .5, y + .5, kWidth, kHeight));
+      const float m = std::max({std::abs(c.r), std::abs(c.g), std::abs(c.b)});
+      magnitude.at(x, y) = {m, m, m};
+      mean += double(m) / (kWidth * kHeight);
+    }
+  const auto least = static_cast<float>(.05 * mean);
+  for (Rgb& m : magnitude.pixels()) m += Rgb{least, least, least};
+  auto sampled = from_map(magnitude);
+  EnvironmentLight light =
+      sampled ? std::move(*sampled) : EnvironmentLight();  // no light at all: no sampler
+  light.sh_ = sh;
+  return light;
+}
+
+Rgb EnvironmentLight::radiance(const glm::vec3& direction) const {
+  if (sh_) return lighting::evaluate(*sh_, glm::normalize(glm::dvec3(direction)));
+  return map_value(direction);
+}
+
+Rgb EnvironmentLight::map_value(const glm::vec3& direction) const {
+  const glm::dvec2 p = latlong_pixel(glm::dvec3(direction), map_.width(), map_.height());
+  return map_.at(std::clamp(static_cast<int>(p.x), 0, map_.width() - 1),
+                 std::clamp(static_cast<int>(p.y), 0, map_.height() - 1));
+}
+
+EnvironmentLight::Sample EnvironmentLight::sample(float u1, float u2) const {
+  const int w = map_.width(), h = map_.height();
+  const auto row = std::ranges::upper_bound(cumulative_rows_, u1);
+  const int y = std::min(static_cast<int>(row - cumulative_rows_.begin()), h - 1);
+  const float below = y > 0 ? cumulative_rows_[static_cast<std::size_t>(y - 1)] : 0;
+  const float row_share = cumulative_rows_[static_cast<std::size_t>(y)] - below;
+  const float v = row_share > 0 ? (u1 - below) / row_share : .5f;
+
+  const auto first = cumulative_columns_.begin() + static_cast<std::ptrdiff_t>(y) * w;
+  const auto column = std::upper_bound(first, first + w, u2);
+  const int x = std::min(static_cast<int>(column - first), w - 1);
+  const float left = x > 0 ? first[x - 1] : 0;
+  const float share = first[x] - left;
+  const float u = share > 0 ? (u2 - left) / share : .5f;
+
+  // Uniform in solid angle inside the pixel: cos th is linear in v.
+  const double c0 = std::cos(kPi * y / h), c1 = std::cos(kPi * (y + 1) / h);
+  const double c = c0 + (c1 - c0) * v, s = std::sqrt(std::max(0., 1 - c * c));
+  const double phi = 2 * kPi * ((x + double(u)) / w - .5);
+  const glm::vec3 d(s * std::sin(phi), c, -s * std::cos(phi));
+  return {d, radiance(d), static_cast<float>(std::max(0.f, luminance(map_.at(x, y))) / total_)};
+}
+
+float EnvironmentLight::density(const glm::vec3& direction) const {
+  return static_cast<float>(std::max(0.f, luminance(map_value(direction))) / total_);
+}
+
+}  // namespace penumbra::prt

@@ -1,0 +1,43 @@
+// An environment as a light that can be sampled.
+// threads: reentrant
+#pragma once
+
+#include <glm/vec3.hpp>
+#include <optional>
+#include <vector>
+
+#include "core/image.h"
+#include "core/result.h"
+#include "core/sh.h"
+#include "prt/geometry/animation.h"
+
+namespace penumbra::prt {
+
+/// Radiance arriving from a direction, with a sampler when it is peaky.
+class EnvironmentLight {
+ public:
+  /// A lat-long map, sampled by importance.
+  /// errors: kInvalid, kNonFinite, kUndetermined (all black)
+  static Result<EnvironmentLight> from_map(const Image<Rgb>& map);
+  /// Truncated spherical harmonics, negative lobes kept; sampled by their magnitude.
+  static EnvironmentLight from_sh(const RadianceSh& light);
+
+  Rgb radiance(const glm::vec3& direction) const;
+  bool has_sampler() const { return !cumulative_rows_.empty(); }
+  struct Sample {
+    glm::vec3 direction;
+    Rgb radiance;
+    float density;  // per steradian
+  };
+  Sample sample(float u1, float u2) const;
+  float density(const glm::vec3& direction) const;
+
+ private:
+  Rgb map_value(const glm::vec3& direction) const;
+  Image<Rgb> map_;  // radiance, or with sh_ what it is sampled by
+  std::optional<RadianceSh> sh_;
+  std::vector<float> cumulative_rows_, cumulative_columns_;
+  double total_ = 0;  // of luminance times solid angle
+};
+
+}  // namespace penumbra::prt

@@ -1,0 +1,37 @@
+// Transfer at points, as half floats.
+// threads: plain values
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/sh.h"
+
+namespace penumbra::prt {
+
+inline constexpr int kIndirectBands = 9;
+
+/// Transfer t_n of conventions.h at points, as half floats in structure-of-arrays order:
+/// value(channel, n, point) stands at ((channel * bands^2) + n) * stride + point. One channel
+/// serves all three colours when every albedo is grey.
+struct Transfer {
+  int bands = 0;
+  int channels = 1;
+  std::size_t points = 0;
+  std::size_t stride = 0;  // points rounded up to a multiple of 64; the padding is zero
+  std::vector<std::uint16_t> values;
+
+  Transfer() = default;
+  Transfer(int bands_, int channels_, std::size_t points_);
+  std::size_t index(int channel, int n, std::size_t point) const {
+    return (static_cast<std::size_t>(channel) * static_cast<std::size_t>(coefficient_count(bands)) +
+            static_cast<std::size_t>(n)) *
+               stride +
+           point;
+  }
+  float value(int channel, int n, std::size_t point) const;
+  void set(int channel, int n, std::size_t point, float v);
+};
+
+}  // namespace penumbra::prt

@@ -1,0 +1,95 @@
+// Bracketed frames of all cameras that show the surroundings in, light out.
+// threads: thread-bound
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "capture/environment/assembler.h"
+#include "capture/environment/environment_blend.h"
+#include "capture/frames.h"
+#include "capture/hdr/hdr_ring.h"
+#include "capture/sights.h"
+#include "lighting/completion.h"
+#include "lighting/estimate.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "core/result.h"
+#include "core/stage_times.h"
+
+namespace penumbra::service {
+
+class LightStage {
+ public:
+  /// errors: kInvalid (no camera shows the surroundings), as capture::sights_of
+  static Result<LightStage> create(const std::vector<capture::CameraInfo>& cameras,
+                                   const lighting::EstimateOptions& options, StageTimes& times);
+
+  /// Whether a camera's frames are for process(). threads: thread-safe
+  bool takes(int camera) const { return takes_[static_cast<std::size_t>(camera)]; }
+  /// Whether the light may be shown: false while exposures that the bracket still owes could resolve what is saturated so
+  /// far, or a camera has shown nothing yet, for a few frames at the start. Half a bracket's light is too dim, and the
+  /// picture would jump when it is whole.
+  bool settled() const;
+  /// Different exposures that the light comes from.
+  std::size_t exposures() const;
+  void govern(const lighting::Governance& governance) { estimator_.govern(governance); }
+  void allow_discs(int most) { estimator_.allow_discs(most); }
+  /// The time of the light is that of its stalest camera.
+  /// errors: as HdrRing::add and capture::sights_of (kUndetermined is an ordinary state: all black or all clipped, a ball
+  /// out of the picture)
+  /// out: keeps its memory; as it was after an error
+  Result<void> process(const capture::Frame& frame, lighting::LightEstimate& out);
+  Result<lighting::LightEstimate> process(const capture::Frame& frame) {
+    lighting::LightEstimate out;
+    PENUMBRA_TRY(process(frame, out));
+    return out;
+  }
+  /// The map that the newest light came from, lat-long in world directions; as process() left it, also when it failed.
+  const Environment& environment() const { return blend_ ? environment_ : views_[0].map; }
+  struct ViewGain {
+    std::string camera;
+    Rgb gain;
+    bool known;  // by an overlap
+  };
+  std::vector<ViewGain> gains() const;
+  /// From the next map on.
+  void complete(std::span<const lighting::Completion> completions);
+
+ private:
+  // One sight of one camera; of a ball also while it is out of the picture.
+  struct View {
+    int camera = 0;
+    std::optional<capture::Sight> sight{};
+    std::optional<capture::HdrRing> ring{};
+    std::optional<capture::EnvironmentAssembler> assembler{};  // made with the map's size
+    Environment map{};
+    bool fresh = false;  // `map` shows something
+    bool knows_bracket() const { return ring && ring->knows_bracket(); }
+  };
+  LightStage(const std::vector<capture::CameraInfo>& cameras,
+             const lighting::EstimateOptions& options, StageTimes& times);
+  Result<void> look(int camera, const Pose& world_from_camera);
+  void lay_out();
+  Result<void> follow(const capture::Frame& frame);
+  Result<void> merge(View& view, const capture::Frame& frame);
+  Environment& whole();
+  void say_once(const lighting::LightEstimate& estimate);
+
+  std::vector<bool> takes_;                         // by camera, never changed
+  std::vector<capture::CameraInfo> cameras_;        // with their newest poses
+  std::vector<View> views_;                         // by camera
+  std::optional<capture::EnvironmentBlend> blend_;  // of more than one
+  int rows_ = 0;
+  Environment environment_;  // blended
+  lighting::LightEstimator estimator_;
+  StageTimes& times_;
+  std::uint64_t frames_ = 0;
+  bool warned_ = false;  // that a source is clipped
+  bool told_gains_ = false;
+};
+
+}  // namespace penumbra::service

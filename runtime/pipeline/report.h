@@ -1,0 +1,82 @@
+// Shared by the commands: JSON on standard output, tables for people.
+#pragma once
+
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "lighting/disc.h"
+#include "lighting/estimate.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "core/image.h"
+#include "core/stage_times.h"
+
+namespace penumbra::service {
+
+inline nlohmann::json to_json(const Rgb& c) {
+  return nlohmann::json::array({c.r, c.g, c.b});
+}
+
+inline nlohmann::json to_json(const RadianceSh& light) {
+  nlohmann::json out = nlohmann::json::array();
+  for (const Rgb& c : light.terms()) out.push_back(to_json(c));
+  return out;
+}
+
+inline nlohmann::json to_json(const lighting::Disc& d) {
+  return {{"id", d.id},
+          {"direction", {d.direction.x, d.direction.y, d.direction.z}},
+          {"radius_rad", d.radius.value()},
+          {"solid_angle_sr", d.solid_angle_sr()},
+          {"radiance", to_json(d.radiance)},
+          {"clipped", d.clipped}};
+}
+
+inline const char* reason_of(const lighting::Plan& p) {
+  if (p.within_budget) return "the cheapest whose predicted shadow error keeps to the budget";
+  if (p.short_of_time) return "the most accurate that a frame's time allows";
+  return "the most accurate there is; none keeps to the budget";
+}
+
+/// What the governor picked and why.
+inline nlohmann::json to_json(const lighting::Plan& p) {
+  return {{"bands", p.bands},
+          {"discs", p.discs},
+          {"predicted_error", p.error},
+          {"predicted_ms", p.ms},
+          {"within_budget", p.within_budget},
+          {"short_of_time", p.short_of_time},
+          {"why", reason_of(p)}};
+}
+
+/// The whole light in harmonics, and beside it the split for who lights by discs: `rest` plus `discs` is all.
+inline nlohmann::json to_json(const lighting::LightEstimate& e) {
+  nlohmann::json discs = nlohmann::json::array();
+  for (const lighting::Disc& d : e.discs) discs.push_back(to_json(d));
+  return {{"bands", e.light.bands()},
+          {"coefficients", to_json(lighting::whole_light(e))},
+          {"floor_coefficients", to_json(lighting::whole_floor_light(e))},
+          {"discs", discs},
+          {"rest",
+           {{"coefficients", to_json(e.light)}, {"floor_coefficients", to_json(e.floor_light)}}},
+          {"mean_radiance", to_json(e.mean_radiance)},
+          {"coverage", e.coverage},
+          {"clipped_fraction", e.clipped_fraction},
+          {"truncation_error",
+           e.truncation_error ? nlohmann::json(*e.truncation_error) : nlohmann::json()},
+          {"plan", e.plan ? to_json(*e.plan) : nlohmann::json()}};
+}
+
+inline nlohmann::json to_json(const StageTimes& times) {
+  nlohmann::json stages = nlohmann::json::object();
+  for (const auto& [name, p] : times.summary())
+    stages[name] = {{"p50_ms", p.p50_ms}, {"p99_ms", p.p99_ms}, {"count", p.count}};
+  return stages;
+}
+
+inline void print_json(const nlohmann::json& value) {
+  std::printf("%s\n", value.dump(2).c_str());
+}
+
+}  // namespace penumbra::service

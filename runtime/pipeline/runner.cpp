@@ -1,0 +1,392 @@
+#include "runtime/pipeline/runner.h"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <limits>
+#include <mutex>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "core/aside.h"
+#include "runtime/pipeline/internal/frame_mailbox.h"
+#include "runtime/pipeline/internal/pace.h"
+
+namespace penumbra::service {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double since(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+// All black and all clipped are states of the scene, not failures of the program.
+bool is_ordinary(const Error& e) {
+  return e.code == ErrorCode::kUndetermined;
+}
+
+// False when the sink has had enough.
+bool deliver(const capture::Frame& frame, const lighting::LightEstimate& light,
+             Composited composited, const Sink& sink, RunCounts& counts) {
+  counts.touched += composited.touched.fraction;
+  counts.plan = light.plan;
+  counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
+  return sink({frame, std::make_shared<const FramePixels>(std::move(composited.pixels)), light});
+}
+
+Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light,
+                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on) {
+  ++counts.frames;
+  if (!light.valid) {
+    ++counts.without_light;
+    go_on = sink({frame, frame.pixels, light});
+    return {};
+  }
+  auto composited = compose.process(frame, light);
+  if (!composited) return std::unexpected(composited.error());
+  go_on = deliver(frame, light, std::move(*composited), sink, counts);
+  return {};
+}
+
+bool is_view(const capture::FrameSource& source, const capture::Frame& frame) {
+  return source.cameras()[static_cast<std::size_t>(frame.camera)].role == capture::Role::kView;
+}
+
+// Between view frames, of all cameras together; 0: unknown.
+double period_ms(const capture::FrameSource& source) {
+  const auto views =
+      std::ranges::count(source.cameras(), capture::Role::kView, &capture::CameraInfo::role);
+  const double rate = source.view_rate() * static_cast<double>(views);  // all alike
+  return rate > 0 ? 1e3 / rate : 0;
+}
+
+Result<void> never_any_light(const RunCounts& counts, const std::optional<Error>& last) {
+  if (counts.frames == 0) return fail(ErrorCode::kInvalid, "capture", "has no view frame");
+  if (counts.without_light < counts.frames) return {};
+  return std::unexpected(
+      last.value_or(Error{ErrorCode::kUndetermined, "capture",
+                          "no environment frame came before the last view frame"}));
+}
+
+}  // namespace
+
+namespace {
+
+// A replay in the order of its frames. View frames wait for the first whole light.
+class Replay {
+ public:
+  Replay(LightStage& light, ComposeStage& compose, const Sink& sink, RunCounts& counts)
+      : light_(light), compose_(compose), sink_(sink), counts_(counts) {}
+
+  bool go_on() const { return go_on_; }
+  const std::optional<Error>& last_unusable() const { return last_unusable_; }
+
+  Result<void> add_environment(const capture::Frame& frame) {
+    const auto measured = light_.process(frame, estimate_);
+    if (!measured) {
+      if (!is_ordinary(measured.error())) return measured;
+      ++counts_.unusable;
+      last_unusable_ = measured.error();
+    }
+    return light_.settled() ? compose_waiting() : Result<void>{};
+  }
+
+  Result<void> add_view(const capture::Frame& frame) {
+    constexpr std::size_t kMostWaiting = 16, kMostPixels = 64'000'000;
+    waiting_.push_back(frame);
+    const std::size_t pixels =
+        std::visit([](const auto& p) { return p.area(); }, *frame.pixels) * waiting_.size();
+    const bool wait = !light_.settled() && waiting_.size() < kMostWaiting && pixels < kMostPixels;
+    return wait ? Result<void>{} : compose_waiting();
+  }
+
+  Result<void> compose_waiting() {
+    for (const capture::Frame& frame : waiting_) {
+      if (!go_on_) break;
+      light_.complete(compose_.complete(frame, estimate_));
+      PENUMBRA_TRY(compose_one(frame, estimate_, compose_, sink_, counts_, go_on_));
+    }
+    waiting_.clear();
+    return {};
+  }
+
+ private:
+  LightStage& light_;
+  ComposeStage& compose_;
+  const Sink& sink_;
+  RunCounts& counts_;
+  lighting::LightEstimate estimate_;
+  std::vector<capture::Frame> waiting_;
+  std::optional<Error> last_unusable_;
+  bool go_on_ = true;
+};
+
+}  // namespace
+
+Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
+                             const Sink& sink, StageTimes& times) {
+  RunCounts counts;
+  Replay replay(light, compose, sink, counts);
+  const auto start = Clock::now();
+  while (replay.go_on()) {
+    auto frame = [&] {
+      const StageTimer timer(times, "source");
+      return source.next();
+    }();
+    if (!frame) return std::unexpected(frame.error());
+    if (!*frame) break;
+    if (light.takes((*frame)->camera)) PENUMBRA_TRY(replay.add_environment(**frame));
+    if (is_view(source, **frame)) PENUMBRA_TRY(replay.add_view(**frame));
+  }
+  PENUMBRA_TRY(replay.compose_waiting());
+  counts.seconds = since(start);
+  counts.exposures = static_cast<int>(light.exposures());
+  PENUMBRA_TRY(never_any_light(counts, replay.last_unusable()));
+  return counts;
+}
+
+namespace {
+
+// What the threads of a live run share. Every queue closes when anyone stops.
+struct Live {
+  FrameMailbox environment;
+  Latest<capture::Frame> view;
+  Latest<lighting::LightEstimate> light;
+  Latest<std::vector<lighting::Completion>> completions;
+  std::atomic<int> affordable_discs = std::numeric_limits<int>::max();
+  std::mutex mutex;
+  std::optional<Error> error, last_unusable;  // guarded by mutex
+  std::uint64_t unusable = 0;                 // guarded by mutex
+
+  void close() {
+    environment.close();
+    view.close();
+    light.close();
+    completions.close();
+  }
+  void stop_with(const Error& e) {
+    {
+      const std::scoped_lock lock(mutex);
+      if (!error) error = e;
+    }
+    close();
+  }
+};
+
+// False when the run ends before: a gap between frames must not hold up a stop.
+bool wait_until(Clock::time_point due, const Live& live, const std::atomic<bool>& stop) {
+  constexpr auto kSlice = std::chrono::milliseconds(50);
+  while (Clock::now() < due) {
+    if (stop || live.view.closed()) return false;
+    std::this_thread::sleep_until(std::min(due, Clock::now() + kSlice));
+  }
+  return true;
+}
+
+void produce(Live& live, capture::FrameSource& source, const LightStage& light, StageTimes& times,
+             const std::atomic<bool>& stop) noexcept {
+  try {
+    constexpr int kMostFailures = 8;
+    int failures_in_a_row = 0;
+    std::optional<Clock::time_point> origin;
+    TimestampNs first{};
+    while (!stop && !live.view.closed()) {
+      auto frame = [&] {
+        const StageTimer timer(times, "source");
+        return source.next();
+      }();
+      if (!frame) {
+        // One damaged frame is not the end of a live run; a source that gives nothing else is.
+        if (++failures_in_a_row > kMostFailures) return live.stop_with(frame.error());
+        const std::scoped_lock lock(live.mutex);
+        ++live.unusable;
+        live.last_unusable = frame.error();
+        continue;
+      }
+      failures_in_a_row = 0;
+      if (!*frame) break;
+      if (!origin) origin = Clock::now(), first = (*frame)->time;
+      if (!source.is_live() &&
+          !wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
+                      live, stop))
+        break;
+      // A ball in its picture makes a view camera both.
+      const bool viewed = is_view(source, **frame);
+      if (light.takes((*frame)->camera)) live.environment.put(**frame);
+      if (viewed) live.view.put(std::move(**frame));
+    }
+    live.environment.close();
+    live.view.close();
+  } catch (const std::exception& e) {
+    live.stop_with({ErrorCode::kUnavailable, "source thread", e.what()});
+  }
+}
+
+void measure(Live& live, LightStage& light) noexcept {
+  try {
+    std::optional<lighting::LightEstimate>
+        held;  // until the bracket is whole, or nothing more comes
+    while (true) {
+      auto frame = live.environment.wait(Seconds(.5));
+      if (!frame) {
+        if (held) live.light.put(*std::exchange(held, std::nullopt));
+        if (live.environment.closed()) return;
+        continue;
+      }
+      if (const auto completions = live.completions.take()) light.complete(*completions);
+      light.allow_discs(live.affordable_discs);
+      auto estimate = light.process(*frame);
+      if (estimate) {
+        held.reset();
+        light.settled() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
+      } else if (is_ordinary(estimate.error())) {
+        const std::scoped_lock lock(live.mutex);
+        ++live.unusable;
+        live.last_unusable = estimate.error();
+      } else {
+        return live.stop_with(estimate.error());
+      }
+    }
+  } catch (const std::exception& e) {
+    live.stop_with({ErrorCode::kUnavailable, "light thread", e.what()});
+  }
+}
+
+// View frames of a live run. When the next one waits already, the last part of a frame is done beside the begin of that
+// one; otherwise at once, so that nothing comes later than it has to.
+class LiveFrames {
+ public:
+  LiveFrames(ComposeStage& compose, const Sink& sink, RunCounts& counts)
+      : compose_(compose), sink_(sink), counts_(counts) {}
+
+  bool go_on() const { return go_on_; }
+  /// The last add() took so long, without the sink.
+  double busy_ms() const { return busy_ms_; }
+
+  Result<void> add(const capture::Frame& frame, const lighting::LightEstimate& light,
+                   const Latest<capture::Frame>& coming) {
+    const Stopwatch watch;
+    in_sink_ms_ = busy_ms_ = 0;
+    if (!light.valid) {
+      finish_last();
+      if (!go_on_) return {};
+      ++counts_.frames;
+      ++counts_.without_light;
+      go_on_ = sink_({frame, frame.pixels, light});
+      return {};
+    }
+    UnderWay& now = last_ == &slots_[0] ? slots_[1] : slots_[0];
+    now.frame = frame;
+    now.light = light;
+    // The loops in there must not take up the other frame's end, which what is traced live would count as its own time.
+    const auto begun = apart([&] { return compose_.begin(frame, light, now.begun); });
+    finish_last();
+    if (!begun) return begun;
+    if (!go_on_) return {};
+    ++counts_.frames;
+    if (coming.waiting()) {
+      last_ = &now;
+      aside_.run([&now] { now.done = now.begun.finish(); });
+    } else {
+      now.done = now.begun.finish();
+      hand_out(now);
+    }
+    busy_ms_ = watch.ms() - in_sink_ms_;
+    return {};
+  }
+
+  void finish_last() {
+    if (!last_) return;
+    aside_.wait();
+    hand_out(*std::exchange(last_, nullptr));
+  }
+
+ private:
+  struct UnderWay {
+    capture::Frame frame;
+    lighting::LightEstimate light;
+    BegunFrame begun;
+    Composited done;
+  };
+
+  void hand_out(UnderWay& frame) {
+    if (!go_on_) return;
+    const Stopwatch watch;
+    go_on_ = deliver(frame.frame, frame.light, std::move(frame.done), sink_, counts_);
+    in_sink_ms_ += watch.ms();
+  }
+
+  ComposeStage& compose_;
+  const Sink& sink_;
+  RunCounts& counts_;
+  bool go_on_ = true;
+  double busy_ms_ = 0, in_sink_ms_ = 0;
+  std::array<UnderWay, 2> slots_;
+  UnderWay* last_ = nullptr;  // whose end is done aside
+  Aside aside_;               // ends before what it works on
+};
+
+// Clipped sources stay discs whatever they cost.
+void keep_pace(Pace& pace, double busy_ms, const lighting::LightEstimate& light, Live& live) {
+  const int before = pace.most_discs();
+  pace.add(busy_ms,
+           static_cast<int>(std::ranges::count(light.discs, false, &lighting::Disc::clipped)));
+  if (pace.most_discs() == before) return;
+  spdlog::info("light: a frame's time allows {} discs", pace.most_discs());
+  live.affordable_discs = pace.most_discs();
+}
+
+}  // namespace
+
+Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
+                           const Sink& sink, StageTimes& times, const std::atomic<bool>& stop) {
+  Live live;
+  RunCounts counts;
+  Result<void> composed;
+  compose.warm_up();
+  compose.keep_time();
+  const auto start = Clock::now();
+  {
+    const std::jthread producer([&] { produce(live, source, light, times, stop); });
+    const std::jthread measurer([&] { measure(live, light); });
+    // Also when something throws here: the threads are released before they are joined.
+    const auto let_go = [&](Live* l) {
+      source.close();
+      l->close();
+    };
+    const std::unique_ptr<Live, decltype(let_go)> release(&live, let_go);
+    lighting::LightEstimate estimate;
+    Pace pace(period_ms(source));
+    LiveFrames frames(compose, sink, counts);
+    while (frames.go_on() && !stop) {
+      auto frame = live.view.wait(Seconds(.5));
+      if (!frame) {
+        if (live.view.closed()) break;
+        continue;
+      }
+      if (auto newer = live.light.take()) estimate = std::move(*newer);
+      if (auto completions = compose.complete(*frame, estimate); !completions.empty())
+        live.completions.put(std::move(completions));
+      composed = frames.add(*frame, estimate, live.view);
+      if (!composed) break;
+      keep_pace(pace, frames.busy_ms(), estimate, live);
+    }
+    if (composed) frames.finish_last();
+  }
+  counts.seconds = since(start);
+  counts.dropped = live.view.dropped() + live.environment.dropped();
+  counts.unusable = live.unusable;
+  counts.exposures = static_cast<int>(light.exposures());
+  if (live.error) return std::unexpected(*live.error);
+  PENUMBRA_TRY(composed);
+  if (!stop) PENUMBRA_TRY(never_any_light(counts, live.last_unusable));
+  return counts;
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,49 @@
+// Drives a frame source through the two stages: in order of time for replay, on threads when live.
+#pragma once
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <optional>
+
+#include "core/queues.h"
+#include "runtime/shading/compose_stage.h"
+
+namespace penumbra::service {
+
+struct RunCounts {
+  std::uint64_t frames = 0;         // view frames handed out
+  std::uint64_t without_light = 0;  // of them passed through, since no light was measured yet
+  std::uint64_t dropped = 0;        // view and environment frames that were overtaken
+  std::uint64_t unusable =
+      0;               // environment frames all black or all clipped; live also damaged frames
+  double touched = 0;  // sum of the touched fractions
+  double seconds = 0;
+  int discs = 0;                       // most that lit a frame
+  std::optional<lighting::Plan> plan;  // the governor's last
+  int exposures = 0;                   // distinct exposures of the environment camera
+};
+
+/// One composited view frame with the frame that it came from and the light that it was drawn with.
+struct Output {
+  const capture::Frame& source;
+  std::shared_ptr<const FramePixels> pixels;
+  const lighting::LightEstimate& light;
+};
+/// False stops the run.
+using Sink = std::function<bool(const Output&)>;
+
+/// Every frame in order of time on this thread: the same input gives the same bytes.
+/// errors: what the source and the stages say; kUndetermined when no environment frame ever gave
+/// light
+Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
+                             const Sink& sink, StageTimes& times);
+
+/// The source on one thread (paced to its timestamps), the light on another, compositing on this
+/// one; they meet in one-slot mailboxes. Where frames take longer than the source's view_rate allows, the governor's discs are given
+/// up one by one, and taken back when there is time (Pace). Stops when the source ends, the sink says so, or `stop` is
+/// set.
+Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
+                           const Sink& sink, StageTimes& times, const std::atomic<bool>& stop);
+
+}  // namespace penumbra::service

@@ -1,0 +1,382 @@
+#include "runtime/scene/animated.h"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+
+#include "runtime/scene/bake_cache.h"
+
+namespace penumbra::service {
+
+namespace {
+
+constexpr float kEdgeShare =
+    .03f;                        // of the radius: longest edge where transfer is kept at vertices
+constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
+constexpr int kMostRays = 512;
+constexpr double kNone =
+    std::numeric_limits<double>::quiet_NaN();  // no frame yet: every time is another
+// Of live transfer: every point costs time in every frame.
+constexpr float kLiveEdgeShare = .06f;
+constexpr int kLiveGroundSize = 32;
+constexpr std::size_t kFirstVisits = 16,
+                      kVisits = 2;  // a point: before the first frame, and a frame
+
+// What is played by default of a character that has just been loaded.
+Animation playing(prt::Character character, int clip) {
+  Animation out;
+  out.character = std::move(character);
+  out.clip = clip;
+  return out;
+}
+
+// The room that an animation takes, as a mesh of corners.
+prt::Mesh room_of(const Animation& animation) {
+  constexpr int kLooks = 32;
+  prt::Mesh mesh, room;
+  const double seconds = animation.longest_clip_s();
+  for (int i = 0; i < (seconds > 0 ? kLooks : 1); ++i) {
+    prt::deform(animation.character, animation.pose_at(seconds * i / kLooks), mesh);
+    const prt::Bounds b = prt::bounds_of(mesh);
+    room.positions.insert(room.positions.end(), {b.low, b.high});
+  }
+  return room;
+}
+
+}  // namespace
+
+prt::CharacterPose Animation::pose_at(double seconds) const {
+  const auto sampled = [&](int number) {
+    return prt::sample(character, character.clips[static_cast<std::size_t>(number)], seconds);
+  };
+  return blend ? prt::blend(sampled(clip), sampled(*blend), blend_share) : sampled(clip);
+}
+
+double Animation::longest_clip_s() const {
+  double seconds = 0;
+  for (const int number : {clip, blend.value_or(clip)})
+    seconds = std::max(seconds, character.clips[static_cast<std::size_t>(number)].seconds);
+  return seconds;
+}
+
+Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
+  if (asset == "builtin:walker") return prt::make_walker(albedo);
+  if (asset.starts_with("builtin:"))
+    return fail(ErrorCode::kNotFound, asset, "does not move; builtin:walker does");
+  auto character = prt::import_character(asset, albedo);
+  if (!character) return character;
+  if (character->degenerate_triangles > 0)
+    spdlog::warn("{}: {} degenerate triangles dropped", asset, character->degenerate_triangles);
+  if (character->unbound_vertices > 0)
+    spdlog::warn("{}: {} vertices hang on no joint and follow the first", asset,
+                 character->unbound_vertices);
+  return character;
+}
+
+namespace {
+
+// Edges are measured where the vertices are kept, in units of the asset.
+void refine(prt::Character& character, float edge_share) {
+  prt::Mesh rest;
+  rest.positions = character.positions;
+  prt::subdivide(character, edge_share * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+}
+
+}  // namespace
+
+Result<StandingCharacter> standing_character(const std::string& asset, Rgb albedo,
+                                             const std::string& animation, int map_width,
+                                             int map_height) {
+  PENUMBRA_ASSIGN(character, load_character(asset, albedo));
+  const auto clip = prt::find_clip(character, animation);
+  if (!clip) return fail(clip.error().code, asset, clip.error().detail);
+  const Animation alone = playing(character, *clip);
+  const prt::Bounds room = prt::bounds_of(room_of(alone));
+  character.frame = glm::mat4(1);
+  character.frame[3] = glm::vec4(-room.centre().x, -room.low.y, -room.centre().z, 1);
+  if (map_width > 0) {
+    character = prt::for_light_map(std::move(character), map_width, map_height);
+  } else {
+    refine(character, kEdgeShare);
+  }
+  return StandingCharacter{std::move(character), *clip};
+}
+
+prt::SequenceOptions sequence_options(const BakeSettings& settings) {
+  prt::SequenceOptions o;
+  o.bands = settings.bands;
+  o.bounces = settings.bounces;
+  o.rays = std::min(settings.rays, kMostRays);
+  o.ground_rays = std::min(settings.ground_rays, kMostRays);
+  return o;
+}
+
+namespace {
+
+// What the governor predicts truncation from: the floor under the first pose, which few rays tell well enough.
+Result<void> add_shadow_probes(PreparedObject& o) {
+  if (!o.baked.receiver) return {};
+  prt::BakeOptions options;
+  options.bands = 1;
+  options.bounces = 1;
+  options.rays = 64;
+  options.ground_rays = 256;
+  options.receiver = o.baked.receiver;
+  auto baked = prt::bake(o.mesh_at(0), options);
+  if (!baked) return fail(baked.error().code, o.name, baked.error().detail);
+  o.baked.shadow_probes = std::move(baked->shadow_probes);
+  return {};
+}
+
+// Sets the object to the clip's begin.
+Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
+  animation->layout = prt::lay_out(animation->character, animation->sequence.map_width,
+                                   animation->sequence.map_height);
+  out.baked.receiver = animation->sequence.receiver;
+  out.animation = std::move(animation);
+  out.frame = kNone;
+  out.move_to(0, true);
+  return add_shadow_probes(out);
+}
+
+// A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling is all.
+Result<PreparedObject> place_baked_clip(const SceneObject& o,
+                                        const std::vector<prt::Plane>& planes) {
+  PENUMBRA_ASSIGN(file, prt::read_sequence_info(o.transfer));
+  PENUMBRA_ASSIGN(standing, standing_character(o.asset, o.albedo, o.animation, file.map_width,
+                                               file.map_height));
+  PENUMBRA_ASSIGN(sequence, prt::read_sequence(o.transfer, standing.character, standing.clip));
+  auto animation = std::make_shared<Animation>();
+  const glm::mat4 standing_frame = standing.character.frame;
+  animation->character = std::move(standing.character);
+  animation->clip = standing.clip;
+  animation->sequence = std::move(sequence);
+  const prt::Bounds room = prt::bounds_of(room_of(*animation));
+  const glm::vec3 extent = room.high - room.low;
+  const double scale =
+      o.stand ? o.stand_size_m / std::max({extent.x, extent.y, extent.z, 1e-9f}) : o.scale;
+  animation->character.frame =
+      glm::mat4(glm::mat3(static_cast<float>(scale))) * animation->character.frame;
+  const prt::Plane* const plane =
+      plane_under(planes, {glm::vec3(o.position), glm::vec3(o.position)});
+  PreparedObject out;
+  out.name = o.name;
+  out.spin_rpm = o.spin_rpm;
+  const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
+  if (plane && up.y < .9999)
+    return fail(
+        ErrorCode::kInvalid, o.name,
+        "its clip is baked for standing upright and cannot be tilted; leave `transfer` out");
+  // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the middle.
+  const glm::vec4 middle = -standing_frame[3];
+  const glm::dvec3 aside =
+      o.stand ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
+  out.world_from_bake = {o.rotation, frame.translation + aside};
+  if (plane && std::abs(glm::dot(o.position - plane->point, plane->normal)) > 1e-3)
+    spdlog::warn("{}: its clip is baked for standing on the floor, and there it stands", o.name);
+  if (std::optional<prt::Receiver>& receiver = animation->sequence.receiver) {
+    const auto k = static_cast<float>(scale);
+    receiver->grid.centre *= k;
+    receiver->grid.half_extent *= k;
+    receiver->grid.height *= k;
+    if (!plane) receiver.reset();  // nothing there to take the shadow
+  }
+  PENUMBRA_TRY(start(std::move(animation), out));
+  return out;
+}
+
+}  // namespace
+
+namespace {
+
+// Puts a character where the scene wants it, on the plane under it; null: there is none.
+const prt::Plane* place(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                        Animation& animation, PreparedObject& out) {
+  prt::Character& character = animation.character;
+  character.frame = glm::mat4(1);
+  const prt::Mesh room = room_of(animation);
+  character.frame = glm::mat4(world_from_mesh(o, room)) * character.frame;
+  const prt::Plane* const plane = plane_under(planes, prt::bounds_of(room_of(animation)));
+  out.name = o.name;
+  out.spin_rpm = o.spin_rpm;
+  out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  character.frame = glm::mat4(out.world_from_bake.inverse().matrix()) * character.frame;
+  return plane;
+}
+
+// Nothing is baked but the first pose, so that there is something to begin with.
+Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                                    const BakeSettings& settings) {
+  PENUMBRA_ASSIGN(character, load_character(o.asset, o.albedo));
+  auto animation = std::make_shared<Animation>();
+  const auto clip_named = [&](const std::string& key, const std::string& name) -> Result<int> {
+    const auto clip = prt::find_clip(character, name);
+    if (!clip) return fail(clip.error().code, o.name + ": " + key, clip.error().detail);
+    return *clip;
+  };
+  PENUMBRA_ASSIGN(clip, clip_named("animation", o.animation));
+  animation->clip = clip;
+  if (!o.blend.empty()) {
+    PENUMBRA_ASSIGN(blend, clip_named("blend", o.blend));
+    animation->blend = blend;
+    animation->blend_share = static_cast<float>(o.blend_share);
+  }
+  refine(character, kLiveEdgeShare);
+  animation->character = std::move(character);
+  animation->live = true;
+  animation->live_seconds = o.live_ms / 1e3;
+  animation->bands = settings.bands;
+  PreparedObject out;
+  const prt::Plane* const plane = place(o, planes, *animation, out);
+  animation->layout = prt::lay_out(animation->character, 0, 0);
+  if (plane)
+    out.baked.receiver =
+        prt::Receiver{prt::fit_ground_grid(room_of(*animation), 0, kLiveGroundSize), plane->albedo};
+  spdlog::info("{}: transfer of {} vertices is traced while it plays, {:g} ms a frame", o.name,
+               animation->layout.points(), o.live_ms);
+  out.animation = std::move(animation);
+  out.frame = kNone;
+  PENUMBRA_TRY(out.begin_live());
+  out.move_to(0, true);
+  out.live = nullptr;
+  PENUMBRA_TRY(add_shadow_probes(out));
+  return out;
+}
+
+}  // namespace
+
+Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                                        const BakeSettings& settings,
+                                        const std::function<void(double)>& progress) {
+  if (o.live || !o.blend.empty()) return prepare_live(o, planes, settings);
+  if (!o.transfer.empty()) return place_baked_clip(o, planes);
+  auto standing =
+      standing_character(o.asset, o.albedo, o.animation, o.light_map[0], o.light_map[1]);
+  if (!standing) return std::unexpected(standing.error());
+  auto animation =
+      std::make_shared<Animation>(playing(std::move(standing->character), standing->clip));
+  PreparedObject out;
+  const prt::Plane* const plane = place(o, planes, *animation, out);
+  prt::SequenceOptions options = sequence_options(settings);
+  options.map_width = o.light_map[0];
+  options.map_height = o.light_map[1];
+  if (plane) {
+    options.ground_size = kGroundSize;
+    options.ground_albedo = plane->albedo;
+  }
+  options.progress = progress;
+  auto sequence =
+      bake_or_recall(o.name, animation->character, animation->clip, options, settings.use_cache);
+  if (!sequence) return std::unexpected(sequence.error());
+  animation->sequence = std::move(*sequence);
+  PENUMBRA_TRY(start(std::move(animation), out));
+  return out;
+}
+
+prt::Mesh PreparedObject::mesh_at(double seconds) const {
+  if (!animation) return baked.mesh;
+  prt::Mesh mesh;
+  prt::deform(animation->character, animation->pose_at(seconds), mesh);
+  return mesh;
+}
+
+Result<void> PreparedObject::begin_live() {
+  if (!animation || !animation->live) return {};
+  auto bake = prt::LiveBake::create(animation->character, {animation->bands, baked.receiver});
+  if (!bake) return fail(bake.error().code, name, bake.error().detail);
+  live = std::make_shared<LiveTransfer>(LiveTransfer{std::move(*bake)});
+  frame = kNone;
+  return {};
+}
+
+namespace {
+
+// As many as the time allows after what every frame costs; some at least, or nothing would ever change.
+std::size_t visits_within(double seconds, const LiveTransfer& live) {
+  const auto points = static_cast<double>(live.bake.points());
+  const double wanted = live.seconds_a_visit > 0
+                            ? (seconds - live.fixed_seconds) / live.seconds_a_visit
+                            : .25 * points;
+  return static_cast<std::size_t>(std::clamp(wanted, std::max(1., .05 * points), kVisits * points));
+}
+
+void trace(const prt::CharacterPose& pose, double seconds, bool keep_time, LiveTransfer& live,
+           prt::BakedObject& out) {
+  const std::size_t points = live.bake.points();
+  const std::size_t visits = !live.begun ? kFirstVisits * points
+                             : keep_time ? visits_within(seconds, live)
+                                         : kVisits * points;
+  const prt::LiveBake::Cost cost = live.bake.update(pose, visits, out);
+  const auto running = [&](double mean, double now) {
+    return live.seconds_a_visit > 0 ? std::lerp(mean, now, .2) : now;
+  };
+  live.fixed_seconds = running(live.fixed_seconds, cost.fixed_s);
+  live.seconds_a_visit = running(live.seconds_a_visit, cost.rays_s / static_cast<double>(visits));
+  live.begun = true;
+}
+
+}  // namespace
+
+bool PreparedObject::move_to(double seconds, bool transfer, bool keep_time) {
+  if (!animation) return false;
+  const prt::BakedSequence& s = animation->sequence;
+  const double wanted = animation->live ? seconds : s.frame_at(seconds);
+  if (wanted == frame) return false;
+  frame = wanted;
+  const prt::CharacterPose pose = animation->pose_at(seconds);
+  if (animation->live) {
+    if (live) trace(pose, animation->live_seconds, keep_time, *live, baked);
+    return live != nullptr;
+  }
+  prt::deform(animation->character, pose, baked.mesh);
+  prt::add_texels(animation->character, animation->layout, baked.mesh);
+  turns = prt::bone_turns(animation->character, pose);
+  if (!transfer) return true;
+  s.surface.decode(frame, turns, baked.transfer);
+  s.surface_indirect.decode(frame, turns, baked.indirect);
+  if (!s.receiver) return true;
+  s.ground_deficit.decode(frame, {}, baked.ground_deficit);
+  s.ground_indirect.decode(frame, {}, baked.ground_indirect);
+  return true;
+}
+
+const prt::TransferSequence& PreparedObject::clip_of(Part part) const {
+  const prt::BakedSequence& s = animation->sequence;
+  switch (part) {
+    case Part::kSurface:
+      return s.surface;
+    case Part::kReflected:
+      return s.surface_indirect;
+    case Part::kGround:
+      return s.ground_deficit;
+    case Part::kGroundReflected:
+      break;
+  }
+  return s.ground_indirect;
+}
+
+std::span<const glm::mat3> PreparedObject::turns_of(Part part) const {
+  const bool on_bones = part == Part::kSurface || part == Part::kReflected;
+  return on_bones ? std::span<const glm::mat3>(turns) : std::span<const glm::mat3>();
+}
+
+void PreparedObject::relight(Part part, const RadianceSh& light, std::span<float> out) const {
+  if (animation && !animation->live)
+    return clip_of(part).relight(frame, light, turns_of(part), out);
+  switch (part) {
+    case Part::kSurface:
+      return prt::relight(baked.transfer, light, out);
+    case Part::kReflected:
+      return prt::relight(baked.indirect, light, out);
+    case Part::kGround:
+      return prt::relight(baked.ground_deficit, light, out);
+    case Part::kGroundReflected:
+      return prt::relight(baked.ground_indirect, light, out);
+  }
+}
+
+}  // namespace penumbra::service

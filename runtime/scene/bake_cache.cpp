@@ -1,0 +1,197 @@
+#include "runtime/scene/bake_cache.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <optional>
+#include <vector>
+
+#include "core/files.h"
+#include "core/hash.h"
+
+namespace penumbra::service {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr const char *kClipKind = ".shlm", *kJournalKind = ".journal";
+
+// Everything that the bake's result depends on; the version changes with the bake's own code.
+std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
+  constexpr std::uint64_t kBakeVersion = 11;
+  Fnv1a h;
+  h.add(kBakeVersion).add(mesh.positions).add(mesh.normals).add(mesh.albedo).add(mesh.triangles);
+  for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, static_cast<int>(o.sight),
+                      o.receiver ? o.receiver->grid.size : 0})
+    h.add(n);
+  if (o.receiver) {
+    const prt::GroundGrid& g = o.receiver->grid;
+    h.add(g.centre).add(g.half_extent).add(g.height).add(o.receiver->albedo);
+  }
+  return fmt::format("{:016x}.glb", h.value());
+}
+
+std::optional<fs::path> cache_folder() {
+  const char* cache = std::getenv("XDG_CACHE_HOME");
+  const char* home = std::getenv("HOME");
+  if (cache && *cache) return fs::path(cache) / "penumbra";
+  if (home && *home) return fs::path(home) / ".cache" / "penumbra";
+  return std::nullopt;
+}
+
+}  // namespace
+
+void prune_cache(const fs::path& folder, std::uintmax_t most_bytes) {
+  struct Entry {
+    fs::file_time_type used;
+    std::uintmax_t bytes;
+    fs::path path;
+  };
+  std::vector<Entry> entries;
+  std::error_code error;
+  for (fs::directory_iterator file(folder, error), end; !error && file != end;
+       file.increment(error)) {
+    const fs::path kind = file->path().extension();
+    if (kind != ".glb" && kind != kClipKind && kind != kJournalKind) continue;
+    std::error_code gone;
+    const Entry e{file->last_write_time(gone), file->file_size(gone), file->path()};
+    if (!gone) entries.push_back(e);
+  }
+  std::ranges::sort(entries, std::ranges::greater(), &Entry::used);
+  std::uintmax_t kept = 0;
+  for (const Entry& e : entries)
+    if ((kept += e.bytes) > most_bytes) fs::remove(e.path, error);
+}
+
+Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
+                                        const prt::BakeOptions& options, bool use_cache) {
+  const auto folder = use_cache ? cache_folder() : std::nullopt;
+  const fs::path file = folder ? *folder / cache_name(mesh, options) : fs::path();
+  if (folder)
+    if (auto recalled = prt::read_baked(file)) {
+      std::error_code ignored;
+      fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
+      return recalled;
+    }
+  auto baked = prt::bake(std::move(mesh), options);
+  if (!baked) return fail(baked.error().code, name, baked.error().detail);
+  spdlog::info("{}: baked {} vertices, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of t_0",
+               name, baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
+               baked->report.seconds, 100 * baked->report.standard_error);
+  if (folder && make_folder(*folder)) {
+    // A cache that cannot be written costs time, not the result.
+    if (const auto written = prt::write_baked(file, *baked); !written)
+      spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
+    prune_cache(*folder, kCacheBytes);
+  }
+  return baked;
+}
+
+namespace {
+
+// A folder of this run's own, gone with it.
+class PrivateFolder {
+ public:
+  PrivateFolder() {
+    std::error_code ignored;
+    std::string name = (fs::temp_directory_path(ignored) / "penumbra-bake-XXXXXX").string();
+    if (::mkdtemp(name.data())) path_ = name;
+  }
+  ~PrivateFolder() {
+    std::error_code ignored;
+    if (!path_.empty()) fs::remove_all(path_, ignored);
+  }
+  PrivateFolder(const PrivateFolder&) = delete;
+  PrivateFolder& operator=(const PrivateFolder&) = delete;
+  const fs::path& path() const { return path_; }
+
+ private:
+  fs::path path_;
+};
+
+// Held by the one program that bakes into a journal of the cache.
+class Lock {
+ public:
+  explicit Lock(const fs::path& file)
+      : descriptor_(::open(file.c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0644)),
+        held_(descriptor_ >= 0 && ::flock(descriptor_, LOCK_EX | LOCK_NB) == 0) {}
+  ~Lock() {
+    if (descriptor_ >= 0) ::close(descriptor_);
+  }
+  Lock(const Lock&) = delete;
+  Lock& operator=(const Lock&) = delete;
+  bool held() const { return held_; }
+
+ private:
+  int descriptor_;
+  bool held_;
+};
+
+Result<prt::BakedSequence> bake_into(const fs::path& journal, const prt::Character& character,
+                                     int clip, const prt::SequenceOptions& options) {
+  PENUMBRA_TRY(prt::bake_frames(character, clip, options, {}, journal));
+  const fs::path journals[] = {journal};
+  auto sequence = prt::compress_frames(character, clip, options, journals);
+  std::error_code ignored;
+  fs::remove(journal, ignored);
+  return sequence;
+}
+
+}  // namespace
+
+Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
+                                          int clip, const prt::SequenceOptions& options,
+                                          bool use_cache) {
+  const auto named = [&](const Error& e) { return fail(e.code, name, e.where + ": " + e.detail); };
+  const auto key = prt::bake_key(character, clip, options);
+  if (!key) return named(key.error());
+  std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
+  if (folder && !make_folder(*folder)) folder.reset();
+  const std::string stem =
+      fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).add(options.between).value());
+  const fs::path file = folder ? *folder / (stem + kClipKind) : fs::path();
+  std::error_code ignored;
+  if (folder)
+    if (auto recalled = prt::read_sequence(file, character, clip)) {
+      fs::last_write_time(file, fs::file_time_type::clock::now(), ignored);
+      return recalled;
+    }
+  Result<prt::BakedSequence> sequence =
+      fail(ErrorCode::kUnwritable, name, "there is no room to keep frames in");
+  bool ours = false;
+  {
+    const std::optional<Lock> lock =
+        folder ? std::optional<Lock>(std::in_place, *folder / (stem + ".lock")) : std::nullopt;
+    ours = lock && lock->held();
+    if (ours) sequence = bake_into(*folder / (stem + kJournalKind), character, clip, options);
+    if (ours) fs::remove(*folder / (stem + ".lock"), ignored);
+  }
+  if (!sequence) {
+    // Without a cache, beside another program that bakes the same, or past a journal that cannot be used.
+    if (ours) fs::remove(*folder / (stem + kJournalKind), ignored);
+    const PrivateFolder own;
+    sequence = bake_into(own.path() / (stem + kJournalKind), character, clip, options);
+  }
+  if (!sequence) return named(sequence.error());
+  const prt::SequenceReport& r = sequence->report;
+  spdlog::info(
+      "{}: baked {} frames of {} points, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of "
+      "t_0, compressed within {:.2f} %",
+      name, sequence->surface.frames(), sequence->surface.points(),
+      static_cast<double>(r.rays) * 1e-6, r.seconds, 100 * r.standard_error,
+      100 * r.compression_error);
+  if (!folder) return sequence;
+  if (const auto written = prt::write_sequence(file, character, clip, *sequence); !written)
+    spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
+  prune_cache(*folder, kCacheBytes);
+  return sequence;
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,32 @@
+// Baked objects kept between runs: the bake is asked for by what its result depends on.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "prt/bake/bake.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
+#include "prt/geometry/mesh.h"
+
+
+namespace penumbra::service {
+
+/// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and put there. The folder
+/// keeps what was used last, at most `kCacheBytes`; one that cannot be written costs time, not the result.
+/// errors: of prt::bake, naming `name`
+Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
+                                        const prt::BakeOptions& options, bool use_cache);
+
+/// The same for a clip. Frames that a bake finished before it was stopped are kept there as well.
+/// errors: of prt::bake_frames, naming `name`
+Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Character& character,
+                                          int clip, const prt::SequenceOptions& options,
+                                          bool use_cache);
+
+inline constexpr std::uintmax_t kCacheBytes = std::uintmax_t{1} << 30;
+
+/// Removes the baked files that were used longest ago until the rest is within `most_bytes`.
+void prune_cache(const std::filesystem::path& folder, std::uintmax_t most_bytes);
+
+}  // namespace penumbra::service

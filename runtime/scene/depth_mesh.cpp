@@ -1,0 +1,128 @@
+#include "runtime/scene/depth_mesh.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+
+#include "capture/recording/folder.h"
+#include "codec/codec.h"
+#include "runtime/shading/view_projection.h"
+
+namespace penumbra::service {
+
+namespace {
+
+constexpr float kJump = .05f;    // of the distance: beyond, two surfaces
+constexpr double kEdgeOn = .05;  // cosine to the ray
+
+// The known depth nearest to the middle of a block; 0 without any.
+float depth_of_block(const Image<float>& depth, int x0, int y0, int step) {
+  float best = 0;
+  double nearest = 1e30;
+  for (int y = y0; y < std::min(y0 + step, depth.height()); ++y)
+    for (int x = x0; x < std::min(x0 + step, depth.width()); ++x) {
+      const float d = depth.at(x, y);
+      if (!(d > 0) || !std::isfinite(d)) continue;
+      const double off = std::hypot(x - x0 - .5 * (step - 1), y - y0 - .5 * (step - 1));
+      if (off < nearest) nearest = off, best = d;
+    }
+  return best;
+}
+
+bool joined(float a, float b) {
+  return a > 0 && b > 0 && std::abs(a - b) < kJump * std::min(a, b);
+}
+
+// Mean of the triangles around each vertex; all face the camera.
+void set_normals(prt::Mesh& mesh, const glm::vec3& eye) {
+  mesh.normals.assign(mesh.positions.size(), glm::vec3(0));
+  for (const auto& t : mesh.triangles) {
+    const glm::vec3 &a = mesh.positions[t[0]], &b = mesh.positions[t[1]], &c = mesh.positions[t[2]];
+    const glm::vec3 n = glm::cross(b - a, c - a);
+    for (const std::uint32_t v : t) mesh.normals[v] += n;
+  }
+  for (std::size_t i = 0; i < mesh.normals.size(); ++i) {
+    const float length = glm::length(mesh.normals[i]);
+    mesh.normals[i] =
+        length > 0 ? mesh.normals[i] / length : glm::normalize(eye - mesh.positions[i]);
+  }
+}
+
+}  // namespace
+
+Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeView& view,
+                                  Rgb albedo) {
+  if (depth.width() != view.width || depth.height() != view.height)
+    return fail(ErrorCode::kInvalid, "depth",
+                fmt::format("{}x{} pixels, but its camera has {}x{}", depth.width(), depth.height(),
+                            view.width, view.height));
+  const int step = (std::max(view.width, view.height) + kDepthVertices - 1) / kDepthVertices;
+  const int columns = (view.width + step - 1) / step, rows = (view.height + step - 1) / step;
+  prt::Mesh mesh;
+  std::vector<float> depths;
+  std::vector<std::uint32_t> vertex;  // by block
+  for (int j = 0; j < rows; ++j)
+    for (int i = 0; i < columns; ++i) {
+      const float d = depth_of_block(depth, i * step, j * step, step);
+      depths.push_back(d);
+      vertex.push_back(static_cast<std::uint32_t>(mesh.positions.size()));
+      if (!(d > 0)) continue;
+      const double x = (i + .5) * step - view.principal_px.x,
+                   y = (j + .5) * step - view.principal_px.y;
+      const glm::dvec3 p(x / view.focal_px.x * d, -y / view.focal_px.y * d, -d);
+      mesh.positions.emplace_back(view.world_from_camera * p);
+    }
+  const glm::vec3 eye(view.world_from_camera.translation);
+  const auto add = [&](std::size_t a, std::size_t b, std::size_t c) {
+    if (!joined(depths[a], depths[b]) || !joined(depths[b], depths[c]) ||
+        !joined(depths[c], depths[a]))
+      return;
+    const glm::vec3 &p = mesh.positions[vertex[a]], &q = mesh.positions[vertex[b]],
+                    &r = mesh.positions[vertex[c]];
+    const glm::vec3 n = glm::cross(q - p, r - p);
+    if (glm::dot(n, eye - p) <= kEdgeOn * glm::length(n) * glm::length(eye - p)) return;
+    mesh.triangles.push_back({vertex[a], vertex[b], vertex[c]});
+  };
+  for (int j = 0; j + 1 < rows; ++j)
+    for (int i = 0; i + 1 < columns; ++i) {
+      const auto a = static_cast<std::size_t>(j * columns + i),
+                 c = a + static_cast<std::size_t>(columns);
+      add(a, c, a + 1);
+      add(a + 1, c, c + 1);
+    }
+  if (mesh.triangles.empty()) return fail(ErrorCode::kUndetermined, "depth", "holds no surface");
+  mesh.albedo.assign(mesh.positions.size(), albedo);
+  set_normals(mesh, eye);
+  return mesh;
+}
+
+Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
+                                  const std::filesystem::path& camera_file, Rgb albedo) {
+  auto camera = capture::read_camera_file(camera_file);
+  if (!camera) return std::unexpected(camera.error());
+  const calib::Projection& p = camera->projection;
+  PENUMBRA_TRY(check_drawable(p, camera_file.string()));
+  auto frame = codec::read_frame(depth_file);
+  if (!frame) return std::unexpected(frame.error());
+  Image<float> depth;
+  const auto take = [&](const auto& pixels, float metres) {
+    depth = Image<float>(pixels.width(), pixels.height());
+    std::ranges::transform(pixels.pixels(), depth.pixels().begin(),
+                           [&](const auto& c) { return metres * static_cast<float>(c.r); });
+  };
+  if (const auto* linear = std::get_if<Image<Rgb>>(&*frame))
+    take(*linear, 1);
+  else if (const auto* millimetres = std::get_if<Image<Rgb16>>(&*frame))
+    take(*millimetres, .001f);
+  else
+    return fail(ErrorCode::kInvalid, depth_file.string(),
+                "depth in 8 bits; give an .exr in metres or 16 bits in millimetres");
+  auto mesh = mesh_from_depth(
+      depth, {p.width, p.height, p.focal_px, p.principal_px, camera->world_from_camera}, albedo);
+  if (!mesh) return fail(mesh.error().code, depth_file.string(), mesh.error().detail);
+  return mesh;
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,262 @@
+#include "runtime/scene/scene.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+#include <glm/gtx/quaternion.hpp>
+
+#include "core/conventions.h"
+#include "runtime/scene/animated.h"
+#include "runtime/scene/bake_cache.h"
+#include "runtime/scene/depth_mesh.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// A square column twisted by a third of a turn, rounded by its own normals: shows its rotation.
+prt::Mesh make_twist(Rgb albedo) {
+  prt::Mesh mesh = prt::make_box({-.13f, 0, -.13f}, {.13f, .62f, .13f}, 28, albedo);
+  for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
+    glm::vec3 &p = mesh.positions[i], &n = mesh.normals[i];
+    constexpr float kTurn = 2.1f / .62f;  // radians a metre
+    const float a = kTurn * p.y, c = std::cos(a), s = std::sin(a);
+    // Inverse transpose of the twist's Jacobian: the normal leans by the slope of the turned wall.
+    const float slope = kTurn * (p.x * n.z - p.z * n.x);
+    const glm::vec3 turned(c * n.x + s * n.z, n.y + slope, -s * n.x + c * n.z);
+    p = {c * p.x + s * p.z, p.y, -s * p.x + c * p.z};
+    n = glm::normalize(turned);
+  }
+  return mesh;
+}
+
+}  // namespace
+
+Pose frame_on_plane(const prt::Plane& plane, const glm::dvec3& position) {
+  const glm::dquat up = glm::rotation(glm::dvec3(0, 1, 0), plane.normal);
+  const double height = glm::dot(position - plane.point, plane.normal);
+  return {up, position - height * plane.normal};
+}
+
+const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::Bounds& bounds) {
+  constexpr double kBelow = 1e-3;  // metres: what lies flat on it stands on it
+  const prt::Plane* best = nullptr;
+  double nearest = HUGE_VAL;
+  const glm::dvec3 centre(bounds.centre()), half(.5f * (bounds.high - bounds.low));
+  for (const prt::Plane& plane : planes) {
+    const double d = glm::dot(centre - plane.point, plane.normal),
+                 rise = glm::dot(half, glm::abs(plane.normal));  // of its highest corner
+    if (d + rise >= -kBelow && std::abs(d) < nearest) nearest = std::abs(d), best = &plane;
+  }
+  return best;
+}
+
+namespace {
+
+// A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
+// and shifting its frame is all.
+Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
+  auto baked = prt::read_baked(o.asset);
+  if (!baked) return std::unexpected(baked.error());
+  const prt::Bounds b = bounds_of(baked->mesh);
+  const glm::vec3 size = b.high - b.low;
+  const double scale =
+      o.stand ? o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
+  glm::dvec3 shift(0);
+  if (o.stand) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+  if (baked->receiver) shift.y = -double(baked->receiver->grid.height);
+  glm::dmat4 place{glm::dmat3(scale)};
+  place[3] = glm::dvec4(scale * shift, 1);
+  prt::transform(baked->mesh, place);
+  if (baked->receiver) {
+    prt::GroundGrid& g = baked->receiver->grid;
+    const auto k = static_cast<float>(scale);
+    g.centre = k * (g.centre + glm::vec2(shift.x, shift.z));
+    g.half_extent *= k;
+    g.height = 0;
+  }
+  if (!plane) baked->receiver.reset();  // nothing there to take the shadow
+  const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
+  if (plane && up.y < .9999)
+    return fail(ErrorCode::kInvalid, o.name,
+                "is baked for standing upright and cannot be tilted; use the asset itself");
+  return PreparedObject{o.name, std::move(*baked), Pose{o.rotation, frame.translation}, o.spin_rpm,
+                        nullptr};
+}
+
+Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
+                                      const BakeSettings& settings,
+                                      const std::function<void(double)>& progress) {
+  if (!o.animation.empty()) return prepare_animated(o, scene.planes, settings, progress);
+  if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
+    return place_baked(o,
+                       plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
+  constexpr float kEdgeShare =
+      .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
+  auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
+  if (!mesh) return std::unexpected(mesh.error());
+  prt::transform(*mesh, world_from_mesh(o, *mesh));
+  const prt::Plane* plane = plane_under(scene.planes, bounds_of(*mesh));
+  PreparedObject out;
+  out.name = o.name;
+  out.spin_rpm = o.spin_rpm;
+  out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
+  prt::transform(*mesh, out.world_from_bake.inverse().matrix());
+  prt::BakeOptions options;
+  options.bands = settings.bands;
+  options.bounces = settings.bounces;
+  options.rays = settings.rays;
+  options.ground_rays = settings.ground_rays;
+  options.sight = true;
+  options.progress = progress;
+  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(*mesh, 0), plane->albedo};
+  auto baked = bake_or_recall(o.name, std::move(*mesh), options, settings.use_cache);
+  if (!baked) return std::unexpected(baked.error());
+  out.baked = std::move(*baked);
+  return out;
+}
+
+}  // namespace
+
+glm::dmat4 world_from_mesh(const Placement& p, const prt::Mesh& mesh) {
+  Pose pose{p.rotation, p.position};
+  double scale = p.scale;
+  glm::dvec3 shift(0);
+  if (p.stand) {
+    const prt::Bounds b = bounds_of(mesh);
+    const glm::dvec3 size(b.high - b.low);
+    scale = p.stand_size_m / std::max({size.x, size.y, size.z, 1e-9});
+    shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+  }
+  return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
+         glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0),
+                    glm::dvec4(shift, 1));
+}
+
+Pose PreparedObject::pose_at(double seconds) const {
+  if (spin_rpm == 0) return world_from_bake;
+  const double turn = 2 * kPi * spin_rpm / 60 * seconds;
+  return world_from_bake * Pose{glm::angleAxis(turn, glm::dvec3(0, 1, 0)), {0, 0, 0}};
+}
+
+Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share) {
+  prt::Mesh mesh;
+  if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "has no name");
+  if (asset == "builtin:knot") {
+    mesh = prt::make_knot(.5f, 480, 80, albedo);
+  } else if (asset == "builtin:twist") {
+    mesh = make_twist(albedo);
+  } else if (asset == "builtin:box") {
+    mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
+  } else if (asset == "builtin:walker") {
+    const prt::Character walker = prt::make_walker(albedo);
+    prt::deform(walker, prt::rest_pose(walker), mesh);
+  } else if (asset.starts_with("builtin:")) {
+    return fail(ErrorCode::kNotFound, asset,
+                "no such built-in asset; there are builtin:knot, builtin:twist, builtin:box and "
+                "builtin:walker");
+  } else {
+    auto imported = prt::import_mesh(asset, albedo);
+    if (!imported) return std::unexpected(imported.error());
+    if (imported->degenerate_triangles > 0)
+      spdlog::warn("{}: {} degenerate triangles dropped", asset, imported->degenerate_triangles);
+    mesh = std::move(imported->mesh);
+  }
+  if (edge_share > 0)
+    prt::subdivide(mesh, edge_share * prt::radius_around(mesh, prt::bounds_of(mesh).centre()));
+  return mesh;
+}
+
+namespace {
+
+// Shadows on real meshes live at their vertices.
+Result<void> prepare_receivers(
+    PreparedScene& scene,
+    const std::function<std::function<void(double)>(const std::string&)>& progress) {
+  constexpr float kReceiverEdge = .08f;  // of the smallest object's radius
+  constexpr std::size_t kMostTriangles = 150'000;
+  float smallest = 1e30f;
+  for (PreparedObject& o : scene.objects) {
+    shadows::FieldOptions options;
+    options.progress = progress("shadow field " + o.name);
+    auto field = shadows::bake_occlusion_field(o.baked.mesh, options);
+    if (!field) return fail(field.error().code, o.name, field.error().detail);
+    smallest = std::min(smallest, field->radius);
+    o.field = std::make_shared<const shadows::OcclusionField>(std::move(*field));
+  }
+  prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMostTriangles);
+  return {};
+}
+
+// What real things hide from and reflect onto each other and the floor: few rays, it is a share of what objects take.
+Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
+                       const std::function<void(double)>& progress) {
+  constexpr int kMostRays = 1024, kMostBounces = 2;
+  prt::Mesh mesh = scene.real_mesh;
+  const prt::Bounds bounds = prt::bounds_of(mesh);
+  PreparedReal out;
+  const prt::Plane* plane = plane_under(scene.planes, bounds);
+  if (plane) out.world_from_bake = frame_on_plane(*plane, glm::dvec3(bounds.centre()));
+  prt::transform(mesh, out.world_from_bake.inverse().matrix());
+  prt::BakeOptions options;
+  options.bands = settings.bands;
+  options.bounces = std::min(settings.bounces, kMostBounces);
+  options.rays = std::min(settings.rays, kMostRays);
+  options.ground_rays = settings.ground_rays;
+  options.progress = progress;
+  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};
+  auto baked = bake_or_recall("real geometry", std::move(mesh), options, settings.use_cache);
+  if (!baked) return std::unexpected(baked.error());
+  out.baked = std::move(*baked);
+  scene.real = std::make_shared<const PreparedReal>(std::move(out));
+  return {};
+}
+
+}  // namespace
+
+Result<PreparedScene> prepare(
+    const Scene& scene, const BakeSettings& settings,
+    const std::function<std::function<void(double)>(const std::string&)>& progress) {
+  PreparedScene out;
+  out.lamps = scene.lamps;
+  for (const RealGeometry& real : scene.real) {
+    if (real.plane) {
+      // Without a known albedo the floor's reflection on the object is unknown and left out.
+      out.planes.push_back(
+          {real.plane->point, real.plane->normal, real.albedo.value_or(Rgb{}), {}});
+      continue;
+    }
+    const Rgb albedo = real.albedo.value_or(Rgb{.5f, .5f, .5f});
+    auto mesh = real.depth.empty() ? load_asset(real.mesh, albedo, 0)
+                                   : read_depth_mesh(real.depth, real.camera, albedo);
+    if (!mesh) return std::unexpected(mesh.error());
+    if (real.depth.empty()) prt::transform(*mesh, world_from_mesh(real, *mesh));
+    append(out.real_mesh, *mesh);
+  }
+  for (const SceneObject& object : scene.objects) {
+    auto prepared = prepare_object(object, out, settings, progress("bake " + object.name));
+    if (!prepared) return std::unexpected(prepared.error());
+    out.objects.push_back(std::move(*prepared));
+  }
+  if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;
+  PENUMBRA_TRY(prepare_receivers(out, progress));
+  PENUMBRA_TRY(bake_real(out, settings, progress("bake real geometry")));
+  return out;
+}
+
+prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds) {
+  prt::Mesh all = scene.real_mesh;
+  if (!with_objects) return all;
+  for (const PreparedObject& o : scene.objects) {
+    prt::Mesh mesh = o.mesh_at(seconds);
+    prt::transform(mesh, o.pose_at(seconds).matrix());
+    append(all, mesh);
+  }
+  return all;
+}
+
+}  // namespace penumbra::service

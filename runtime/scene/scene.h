@@ -1,0 +1,163 @@
+// Scenes: scene.toml, placing, and baking what is not baked yet into the cache.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "prt/bake/bake.h"
+#include "prt/clip/light_map.h"
+#include "prt/clip/live_bake.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/plane.h"
+#include "shadows/field/occlusion_field.h"
+#include "shadows/visibility/lamp.h"
+#include "core/result.h"
+
+namespace penumbra::service {
+
+/// Where a mesh stands in the world.
+struct Placement {
+  glm::dvec3 position{0, 0, 0};
+  glm::dquat rotation{1, 0, 0, 0};
+  double scale = 1;
+  bool stand = false;        // set on the floor at `stand_size_m`, centred on `position`
+  double stand_size_m = .5;  // largest extent
+};
+
+struct SceneObject : Placement {
+  std::string name;
+  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box", "builtin:walker"
+  std::string animation;  // a clip by name or number, which loops; empty: it stands at rest
+  std::string transfer;   // of the clip, by `penumbra bake`; empty: baked first, into the cache
+  std::string blend;      // a second clip that is mixed in; empty: none
+  double blend_share = .5;
+  bool live = false;   // transfer is traced while it plays: no bake, and always so of a blend
+  double live_ms = 5;  // a frame, for that
+  std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
+  Rgb albedo{.7f, .7f, .7f};
+  double spin_rpm = 0;  // turntable about the receiver's normal
+};
+
+struct RealPlane {
+  glm::dvec3 point{0, 0, 0}, normal{0, 1, 0};
+};
+struct RealGeometry : Placement {  // the placement is a mesh's
+  std::optional<RealPlane> plane;  // or
+  std::string mesh;                // a file or a built-in, or
+  std::string depth, camera;       // a depth picture and the camera that saw it
+  std::optional<Rgb> albedo;
+};
+
+struct Scene {
+  std::vector<SceneObject> objects;
+  std::vector<RealGeometry> real;
+  std::vector<shadows::Lamp> lamps{};
+};
+
+/// errors: kNotFound, kUnreadable, kInvalid (unknown key, bad value: file and line)
+Result<Scene> read_scene(const std::filesystem::path& path);
+Result<void> write_scene(const std::filesystem::path& path, const Scene& scene);
+
+struct BakeSettings {
+  int bands = 5, bounces = 4, rays = 1024, ground_rays = 1024;
+  bool use_cache = true;
+};
+
+/// A character in its bake frame, what it plays, and the clip's transfer unless that is traced live.
+struct Animation {
+  prt::Character character;
+  int clip = 0;
+  prt::BakedSequence sequence{};
+  prt::SurfaceLayout layout{};
+  std::optional<int> blend{};  // a second clip
+  float blend_share = 0;
+  bool live = false;
+  double live_seconds = 0;  // a frame may take for its transfer
+  int bands = 5;            // of live transfer
+
+  prt::CharacterPose pose_at(double seconds) const;
+  double longest_clip_s() const;
+};
+
+/// Transfer that is traced while its character moves.
+struct LiveTransfer {
+  prt::LiveBake bake;
+  bool begun = false;
+  // As measured: what a frame costs whatever is traced, and each visit; 0: not yet.
+  double fixed_seconds = 0, seconds_a_visit = 0;
+};
+
+/// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.
+struct PreparedObject {
+  std::string name;
+  /// Of an animation as it is at `frame`: mesh, receiver and transfer; the latter is kept up to date by move_to on demand.
+  prt::BakedObject baked;
+  Pose world_from_bake;  // at time 0
+  double spin_rpm = 0;
+  /// What it takes from the space around it; baked where real meshes can catch its shadow.
+  std::shared_ptr<const shadows::OcclusionField> field{};
+  std::shared_ptr<const Animation> animation{};  // null: it does not move by itself
+  double frame = 0;                      // of the animation; seconds where its transfer is live
+  std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
+  std::vector<glm::mat3> turns{};        // of its bones then
+
+  /// Placement at a time: the turntable turns about the bake frame's y.
+  Pose pose_at(double seconds) const;
+  /// In the bake frame.
+  prt::Mesh mesh_at(double seconds) const;
+  /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what relight() needs alone.
+  /// Returns false where nothing moved.
+  bool move_to(double seconds, bool transfer, bool keep_time = false);
+  /// A copy's own live transfer: two copies never share one. `keep_time`, above: its rays keep to the time that the animation
+  /// allows them, else their number is always the same.
+  /// errors: kUnavailable (Embree)
+  Result<void> begin_live();
+  /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and its reflected part.
+  enum class Part { kSurface, kReflected, kGround, kGroundReflected };
+  static constexpr std::size_t kParts = 4;
+  /// Of a baked animation.
+  const prt::TransferSequence& clip_of(Part part) const;
+  std::span<const glm::mat3> turns_of(Part part) const;
+  void relight(Part part, const RadianceSh& light, std::span<float> out) const;
+};
+
+/// The real meshes as one, baked like an object on the plane that they stand on: vertex i is that of real_mesh.
+struct PreparedReal {
+  prt::BakedObject baked;
+  Pose world_from_bake;
+};
+
+struct PreparedScene {
+  std::vector<PreparedObject> objects;
+  std::vector<prt::Plane> planes;
+  prt::Mesh real_mesh;  // world frame; empty without real meshes
+  std::shared_ptr<const PreparedReal>
+      real{};  // null without real meshes, or nothing virtual beside them
+  std::vector<shadows::Lamp> lamps{};
+};
+
+/// Loads, places and bakes. Log lines (what is baked, dropped triangles) go to spdlog.
+/// errors: what the assets say
+Result<PreparedScene> prepare(
+    const Scene& scene, const BakeSettings& settings,
+    const std::function<std::function<void(double)>(const std::string&)>& progress);
+
+/// From the mesh's frame to the world.
+glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh);
+
+/// An asset in its own frame, or a built-in one. `edge_share`: longest edge after subdivision, as a
+/// share of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
+Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share);
+
+/// All meshes of a scene in the world frame at a time, for the reference.
+prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);
+
+}  // namespace penumbra::service

@@ -1,0 +1,289 @@
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "core/toml_keys.h"
+#include "runtime/scene/scene.h"
+
+namespace penumbra::service {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::string_view kObjectKeys[] = {
+    "name",      "asset",    "albedo",    "position",     "rotation", "scale",       "spin_rpm",
+    "animation", "transfer", "light_map", "stand_size_m", "blend",    "blend_share", "live_ms"};
+constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "stand_size_m"};
+constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",      "albedo",
+                                          "position", "rotation", "scale", "stand_size_m"};
+
+// Beyond these floats have no room for a shadow.
+constexpr double kFarthest = 1e4, kLeastScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
+
+Result<glm::dvec3> read_point(const TomlKeys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(p, keys.numbers(key, 3));
+  for (const double c : p)
+    if (!(std::abs(c) <= kFarthest))
+      return keys.invalid(key, fmt::format("not within {} m of the origin", kFarthest));
+  return glm::dvec3(p[0], p[1], p[2]);
+}
+
+Result<double> read_size(const TomlKeys& keys, std::string_view key) {
+  PENUMBRA_ASSIGN(s, keys.number(key));
+  if (s <= 0) return keys.invalid(key, "not positive");
+  if (!(s >= kLeastScale && s <= kLargestScale))
+    return keys.invalid(key, fmt::format("not within {}..{}", kLeastScale, kLargestScale));
+  return s;
+}
+
+Result<Rgb> read_albedo(const TomlKeys& keys) {
+  PENUMBRA_ASSIGN(v, keys.numbers("albedo", 3));
+  for (double c : v)
+    if (c < 0 || c > 1) return keys.invalid("albedo", "not within 0..1");
+  return Rgb{static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
+}
+
+// Relative paths are meant from the scene's folder.
+std::string resolve(const std::string& file, const fs::path& folder) {
+  if (file.starts_with("builtin:") || fs::path(file).is_absolute()) return file;
+  return (folder / file).string();
+}
+
+Result<void> read_placement(const TomlKeys& keys, Placement& o) {
+  if (keys.has("position")) {
+    PENUMBRA_ASSIGN(p, read_point(keys, "position"));
+    o.position = p;
+  }
+  if (keys.has("rotation")) {
+    PENUMBRA_ASSIGN(q, keys.numbers("rotation", 4));
+    const glm::dquat r(q[3], q[0], q[1], q[2]);
+    if (std::abs(glm::length(r) - 1) > 1e-3)
+      return keys.invalid("rotation", "not a unit quaternion x, y, z, w");
+    o.rotation = glm::normalize(r);
+  }
+  if (keys.has("scale")) {
+    PENUMBRA_ASSIGN(s, read_size(keys, "scale"));
+    o.scale = s;
+  }
+  if (keys.has("stand_size_m")) {
+    if (keys.has("scale")) return keys.invalid("stand_size_m", "cannot stand beside scale");
+    PENUMBRA_ASSIGN(s, read_size(keys, "stand_size_m"));
+    o.stand = true;
+    o.stand_size_m = s;
+  }
+  return {};
+}
+
+Result<void> read_blend(const TomlKeys& keys, SceneObject& o) {
+  if (keys.has("blend")) {
+    PENUMBRA_ASSIGN(blend, keys.text("blend"));
+    if (blend.empty()) return keys.invalid("blend", "names no clip");
+    if (!o.transfer.empty())
+      return keys.invalid("transfer", "is of one clip; a blend has none but \"live\"");
+    if (keys.has("light_map"))
+      return keys.invalid("light_map", "is of a baked clip, not of a blend");
+    o.blend = blend;
+    o.live = true;
+  }
+  if (keys.has("blend_share")) {
+    if (o.blend.empty()) return keys.invalid("blend_share", "is of a blend");
+    PENUMBRA_ASSIGN(share, keys.number("blend_share"));
+    if (!(share >= 0 && share <= 1)) return keys.invalid("blend_share", "not within 0..1");
+    o.blend_share = share;
+  }
+  if (keys.has("live_ms")) {
+    if (!o.live) return keys.invalid("live_ms", "is of live transfer");
+    PENUMBRA_ASSIGN(ms, keys.number("live_ms"));
+    if (!(ms > 0 && ms <= 1000)) return keys.invalid("live_ms", "not above 0, or above 1000");
+    o.live_ms = ms;
+  }
+  return {};
+}
+
+Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
+  PENUMBRA_TRY(keys.only(kObjectKeys));
+  SceneObject o;
+  PENUMBRA_ASSIGN(asset, keys.text("asset"));
+  o.asset = resolve(asset, folder);
+  o.name = fs::path(asset).stem().string();
+  if (keys.has("name")) {
+    PENUMBRA_ASSIGN(name, keys.text("name"));
+    o.name = name;
+  }
+  if (keys.has("albedo")) {
+    PENUMBRA_ASSIGN(albedo, read_albedo(keys));
+    o.albedo = albedo;
+  }
+  PENUMBRA_TRY(read_placement(keys, o));
+  if (keys.has("spin_rpm")) {
+    PENUMBRA_ASSIGN(spin, keys.number("spin_rpm"));
+    if (!(std::abs(spin) <= kFastest_rpm))
+      return keys.invalid("spin_rpm", fmt::format("not within +-{}", kFastest_rpm));
+    o.spin_rpm = spin;
+  }
+  if (keys.has("animation")) {
+    PENUMBRA_ASSIGN(animation, keys.text("animation"));
+    if (animation.empty()) return keys.invalid("animation", "names no clip");
+    o.animation = animation;
+  }
+  for (const std::string_view key : {"transfer", "light_map", "blend", "blend_share", "live_ms"})
+    if (keys.has(key) && o.animation.empty()) return keys.invalid(key, "is of an animation");
+  if (keys.has("transfer")) {
+    PENUMBRA_ASSIGN(transfer, keys.text("transfer"));
+    o.live = transfer == "live";
+    if (keys.has("light_map"))
+      return keys.invalid("light_map", o.live ? "is of a baked clip" : "is told by the transfer");
+    if (!o.live) o.transfer = resolve(transfer, folder);
+  }
+  PENUMBRA_TRY(read_blend(keys, o));
+  if (keys.has("light_map")) {
+    PENUMBRA_ASSIGN(size, keys.numbers("light_map", 2));
+    for (std::size_t i = 0; i < 2; ++i) {
+      if (!(size[i] >= 8 && size[i] <= 4096 && size[i] == std::floor(size[i])))
+        return keys.invalid("light_map", "not two whole numbers of texels within 8..4096");
+      o.light_map[i] = static_cast<int>(size[i]);
+    }
+  }
+  return o;
+}
+
+Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
+                               const fs::path& folder) {
+  const TomlKeys keys(path, table);
+  PENUMBRA_TRY(keys.only(kRealKeys));
+  RealGeometry real;
+  if (keys.has("plane") + keys.has("mesh") + keys.has("depth") != 1)
+    return keys.invalid("plane", "give a plane, a mesh or a depth picture, one of them");
+  if (keys.has("depth") != keys.has("camera"))
+    return keys.invalid("depth", "goes together with the camera that saw it");
+  for (const std::string_view key : kPlacementKeys)
+    if (keys.has(key) && !keys.has("mesh")) return keys.invalid(key, "places a mesh alone");
+  if (keys.has("albedo")) {
+    PENUMBRA_ASSIGN(albedo, read_albedo(keys));
+    real.albedo = albedo;
+  }
+  if (keys.has("mesh")) {
+    PENUMBRA_ASSIGN(mesh, keys.text("mesh"));
+    real.mesh = resolve(mesh, folder);
+    PENUMBRA_TRY(read_placement(keys, real));
+    return real;
+  }
+  if (keys.has("depth")) {
+    PENUMBRA_ASSIGN(depth, keys.text("depth"));
+    PENUMBRA_ASSIGN(camera, keys.text("camera"));
+    real.depth = resolve(depth, folder);
+    real.camera = resolve(camera, folder);
+    return real;
+  }
+  const toml::table* plane = table["plane"].as_table();
+  if (!plane) return keys.invalid("plane", "not a table { point = [..], normal = [..] }");
+  const TomlKeys plane_keys(path, *plane);
+  constexpr std::string_view known[] = {"point", "normal"};
+  PENUMBRA_TRY(plane_keys.only(known));
+  PENUMBRA_ASSIGN(p, read_point(plane_keys, "point"));
+  PENUMBRA_ASSIGN(n, plane_keys.numbers("normal", 3));
+  const glm::dvec3 normal(n[0], n[1], n[2]);
+  if (!(glm::length(normal) >= 1e-6 && glm::length(normal) < 1e100))
+    return plane_keys.invalid("normal", "has no length");
+  real.plane = RealPlane{p, glm::normalize(normal)};
+  return real;
+}
+
+Result<shadows::Lamp> read_lamp(const TomlKeys& keys) {
+  constexpr std::string_view known[] = {"position", "radius_m", "irradiance_at_1m"};
+  PENUMBRA_TRY(keys.only(known));
+  shadows::Lamp lamp;
+  PENUMBRA_ASSIGN(p, read_point(keys, "position"));
+  lamp.position = p;
+  if (keys.has("radius_m")) {
+    PENUMBRA_ASSIGN(radius, keys.number("radius_m"));
+    if (radius < 0 || radius > 10) return keys.invalid("radius_m", "not within 0..10");
+    lamp.radius_m = radius;
+  }
+  PENUMBRA_ASSIGN(e, keys.numbers("irradiance_at_1m", 3));
+  for (const double c : e)
+    if (c < 0 || c > 1e9) return keys.invalid("irradiance_at_1m", "not within 0..1e9");
+  lamp.irradiance_at_1m = {static_cast<float>(e[0]), static_cast<float>(e[1]),
+                           static_cast<float>(e[2])};
+  return lamp;
+}
+
+}  // namespace
+
+Result<Scene> read_scene(const fs::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml(path));
+  const TomlKeys keys(path, root);
+  constexpr std::string_view known[] = {"version", "object", "real", "lamp"};
+  PENUMBRA_TRY(keys.only(known));
+  PENUMBRA_TRY(keys.version(1));
+  const fs::path folder = path.parent_path();
+  Scene scene;
+  PENUMBRA_ASSIGN(objects, keys.tables("object"));
+  for (const toml::table* table : objects) {
+    PENUMBRA_ASSIGN(object, read_object(TomlKeys(path, *table), folder));
+    scene.objects.push_back(object);
+  }
+  PENUMBRA_ASSIGN(reals, keys.tables("real"));
+  for (const toml::table* table : reals) {
+    PENUMBRA_ASSIGN(real, read_real(path, *table, folder));
+    scene.real.push_back(real);
+  }
+  PENUMBRA_ASSIGN(lamps, keys.tables("lamp"));
+  for (const toml::table* table : lamps) {
+    PENUMBRA_ASSIGN(lamp, read_lamp(TomlKeys(path, *table)));
+    scene.lamps.push_back(lamp);
+  }
+  return scene;
+}
+
+Result<void> write_scene(const fs::path& path, const Scene& scene) {
+  const auto absolute = [](const std::string& file) {
+    return file.starts_with("builtin:") ? file : fs::absolute(file).lexically_normal().string();
+  };
+  std::string text = "version = 1\n";
+  const auto list = [](const auto&... v) {
+    return fmt::format("[{}]", fmt::join(std::array{double(v)...}, ", "));
+  };
+  const auto placed = [&](const Placement& p) {
+    const glm::dquat& r = p.rotation;
+    return fmt::format("position = {}\nrotation = {}\n{}\n",
+                       list(p.position.x, p.position.y, p.position.z), list(r.x, r.y, r.z, r.w),
+                       p.stand ? fmt::format("stand_size_m = {}", p.stand_size_m)
+                               : fmt::format("scale = {}", p.scale));
+  };
+  for (const SceneObject& o : scene.objects) {
+    text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name),
+                        toml_quoted(absolute(o.asset)), list(o.albedo.r, o.albedo.g, o.albedo.b));
+    text += placed(o);
+    if (!o.animation.empty()) text += fmt::format("animation = {}\n", toml_quoted(o.animation));
+    if (!o.transfer.empty())
+      text += fmt::format("transfer = {}\n", toml_quoted(absolute(o.transfer)));
+    if (o.live) text += fmt::format("transfer = \"live\"\nlive_ms = {}\n", o.live_ms);
+    if (!o.blend.empty())
+      text += fmt::format("blend = {}\nblend_share = {}\n", toml_quoted(o.blend), o.blend_share);
+    if (o.light_map[0] > 0)
+      text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
+    if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
+  }
+  for (const RealGeometry& r : scene.real) {
+    text += "\n[[real]]\n";
+    if (r.plane) {
+      const auto &p = r.plane->point, &n = r.plane->normal;
+      text += fmt::format("plane = {{ point = {}, normal = {} }}\n", list(p.x, p.y, p.z),
+                          list(n.x, n.y, n.z));
+    } else if (!r.depth.empty()) {
+      text += fmt::format("depth = {}\ncamera = {}\n", toml_quoted(absolute(r.depth)),
+                          toml_quoted(absolute(r.camera)));
+    } else {
+      text += fmt::format("mesh = {}\n", toml_quoted(absolute(r.mesh))) + placed(r);
+    }
+    if (r.albedo) text += fmt::format("albedo = {}\n", list(r.albedo->r, r.albedo->g, r.albedo->b));
+  }
+  for (const shadows::Lamp& l : scene.lamps) {
+    const Rgb& e = l.irradiance_at_1m;
+    text += fmt::format("\n[[lamp]]\nposition = {}\nradius_m = {}\nirradiance_at_1m = {}\n",
+                        list(l.position.x, l.position.y, l.position.z), l.radius_m,
+                        list(e.r, e.g, e.b));
+  }
+  return write_bytes(path, text);
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,197 @@
+// The way of one frame, in two stages that meet in a LightEstimate: the light at environment-camera
+// rate, the composite at view-camera rate. Live and replay call the same two functions. threads:
+// each stage is thread-bound; ComposeStage owns the GL context of its thread
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "capture/frames.h"
+#include "lighting/completion.h"
+#include "lighting/disc.h"
+#include "lighting/light_estimate.h"
+#include "lighting/rotation.h"
+#include "compositor/compositor.h"
+#include "core/result.h"
+#include "runtime/shading/disc_stage.h"
+#include "runtime/shading/floor_completion.h"
+#include "runtime/shading/lamp_stage.h"
+#include "runtime/pipeline/light_stage.h"  // IWYU pragma: export
+#include "runtime/shading/real_stage.h"
+#include "runtime/scene/scene.h"
+#include "core/stage_times.h"
+#include "runtime/shading/surroundings.h"
+
+namespace penumbra::service {
+
+struct Composited {
+  FramePixels pixels;
+  compositor::Touched touched;
+  bool relit = false;
+};
+
+/// A frame that has been begun, apart from the stage.
+class BegunFrame {
+ public:
+  /// The rest of its composite. threads: any, while the stage goes on
+  Composited finish();
+
+ private:
+  friend class ComposeStage;
+  compositor::Drawn drawn_;
+  std::shared_ptr<const FramePixels> camera_;
+  bool relit_ = false;
+  double drawing_ms_ = 0;
+  StageTimes* times_ = nullptr;
+};
+
+/// A plane counts as level when its normal's y is larger: within a quarter of a degree.
+inline constexpr double kLevel = .99999;
+/// A baked thing that stands on a level floor takes the floor's light (lighting::floor_light), any other the sphere's.
+inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_bake) {
+  return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
+}
+/// The light without discs, and one disc for what is reflected of it (kIndirectBands), world frame.
+const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
+RadianceSh reflected_for(const lighting::Disc& disc, bool level);
+/// A sum of reflected_for turned into the bake frame.
+/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave out part of its own
+RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
+                                   int bands = prt::kIndirectBands);
+/// Irradiance of an open plane of this orientation, discs included.
+Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
+
+/// What a thing that keeps its form is relit by: its transfer and what comes to it by reflection, and both of its receiver.
+struct RelightPatterns {
+  prt::TransferComponents surface, ground;
+  explicit RelightPatterns(const prt::BakedObject& baked);
+};
+
+/// View frames and light in, composited frames out.
+class ComposeStage {
+ public:
+  /// Light whose largest possible effect, by a bound that is loose two to ten times, is below this share of the
+  /// mean cannot be seen in 8 bits.
+  static constexpr double kVisibleChange = .01;
+
+  /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
+  /// kUnavailable
+  static Result<std::unique_ptr<ComposeStage>> create(
+      const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
+      compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2,
+      const DiscTaps& taps = {});
+
+  /// Draws once and throws it away: drivers compile shaders at the first draw, which costs a live run frames.
+  void warm_up();
+  /// Composites one view frame under `light`.
+  /// errors: as Compositor::composite
+  /// out: keeps its memory: once it has had a frame nothing comes from the heap, without real meshes, lamps and clips
+  Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
+                       Composited& out);
+  Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light) {
+    Composited out;
+    PENUMBRA_TRY(process(frame, light, out));
+    return out;
+  }
+  /// process() but for what needs the stage no more. The stage must outlive the frame.
+  Result<void> begin(const capture::Frame& frame, const lighting::LightEstimate& light,
+                     BegunFrame& out);
+  compositor::Compositor& output() { return *compositor_; }
+  /// What sources of `light` that are saturated in every exposure really send, where this frame can tell; empty where
+  /// it cannot.
+  std::vector<lighting::Completion> complete(const capture::Frame& frame,
+                                             const lighting::LightEstimate& light);
+  /// The light's share of process(): relights objects and renews shadows where something changed visibly.
+  bool update_light(const lighting::LightEstimate& light, double seconds);
+  /// From now on time counts: what is traced live keeps to its own, and clips are relit by whatever does it fastest. Before,
+  /// results are the same on every machine.
+  void keep_time();
+
+ private:
+  // In the bake frame. Sides that nothing else is near see `open`.
+  struct ObjectLight {
+    RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
+    std::array<RadianceSh, kSides> side;
+    std::array<float, kSides> floor_hidden{};  // of the floor that the side would see alone
+    std::array<Rgb, kSides> instead{};         // exit radiance of a white side by what hides it
+    RadianceSh discs{1};  // for the light that object and floor reflect; 1 band without discs
+    std::array<RadianceSh, kSides> side_discs;
+    RadianceSh receiver_discs{1};  // what of them the object has to reflect onto the floor
+    Rgb disc_irradiance;           // of the open receiver
+  };
+  struct Object {
+    const PreparedObject* prepared;
+    int handle;
+    std::optional<ObjectLight> light_used{};
+    std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
+    std::optional<RelightPatterns> patterns{};                        // none of an animation
+    std::vector<float> relit{};                                       // exit radiance of the object
+    std::vector<float> taken{};  // of the receiver's irradiance/pi
+    std::vector<float> more{};   // scratch: what is added to either
+    // Alone, without what real things take already, and without what other objects take.
+    shadows::PlanarShadow shadow{}, past_real{}, shared{};
+  };
+  struct ViewCamera {
+    capture::CameraInfo info;
+    Vignetting vignetting;
+    double least_share;  // of the light that the lens leaves anywhere
+    std::optional<CodeCurve> curve8{}, curve16{};
+  };
+
+  ComposeStage(std::unique_ptr<compositor::Compositor> compositor, DiscStage discs,
+               FloorCompletion completion, const PreparedScene& scene,
+               std::unique_ptr<PreparedScene> moving, StageTimes& times)
+      : compositor_(std::move(compositor)),
+        moving_(std::move(moving)),
+        scene_(scene),
+        discs_(std::move(discs)),
+        completion_(std::move(completion)),
+        surroundings_(scene),
+        lamps_(scene),
+        real_(scene),
+        times_(times) {}
+  static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
+  ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
+                       const std::vector<Pose>& poses) const;
+  void see_surroundings(std::size_t index, const RadianceSh& light, const std::vector<Pose>& poses,
+                        const lighting::ShRotation& turn, ObjectLight& out) const;
+  void add_discs(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
+                 ObjectLight& out) const;
+  Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
+                             const std::vector<Pose>& poses) const;
+  void relight(Object& object, const ObjectLight& light, std::size_t index) const;
+  void choose_device(Object& object);
+  void relight_part(Object& object, PreparedObject::Part part, const RadianceSh& light,
+                    std::span<float> out) const;
+  void relight_parts(Object& object, PreparedObject::Part own, const RadianceSh& light,
+                     const RadianceSh* reflected, std::span<float> out) const;
+  void compose_shadow(Object& object, const ObjectLight& light) const;
+  void share_shadows(const std::vector<Pose>& poses);
+  bool move_to(double seconds);
+  bool update_object(std::size_t index, const std::vector<Pose>& poses,
+                     const lighting::LightEstimate& light, bool discs_changed, bool moved);
+  const CodeCurve* curve_for(ViewCamera& camera, const FramePixels& pixels);
+  compositor::View view_of(const capture::Frame& frame);
+
+  std::unique_ptr<compositor::Compositor> compositor_;
+  std::unique_ptr<PreparedScene> moving_;  // the scene itself where something in it moves by itself
+  const PreparedScene& scene_;
+  DiscStage discs_;
+  FloorCompletion completion_;
+  Surroundings surroundings_;
+  LampStage lamps_;
+  RealStage real_;
+  bool could_not_complete_ = false;  // was said
+  bool keeps_time_ = false;
+  StageTimes& times_;
+  std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
+  std::vector<Object> objects_;
+  std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
+  std::vector<Rgb> open_;                   // irradiance of each open plane
+  Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
+  std::vector<compositor::DiscShadowOnPlane> on_planes_;
+  bool lit_before_ = false;
+};
+
+}  // namespace penumbra::service

@@ -1,0 +1,133 @@
+// Direct light and shadows of discs in a scene: traced when a disc or an object moved, else kept.
+// threads: thread-bound, parallel inside
+#pragma once
+
+#include <array>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "shadows/silhouette/casters.h"
+#include "shadows/silhouette/disc_shadow.h"
+#include "shadows/silhouette/outline.h"
+#include "shadows/silhouette/outline_memo.h"
+#include "compositor/compositor.h"
+#include "core/result.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/surroundings.h"
+
+namespace penumbra::service {
+
+struct DiscTaps {
+  /// Rays a vertex and disc; on what knows its sight half of them, at least two, for one that sends who faces it less than the
+  /// mean light of all normals (a fill light too, on the side that the others do not reach). By one its shadow is hard.
+  int object = 4;
+  shadows::DiscShadowOptions plane;
+};
+
+class DiscStage {
+ public:
+  /// The scene must outlive the stage.
+  /// errors: kUnavailable (Embree)
+  static Result<DiscStage> create(const PreparedScene& scene, const DiscTaps& taps);
+
+  void set_pose(std::size_t object, const Pose& world_from_bake);
+  /// Follows the mesh of an object that moves by itself.
+  void set_form(std::size_t object);
+  /// Brings everything up to date with the discs and with what stands around. True when anything was traced or a radiance
+  /// changed visibly, relative to `mean_irradiance`. `open_irradiance[p]` is the light of open plane p, discs included: shadows
+  /// of what brings little of it are drawn less finely; none: all finely.
+  bool update(std::span<const lighting::Disc> discs, double mean_irradiance,
+              const Surroundings& around, std::span<const Rgb> open_irradiance = {});
+
+  /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
+  /// there are several.
+  shadows::Blockers blockers() {
+    follow_forms();
+    return rays();
+  }
+  /// How much of a disc's light (by its place in update()'s list) reaches the floor before a side of an object
+  /// past everything else: what there is for the two to reflect.
+  float reflected_share(std::size_t disc, std::size_t object, int side) const {
+    return traced_[disc].floor_share[object][static_cast<std::size_t>(side)];
+  }
+
+  /// Adds the discs' direct light to exit radiance for a unit albedo, in prt::relight's layout.
+  void add_light(std::size_t object, std::span<float> relit) const;
+  /// E0 - E at points of real geometry and what is really left there of the light of all discs, relative irradiance.
+  struct AtVertices {
+    std::vector<Rgb> open, taken, missing;
+  };
+  AtVertices at_vertices(const prt::Mesh& mesh) const;
+
+  /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, discs included.
+  void shadows(std::span<const Rgb> open_irradiance,
+               std::vector<compositor::DiscShadowOnPlane>& out) const;
+
+ private:
+  // Of all sources: the mean over normals, and on planes (none: not known).
+  struct OpenLight {
+    double mean_irradiance;
+    std::span<const Rgb> on_planes;
+  };
+  // How finely a disc is traced, by what it brings.
+  struct Detail {
+    int object_taps = 0;
+    double plane = 0;  // DiscShadowOptions::fineness
+  };
+  struct Traced {
+    Detail detail;            // as it was traced
+    lighting::Disc disc;      // as it is now
+    glm::dvec3 direction{0};  // as it was traced, and its form
+    lighting::Disc::Shape shape{};
+    double radius = 0;
+    std::vector<std::vector<float>> cosine;                  // by object, by vertex
+    std::vector<std::array<float, kSides>> floor_share;      // by object
+    std::vector<std::vector<shadows::DiscShadow>> on_plane;  // by plane, by group of objects
+    std::vector<shadows::DiscShadow> real_on_plane;          // by plane; empty without real things
+  };
+  DiscStage(const PreparedScene& scene, const DiscTaps& taps, prt::RayWorld virtual_things,
+            prt::RayWorld real_things)
+      : scene_(&scene),
+        taps_(taps),
+        virtual_(std::move(virtual_things)),
+        real_(std::move(real_things)) {}
+  shadows::Blockers rays() const { return {&virtual_, &real_, near_m_}; }
+  shadows::Casters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
+  Result<void> add_object(const PreparedObject& object);
+  Result<void> add_real_mesh();
+  void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
+  float smallest_radius() const;  // of the objects, of which there is one
+  /// Building a moved mesh for rays takes a millisecond, which a frame without discs need not spend.
+  void follow_forms();
+  /// `all`: the disc itself is new or has moved; otherwise only what objects that moved can have changed.
+  void trace(Traced& traced, const Surroundings& around, bool all);
+  void trace_planes(Traced& traced);
+  Detail detail_for(const lighting::Disc& disc, const OpenLight& open, const Detail& before) const;
+  bool may_have_changed(std::size_t object, const lighting::Disc& disc) const;
+  std::array<float, kSides> floor_share(std::size_t object, const lighting::Disc& disc,
+                                        const Surroundings& around) const;
+
+  const PreparedScene* scene_;
+  DiscTaps taps_;
+  prt::RayWorld virtual_, real_;
+  std::vector<char> other_form_;  // by object: neither rays nor outlines know its present mesh yet
+  std::vector<Pose> poses_;
+  std::vector<Traced> traced_, before_;
+  std::vector<prt::Mesh> quads_;            // as much of each plane as a shadow can come from
+  std::vector<shadows::Outline> outlines_;  // of the objects, then of real things
+  std::vector<shadows::Outline> coarse_;    // of those that keep their form
+  std::vector<prt::SightLookup> sights_;    // of those of which it was baked
+  std::vector<shadows::Caster> virtual_casters_, real_casters_;
+  // What planes get shadows from, coarse where that is known: under discs that are not broad, and that are. Of real things, by
+  // plane, all but the plane itself.
+  std::array<std::vector<shadows::Caster>, 2> virtual_on_planes_;
+  std::vector<std::vector<shadows::Caster>> real_on_;
+  std::vector<shadows::Neighbourhood> around_;
+  shadows::OutlineMemo memo_;                     // of the disc that is traced
+  std::vector<shadows::BoundingSphere> spheres_;  // around the objects, bake frame
+  std::vector<std::optional<Pose>> moved_from_;   // by object, since the last update
+  float near_m_ = 1e-4f;
+};
+
+}  // namespace penumbra::service

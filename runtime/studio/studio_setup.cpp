@@ -1,0 +1,106 @@
+#include "runtime/studio/studio_setup.h"
+
+#include <filesystem>
+
+#include "runtime/pipeline/light_file.h"
+#include "runtime/studio/prop_world.h"
+
+namespace penumbra::service {
+
+namespace {
+
+// A real thing as a rig's owner would describe it: about as large as the objects, where they leave room.
+RealGeometry place_prop(const std::string& asset, bool behind) {
+  RealGeometry prop;
+  prop.mesh = asset;
+  prop.albedo = Rgb{.55f, .42f, .3f};
+  prop.position = behind ? glm::dvec3(.12, 0, -.42) : glm::dvec3(.45, 0, -.15);
+  prop.stand = true;
+  prop.stand_size_m = .42;
+  return prop;
+}
+
+std::string name_of(const std::string& asset) {
+  constexpr std::string_view kBuiltIn = "builtin:";
+  return asset.starts_with(kBuiltIn) ? asset.substr(kBuiltIn.size())
+                                     : std::filesystem::path(asset).stem().string();
+}
+
+Result<std::shared_ptr<const capture::World>> with_prop(
+    std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& prop,
+    const std::function<void(double)>& progress) {
+  auto mesh = load_asset(prop.mesh, *prop.albedo, 0);
+  if (!mesh) return std::unexpected(mesh.error());
+  prt::transform(*mesh, world_from_mesh(prop, *mesh));
+  auto world = PropWorld::make(std::move(floor), std::move(*mesh), progress);
+  if (!world) return fail(world.error().code, prop.mesh, world.error().detail);
+  return std::move(*world);
+}
+
+}  // namespace
+
+Result<StudioSetup> set_up_studio(
+    const StudioRequest& r,
+    const std::function<std::function<void(double)>(const std::string&)>& progress) {
+  StudioSetup out;
+  Image<Rgb> map;
+  if (r.environment) {
+    auto light = read_light(*r.environment, std::nullopt);
+    if (!light) return std::unexpected(light.error());
+    auto latlong = capture::to_latlong(light->file);
+    if (!latlong) return std::unexpected(latlong.error());
+    map = std::move(*latlong);
+  } else {
+    map = capture::make_room_environment(4096, 2048);
+  }
+  auto world = capture::FloorWorld::make(std::move(map));
+  if (!world)
+    return fail(world.error().code, r.environment.value_or("environment"), world.error().detail);
+  const std::shared_ptr<const capture::FloorWorld> floor_world = std::move(*world);
+  out.world = floor_world;
+
+  capture::StudioOptions& o = out.options;
+  o.view_width = r.width;
+  o.view_height = r.height;
+  o.view_focal_px = 1.15 * r.height * 16 / 9 / 1.4;  // 60 degrees across at 16:9
+  o.world_from_view =
+      capture::look_at({.25, capture::FloorWorld::kCaptureHeight, 1.75}, {.02, .3, 0});
+  o.view_fps = r.fps;
+  o.view_frames = r.frames;
+  o.clip = r.clip;
+  o.sensor.response = calib::Response::srgb();
+
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  floor.albedo = floor_world->mean_floor_albedo();
+  out.scene.real.push_back(floor);
+  if (r.prop) {
+    out.scene.real.push_back(place_prop(*r.prop, r.animated));
+    auto furnished = with_prop(floor_world, out.scene.real.back(), progress("light on the prop"));
+    if (!furnished) return std::unexpected(furnished.error());
+    out.world = std::move(*furnished);
+  }
+  SceneObject still;
+  still.asset = r.asset.value_or(r.animation ? "builtin:walker" : "builtin:knot");
+  still.animation = r.animation.value_or("");
+  still.name = name_of(still.asset);
+  still.albedo = {.62f, .60f, .57f};
+  still.stand = true;
+  still.stand_size_m = r.animation ? .8 : .5;
+  if (r.animated) still.position = {-.22, 0, .05};
+  out.scene.objects.push_back(still);
+  if (r.animated) {
+    SceneObject turning;
+    turning.asset = "builtin:twist";
+    turning.name = "twist";
+    turning.albedo = {.66f, .32f, .18f};
+    turning.position = {.42, 0, -.12};
+    turning.stand = true;
+    turning.stand_size_m = .5;
+    turning.spin_rpm = 10;
+    out.scene.objects.push_back(turning);
+  }
+  return out;
+}
+
+}  // namespace penumbra::service

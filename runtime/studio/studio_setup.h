@@ -1,0 +1,36 @@
+// The built-in studio as demo and serve use it.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "capture/studio/studio.h"
+#include "capture/studio/world.h"
+#include "runtime/scene/scene.h"
+
+namespace penumbra::service {
+
+struct StudioSetup {
+  std::shared_ptr<const capture::World> world;
+  capture::StudioOptions options;
+  Scene scene;
+};
+
+struct StudioRequest {
+  std::optional<std::string> environment{}, asset{}, animation{}, prop{};
+  bool animated = true;
+  int width = 1280, height = 720;
+  double fps = 30;
+  int frames = 90;
+  int clip = 0;
+};
+
+/// Environment (the built-in room without one), cameras and the scene: an object (the knot, or the asset, half a metre
+/// large; with a clip .8 m) and a turning one, with a prop among them if one is wanted.
+Result<StudioSetup> set_up_studio(
+    const StudioRequest& request,
+    const std::function<std::function<void(double)>(const std::string&)>& progress);
+
+}  // namespace penumbra::service

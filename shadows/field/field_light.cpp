@@ -1,0 +1,250 @@
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cmath>
+
+#include "lighting/basis.h"
+#include "lighting/irradiance.h"
+#include "shadows/field/planar_shadow.h"
+#include "core/conventions.h"
+#include "core/parallel.h"
+#include "shadows/field/internal/field_kernel.h"
+#include "shadows/field/occlusion_field.h"
+
+namespace penumbra::shadows {
+
+namespace {
+
+constexpr int kMaxValues = kMaxFieldBands * kMaxFieldBands;
+
+// ------------------------------------------------------------------------------------- products
+
+struct TripleTerm {
+  int i, j, k;
+  float value;
+};
+
+// Y_lm is a function of z times cos m phi or sin m phi, so a triple product is an integral over z
+// times one over phi; the rules for both are exact for the degrees that occur.
+class TripleProducts {
+ public:
+  static const TripleProducts& get() {
+    static const TripleProducts products;
+    return products;
+  }
+  double value(int i, int j, int k) const;
+  // All that are not zero, in ascending i.
+  std::span<const TripleTerm> terms() const { return terms_; }
+
+ private:
+  static constexpr int kDegree = 2 * (kMaxBands - 1) + kMaxFieldBands - 1;
+  static constexpr int kNodes = kDegree + 1;
+  using Samples = std::array<double, kNodes>;
+
+  TripleProducts();
+
+  std::array<Samples, kMaxCoefficients> along_, around_;  // the factors of Y_n
+  Samples weight_;                                        // of the product of both rules
+  std::vector<TripleTerm> terms_;
+};
+
+TripleProducts::TripleProducts() {
+  for (std::size_t s = 0; s < kNodes; ++s) {
+    // Fejer's first rule in z = cos theta (Waldvogel 2006); even steps in phi.
+    const double theta = kPi * (static_cast<double>(s) + .5) / kNodes;
+    const double phi = 2 * kPi * static_cast<double>(s) / kNodes;
+    double sum = 1;
+    for (int j = 1; j <= kNodes / 2; ++j) sum -= 2 * std::cos(2 * j * theta) / (4. * j * j - 1);
+    weight_[s] = 2 * sum / kNodes * (2 * kPi / kNodes);
+    double basis[kMaxCoefficients];
+    lighting::evaluate_basis(kMaxBands, {std::sin(theta), 0, std::cos(theta)}, basis);
+    for (int l = 0; l < kMaxBands; ++l)
+      for (int m = -l; m <= l; ++m) {
+        const auto n = static_cast<std::size_t>(sh_index(l, m));
+        along_[n][s] = basis[sh_index(l, std::abs(m))];
+        around_[n][s] = m < 0 ? std::sin(-m * phi) : std::cos(m * phi);
+      }
+  }
+  for (int i = 0; i < kMaxCoefficients; ++i)
+    for (int j = 0; j < kMaxValues; ++j)
+      for (int k = 0; k < kMaxCoefficients; ++k)
+        if (const double v = value(i, j, k); v != 0)
+          terms_.push_back({i, j, k, static_cast<float>(v)});
+}
+
+double TripleProducts::value(int i, int j, int k) const {
+  constexpr double kRounding = 1e-10;
+  const auto a = static_cast<std::size_t>(i), b = static_cast<std::size_t>(j),
+             c = static_cast<std::size_t>(k);
+  double around = 0, along = 0;
+  for (std::size_t s = 0; s < kNodes; ++s) around += around_[a][s] * around_[b][s] * around_[c][s];
+  if (std::abs(around) < kRounding) return 0;  // most of them
+  for (std::size_t s = 0; s < kNodes; ++s)
+    along += weight_[s] * along_[a][s] * along_[b][s] * along_[c][s];
+  const double product = along * around;
+  return std::abs(product) < kRounding ? 0 : product;
+}
+
+// ------------------------------------------------------------------------------------- cosine
+
+// The bands of the clamped cosine that are used. It has no third one: the fourth stands in its
+// place.
+constexpr int kLobeBands = 5;
+constexpr int kLobeTerms = FieldLight::kLobeTerms;
+static_assert(kLobeTerms == 9 + 9);
+
+// Where coefficient n of a function stands among the lobe's; -1 where the cosine has none.
+int lobe_term(int n) {
+  return n < 9 ? n : n < 16 ? -1 : n < 25 ? n - 7 : -1;
+}
+
+// Y_n of five bands, `stride` values each, to the lobe's terms in place.
+void close_ranks(auto* basis, int stride) {
+  std::copy_n(basis + 16 * stride, 9 * stride, basis + 9 * stride);
+}
+
+float cosine_factor(int n) {
+  return static_cast<float>(
+      lighting::cosine_coefficient(static_cast<int>(std::sqrt(static_cast<double>(n) + .5))));
+}
+
+}  // namespace
+
+double triple_product(int i, int j, int k) {
+  assert(i >= 0 && i < kMaxCoefficients && j >= 0 && j < kMaxValues && k >= 0 &&
+         k < kMaxCoefficients);
+  return TripleProducts::get().value(i, j, k);
+}
+
+// ------------------------------------------------------------------------------------- light
+
+FieldLight::FieldLight(const RadianceSh& light, int field_bands)
+    : light_(light), field_bands_(field_bands) {
+  assert(field_bands >= 1 && field_bands <= kMaxFieldBands);
+  const int values = coefficient_count(field_bands);
+  const auto add = [&](int j, int n, float factor, const Rgb& l) {
+    if (lobe_term(n) < 0) return;
+    float* const at = &matrix_[static_cast<std::size_t>((j * kLobeTerms + lobe_term(n)) * 3)];
+    for (int c = 0; c < 3; ++c) at[c] += factor * l[c];
+  };
+  for (const TripleTerm& t : TripleProducts::get().terms()) {
+    if (t.i >= coefficient_count(kLobeBands)) break;
+    if (t.j < values && t.k < light.size()) add(t.j, t.i, t.value * cosine_factor(t.i), light[t.k]);
+  }
+  for (int n = 0; n < light.size(); ++n) add(values, n, cosine_factor(n), light[n]);
+}
+
+Rgb FieldLight::deficit(std::span<const float> blocked, const glm::vec3& normal) const {
+  assert(blocked.size() == static_cast<std::size_t>(coefficient_count(field_bands_)));
+  double lobe[kLobeBands * kLobeBands];
+  lighting::evaluate_basis(kLobeBands, normal, lobe);
+  close_ranks(lobe, 1);
+  double sum[3] = {};
+  const float* m = matrix_.data();
+  for (const float b : blocked)
+    for (int i = 0; i < kLobeTerms; ++i)
+      for (int c = 0; c < 3; ++c) sum[c] += lobe[i] * static_cast<double>(b * *m++);
+  return {static_cast<float>(sum[0]), static_cast<float>(sum[1]), static_cast<float>(sum[2])};
+}
+
+RadianceSh FieldLight::seen_through(std::span<const float> blocked) const {
+  assert(blocked.size() == static_cast<std::size_t>(coefficient_count(field_bands_)));
+  RadianceSh out = light_;
+  const int values = static_cast<int>(blocked.size());
+  for (const TripleTerm& t : TripleProducts::get().terms()) {
+    if (t.i >= light_.size()) break;
+    if (t.j >= values || t.k >= light_.size()) continue;
+    out[t.i] += light_[t.k] * (-t.value * blocked[static_cast<std::size_t>(t.j)]);
+  }
+  return out;
+}
+
+// ------------------------------------------------------------------------------------- ratios
+
+// Sixteen receiver points, one in each lane.
+class RatioBlock {
+ public:
+  RatioBlock(const OcclusionField& field, const FieldLight& light, const Pose& bake_from_world)
+      : field_(field),
+        light_(light),
+        rotation_(bake_from_world.rotation_matrix()),
+        translation_(bake_from_world.translation) {
+    // The irradiance of a surface under the mean radiance alone is A_0 l_0 Y_0.
+    const float of_mean = kLeastIrradiance * static_cast<float>(std::sqrt(kPi) / 2);
+    for (int c = 0; c < 3; ++c) least_[c] = of_mean * light.light_[0][c];
+    std::fill_n(one_, kFieldLanes, 1.f);
+  }
+
+  void run(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
+           std::span<const Rgb> discs, std::span<Rgb> ratios) {
+    const int values = coefficient_count(field_.bands);
+    look_up(positions, normals, static_cast<std::size_t>(values));
+    const float* const matrix = light_.matrix_.data();
+    alignas(64) float deficit[3 * kFieldLanes], open[3 * kFieldLanes];
+    sum_bilinear(matrix, values, kLobeTerms, lobe_, blocked_, deficit);
+    sum_bilinear(matrix + values * kLobeTerms * 3, 1, kLobeTerms, lobe_, one_, open);
+    for (std::size_t p = 0; p < ratios.size(); ++p)
+      for (int c = 0; c < 3; ++c) {
+        const std::size_t at = static_cast<std::size_t>(c * kFieldLanes) + p;
+        ratios[p][c] = ratio(deficit[at], open[at] + (discs.empty() ? 0 : discs[p][c]), least_[c]);
+      }
+  }
+
+ private:
+  void look_up(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
+               std::size_t values) {
+    float blocked[kMaxValues];
+    for (std::size_t p = 0; p < positions.size(); ++p) {
+      const glm::vec3 n = rotation_ * normals[p];
+      x_[p] = n.x, y_[p] = n.y, z_[p] = n.z;
+      blocked_at(field_, rotation_ * positions[p] + translation_, {blocked, values});
+      for (std::size_t j = 0; j < values; ++j) blocked_[j * kFieldLanes + p] = blocked[j];
+    }
+    lighting::evaluate_basis_block(kLobeBands, x_, y_, z_, lobe_);
+    close_ranks(lobe_, kFieldLanes);
+  }
+
+  static float ratio(float deficit, float open, float least) {
+    if (!(least > 0 && open > least)) return 1;
+    const float s = std::clamp(1 - deficit / open, 0.f, 1.5f);
+    if (!std::isfinite(s)) return 1;
+    const float t = std::min(1.f, open / least - 1);
+    return 1 + (s - 1) * t * t * (3 - 2 * t);
+  }
+
+  const OcclusionField& field_;
+  const FieldLight& light_;
+  glm::mat3 rotation_;
+  glm::vec3 translation_;
+  float least_[3];
+  alignas(64) float x_[kFieldLanes] = {}, y_[kFieldLanes] = {}, z_[kFieldLanes] = {};
+  alignas(64) float one_[kFieldLanes];
+  alignas(64) float blocked_[kMaxValues * kFieldLanes] = {};
+  alignas(64) float lobe_[kLobeBands * kLobeBands * kFieldLanes];
+};
+
+Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
+                          const Pose& bake_from_world, const FieldReceiver& receiver,
+                          std::span<Rgb> ratios) {
+  const std::size_t points = receiver.positions.size();
+  const bool discs = !receiver.disc_irradiance.empty();
+  if (receiver.normals.size() != points || ratios.size() != points ||
+      (discs && receiver.disc_irradiance.size() != points))
+    return fail(ErrorCode::kInvalid, "receiver", "its lists differ in length");
+  if (field.bands != light.field_bands())
+    return fail(ErrorCode::kInvalid, "light", "was made for a field of other bands");
+  constexpr std::size_t kLanes = kFieldLanes, kBlocksPerTask = 64;
+  const std::size_t blocks = (points + kLanes - 1) / kLanes;
+  parallel_for(std::size_t{0}, blocks, kBlocksPerTask, [&](const auto& range) {
+    RatioBlock block(field, light, bake_from_world);
+    for (std::size_t b = range.begin(); b < range.end(); ++b) {
+      const std::size_t first = b * kLanes, count = std::min(kLanes, points - first);
+      const auto part = [&](auto span) { return span.subspan(first, count); };
+      block.run(part(receiver.positions), part(receiver.normals),
+                discs ? part(receiver.disc_irradiance) : receiver.disc_irradiance, part(ratios));
+    }
+  });
+  return {};
+}
+
+}  // namespace penumbra::shadows

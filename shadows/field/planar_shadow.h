@@ -1,0 +1,74 @@
+// What a virtual object does to the light on the real plane under it.
+// threads: reentrant; compose_planar_shadow does not allocate once `out` has its size
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/result.h"
+#include "core/sh.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/receiver.h"
+
+namespace penumbra::shadows {
+
+/// The ratio s = E/E0 on the receiver at the texels of the object's ground grid. Exactly 1 where
+/// the object's influence cannot be seen.
+struct PlanarShadow {
+  Image<Rgb> ratio;
+  /// Texels [x0, x1) x [y0, y1) that hold everything different from 1; empty when x0 >= x1.
+  int x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+  bool empty() const { return x0 >= x1 || y0 >= y1; }
+};
+
+/// Ratios closer to 1 than this are 1 (a third of an 8-bit sRGB code at most); up to twice as far
+/// they are faded in, so that the border cannot be seen. This is what keeps the touched area small.
+inline constexpr float kInvisibleRatio = .003f;
+/// Where E0 is below this share of the mean over all directions, the ratio form has no footing: s
+/// = 1.
+inline constexpr float kLeastIrradiance = .05f;
+
+/// Light on a receiver, in its bake frame.
+struct ReceiverLight {
+  ReceiverLight(const RadianceSh& rest_) : rest(rest_) {}  // NOLINT: light without discs is light
+  RadianceSh rest;                                         // without the discs
+  RadianceSh discs{1};  // the discs in spherical harmonics, for the light that the object reflects
+  Rgb disc_irradiance;  // E of all discs on the open receiver, W/m^2 relative
+};
+
+/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, less what it reflects of `discs`, in
+/// prt::relight's layout.
+struct ReceiverChange {
+  const prt::GroundGrid& grid;
+  int bands;  // of the deficit
+  std::size_t stride;
+  std::span<const float> taken;
+};
+void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
+                           PlanarShadow& out);
+
+/// s = 1 - (sum l_n S_n - light reflected from discs)/E0 from the baked deficit basis S_n, clamped to 0..1.5,
+/// faded to 1 over the outer tenth of the grid. E0 counts the discs; what of them the object blocks is
+/// DiscShadow's. `light` in the bake frame: a yaw of the object is a rotation of the light.
+/// in:     object with a receiver
+/// errors: kInvalid (no receiver)
+Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
+                                   PlanarShadow& out);
+
+struct PlacedShadow {
+  const prt::BakedObject* object;
+  Pose world_from_bake;  // both on one plane
+  const PlanarShadow* shadow;
+};
+
+/// Shadows of two objects are multiplied where they meet, which darkens twice where both block the same
+/// directions. This changes the second's ratio (`out`, a copy of second.shadow) so that the product is 1 - (d_a + d_b -
+/// what they block in common), the common part from the correlation of their deficits over all directions. It
+/// lies within max(d) .. min(1, sum d); equal objects in one place darken once, separate directions add up. So with
+/// what both brighten by reflected light.
+/// threads: reentrant, parallel inside; no allocation
+void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
+
+}  // namespace penumbra::shadows

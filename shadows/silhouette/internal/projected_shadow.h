@@ -1,0 +1,19 @@
+// Hard shadows of meshes on a plane from many directions at once, exact at every node of a grid.
+#pragma once
+
+#include <span>
+
+#include "core/image.h"
+#include "shadows/silhouette/internal/outline_sides.h"
+
+namespace penumbra::shadows {
+
+/// Adds at every node the weights of the directions that virtual things block and real ones don't (`taken`), and of those
+/// that real ones block (`missing`, unless it is empty). What stands lower than near_m blocks nothing.
+/// threads: reentrant but for the memo; no allocation after a thread's largest call but its
+/// source: shadows from points of the source averaged (Heckbert & Herf 1997), each drawn as the winding number of its
+/// outline: every triangle counts one layer in what it covers, and between two that face the light alike the edge cancels
+void add_projected_shadows(const Casters& casters, const NodeGrid& grid, const TapBeam& light,
+                           OutlineMemo& memo, Image<float>& taken, Image<float>& missing);
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,72 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+
+#include "calib/camera/mirror_ball.h"
+#include "capture/device/rig.h"
+#include "capture/frames.h"
+#include "capture/recording/recording.h"
+#include "tools/penumbra/commands.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+Result<std::vector<capture::CameraInfo>> cameras_of(const std::string& path) {
+  if (!path.ends_with(".toml")) {
+    PENUMBRA_ASSIGN(source, capture::open_capture(path));
+    return source->cameras();
+  }
+  PENUMBRA_ASSIGN(rig, capture::read_rig_cameras(path));
+  std::vector<capture::CameraInfo> out;
+  for (capture::RigCamera& c : rig) out.push_back(std::move(c.info));
+  return out;
+}
+
+Result<calib::BallOutline> parse_outline(const std::string& text,
+                                         const std::vector<capture::CameraInfo>& cameras) {
+  const auto invalid = [&](const char* why) { return fail(ErrorCode::kInvalid, text, why); };
+  const std::size_t colon = text.rfind(':');
+  if (colon == std::string::npos) return invalid("expected NAME:x,y,radius");
+  const auto camera = std::ranges::find(cameras, text.substr(0, colon), &capture::CameraInfo::name);
+  if (camera == cameras.end()) return fail(ErrorCode::kNotFound, text, "no camera of that name");
+  double numbers[3];
+  const char *at = text.data() + colon + 1, *const end = text.data() + text.size();
+  for (int i = 0; i < 3; ++i) {
+    const auto [next, error] = std::from_chars(at, end, numbers[i]);
+    if (error != std::errc() || (i < 2 ? next == end || *next != ',' : next != end))
+      return invalid("expected NAME:x,y,radius");
+    at = next + 1;
+  }
+  return calib::BallOutline{camera->name,
+                            camera->projection,
+                            camera->world_from_camera,
+                            {numbers[0], numbers[1]},
+                            numbers[2]};
+}
+
+}  // namespace
+
+Result<void> calibrate_ball(const CalibrateBallOptions& o) {
+  PENUMBRA_ASSIGN(cameras, cameras_of(o.cameras));
+  std::vector<calib::BallOutline> outlines;
+  for (const std::string& text : o.outlines) {
+    PENUMBRA_ASSIGN(outline, parse_outline(text, cameras));
+    outlines.push_back(outline);
+  }
+  PENUMBRA_ASSIGN(place, calib::locate_ball(outlines, o.radius_m, o.sigma_px));
+  const auto& [c, s] = place;
+  if (o.json)
+    print_json(
+        {{"centre_m", {c.x, c.y, c.z}}, {"sigma_m", {s.x, s.y, s.z}}, {"radius_m", o.radius_m}});
+  else
+    fmt::print(
+        "[camera.ball]\ncentre_m = [{:.4f}, {:.4f}, {:.4f}]  # +- {:.1f} {:.1f} {:.1f} mm\n"
+        "radius_m = {}\n",
+        c.x, c.y, c.z, 1000 * s.x, 1000 * s.y, 1000 * s.z, o.radius_m);
+  return {};
+}
+
+}  // namespace penumbra::service

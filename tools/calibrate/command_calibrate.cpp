@@ -1,0 +1,259 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#include "calib/camera/projection.h"
+#include "calib/camera/response.h"
+#include "calib/estimate/boards.h"
+#include "calib/estimate/camera_calibration.h"
+#include "calib/estimate/estimate_response.h"
+#include "capture/frames.h"
+#include "codec/codec.h"
+#include "core/files.h"
+#include "core/toml_keys.h"
+#include "tools/common/bracket_files.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/common/camera_film.h"
+#include "tools/penumbra/commands.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+#include "service/rig_config.h"
+#include "service/rig_source.h"
+#include "service/stop_signal.h"
+
+namespace penumbra::service {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Found {
+  std::vector<calib::BoardView> views;
+  int width = 0, height = 0;
+  std::size_t pictures = 0;
+};
+
+// A picture of another size than the first is another camera's.
+Result<void> look_at_picture(const FramePixels& pixels, const calib::Board& board,
+                             const std::string& name, Found& found) {
+  const int w = capture::width(pixels), h = capture::height(pixels);
+  if (found.pictures++ == 0) {
+    found.width = w;
+    found.height = h;
+  }
+  if (w != found.width || h != found.height)
+    return fail(ErrorCode::kInvalid, name,
+                fmt::format("{}x{}, the first picture {}x{}", w, h, found.width, found.height));
+  if (auto view = calib::find_board(pixels, board, name)) found.views.push_back(std::move(*view));
+  return {};
+}
+
+Result<Found> look_at_pictures(const std::vector<std::string>& pictures,
+                               const calib::Board& board) {
+  Found found;
+  const auto progress = progress_bar("looking for the board");
+  for (const std::string& picture : pictures) {
+    PENUMBRA_ASSIGN(pixels, codec::read_frame(picture));
+    PENUMBRA_TRY(look_at_picture(pixels, board, picture, found));
+    if (progress)
+      progress(static_cast<double>(found.pictures) / static_cast<double>(pictures.size()));
+  }
+  return found;
+}
+
+// Ninths of the picture without a corner, as one would tell somebody who holds the board.
+std::string empty_parts(const Found& found) {
+  constexpr const char* kRows[] = {"top", "middle", "bottom"};
+  constexpr const char* kColumns[] = {"left", "centre", "right"};
+  bool seen[3][3] = {};
+  for (const calib::BoardView& view : found.views)
+    for (const glm::dvec2& px : view.pixels) {
+      const auto third = [](double at, int size) {
+        return std::clamp(static_cast<int>(3 * at / size), 0, 2);
+      };
+      seen[third(px.y, found.height)][third(px.x, found.width)] = true;
+    }
+  std::string text;
+  for (int y = 0; y < 3; ++y)
+    for (int x = 0; x < 3; ++x)
+      if (!seen[y][x])
+        text += fmt::format("{}{} {}", text.empty() ? "" : ", ", kRows[y], kColumns[x]);
+  return text.empty() ? "corners everywhere" : "no corners yet: " + text;
+}
+
+bool is_rig(const std::string& path) {
+  return path.ends_with(".toml");
+}
+
+Result<CameraFilm> open_film(const std::string& path, const std::string& camera) {
+  if (!is_rig(path)) return CameraFilm::open(path, camera);
+  PENUMBRA_ASSIGN(config, read_rig_config(path, false));
+  PENUMBRA_ASSIGN(rig, open_rig(config));
+  return CameraFilm::of(std::move(rig.source), path, camera);
+}
+
+// Pictures of one camera of a capture or a live rig, so far apart in time that the board has moved.
+Result<Found> look_at_capture(const CalibrateCameraOptions& o, const calib::Board& board) {
+  PENUMBRA_ASSIGN(film, open_film(*o.capture, o.camera));
+  const bool endless = is_rig(*o.capture);
+  Found found;
+  std::optional<TimestampNs> first, last;
+  const auto progress = progress_line();
+  const std::atomic<bool>* const stop = endless ? &catch_stop_signals() : nullptr;
+  for (;;) {
+    PENUMBRA_ASSIGN(frame, film.next());
+    if (!frame || (stop && *stop)) break;
+    if (!first) first = frame->time;
+    if (endless && (frame->time - *first).count() > o.seconds) break;
+    if (last && (frame->time - *last).count() < o.every_s) continue;
+    last = frame->time;
+    PENUMBRA_TRY(look_at_picture(*frame->pixels, board,
+                                 fmt::format("{} frame {}", o.camera, frame->sequence), found));
+    progress(fmt::format("{} pictures, board in {}; {}", found.pictures, found.views.size(),
+                         empty_parts(found)));
+  }
+  progress("");
+  return found;
+}
+
+std::string list(const glm::dvec2& v) {
+  return fmt::format("[{}, {}]", v.x, v.y);
+}
+
+std::string list(const std::array<double, 5>& v, int count) {
+  return fmt::format("[{}]", fmt::join(v.begin(), v.begin() + count, ", "));
+}
+
+// As [[camera]] of rig.toml and capture.toml takes it; [calibration] tells how sure it is.
+std::string print_camera_file(const std::string& name, const calib::CameraCalibration& c,
+                              std::string_view board) {
+  const calib::Projection& p = c.projection;
+  const int k = calib::distortion_count(p.kind);
+  std::string text = fmt::format(
+      "version = 1\n\n[[camera]]\nname = {}\nrole = \"{}\"\nwidth = {}\nheight = {}\n"
+      "projection = \"{}\"\nfocal_px = {}\nprincipal_px = {}\n",
+      toml_quoted(name), p.kind == calib::ProjectionKind::kPinhole ? "view" : "environment",
+      p.width, p.height, calib::projection_name(p.kind), list(p.focal_px), list(p.principal_px));
+  if (p.is_distorted()) text += fmt::format("distortion = {}\n", list(p.distortion, k));
+  text += fmt::format(
+      "\n[calibration]  # one standard deviation each\nboard = {}\nboards = {}\nrms_px = {}\n"
+      "focal_sigma_px = {}\nprincipal_sigma_px = {}\n",
+      toml_quoted(board), std::ranges::count(c.boards, true, &calib::BoardFit::used), c.rms_px,
+      list(c.focal_sigma_px), list(c.principal_sigma_px));
+  if (p.is_distorted()) text += fmt::format("distortion_sigma = {}\n", list(c.distortion_sigma, k));
+  return text;
+}
+
+nlohmann::json to_json(const calib::CameraCalibration& c, const Found& found) {
+  const calib::Projection& p = c.projection;
+  const auto pair = [](const glm::dvec2& v) { return nlohmann::json{v.x, v.y}; };
+  const auto some = [&](const std::array<double, 5>& v) {
+    return std::vector<double>(v.begin(), v.begin() + calib::distortion_count(p.kind));
+  };
+  nlohmann::json boards = nlohmann::json::array();
+  for (const calib::BoardFit& b : c.boards)
+    boards.push_back({{"name", b.name}, {"rms_px", b.rms_px}, {"used", b.used}});
+  return {{"projection", calib::projection_name(p.kind)},
+          {"width", p.width},
+          {"height", p.height},
+          {"focal_px", pair(p.focal_px)},
+          {"focal_sigma_px", pair(c.focal_sigma_px)},
+          {"principal_px", pair(p.principal_px)},
+          {"principal_sigma_px", pair(c.principal_sigma_px)},
+          {"distortion", some(p.distortion)},
+          {"distortion_sigma", some(c.distortion_sigma)},
+          {"rms_px", c.rms_px},
+          {"coverage", c.coverage},
+          {"reach", c.reach},
+          {"pictures", found.pictures},
+          {"boards", boards}};
+}
+
+void print_table(const calib::CameraCalibration& c, const Found& found) {
+  const calib::Projection& p = c.projection;
+  const auto used = std::ranges::count(c.boards, true, &calib::BoardFit::used);
+  fmt::print("{} pictures, board found in {}, used {}: {:.3f} px RMS\n", found.pictures,
+             c.boards.size(), used, c.rms_px);
+  fmt::print("focal      {:10.3f} {:10.3f} px  +- {:.3f} {:.3f}\n", p.focal_px.x, p.focal_px.y,
+             c.focal_sigma_px.x, c.focal_sigma_px.y);
+  fmt::print("principal  {:10.3f} {:10.3f} px  +- {:.3f} {:.3f}\n", p.principal_px.x,
+             p.principal_px.y, c.principal_sigma_px.x, c.principal_sigma_px.y);
+  for (int i = 0; i < calib::distortion_count(p.kind); ++i) {
+    const auto n = static_cast<std::size_t>(i);
+    fmt::print("distortion {:10.6f}             +- {:.6f}\n", p.distortion[n],
+               c.distortion_sigma[n]);
+  }
+  fmt::print("corners in {:.0f} % of an 8 x 6 grid, out to {:.0f} % of the half diagonal\n",
+             100 * c.coverage, 100 * c.reach);
+  for (const calib::BoardFit& b : c.boards)
+    if (!b.used)
+      fmt::print("left out: {} ({})\n", b.name,
+                 b.residuals_px.empty() ? "too far from the axis for a first guess of its pose"
+                                        : fmt::format("{:.2f} px off", b.rms_px));
+}
+
+}  // namespace
+
+Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
+  PENUMBRA_ASSIGN(board, calib::parse_board(o.board));
+  PENUMBRA_ASSIGN(kind, calib::projection_kind(o.projection));
+  if (!calib::has_intrinsics(kind))
+    return fail(ErrorCode::kInvalid, o.projection,
+                "has nothing to calibrate; pinhole, equidistant, kb4 and double-sphere have");
+  if (!(o.every_s >= 0 && o.every_s < 1e6))
+    return fail(ErrorCode::kInvalid, "--every", "not a number of seconds");
+  if (o.pictures.empty() == !o.capture)
+    return fail(ErrorCode::kInvalid, "calibrate camera", "needs either pictures or --capture");
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
+  PENUMBRA_ASSIGN(found,
+                  o.capture ? look_at_capture(o, board) : look_at_pictures(o.pictures, board));
+  if (found.pictures > 0 && found.views.empty())
+    return fail(ErrorCode::kUndetermined, "camera calibration",
+                fmt::format("the board was found in none of {} pictures: does --board say its kind "
+                            "and counts (inner corners; 4x4_50 markers; tags 36h11)?",
+                            found.pictures));
+  if (found.pictures == 0) return fail(ErrorCode::kUndetermined, o.camera, "no frame of it");
+  PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height,
+                                                  {.undistorted = o.undistorted}));
+  PENUMBRA_TRY(write_bytes(o.output, print_camera_file(o.camera, result, o.board)));
+  if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
+  if (o.json)
+    print_json(to_json(result, found));
+  else
+    print_table(result, found);
+  return {};
+}
+
+Result<void> calibrate_response(const CalibrateResponseOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
+  if (o.captures.empty() && (o.images.empty() || o.times.empty()))
+    return fail(ErrorCode::kInvalid, "calibrate response",
+                "needs images with --times, or --capture with --camera");
+  PENUMBRA_ASSIGN(stack, o.captures.empty() ? read_bracket(o.images, o.times)
+                                            : average_clips(o.captures, o.camera));
+  const std::string& first = o.captures.empty() ? o.images[0] : o.captures[0];
+  if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
+    return fail(ErrorCode::kUndetermined, first,
+                "only the response of 8-bit pictures is estimated");
+  const EightBitBracket bracket = eight_bit_bracket(stack);
+  PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
+  const std::string text =
+      fmt::format("# from {} pictures; one standard deviation, of full scale: {:.5f}\n{}",
+                  stack.frames.size(), result.sigma, calib::print_response_file(result.response));
+  PENUMBRA_TRY(write_bytes(o.output, text));
+  if (o.report) PENUMBRA_TRY(write_response_report(*o.report, result));
+  if (o.json)
+    print_json({{"pictures", stack.frames.size()},
+                {"sigma", result.sigma},
+                {"between_places", result.between_places ? nlohmann::json(*result.between_places)
+                                                         : nlohmann::json()}});
+  else
+    fmt::print("{}: response of {} pictures, uncertain by {:.2f} % of full scale\n", o.output,
+               stack.frames.size(), 100 * result.sigma);
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,113 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+
+#include "calib/estimate/colour_calibration.h"
+#include "capture/environment/shared_surfaces.h"
+#include "capture/frames.h"
+#include "capture/recording/recording.h"
+#include "core/conventions.h"
+#include "core/files.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/penumbra/commands.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+Result<std::vector<calib::ColourPair>> pairs_of_chart(const capture::StillPicture& environment,
+                                                      const capture::StillPicture& view) {
+  constexpr std::size_t kFewest = 12;
+  const auto find = [](const capture::StillPicture& p) {
+    return calib::find_colour_chart(p.radiance, p.clipped, p.camera.name);
+  };
+  PENUMBRA_ASSIGN(source, find(environment));
+  PENUMBRA_ASSIGN(target, find(view));
+  std::vector<calib::ColourPair> out;
+  for (std::size_t i = 0; i < source.size(); ++i)
+    if (source[i] && target[i]) out.push_back({*source[i], *target[i]});
+  if (out.size() < kFewest)
+    return fail(
+        ErrorCode::kUndetermined, "colour calibration",
+        fmt::format("only {} patches of the chart are neither clipped nor black in both pictures, "
+                    "{} are needed: add shorter and longer exposures",
+                    out.size(), kFewest));
+  return out;
+}
+
+std::vector<calib::ColourPair> pairs_of_surroundings(const capture::StillPicture& environment,
+                                                     const capture::StillPicture& view,
+                                                     double turned_rad = 0) {
+  std::vector<calib::ColourPair> out;
+  for (const capture::SharedSurface& s : capture::shared_surfaces(environment, view, turned_rad))
+    out.push_back(s.colours);
+  return out;
+}
+
+// Even surroundings, or surfaces that only one camera sees, fit some matrix, too: but then as well when the pictures
+// are turned against each other.
+Result<void> check_same_surfaces(const capture::StillPicture& environment,
+                                 const capture::StillPicture& view, calib::ColourModel model,
+                                 const calib::ColourCalibration& found) {
+  constexpr double kTurn = 8 * kPi / 180, kClearly = .7;
+  for (const double turn : {-kTurn, kTurn}) {
+    const auto turned =
+        calib::calibrate_colour(pairs_of_surroundings(environment, view, turn), model);
+    if (turned && found.rms > kClearly * turned->rms)
+      return fail(ErrorCode::kUndetermined, "colour calibration",
+                  fmt::format("the pictures fit as they are within {:.1f} %, turned by 8 degrees "
+                              "against each other within {:.1f} %: what both see is too even, or "
+                              "near things hide it; use --chart, or take the cameras out of doors",
+                              100 * found.rms, 100 * turned->rms));
+  }
+  return {};
+}
+
+nlohmann::json to_json(const glm::dmat3& m) {
+  nlohmann::json rows = nlohmann::json::array();
+  for (int r = 0; r < 3; ++r) rows.push_back({m[0][r], m[1][r], m[2][r]});
+  return rows;
+}
+
+void print_table(const calib::ColourCalibration& c, const CalibrateColourOptions& o) {
+  fmt::print("{} = matrix * {}; {} of {} surfaces agree, {:.2f} % RMS\n", o.view, o.environment,
+             std::ranges::count(c.used, true), c.used.size(), 100 * c.rms);
+  for (int r = 0; r < 3; ++r)
+    fmt::print("{:9.5f} {:9.5f} {:9.5f}   +- {:.5f} {:.5f} {:.5f}\n", c.matrix[0][r],
+               c.matrix[1][r], c.matrix[2][r], c.sigma[0][r], c.sigma[1][r], c.sigma[2][r]);
+}
+
+}  // namespace
+
+Result<void> calibrate_colour(const CalibrateColourOptions& o) {
+  PENUMBRA_ASSIGN(model, calib::colour_model(o.model));
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(pictures, capture::merge_still(*source, {o.environment, o.view}));
+  const capture::StillPicture &environment = pictures[0], &view = pictures[1];
+  if (environment.camera.role != capture::Role::kEnvironment ||
+      view.camera.role != capture::Role::kView)
+    return fail(ErrorCode::kInvalid, "--environment, --view",
+                fmt::format("{} and {} have other roles in the capture", o.environment, o.view));
+  PENUMBRA_ASSIGN(pairs, o.chart ? pairs_of_chart(environment, view)
+                                 : Result<std::vector<calib::ColourPair>>(
+                                       pairs_of_surroundings(environment, view)));
+  PENUMBRA_ASSIGN(result, calib::calibrate_colour(pairs, model));
+  if (!o.chart) PENUMBRA_TRY(check_same_surfaces(environment, view, model, result));
+  PENUMBRA_TRY(write_bytes(o.output, calib::print_colour_file(result, o.environment, o.view)));
+  if (o.report) PENUMBRA_TRY(write_colour_report(*o.report, result, pairs));
+  if (o.json)
+    print_json({{"matrix", to_json(result.matrix)},
+                {"sigma", to_json(result.sigma)},
+                {"rms", result.rms},
+                {"surfaces", result.used.size()},
+                {"used", std::ranges::count(result.used, true)}});
+  else
+    print_table(result, o);
+  return {};
+}
+
+}  // namespace penumbra::service

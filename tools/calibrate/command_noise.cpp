@@ -1,0 +1,86 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <map>
+
+#include "calib/estimate/noise_calibration.h"
+#include "capture/frames.h"
+#include "core/files.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/common/camera_film.h"
+#include "tools/penumbra/commands.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+struct Film {
+  capture::CameraInfo camera;
+  std::vector<calib::StillSeries> series;  // one an exposure and gain
+};
+
+Result<Film> read_film(const std::string& path, const std::string& name) {
+  constexpr std::size_t kMostExposures = 16;
+  PENUMBRA_ASSIGN(frames, CameraFilm::open(path, name));
+  std::map<std::pair<double, double>, calib::StillSeries> by_exposure;  // time, gain
+  const auto progress = progress_count("frames looked at");
+  std::size_t count = 0;
+  while (true) {
+    PENUMBRA_ASSIGN(frame, frames.next());
+    if (!frame) break;
+    const double gain = frame->exposure.gain.value();
+    const auto [series, added] = by_exposure.try_emplace(
+        std::pair(frame->exposure.time.count(), gain), calib::StillSeries(gain));
+    if (by_exposure.size() > kMostExposures)
+      return fail(
+          ErrorCode::kUndetermined, path,
+          fmt::format("more than {} exposures: take them by hand, a few in turn", kMostExposures));
+    PENUMBRA_TRY(
+        series->second.add(*frame->pixels, fmt::format("{} frame {}", name, frame->sequence)));
+    progress(++count);
+  }
+  Film out{frames.camera(), {}};
+  for (auto& [exposure, series] : by_exposure) out.series.push_back(std::move(series));
+  return out;
+}
+
+nlohmann::json to_json(const calib::NoiseCalibration& c) {
+  return {{"full_well_electrons", c.model.full_well_electrons},
+          {"full_well_sigma", c.full_well_sigma},
+          {"read_fraction", c.model.read_fraction},
+          {"read_sigma", c.read_sigma},
+          {"black_level", c.black_level},
+          {"error", c.error},
+          {"points", c.points.size()}};
+}
+
+}  // namespace
+
+Result<void> calibrate_noise(const CalibrateNoiseOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
+  PENUMBRA_ASSIGN(film, read_film(o.capture, o.camera));
+  std::vector<calib::StillSeries> capped;
+  if (o.capped) {
+    PENUMBRA_ASSIGN(dark, read_film(*o.capped, o.camera));
+    capped = std::move(dark.series);
+  }
+  PENUMBRA_ASSIGN(result, calib::calibrate_noise(film.series, capped, film.camera.response,
+                                                 film.camera.black_level));
+  PENUMBRA_TRY(write_bytes(o.output, calib::print_noise_file(result)));
+  if (o.report) PENUMBRA_TRY(write_noise_report(*o.report, result));
+  if (o.json)
+    print_json(to_json(result));
+  else
+    fmt::print(
+        "full well {:.0f} +- {:.0f} electrons, read noise {:.5f} +- {:.5f} of full scale, black "
+        "{:.5f}; "
+        "{} points, {:.1f} % off the model\n",
+        result.model.full_well_electrons, result.full_well_sigma, result.model.read_fraction,
+        result.read_sigma, result.black_level, result.points.size(), 100 * result.error);
+  return {};
+}
+
+}  // namespace penumbra::service

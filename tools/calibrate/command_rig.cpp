@@ -1,0 +1,247 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+
+#include "calib/estimate/boards.h"
+#include "calib/estimate/rig_calibration.h"
+#include "capture/frames.h"
+#include "capture/recording/recording.h"
+#include "core/conventions.h"
+#include "core/files.h"
+#include "core/toml_keys.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/penumbra/commands.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+#include "tools/calibrate/tracker_file.h"
+
+namespace penumbra::service {
+
+namespace {
+
+struct Seen {
+  std::vector<calib::RigCameraInput> cameras;
+  std::vector<calib::RigObservation> boards;
+  std::size_t pictures = 0;
+};
+
+// Index into the rig's cameras of each of the capture's; nothing where it takes no part.
+Result<std::vector<std::optional<std::size_t>>> choose_cameras(
+    const CalibrateRigOptions& o, const std::vector<capture::CameraInfo>& all, Seen& seen) {
+  std::vector<std::optional<std::size_t>> out(all.size());
+  std::vector<std::string> names = o.cameras;
+  if (names.empty())
+    for (const capture::CameraInfo& c : all) names.push_back(c.name);
+  for (const std::string& name : names) {
+    const auto camera = std::ranges::find(all, name, &capture::CameraInfo::name);
+    if (camera == all.end())
+      return fail(ErrorCode::kNotFound, name, "no camera of that name in the capture");
+    auto& index = out[static_cast<std::size_t>(camera - all.begin())];
+    if (index) return fail(ErrorCode::kInvalid, name, "named twice");
+    index = seen.cameras.size();
+    seen.cameras.push_back({name, camera->projection});
+  }
+  return out;
+}
+
+// Frames of one moment, and then none until `every_s` has passed.
+Result<Seen> look(const CalibrateRigOptions& o, const calib::Board& board) {
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  Seen seen;
+  PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
+  if (seen.cameras.size() == 1 && !o.tracker && o.board_lies.empty())
+    return fail(ErrorCode::kInvalid, seen.cameras[0].name,
+                "one camera alone has no place: give --tracker or --board-lies");
+  const auto progress = progress_count("pictures looked at");
+  std::optional<double> moment;
+  constexpr double kJitter = .0005;  // seconds
+  while (true) {
+    PENUMBRA_ASSIGN(frame, source->next());
+    if (!frame) return seen;
+    const auto camera = index_of[static_cast<std::size_t>(frame->camera)];
+    if (!camera) continue;
+    const double time = (frame->time - TimestampNs{}).count();
+    if (!moment || time - *moment >= o.every_s - kJitter) moment = time;
+    if (time - *moment > o.simultaneous_s) continue;
+    progress(++seen.pictures);
+    const std::string name =
+        fmt::format("{} frame {}", seen.cameras[*camera].name, frame->sequence);
+    if (auto view = calib::find_board(*frame->pixels, board, name))
+      seen.boards.push_back({*camera, time, std::move(*view)});
+  }
+}
+
+// The world of a board that lies on the floor, face up, or hangs on a wall: +y up.
+Result<Pose> world_from_board(const std::string& lies) {
+  if (lies == "floor") return Pose{glm::angleAxis(-kPi / 2, glm::dvec3(1, 0, 0)), {0, 0, 0}};
+  if (lies == "wall") return Pose{};
+  return fail(ErrorCode::kInvalid, "--board-lies", lies + ": expected floor or wall");
+}
+
+// The mean of a board that stood still.
+Result<Pose> still_board(const calib::RigCalibration& c) {
+  constexpr double kMoved_m = .01, kTurned = .5 * kPi / 180;
+  const Pose& first = c.rig_from_board.front().rig_from_board;
+  glm::dvec3 place(0);
+  glm::dquat turn(0, 0, 0, 0);
+  for (const auto& [time_s, board] : c.rig_from_board) {
+    const glm::dquat q =
+        glm::dot(board.rotation, first.rotation) < 0 ? -board.rotation : board.rotation;
+    const double angle = 2 * std::acos(std::min(1., glm::dot(q, first.rotation)));
+    if (glm::length(board.translation - first.translation) > kMoved_m || angle > kTurned)
+      return fail(
+          ErrorCode::kUndetermined, "--board-lies",
+          fmt::format("the board or the cameras moved: at {:.2f} s it lies {:.0f} mm and {:.1f} "
+                      "degrees from where it lay first",
+                      time_s, 1000 * glm::length(board.translation - first.translation),
+                      angle * 180 / kPi));
+    place += board.translation / static_cast<double>(c.rig_from_board.size());
+    turn = turn + q;
+  }
+  return Pose{glm::normalize(turn), place};
+}
+
+std::string_view frame_name(const CalibrateRigOptions& o) {
+  return o.tracker ? "tracked body" : o.board_lies.empty() ? "first camera" : "board";
+}
+
+std::string print_pose_file(const CalibrateRigOptions& o, const Seen& seen,
+                            const calib::RigCalibration& c, const std::vector<Pose>& poses) {
+  std::string text =
+      fmt::format("version = 1\n\n[rig]\nframe = \"{}\"\nboard = {}\nrms_px = {:.4g}\n",
+                  frame_name(o), toml_quoted(o.board), c.rms_px);
+  if (c.tracker_offset_s)
+    text += fmt::format(
+        "tracker_offset_s = {:.6f}  # camera time + offset = tracker time\n"
+        "tracker_offset_sigma_s = {:.2g}\n",
+        *c.tracker_offset_s, c.tracker_offset_sigma_s);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const glm::dmat4 m = poses[i].matrix();
+    const auto& camera = c.cameras[i];
+    const auto list = [](const glm::dvec3& v, double unit) {
+      return fmt::format("[{:.3g}, {:.3g}, {:.3g}]", unit * v.x, unit * v.y, unit * v.z);
+    };
+    text += fmt::format(
+        "\n[[camera]]\nname = {}\nworld_from_camera = [{}]\nposition_sigma_mm = {}  # one standard "
+        "deviation, against {}\nrotation_sigma_deg = {}\n",
+        toml_quoted(seen.cameras[i].name), fmt::join(&m[0][0], &m[0][0] + 16, ", "),
+        list(camera.position_sigma_m, 1000),
+        o.tracker ? "the tracked body" : "the first camera, in its axes",
+        list(camera.rotation_sigma_rad, 180 / kPi));
+  }
+  return text;
+}
+
+void print_table(const CalibrateRigOptions& o, const Seen& seen, const calib::RigCalibration& c,
+                 const std::vector<Pose>& poses) {
+  fmt::print(
+      "{} pictures, board found in {}, left out {}: {:.3f} px RMS; poses in the frame of the "
+      "{}\n",
+      seen.pictures, seen.boards.size(), c.left_out.size(), c.rms_px, frame_name(o));
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const glm::dvec3 at = 1000. * poses[i].translation,
+                     degrees = glm::eulerAngles(poses[i].rotation) * (180 / kPi);
+    const auto& camera = c.cameras[i];
+    fmt::print(
+        "{:<14} {:9.2f} {:9.2f} {:9.2f} mm +- {:.2f}   {:8.3f} {:8.3f} {:8.3f} deg +- {:.3f}   "
+        "{} boards, {:.3f} px\n",
+        seen.cameras[i].name, at.x, at.y, at.z, 1000 * glm::length(camera.position_sigma_m),
+        degrees.x, degrees.y, degrees.z, 180 / kPi * glm::length(camera.rotation_sigma_rad),
+        camera.boards, camera.rms_px);
+  }
+  if (c.tracker_offset_s)
+    fmt::print("tracker time = camera time + {:.2f} ms +- {:.2f}\n", 1000 * *c.tracker_offset_s,
+               1000 * c.tracker_offset_sigma_s);
+  for (const std::string& name : c.left_out) fmt::print("left out: {}\n", name);
+}
+
+nlohmann::json to_json(const Seen& seen, const calib::RigCalibration& c,
+                       const std::vector<Pose>& poses) {
+  const auto list = [](const glm::dvec3& v) { return nlohmann::json{v.x, v.y, v.z}; };
+  nlohmann::json cameras = nlohmann::json::array();
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const glm::dquat& q = poses[i].rotation;
+    cameras.push_back({{"name", seen.cameras[i].name},
+                       {"position_m", list(poses[i].translation)},
+                       {"rotation_xyzw", {q.x, q.y, q.z, q.w}},
+                       {"position_sigma_m", list(c.cameras[i].position_sigma_m)},
+                       {"rotation_sigma_rad", list(c.cameras[i].rotation_sigma_rad)},
+                       {"boards", c.cameras[i].boards},
+                       {"rms_px", c.cameras[i].rms_px}});
+  }
+  nlohmann::json out = {{"cameras", cameras},
+                        {"rms_px", c.rms_px},
+                        {"pictures", seen.pictures},
+                        {"boards", seen.boards.size()},
+                        {"left_out", c.left_out}};
+  if (c.tracker_offset_s) {
+    out["tracker_offset_s"] = *c.tracker_offset_s;
+    out["tracker_offset_sigma_s"] = c.tracker_offset_sigma_s;
+  }
+  return out;
+}
+
+Result<calib::RigOptions> solver_options(const CalibrateRigOptions& o) {
+  calib::RigOptions out;
+  out.simultaneous_s = o.simultaneous_s;
+  out.tracker_sigma_m = o.tracker_sigma_mm / 1000;
+  out.tracker_sigma_rad = o.tracker_sigma_deg * kPi / 180;
+  if (!(o.every_s >= 0 && o.every_s < 1e6))
+    return fail(ErrorCode::kInvalid, "--every", "not a number of seconds");
+  if (!(o.simultaneous_s >= 0 && o.simultaneous_s <= 1))
+    return fail(ErrorCode::kInvalid, "--simultaneous", "not within 0..1 seconds");
+  const auto sensible = [](double v) { return v > 0 && v < 10; };  // metres, radian
+  if (!sensible(out.tracker_sigma_m) || !sensible(out.tracker_sigma_rad))
+    return fail(ErrorCode::kInvalid, "--tracker-sigma-mm, --tracker-sigma-deg",
+                "not positive, or beyond all sense");
+  if (o.tracker && o.simultaneous_s > calib::RigOptions().simultaneous_s)
+    return fail(ErrorCode::kInvalid, "--simultaneous",
+                "not above .005 s with --tracker: the rig moves meanwhile");
+  if (!o.tracker) return out;
+  if (!o.board_lies.empty())
+    return fail(ErrorCode::kInvalid, "--board-lies", "not with --tracker, which has a world");
+  PENUMBRA_ASSIGN(tracker, read_tracker_file(*o.tracker));
+  out.tracker = std::move(tracker);
+  return out;
+}
+
+}  // namespace
+
+Result<void> calibrate_rig(const CalibrateRigOptions& o) {
+  PENUMBRA_ASSIGN(board, calib::parse_board(o.board));
+  PENUMBRA_ASSIGN(options, solver_options(o));
+  std::optional<Pose> board_in_world;
+  if (!o.board_lies.empty()) {
+    PENUMBRA_ASSIGN(pose, world_from_board(o.board_lies));
+    board_in_world = pose;
+  }
+  PENUMBRA_TRY(check_writable(o.output));
+  if (o.report) PENUMBRA_TRY(make_folder(*o.report));
+  PENUMBRA_ASSIGN(seen, look(o, board));
+  if (seen.boards.empty())
+    return fail(
+        ErrorCode::kUndetermined, "rig calibration",
+        fmt::format("the board was found in none of {} pictures: does --board say its kind and "
+                    "counts?",
+                    seen.pictures));
+  PENUMBRA_ASSIGN(result, calib::calibrate_rig(seen.cameras, seen.boards, options));
+  Pose file_from_rig;
+  if (board_in_world) {
+    PENUMBRA_ASSIGN(board_pose, still_board(result));
+    file_from_rig = *board_in_world * board_pose.inverse();
+  }
+  std::vector<Pose> poses;
+  for (const calib::RigCameraPose& c : result.cameras)
+    poses.push_back(file_from_rig * c.rig_from_camera);
+  PENUMBRA_TRY(write_bytes(o.output, print_pose_file(o, seen, result, poses)));
+  if (o.report) PENUMBRA_TRY(write_rig_report(*o.report, seen.cameras, poses, result));
+  if (o.json)
+    print_json(to_json(seen, result, poses));
+  else
+    print_table(o, seen, result, poses);
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,177 @@
+#include "tools/chart/chart_bench.h"
+
+#include <oneapi/tbb/global_control.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+
+#include "core/conventions.h"
+#include "tools/chart/flip.h"
+#include "tools/chart/governor_bench.h"
+#include "runtime/shading/compose_stage.h"
+#include "tools/common/progress.h"
+
+namespace penumbra::service {
+
+namespace {
+
+constexpr int kRuns = 9, kManyDiscs = 32;
+constexpr int kWidth = 192, kHeight = 144;
+
+prt::PinholeView make_view() {
+  return {kWidth,
+          kHeight,
+          {210, 210},
+          {kWidth / 2., kHeight / 2.},
+          capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
+}
+
+// The same light turned a little about a slanting axis, so that nothing of the last run can be kept.
+lighting::LightEstimate turned(const lighting::LightEstimate& light, double radians) {
+  const glm::dmat3 turn =
+      glm::mat3_cast(glm::angleAxis(radians, glm::normalize(glm::dvec3(1, 1, .5))));
+  lighting::LightEstimate out = light;
+  const lighting::ShRotation rotation(turn, light.light.bands());
+  out.light = rotation * light.light;
+  out.floor_light = rotation * light.floor_light;
+  for (lighting::Disc& d : out.discs) {
+    d.direction = turn * d.direction;
+    for (glm::dvec3& s : d.shape) s = turn * s;
+  }
+  return out;
+}
+
+// Every update with another light.
+LightTime time_updates(ComposeStage& stage, const lighting::LightEstimate& light) {
+  constexpr double kTurn = .01;  // radians: more than DiscStage overlooks
+  const int runs = light.discs.size() > kManyDiscs ? 1 : kRuns;  // these take seconds
+  return time_single_threaded(
+      runs, [&](int run) { stage.update_light(turned(light, kTurn * (runs - run)), 0); });
+}
+
+// With what a look-up asks first.
+std::size_t of_sight(const prt::VertexSight& s) {
+  return s.open.size() * sizeof(s.open[0]) + s.fine.size() * sizeof(s.fine[0]) +
+         s.refined.size() * (sizeof(s.refined[0]) + sizeof(prt::SightHead));
+}
+
+}  // namespace
+
+prt::Transfer with_bands(const prt::Transfer& t, int bands) {
+  if (bands >= t.bands) return t;
+  prt::Transfer out(bands, t.channels, t.points);
+  const auto kept = static_cast<std::ptrdiff_t>(out.values.size()) / t.channels;
+  for (int c = 0; c < t.channels; ++c)
+    std::copy_n(t.values.begin() + static_cast<std::ptrdiff_t>(t.index(c, 0, 0)), kept,
+                out.values.begin() + c * kept);
+  return out;
+}
+
+PreparedScene ChartScene::prepared_with(int bands) const {
+  PreparedScene out = prepared_;
+  for (PreparedObject& o : out.objects) {
+    o.baked.transfer = with_bands(o.baked.transfer, bands);
+    o.baked.ground_deficit = with_bands(o.baked.ground_deficit, bands);
+  }
+  return out;
+}
+
+Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
+  ChartScene bench;
+  const std::string stem = std::filesystem::path(asset).stem().string();
+  bench.name_ = asset.starts_with("builtin:") ? asset.substr(8) : stem;
+  SceneObject object;
+  object.asset = asset;
+  object.name = bench.name_;
+  object.albedo = {.6f, .6f, .6f};
+  object.stand = true;
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  floor.albedo = Rgb{.4f, .4f, .4f};
+  BakeSettings settings;
+  settings.bands = kMaxBands;
+  settings.rays = settings.ground_rays = rays;
+  auto prepared = prepare({{object}, {floor}}, settings, progress_bar);
+  if (!prepared) return std::unexpected(prepared.error());
+  bench.prepared_ = std::move(*prepared);
+  bench.view_ = make_view();
+  auto masks = make_masks(bench.prepared_, bench.view_);
+  if (!masks) return std::unexpected(masks.error());
+  bench.masks_ = std::move(*masks);
+  return bench;
+}
+
+Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
+                                    const lighting::CostModel& costs) {
+  lighting::DiscSplit split;
+  PENUMBRA_TRY(lighting::split_discs(environment, {}, split));
+  auto rest = lighting::project_latlong(split.rest, kMaxBands);
+  if (!rest) return std::unexpected(rest.error());
+  const lighting::Governor::Limits limits;
+  const lighting::ErrorTable table({&rest->above, split.discs}, shadow_probes(scene.prepared()),
+                                   limits.most_bands, limits.most_discs);
+  return lighting::Governor({}, costs).cheapest(table, limits.budget);
+}
+
+Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error) {
+  const StillScene in = scene.in(environment);
+  auto empty = render_real(in, error, {});
+  if (!empty) return std::unexpected(empty.error());
+  auto full = render_reference(in, true, error, std::nullopt, progress_bar("reference"));
+  if (!full) return std::unexpected(full.error());
+  return Truth{std::move(*empty), std::move(*full)};
+}
+
+LightTime time_single_threaded(int runs, const std::function<void(int)>& work) {
+  const tbb::global_control one_thread(tbb::global_control::max_allowed_parallelism, 1);
+  std::vector<double> ms;
+  for (int run = 0; run < runs; ++run) {
+    const auto start = std::chrono::steady_clock::now();
+    work(run);
+    ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
+                     .count());
+  }
+  std::ranges::sort(ms);
+  const auto last = static_cast<double>(ms.size() - 1);
+  return {ms[ms.size() / 2], ms[static_cast<std::size_t>(std::lround(.99 * last))]};
+}
+
+Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
+                         const lighting::LightEstimate& light, const DiscTaps& taps,
+                         const Truth& truth) {
+  auto stage = make_still_stage(scene, bench.view(), taps);
+  if (!stage) return std::unexpected(stage.error());
+  Measured out;
+  out.time = time_updates(**stage, light);
+  auto ours = composite_still(**stage, bench.view(), light, truth.empty);
+  if (!ours) return std::unexpected(ours.error());
+  out.accuracy = compare_pictures(*ours, truth.full, truth.empty, bench.masks());
+  if (auto flip = hdr_flip(truth.full.radiance, ours->radiance)) out.flip = mean_flip(*flip);
+  return out;
+}
+
+Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
+                               const lighting::LightEstimate& light, const DiscTaps& taps) {
+  auto stage = make_still_stage(scene, bench.view(), taps);
+  if (!stage) return std::unexpected(stage.error());
+  return time_updates(**stage, light);
+}
+
+std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size) {
+  std::size_t bytes = 0;
+  const auto of = [](const prt::Transfer& t) { return t.values.size() * sizeof(t.values[0]); };
+  for (const PreparedObject& o : scene.objects) {
+    bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
+    if (discs == 0) continue;
+    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) + of_sight(o.baked.sight);
+    bytes += discs *
+             (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
+              o.baked.transfer.points) *
+             sizeof(float);
+  }
+  return bytes;
+}
+
+}  // namespace penumbra::service

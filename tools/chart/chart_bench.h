@@ -1,0 +1,78 @@
+// The harness behind `chart`: one scene, one reference a light, and any method measured against it.
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "tools/chart/accuracy.h"
+#include "tools/chart/chart_plot.h"
+#include "runtime/scene/scene.h"
+#include "tools/common/still.h"
+
+namespace penumbra::service {
+
+/// As if it had been baked with so many bands, at most those that there are: the same coefficients, further ones left out.
+prt::Transfer with_bands(const prt::Transfer& transfer, int bands);
+
+/// An object on a 40 % grey floor before a camera that sees both.
+class ChartScene {
+ public:
+  /// rays: of the bake, a vertex and a receiver texel
+  /// errors: as prepare and make_masks
+  static Result<ChartScene> make(const std::string& asset, int rays);
+
+  const std::string& name() const { return name_; }
+  /// Baked with kMaxBands.
+  const PreparedScene& prepared() const { return prepared_; }
+  /// As if it had been baked with so many.
+  PreparedScene prepared_with(int bands) const;
+  const Masks& masks() const { return masks_; }
+  StillScene in(const Image<Rgb>& environment) const { return {&prepared_, &environment, view_}; }
+  const prt::PinholeView& view() const { return view_; }
+
+ private:
+  std::string name_;
+  PreparedScene prepared_;
+  Masks masks_;
+  prt::PinholeView view_;
+};
+
+/// What the governor takes for one environment by itself, as the program does at its default budget.
+/// errors: as split_discs and project_latlong
+Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
+                                    const lighting::CostModel& costs);
+
+/// What every method is held against.
+struct Truth {
+  Still empty;  // the floor without the object
+  Still full;   // path traced with it
+};
+/// errors: as render_reference
+Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error);
+
+struct LightTime {
+  double p50_ms = 0, p99_ms = 0;
+};
+
+/// Composite under `light` and figures against the truth. `scene` may treat the objects in another way than
+/// the bench's own does.
+struct Measured {
+  Accuracy accuracy;
+  double flip = 0;
+  LightTime time;  // of ComposeStage::update_light on one thread, everything traced anew
+};
+Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
+                         const lighting::LightEstimate& light, const DiscTaps& taps,
+                         const Truth& truth);
+
+/// Its time alone, once more.
+Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
+                               const lighting::LightEstimate& light, const DiscTaps& taps);
+
+/// Median and 99th percentile of so many runs of `work` on one thread.
+LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
+
+/// The baked coefficients and the discs' maps, in bytes.
+std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size);
+
+}  // namespace penumbra::service

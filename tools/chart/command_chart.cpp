@@ -1,0 +1,526 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <map>
+
+#include "capture/environment/environment_file.h"
+#include "capture/studio/environments.h"
+#include "core/conventions.h"
+#include "core/files.h"
+#include "tools/chart/baselines.h"
+#include "tools/chart/chart_bench.h"
+#include "tools/penumbra/commands.h"
+#include "tools/chart/flicker.h"
+#include "tools/chart/governor_bench.h"
+#include "runtime/pipeline/light_file.h"
+#include "tools/common/output.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+constexpr int kBakeRays = 1024, kTruncatedBakeRays = 8192;
+constexpr int kFlickerMaps = 6;
+// A machine that others use too is a third slower from one second to the next. What is cheap is timed again after all
+// the others, so that points that are compared have seen the same seconds.
+constexpr int kRounds = 5;
+constexpr double kCheap_ms = 15;
+
+struct Environment {
+  std::string name;
+  Image<Rgb> map;
+};
+
+Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
+  std::vector<Environment> out;
+  for (const std::string& path : o.environments) {
+    auto light = read_light(path, std::nullopt);
+    if (!light) return std::unexpected(light.error());
+    auto map = capture::to_latlong(light->file);
+    if (!map) return std::unexpected(map.error());
+    out.push_back({std::filesystem::path(path).stem().string(), std::move(*map)});
+  }
+  if (!o.environments.empty() && !o.with_procedural) return out;
+  out.push_back({"room", capture::make_room_environment(1024, 512)});
+  out.push_back({"clear-sky", capture::make_sky_environment(1024, 512, .8)});
+  return out;
+}
+
+// One way to light the scene, as the chart's columns describe it.
+struct Method {
+  std::string label = "discs and bands";
+  bool baseline = false;
+  int bands = 5, most_discs = 8, map_size = 256, rows = 0, bake_rays = kBakeRays;
+  DiscTaps taps;
+  int age_columns = 0;  // how far the map has turned since the light was measured
+  double update_rate = 1;
+  bool chosen = false;
+  bool default_plan = false;
+};
+
+Method with(const std::function<void(Method&)>& change) {
+  Method m;
+  change(m);
+  m.taps.plane.size = m.map_size;
+  return m;
+}
+
+// Around the default, one axis at a time, and bands against discs.
+std::vector<Method> sweep(const ChartOptions& o) {
+  std::vector<Method> out{with([](Method& m) { m.default_plan = true; })};
+  if (!o.bands.empty()) {
+    out.clear();
+    for (const int b : o.bands)
+      out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = o.discs; }));
+    return out;
+  }
+  for (const int b : {1, 2, 3, 4, 5, 6, 9})
+    out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = 0; }));
+  for (const int b : {2, 3, 5})
+    for (const int k : {1, 2})
+      out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = k; }));
+  for (const int b : {2, 3, 4, 6, 9}) out.push_back(with([&](Method& m) { m.bands = b; }));
+  for (const int t : {1, 4, 64})
+    out.push_back(
+        with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
+  const auto cheaply = [](Method& m, int b, int k, int size) {
+    m.bands = b, m.most_discs = k, m.map_size = size, m.rows = 256;
+    m.taps.plane.taps = 4, m.taps.object = 1;
+  };
+  // A head that turns by a degree a frame: the oldest light in use.
+  const auto every = [](Method& m, int frames) {
+    m.update_rate = 1. / frames, m.age_columns = 3 * (frames - 1);
+  };
+  for (const int b : {2, 3, 5})
+    for (const int k : {1, 8}) {
+      for (const int s : {128, 256}) out.push_back(with([&](Method& m) { cheaply(m, b, k, s); }));
+      out.push_back(with([&](Method& m) { cheaply(m, b, k, 128), every(m, 2); }));
+    }
+  for (const int b : {2, 3, 5}) out.push_back(with([&](Method& m) { cheaply(m, b, 1, 384); }));
+  for (const int s : {32, 64, 128, 512}) out.push_back(with([&](Method& m) { m.map_size = s; }));
+  for (const int r : {16, 32, 64, 128}) out.push_back(with([&](Method& m) { m.rows = r; }));
+  for (const int r : {64, 256, 4096}) out.push_back(with([&](Method& m) { m.bake_rays = r; }));
+  for (const int frames : {2, 4}) out.push_back(with([&](Method& m) { every(m, frames); }));
+  return out;
+}
+
+// Box filter to so many rows.
+Image<Rgb> reduced(const Image<Rgb>& map, int rows) {
+  const int block = std::max(1, map.height() / rows);
+  Image<Rgb> out(map.width() / block, map.height() / block);
+  for (int y = 0; y < out.height(); ++y) {
+    double weight = 0;
+    for (int j = 0; j < block; ++j)
+      weight += latlong_solid_angle(y * block + j, map.width(), map.height());
+    for (int x = 0; x < out.width(); ++x) {
+      Rgb sum;
+      for (int j = 0; j < block; ++j) {
+        const double w = latlong_solid_angle(y * block + j, map.width(), map.height());
+        for (int i = 0; i < block; ++i)
+          sum += map.at(x * block + i, y * block + j) * static_cast<float>(w / weight / block);
+      }
+      out.at(x, y) = sum;
+    }
+  }
+  return out;
+}
+
+Image<Rgb> turned(const Image<Rgb>& map, int columns) {
+  Image<Rgb> out(map.width(), map.height());
+  for (int y = 0; y < map.height(); ++y)
+    std::ranges::rotate_copy(map.row(y), map.row(y).begin() + columns, out.row(y).begin());
+  return out;
+}
+
+using TimeOf = std::function<LightTime()>;
+
+class Charter {
+ public:
+  /// `bench` is of the asset, by kBakeRays.
+  Charter(const ChartOptions& o, const std::string& asset, const ChartScene& bench,
+          std::vector<ChartPoint>& points)
+      : o_(o), asset_(asset), bench_(bench), points_(points) {}
+
+  Result<void> run(const Environment& environment) {
+    if (o_.bands.empty() && costs_.per_disc_ms < 0) {
+      auto costs = fit_costs(baked_with(lighting::Governor::Limits{}.most_bands));
+      if (!costs) return std::unexpected(costs.error());
+      costs_ = *costs;
+    }
+    auto truth = trace_truth(bench_, environment.map, o_.error);
+    if (!truth) return std::unexpected(truth.error());
+    if (o_.bands.empty()) {
+      auto maps = measured_maps(environment.map, kFlickerMaps);
+      if (!maps) return fail(maps.error().code, environment.name, maps.error().detail);
+      maps_ = std::move(*maps);
+    }
+    const std::size_t first = points_.size();
+    timings_.clear();
+    const std::vector<Method> methods = sweep(o_);
+    const auto progress = progress_bar(environment.name);
+    for (std::size_t i = 0; i < methods.size(); ++i) {
+      PENUMBRA_TRY(ours(methods[i], environment, *truth));
+      if (progress) progress(double(i + 1) / double(methods.size()));
+    }
+    if (o_.bands.empty()) {
+      PENUMBRA_TRY(governed(environment, *truth));
+      PENUMBRA_TRY(baselines(environment, *truth));
+      PENUMBRA_TRY(time_again());
+    }
+    for (std::size_t i = first; i < points_.size() && !o_.json; ++i) print(points_[i]);
+    return {};
+  }
+
+ private:
+  // What the program picks by itself with the default budget.
+  Result<void> governed(const Environment& e, const Truth& truth) {
+    auto plan = default_plan(bench_, e.map, costs_);
+    if (!plan) return fail(plan.error().code, e.name, plan.error().detail);
+    Method m;
+    m.label = "governor", m.bands = plan->bands, m.most_discs = plan->discs, m.chosen = true;
+    return ours(m, e, truth);
+  }
+
+  Result<void> ours(const Method& m, const Environment& e, const Truth& truth) {
+    const lighting::EstimateOptions options{m.bands, {m.most_discs, .02}};
+    Image<Rgb> map = seen_by(m, e);
+    auto light = lighting::estimate_map(map, options);
+    if (!light) return fail(light.error().code, e.name, light.error().detail);
+    lighting::LightEstimator estimator(options);
+    penumbra::Environment measured;
+    measured.radiance = std::move(map);
+    const TimeOf estimate = [options, m, &e] {
+      lighting::LightEstimator fresh(options);
+      penumbra::Environment environment;
+      environment.radiance = seen_by(m, e);
+      return time_of(fresh, environment);
+    };
+    const LightOf again = [&estimator, &measured](const Image<Rgb>& newer, TimestampNs time) {
+      measured.radiance = newer;
+      measured.time = time;
+      return estimator.estimate(measured);
+    };
+    const bool may_flicker = m.chosen || m.default_plan;
+    auto scene = baked_for(m);
+    if (!scene) return std::unexpected(scene.error());
+    return add(m, e, **scene, *light, estimate, may_flicker ? again : LightOf(), truth);
+  }
+
+  static Image<Rgb> seen_by(const Method& m, const Environment& e) {
+    Image<Rgb> map = m.age_columns > 0 ? turned(e.map, m.age_columns) : e.map;
+    return m.rows > 0 ? reduced(map, m.rows) : map;
+  }
+
+  const PreparedScene& baked_with(int bands) {
+    const auto [known, is_new] = scenes_.try_emplace({bands, kBakeRays});
+    if (is_new) known->second = bench_.prepared_with(bands);
+    return known->second;
+  }
+  Result<const PreparedScene*> baked_for(const Method& m) {
+    if (m.bake_rays == kBakeRays) return &baked_with(m.bands);
+    const auto [known, is_new] = scenes_.try_emplace({m.bands, m.bake_rays});
+    if (is_new) {
+      auto other = ChartScene::make(asset_, m.bake_rays);
+      if (!other) return std::unexpected(other.error());
+      known->second = other->prepared_with(m.bands);
+    }
+    return &known->second;
+  }
+
+  static LightTime time_of(lighting::LightEstimator& estimator,
+                           const penumbra::Environment& environment) {
+    (void)estimator.estimate(environment);  // makes its tables
+    return time_single_threaded(9, [&](int) { (void)estimator.estimate(environment); });
+  }
+  // What it costs to get so many bands from a map, for those who need nothing else of it.
+  static LightTime projection_time(const Image<Rgb>& map, int bands) {
+    lighting::LightEstimator estimator({bands, {0, 1}});
+    penumbra::Environment environment;
+    environment.radiance = map;
+    return time_of(estimator, environment);
+  }
+
+  Result<void> baselines(const Environment& e, const Truth& truth) {
+    const auto projection = [&e](int bands) -> TimeOf {
+      return [&e, bands] { return projection_time(e.map, bands); };
+    };
+    const TimeOf three_bands = projection(3);
+    const auto plain = [&](const char* label, int bands) {
+      Method m;
+      m.label = label, m.baseline = true, m.bands = bands, m.most_discs = 0;
+      return m;
+    };
+    auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
+    if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
+    const PreparedScene& scene = baked_with(3);
+    PENUMBRA_TRY(add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3,
+                     three_bands, {}, truth));
+    PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, three_bands,
+                     {}, truth));
+    PENUMBRA_TRY(add(plain("ambient occlusion", 3), e, with_ambient_occlusion(scene), *bands3,
+                     three_bands, {}, truth));
+    using MakeLight = std::function<lighting::LightEstimate(const Image<Rgb>&)>;
+    const auto always = [](const MakeLight& make) -> LightOf {
+      return [make](const Image<Rgb>& map, TimestampNs) -> Result<lighting::LightEstimate> {
+        return make(map);
+      };
+    };
+    PENUMBRA_TRY(add(plain("SH9 (Xu 2005)", 3), e, scene, dissertation_light(e.map), three_bands,
+                     always(dissertation_light), truth));
+    // Sampling a map is not counted, in its favour.
+    const auto points = [&](const std::string& label, const MakeLight& make, const TimeOf& estimate,
+                            bool may_flicker) {
+      const lighting::LightEstimate light = make(e.map);
+      Method m = plain("", 1);
+      m.label = label;
+      m.taps = {1, {1, 256}};
+      m.most_discs = static_cast<int>(light.discs.size());
+      return add(m, e, baked_with(1), light, estimate, may_flicker ? always(make) : LightOf(),
+                 truth);
+    };
+    PENUMBRA_TRY(points("ambient and one hard light", phone_light, projection(2), true));
+    for (const int n : {16, 64, 256})
+      PENUMBRA_TRY(points(
+          fmt::format("{} sampled lights", n),
+          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, [] { return LightTime{}; },
+          n == 16));
+    return {};
+  }
+
+  Result<void> add(const Method& m, const Environment& e, const PreparedScene& scene,
+                   const lighting::LightEstimate& light, const TimeOf& estimate,
+                   const LightOf& again, const Truth& truth) {
+    auto measured = measure(bench_, scene, light, m.taps, truth);
+    if (!measured) return std::unexpected(measured.error());
+    const Accuracy& a = measured->accuracy;
+    ChartPoint p;
+    p.environment = e.name;
+    p.mesh = bench_.name();
+    p.method = m.label;
+    p.baseline = m.baseline;
+    p.coefficients = coefficient_count(m.bands);
+    p.discs = static_cast<int>(light.discs.size());
+    p.most_discs = m.most_discs;
+    p.taps = m.taps.plane.taps;
+    p.object_taps = m.taps.object;
+    p.map_size = m.taps.plane.size;
+    p.bake_rays = m.bake_rays;
+    p.environment_rows = m.rows > 0 ? m.rows : e.map.height();
+    p.update_rate = m.update_rate;
+    p.object_rel_rmse = a.object_without_noise;
+    p.object_bias = a.object_bias;
+    p.shadow_rmse = a.shadow_rmse;
+    p.shadow_bias = a.shadow_bias;
+    p.penumbra_error = a.penumbra_error;
+    p.flip = measured->flip;
+    if (again && !maps_.empty()) {
+      auto flicker = measure_flicker(bench_, scene, again, m.taps, truth.empty, maps_);
+      if (!flicker) return std::unexpected(flicker.error());
+      p.flicker = *flicker;
+    }
+    p.chosen = m.chosen;
+    p.bytes = memory_of(scene, light.discs.size(), p.map_size);
+    p.reference_error = a.reference_error;
+    points_.push_back(p);
+    // `scene` of a baseline is gone by the next round, where it is one of its own.
+    timings_.push_back({points_.size() - 1,
+                        m.update_rate,
+                        estimate,
+                        m.taps,
+                        light,
+                        is_baked(scene) ? &scene : nullptr,
+                        {}});
+    add_round(timings_.back(), measured->time);
+    return {};
+  }
+
+  bool is_baked(const PreparedScene& scene) const {
+    return std::ranges::any_of(scenes_, [&](const auto& s) { return &s.second == &scene; });
+  }
+
+  // Of getting the light from its map, and of an update with it.
+  struct Timing {
+    std::size_t point;
+    double rate;  // updates a frame
+    TimeOf estimate;
+    DiscTaps taps;
+    lighting::LightEstimate light;
+    const PreparedScene* scene;
+    std::vector<LightTime> rounds;
+  };
+
+  void add_round(Timing& t, const LightTime& update) {
+    const LightTime estimate = t.estimate();
+    t.rounds.push_back(
+        {t.rate * (update.p50_ms + estimate.p50_ms), update.p99_ms + estimate.p99_ms});
+    const auto median = [&](double LightTime::*which) {
+      std::vector<double> all;
+      for (const LightTime& round : t.rounds) all.push_back(round.*which);
+      std::ranges::nth_element(all, all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2));
+      return all[all.size() / 2];
+    };
+    points_[t.point].ms_p50 = median(&LightTime::p50_ms);
+    points_[t.point].ms_p99 = median(&LightTime::p99_ms);
+  }
+
+  Result<void> time_again() {
+    for (int round = 1; round < kRounds; ++round)
+      for (Timing& t : timings_) {
+        if (!t.scene || t.rounds[0].p50_ms > kCheap_ms) continue;
+        auto update = time_updates(bench_, *t.scene, t.light, t.taps);
+        if (!update) return std::unexpected(update.error());
+        add_round(t, *update);
+      }
+    return {};
+  }
+
+  static void print(const ChartPoint& p) {
+    fmt::print(
+        "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5.2f} {:>9.2f} "
+        "{:>7.2f} "
+        "{:>8.4f} {:>8.4f} {:>7.4f} {:>7.1f} {:>7.2g} {:>8.2f}\n",
+        p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
+        p.environment_rows, p.bake_rays, p.update_rate, 100 * p.object_rel_rmse,
+        100 * p.object_bias, p.shadow_rmse, p.shadow_bias, p.flip, 100 * p.penumbra_error,
+        100 * p.flicker, p.ms_p50);
+  }
+
+  const ChartOptions& o_;
+  const std::string& asset_;
+  const ChartScene& bench_;
+  std::vector<ChartPoint>& points_;
+  std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
+  lighting::CostModel costs_{0, 0, -1};  // until fitted
+  std::map<std::pair<int, int>, PreparedScene> scenes_;  // by bands and rays of the bake
+  std::vector<Timing> timings_;                          // of the environment at hand
+};
+
+// What our own steps cost: both sides under the same truncated light.
+Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
+                             const Environment& environment, std::vector<ChartPoint>& points) {
+  const StillScene in = bench.in(environment.map);
+  auto empty = render_real(in, o.error, {});
+  if (!empty) return std::unexpected(empty.error());
+  auto projection = lighting::project_latlong(environment.map, kMaxBands);
+  if (!projection)
+    return fail(projection.error().code, environment.name, projection.error().detail);
+  for (const int bands : o.bands.empty() ? std::vector{1, 2, 3, 4, 5, 6, 9} : o.bands) {
+    const lighting::LightEstimate light = lighting::make_estimate(*projection, bands);
+    auto truth = render_reference(in, true, o.error, light,
+                                  progress_bar(fmt::format("{} {}", environment.name, bands)));
+    if (!truth) return std::unexpected(truth.error());
+    Still lit = *empty;
+    light_floor(in, light, bench.masks(), lit);
+    auto ours = render_composite(in, light, lit);
+    if (!ours) return std::unexpected(ours.error());
+    const Accuracy a = compare_pictures(*ours, *truth, lit, bench.masks());
+    ChartPoint p;
+    p.environment = environment.name, p.mesh = bench.name(), p.method = "same truncated light";
+    p.coefficients = coefficient_count(bands), p.bake_rays = kTruncatedBakeRays;
+    p.object_rel_rmse = a.object_without_noise, p.object_bias = a.object_bias;
+    p.shadow_rmse = a.shadow_rmse, p.reference_error = a.reference_error;
+    points.push_back(p);
+    if (!o.json)
+      fmt::print(
+          "{:<28.28} {:<8.8} {:>3} object {:.2f} % (reference noise {:.2f} %), bias {:.2f} %, "
+          "shadow {:.4f}\n",
+          p.environment, p.mesh, p.coefficients, 100 * p.object_rel_rmse, 100 * p.reference_error,
+          100 * p.object_bias, p.shadow_rmse);
+  }
+  return {};
+}
+
+Result<void> chart_governor(const ChartOptions& o) {
+  const std::string asset = o.assets.empty() ? "builtin:knot" : o.assets[0];
+  auto bench = ChartScene::make(asset, kBakeRays);
+  if (!bench) return std::unexpected(bench.error());
+  auto costs = fit_costs(bench->prepared_with(lighting::Governor::Limits{}.most_bands));
+  if (!costs) return std::unexpected(costs.error());
+  auto proof = prove_governor(bench->prepared(), *costs, o.budget, o.governor,
+                              progress_bar("random scenes"));
+  if (!proof) return std::unexpected(proof.error());
+  if (o.json) {
+    print_json({{"needed_factor", proof->needed_factor},
+                {"factor", proof->factor},
+                {"calibration_scenes", proof->calibration},
+                {"scenes", proof->scenes},
+                {"promised", proof->promised},
+                {"kept", proof->kept},
+                {"coverage_low", proof->coverage_low},
+                {"mean_regret", proof->mean_regret},
+                {"mean_error", proof->mean_error},
+                {"worst_error", proof->worst_error},
+                {"budget", o.budget}});
+    return {};
+  }
+  fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a disc, one thread\n",
+             costs->base_ms, costs->per_coefficient_ms, costs->per_disc_ms);
+  fmt::print(
+      "{} scenes need a factor of {:.2f}, taken {:.2f}; of {} others {} had a plan within {:.3f}, "
+      "{} kept it (at least {:.1f} % with 95 % confidence)\n",
+      proof->calibration, proof->needed_factor, proof->factor, proof->scenes, proof->promised,
+      o.budget, proof->kept, 100 * proof->coverage_low);
+  fmt::print(
+      "chosen: {:.1f} bands and {:.1f} discs on average, error mean {:.4f} worst {:.4f}; "
+      "{:.1f} times the cost of the cheapest sufficient plan\n",
+      proof->mean_bands, proof->mean_discs, proof->mean_error, proof->worst_error,
+      1 + proof->mean_regret);
+  return {};
+}
+
+}  // namespace
+
+Result<void> chart(const ChartOptions& o) {
+  if (o.governor < 0 || o.governor > 10'000)
+    return fail(ErrorCode::kInvalid, "--governor", "not within 1..10000 scenes");
+  if (!(o.budget > 0 && o.budget <= 1))
+    return fail(ErrorCode::kInvalid, "--budget", "not within 0..1");
+  if (o.discs < 0 || o.discs > 64) return fail(ErrorCode::kInvalid, "--discs", "not within 0..64");
+  if (o.governor > 0) return chart_governor(o);
+  for (int b : o.bands)
+    if (b < 1 || b > kMaxBands)
+      return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
+  if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
+  auto output = OutputFolder::create(o.output);
+  if (!output) return std::unexpected(output.error());
+  auto environments = read_environments(o);
+  if (!environments) return std::unexpected(environments.error());
+  std::vector<std::string> assets = o.assets;
+  if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
+  for (const std::string& asset : assets)  // all of them before the long work
+    PENUMBRA_TRY(load_asset(asset, {.7f, .7f, .7f}, 0));
+  std::vector<ChartPoint> points;
+  if (!o.json && !o.truncated)
+    fmt::print(
+        "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} "
+        "{:>7} "
+        "{:>7} {:>7} {:>8}\n",
+        "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rays", "rate", "object %",
+        "bias %", "shadow s", "bias s", "FLIP", "edge %", "F %", "ms");
+  for (const std::string& asset : assets) {
+    auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
+    if (!bench) return std::unexpected(bench.error());
+    Charter charter(o, asset, *bench, points);
+    for (const Environment& e : *environments)
+      PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
+  }
+  PENUMBRA_TRY(output->begin());
+  PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), chart_csv(points)));
+  if (!o.truncated)
+    if (const auto plots = write_chart_plots(output->work(), points); !plots)
+      spdlog::warn("no plots: {}: {}", plots.error().where, plots.error().detail);
+  PENUMBRA_TRY(output->keep());
+  if (o.json) {
+    print_json({{"rows", chart_json(points)}});
+  } else {
+    fmt::print("{}/accuracy.csv, {}/error-time.svg\n", o.output, o.output);
+  }
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,307 @@
+// Bytes against rendered error of ways to code transfer over a clip.
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+
+#include "capture/studio/environments.h"
+#include "codec/codec.h"
+#include "core/files.h"
+#include "runtime/scene/animated.h"
+#include "tools/penumbra/commands.h"
+#include "tools/common/gnuplot.h"
+#include "runtime/pipeline/light_file.h"
+#include "tools/common/output.h"
+#include "tools/chart/peer_codecs.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+struct Point {
+  std::string coder, setting;
+  std::size_t bytes;
+  double error;  // rendered, relative RMSE
+};
+
+// The clip's transfer as baked, as maps, and the lights that tell what an error looks like.
+class ClipBench {
+ public:
+  static Result<ClipBench> make(const ChartOptions& o, const std::filesystem::path& journal);
+
+  Result<void> run(const std::filesystem::path& scratch, std::vector<Point>& out) const;
+  std::size_t raw_bytes() const { return 4 * maps_.size() * maps_[0].area(); }
+  std::size_t texels() const { return layout_.texels.size(); }
+  int coefficients() const { return coefficient_count(frames_[0].bands); }
+
+ private:
+  double error_of(std::span<const Image<float>> maps) const;
+  double error_of(const prt::TransferSequence& sequence) const;
+  template <class Value>
+  double rendered_error(const Value& value) const;
+  void make_maps();
+
+  prt::SurfaceLayout layout_;
+  std::vector<prt::Transfer> frames_;
+  std::vector<Image<float>> maps_;  // coefficient by coefficient, frame by frame
+  std::vector<std::vector<std::vector<RadianceSh>>> lights_;  // by light, frame, bone
+};
+
+Result<std::vector<RadianceSh>> read_lights(const ChartOptions& o) {
+  std::vector<RadianceSh> out;
+  for (const std::string& path : o.environments) {
+    PENUMBRA_ASSIGN(light, read_light(path, std::nullopt));
+    out.push_back(light.light.light);
+  }
+  if (!out.empty() && !o.with_procedural) return out;
+  for (const Image<Rgb>& map :
+       {capture::make_room_environment(1024, 512), capture::make_sky_environment(1024, 512, .8)}) {
+    PENUMBRA_ASSIGN(light, lighting::project_latlong(map, kMaxBands));
+    out.push_back(light.light);
+  }
+  return out;
+}
+
+Result<ClipBench> ClipBench::make(const ChartOptions& o, const std::filesystem::path& journal) {
+  const std::string asset = o.assets.empty() ? "builtin:walker" : o.assets[0];
+  PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
+  PENUMBRA_ASSIGN(lights, read_lights(o));
+  PENUMBRA_ASSIGN(standing,
+                  standing_character(asset, {.5f, .5f, .5f}, o.animation, size[0], size[1]));
+  prt::Character& character = standing.character;
+  // Grey, so that every coder has one channel to code.
+  std::ranges::fill(character.albedo, Rgb{.5f, .5f, .5f});
+  const prt::Clip& clip = character.clips[static_cast<std::size_t>(standing.clip)];
+  prt::SequenceOptions options;
+  options.bands = o.bands.empty() ? 3 : o.bands[0];
+  options.map_width = size[0];
+  options.map_height = size[1];
+  options.rays = o.samples;
+  options.frames_per_second = clip.seconds > 0 ? o.frames / clip.seconds : 1;
+  options.between = 0;  // every coder has the same frames, evenly apart
+  options.progress = progress_bar("bake " + std::filesystem::path(asset).filename().string());
+  PENUMBRA_TRY(prt::bake_frames(character, standing.clip, options, {}, journal));
+  const std::filesystem::path journals[] = {journal};
+  PENUMBRA_ASSIGN(frames, prt::baked_surface(character, standing.clip, options, journals));
+  ClipBench out;
+  out.layout_ = prt::lay_out(character, size[0], size[1]);
+  out.frames_ = std::move(frames);
+  for (const RadianceSh& light : lights) {
+    auto& by_frame = out.lights_.emplace_back();
+    for (std::size_t f = 0; f < out.frames_.size(); ++f) {
+      const double t =
+          clip.seconds * static_cast<double>(f) / static_cast<double>(out.frames_.size());
+      auto& by_bone = by_frame.emplace_back();
+      for (const glm::mat3& turn : prt::bone_turns(character, prt::sample(character, clip, t)))
+        by_bone.push_back(lighting::ShRotation(glm::dmat3(glm::transpose(turn)), options.bands) *
+                          light.with_bands(options.bands));
+    }
+  }
+  out.make_maps();
+  return out;
+}
+
+// What no texel covers continues what is beside it: a hole would cost transform coders bits.
+void fill_holes(Image<float>& map, Image<std::uint8_t> known) {
+  for (bool any = true; any;) {
+    any = false;
+    const Image<std::uint8_t> before = known;
+    for (int y = 0; y < map.height(); ++y)
+      for (int x = 0; x < map.width(); ++x) {
+        if (before.at(x, y)) continue;
+        float sum = 0, count = 0;
+        for (const auto& [dx, dy] : {std::pair{-1, 0}, {1, 0}, {0, -1}, {0, 1}}) {
+          const int i = x + dx, j = y + dy;
+          if (i < 0 || j < 0 || i >= map.width() || j >= map.height() || !before.at(i, j)) continue;
+          sum += map.at(i, j);
+          ++count;
+        }
+        if (count == 0) continue;
+        map.at(x, y) = sum / count;
+        known.at(x, y) = 1;
+        any = true;
+      }
+  }
+}
+
+void ClipBench::make_maps() {
+  Image<std::uint8_t> covered(layout_.width, layout_.height);
+  for (const prt::SurfaceLayout::Texel& t : layout_.texels) covered.at(t.x, t.y) = 1;
+  for (const prt::Transfer& frame : frames_)
+    for (int n = 0; n < coefficients(); ++n) {
+      Image<float>& map = maps_.emplace_back(layout_.width, layout_.height);
+      for (std::size_t i = 0; i < layout_.texels.size(); ++i)
+        map.at(layout_.texels[i].x, layout_.texels[i].y) = frame.value(0, n, layout_.vertices + i);
+      fill_holes(map, covered);
+    }
+}
+
+// value(frame, coefficient, texel); over all lights, frames and texels, by luminance.
+template <class Value>
+double ClipBench::rendered_error(const Value& value) const {
+  double wrong = 0, all = 0;
+  for (const auto& by_frame : lights_) {
+    double own_wrong = 0, own = 0;
+    for (std::size_t f = 0; f < frames_.size(); ++f)
+      for (std::size_t i = 0; i < layout_.texels.size(); ++i) {
+        const RadianceSh& light = by_frame[f][layout_.bone[layout_.vertices + i]];
+        double exact = 0, difference = 0;
+        for (int n = 0; n < coefficients(); ++n) {
+          const double l = luminance(light[n]), t = frames_[f].value(0, n, layout_.vertices + i);
+          exact += l * t;
+          difference += l * (value(f, n, i) - t);
+        }
+        own += exact * exact;
+        own_wrong += difference * difference;
+      }
+    wrong += own_wrong / own;  // each light by its own brightness
+    ++all;
+  }
+  return std::sqrt(wrong / all);
+}
+
+double ClipBench::error_of(std::span<const Image<float>> maps) const {
+  return rendered_error([&](std::size_t f, int n, std::size_t i) {
+    const Image<float>& map =
+        maps[f * static_cast<std::size_t>(coefficients()) + static_cast<std::size_t>(n)];
+    return double(map.at(layout_.texels[i].x, layout_.texels[i].y));
+  });
+}
+
+double ClipBench::error_of(const prt::TransferSequence& sequence) const {
+  std::vector<prt::Transfer> decoded(frames_.size());
+  for (std::size_t f = 0; f < decoded.size(); ++f)
+    sequence.decode(static_cast<double>(f), {}, decoded[f]);
+  return rendered_error([&](std::size_t f, int n, std::size_t i) {
+    return double(decoded[f].value(0, n, layout_.vertices + i));
+  });
+}
+
+Result<void> ClipBench::run(const std::filesystem::path& scratch, std::vector<Point>& out) const {
+  for (const double error : {.04, .02, .01, .007, .005, .0035, .0025}) {
+    const auto ours = prt::compress_surface(layout_, frames_, error);
+    out.push_back({"temporal PCA (ours)", fmt::format("error {}", error), ours.bytes,
+                   error_of(ours.sequence)});
+  }
+  // By coefficient, as the dissertation keeps its maps: each is a video of its own.
+  for (const int quality : {10, 30, 50, 70, 85, 93, 97, 99}) {
+    std::vector<Image<float>> maps(maps_.size());
+    std::size_t bytes = 0;
+    for (int n = 0; n < coefficients(); ++n) {
+      std::vector<Image<float>> video;
+      const auto layers = static_cast<std::size_t>(coefficients());
+      for (std::size_t i = static_cast<std::size_t>(n); i < maps_.size(); i += layers)
+        video.push_back(maps_[i]);
+      PENUMBRA_ASSIGN(coded, codec::encode_rgbe_video(video, quality));
+      bytes += coded.size();
+      PENUMBRA_ASSIGN(decoded, codec::decode_rgbe_video(coded, "maps"));
+      for (std::size_t f = 0; f < decoded.size(); ++f)
+        maps[f * layers + static_cast<std::size_t>(n)] = std::move(decoded[f]);
+    }
+    out.push_back(
+        {"RGBE video (dissertation)", fmt::format("quality {}", quality), bytes, error_of(maps)});
+  }
+  for (const float level : {5.f, 15.f, 45.f, 150.f, 500.f}) {
+    PENUMBRA_ASSIGN(coded, code_as_exr(maps_, coefficients(), level, scratch));
+    out.push_back(
+        {"OpenEXR DWAA", fmt::format("level {}", level), coded.bytes, error_of(coded.maps)});
+  }
+  for (const int crf : {4, 10, 16, 22, 28, 36}) {
+    PENUMBRA_ASSIGN(coded, code_as_video(maps_, coefficients(), crf));
+    out.push_back(
+        {"H.264 10 bit intra", fmt::format("crf {}", crf), coded.bytes, error_of(coded.maps)});
+  }
+  return {};
+}
+
+std::string plot_of(const std::vector<Point>& points, const std::string& title) {
+  std::string script =
+      "set terminal svg size 900,640 font 'sans-serif,13' background 'white'\n"
+      "set logscale xy\nset grid\nset key top right\nset xlabel 'Megabytes'\n"
+      "set ylabel 'Rendered error: relative RMSE (per cent)'\n";
+  script += fmt::format("set title {}\nplot ", gnuplot_quoted(title));
+  std::vector<std::string> coders;
+  for (const Point& p : points)
+    if (std::ranges::find(coders, p.coder) == coders.end()) coders.push_back(p.coder);
+  for (std::size_t i = 0; i < coders.size(); ++i)
+    script += fmt::format("{}'-' using 1:2 with linespoints linewidth 2 pointtype {} title {}",
+                          i > 0 ? ", " : "", 5 + 2 * i, gnuplot_quoted(coders[i]));
+  script += "\n";
+  for (const std::string& coder : coders) {
+    for (const Point& p : points)
+      if (p.coder == coder)
+        script += fmt::format("{} {}\n", static_cast<double>(p.bytes) * 1e-6, 100 * p.error);
+    script += "e\n";
+  }
+  return script;
+}
+
+// At an error, on the straight line between logarithms; nothing outside the coder's range.
+std::optional<double> bytes_at(const std::vector<Point>& points, const std::string& coder,
+                               double error) {
+  std::vector<const Point*> own;
+  for (const Point& p : points)
+    if (p.coder == coder) own.push_back(&p);
+  std::ranges::sort(own, {}, [](const Point* p) { return p->error; });
+  for (std::size_t i = 0; i + 1 < own.size(); ++i) {
+    if (!(own[i]->error <= error && error <= own[i + 1]->error)) continue;
+    const double share =
+        std::log(error / own[i]->error) / std::log(own[i + 1]->error / own[i]->error);
+    return std::exp(std::lerp(std::log(static_cast<double>(own[i]->bytes)),
+                              std::log(static_cast<double>(own[i + 1]->bytes)), share));
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<void> chart_clip(const ChartOptions& o) {
+  if (o.frames < 1 || o.frames > 1000)
+    return fail(ErrorCode::kInvalid, "--frames", "not within 1..1000");
+  PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
+  PENUMBRA_TRY(output.begin());
+  const std::filesystem::path journal = output.file("bake.journal");
+  PENUMBRA_ASSIGN(bench, ClipBench::make(o, journal));
+  std::error_code ignored;
+  std::filesystem::remove(journal, ignored);
+  std::vector<Point> points;
+  PENUMBRA_TRY(bench.run(output.work(), points));
+  std::string csv = "coder,setting,bytes,rendered_rel_rmse\n";
+  for (const Point& p : points)
+    csv += fmt::format("{},{},{},{:.6g}\n", p.coder, p.setting, p.bytes, p.error);
+  PENUMBRA_TRY(write_bytes(output.file("rate-distortion.csv"), csv));
+  const std::string title = fmt::format(
+      "{} frames of {} texels, {} coefficients: {:.0f} MB as floats", o.frames, bench.texels(),
+      bench.coefficients(), static_cast<double>(bench.raw_bytes()) * 1e-6);
+  if (const auto plot = run_gnuplot(plot_of(points, title), output.file("rate-distortion.svg"));
+      !plot)
+    spdlog::warn("no plot: {}: {}", plot.error().where, plot.error().detail);
+  PENUMBRA_TRY(output.keep());
+  if (o.json) {
+    nlohmann::json rows = nlohmann::json::array();
+    for (const Point& p : points)
+      rows.push_back({{"coder", p.coder},
+                      {"setting", p.setting},
+                      {"bytes", p.bytes},
+                      {"rendered_rel_rmse", p.error}});
+    print_json({{"raw_bytes", bench.raw_bytes()}, {"rows", rows}});
+    return {};
+  }
+  for (const Point& p : points)
+    fmt::print("{:<28} {:<14} {:>9.3f} MB  {:>7.3f} %\n", p.coder, p.setting,
+               static_cast<double>(p.bytes) * 1e-6, 100 * p.error);
+  for (const Point& p : points) {
+    if (p.coder != "RGBE video (dissertation)") continue;
+    if (const auto ours = bytes_at(points, "temporal PCA (ours)", p.error))
+      fmt::print("at {:.2f} % ours is {:.1f} times smaller than the dissertation's\n",
+                 100 * p.error, static_cast<double>(p.bytes) / *ours);
+  }
+  fmt::print("{0}/rate-distortion.csv, {0}/rate-distortion.svg\n", o.output);
+  return {};
+}
+
+}  // namespace penumbra::service

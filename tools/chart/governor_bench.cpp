@@ -1,0 +1,375 @@
+#include "tools/chart/governor_bench.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "capture/studio/environments.h"
+#include "shadows/field/planar_shadow.h"
+#include "shadows/silhouette/casters.h"
+#include "shadows/silhouette/disc_shadow.h"
+#include "shadows/silhouette/outline.h"
+#include "core/conventions.h"
+#include "tools/chart/chart_bench.h"
+#include "runtime/shading/disc_stage.h"
+#include "runtime/shading/compose_stage.h"
+#include "tools/common/still.h"
+
+namespace penumbra::service {
+
+namespace {
+
+constexpr int kProbesAside = 14;
+constexpr int kMapRows = 256;
+constexpr int kReferenceRays = 3000;
+constexpr int kMostDiscs = 8;
+constexpr double kShadowed = .95;
+
+using Values = std::vector<double>;
+
+// Bilinear value of a node map at a floor position; 0 outside.
+double at_plane(const shadows::DiscShadow& shadow, const glm::dvec3& world) {
+  const glm::dvec3 p = shadow.world_from_map.inverse() * world / double(shadow.cell_m);
+  const int x = static_cast<int>(std::floor(p.x)), y = static_cast<int>(std::floor(p.z));
+  if (shadow.empty() || x < 0 || y < 0 || x + 1 >= shadow.taken.width() ||
+      y + 1 >= shadow.taken.height())
+    return 0;
+  const double u = p.x - x, v = p.z - y;
+  const auto& m = shadow.taken;
+  return (1 - v) * ((1 - u) * m.at(x, y) + u * m.at(x + 1, y)) +
+         v * ((1 - u) * m.at(x, y + 1) + u * m.at(x + 1, y + 1));
+}
+
+// One coefficient of the receiver's texels, bilinear at (u, v).
+double at_grid(const prt::Transfer& t, int size, int n, glm::vec2 uv) {
+  const double x = std::clamp(uv.x * size - .5, 0., size - 1.001),
+               y = std::clamp(uv.y * size - .5, 0., size - 1.001);
+  const int x0 = static_cast<int>(x), y0 = static_cast<int>(y);
+  const auto value = [&](int i, int j) {
+    return double(t.value(0, n, static_cast<std::size_t>(j * size + i)));
+  };
+  const double u = x - x0, v = y - y0;
+  return (1 - v) * ((1 - u) * value(x0, y0) + u * value(x0 + 1, y0)) +
+         v * ((1 - u) * value(x0, y0 + 1) + u * value(x0 + 1, y0 + 1));
+}
+
+// The floor around an object at fixed probes.
+class FloorProbes {
+ public:
+  explicit FloorProbes(const PreparedObject& o) : object_(o) {
+    const prt::Receiver& receiver = *o.baked.receiver;
+    const double reach = .45 * double(receiver.grid.half_extent);
+    for (int j = 0; j < kProbesAside; ++j)
+      for (int i = 0; i < kProbesAside; ++i) {
+        // Denser near the object, like its shadow.
+        const auto place = [&](int k) {
+          const double w = (k + .5) / kProbesAside * 2 - 1;
+          return reach * w * std::abs(w);
+        };
+        const glm::vec2 p = receiver.grid.centre + glm::vec2(place(i), place(j));
+        world_.push_back(o.world_from_bake * glm::dvec3(p.x, receiver.grid.height, p.y));
+        uv_.push_back(receiver.grid.uv(p));
+      }
+    const prt::BakedObject& b = o.baked;
+    for (const glm::vec2& uv : uv_) {
+      for (int n = 0; n < coefficient_count(b.ground_deficit.bands); ++n)
+        deficit_.push_back(at_grid(b.ground_deficit, receiver.grid.size, n, uv));
+      for (int n = 0; n < coefficient_count(b.ground_indirect.bands); ++n)
+        indirect_.push_back(at_grid(b.ground_indirect, receiver.grid.size, n, uv));
+    }
+  }
+
+  std::size_t count() const { return world_.size(); }
+  const glm::dvec3& world(std::size_t p) const { return world_[p]; }
+  // pi sum l_n S_n
+  double deficit(std::size_t p, const RadianceSh& light) const {
+    return dot(deficit_, object_.baked.ground_deficit.bands, p, light);
+  }
+  double indirect(std::size_t p, const RadianceSh& light) const {
+    return dot(indirect_, object_.baked.ground_indirect.bands, p, light);
+  }
+
+ private:
+  static double dot(const Values& table, int bands, std::size_t p, const RadianceSh& light) {
+    const auto stride = static_cast<std::size_t>(coefficient_count(bands));
+    double sum = 0;
+    for (int n = 0; n < std::min(light.size(), coefficient_count(bands)); ++n)
+      sum += double(luminance(light[n])) * table[p * stride + static_cast<std::size_t>(n)];
+    return kPi * sum;
+  }
+
+  const PreparedObject& object_;
+  std::vector<glm::dvec3> world_;
+  std::vector<glm::vec2> uv_;
+  Values deficit_, indirect_;  // [probe][n]
+};
+
+// s at the probes with the object really there.
+Result<Values> reference_ratios(const PreparedScene& scene, const FloorProbes& probes,
+                                const Image<Rgb>& map, int rays) {
+  auto light = prt::EnvironmentLight::from_map(map);
+  if (!light) return std::unexpected(light.error());
+  prt::World world;
+  world.mesh = world_mesh(scene, true);
+  world.planes = scene.planes;
+  world.light = &*light;
+  std::vector<prt::IrradiancePoint> points;
+  for (std::size_t p = 0; p < probes.count(); ++p)
+    points.push_back({probes.world(p), scene.planes[0].normal});
+  auto irradiance = prt::reference_irradiance(world, points, rays, 1);
+  if (!irradiance) return std::unexpected(irradiance.error());
+  const double open = luminance(exact_irradiance(map, scene.planes[0].normal));
+  Values out;
+  for (const Rgb& e : *irradiance) out.push_back(open > 0 ? luminance(e) / open : 1);
+  return out;
+}
+
+void add(RadianceSh& sum, const RadianceSh& other) {
+  for (int n = 0; n < sum.size(); ++n) sum[n] += other[n];
+}
+
+// One environment's light, split as far as it goes, with the shadows of all its discs.
+struct Split {
+  lighting::Projection rest;
+  std::vector<lighting::Disc> discs;
+  std::vector<shadows::DiscShadow> shadows;
+};
+
+Result<Split> split_and_trace(const PreparedScene& scene, const Image<Rgb>& map) {
+  lighting::DiscSplit split;
+  PENUMBRA_TRY(lighting::split_discs(map, {kMostDiscs, .02}, split));
+  auto rest = lighting::project_latlong(split.rest, kMaxBands);
+  if (!rest) return std::unexpected(rest.error());
+  Split out{*rest, std::move(split.discs), {}};
+  const PreparedObject& o = scene.objects[0];
+  const shadows::Outline outline(o.baked.mesh);
+  const shadows::Caster caster{&o.baked.mesh, &outline, o.world_from_bake};
+  for (const lighting::Disc& d : out.discs)
+    shadows::draw_disc_shadow({{&caster, 1}, {}}, scene.planes[0], d, {},
+                              out.shadows.emplace_back());
+  return out;
+}
+
+// Our s at the probes with so many bands and discs, as compose_planar_shadow and the compositor make it.
+Values our_ratios(const FloorProbes& probes, const Split& split, int bands, int discs) {
+  const glm::dvec3 up(0, 1, 0);
+  RadianceSh above = split.rest.above, traced(kMaxBands);
+  double disc_irradiance = 0;
+  for (std::size_t j = 0; j < split.discs.size(); ++j) {
+    const lighting::Disc& d = split.discs[j];
+    const bool used = j < static_cast<std::size_t>(discs);
+    add(used ? traced : above, project_disc_above(d, kMaxBands));
+    if (used) disc_irradiance += luminance(lighting::irradiance(d, up));
+  }
+  const RadianceSh light = lighting::floor_light(above, bands),
+                   reflected = lighting::floor_light(traced, prt::kIndirectBands);
+  const double open =
+      luminance(lighting::evaluate(lighting::irradiance(light), up)) + disc_irradiance;
+  Values out;
+  for (std::size_t p = 0; p < probes.count(); ++p) {
+    double lost = probes.deficit(p, light);
+    if (discs > 0) lost -= probes.indirect(p, reflected);
+    for (std::size_t j = 0; j < static_cast<std::size_t>(discs); ++j)
+      lost += at_plane(split.shadows[j], probes.world(p)) *
+              luminance(lighting::irradiance(split.discs[j], up));
+    out.push_back(open > 0 ? std::clamp(1 - lost / open, 0., 1.5) : 1);
+  }
+  return out;
+}
+
+// The reference's own noise counts as the plan's error: kReferenceRays keep it small.
+double shadow_rmse(const Values& ours, const Values& reference) {
+  double square = 0, count = 0;
+  for (std::size_t p = 0; p < ours.size(); ++p)
+    if (reference[p] < kShadowed) square += std::pow(ours[p] - reference[p], 2), ++count;
+  return count > 0 ? std::sqrt(square / count) : -1;
+}
+
+// An object with its planar shadow, as a stage relights them.
+class Relit {
+ public:
+  explicit Relit(const PreparedObject& o)
+      : baked_(o.baked),
+        patterns_(o.baked),
+        light_(3 * o.baked.transfer.stride),
+        taken_(3 * o.baked.ground_deficit.stride) {}
+
+  void relight(const RadianceSh& light, const RadianceSh* reflected) {
+    patterns_.surface.relight(light, reflected, light_);
+    const prt::Transfer& deficit = baked_.ground_deficit;
+    if (!baked_.receiver || deficit.points == 0) return;
+    patterns_.ground.relight(light, reflected, taken_);
+    shadows::compose_planar_shadow({baked_.receiver->grid, deficit.bands, deficit.stride, taken_},
+                                   light, shadow_);
+  }
+
+ private:
+  const prt::BakedObject& baked_;
+  RelightPatterns patterns_;
+  std::vector<float> light_, taken_;
+  shadows::PlanarShadow shadow_;
+};
+
+double binomial_upper_tail(int successes, int trials, double p) {
+  double sum = 0;
+  for (int k = successes; k <= trials; ++k)
+    sum += std::exp(std::lgamma(trials + 1.) - std::lgamma(k + 1.) - std::lgamma(trials - k + 1.) +
+                    k * std::log(p) + (trials - k) * std::log1p(-p));
+  return sum;
+}
+
+}  // namespace
+
+lighting::ShadowProbes shadow_probes(const PreparedScene& scene) {
+  lighting::ShadowProbes out;
+  for (const PreparedObject& o : scene.objects)
+    for (std::size_t p = 0; p < o.baked.shadow_probes.points; ++p)
+      for (int n = 0; n < kMaxCoefficients; ++n)
+        out.deficit.push_back(static_cast<float>(kPi) * o.baked.shadow_probes.value(0, n, p));
+  return out;
+}
+
+double clopper_pearson_low(int successes, int trials) {
+  if (successes == 0) return 0;
+  double low = 0, high = 1;
+  for (int i = 0; i < 60; ++i) {
+    const double p = (low + high) / 2;
+    (p > 0 && p < 1 && binomial_upper_tail(successes, trials, p) < .05 ? low : high) = p;
+  }
+  return low;
+}
+
+std::optional<lighting::Plan> ScenePlans::choose(const lighting::CostModel& costs, double budget,
+                                                 double factor) const {
+  const lighting::Governor governor({budget, predicted.most_bands(), predicted.most_discs()}, costs,
+                                    factor);
+  const lighting::Plan plan = governor.cheapest(predicted, budget);
+  return plan.within_budget ? std::optional(plan) : std::nullopt;
+}
+
+double ScenePlans::least_factor(const lighting::CostModel& costs, double budget) const {
+  // The choice changes where a plan leaves the budget: just above budget/predicted.
+  std::vector<double> factors{0};
+  for (int discs = 0; discs <= predicted.most_discs(); ++discs)
+    for (int bands = 1; bands <= predicted.most_bands(); ++bands)
+      factors.push_back(budget / predicted.error(bands, discs) * (1 + 1e-9));
+  std::ranges::sort(factors, std::greater<>());
+  double least = factors.front();
+  for (const double factor : factors) {
+    const auto chosen = choose(costs, budget, factor);
+    if (chosen && measured_error(*chosen) > budget) return least;
+    least = factor;
+  }
+  return 0;
+}
+
+Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
+  auto discs = DiscStage::create(scene, {});
+  if (!discs) return std::unexpected(discs.error());
+  const Surroundings alone(
+      scene);  // nothing looked at yet: what stands around costs the same for any plan
+  lighting::CostModel costs;
+  std::vector<Relit> things;
+  for (const PreparedObject& o : scene.objects) things.emplace_back(o);
+  const RadianceSh light(kMaxBands);
+  const auto relight = [&](const RadianceSh* reflected) {
+    const auto all = [&](int) {
+      for (Relit& thing : things) thing.relight(light, reflected);
+    };
+    return time_single_threaded(5, all).p50_ms;
+  };
+  // What is baked is read whole, whatever the bands of the light; the first disc brings reflected light.
+  costs.per_coefficient_ms = 0;
+  costs.base_ms = relight(nullptr);
+  const double reflected_ms = std::max(0., relight(&light) - costs.base_ms);
+  lighting::Disc sun;
+  sun.id = 1;
+  sun.radius = Radians(.02);
+  sun.radiance = {1, 1, 1};
+  const auto move = [&](int run) {
+    sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
+    discs->update({&sun, 1}, 1, alone);
+  };
+  costs.per_disc_ms = reflected_ms + time_single_threaded(3, move).p50_ms;
+  return costs;
+}
+
+Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed, int rays) {
+  const Image<Rgb> map = capture::make_random_environment(2 * kMapRows, kMapRows, seed);
+  const FloorProbes probes(scene.objects[0]);
+  auto reference = reference_ratios(scene, probes, map, rays);
+  if (!reference) return std::unexpected(reference.error());
+  auto split = split_and_trace(scene, map);
+  if (!split) return std::unexpected(split.error());
+  const lighting::Governor::Limits limits;
+  ScenePlans out{seed,
+                 {{&split->rest.above, split->discs},
+                  shadow_probes(scene),
+                  limits.most_bands,
+                  limits.most_discs},
+                 {}};
+  for (int discs = 0; discs <= out.predicted.most_discs(); ++discs)
+    for (int bands = 1; bands <= limits.most_bands; ++bands) {
+      const double error = shadow_rmse(our_ratios(probes, *split, bands, discs), *reference);
+      if (error < 0) return fail(ErrorCode::kUndetermined, "scene", "has no shadow to measure");
+      out.measured.push_back(error);
+    }
+  return out;
+}
+
+Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting::CostModel& costs,
+                                     double budget, int test_scenes,
+                                     const std::function<void(double)>& progress) {
+  constexpr int kCalibration = 59;
+  constexpr std::uint32_t kFirstCalibration = 1001, kFirstTest = 20001;
+  GovernorProof proof;
+  double regret = 0, error = 0, regretted = 0;
+  const auto next_scene = [&](std::uint32_t& seed) -> Result<ScenePlans> {
+    for (;; ++seed) {
+      auto plans = measure_plans(scene, seed, kReferenceRays);
+      if (!plans && plans.error().code == ErrorCode::kUndetermined) continue;
+      ++seed;
+      if (progress)
+        progress(double(proof.calibration + proof.scenes + 1) / (kCalibration + test_scenes));
+      return plans;
+    }
+  };
+  for (std::uint32_t seed = kFirstCalibration; proof.calibration < kCalibration;
+       ++proof.calibration) {
+    const auto plans = next_scene(seed);
+    if (!plans) return std::unexpected(plans.error());
+    for (const double b : kBudgets)
+      proof.needed_factor = std::max(proof.needed_factor, plans->least_factor(costs, b));
+  }
+  proof.factor = std::max(proof.needed_factor, lighting::Governor::kCalibrated);
+  for (std::uint32_t seed = kFirstTest; proof.scenes < test_scenes;) {
+    const auto plans = next_scene(seed);
+    if (!plans) return std::unexpected(plans.error());
+    ++proof.scenes;
+    const auto chosen = plans->choose(costs, budget, proof.factor);
+    if (!chosen) continue;  // it says that it cannot
+    const double measured = plans->measured_error(*chosen);
+    ++proof.promised;
+    proof.kept += measured <= budget ? 1 : 0;
+    error += measured;
+    proof.worst_error = std::max(proof.worst_error, measured);
+    proof.mean_bands += chosen->bands;
+    proof.mean_discs += chosen->discs;
+    double oracle_ms = HUGE_VAL;
+    for (int discs = 0; discs <= plans->predicted.most_discs(); ++discs)
+      for (int bands = 1; bands <= plans->predicted.most_bands(); ++bands)
+        if (plans->measured_error({bands, discs}) <= budget)
+          oracle_ms = std::min(oracle_ms, costs.ms(bands, discs));
+    if (oracle_ms < HUGE_VAL)
+      regret += costs.ms(chosen->bands, chosen->discs) / oracle_ms - 1, ++regretted;
+  }
+  if (proof.promised > 0) {
+    proof.mean_error = error / proof.promised;
+    proof.mean_bands /= proof.promised;
+    proof.mean_discs /= proof.promised;
+  }
+  proof.mean_regret = regretted > 0 ? regret / regretted : 0;
+  proof.coverage_low = clopper_pearson_low(proof.kept, proof.promised);
+  return proof;
+}
+
+}  // namespace penumbra::service

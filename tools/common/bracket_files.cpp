@@ -1,0 +1,201 @@
+#include "tools/common/bracket_files.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "codec/codec.h"
+#include "tools/common/camera_film.h"
+
+namespace penumbra::service {
+
+namespace {
+
+Result<std::vector<double>> parse_times(const std::string& text, bool unknown_allowed) {
+  std::vector<double> out;
+  std::size_t start = 0;
+  while (start <= text.size()) {
+    const std::size_t end = std::min(text.find(',', start), text.size());
+    std::string item = text.substr(start, end - start);
+    item.erase(0, item.find_first_not_of(' '));
+    if (unknown_allowed && item == "?") {
+      out.push_back(kUnknownTime.count());
+      start = end + 1;
+      continue;
+    }
+    char* rest = nullptr;
+    double value = std::strtod(item.c_str(), &rest);
+    if (*rest == '/') {  // 1/60
+      const char* const below = rest + 1;
+      value /= std::strtod(below, &rest);
+    }
+    if (item.empty() || rest == item.c_str() || *rest != 0)
+      return fail(ErrorCode::kInvalid, "--times",
+                  fmt::format("\"{}\" is not a number of seconds", item));
+    if (!std::isfinite(value) || value <= 0)
+      return fail(ErrorCode::kInvalid, "--times",
+                  fmt::format("exposure time {} s is not positive and finite", item));
+    out.push_back(value);
+    start = end + 1;
+  }
+  return out;
+}
+
+// Sums of codes of the frames of one exposure.
+struct Average {
+  Exposure exposure;
+  Image<Rgb> sum{};
+  int frames = 0;
+
+  void add(const Image<Rgb8>& frame) {
+    if (frames++ == 0) sum = Image<Rgb>(frame.width(), frame.height());
+    for (std::size_t i = 0; i < frame.area(); ++i) {
+      const Rgb8& p = frame.pixels()[i];
+      sum.pixels()[i] += {float(p.r), float(p.g), float(p.b)};
+    }
+  }
+  Image<Rgb8> mean() const {
+    Image<Rgb8> out(sum.width(), sum.height());
+    const auto code = [&](float v) {
+      return static_cast<std::uint8_t>(std::lround(v / static_cast<float>(frames)));
+    };
+    for (std::size_t i = 0; i < sum.area(); ++i) {
+      const Rgb& p = sum.pixels()[i];
+      out.pixels()[i] = {code(p.r), code(p.g), code(p.b)};
+    }
+    return out;
+  }
+};
+
+// Frames of a capture into the average of their exposure.
+Result<void> add_frames(const std::string& path, const std::string& name,
+                        std::vector<Average>& averages) {
+  constexpr std::size_t kMost = 16;
+  PENUMBRA_ASSIGN(film, CameraFilm::open(path, name));
+  while (true) {
+    PENUMBRA_ASSIGN(frame, film.next());
+    if (!frame) return {};
+    const auto* codes = std::get_if<Image<Rgb8>>(frame->pixels.get());
+    if (!codes)
+      return fail(ErrorCode::kInvalid, path, "only the response of 8-bit pictures is estimated");
+    auto average = std::ranges::find_if(averages, [&](const Average& a) {
+      return std::abs(a.exposure.product() / frame->exposure.product() - 1) < .01;
+    });
+    if (average == averages.end()) {
+      if (averages.size() == kMost)
+        return fail(ErrorCode::kUndetermined, path, fmt::format("more than {} exposures", kMost));
+      averages.push_back({frame->exposure});
+      average = averages.end() - 1;
+    }
+    if (average->frames > 0 && !average->sum.same_size(*codes))
+      return fail(ErrorCode::kInvalid, path, "has pictures of another size");
+    average->add(*codes);
+  }
+}
+
+}  // namespace
+
+Result<capture::ExposureStack> average_clips(const std::vector<std::string>& captures,
+                                             const std::string& camera) {
+  std::vector<Average> averages;
+  for (const std::string& path : captures) PENUMBRA_TRY(add_frames(path, camera, averages));
+  if (averages.size() < 2)
+    return fail(
+        ErrorCode::kUndetermined, captures[0],
+        fmt::format("{} exposure: film the same still scene with another one, two stops away",
+                    averages.size()));
+  capture::ExposureStack stack;
+  for (const Average& a : averages) {
+    stack.frames.push_back(std::make_shared<const FramePixels>(a.mean()));
+    stack.exposures.push_back({Seconds(a.exposure.product()), Gain(1)});
+  }
+  return stack;
+}
+
+Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
+                                            const std::string& times_text, bool unknown_allowed) {
+  auto times = parse_times(times_text, unknown_allowed);
+  if (!times) return std::unexpected(times.error());
+  if (times->size() != images.size())
+    return fail(ErrorCode::kInvalid, "--times",
+                fmt::format("{} times for {} images", times->size(), images.size()));
+  capture::ExposureStack stack;
+  for (std::size_t k = 0; k < images.size(); ++k) {
+    auto frame = codec::read_frame(images[k]);
+    if (!frame) return std::unexpected(frame.error());
+    if (k > 0) {
+      const FramePixels& first = *stack.frames[0];
+      const int w = capture::width(first), h = capture::height(first);
+      if (capture::width(*frame) != w || capture::height(*frame) != h)
+        return fail(ErrorCode::kInvalid, images[k],
+                    fmt::format("{}x{} pixels, but {} has {}x{}", capture::width(*frame),
+                                capture::height(*frame), images[0], w, h));
+      if (frame->index() != first.index())
+        return fail(ErrorCode::kInvalid, images[k], "has another bit depth than " + images[0]);
+    }
+    if (const auto* linear = std::get_if<Image<Rgb>>(&*frame))
+      if (const auto bad = std::ranges::count_if(
+              linear->pixels(), [](const Rgb& c) { return !std::isfinite(c.r + c.g + c.b); }))
+        spdlog::warn("{}: {} pixels are NaN or infinite and are left out", images[k], bad);
+    stack.frames.push_back(std::make_shared<const FramePixels>(std::move(*frame)));
+    stack.exposures.push_back({Seconds((*times)[k]), Gain(1)});
+  }
+  return stack;
+}
+
+Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
+  for (const auto& f : stack.frames)
+    if (!std::holds_alternative<Image<Rgb8>>(*f))
+      return fail(ErrorCode::kInvalid, "exposure stack",
+                  "ratios are estimated from pictures of 8 bits");
+  const CodeCurve curve = capture::make_code_curve(stack.response, 8, stack.black_level);
+  const auto ratio_of = [&](std::size_t against, std::size_t picture) {
+    return capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*stack.frames[against]),
+                                            std::get<Image<Rgb8>>(*stack.frames[picture]), curve);
+  };
+  const auto known = [&](std::size_t k) { return stack.exposures[k].time > kUnknownTime; };
+  std::vector<CheckedTime> out;
+  std::vector<std::size_t> told;
+  for (std::size_t k = 0; k < stack.frames.size(); ++k)
+    if (known(k)) told.push_back(k);
+  if (told.empty())
+    return fail(ErrorCode::kUndetermined, "--times",
+                "no time is given; name one (1 will do) to count from");
+  std::ranges::stable_sort(told, {},
+                           [&](std::size_t k) { return stack.exposures[k].time.count(); });
+  for (std::size_t i = 1; i < told.size(); ++i) {
+    // Far apart nothing may overlap; that is no fault of the times.
+    const auto ratio = ratio_of(told[i - 1], told[i]);
+    if (ratio)
+      out.push_back({told[i], told[i - 1], *ratio,
+                     stack.exposures[told[i]].time / stack.exposures[told[i - 1]].time});
+  }
+  for (std::size_t left = stack.frames.size() - told.size(); left > 0; --left) {
+    std::size_t picture = 0;
+    const auto has_neighbour = [&](std::size_t k) {
+      return (k > 0 && known(k - 1)) || (k + 1 < stack.frames.size() && known(k + 1));
+    };
+    while (known(picture) || !has_neighbour(picture)) ++picture;
+    const std::size_t against = picture > 0 && known(picture - 1) ? picture - 1 : picture + 1;
+    const auto ratio = ratio_of(against, picture);
+    if (!ratio)
+      return fail(ratio.error().code, fmt::format("--times: the ? of picture {}", picture + 1),
+                  ratio.error().detail);
+    stack.exposures[picture].time = stack.exposures[against].time * ratio->ratio;
+    out.push_back({picture, against, *ratio, 0});
+  }
+  return out;
+}
+
+EightBitBracket eight_bit_bracket(const capture::ExposureStack& stack) {
+  EightBitBracket out;
+  for (std::size_t k = 0; k < stack.frames.size(); ++k) {
+    out.pictures.push_back(&std::get<Image<Rgb8>>(*stack.frames[k]));
+    out.times.push_back(stack.exposures[k].time);
+  }
+  return out;
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,147 @@
+#include "tools/common/still.h"
+
+#include <algorithm>
+
+#include "core/conventions.h"
+#include "core/parallel.h"
+#include "runtime/shading/compose_stage.h"
+
+namespace penumbra::service {
+
+namespace {
+
+glm::dvec3 ray_through(const prt::PinholeView& v, double px, double py) {
+  return glm::normalize(v.world_from_camera.rotation *
+                        glm::dvec3((px - v.principal_px.x) / v.focal_px.x,
+                                   -(py - v.principal_px.y) / v.focal_px.y, -1));
+}
+
+}  // namespace
+
+Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
+  double sum[3] = {};
+  for (int y = 0; y < map.height(); ++y) {
+    const double w = latlong_solid_angle(y, map.width(), map.height());
+    for (int x = 0; x < map.width(); ++x) {
+      const double c =
+          glm::dot(latlong_direction(x + .5, y + .5, map.width(), map.height()), normal);
+      if (c <= 0) continue;
+      for (int k = 0; k < 3; ++k) sum[k] += w * c * map.at(x, y)[k];
+    }
+  }
+  return {static_cast<float>(sum[0]), static_cast<float>(sum[1]), static_cast<float>(sum[2])};
+}
+
+Result<Still> render_real(const StillScene& in, double error, const Progress& progress) {
+  if (!in.scene->real_mesh.triangles.empty() || in.scene->planes.size() > 1)
+    return render_reference(in, false, error, std::nullopt, progress);
+  auto light = prt::EnvironmentLight::from_map(*in.environment);
+  if (!light) return std::unexpected(light.error());
+  std::vector<Rgb> exit_radiance;
+  for (const prt::Plane& p : in.scene->planes)
+    exit_radiance.push_back(p.albedo * exact_irradiance(*in.environment, p.normal) *
+                            static_cast<float>(1 / kPi));
+  constexpr int kSamples = 4;
+  Still out;
+  out.radiance = Image<Rgb>(in.view.width, in.view.height);
+  const glm::dvec3 eye = in.view.world_from_camera.translation;
+  parallel_for(0, in.view.height, [&](int y) {
+    for (int x = 0; x < in.view.width; ++x) {
+      Rgb sum;
+      for (int k = 0; k < kSamples * kSamples; ++k) {
+        const glm::dvec3 d = ray_through(in.view, x + (k % kSamples + .5) / kSamples,
+                                         y + (double(k / kSamples) + .5) / kSamples);
+        double nearest = 1e30;
+        std::size_t hit = exit_radiance.size();
+        for (std::size_t i = 0; i < exit_radiance.size(); ++i) {
+          const prt::Plane& p = in.scene->planes[i];
+          const double slope = glm::dot(p.normal, d), t = glm::dot(p.normal, p.point - eye) / slope;
+          if (slope < 0 && t > 1e-4 && t < nearest) nearest = t, hit = i;
+        }
+        sum += hit < exit_radiance.size() ? exit_radiance[hit] : light->radiance(glm::vec3(d));
+      }
+      out.radiance.at(x, y) = sum * (1.f / (kSamples * kSamples));
+    }
+  });
+  return out;
+}
+
+Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scene,
+                                                       const prt::PinholeView& view,
+                                                       const DiscTaps& taps) {
+  capture::CameraInfo camera;
+  camera.name = "camera";
+  camera.role = capture::Role::kView;
+  camera.projection = {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
+                       view.principal_px};
+  camera.world_from_camera = view.world_from_camera;
+  static StageTimes times;  // nobody asks for them
+  return ComposeStage::create({camera}, scene, compositor::Compositor::Surface::kOffscreen, times,
+                              4, taps);
+}
+
+Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
+                              const lighting::LightEstimate& light, const Still& real,
+                              double seconds) {
+  // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or a column.
+  constexpr double kShifts[4][2] = {{-3, -1}, {-1, 3}, {1, -3}, {3, 1}}, kUnit = 1. / 32;  // pixels
+  Still out{Image<Rgb>(view.width, view.height), real.error, real.samples, {}, {}};
+  const auto picture = std::make_shared<const FramePixels>(real.radiance);
+  for (const auto& [right, down] : kShifts) {
+    capture::Frame frame;
+    frame.exposure = {Seconds(1), Gain(1)};
+    frame.time = TimestampNs{static_cast<std::int64_t>(std::llround(1e9 * seconds))};
+    frame.pixels = picture;
+    frame.world_from_camera = view.world_from_camera;
+    frame.world_from_camera.rotation *= glm::dquat(
+        glm::dvec3(-down * kUnit / view.focal_px.y, -right * kUnit / view.focal_px.x, 0));
+    auto composited = stage.process(frame, light);
+    if (!composited) return std::unexpected(composited.error());
+    const auto& pass = std::get<Image<Rgb>>(composited->pixels);
+    for (std::size_t i = 0; i < pass.area(); ++i)
+      out.radiance.pixels()[i] += pass.pixels()[i] * (1.f / std::size(kShifts));
+  }
+  return out;
+}
+
+Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
+                               const Still& real, const DiscTaps& taps) {
+  auto stage = make_still_stage(*in.scene, in.view, taps);
+  if (!stage) return std::unexpected(stage.error());
+  return composite_still(**stage, in.view, light, real, in.seconds);
+}
+
+const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
+                           const lighting::LightEstimate& light) {
+  const bool level = !planes.empty() && std::ranges::all_of(planes, [](const prt::Plane& p) {
+    return p.normal.y > kLevel;
+  });
+  return level ? light.floor_light : light.light;
+}
+
+Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
+                               const std::optional<lighting::LightEstimate>& truncated,
+                               const Progress& progress) {
+  auto map_light = prt::EnvironmentLight::from_map(*in.environment);
+  if (!map_light) return std::unexpected(map_light.error());
+  const prt::EnvironmentLight light =
+      truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated))
+                : *map_light;
+  prt::World world;
+  world.mesh = world_mesh(*in.scene, with_objects, in.seconds);
+  world.planes = in.scene->planes;
+  if (with_objects)
+    for (const shadows::Lamp& lamp : in.scene->lamps)
+      world.lamps.push_back({lamp.position, lamp.radius_m, lamp.irradiance_at_1m});
+  world.light = &light;
+  world.background = [&](const glm::vec3& d) { return map_light->radiance(d); };
+  prt::ReferenceOptions options;
+  options.error = error;
+  options.progress = progress;
+  auto reference = prt::render_reference(world, in.view, options);
+  if (!reference) return std::unexpected(reference.error());
+  return Still{std::move(reference->radiance), reference->error, reference->samples,
+               std::move(reference->half_a), std::move(reference->half_b)};
+}
+
+}  // namespace penumbra::service

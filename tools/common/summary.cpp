@@ -1,0 +1,50 @@
+#include "tools/common/summary.h"
+
+#include <fmt/format.h>
+
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const Configuration& c) {
+  const auto frames = static_cast<double>(counts.frames);
+  return {{"frames", counts.frames},
+          {"dropped", counts.dropped},
+          {"without_light", counts.without_light},
+          {"unusable_environment_frames", counts.unusable},
+          {"seconds", counts.seconds},
+          {"fps", counts.seconds > 0 ? frames / counts.seconds : 0},
+          {"stages", to_json(times)},
+          {"configuration",
+           {{"bands", c.bands},
+            {"discs", counts.discs},
+            {"plan", counts.plan ? to_json(*counts.plan) : nlohmann::json()},
+            {"exposures", counts.exposures},
+            {"width", c.width},
+            {"height", c.height},
+            {"objects", c.objects},
+            {"renderer", c.renderer}}},
+          {"touched_fraction", frames > 0 ? counts.touched / frames : 0}};
+}
+
+void print_summary(const nlohmann::json& s) {
+  const auto& c = s["configuration"];
+  fmt::print(
+      "{} frames of {}x{} in {:.2f} s: {:.1f} fps, {} dropped, {:.1f} % of the pixels touched\n",
+      s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
+      s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
+      100 * s["touched_fraction"].get<double>());
+  fmt::print("{} objects, {} bands, at most {} discs, {} exposures, {}\n", c["objects"].get<int>(),
+             c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(),
+             c["renderer"].get<std::string>());
+  if (const auto& p = c["plan"]; !p.is_null())
+    fmt::print("governor: {} bands, {} discs, predicted error {:.3f}, {:.1f} ms: {}\n",
+               p["bands"].get<int>(), p["discs"].get<int>(), p["predicted_error"].get<double>(),
+               p["predicted_ms"].get<double>(), p["why"].get<std::string>());
+  fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
+  for (const auto& [name, stage] : s["stages"].items())
+    fmt::print("{:<14} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
+               stage["p50_ms"].get<double>(), stage["p99_ms"].get<double>());
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,21 @@
+// The summary of a run, the same for demo, composite and summary.json.
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "runtime/pipeline/runner.h"
+
+namespace penumbra::service {
+
+struct Configuration {
+  int bands = 0, width = 0, height = 0, objects = 0;
+  std::string renderer;
+};
+
+nlohmann::json summarise(const RunCounts& counts, const StageTimes& times,
+                         const Configuration& configuration);
+/// A table for people.
+void print_summary(const nlohmann::json& summary);
+
+}  // namespace penumbra::service

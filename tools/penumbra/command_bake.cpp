@@ -1,0 +1,81 @@
+#include <fmt/format.h>
+
+#include <filesystem>
+
+#include "prt/bake/bake.h"
+#include "prt/bake/baked_file.h"
+#include "prt/geometry/ground_grid.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/receiver.h"
+#include "core/files.h"
+#include "tools/penumbra/commands.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+#include "runtime/scene/scene.h"
+
+namespace penumbra::service {
+
+Rgb albedo_of(const BakeCommandOptions& o) {
+  return {static_cast<float>(o.albedo[0]), static_cast<float>(o.albedo[1]),
+          static_cast<float>(o.albedo[2])};
+}
+
+Result<void> bake(const BakeCommandOptions& o) {
+  if (!o.shard.empty() || o.merge != 0 || !o.light_map.empty())
+    return fail(ErrorCode::kInvalid, "--animation",
+                "is missing: shards and light maps are of clips");
+  if (o.samples < 64 || o.samples % 64 != 0)
+    return fail(ErrorCode::kInvalid, "--samples",
+                fmt::format("{} is not a positive multiple of 64", o.samples));
+  if (std::filesystem::path(o.output).extension() != ".glb")
+    return fail(ErrorCode::kInvalid, o.output, "a baked file ends in .glb");
+  if (o.bands < 1 || o.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  if (o.bounces < 0 || o.bounces > prt::kMostBounces)
+    return fail(ErrorCode::kInvalid, "--bounces",
+                fmt::format("not within 0..{}", prt::kMostBounces));
+  PENUMBRA_TRY(check_writable(o.output));
+  auto mesh = load_asset(o.asset, albedo_of(o), .04f);
+  if (!mesh) return std::unexpected(mesh.error());
+  prt::BakeOptions options;
+  options.bands = o.bands;
+  options.bounces = o.bounces;
+  options.rays = o.samples;
+  options.ground_rays = 4 * o.samples;
+  options.sight = true;
+  if (!(o.receiver_albedo >= 0 && o.receiver_albedo <= 1))
+    return fail(ErrorCode::kInvalid, "--receiver-albedo", "not within 0..1");
+  const auto a = static_cast<float>(o.receiver_albedo);
+  // The receiver is the plane that the asset stands on.
+  options.receiver =
+      prt::Receiver{prt::fit_ground_grid(*mesh, prt::bounds_of(*mesh).low.y), {a, a, a}};
+  options.progress = progress_bar("bake " + std::filesystem::path(o.asset).filename().string());
+  auto baked = prt::bake(std::move(*mesh), options);
+  if (!baked) return fail(baked.error().code, o.asset, baked.error().detail);
+  PENUMBRA_TRY(prt::write_baked(o.output, *baked));
+  const prt::BakeReport& r = baked->report;
+  const auto bytes = std::filesystem::file_size(o.output);
+  if (o.json) {
+    print_json({{"vertices", baked->mesh.positions.size()},
+                {"texels", baked->ground_deficit.points},
+                {"coefficients", coefficient_count(baked->transfer.bands)},
+                {"channels", baked->transfer.channels},
+                {"rays", r.rays},
+                {"seconds", r.seconds},
+                {"rays_per_second", static_cast<double>(r.rays) / r.seconds},
+                {"standard_error", r.standard_error},
+                {"bytes", bytes}});
+  } else {
+    fmt::print(
+        "{}: {} vertices and {} receiver texels, {} coefficients, {:.1f} M rays in {:.2f} s "
+        "({:.2f} M/s), "
+        "standard error {:.2f} % of t_0, {:.2f} MB\n",
+        o.output, baked->mesh.positions.size(), baked->ground_deficit.points,
+        coefficient_count(baked->transfer.bands), static_cast<double>(r.rays) * 1e-6, r.seconds,
+        static_cast<double>(r.rays) * 1e-6 / r.seconds, 100 * r.standard_error,
+        static_cast<double>(bytes) * 1e-6);
+  }
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,204 @@
+#include <fmt/format.h>
+#include <oneapi/tbb/global_control.h>
+#include <spdlog/spdlog.h>
+
+#include <charconv>
+#include <filesystem>
+
+#include "core/files.h"
+#include "runtime/scene/animated.h"
+#include "tools/penumbra/commands.h"
+#include "runtime/shading/median_time.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+// Two numbers with a sign between them.
+bool read_pair(const std::string& text, char sign, int& a, int& b) {
+  const char* const end = text.data() + text.size();
+  const auto first = std::from_chars(text.data(), end, a);
+  if (first.ec != std::errc() || first.ptr == end || *first.ptr != sign) return false;
+  const auto second = std::from_chars(first.ptr + 1, end, b);
+  return second.ec == std::errc() && second.ptr == end;
+}
+
+fs::path shard_file(const std::string& output, int index, int count) {
+  return fmt::format("{}.shard-{}-of-{}", output, index + 1, count);
+}
+
+Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
+  prt::SequenceOptions out;
+  out.frames_per_second = o.fps;
+  out.bands = o.bands;
+  out.bounces = o.bounces;
+  out.rays = out.ground_rays = o.samples;
+  out.error = o.error;
+  out.between = o.between;
+  if (!o.light_map.empty()) {
+    PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
+    out.map_width = size[0];
+    out.map_height = size[1];
+  }
+  if (o.ground_texels != 0) {
+    if (o.ground_texels < 8 || o.ground_texels > 1024)
+      return fail(ErrorCode::kInvalid, "--ground-texels",
+                  fmt::format("{} is neither 0 nor within 8..1024", o.ground_texels));
+    out.ground_size = o.ground_texels;
+  }
+  for (const double a : {o.receiver_albedo, o.albedo[0], o.albedo[1], o.albedo[2]})
+    if (!(a >= 0 && a <= 1))
+      return fail(ErrorCode::kInvalid, "--albedo", "or --receiver-albedo is not within 0..1");
+  if (o.samples < 64 || o.samples % 64 != 0)
+    return fail(ErrorCode::kInvalid, "--samples",
+                fmt::format("{} is not a positive multiple of 64", o.samples));
+  const auto a = static_cast<float>(o.receiver_albedo);
+  out.ground_albedo = {a, a, a};
+  return out;
+}
+
+// Of decoding and relighting the surface at a moment between two frames, on one core.
+double relight_ms(const prt::BakedSequence& s, const StandingCharacter& of) {
+  const tbb::global_control one_core(tbb::global_control::max_allowed_parallelism, 1);
+  RadianceSh light(s.surface.bands());
+  for (int n = 0; n < light.size(); ++n) light[n] = {1, 1, 1};
+  const auto turns = prt::bone_turns(of.character, prt::rest_pose(of.character));
+  std::vector<float> out(3 * s.surface.stride());
+  return median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
+}
+
+// Key frames besides those of --fps.
+std::size_t frames_between(const prt::BakedSequence& s) {
+  return s.keys.at.size() - s.keys.parts / prt::KeyFrames::kSplit;
+}
+
+// What the result does not keep to.
+void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
+  const prt::SequenceReport& r = s.report;
+  const bool coarse =
+      o.between > 0 ? r.worst_interpolation > prt::allowed_between(o.between, r.standard_error)
+                    : r.interpolation_error > 2 * o.error;
+  if (coarse)
+    spdlog::warn(
+        "{}: the clip moves fast, or jumps: between frames the error is {:.1f} % at worst, {:.1f} "
+        "% "
+        "on the whole; a higher --fps lowers it",
+        o.output, 100 * r.worst_interpolation, 100 * r.interpolation_error);
+  if (r.compression_error > 1.02 * o.error)
+    spdlog::warn(
+        "{}: --error {:.2g} % is not met: {:.2f} % is what as many values leave as a file may "
+        "have, "
+        "of sixteen bits; fewer texels or bands, or a shorter clip, come nearer",
+        o.output, 100 * o.error, 100 * r.compression_error);
+  if (r.interpolation_error == 0 && s.surface.frames() < 4 && s.seconds > 0)
+    spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
+                 o.output);
+}
+
+void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double relight_ms) {
+  const prt::SequenceReport& r = s.report;
+  const auto bytes = fs::file_size(o.output);
+  const double raw = 4. * static_cast<double>(s.surface.points()) * s.surface.frames() *
+                     s.surface.channels() * coefficient_count(s.surface.bands());
+  if (o.json) {
+    print_json({{"clip", s.clip},
+                {"frames", s.surface.frames()},
+                {"frames_between", frames_between(s)},
+                {"points", s.surface.points()},
+                {"vertices", s.surface.points()},
+                {"texels", s.ground_deficit.points()},
+                {"coefficients", coefficient_count(s.surface.bands())},
+                {"channels", s.surface.channels()},
+                {"components", s.surface.most_components()},
+                {"rays", r.rays},
+                {"seconds", r.seconds},
+                {"rays_per_second", static_cast<double>(r.rays) / r.seconds},
+                {"standard_error", r.standard_error},
+                {"compression_error", r.compression_error},
+                {"interpolation_error", r.interpolation_error},
+                {"worst_interpolation_error", r.worst_interpolation},
+                {"relight_ms", relight_ms},
+                {"raw_bytes", raw},
+                {"bytes", bytes}});
+    return;
+  }
+  fmt::print(
+      "{}: {} frames, {} of them between those of --fps, of {} points and {} receiver texels, {} "
+      "coefficients, {:.1f} M rays in {:.1f} "
+      "s "
+      "({:.1f} M/s), standard error {:.2f} % of t_0\n"
+      "rendered error {:.2f} % by compression, {:.2f} % between frames (at worst {:.2f} %); up to "
+      "{} components; "
+      "{:.2f} MB of {:.0f} MB; a frame decoded and relit in {:.2f} ms on one core\n",
+      o.output, s.surface.frames(), frames_between(s), s.surface.points(),
+      s.ground_deficit.points(), coefficient_count(s.surface.bands()),
+      static_cast<double>(r.rays) * 1e-6, r.seconds, static_cast<double>(r.rays) * 1e-6 / r.seconds,
+      100 * r.standard_error, 100 * r.compression_error, 100 * r.interpolation_error,
+      100 * r.worst_interpolation, s.surface.most_components(), static_cast<double>(bytes) * 1e-6,
+      raw * 1e-6, relight_ms);
+}
+
+}  // namespace
+
+Result<std::array<int, 2>> read_map_size(const std::string& option, const std::string& text) {
+  std::array<int, 2> size{};
+  const auto good = [](int side) { return side >= 8 && side <= 4096; };
+  if (!read_pair(text, 'x', size[0], size[1]) || !good(size[0]) || !good(size[1]))
+    return fail(ErrorCode::kInvalid, option,
+                fmt::format("\"{}\" is no size like 256x128 within 8..4096", text));
+  return size;
+}
+
+Result<void> bake_clip(const BakeCommandOptions& o) {
+  if (fs::path(o.output).extension() != ".shlm")
+    return fail(ErrorCode::kInvalid, o.output, "a baked clip ends in .shlm");
+  PENUMBRA_ASSIGN(options, options_of(o));
+  int index = 1, count = 1;
+  if (!o.shard.empty() &&
+      (!read_pair(o.shard, '/', index, count) || index < 1 || index > count || count > 4096))
+    return fail(ErrorCode::kInvalid, "--shard",
+                fmt::format("\"{}\" is not i/n with i in 1..n", o.shard));
+  if (o.merge < 0 || o.merge > 4096 || (o.merge > 0 && !o.shard.empty()))
+    return fail(ErrorCode::kInvalid, "--merge", "joins 1..4096 shards, and bakes none");
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(character, standing_character(o.asset, albedo_of(o), o.animation,
+                                                options.map_width, options.map_height));
+  options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
+  std::vector<fs::path> journals;
+  for (int i = 0; i < o.merge; ++i) journals.push_back(shard_file(o.output, i, o.merge));
+  if (o.merge > 0) {
+    const fs::path between = o.output + ".between";
+    PENUMBRA_ASSIGN(
+        more, prt::bake_between(character.character, character.clip, options, journals, between));
+    if (more) journals.push_back(between);
+  }
+  if (o.merge == 0) {
+    // Kept until all is done: a bake that is stopped goes on where it was.
+    journals = {o.shard.empty() ? fs::path(o.output + ".journal")
+                                : shard_file(o.output, index - 1, count)};
+    PENUMBRA_TRY(prt::bake_frames(character.character, character.clip, options, {index - 1, count},
+                                  journals[0]));
+    if (!o.shard.empty()) {
+      if (o.json) {
+        print_json({{"shard", journals[0].string()}});
+      } else {
+        fmt::print("{}\n", journals[0].string());
+      }
+      return {};
+    }
+  }
+  PENUMBRA_ASSIGN(sequence,
+                  prt::compress_frames(character.character, character.clip, options, journals));
+  PENUMBRA_TRY(prt::write_sequence(o.output, character.character, character.clip, sequence));
+  std::error_code ignored;
+  for (const fs::path& journal : journals) fs::remove(journal, ignored);
+  warn(o, sequence);
+  report(o, sequence, relight_ms(sequence, character));
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,194 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "codec/codec.h"
+#include "core/files.h"
+#include "tools/penumbra/commands.h"
+#include "runtime/pipeline/light_file.h"
+#include "tools/common/output.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+#include "service/stop_signal.h"
+#include "runtime/studio/studio_setup.h"
+#include "tools/common/summary.h"
+
+namespace penumbra::service {
+
+namespace {
+
+using compositor::Compositor;
+
+bool has_display() {
+  const auto set = [](const char* name) {
+    const char* value = std::getenv(name);
+    return value && *value;
+  };
+  return set("DISPLAY") || set("WAYLAND_DISPLAY");
+}
+
+// Passes frames on and records them as they come.
+class RecordingSource : public capture::FrameSource {
+ public:
+  RecordingSource(capture::FrameSource& source, capture::CaptureFolderWriter writer)
+      : source_(source), writer_(std::move(writer)) {}
+  const std::vector<capture::CameraInfo>& cameras() const override { return source_.cameras(); }
+  Result<std::optional<capture::Frame>> next() override {
+    auto frame = source_.next();
+    if (frame && *frame) PENUMBRA_TRY(writer_.write(**frame));
+    return frame;
+  }
+  double view_rate() const override { return source_.view_rate(); }
+  Result<void> finish() { return writer_.finish(); }
+
+ private:
+  capture::FrameSource& source_;
+  capture::CaptureFolderWriter writer_;
+};
+
+Result<void> check(const DemoOptions& o) {
+  if (o.frames < 1) return fail(ErrorCode::kInvalid, "--frames", "must be positive");
+  for (const auto& [name, side] : {std::pair{"--width", o.width}, {"--height", o.height}})
+    if (side < 64 || side > 8192)
+      return fail(ErrorCode::kInvalid, name, fmt::format("{} is not within 64..8192", side));
+  if (!(o.fps > 0 && o.fps <= 1000))
+    return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
+  if (o.bands < 1 || o.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+  PENUMBRA_TRY(choose_discs(o.discs));
+  PENUMBRA_TRY(check_budget(o.budget));
+  if (o.live && o.record)
+    return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
+  return {};
+}
+
+Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::CameraInfo>& cameras,
+                                                   const PreparedScene& scene, bool headless,
+                                                   StageTimes& times) {
+  if (!headless && has_display()) {
+    auto windowed = ComposeStage::create(cameras, scene, Compositor::Surface::kWindow, times);
+    if (windowed) return windowed;
+    spdlog::warn("{}: {}; going on without a window", windowed.error().where,
+                 windowed.error().detail);
+  }
+  return ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
+}
+
+// False when the user has closed the window.
+bool show(Compositor& output, const FramePixels& pixels) {
+  return !output.has_window() || output.present(to_display(pixels));
+}
+
+// The recording's folder, where one is asked for: refused before the long work when it holds a capture.
+Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
+  std::optional<OutputFolder> out;
+  if (!o.record) return out;
+  if (capture::holds_capture(*o.record))
+    return fail(ErrorCode::kUnwritable, *o.record, "already holds a capture");
+  auto folder = OutputFolder::create(*o.record);
+  if (!folder) return std::unexpected(folder.error());
+  out.emplace(std::move(*folder));
+  return out;
+}
+
+struct Prepared {
+  StudioSetup setup;
+  PreparedScene scene;
+};
+
+Result<Prepared> prepare_demo(const DemoOptions& o) {
+  StudioRequest request;
+  request.environment = o.environment;
+  request.asset = o.asset;
+  request.animation = o.animation;
+  request.prop = o.prop;
+  request.animated = o.animated;
+  request.width = o.width;
+  request.height = o.height;
+  request.fps = o.fps;
+  request.frames = o.frames;
+  // A live camera costs the machine nothing; its frames are filmed before the clock starts.
+  request.clip = o.live ? 16 : 0;
+  auto setup = set_up_studio(request, progress_bar);
+  if (!setup) return std::unexpected(setup.error());
+  BakeSettings settings;
+  settings.bands = o.bands;
+  auto scene = prepare(setup->scene, settings, progress_bar);
+  if (!scene) return std::unexpected(scene.error());
+  return Prepared{std::move(*setup), std::move(*scene)};
+}
+
+}  // namespace
+
+Result<void> demo(const DemoOptions& o) {
+  PENUMBRA_TRY(check(o));
+  auto output = OutputFolder::create(o.output);
+  if (!output) return std::unexpected(output.error());
+  auto record = open_record(o);
+  if (!record) return std::unexpected(record.error());
+  auto ready = prepare_demo(o);
+  if (!ready) return std::unexpected(ready.error());
+  capture::Studio studio(ready->setup.world, ready->setup.options);
+  for (const Exposure& e : studio.schedule())
+    spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
+                 e.gain.value());
+  StageTimes times;
+  const auto discs = choose_discs(o.discs);  // checked before the bake
+  auto light = LightStage::create(studio.cameras(), {o.bands, *discs}, times);
+  if (!light) return std::unexpected(light.error());
+  auto governance = make_governance(ready->scene, o.budget, o.live);
+  if (!governance) return std::unexpected(governance.error());
+  light->govern(*governance);
+  auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
+  if (!compose) return std::unexpected(compose.error());
+  const std::atomic<bool>& stop = catch_stop_signals();
+  PENUMBRA_TRY(output->begin());
+  auto writer = FrameWriter::create({output->work(), false, o.video, o.fps, o.live}, times);
+  if (!writer) return std::unexpected(writer.error());
+  std::optional<RecordingSource> recording;
+  if (o.record) {
+    PENUMBRA_TRY((*record)->begin());
+    auto recorder = capture::CaptureFolderWriter::create((*record)->work(), studio.cameras());
+    if (!recorder) return std::unexpected(recorder.error());
+    recording.emplace(studio, std::move(*recorder));
+  }
+  std::shared_ptr<const FramePixels> last, last_source;
+  const Sink sink = [&](const Output& out) {
+    last = out.pixels;
+    last_source = out.source.pixels;
+    if (stop || !show((*compose)->output(), *out.pixels)) return false;
+    return (*writer)->write("", out.pixels, true);
+  };
+  capture::FrameSource& source =
+      recording ? static_cast<capture::FrameSource&>(*recording) : studio;
+  auto counts = o.live ? run_live(source, *light, **compose, sink, times, stop)
+                       : run_replay(source, *light, **compose, sink, times);
+  if (!counts) return std::unexpected(counts.error());
+  if (stop) return stopped(o.output);
+  PENUMBRA_TRY((*writer)->finish());
+  if (recording) {
+    PENUMBRA_TRY(recording->finish());
+    PENUMBRA_TRY(write_scene((*record)->file("scene.toml"), ready->setup.scene));
+    PENUMBRA_TRY((*record)->keep());
+  }
+  PENUMBRA_TRY(codec::write_frame(output->file("still.png"), to_display(*last)));
+  PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), to_display(*last_source)));
+  const nlohmann::json summary =
+      summarise(*counts, times,
+                {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()),
+                 (*compose)->output().renderer()});
+  PENUMBRA_TRY(write_bytes(output->file("summary.json"), summary.dump(2) + "\n"));
+  PENUMBRA_TRY(output->keep());
+  if (o.json) {
+    print_json(summary);
+  } else {
+    print_summary(summary);
+    if (o.video) fmt::print("{}/video.mp4  ", o.output);
+    fmt::print("{0}/still.png  {0}/camera.png (before)  {0}/summary.json\n", o.output);
+  }
+  return {};
+}
+
+}  // namespace penumbra::service

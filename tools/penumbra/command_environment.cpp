@@ -1,0 +1,75 @@
+#include <fmt/format.h>
+
+#include <optional>
+
+#include "capture/frames.h"
+#include "capture/recording/recording.h"
+#include "codec/codec.h"
+#include "core/files.h"
+#include "tools/penumbra/commands.h"
+#include "runtime/pipeline/light_stage.h"
+#include "runtime/pipeline/report.h"
+
+namespace penumbra::service {
+
+namespace {
+
+struct Seen {
+  Environment map;
+  double coverage = 0;
+};
+
+// The newest map at that time; frames that show no light are passed over.
+Result<Seen> replay(capture::FrameSource& source, LightStage& stage, const std::string& name,
+                    double at_s) {
+  std::optional<Seen> seen;
+  std::string why = "no frame of its surroundings";
+  std::optional<TimestampNs> first;
+  while (true) {
+    PENUMBRA_ASSIGN(frame, source.next());
+    if (!frame) break;
+    if (!first) first = frame->time;
+    if (at_s > 0 && (frame->time - *first).count() > at_s) break;
+    if (!stage.takes(frame->camera)) continue;
+    auto estimate = stage.process(*frame);
+    if (estimate)
+      seen = {stage.environment(), estimate->coverage};
+    else if (estimate.error().code != ErrorCode::kUndetermined)
+      return std::unexpected(estimate.error());
+    else
+      why = estimate.error().where + ": " + estimate.error().detail;
+  }
+  if (!seen) return fail(ErrorCode::kUndetermined, name, why);
+  return std::move(*seen);
+}
+
+}  // namespace
+
+Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  StageTimes times;
+  PENUMBRA_ASSIGN(stage, LightStage::create(source->cameras(), {.bands = 3}, times));
+  PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
+  const Environment& map = seen.map;
+  PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));
+  if (!o.json) {
+    fmt::print(
+        "{}: {}x{} from {} views of {} exposures, {:.1f} % of the sphere seen, {:.3f} % clipped\n",
+        o.output, map.radiance.width(), map.radiance.height(), stage.gains().size(),
+        stage.exposures(), 100 * seen.coverage, 100 * map.clipped_fraction);
+    return {};
+  }
+  nlohmann::json views = nlohmann::json::array();
+  for (const auto& [camera, g, known] : stage.gains())
+    views.push_back({{"camera", camera}, {"gain", {g.r, g.g, g.b}}, {"gain_known", known}});
+  print_json({{"width", map.radiance.width()},
+              {"height", map.radiance.height()},
+              {"exposures_used", stage.exposures()},
+              {"coverage", seen.coverage},
+              {"clipped_fraction", map.clipped_fraction},
+              {"views", views}});
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,66 @@
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "core/files.h"
+#include "tools/penumbra/commands.h"
+#include "service/recorder.h"
+#include "runtime/pipeline/report.h"
+#include "service/rig_source.h"
+#include "service/stop_signal.h"
+
+namespace penumbra::service {
+
+namespace {
+
+std::string line_of(const std::vector<capture::CameraInfo>& cameras, const RecordCounts& counts) {
+  std::string text = fmt::format("recorded {:.1f} s", counts.seconds);
+  for (std::size_t i = 0; i < counts.frames.size(); ++i) {
+    text += fmt::format(", {} {} frames", cameras[i].name, counts.frames[i]);
+    if (counts.dropped[i]) text += fmt::format(" ({} dropped)", counts.dropped[i]);
+  }
+  return text + fmt::format(", {:.1f} MB", static_cast<double>(counts.bytes) / 1e6);
+}
+
+nlohmann::json to_json(const std::vector<capture::CameraInfo>& cameras,
+                       const RecordCounts& counts) {
+  nlohmann::json list = nlohmann::json::array();
+  for (std::size_t i = 0; i < counts.frames.size(); ++i)
+    list.push_back(
+        {{"name", cameras[i].name}, {"frames", counts.frames[i]}, {"dropped", counts.dropped[i]}});
+  return {{"seconds", counts.seconds}, {"bytes", counts.bytes}, {"cameras", list}};
+}
+
+}  // namespace
+
+Result<void> record(const RecordOptions& o) {
+  if (!(o.seconds >= 0 && o.seconds < 1e9))
+    return fail(ErrorCode::kInvalid, "--seconds", "not a number of seconds");
+  if (o.frames < 0) return fail(ErrorCode::kInvalid, "--frames", "negative");
+  if (std::filesystem::path(o.output).extension() != ".mkv")
+    return fail(ErrorCode::kInvalid, o.output, "a recording's name ends in .mkv");
+  PENUMBRA_ASSIGN(config, read_rig_config(o.config, false));
+  std::error_code ignored;
+  if (std::filesystem::exists(o.output, ignored))
+    return fail(ErrorCode::kUnwritable, o.output, "exists already");
+  PENUMBRA_TRY(check_writable(o.output));
+  PENUMBRA_ASSIGN(rig, open_rig(config));
+  capture::FrameSource& source = *rig.source;
+  const auto& cameras = source.cameras();
+  const bool watched = isatty(STDERR_FILENO);
+  const auto tell = [&](const RecordCounts& counts) {
+    if (watched) std::fprintf(stderr, "\r%s\x1b[K", line_of(cameras, counts).c_str());
+  };
+  const std::atomic<bool>& stop = catch_stop_signals();
+  auto counts = record_frames(source, o.output, {o.seconds, static_cast<std::uint64_t>(o.frames)},
+                              stop, tell);
+  if (watched) std::fputs("\r\x1b[K", stderr);
+  if (!counts) return std::unexpected(counts.error());
+  if (counts->frames.empty()) return stopped(o.output);
+  if (o.json)
+    print_json(to_json(cameras, *counts));
+  else
+    std::printf("%s: %s\n", o.output.c_str(), line_of(cameras, *counts).c_str());
+  return {};
+}
+
+}  // namespace penumbra::service

@@ -1,0 +1,94 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <filesystem>
+
+#include "codec/codec.h"
+#include "core/files.h"
+#include "tools/penumbra/commands.h"
+#include "runtime/pipeline/light_file.h"
+#include "tools/common/progress.h"
+#include "runtime/pipeline/report.h"
+#include "tools/common/still.h"
+#include "runtime/shading/view_projection.h"
+
+namespace penumbra::service {
+
+namespace {
+
+Result<prt::PinholeView> read_view(const std::string& path) {
+  auto camera = capture::read_camera_file(path);
+  if (!camera) return std::unexpected(camera.error());
+  PENUMBRA_TRY(check_drawable(camera->projection, path));
+  return prt::PinholeView{camera->projection.width, camera->projection.height,
+                          camera->projection.focal_px, camera->projection.principal_px,
+                          camera->world_from_camera};
+}
+
+}  // namespace
+
+Result<void> render(const RenderOptions& o) {
+  auto discs = choose_discs(o.discs);
+  if (!discs) return std::unexpected(discs.error());
+  if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
+  const std::string extension = std::filesystem::path(o.output).extension().string();
+  if (extension != ".exr" && extension != ".hdr")
+    return fail(ErrorCode::kInvalid, o.output, "linear radiance goes to .exr or .hdr");
+  if (!(std::abs(o.time_s) < 1e6)) return fail(ErrorCode::kInvalid, "--time", "not within +-1e6 s");
+  PENUMBRA_TRY(check_writable(o.output));
+  auto light = read_light(o.environment, o.projection);
+  if (!light) return std::unexpected(light.error());
+  auto map = capture::to_latlong(light->file);
+  if (!map) return std::unexpected(map.error());
+  auto view = read_view(o.camera);
+  if (!view) return std::unexpected(view.error());
+  auto bands = choose_bands(o.bands, light->light);
+  if (!bands) return std::unexpected(bands.error());
+  if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
+    return fail(ErrorCode::kInvalid, "--truncated-to", "not within 1..9");
+  auto scene = read_scene(o.scene);
+  if (!scene) return std::unexpected(scene.error());
+  BakeSettings settings;
+  settings.bands = *bands;
+  if (o.reference || o.without_objects)
+    settings.rays = settings.ground_rays = 64, settings.bounces = 0;
+  auto prepared = prepare(*scene, settings, progress_bar);
+  if (!prepared) return std::unexpected(prepared.error());
+
+  const StillScene in{&*prepared, &*map, *view, o.time_s};
+  std::size_t used_discs = 0;
+  const auto still = [&]() -> Result<Still> {
+    if (o.reference) {
+      std::optional<lighting::LightEstimate> truncated;
+      if (o.truncated_to) truncated = lighting::make_estimate(light->light, *o.truncated_to);
+      return render_reference(in, !o.without_objects, o.error, truncated,
+                              progress_bar("reference"));
+    }
+    auto real = render_real(in, o.error, progress_bar("real world"));
+    if (!real || o.without_objects) return real;
+    auto estimate = lighting::estimate_map(*map, {*bands, *discs});
+    if (!estimate) return std::unexpected(estimate.error());
+    used_discs = estimate->discs.size();
+    return render_composite(in, *estimate, *real);
+  }();
+  if (!still) return std::unexpected(still.error());
+  PENUMBRA_TRY(codec::write_hdr(o.output, still->radiance, codec::Depth::kFloat));
+  if (o.json) {
+    print_json({{"width", view->width},
+                {"height", view->height},
+                {"bands", *bands},
+                {"discs", used_discs},
+                {"reference", o.reference},
+                {"error", still->error},
+                {"samples_per_pixel", still->samples}});
+  } else if (still->samples > 0) {
+    fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output,
+               view->width, view->height, still->samples, 100 * still->error);
+  } else {
+    fmt::print("{}: {}x{}, {} bands and {} discs\n", o.output, view->width, view->height, *bands,
+               used_discs);
+  }
+  return {};
+}
+
+}  // namespace penumbra::service
