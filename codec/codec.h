@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "codec/range_coder.h"  // IWYU pragma: export
-#include "tools/chart/rgbe_video.h"   // IWYU pragma: export
 #include "core/image.h"
 #include "core/result.h"
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-namespace penumbra::service {
+namespace penumbra {
 
 void StageTimes::add(const std::string& stage, double ms) {
   const std::scoped_lock lock(mutex_);
@@ -41,4 +41,4 @@ std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-namespace penumbra::service {
+namespace penumbra {
 
 /// threads: thread-safe
 class StageTimes {
@@ -59,4 +59,4 @@ class StageTimer {
   Stopwatch watch_;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra

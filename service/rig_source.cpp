@@ -1,6 +1,5 @@
 #include "service/rig_source.h"
 
-#include "tools/common/progress.h"
 #include "runtime/studio/studio_setup.h"
 
 namespace penumbra::service {
@@ -47,7 +46,7 @@ class LoopingCapture : public capture::FrameSource {
 
 }  // namespace
 
-Result<RigSource> open_rig(const RigConfig& c) {
+Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
   RigSource rig;
   if (c.source == "studio") {
     const StudioRequest request{.environment = c.environment,
@@ -58,7 +57,7 @@ Result<RigSource> open_rig(const RigConfig& c) {
                                 .fps = c.fps,
                                 .frames = 1 << 30,
                                 .clip = 16};
-    PENUMBRA_ASSIGN(setup, set_up_studio(request, progress_bar));
+    PENUMBRA_ASSIGN(setup, set_up_studio(request, progress));
     rig.scene = std::move(setup.scene);
     rig.source = std::make_unique<capture::Studio>(setup.world, setup.options);
   } else if (c.source == "cameras") {

@@ -10,7 +10,7 @@
 #include "lighting/projection.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 struct FileLight {
   capture::EnvironmentFile file;
@@ -21,21 +21,4 @@ struct FileLight {
 /// reported in the log and left out.
 Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection);
 
-/// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the most discs.
-/// errors: kInvalid
-Result<lighting::DiscOptions> choose_discs(const std::string& text);
-
-/// errors: kInvalid
-Result<void> check_budget(double budget);
-
-/// For a scene. `fitted`: costs measured here and now; else fixed ones,
-/// so that a replay makes the same choices everywhere.
-/// errors: kUnavailable
-Result<lighting::Governance> make_governance(const PreparedScene& scene, double budget,
-                                             bool fitted);
-
-/// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
-/// errors: kInvalid
-Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands);
-
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

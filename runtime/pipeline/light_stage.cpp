@@ -10,7 +10,7 @@
 
 #include "core/conventions.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -271,4 +271,4 @@ void LightStage::complete(std::span<const lighting::Completion> completions) {
   }
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

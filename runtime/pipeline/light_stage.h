@@ -20,7 +20,7 @@
 #include "core/result.h"
 #include "core/stage_times.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 class LightStage {
  public:
@@ -92,4 +92,4 @@ class LightStage {
   bool told_gains_ = false;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 void Pace::add(double busy_ms, int discs) {
   if (!(period_ms_ > 0)) return;
@@ -59,4 +59,4 @@ void Pace::take_one_back(double median_ms) {
   }
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -1,7 +1,7 @@
-// Shared by the commands: JSON on standard output, tables for people.
+// Light, plans and timings as JSON, as the commands and the HTTP interface give them.
+// threads: reentrant
 #pragma once
 
-#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <string>
 
@@ -12,7 +12,7 @@
 #include "core/image.h"
 #include "core/stage_times.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 inline nlohmann::json to_json(const Rgb& c) {
   return nlohmann::json::array({c.r, c.g, c.b});
@@ -75,8 +75,4 @@ inline nlohmann::json to_json(const StageTimes& times) {
   return stages;
 }
 
-inline void print_json(const nlohmann::json& value) {
-  std::printf("%s\n", value.dump(2).c_str());
-}
-
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

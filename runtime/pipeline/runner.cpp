@@ -16,7 +16,7 @@
 #include "runtime/pipeline/internal/frame_mailbox.h"
 #include "runtime/pipeline/internal/pace.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -389,4 +389,4 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
   return counts;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

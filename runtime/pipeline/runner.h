@@ -9,7 +9,7 @@
 #include "core/queues.h"
 #include "runtime/shading/compose_stage.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 struct RunCounts {
   std::uint64_t frames = 0;         // view frames handed out
@@ -46,4 +46,4 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, Co
 Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
                            const Sink& sink, StageTimes& times, const std::atomic<bool>& stop);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -9,7 +9,7 @@
 
 #include "runtime/scene/bake_cache.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -379,4 +379,4 @@ void PreparedObject::relight(Part part, const RadianceSh& light, std::span<float
   }
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -8,7 +8,7 @@
 #include "core/result.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// World frame of a plane's bake frame: y along the normal, at the foot of `position`.
 Pose frame_on_plane(const prt::Plane& plane, const glm::dvec3& position);
@@ -40,4 +40,4 @@ Result<PreparedObject> prepare_animated(const SceneObject& object,
                                         const BakeSettings& settings,
                                         const std::function<void(double)>& progress);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

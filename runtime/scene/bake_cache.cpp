@@ -15,7 +15,7 @@
 #include "core/files.h"
 #include "core/hash.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace fs = std::filesystem;
 
@@ -194,4 +194,4 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   return sequence;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -10,7 +10,7 @@
 #include "prt/geometry/mesh.h"
 
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and put there. The folder
 /// keeps what was used last, at most `kCacheBytes`; one that cannot be written costs time, not the result.
@@ -29,4 +29,4 @@ inline constexpr std::uintmax_t kCacheBytes = std::uintmax_t{1} << 30;
 /// Removes the baked files that were used longest ago until the rest is within `most_bytes`.
 void prune_cache(const std::filesystem::path& folder, std::uintmax_t most_bytes);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -10,7 +10,7 @@
 #include "codec/codec.h"
 #include "runtime/shading/view_projection.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -125,4 +125,4 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
   return mesh;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

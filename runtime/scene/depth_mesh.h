@@ -8,7 +8,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that the longer side has at
 /// most `kDepthVertices`, each at the nearest depth around it that is known; no triangle where neighbours lie further
@@ -25,4 +25,4 @@ inline constexpr int kDepthVertices = 320;
 Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -13,7 +13,7 @@
 #include "runtime/scene/bake_cache.h"
 #include "runtime/scene/depth_mesh.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -259,4 +259,4 @@ prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double secon
   return all;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

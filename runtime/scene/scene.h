@@ -21,7 +21,7 @@
 #include "shadows/visibility/lamp.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// Where a mesh stands in the world.
 struct Placement {
@@ -160,4 +160,4 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
 /// All meshes of a scene in the world frame at a time, for the reference.
 prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

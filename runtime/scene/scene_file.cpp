@@ -4,7 +4,7 @@
 #include "core/toml_keys.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 namespace fs = std::filesystem;
 namespace {
 
@@ -286,4 +286,4 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
   return write_bytes(path, text);
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -5,7 +5,7 @@
 #include "runtime/shading/median_time.h"
 #include "runtime/shading/compose_stage.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -88,4 +88,4 @@ void ComposeStage::relight_parts(Object& o, Part own, const RadianceSh& light,
   for (std::size_t i = 0; i < out.size(); ++i) out[i] += o.more[i];
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -8,7 +8,7 @@
 #include "shadows/field/planar_shadow.h"
 #include "runtime/shading/view_projection.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -121,13 +121,6 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
     if (!o.animation) object.patterns.emplace(o.baked);
   }
   return stage;
-}
-
-Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal) {
-  Rgb sum = lighting::evaluate(
-      lighting::irradiance(normal.y > kLevel ? light.floor_light : light.light), normal);
-  for (const lighting::Disc& d : light.discs) sum += lighting::irradiance(d, normal);
-  return sum;
 }
 
 // Brings all that moves by itself to a time. Where shadows can meet others their coefficients are needed.
@@ -357,4 +350,4 @@ Composited BegunFrame::finish() {
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

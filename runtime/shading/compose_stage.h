@@ -19,11 +19,12 @@
 #include "runtime/shading/lamp_stage.h"
 #include "runtime/pipeline/light_stage.h"  // IWYU pragma: export
 #include "runtime/shading/real_stage.h"
+#include "runtime/shading/scene_light.h"
 #include "runtime/scene/scene.h"
 #include "core/stage_times.h"
 #include "runtime/shading/surroundings.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 struct Composited {
   FramePixels pixels;
@@ -45,22 +46,6 @@ class BegunFrame {
   double drawing_ms_ = 0;
   StageTimes* times_ = nullptr;
 };
-
-/// A plane counts as level when its normal's y is larger: within a quarter of a degree.
-inline constexpr double kLevel = .99999;
-/// A baked thing that stands on a level floor takes the floor's light (lighting::floor_light), any other the sphere's.
-inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_bake) {
-  return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
-}
-/// The light without discs, and one disc for what is reflected of it (kIndirectBands), world frame.
-const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
-RadianceSh reflected_for(const lighting::Disc& disc, bool level);
-/// A sum of reflected_for turned into the bake frame.
-/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave out part of its own
-RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
-                                   int bands = prt::kIndirectBands);
-/// Irradiance of an open plane of this orientation, discs included.
-Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 
 /// What a thing that keeps its form is relit by: its transfer and what comes to it by reflection, and both of its receiver.
 struct RelightPatterns {
@@ -194,4 +179,4 @@ class ComposeStage {
   bool lit_before_ = false;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

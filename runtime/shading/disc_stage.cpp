@@ -5,7 +5,7 @@
 #include <cmath>
 #include <utility>
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -357,4 +357,4 @@ void DiscStage::shadows(std::span<const Rgb> open_irradiance,
     }
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

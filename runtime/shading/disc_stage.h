@@ -16,7 +16,7 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/surroundings.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 struct DiscTaps {
   /// Rays a vertex and disc; on what knows its sight half of them, at least two, for one that sends who faces it less than the
@@ -130,4 +130,4 @@ class DiscStage {
   float near_m_ = 1e-4f;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -130,4 +130,4 @@ Result<std::vector<lighting::Completion>> FloorCompletion::observe(
   return found;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

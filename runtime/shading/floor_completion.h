@@ -11,7 +11,7 @@
 #include "lighting/light_estimate.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 class FloorCompletion {
  public:
@@ -49,4 +49,4 @@ class FloorCompletion {
   std::vector<lighting::Completion> said_;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

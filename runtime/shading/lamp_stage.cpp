@@ -5,7 +5,7 @@
 
 #include "core/conventions.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 constexpr int kVertexTaps = 4, kMapTaps = 8;
@@ -63,4 +63,4 @@ void LampStage::append(std::span<const Rgb> open_irradiance,
     }
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -10,7 +10,7 @@
 #include "compositor/compositor.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 class LampStage {
  public:
@@ -42,4 +42,4 @@ class LampStage {
   std::vector<Rgb> on_real_mesh_;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

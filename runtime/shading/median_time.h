@@ -5,7 +5,7 @@
 #include <chrono>
 #include <vector>
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// Median of `runs` calls of work(), milliseconds; one more before them warms up.
 double median_ms(int runs, const auto& work) {
@@ -22,4 +22,4 @@ double median_ms(int runs, const auto& work) {
   return *middle;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

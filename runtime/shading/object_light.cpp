@@ -5,7 +5,7 @@
 #include "core/conventions.h"
 #include "runtime/shading/compose_stage.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -28,22 +28,6 @@ void add_to_side(std::span<const Surroundings::Belongs> side, std::span<const fl
 }
 
 }  // namespace
-
-const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level) {
-  return level ? light.floor_light : light.light;
-}
-
-RadianceSh reflected_for(const lighting::Disc& disc, bool level) {
-  return level ? lighting::project_disc_above(disc, prt::kIndirectBands)
-               : lighting::project_disc(disc, prt::kIndirectBands);
-}
-
-RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
-                                   int bands) {
-  const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()), bands);
-  return (turn * (level ? lighting::floor_light(sum, bands) : sum.with_bands(bands)))
-      .with_bands(prt::kIndirectBands);
-}
 
 bool ComposeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
   const auto differs = [](const RadianceSh& a, const RadianceSh& b) {
@@ -203,4 +187,4 @@ void ComposeStage::relight(Object& o, const ObjectLight& light, std::size_t inde
   if (lamps_.any()) lamps_.add_light(index, o.relit);
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

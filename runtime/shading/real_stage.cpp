@@ -3,9 +3,9 @@
 #include <algorithm>
 
 #include "core/conventions.h"
-#include "runtime/shading/compose_stage.h"
+#include "runtime/shading/scene_light.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 bool RealStage::measure(const lighting::LightEstimate& light, const DiscStage& discs,
                         bool discs_changed) {
@@ -106,4 +106,4 @@ std::vector<Rgb> RealStage::ratios(const lighting::LightEstimate& light,
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

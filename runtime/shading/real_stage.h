@@ -11,7 +11,7 @@
 #include "runtime/shading/lamp_stage.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 class RealStage {
  public:
@@ -46,4 +46,4 @@ class RealStage {
   shadows::PlanarShadow shadow_;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

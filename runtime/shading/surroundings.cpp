@@ -6,7 +6,7 @@
 #include "core/conventions.h"
 #include "core/parallel.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -188,4 +188,4 @@ RadianceSh seen_behind(const RadianceSh& light, const Hidden& hidden, const Rgb&
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

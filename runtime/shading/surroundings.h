@@ -16,7 +16,7 @@
 #include "core/sh.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// b_n = Int (share of the surface that sees something else there) Y_n dw, world frame.
 struct Hidden {
@@ -128,4 +128,4 @@ Rgb radiance_towards(const prt::Mesh& mesh, const Pose& world_from_mesh, const g
   return weight > 0 ? sum * (1 / weight) : Rgb{};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

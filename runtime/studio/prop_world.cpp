@@ -6,7 +6,7 @@
 
 #include "core/conventions.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -131,4 +131,4 @@ Rgb PropWorld::radiance(const glm::dvec3& origin, const glm::dvec3& direction) c
   return down ? open * floor_share(origin + direction * to_floor) : open;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

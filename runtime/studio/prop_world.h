@@ -11,7 +11,7 @@
 #include "prt/geometry/receiver.h"
 
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// A floor world in which matte things stand. Their light and the floor's around them is path traced once: at their
 /// vertices, and on a grid of the floor (prt::GroundGrid) with cells of 1 cm beside something half a metre large and
@@ -44,4 +44,4 @@ class PropWorld : public capture::World {
   Image<Rgb> share_;             // at the grid's texels
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -5,7 +5,7 @@
 #include "runtime/pipeline/light_file.h"
 #include "runtime/studio/prop_world.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 namespace {
 
@@ -103,4 +103,4 @@ Result<StudioSetup> set_up_studio(
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -10,7 +10,7 @@
 #include "capture/studio/world.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 struct StudioSetup {
   std::shared_ptr<const capture::World> world;
@@ -33,4 +33,4 @@ Result<StudioSetup> set_up_studio(
     const StudioRequest& request,
     const std::function<std::function<void(double)>(const std::string&)>& progress);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -10,7 +10,7 @@
 #include "core/files.h"
 #include "tools/common/gnuplot.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -329,4 +329,4 @@ Result<void> write_rig_report(const std::filesystem::path& folder,
   return draw(folder, {{"rig.svg", rig_plot(cameras, poses)}});
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -13,7 +13,7 @@
 #include "calib/estimate/vignetting_calibration.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// coverage.svg (where corners were seen, what is left of their errors, enlarged), residuals.svg (errors in x and y),
 /// boards.svg (error of each picture), residuals.csv. Without gnuplot only the last.
@@ -51,4 +51,4 @@ Result<void> write_rig_report(const std::filesystem::path& folder,
                               std::span<const Pose> poses,
                               const calib::RigCalibration& calibration);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

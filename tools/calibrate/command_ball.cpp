@@ -1,18 +1,27 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <charconv>
 
+#include "tools/common/command.h"
+#include "tools/calibrate/commands.h"
 #include "calib/camera/mirror_ball.h"
 #include "capture/device/rig.h"
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CalibrateBallOptions {
+  std::string cameras;                // capture folder, recording or rig.toml
+  std::vector<std::string> outlines;  // NAME:x,y,radius in pixels
+  double radius_m = 0, sigma_px = 1;
+  bool json = false;
+};
 
 Result<std::vector<capture::CameraInfo>> cameras_of(const std::string& path) {
   if (!path.ends_with(".toml")) {
@@ -69,4 +78,25 @@ Result<void> calibrate_ball(const CalibrateBallOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_calibrate_ball(CLI::App& parent, Action& action) {
+  static CalibrateBallOptions ball;
+  auto* c = parent.add_subcommand("ball",
+                                "Where a mirror ball of known radius stands, from its outline in "
+                                "pictures of cameras with known poses");
+  c->add_option("cameras", ball.cameras, "Capture folder, recording or rig.toml with the cameras")
+      ->required();
+  c->add_option(
+       "--outline", ball.outlines,
+       "NAME:x,y,radius: a circle over the ball in that camera's picture, pixels; once a camera")
+      ->required();
+  c->add_option("--radius", ball.radius_m, "Of the ball, metres")
+      ->required()
+      ->check(CLI::PositiveNumber);
+  c->add_option("--sigma-px", ball.sigma_px, "How exact the circles are")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  add_json(c, ball.json);
+  c->callback([&] { action = [] { return calibrate_ball(ball); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,8 +1,11 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <filesystem>
 
+#include "tools/common/command.h"
+#include "tools/calibrate/commands.h"
 #include "calib/camera/projection.h"
 #include "calib/camera/response.h"
 #include "calib/estimate/boards.h"
@@ -15,16 +18,39 @@
 #include "tools/common/bracket_files.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/common/camera_film.h"
-#include "tools/penumbra/commands.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
 #include "service/stop_signal.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CalibrateResponseOptions {
+  std::vector<std::string> images;
+  std::string times;  // seconds, separated by commas
+  std::vector<std::string>
+      captures;        // instead of both: of a still scene, two exposures at least in all
+  std::string camera;  // in the captures
+  std::string output;
+  std::optional<std::string> report;
+  bool json = false;
+};
+
+struct CalibrateCameraOptions {
+  std::vector<std::string> pictures;
+  std::optional<std::string>
+      capture;          // instead: a recording, capture folder or rig.toml, of it `camera`
+  double seconds = 60;  // of a rig: how long it is looked at
+  std::string camera = "camera";  // its name, there and in the output
+  double every_s = .5;            // of a capture: at least so long between two pictures
+  std::string board, projection = "pinhole", output;
+  bool undistorted = false;
+  std::optional<std::string> report;
+  bool json = false;
+};
 
 namespace fs = std::filesystem;
 
@@ -89,7 +115,7 @@ bool is_rig(const std::string& path) {
 Result<CameraFilm> open_film(const std::string& path, const std::string& camera) {
   if (!is_rig(path)) return CameraFilm::open(path, camera);
   PENUMBRA_ASSIGN(config, read_rig_config(path, false));
-  PENUMBRA_ASSIGN(rig, open_rig(config));
+  PENUMBRA_ASSIGN(rig, open_rig(config, progress_bar));
   return CameraFilm::of(std::move(rig.source), path, camera);
 }
 
@@ -256,4 +282,56 @@ Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_calibrate_response(CLI::App& parent, Action& action) {
+  static CalibrateResponseOptions response;
+  auto* c = parent.add_subcommand(
+      "response",
+      "Response curve from a bracket of a still scene that has everything from dark to bright");
+  auto* images =
+      c->add_option("images", response.images, "8-bit PNG, JPEG or TIFF, the camera still");
+  c->add_option("--times", response.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
+      ->needs(images);
+  auto* name = c->add_option("--camera", response.camera, "Its name in the captures");
+  c->add_option(
+       "--capture", response.captures,
+       "Instead of images: recordings or capture folders of one still scene, two exposures at "
+       "least in all; the frames of an exposure are averaged")
+      ->excludes(images)
+      ->needs(name);
+  c->add_option("-o,--output", response.output, "Response file to write, .toml")->required();
+  c->add_option("--report", response.report, "Folder for a plot and a table of the curves");
+  add_json(c, response.json);
+  c->callback([&] { action = [] { return calibrate_response(response); }; });
+}
+
+void add_calibrate_camera(CLI::App& parent, Action& action) {
+  static CalibrateCameraOptions camera;
+  auto* c = parent.add_subcommand(
+      "camera",
+      "Intrinsics from pictures of a board: ten to thirty, tilted to all sides, up to the borders");
+  c->add_option("pictures", camera.pictures, "PNG, JPEG or TIFF pictures of the board");
+  c->add_option(
+      "--capture", camera.capture,
+      "Instead of pictures: a recording, a capture folder, or a rig.toml whose camera is looked "
+      "at live");
+  c->add_option("--seconds", camera.seconds,
+                "Of a live rig: how long; an interrupt ends it earlier")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output");
+  c->add_option("--every", camera.every_s, "Of a capture: seconds between two pictures, at least");
+  c->add_option("--board", camera.board,
+                "chessboard:15x9:0.026 (inner corners, square in metres), "
+                "charuco:8x6:0.04:0.03 (squares, square, marker) or apriltag:6x5:0.05:0.015 (tags, "
+                "tag, gap)")
+      ->required();
+  c->add_option("--projection", camera.projection, "pinhole, equidistant, kb4 or double-sphere")
+      ->capture_default_str();
+  c->add_flag("--undistorted", camera.undistorted, "Keep the distortion at 0");
+  c->add_option("-o,--output", camera.output, "Camera file to write, .toml")->required();
+  c->add_option("--report", camera.report, "Folder for plots and a table of the residuals");
+  add_json(c, camera.json);
+  c->callback([&] { action = [] { return calibrate_camera(camera); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,8 +1,11 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
 
+#include "tools/common/command.h"
+#include "tools/calibrate/commands.h"
 #include "calib/estimate/colour_calibration.h"
 #include "capture/environment/shared_surfaces.h"
 #include "capture/frames.h"
@@ -10,12 +13,19 @@
 #include "core/conventions.h"
 #include "core/files.h"
 #include "tools/calibrate/calibration_report.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CalibrateColourOptions {
+  std::string capture;  // of a still scene
+  std::string environment = "environment", view = "view", model = "matrix", output;
+  bool chart = false;  // a ColorChecker stands in both pictures
+  std::optional<std::string> report;
+  bool json = false;
+};
 
 Result<std::vector<calib::ColourPair>> pairs_of_chart(const capture::StillPicture& environment,
                                                       const capture::StillPicture& view) {
@@ -110,4 +120,25 @@ Result<void> calibrate_colour(const CalibrateColourOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_calibrate_colour(CLI::App& parent, Action& action) {
+  static CalibrateColourOptions colour;
+  auto* c = parent.add_subcommand(
+      "colour", "Matrix that carries an environment camera's radiance into a view camera's");
+  c->add_option(
+       "capture", colour.capture,
+       "Recording or capture folder of a still scene that both cameras see, with their poses")
+      ->required();
+  c->add_option("--environment", colour.environment, "Name of the environment camera")
+      ->capture_default_str();
+  c->add_option("--view", colour.view, "Name of the view camera")->capture_default_str();
+  c->add_flag("--chart", colour.chart,
+              "A ColorChecker of 24 patches stands in both pictures; poses do not matter");
+  c->add_option("--model", colour.model, "matrix, gains (one a channel) or scale (one in all)")
+      ->capture_default_str();
+  c->add_option("-o,--output", colour.output, "Colour file to write, .toml")->required();
+  c->add_option("--report", colour.report, "Folder for a plot and a table of the surfaces");
+  add_json(c, colour.json);
+  c->callback([&] { action = [] { return calibrate_colour(colour); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,20 +1,30 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <map>
 
+#include "tools/common/command.h"
+#include "tools/calibrate/commands.h"
 #include "calib/estimate/noise_calibration.h"
 #include "capture/frames.h"
 #include "core/files.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/common/camera_film.h"
-#include "tools/penumbra/commands.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CalibrateNoiseOptions {
+  std::string capture;                // of a still scene
+  std::optional<std::string> capped;  // the same camera with its lens capped
+  std::string camera = "camera", output;
+  std::optional<std::string> report;
+  bool json = false;
+};
 
 struct Film {
   capture::CameraInfo camera;
@@ -83,4 +93,23 @@ Result<void> calibrate_noise(const CalibrateNoiseOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_calibrate_noise(CLI::App& parent, Action& action) {
+  static CalibrateNoiseOptions noise;
+  auto* c = parent.add_subcommand(
+      "noise",
+      "Full well, read noise and black level from frames of a still scene (photon transfer)");
+  c->add_option(
+       "capture", noise.capture,
+       "Recording or capture folder: a still scene from dark to bright, eight frames or more of "
+       "each exposure and gain")
+      ->required();
+  c->add_option("--capped", noise.capped,
+                "The same camera with its lens capped, for the black level");
+  c->add_option("--camera", noise.camera, "Its name in the captures")->capture_default_str();
+  c->add_option("-o,--output", noise.output, "Noise file to write, .toml")->required();
+  c->add_option("--report", noise.report, "Folder for a plot and a table of the points");
+  add_json(c, noise.json);
+  c->callback([&] { action = [] { return calibrate_noise(noise); }; });
+}
+
+}  // namespace penumbra::tools

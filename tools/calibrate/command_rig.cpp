@@ -1,9 +1,12 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
+#include "tools/common/command.h"
+#include "tools/calibrate/commands.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/rig_calibration.h"
 #include "capture/frames.h"
@@ -12,14 +15,25 @@
 #include "core/files.h"
 #include "core/toml_keys.h"
 #include "tools/calibrate/calibration_report.h"
-#include "tools/penumbra/commands.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/tracker_file.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CalibrateRigOptions {
+  std::string capture;  // cameras that are fixed to each other, and a board
+  std::string board, output;
+  std::vector<std::string> cameras;    // the first is the rig's frame; empty: all
+  std::optional<std::string> tracker;  // poses of the body that the cameras are fixed to, .csv
+  double tracker_sigma_mm = 1, tracker_sigma_deg = .05;
+  std::string board_lies;  // "floor" or "wall": the board is the world
+  double every_s = .5, simultaneous_s = .005;
+  std::optional<std::string> report;
+  bool json = false;
+};
 
 struct Seen {
   std::vector<calib::RigCameraInput> cameras;
@@ -244,4 +258,35 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_calibrate_rig(CLI::App& parent, Action& action) {
+  static CalibrateRigOptions rig;
+  auto* c = parent.add_subcommand(
+      "rig", "Poses of cameras that are fixed to each other, from a board that they see at once");
+  c->add_option("capture", rig.capture, "Recording or capture folder with the cameras' intrinsics")
+      ->required();
+  c->add_option("--board", rig.board, "As for calibrate camera")->required();
+  c->add_option("--cameras", rig.cameras, "Names; the first is the rig's frame (all, as they come)")
+      ->delimiter(',');
+  c->add_option(
+      "--tracker", rig.tracker,
+      "Poses of the body that carries the cameras, before a board that stands still: CSV of "
+      "time_s,tx,ty,tz,qx,qy,qz,qw");
+  c->add_option("--tracker-sigma-mm", rig.tracker_sigma_mm, "Noise of a tracked position")
+      ->capture_default_str();
+  c->add_option("--tracker-sigma-deg", rig.tracker_sigma_deg, "Noise of a tracked rotation")
+      ->capture_default_str();
+  c->add_option("--board-lies", rig.board_lies,
+                "floor or wall: cameras and board stand still, and the board's first corner is the "
+                "world's origin");
+  c->add_option("--every", rig.every_s, "Seconds between two moments, at least")
+      ->capture_default_str();
+  c->add_option("--simultaneous", rig.simultaneous_s,
+                "Seconds that frames of one moment may lie apart")
+      ->capture_default_str();
+  c->add_option("-o,--output", rig.output, "Pose file to write, .toml")->required();
+  c->add_option("--report", rig.report, "Folder for a plot and a table of the boards");
+  add_json(c, rig.json);
+  c->callback([&] { action = [] { return calibrate_rig(rig); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,5 +1,8 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "tools/common/command.h"
+#include "tools/calibrate/commands.h"
 #include "calib/camera/projection.h"
 #include "calib/camera/response.h"
 #include "calib/estimate/vignetting_calibration.h"
@@ -8,12 +11,19 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "tools/calibrate/calibration_report.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CalibrateVignettingOptions {
+  std::vector<std::string> pictures;
+  std::string response = "srgb", output;
+  std::optional<std::string> camera, report;
+  double black_level = 0;
+  bool json = false;
+};
 
 Result<calib::Projection> projection_of(const CalibrateVignettingOptions& o,
                                         const FramePixels& picture) {
@@ -57,4 +67,25 @@ Result<void> calibrate_vignetting(const CalibrateVignettingOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_calibrate_vignetting(CLI::App& parent, Action& action) {
+  static CalibrateVignettingOptions vignetting;
+  auto* c = parent.add_subcommand(
+      "vignetting",
+      "What a lens takes of the light towards the borders, from pictures of an even surface");
+  c->add_option("pictures", vignetting.pictures,
+                "Of white paper out of focus, or a sky through it; turn the camera between them")
+      ->required();
+  c->add_option("--camera", vignetting.camera,
+                "Camera file of calibrate camera: its principal point is the centre, else the "
+                "picture's middle");
+  c->add_option("--response", vignetting.response, "linear, srgb, gamma:2.2 or a response file")
+      ->capture_default_str();
+  c->add_option("--black-level", vignetting.black_level, "Fraction of full scale")
+      ->check(CLI::Range(0., .9));
+  c->add_option("-o,--output", vignetting.output, "Vignetting file to write, .toml")->required();
+  c->add_option("--report", vignetting.report, "Folder for a plot");
+  add_json(c, vignetting.json);
+  c->callback([&] { action = [] { return calibrate_vignetting(vignetting); }; });
+}
+
+}  // namespace penumbra::tools

@@ -9,7 +9,7 @@
 
 #include "core/files.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -61,4 +61,4 @@ Result<std::vector<calib::TrackerPose>> read_tracker_file(const std::filesystem:
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -6,7 +6,7 @@
 
 #include "core/conventions.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view, double seconds) {
   // Sixteen samples a pixel call some full that are not: the sky behind them would count as the object's error.
@@ -144,4 +144,4 @@ void light_floor(const StillScene& in, const lighting::LightEstimate& light, con
     if (masks.floor[i]) empty.radiance.pixels()[i] = exit;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -6,7 +6,7 @@
 #include "core/result.h"
 #include "tools/common/still.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// Which pixels show objects alone (full coverage), and which the floor alone.
 struct Masks {
@@ -40,4 +40,4 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
 void light_floor(const StillScene& in, const lighting::LightEstimate& light, const Masks& masks,
                  Still& empty);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -5,7 +5,7 @@
 
 #include "core/conventions.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -202,4 +202,4 @@ PreparedScene with_ambient_occlusion(const PreparedScene& scene) {
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

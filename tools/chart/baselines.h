@@ -7,7 +7,7 @@
 #include "core/result.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// The environment as `count` point lights of equal energy (a power of two) and nothing else.
 /// source: Debevec 2005, "A Median Cut Algorithm for Light Probe Sampling"
@@ -28,4 +28,4 @@ PreparedScene without_floor_shadow(const PreparedScene& scene);
 /// The scene with visibility as one number a point, the same for every direction.
 PreparedScene with_ambient_occlusion(const PreparedScene& scene);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

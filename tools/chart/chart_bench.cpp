@@ -13,7 +13,7 @@
 #include "runtime/shading/compose_stage.h"
 #include "tools/common/progress.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -124,20 +124,6 @@ Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment
   return Truth{std::move(*empty), std::move(*full)};
 }
 
-LightTime time_single_threaded(int runs, const std::function<void(int)>& work) {
-  const tbb::global_control one_thread(tbb::global_control::max_allowed_parallelism, 1);
-  std::vector<double> ms;
-  for (int run = 0; run < runs; ++run) {
-    const auto start = std::chrono::steady_clock::now();
-    work(run);
-    ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
-                     .count());
-  }
-  std::ranges::sort(ms);
-  const auto last = static_cast<double>(ms.size() - 1);
-  return {ms[ms.size() / 2], ms[static_cast<std::size_t>(std::lround(.99 * last))]};
-}
-
 Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
                          const lighting::LightEstimate& light, const DiscTaps& taps,
                          const Truth& truth) {
@@ -174,4 +160,4 @@ std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_siz
   return bytes;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

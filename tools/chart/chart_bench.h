@@ -7,9 +7,10 @@
 #include "tools/chart/accuracy.h"
 #include "tools/chart/chart_plot.h"
 #include "runtime/scene/scene.h"
+#include "runtime/pipeline/single_thread_time.h"
 #include "tools/common/still.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// As if it had been baked with so many bands, at most those that there are: the same coefficients, further ones left out.
 prt::Transfer with_bands(const prt::Transfer& transfer, int bands);
@@ -50,10 +51,6 @@ struct Truth {
 /// errors: as render_reference
 Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error);
 
-struct LightTime {
-  double p50_ms = 0, p99_ms = 0;
-};
-
 /// Composite under `light` and figures against the truth. `scene` may treat the objects in another way than
 /// the bench's own does.
 struct Measured {
@@ -69,10 +66,7 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
 Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
                                const lighting::LightEstimate& light, const DiscTaps& taps);
 
-/// Median and 99th percentile of so many runs of `work` on one thread.
-LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
-
 /// The baked coefficients and the discs' maps, in bytes.
 std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

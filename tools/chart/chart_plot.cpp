@@ -15,7 +15,7 @@
 #include "tools/common/gnuplot.h"
 #include "tools/chart/plot_layout.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -436,4 +436,4 @@ Result<void> write_chart_plots(const std::filesystem::path& folder,
   return {};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

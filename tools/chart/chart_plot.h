@@ -12,7 +12,7 @@
 
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// One method with one configuration in one environment with one object. NaN: not measured.
 struct ChartPoint {
@@ -52,4 +52,4 @@ std::vector<std::size_t> pareto_front(std::span<const std::pair<double, double>>
 Result<void> write_chart_plots(const std::filesystem::path& folder,
                                std::span<const ChartPoint> points);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -1,3 +1,4 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
@@ -6,13 +7,15 @@
 #include <filesystem>
 #include <map>
 
+#include "tools/common/command.h"
+#include "tools/chart/commands.h"
+#include "tools/chart/chart_options.h"
 #include "capture/environment/environment_file.h"
 #include "capture/studio/environments.h"
 #include "core/conventions.h"
 #include "core/files.h"
 #include "tools/chart/baselines.h"
 #include "tools/chart/chart_bench.h"
-#include "tools/penumbra/commands.h"
 #include "tools/chart/flicker.h"
 #include "tools/chart/governor_bench.h"
 #include "runtime/pipeline/light_file.h"
@@ -20,7 +23,7 @@
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -523,4 +526,50 @@ Result<void> chart(const ChartOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_chart(CLI::App& parent, Action& action) {
+  static ChartOptions chart_options;
+  auto* c = parent.add_subcommand("chart", "Error against time: sweeps, baselines, CSV and SVG");
+  c->add_option("--out", chart_options.output, "Output folder")->capture_default_str();
+  c->add_option("--environment", chart_options.environments,
+                "HDR environments; built-in ones by default");
+  c->add_flag("--with-procedural", chart_options.with_procedural,
+              "The built-in environments beside the given ones");
+  c->add_option("--asset", chart_options.assets, "Objects; the built-in knot and twist by default");
+  c->add_option("--bands", chart_options.bands,
+                "Only these numbers of bands, with --discs; by default the whole sweep")
+      ->delimiter(',');
+  c->add_option("--discs", chart_options.discs, "Most discs beside --bands")->capture_default_str();
+  c->add_option("--governor", chart_options.governor,
+                "Calibrate the governor on 59 random scenes and prove it on so many others");
+  c->add_option("--budget", chart_options.budget, "Of the shadow's RMS error in s, for --governor")
+      ->capture_default_str();
+  c->add_option("--error", chart_options.error, "Relative error of the reference")
+      ->capture_default_str();
+  c->add_flag(
+      "--truncated", chart_options.truncated,
+      "Against the reference under the same truncated light: what bake, shadow and composite cost");
+  const char* const kClip = "Compression of a clip's transfer instead";
+  c->add_option("--animation", chart_options.animation,
+                "Clip of the first --asset (builtin:walker without one): bytes against rendered "
+                "error of ways to "
+                "code its transfer")
+      ->check(not_empty)
+      ->group(kClip);
+  c->add_option("--light-map", chart_options.light_map, "WIDTHxHEIGHT texels")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--frames", chart_options.frames, "Of the clip")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--samples", chart_options.samples, "Rays a texel and frame, a multiple of 64")
+      ->capture_default_str()
+      ->group(kClip);
+  add_json(c, chart_options.json);
+  c->callback([&] {
+    action = [] {
+      return chart_options.animation.empty() ? chart(chart_options) : chart_clip(chart_options);
+    };
+  });
+}
+
+}  // namespace penumbra::tools

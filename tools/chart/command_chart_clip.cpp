@@ -10,7 +10,8 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "runtime/scene/animated.h"
-#include "tools/penumbra/commands.h"
+#include "tools/chart/chart_options.h"
+#include "tools/common/map_size.h"
 #include "tools/common/gnuplot.h"
 #include "runtime/pipeline/light_file.h"
 #include "tools/common/output.h"
@@ -18,7 +19,7 @@
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -304,4 +305,4 @@ Result<void> chart_clip(const ChartOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -1,18 +1,28 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <cmath>
 #include <limits>
 
+#include "tools/common/command.h"
+#include "tools/chart/commands.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
-#include "tools/penumbra/commands.h"
 #include "tools/chart/flip.h"
 #include "tools/common/output.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CompareOptions {
+  std::string a, b;
+  std::optional<std::string>
+      mask;            // "blue": pixels that are pure blue in this picture are left out
+  bool scale = false;  // allow one scale factor
+  bool json = false;
+};
 
 // Any picture as linear floats: 8 and 16 bit codes stay codes in 0..1.
 Result<Image<Rgb>> read_any(const std::string& path) {
@@ -127,4 +137,16 @@ Result<void> compare(const CompareOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_compare(CLI::App& parent, Action& action) {
+  static CompareOptions compare_options;
+  auto* c = parent.add_subcommand("compare", "Error figures between two pictures of the same size");
+  c->add_option("a", compare_options.a, "Picture")->required();
+  c->add_option("b", compare_options.b, "Reference")->required();
+  c->add_option("--mask", compare_options.mask,
+                "Leave out the pixels that are pure blue in this picture");
+  c->add_flag("--scale", compare_options.scale, "Allow one scale factor, fitted in the logarithm");
+  add_json(c, compare_options.json);
+  c->callback([&] { action = [] { return compare(compare_options); }; });
+}
+
+}  // namespace penumbra::tools

@@ -8,7 +8,7 @@
 #include "capture/studio/world.h"
 
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 Result<std::vector<Image<Rgb>>> measured_maps(const Image<Rgb>& environment, int count) {
   auto world = capture::FloorWorld::make(environment);  // brings radiance to the scale of a camera
@@ -62,4 +62,4 @@ Result<double> measure_flicker(const ChartScene& bench, const PreparedScene& sce
   return std::sqrt(square / count) / (mean / count);
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

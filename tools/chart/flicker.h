@@ -7,7 +7,7 @@
 
 #include "tools/chart/chart_bench.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// The environment as a camera of 8 bits measures it again and again: bracketed, with shot and read noise, merged.
 /// errors: as capture::merge
@@ -22,4 +22,4 @@ Result<double> measure_flicker(const ChartScene& bench, const PreparedScene& sce
                                const LightOf& light, const DiscTaps& taps, const Still& empty,
                                std::span<const Image<Rgb>> maps);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -15,7 +15,7 @@
 #include "core/conventions.h"
 #include "core/parallel.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -390,4 +390,4 @@ double mean_flip(const Image<float>& map) {
   return map.empty() ? 0 : sum / static_cast<double>(map.area());
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

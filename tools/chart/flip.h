@@ -6,7 +6,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// Pixels in a degree of the visual field: a display .7 m and 3840 pixels wide, seen from .7 m.
 inline constexpr double kFlipPixelsPerDegree = 67;
@@ -32,4 +32,4 @@ Result<Image<float>> hdr_flip(const Image<Rgb>& reference, const Image<Rgb>& tes
 /// Mean of a FLIP map, the usual single figure; 0 for an empty map.
 double mean_flip(const Image<float>& map);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

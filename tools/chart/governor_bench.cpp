@@ -14,7 +14,7 @@
 #include "runtime/shading/compose_stage.h"
 #include "tools/common/still.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -184,31 +184,6 @@ double shadow_rmse(const Values& ours, const Values& reference) {
   return count > 0 ? std::sqrt(square / count) : -1;
 }
 
-// An object with its planar shadow, as a stage relights them.
-class Relit {
- public:
-  explicit Relit(const PreparedObject& o)
-      : baked_(o.baked),
-        patterns_(o.baked),
-        light_(3 * o.baked.transfer.stride),
-        taken_(3 * o.baked.ground_deficit.stride) {}
-
-  void relight(const RadianceSh& light, const RadianceSh* reflected) {
-    patterns_.surface.relight(light, reflected, light_);
-    const prt::Transfer& deficit = baked_.ground_deficit;
-    if (!baked_.receiver || deficit.points == 0) return;
-    patterns_.ground.relight(light, reflected, taken_);
-    shadows::compose_planar_shadow({baked_.receiver->grid, deficit.bands, deficit.stride, taken_},
-                                   light, shadow_);
-  }
-
- private:
-  const prt::BakedObject& baked_;
-  RelightPatterns patterns_;
-  std::vector<float> light_, taken_;
-  shadows::PlanarShadow shadow_;
-};
-
 double binomial_upper_tail(int successes, int trials, double p) {
   double sum = 0;
   for (int k = successes; k <= trials; ++k)
@@ -218,15 +193,6 @@ double binomial_upper_tail(int successes, int trials, double p) {
 }
 
 }  // namespace
-
-lighting::ShadowProbes shadow_probes(const PreparedScene& scene) {
-  lighting::ShadowProbes out;
-  for (const PreparedObject& o : scene.objects)
-    for (std::size_t p = 0; p < o.baked.shadow_probes.points; ++p)
-      for (int n = 0; n < kMaxCoefficients; ++n)
-        out.deficit.push_back(static_cast<float>(kPi) * o.baked.shadow_probes.value(0, n, p));
-  return out;
-}
 
 double clopper_pearson_low(int successes, int trials) {
   if (successes == 0) return 0;
@@ -260,37 +226,6 @@ double ScenePlans::least_factor(const lighting::CostModel& costs, double budget)
     least = factor;
   }
   return 0;
-}
-
-Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
-  auto discs = DiscStage::create(scene, {});
-  if (!discs) return std::unexpected(discs.error());
-  const Surroundings alone(
-      scene);  // nothing looked at yet: what stands around costs the same for any plan
-  lighting::CostModel costs;
-  std::vector<Relit> things;
-  for (const PreparedObject& o : scene.objects) things.emplace_back(o);
-  const RadianceSh light(kMaxBands);
-  const auto relight = [&](const RadianceSh* reflected) {
-    const auto all = [&](int) {
-      for (Relit& thing : things) thing.relight(light, reflected);
-    };
-    return time_single_threaded(5, all).p50_ms;
-  };
-  // What is baked is read whole, whatever the bands of the light; the first disc brings reflected light.
-  costs.per_coefficient_ms = 0;
-  costs.base_ms = relight(nullptr);
-  const double reflected_ms = std::max(0., relight(&light) - costs.base_ms);
-  lighting::Disc sun;
-  sun.id = 1;
-  sun.radius = Radians(.02);
-  sun.radiance = {1, 1, 1};
-  const auto move = [&](int run) {
-    sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
-    discs->update({&sun, 1}, 1, alone);
-  };
-  costs.per_disc_ms = reflected_ms + time_single_threaded(3, move).p50_ms;
-  return costs;
 }
 
 Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed, int rays) {
@@ -372,4 +307,4 @@ Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting:
   return proof;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -9,14 +9,7 @@
 #include "core/result.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
-
-/// The baked probes of all objects on a floor.
-lighting::ShadowProbes shadow_probes(const PreparedScene& scene);
-
-/// Time of relighting and of tracing one disc in this scene on one thread, fitted.
-/// errors: kUnavailable (Embree)
-Result<lighting::CostModel> fit_costs(const PreparedScene& scene);
+namespace penumbra::tools {
 
 /// Errors of s at the probes of a scene in one environment: predicted, and measured for every plan.
 struct ScenePlans {
@@ -63,4 +56,4 @@ Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting:
                                      double budget, int test_scenes,
                                      const std::function<void(double)>& progress);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -18,7 +18,7 @@ extern "C" {
 #include <libavutil/opt.h>
 }
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -233,4 +233,4 @@ Result<CodedMaps> code_as_video(std::span<const Image<float>> maps, int layers, 
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

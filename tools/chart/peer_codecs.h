@@ -9,7 +9,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// Maps as decoded, in their order, and how many bytes they took.
 struct CodedMaps {
@@ -28,4 +28,4 @@ Result<CodedMaps> code_as_exr(std::span<const Image<float>> maps, int layers, fl
 /// errors: kUnavailable (no encoder or decoder)
 Result<CodedMaps> code_as_video(std::span<const Image<float>> maps, int layers, int crf);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

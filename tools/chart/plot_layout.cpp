@@ -8,7 +8,7 @@
 
 #include "core/conventions.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -115,4 +115,4 @@ PlotPosition nearest_on(const PlotBox& box, const PlotPosition& point) {
   return {std::clamp(point.x, box.x0, box.x1), std::clamp(point.y, box.y0, box.y1)};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

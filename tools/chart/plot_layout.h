@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// A logarithmic axis whose values start at `least`. What is 0 or less stands at `zero`, below all
 /// else, on a tick of its own; `zero` is 0 when there is no such value.
@@ -59,4 +59,4 @@ std::vector<std::optional<PlotBox>> place_labels(const PlotBox& area,
 /// The position on a box nearest to a point: where a line to the label ends.
 PlotPosition nearest_on(const PlotBox& box, const PlotPosition& point);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

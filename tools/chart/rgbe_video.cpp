@@ -10,7 +10,7 @@
 
 #include "codec/range_coder.h"
 
-namespace penumbra::codec {
+namespace penumbra::tools {
 
 namespace {
 
@@ -361,4 +361,4 @@ Result<std::vector<Image<float>>> decode_rgbe_video(std::span<const unsigned cha
   return out;
 }
 
-}  // namespace penumbra::codec
+}  // namespace penumbra::tools

@@ -10,7 +10,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
-namespace penumbra::codec {
+namespace penumbra::tools {
 
 /// Maps of one value a pixel, all of one size. RGBE cannot hold negative values: the dissertation drops them; here signs
 /// are a plane of their own, coded without loss.
@@ -27,4 +27,4 @@ Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float
 Result<std::vector<Image<float>>> decode_rgbe_video(std::span<const unsigned char> bytes,
                                                     const std::string& name);
 
-}  // namespace penumbra::codec
+}  // namespace penumbra::tools

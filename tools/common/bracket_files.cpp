@@ -9,7 +9,7 @@
 #include "codec/codec.h"
 #include "tools/common/camera_film.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -198,4 +198,4 @@ EightBitBracket eight_bit_bracket(const capture::ExposureStack& stack) {
   return out;
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

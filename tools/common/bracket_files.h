@@ -8,7 +8,7 @@
 #include "capture/hdr/stacks.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// `times`: seconds separated by commas, 1/60 works. Response, noise and black level stay at their defaults.
 /// errors: kNotFound, kUnreadable, kInvalid (a time, sizes, bit depths)
@@ -41,4 +41,4 @@ struct EightBitBracket {
 };
 EightBitBracket eight_bit_bracket(const capture::ExposureStack& stack);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 Result<CameraFilm> CameraFilm::of(std::unique_ptr<capture::FrameSource> source,
                                   const std::string& path, const std::string& camera) {
@@ -28,4 +28,4 @@ Result<std::optional<capture::Frame>> CameraFilm::next() {
   }
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

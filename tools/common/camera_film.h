@@ -9,7 +9,7 @@
 #include "capture/frames.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// threads: thread-bound
 class CameraFilm {
@@ -32,4 +32,4 @@ class CameraFilm {
   std::size_t index_;
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

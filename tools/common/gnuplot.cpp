@@ -13,7 +13,7 @@
 
 #include "core/files.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -135,4 +135,4 @@ Result<void> run_gnuplot(const std::string& script, const std::filesystem::path&
   });
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

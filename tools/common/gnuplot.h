@@ -6,7 +6,7 @@
 
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// Text as gnuplot reads it back literally: in single quotes nothing is substituted. Control
 /// characters become spaces and characters outside ASCII '?', so that an SVG stays well-formed.
@@ -19,4 +19,4 @@ std::string gnuplot_quoted(const std::string& text);
 /// threads: reentrant; waits for a child process, no shell is involved
 Result<void> run_gnuplot(const std::string& script, const std::filesystem::path& target);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -13,7 +13,7 @@
 #include "core/result.h"
 #include "core/stage_times.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// A run's results, made in a hidden folder inside the output folder and moved there by keep(). A run that fails leaves
 /// no file, and what an earlier one left stays as it was; files of names that this run does not make stay in any case.
@@ -78,8 +78,4 @@ class FrameWriter {
   std::jthread worker_;
 };
 
-/// Eight-bit picture of any frame, for video, JPEG and windows: 16 bit loses its low byte, float
-/// frames go through sRGB with `exposure`.
-Image<Rgb8> to_display(const FramePixels& pixels, float exposure = 1);
-
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -10,7 +10,7 @@
 #include <functional>
 #include <string>
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 /// Done: 0..1; falling back begins another round, with a bar of its own.
 inline std::function<void(double)> progress_bar(const std::string& what) {
@@ -54,4 +54,4 @@ inline std::function<void(const std::string&)> progress_line() {
   };
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

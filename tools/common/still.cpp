@@ -6,7 +6,7 @@
 #include "core/parallel.h"
 #include "runtime/shading/compose_stage.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -144,4 +144,4 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
                std::move(reference->half_a), std::move(reference->half_b)};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

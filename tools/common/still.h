@@ -11,7 +11,7 @@
 #include "runtime/shading/compose_stage.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 struct Still {
   Image<Rgb> radiance;
@@ -61,4 +61,4 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
                                const std::optional<lighting::LightEstimate>& truncated,
                                const Progress& progress);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -4,7 +4,7 @@
 
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const Configuration& c) {
   const auto frames = static_cast<double>(counts.frames);
@@ -47,4 +47,4 @@ void print_summary(const nlohmann::json& s) {
                stage["p50_ms"].get<double>(), stage["p99_ms"].get<double>());
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -6,7 +6,7 @@
 
 #include "runtime/pipeline/runner.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 struct Configuration {
   int bands = 0, width = 0, height = 0, objects = 0;
@@ -18,4 +18,4 @@ nlohmann::json summarise(const RunCounts& counts, const StageTimes& times,
 /// A table for people.
 void print_summary(const nlohmann::json& summary);
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

@@ -1,19 +1,22 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <filesystem>
 
+#include "tools/common/command.h"
+#include "tools/penumbra/commands.h"
+#include "tools/penumbra/bake_options.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "core/files.h"
-#include "tools/penumbra/commands.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 Rgb albedo_of(const BakeCommandOptions& o) {
   return {static_cast<float>(o.albedo[0]), static_cast<float>(o.albedo[1]),
@@ -78,4 +81,66 @@ Result<void> bake(const BakeCommandOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_bake(CLI::App& parent, Action& action) {
+  static BakeCommandOptions bake_options;
+  auto* c = parent.add_subcommand(
+      "bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
+  c->add_option("asset", bake_options.asset,
+                "glTF, OBJ or PLY (or builtin:knot, builtin:twist, builtin:box, builtin:walker)")
+      ->required();
+  c->add_option("-o,--output", bake_options.output, "Baked .glb, of a clip .shlm")->required();
+  c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
+  c->add_option("--bounces", bake_options.bounces,
+                "Traced bounces of light between the parts; from 2 on the rest is extrapolated")
+      ->capture_default_str();
+  c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")
+      ->capture_default_str();
+  c->add_option("--albedo", bake_options.albedo, "R G B where the asset has no material")
+      ->expected(3)
+      ->check(CLI::Range(0., 1.))
+      ->capture_default_str();
+  c->add_option("--receiver-albedo", bake_options.receiver_albedo,
+                "Of the plane under it; 0 reflects nothing")
+      ->check(CLI::Range(0., 1.))
+      ->capture_default_str();
+  add_json(c, bake_options.json);
+  const char* const kClip = "A clip of a character";
+  c->add_option("--animation", bake_options.animation,
+                "Clip, by name or number: transfer over its frames instead of one pose")
+      ->check(not_empty)
+      ->group(kClip);
+  c->add_option("--fps", bake_options.fps, "Baked frames a second of the clip")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--light-map", bake_options.light_map,
+                "WIDTHxHEIGHT texels instead of vertices, laid out by the asset's texture "
+                "coordinates or, where "
+                "those are not usable, by an atlas of its own")
+      ->group(kClip);
+  c->add_option("--error", bake_options.error, "Relative rendered error that compression may add")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option(
+       "--between", bake_options.between,
+       "Relative rendered error that a straight line between two frames may add: where it is "
+       "more, further frames are baked between those of --fps; 0: none")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--ground-texels", bake_options.ground_texels,
+                "Side of the shadow basis on the floor; 0: none")
+      ->capture_default_str()
+      ->group(kClip);
+  c->add_option("--shard", bake_options.shard,
+                "i/n: only every n-th frame from the i-th on, kept beside the output for --merge")
+      ->group(kClip);
+  c->add_option("--merge", bake_options.merge,
+                "n: join n shards to the output; bakes what --between asks for")
+      ->group(kClip);
+  c->callback([&] {
+    action = [] {
+      return bake_options.animation.empty() ? bake(bake_options) : bake_clip(bake_options);
+    };
+  });
+}
+
+}  // namespace penumbra::tools

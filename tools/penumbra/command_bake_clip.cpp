@@ -7,12 +7,13 @@
 
 #include "core/files.h"
 #include "runtime/scene/animated.h"
-#include "tools/penumbra/commands.h"
+#include "tools/penumbra/bake_options.h"
+#include "tools/common/map_size.h"
 #include "runtime/shading/median_time.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
 
@@ -144,15 +145,6 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
 
 }  // namespace
 
-Result<std::array<int, 2>> read_map_size(const std::string& option, const std::string& text) {
-  std::array<int, 2> size{};
-  const auto good = [](int side) { return side >= 8 && side <= 4096; };
-  if (!read_pair(text, 'x', size[0], size[1]) || !good(size[0]) || !good(size[1]))
-    return fail(ErrorCode::kInvalid, option,
-                fmt::format("\"{}\" is no size like 256x128 within 8..4096", text));
-  return size;
-}
-
 Result<void> bake_clip(const BakeCommandOptions& o) {
   if (fs::path(o.output).extension() != ".shlm")
     return fail(ErrorCode::kInvalid, o.output, "a baked clip ends in .shlm");
@@ -201,4 +193,4 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::tools

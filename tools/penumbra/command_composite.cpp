@@ -1,9 +1,11 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <filesystem>
 
-#include "core/files.h"
+#include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
+#include "core/files.h"
 #include "runtime/pipeline/light_file.h"
 #include "tools/common/output.h"
 #include "tools/common/progress.h"
@@ -11,9 +13,17 @@
 #include "service/stop_signal.h"
 #include "tools/common/summary.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct CompositeOptions {
+  std::string capture, scene, output;
+  int bands = 5;
+  std::string discs = "auto";
+  double budget = kDefaultBudget;
+  bool json = false, video = true;
+};
 
 // The first view camera's frames are frame_000000.png; a second eye carries its name.
 std::string still_name(const capture::CameraInfo& camera, bool first, std::uint64_t number) {
@@ -86,4 +96,19 @@ Result<void> composite(const CompositeOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_composite(CLI::App& parent, Action& action) {
+  static CompositeOptions composite_options;
+  auto* c = parent.add_subcommand("composite",
+                         "Replay a recording through the whole pipeline; the same bytes each time");
+  c->add_option("--capture", composite_options.capture, "Capture folder")->required();
+  c->add_option("--scene", composite_options.scene, "scene.toml")->required();
+  c->add_option("--out", composite_options.output, "Output folder")->required();
+  c->add_option("--bands", composite_options.bands, "1 to 9")->capture_default_str();
+  c->add_option("--discs", composite_options.discs, kDiscsHelp)->capture_default_str();
+  c->add_option("--budget", composite_options.budget, kBudgetHelp)->capture_default_str();
+  c->add_flag("!--no-video", composite_options.video, "Stills alone");
+  add_json(c, composite_options.json);
+  c->callback([&] { action = [] { return composite(composite_options); }; });
+}
+
+}  // namespace penumbra::tools

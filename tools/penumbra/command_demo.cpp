@@ -1,12 +1,14 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <cstdlib>
 #include <filesystem>
 
+#include "tools/common/command.h"
+#include "tools/penumbra/commands.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/light_file.h"
 #include "tools/common/output.h"
 #include "tools/common/progress.h"
@@ -15,9 +17,21 @@
 #include "runtime/studio/studio_setup.h"
 #include "tools/common/summary.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct DemoOptions {
+  bool headless = false, live = false, json = false, animated = true, video = true;
+  int frames = 90;
+  std::string output = "out/demo";
+  std::optional<std::string> environment, asset, animation, prop, record;
+  int width = 1280, height = 720;
+  double fps = 30;
+  int bands = 5;
+  std::string discs = "auto";
+  double budget = kDefaultBudget;
+};
 
 using compositor::Compositor;
 
@@ -191,4 +205,36 @@ Result<void> demo(const DemoOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_demo(CLI::App& parent, Action& action) {
+  static DemoOptions demo_options;
+  auto* c = parent.add_subcommand("demo", "The main job on a synthetic studio: video, still, summary");
+  c->add_flag("--headless", demo_options.headless, "No window even with a display");
+  c->add_option("--frames", demo_options.frames, "View frames")->capture_default_str();
+  c->add_option("--out", demo_options.output, "Output folder")->capture_default_str();
+  c->add_option("--environment", demo_options.environment,
+                "HDR environment; the built-in room by default");
+  c->add_option("--asset", demo_options.asset,
+                "Object; the built-in knot by default, or with --animation builtin:walker");
+  c->add_option("--animation", demo_options.animation,
+                "Clip that the asset plays, by name or number; its frames are baked first")
+      ->check(not_empty);
+  c->add_option("--prop", demo_options.prop,
+                "Mesh of something that really stands in the studio, or builtin:box");
+  c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");
+  c->add_option("--record", demo_options.record,
+                "Also record a capture folder with its scene.toml");
+  c->add_flag("!--no-video", demo_options.video, "Still and summary alone");
+  c->add_flag("--live", demo_options.live,
+              "Cameras (filmed beforehand), light and composite on threads, paced by the clock; "
+              "discs that --fps leaves no time for are given up");
+  c->add_option("--width", demo_options.width, "View camera, pixels")->capture_default_str();
+  c->add_option("--height", demo_options.height, "View camera, pixels")->capture_default_str();
+  c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
+  c->add_option("--bands", demo_options.bands, "1 to 9")->capture_default_str();
+  c->add_option("--discs", demo_options.discs, kDiscsHelp)->capture_default_str();
+  c->add_option("--budget", demo_options.budget, kBudgetHelp)->capture_default_str();
+  add_json(c, demo_options.json);
+  c->callback([&] { action = [] { return demo(demo_options); }; });
+}
+
+}  // namespace penumbra::tools

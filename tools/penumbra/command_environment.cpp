@@ -1,18 +1,26 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <optional>
 
+#include "tools/common/command.h"
+#include "tools/penumbra/commands.h"
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/light_stage.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct HdrEnvironmentOptions {
+  std::string capture, output;
+  double at_s = 0;  // after the first frame: the surroundings as they were then; 0: at the end
+  bool json = false;
+};
 
 struct Seen {
   Environment map;
@@ -72,4 +80,18 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_hdr_environment(CLI::App& parent, Action& action) {
+  static HdrEnvironmentOptions surroundings;
+  auto* c = parent.add_subcommand(
+      "environment",
+      "What the cameras of a capture show of their surroundings, as one lat-long picture");
+  c->add_option("capture", surroundings.capture, "Capture folder or recording")->required();
+  c->add_option("--at", surroundings.at_s,
+                "As it was so many seconds after the first frame; at the end without it")
+      ->check(CLI::PositiveNumber);
+  c->add_option("-o,--output", surroundings.output, "Output .exr or .hdr")->required();
+  add_json(c, surroundings.json);
+  c->callback([&] { action = [] { return hdr_environment(surroundings); }; });
+}
+
+}  // namespace penumbra::tools

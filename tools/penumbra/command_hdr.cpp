@@ -1,3 +1,4 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
@@ -5,17 +6,29 @@
 #include <cmath>
 #include <numeric>
 
+#include "tools/common/command.h"
+#include "tools/penumbra/commands.h"
 #include "capture/hdr/merge.h"
 #include "capture/hdr/stacks.h"
 #include "codec/codec.h"
 #include "core/files.h"
 #include "tools/common/bracket_files.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct HdrMergeOptions {
+  std::vector<std::string> images;
+  std::string times;                    // seconds, separated by commas
+  std::optional<std::string> response;  // estimated from the bracket when absent
+  bool align = false;
+  int reference =
+      0;  // picture that is trusted most, from 1; 0: none, or with `align` the middle one
+  std::string output;
+  bool json = false;
+};
 
 Result<calib::Response> find_response(const HdrMergeOptions& o,
                                       const capture::ExposureStack& stack) {
@@ -124,4 +137,28 @@ Result<void> hdr_merge(const HdrMergeOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_hdr_merge(CLI::App& parent, Action& action) {
+  static HdrMergeOptions merge;
+  auto* c = parent.add_subcommand("merge", "One HDR image from a bracket");
+  c->add_option("images", merge.images, "8 or 16 bit PNG, JPEG, TIFF, or linear EXR/HDR")
+      ->required();
+  c->add_option(
+       "--times", merge.times,
+       "Exposure times in seconds: t1,t2,... (1/60 works; ? is found from the overlap, with "
+       "--response)")
+      ->required();
+  c->add_flag("--align", merge.align, "The camera was held by hand: align the pictures first");
+  c->add_option(
+       "--reference", merge.reference,
+       "Something moved: trust this picture (1, 2, ...) and leave out what contradicts it; "
+       "with --align the middle exposure unless given")
+      ->check(CLI::Range(1, 10000));
+  c->add_option("--response", merge.response,
+                "linear, srgb, gamma:2.2 or a response file; without it the curve is estimated "
+                "from the bracket");
+  c->add_option("-o,--output", merge.output, "Output .exr or .hdr")->required();
+  add_json(c, merge.json);
+  c->callback([&] { action = [] { return hdr_merge(merge); }; });
+}
+
+}  // namespace penumbra::tools

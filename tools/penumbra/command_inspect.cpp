@@ -1,7 +1,10 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include <filesystem>
 
+#include "tools/common/command.h"
+#include "tools/penumbra/commands.h"
 #include "calib/camera/projection.h"
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
@@ -10,14 +13,18 @@
 #include "codec/codec.h"
 #include "core/conventions.h"
 #include "core/toml_keys.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/report.h"
 #include "service/rig_config.h"
 #include "runtime/scene/scene.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct InspectOptions {
+  std::string file;
+  bool json = false;
+};
 
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -230,4 +237,16 @@ Result<void> inspect(const InspectOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_inspect(CLI::App& parent, Action& action) {
+  static InspectOptions inspect_options;
+  auto* c = parent.add_subcommand("inspect",
+                         "What is in a file: picture, mesh, baked object, scene, camera, capture "
+                         "folder, recording; or which cameras there are");
+  c->add_option("file", inspect_options.file,
+                "File, recording or capture folder; cameras: what stands here and what each can do")
+      ->required();
+  add_json(c, inspect_options.json);
+  c->callback([&] { action = [] { return inspect(inspect_options); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,10 +1,23 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
+
+namespace {
+
+struct LightEstimateOptions {
+  std::string environment;
+  std::optional<std::string> projection;
+  std::string bands = "auto", discs = "auto";
+  bool json = false;
+};
+
+}  // namespace
 
 Result<void> light_estimate(const LightEstimateOptions& o) {
   auto light = read_light(o.environment, o.projection);
@@ -51,4 +64,18 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_light_estimate(CLI::App& parent, Action& action) {
+  static LightEstimateOptions estimate;
+  auto* c = parent.add_subcommand("estimate", "Spherical-harmonic light of an environment map");
+  c->add_option("environment", estimate.environment, "HDR environment (.exr or .hdr)")->required();
+  c->add_option("--projection", estimate.projection,
+                "latlong, angular, mirror-ball, equidistant, pinhole, vertical-cross, exr-latlong "
+                "or exr-cube; "
+                "an OpenEXR file that says what it is wins; without both, from its shape");
+  c->add_option("--bands", estimate.bands, "1 to 9, or auto")->capture_default_str();
+  c->add_option("--discs", estimate.discs, kDiscsHelp)->capture_default_str();
+  add_json(c, estimate.json);
+  c->callback([&] { action = [] { return light_estimate(estimate); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,16 +1,26 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <unistd.h>
 
-#include "core/files.h"
+#include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
+#include "core/files.h"
+#include "tools/common/progress.h"
 #include "service/recorder.h"
 #include "runtime/pipeline/report.h"
 #include "service/rig_source.h"
 #include "service/stop_signal.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct RecordOptions {
+  std::string config, output;
+  double seconds = 0;  // 0 = until stopped
+  int frames = 0;      // of all cameras; 0 = any
+  bool json = false;
+};
 
 std::string line_of(const std::vector<capture::CameraInfo>& cameras, const RecordCounts& counts) {
   std::string text = fmt::format("recorded {:.1f} s", counts.seconds);
@@ -43,7 +53,7 @@ Result<void> record(const RecordOptions& o) {
   if (std::filesystem::exists(o.output, ignored))
     return fail(ErrorCode::kUnwritable, o.output, "exists already");
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(rig, open_rig(config));
+  PENUMBRA_ASSIGN(rig, open_rig(config, progress_bar));
   capture::FrameSource& source = *rig.source;
   const auto& cameras = source.cameras();
   const bool watched = isatty(STDERR_FILENO);
@@ -63,4 +73,15 @@ Result<void> record(const RecordOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_record(CLI::App& parent, Action& action) {
+  static RecordOptions record_options;
+  auto* c = parent.add_subcommand("record", "Record a rig's cameras into Matroska until Ctrl-C");
+  c->add_option("--config", record_options.config, "rig.toml")->required();
+  c->add_option("--out,-o", record_options.output, "Recording to make, .mkv")->required();
+  c->add_option("--seconds", record_options.seconds, "Stop after so many seconds of frames");
+  c->add_option("--frames", record_options.frames, "Stop after so many frames of all cameras");
+  add_json(c, record_options.json);
+  c->callback([&] { action = [] { return record(record_options); }; });
+}
+
+}  // namespace penumbra::tools

@@ -1,20 +1,32 @@
+#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <filesystem>
 
+#include "tools/common/command.h"
+#include "tools/penumbra/commands.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/light_file.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/still.h"
 #include "runtime/shading/view_projection.h"
 
-namespace penumbra::service {
+namespace penumbra::tools {
 
 namespace {
+
+struct RenderOptions {
+  std::string scene, environment, camera, output;
+  std::optional<std::string> projection;
+  std::string bands = "auto", discs = "auto";
+  bool reference = false, without_objects = false;
+  double error = .01, time_s = 0;
+  std::optional<int> truncated_to;  // reference under light cut to so many bands
+  bool json = false;
+};
 
 Result<prt::PinholeView> read_view(const std::string& path) {
   auto camera = capture::read_camera_file(path);
@@ -91,4 +103,27 @@ Result<void> render(const RenderOptions& o) {
   return {};
 }
 
-}  // namespace penumbra::service
+void add_render(CLI::App& parent, Action& action) {
+  static RenderOptions render_options;
+  auto* c = parent.add_subcommand("render", "A still in linear radiance of a scene in an environment");
+  c->add_option("--scene", render_options.scene, "scene.toml")->required();
+  c->add_option("--environment", render_options.environment, "HDR environment")->required();
+  c->add_option("--projection", render_options.projection, "As in light estimate");
+  c->add_option("--camera", render_options.camera, "camera.toml")->required();
+  c->add_option("-o,--output", render_options.output, "Output .exr or .hdr")->required();
+  c->add_option("--bands", render_options.bands, "1 to 9, or auto")->capture_default_str();
+  c->add_option("--discs", render_options.discs, kDiscsHelp)->capture_default_str();
+  c->add_flag("--reference", render_options.reference,
+              "Path-trace the picture with the objects really there");
+  c->add_option("--time", render_options.time_s, "Seconds: where clips and turntables are then")
+      ->capture_default_str();
+  c->add_option("--error", render_options.error, "Relative error at which the reference stops")
+      ->capture_default_str();
+  c->add_option("--truncated-to", render_options.truncated_to,
+                "Path-trace under the light cut to so many bands instead of the whole environment");
+  c->add_flag("--without-objects", render_options.without_objects, "The real world alone");
+  add_json(c, render_options.json);
+  c->callback([&] { action = [] { return render(render_options); }; });
+}
+
+}  // namespace penumbra::tools

@@ -11,7 +11,7 @@
 namespace {
 
 using namespace penumbra;
-using namespace penumbra::service;
+using namespace penumbra::tools;
 
 // The subcommand that was chosen; run after parsing.
 using Action = std::function<Result<void>()>;

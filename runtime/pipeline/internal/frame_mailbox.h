@@ -11,7 +11,7 @@
 #include "core/queues.h"
 #include "core/units.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 /// Holds the newest frame of each camera and exposure and hands them out in turn, so that no exposure of a bracket is
 /// always the one that is dropped. A camera's frames stay in order of time.
@@ -58,4 +58,4 @@ class FrameMailbox : public Closable {
   std::vector<capture::Frame> waiting_;  // whose turn came first stands first; guarded by mutex_
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -7,7 +7,7 @@
 #include <limits>
 #include <optional>
 
-namespace penumbra::service {
+namespace penumbra::runtime {
 
 class Pace {
  public:
@@ -46,4 +46,4 @@ class Pace {
   int wait_ = 0, next_wait_ = kShortestWait, quiet_ = 0;  // windows
 };
 
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -6,11 +6,11 @@
 #include "calib/camera/projection.h"
 #include "core/result.h"
 
-namespace penumbra::service {
+namespace penumbra::calib {
 
 /// errors: kInvalid (another projection, a distorted one), `where` is given
-inline Result<void> check_drawable(const calib::Projection& p, const std::string& where) {
-  if (p.kind != calib::ProjectionKind::kPinhole)
+inline Result<void> check_drawable(const Projection& p, const std::string& where) {
+  if (p.kind != ProjectionKind::kPinhole)
     return fail(ErrorCode::kInvalid, where, "must be a pinhole camera");
   if (p.is_distorted())
     return fail(ErrorCode::kInvalid, where,
@@ -18,4 +18,4 @@ inline Result<void> check_drawable(const calib::Projection& p, const std::string
   return {};
 }
 
-}  // namespace penumbra::service
+}  // namespace penumbra::calib

@@ -1,16 +1,15 @@
 #include <spdlog/spdlog.h>
 
-#include "tools/penumbra/commands.h"
+#include "service/serve.h"
 #include "service/http_api.h"
 #include "runtime/pipeline/light_file.h"
-#include "tools/common/progress.h"
 #include "service/rig_source.h"
 #include "runtime/pipeline/runner.h"
 #include "service/stop_signal.h"
 
 namespace penumbra::service {
 
-Result<void> serve(const ServeOptions& o) {
+Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   auto config = read_rig_config(o.config);
   if (!config) return std::unexpected(config.error());
   // The port first: whether it is free should not be learnt after the bake, and clients see "starting".
@@ -18,11 +17,11 @@ Result<void> serve(const ServeOptions& o) {
   PublishedState state;
   auto api = HttpApi::start(config->address, config->port, state, times, config->stale_after_s);
   if (!api) return std::unexpected(api.error());
-  auto rig = open_rig(*config);
+  auto rig = open_rig(*config, progress);
   if (!rig) return std::unexpected(rig.error());
   BakeSettings settings;
   settings.bands = config->bands;
-  auto prepared = prepare(rig->scene, settings, progress_bar);
+  auto prepared = prepare(rig->scene, settings, progress);
   if (!prepared) return std::unexpected(prepared.error());
   const auto& cameras = rig->source->cameras();
   auto light = LightStage::create(cameras, {config->bands, {config->discs, .02}}, times);

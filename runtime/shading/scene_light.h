@@ -1,0 +1,29 @@
+// Which part of the light reaches what stands level on a floor, and what does not.
+// threads: reentrant
+#pragma once
+
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/sh.h"
+#include "lighting/light_estimate.h"
+#include "prt/bake/bake.h"
+
+namespace penumbra::runtime {
+
+/// A plane counts as level when its normal's y is larger: within a quarter of a degree.
+inline constexpr double kLevel = .99999;
+/// A baked thing that stands on a level floor takes the floor's light (lighting::floor_light), any other the sphere's.
+inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_bake) {
+  return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
+}
+/// The light without discs, and one disc for what is reflected of it (kIndirectBands), world frame.
+const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
+RadianceSh reflected_for(const lighting::Disc& disc, bool level);
+/// A sum of reflected_for turned into the bake frame.
+/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave out part of its own
+RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
+                                   int bands = prt::kIndirectBands);
+/// Irradiance of an open plane of this orientation, discs included.
+Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
+
+}  // namespace penumbra::runtime

@@ -1,0 +1,18 @@
+// The live service: cameras, light, composite, HTTP.
+#pragma once
+
+#include <string>
+
+#include "core/result.h"
+#include "service/rig_source.h"
+
+namespace penumbra::service {
+
+struct ServeOptions {
+  std::string config;
+};
+/// Runs until it is stopped by SIGINT or SIGTERM.
+/// errors: as read_rig_config, open_rig, prepare; kUnavailable (the port is taken)
+Result<void> serve(const ServeOptions& options, const ProgressOf& progress);
+
+}  // namespace penumbra::service

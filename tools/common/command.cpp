@@ -1,0 +1,53 @@
+#include "tools/common/command.h"
+
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <cstdio>
+
+namespace penumbra::tools {
+
+namespace {
+
+int report(const std::string& program, const Error& e) {
+  std::string line = program + ": " + e.where + ": " + e.detail;
+  for (char& ch : line)
+    if (ch == '\n' || ch == '\r') ch = ' ';
+  std::fprintf(stderr, "%s\n", line.c_str());
+  return 2;
+}
+
+}  // namespace
+
+std::string not_empty(const std::string& text) {
+  return text.empty() ? "is empty" : "";
+}
+
+void add_json(CLI::App* app, bool& json) {
+  app->add_flag("--json", json, "Print one JSON object on standard output and nothing else");
+}
+
+int run_program(int argc, char** argv, const std::string& name, const std::string& description,
+                const std::function<void(CLI::App&, Action&)>& add_commands) {
+  spdlog::set_default_logger(spdlog::stderr_color_mt(name));
+  spdlog::set_pattern("%^%l%$: %v");
+  CLI::App app(description, name);
+  app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
+  Action action;
+  add_commands(app, action);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& e) {
+    return app.exit(e);  // help and version
+  } catch (const CLI::ParseError& e) {
+    return report(name, {ErrorCode::kInvalid, "arguments", e.what()});
+  }
+  try {
+    if (const auto result = action(); !result) return report(name, result.error());
+  } catch (const std::exception& e) {
+    return report(name, {ErrorCode::kUnavailable, "internal", e.what()});
+  }
+  return 0;
+}
+
+}  // namespace penumbra::tools

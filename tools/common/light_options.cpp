@@ -1,0 +1,39 @@
+#include "tools/common/light_options.h"
+
+#include <charconv>
+
+#include "lighting/estimate.h"
+
+namespace penumbra::tools {
+
+Result<lighting::DiscOptions> choose_discs(const std::string& text) {
+  lighting::DiscOptions options;
+  if (text == "auto") return options;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), options.most);
+  if (error != std::errc() || end != text.data() + text.size() || options.most < 0 ||
+      options.most > 64)
+    return fail(ErrorCode::kInvalid, "--discs",
+                "\"" + text + "\" is neither auto nor within 0..64");
+  return options;
+}
+
+Result<void> check_budget(double budget) {
+  if (budget > 0 && budget <= 1) return {};
+  return fail(ErrorCode::kInvalid, "--budget", "not within 0..1 (RMS error of the shadow ratio)");
+}
+
+Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands) {
+  if (text == "auto") {
+    for (int bands = 1; bands < kMaxBands; ++bands)
+      if (lighting::make_estimate(nine_bands, bands).truncation_error.value_or(0) <= .005)
+        return bands;
+    return kMaxBands;
+  }
+  int bands = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), bands);
+  if (error != std::errc() || end != text.data() + text.size() || bands < 1 || bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "--bands", "\"" + text + "\" is neither auto nor within 1..9");
+  return bands;
+}
+
+}  // namespace penumbra::tools

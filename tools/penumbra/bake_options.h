@@ -1,0 +1,30 @@
+// What `penumbra bake` is asked for.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "core/image.h"
+#include "core/result.h"
+
+namespace penumbra::tools {
+
+struct BakeCommandOptions {
+  std::string asset, output;
+  int bands = 5, bounces = 4, samples = 1024;
+  std::vector<double> albedo{.7, .7, .7};
+  double receiver_albedo = 0;
+  bool json = false;
+  // Of a clip:
+  std::string animation;
+  double fps = 30, error = .005, between = .02;
+  std::string light_map;  // "256x128", or empty: at vertices
+  std::string shard;      // "i/n"
+  int merge = 0;          // so many shards
+  int ground_texels = 64;
+};
+Rgb albedo_of(const BakeCommandOptions& options);
+/// Of a clip: transfer over its frames.
+Result<void> bake_clip(const BakeCommandOptions& options);
+
+}  // namespace penumbra::tools
