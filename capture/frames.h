@@ -45,6 +45,9 @@ struct Ball {
   double radius_m = 0;
 };
 
+/// The largest blur that a camera may have.
+inline constexpr double kLargestPsfSigma = 20;
+
 struct CameraInfo {
   std::string name;
   Role role = Role::kEnvironment;

@@ -6,6 +6,10 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "calib/camera/lens_vignetting.h"
+#include "calib/camera/mirror_ball.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/vignetting.h"
 #include "core/conventions.h"
 
 namespace penumbra::capture {

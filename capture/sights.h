@@ -11,6 +11,7 @@
 #include <span>
 #include <vector>
 
+#include "calib/camera/projection.h"
 #include "capture/frames.h"
 #include "core/pose.h"
 #include "core/result.h"

@@ -9,6 +9,7 @@
 #include <optional>
 #include <utility>
 
+#include "core/parallel.h"
 #include "core/half.h"
 
 namespace penumbra::compositor {

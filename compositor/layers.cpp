@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <glm/gtc/type_ptr.hpp>
 
+#include "prt/clip/light_map.h"
+
 namespace penumbra::compositor {
 
 namespace {

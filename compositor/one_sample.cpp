@@ -3,6 +3,8 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/vector_relational.hpp>
 
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/pinhole_view.h"
 #include "compositor/internal/layers.h"
 
 namespace penumbra::compositor {

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "prt/geometry/receiver.h"
 #include "compositor/internal/receivers.h"
 
 #undef HWY_TARGET_INCLUDE

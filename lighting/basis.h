@@ -7,7 +7,6 @@
 
 #include "core/image.h"
 #include "core/sh.h"
-#include "lighting/irradiance.h"
 
 namespace penumbra::lighting {
 

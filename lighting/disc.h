@@ -8,7 +8,6 @@
 #include "core/inplace_vector.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/irradiance.h"
 
 namespace penumbra::lighting {
 

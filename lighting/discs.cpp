@@ -4,6 +4,7 @@
 #include <limits>
 #include <numeric>
 
+#include "core/aside.h"
 #include "lighting/disc.h"
 #include "lighting/discs.h"
 #include "lighting/map_luminance.h"

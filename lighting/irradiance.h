@@ -6,8 +6,6 @@
 
 #include "core/image.h"
 #include "core/sh.h"
-#include "lighting/basis.h"
-#include "lighting/disc.h"
 
 namespace penumbra::lighting {
 

@@ -6,8 +6,8 @@
 #include <algorithm>
 #include <thread>
 
+#include "codec/display.h"
 #include "codec/codec.h"
-#include "tools/common/output.h"
 #include "runtime/pipeline/report.h"
 
 namespace penumbra::service {
@@ -77,14 +77,14 @@ struct HttpApi::Impl {
                                                            httplib::Response& r) {
       const auto s = state.snapshot();
       const std::string status = status_of(s, stale_after_s);
-      nlohmann::json body = {{"status", status}, {"frames", s.frames}, {"stages", to_json(times)}};
+      nlohmann::json body = {{"status", status}, {"frames", s.frames}, {"stages", runtime::to_json(times)}};
       for (const auto& [name, counts] : s.cameras) body["cameras"][name] = to_json(counts);
       reply(r, body, status == "ok" ? 200 : 503);
     });
     server.Get("/v1/light", [&state, stale_after_s](const httplib::Request&, httplib::Response& r) {
       const auto s = state.snapshot();
       if (!s.light.valid) return reply(r, {{"error", "no light has been measured yet"}}, 503);
-      nlohmann::json body = to_json(s.light);
+      nlohmann::json body = runtime::to_json(s.light);
       body["time_ns"] = s.light.time.value;
       body["age_s"] = s.light.age(s.now).count() + s.idle_s;
       body["valid"] = s.light.valid;
@@ -98,7 +98,7 @@ struct HttpApi::Impl {
     server.Get("/v1/frame.jpg", [&state](const httplib::Request&, httplib::Response& r) {
       const auto s = state.snapshot();
       if (!s.frame) return reply(r, {{"error", "no frame has been composited yet"}}, 503);
-      const auto jpeg = codec::encode_jpeg(to_display(*s.frame));
+      const auto jpeg = codec::encode_jpeg(codec::to_display(*s.frame));
       if (!jpeg) return reply(r, {{"error", jpeg.error().detail}}, 500);
       r.set_content(std::string(jpeg->begin(), jpeg->end()), "image/jpeg");
     });

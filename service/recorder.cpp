@@ -9,6 +9,7 @@
 #include <optional>
 #include <thread>
 
+#include "capture/recording/recording.h"
 #include "core/queues.h"
 
 namespace penumbra::service {

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "capture/frames.h"
+#include "capture/sights.h"
 #include "core/conventions.h"
 #include "core/toml_keys.h"
 

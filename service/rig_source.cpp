@@ -1,5 +1,8 @@
 #include "service/rig_source.h"
 
+#include "capture/device/rig.h"
+#include "capture/recording/recording.h"
+#include "capture/studio/studio.h"
 #include "runtime/studio/studio_setup.h"
 
 namespace penumbra::service {
@@ -49,7 +52,7 @@ class LoopingCapture : public capture::FrameSource {
 Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
   RigSource rig;
   if (c.source == "studio") {
-    const StudioRequest request{.environment = c.environment,
+    const runtime::StudioRequest request{.environment = c.environment,
                                 .asset = c.asset,
                                 .prop = c.prop,
                                 .width = c.width,
@@ -57,7 +60,7 @@ Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
                                 .fps = c.fps,
                                 .frames = 1 << 30,
                                 .clip = 16};
-    PENUMBRA_ASSIGN(setup, set_up_studio(request, progress));
+    PENUMBRA_ASSIGN(setup, runtime::set_up_studio(request, progress));
     rig.scene = std::move(setup.scene);
     rig.source = std::make_unique<capture::Studio>(setup.world, setup.options);
   } else if (c.source == "cameras") {
@@ -68,7 +71,7 @@ Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
     rig.source = std::move(source);
   }
   if (c.scene) {
-    PENUMBRA_ASSIGN(scene, read_scene(*c.scene));
+    PENUMBRA_ASSIGN(scene, runtime::read_scene(*c.scene));
     rig.scene = std::move(scene);
   }
   return rig;

@@ -17,7 +17,7 @@ using ProgressOf = std::function<std::function<void(double)>(const std::string&)
 
 struct RigSource {
   std::unique_ptr<capture::FrameSource> source;
-  Scene scene;  // the configuration's, else the studio's own
+  runtime::Scene scene;  // the configuration's, else the studio's own
 };
 
 /// errors: as capture::Rig::open, capture::open_capture, set_up_studio, read_scene

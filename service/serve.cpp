@@ -1,11 +1,17 @@
 #include <spdlog/spdlog.h>
 
 #include "service/serve.h"
+#include "compositor/compositor.h"
+#include "runtime/pipeline/governance.h"
+#include "runtime/pipeline/light_stage.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/compose_stage.h"
+#include "service/rig_config.h"
 #include "service/http_api.h"
 #include "runtime/pipeline/light_file.h"
 #include "service/rig_source.h"
 #include "runtime/pipeline/runner.h"
-#include "service/stop_signal.h"
+#include "core/stop_signal.h"
 
 namespace penumbra::service {
 
@@ -19,25 +25,25 @@ Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   if (!api) return std::unexpected(api.error());
   auto rig = open_rig(*config, progress);
   if (!rig) return std::unexpected(rig.error());
-  BakeSettings settings;
+  runtime::BakeSettings settings;
   settings.bands = config->bands;
-  auto prepared = prepare(rig->scene, settings, progress);
+  auto prepared = runtime::prepare(rig->scene, settings, progress);
   if (!prepared) return std::unexpected(prepared.error());
   const auto& cameras = rig->source->cameras();
-  auto light = LightStage::create(cameras, {config->bands, {config->discs, .02}}, times);
+  auto light = runtime::LightStage::create(cameras, {config->bands, {config->discs, .02}}, times);
   if (!light) return std::unexpected(light.error());
-  auto governance = make_governance(*prepared, config->budget, true);
+  auto governance = runtime::make_governance(*prepared, config->budget, true);
   if (!governance) return std::unexpected(governance.error());
   light->govern(*governance);
   auto compose =
-      ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
+      runtime::ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
 
   const std::atomic<bool>& stop = catch_stop_signals();
   spdlog::info("listening on http://{}:{}", config->address, (*api)->port());
-  auto counts = run_live(
+  auto counts = runtime::run_live(
       *rig->source, *light, **compose,
-      [&](const Output& out) {
+      [&](const runtime::Output& out) {
         state.publish(out.light, out.source.time, out.pixels);
         state.publish_cameras(cameras, rig->source->counts());
         return true;

@@ -5,6 +5,8 @@
 #include <glm/gtx/quaternion.hpp>
 #include <opencv2/calib3d.hpp>
 
+#include "calib/camera/projection.h"
+#include "calib/estimate/boards.h"
 #include "calib/estimate/rig_calibration.h"
 
 namespace penumbra::calib {

@@ -19,6 +19,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/parallel.h"
 #include "calib/camera/response.h"
 #include "calib/estimate/estimate_response.h"
 

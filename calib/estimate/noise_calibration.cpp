@@ -9,6 +9,8 @@
 #include <numeric>
 #include <optional>
 
+#include "core/aside.h"
+#include "core/image.h"
 #include "core/toml_keys.h"
 
 namespace penumbra::calib {

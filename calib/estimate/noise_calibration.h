@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "core/image.h"
 #include "calib/camera/noise.h"
 #include "calib/camera/response.h"
 #include "core/units.h"

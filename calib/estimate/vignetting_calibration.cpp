@@ -10,6 +10,7 @@
 #include <ranges>
 #include <type_traits>
 
+#include "core/image.h"
 #include "core/toml_keys.h"
 
 namespace penumbra::calib {

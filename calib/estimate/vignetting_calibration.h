@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "core/image.h"
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/projection.h"
 #include "calib/camera/response.h"

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "core/aside.h"
+#include "calib/camera/code_curve.h"
 #include "capture/hdr/merge.h"
 #include "capture/device/internal/bracketed_camera.h"
 #include "core/median.h"

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "capture/hdr/merge.h"
 #include "capture/hdr/merge_math.h"
 #include "core/conventions.h"
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <utility>
 
+#include "capture/device/cameras.h"
 #include "capture/raw_formats.h"
 #include "capture/device/internal/v4l2_node.h"
 

@@ -10,6 +10,7 @@
 #include <cstring>
 #include <thread>
 
+#include "capture/frames.h"
 #include "capture/raw_formats.h"
 
 namespace penumbra::capture {

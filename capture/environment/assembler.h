@@ -7,6 +7,7 @@
 #include <glm/mat3x3.hpp>
 #include <vector>
 
+#include "capture/environment/internal/gather_kernel.h"
 #include "calib/camera/projection.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"

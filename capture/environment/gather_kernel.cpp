@@ -3,7 +3,7 @@
 #include <hwy/cache_control.h>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "capture/gather_kernel.cpp"
+#define HWY_TARGET_INCLUDE "capture/environment/gather_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

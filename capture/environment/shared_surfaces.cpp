@@ -9,6 +9,10 @@
 #include <map>
 #include <optional>
 
+#include "core/queues.h"
+#include "calib/camera/lens_vignetting.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/vignetting.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/sights.h"

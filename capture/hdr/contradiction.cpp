@@ -1,5 +1,7 @@
 #include "capture/hdr/internal/contradiction.h"
 
+#include "core/units.h"
+
 namespace penumbra::capture {
 
 // Both ends rise with the code: each goes on from where it stood.

@@ -1,6 +1,8 @@
 // The part of the table merge that sees to what moved: samples that contradict newer ones are left out.
 #include <algorithm>
 
+#include "capture/hdr/internal/table_kernel.h"
+#include "capture/hdr/merge.h"
 #include "capture/hdr/internal/table_merger.h"
 #include "core/half.h"
 

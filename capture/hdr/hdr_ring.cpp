@@ -1,3 +1,5 @@
+#include "capture/hdr/hdr_ring.h"
+
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -5,6 +7,9 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "core/aside.h"
+#include "calib/camera/code_curve.h"
+#include "calib/camera/lens_vignetting.h"
 #include "capture/hdr/internal/contradiction.h"
 #include "capture/hdr/merge_math.h"
 #include "capture/hdr/pose_warp.h"

@@ -8,6 +8,7 @@
 #include <optional>
 #include <vector>
 
+#include "capture/hdr/internal/table_merger.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "core/image.h"

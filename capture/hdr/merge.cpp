@@ -1,3 +1,5 @@
+#include "capture/hdr/merge.h"
+
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -5,6 +7,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "capture/frames.h"
+#include "capture/hdr/merge_math.h"
 #include "capture/hdr/internal/contradiction.h"
 #include "core/parallel.h"
 

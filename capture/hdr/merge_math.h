@@ -3,6 +3,11 @@
 
 #include <span>
 
+#include "core/result.h"
+#include "core/units.h"
+#include "calib/camera/code_curve.h"
+#include "calib/camera/noise.h"
+
 
 namespace penumbra::capture {
 

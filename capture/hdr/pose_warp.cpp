@@ -4,6 +4,8 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "calib/camera/projection.h"
+#include "capture/sights.h"
 #include "capture/seen_grid.h"
 
 namespace penumbra::capture {

@@ -5,6 +5,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <memory>
 
+#include "calib/camera/projection.h"
 #include "capture/frames.h"
 #include "calib/camera/vignetting.h"
 

@@ -9,6 +9,7 @@
 #include <opencv2/imgproc.hpp>
 #include <random>
 
+#include "core/aside.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "core/median.h"

@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "capture/hdr/merge.h"
 #include "calib/camera/code_curve.h"
 #include "core/image.h"
 #include "core/result.h"

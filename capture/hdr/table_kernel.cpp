@@ -1,9 +1,10 @@
 #include "capture/hdr/internal/table_kernel.h"
 
+#include "core/aside.h"
 #include "core/half.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "capture/table_kernel.cpp"
+#define HWY_TARGET_INCLUDE "capture/hdr/table_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "capture/hdr/merge_math.h"
 #include "core/half.h"
 #include "core/parallel.h"
 

@@ -9,6 +9,13 @@
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 
+#include "calib/camera/calibration_files.h"
+#include "calib/camera/colour.h"
+#include "calib/camera/lens_vignetting.h"
+#include "calib/camera/noise.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/response.h"
+#include "capture/frames.h"
 #include "capture/sights.h"
 #include "codec/codec.h"
 #include "core/conventions.h"

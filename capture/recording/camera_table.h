@@ -7,6 +7,8 @@
 #include <string_view>
 #include <vector>
 
+#include "calib/camera/response.h"
+#include "capture/frames.h"
 #include "capture/recording/folder_format.h"
 #include "core/toml_keys.h"
 

@@ -5,6 +5,7 @@
 #include <charconv>
 #include <tuple>
 
+#include "calib/camera/response.h"
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"

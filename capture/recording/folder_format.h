@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "calib/camera/response.h"
 #include "capture/frames.h"
 
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "capture/frames.h"
+#include "capture/recording/folder.h"
 #include "capture/recording/camera_table.h"
 #include "capture/recording/folder_format.h"
 #include "codec/codec.h"

@@ -6,6 +6,9 @@
 #include <map>
 #include <tuple>
 
+#include "calib/camera/response.h"
+#include "capture/frames.h"
+#include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
 #include "capture/raw_formats.h"
 #include "capture/recording/recording.h"

@@ -9,6 +9,9 @@
 #include <cstring>
 #include <mutex>
 
+#include "core/files.h"
+#include "calib/camera/response.h"
+#include "capture/frames.h"
 #include "capture/recording/folder_format.h"
 #include "capture/recording/recording.h"
 #include "capture/recording/internal/recording_format.h"

@@ -5,6 +5,7 @@
 #include <numeric>
 #include <vector>
 
+#include "calib/camera/code_curve.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "calib/camera/noise.h"
+#include "capture/frames.h"
 #include "calib/camera/response.h"
 #include "core/image.h"
 #include "core/units.h"
@@ -22,9 +23,6 @@ struct Sensor {
   int bits = 8;             // 8 or 16
   bool noisy = true;
 };
-
-/// The largest blur that a camera may have.
-inline constexpr double kLargestPsfSigma = 20;
 
 /// Blurs by a Gaussian of this sigma, 0 to kLargestPsfSigma; beyond its edges the picture goes on
 /// as it is there.

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "calib/camera/code_curve.h"
+#include "calib/camera/projection.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"

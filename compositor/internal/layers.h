@@ -6,6 +6,9 @@
 #include <span>
 #include <vector>
 
+#include "prt/bake/bake.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/pinhole_view.h"
 #include "compositor/internal/canvas.h"
 #include "compositor/compositor.h"
 #include "compositor/internal/contour.h"

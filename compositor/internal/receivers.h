@@ -9,6 +9,8 @@
 #include <span>
 #include <vector>
 
+#include "prt/geometry/pinhole_view.h"
+#include "prt/geometry/receiver.h"
 #include "shadows/field/planar_shadow.h"
 #include "shadows/silhouette/disc_shadow.h"
 #include "compositor/compositor.h"

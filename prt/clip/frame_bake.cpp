@@ -1,3 +1,4 @@
+#include "prt/geometry/ground_grid.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
 #include "lighting/rotation.h"

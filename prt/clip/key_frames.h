@@ -6,6 +6,8 @@
 #include <span>
 #include <vector>
 
+#include "prt/transfer/transfer.h"
+
 namespace penumbra::prt {
 
 struct Transfer;

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "prt/geometry/mesh.h"
 #include "prt/geometry/animation.h"
 
 namespace penumbra::prt {

@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 
+#include "prt/bake/bake.h"
 #include "core/result.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/receiver.h"

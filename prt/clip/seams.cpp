@@ -9,6 +9,7 @@
 #include <optional>
 #include <tuple>
 
+#include "core/aside.h"
 #include "core/parallel.h"
 
 namespace penumbra::prt {

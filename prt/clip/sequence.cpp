@@ -7,6 +7,7 @@
 #include <map>
 #include <set>
 
+#include "prt/clip/internal/journal.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
 #include "prt/clip/key_frames.h"

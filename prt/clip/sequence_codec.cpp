@@ -8,6 +8,7 @@
 #include <cstring>
 #include <numeric>
 
+#include "codec/range_coder.h"
 #include "codec/codec.h"
 #include "core/half.h"
 #include "core/parallel.h"

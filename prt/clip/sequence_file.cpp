@@ -7,6 +7,10 @@
 #include <fstream>
 #include <functional>
 
+#include "prt/clip/key_frames.h"
+#include "prt/clip/light_map.h"
+#include "prt/geometry/animation.h"
+#include "prt/geometry/receiver.h"
 #include "core/files.h"
 #include "core/hash.h"
 #include "prt/clip/internal/frame_bake.h"

@@ -8,7 +8,7 @@
 #include <vector>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "prt/sequence_relight.cpp"
+#define HWY_TARGET_INCLUDE "prt/clip/sequence_relight.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

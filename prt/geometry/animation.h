@@ -15,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include "prt/geometry/mesh.h"
 #include "core/image.h"
 #include "core/result.h"
 

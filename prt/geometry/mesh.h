@@ -13,7 +13,6 @@
 
 #include "core/image.h"
 #include "core/result.h"
-#include "prt/geometry/animation.h"
 
 namespace penumbra::prt {
 

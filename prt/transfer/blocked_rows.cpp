@@ -3,7 +3,7 @@
 #include <hwy/cache_control.h>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "prt/blocked_rows.cpp"
+#define HWY_TARGET_INCLUDE "prt/transfer/blocked_rows.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

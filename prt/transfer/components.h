@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "core/parallel.h"
 #include "core/sh.h"
 #include "prt/transfer/relight.h"
 #include "prt/transfer/transfer.h"

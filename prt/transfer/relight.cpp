@@ -4,7 +4,7 @@
 #include <span>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "prt/relight.cpp"
+#define HWY_TARGET_INCLUDE "prt/transfer/relight.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

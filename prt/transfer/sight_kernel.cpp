@@ -5,7 +5,7 @@
 #include <bit>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "prt/sight_kernel.cpp"
+#define HWY_TARGET_INCLUDE "prt/transfer/sight_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

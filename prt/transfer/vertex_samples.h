@@ -6,6 +6,8 @@
 #include <span>
 #include <vector>
 
+#include "prt/geometry/mesh.h"
+
 namespace penumbra::prt {
 
 struct Mesh;

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "prt/geometry/mesh.h"
 #include "prt/transfer/vertex_samples.h"
 
 namespace penumbra::prt {

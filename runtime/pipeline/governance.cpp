@@ -4,6 +4,10 @@
 #include <glm/geometric.hpp>
 #include <vector>
 
+#include "lighting/disc.h"
+#include "prt/bake/bake.h"
+#include "prt/transfer/transfer.h"
+#include "runtime/shading/surroundings.h"
 #include "core/conventions.h"
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/shading/compose_stage.h"

@@ -5,7 +5,8 @@
 #include <algorithm>
 #include <charconv>
 
-#include "tools/chart/governor_bench.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/projection_table.h"
 
 namespace penumbra::runtime {
 

@@ -8,6 +8,9 @@
 #include <glm/geometric.hpp>
 #include <utility>
 
+#include "capture/hdr/merge.h"
+#include "capture/seen_grid.h"
+#include "lighting/disc.h"
 #include "core/conventions.h"
 
 namespace penumbra::runtime {

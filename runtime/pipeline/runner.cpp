@@ -12,6 +12,11 @@
 #include <utility>
 #include <vector>
 
+#include "capture/frames.h"
+#include "lighting/completion.h"
+#include "lighting/disc.h"
+#include "lighting/light_estimate.h"
+#include "runtime/pipeline/light_stage.h"
 #include "core/aside.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"
 #include "runtime/pipeline/internal/pace.h"

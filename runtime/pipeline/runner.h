@@ -6,6 +6,10 @@
 #include <memory>
 #include <optional>
 
+#include "capture/frames.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "runtime/pipeline/light_stage.h"
 #include "core/queues.h"
 #include "runtime/shading/compose_stage.h"
 

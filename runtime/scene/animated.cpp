@@ -7,6 +7,16 @@
 #include <cmath>
 #include <limits>
 
+#include "prt/bake/bake.h"
+#include "prt/clip/light_map.h"
+#include "prt/clip/live_bake.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
+#include "prt/geometry/ground_grid.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/receiver.h"
+#include "prt/transfer/relight.h"
 #include "runtime/scene/bake_cache.h"
 
 namespace penumbra::runtime {

@@ -12,6 +12,8 @@
 #include <optional>
 #include <vector>
 
+#include "prt/bake/baked_file.h"
+#include "prt/geometry/receiver.h"
 #include "core/files.h"
 #include "core/hash.h"
 

@@ -6,9 +6,10 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "calib/camera/drawable.h"
+#include "calib/camera/projection.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
-#include "runtime/shading/view_projection.h"
 
 namespace penumbra::runtime {
 
@@ -103,7 +104,7 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
   auto camera = capture::read_camera_file(camera_file);
   if (!camera) return std::unexpected(camera.error());
   const calib::Projection& p = camera->projection;
-  PENUMBRA_TRY(check_drawable(p, camera_file.string()));
+  PENUMBRA_TRY(calib::check_drawable(p, camera_file.string()));
   auto frame = codec::read_frame(depth_file);
   if (!frame) return std::unexpected(frame.error());
   Image<float> depth;

@@ -8,6 +8,9 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/gtx/quaternion.hpp>
 
+#include "prt/bake/baked_file.h"
+#include "prt/geometry/ground_grid.h"
+#include "prt/geometry/receiver.h"
 #include "core/conventions.h"
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"

@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "shadows/visibility/lamp.h"
 #include "core/toml_keys.h"
 #include "runtime/scene/scene.h"
 

@@ -2,6 +2,8 @@
 
 #include <spdlog/spdlog.h>
 
+#include "prt/clip/sequence.h"
+#include "runtime/scene/scene.h"
 #include "runtime/shading/median_time.h"
 #include "runtime/shading/compose_stage.h"
 

@@ -5,8 +5,19 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/aside.h"
+#include "calib/camera/code_curve.h"
+#include "calib/camera/drawable.h"
+#include "calib/camera/lens_vignetting.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/vignetting.h"
+#include "capture/hdr/merge.h"
+#include "prt/bake/bake.h"
+#include "prt/clip/light_map.h"
+#include "prt/geometry/animation.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/plane.h"
 #include "shadows/field/planar_shadow.h"
-#include "runtime/shading/view_projection.h"
 
 namespace penumbra::runtime {
 
@@ -82,7 +93,7 @@ Result<std::unique_ptr<ComposeStage>> ComposeStage::create(
   const capture::CameraInfo* first = nullptr;
   for (const capture::CameraInfo& c : cameras) {
     if (c.role != capture::Role::kView) continue;
-    PENUMBRA_TRY(check_drawable(c.projection, c.name));
+    PENUMBRA_TRY(calib::check_drawable(c.projection, c.name));
     if (first && (c.projection.width != first->projection.width ||
                   c.projection.height != first->projection.height))
       return fail(ErrorCode::kInvalid, c.name, "all view cameras must have the same size");

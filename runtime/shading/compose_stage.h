@@ -7,6 +7,11 @@
 #include <optional>
 #include <vector>
 
+#include "calib/camera/code_curve.h"
+#include "calib/camera/vignetting.h"
+#include "prt/bake/bake.h"
+#include "prt/transfer/components.h"
+#include "shadows/field/planar_shadow.h"
 #include "capture/frames.h"
 #include "lighting/completion.h"
 #include "lighting/disc.h"
@@ -17,7 +22,6 @@
 #include "runtime/shading/disc_stage.h"
 #include "runtime/shading/floor_completion.h"
 #include "runtime/shading/lamp_stage.h"
-#include "runtime/pipeline/light_stage.h"  // IWYU pragma: export
 #include "runtime/shading/real_stage.h"
 #include "runtime/shading/scene_light.h"
 #include "runtime/scene/scene.h"

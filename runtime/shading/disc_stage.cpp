@@ -5,6 +5,14 @@
 #include <cmath>
 #include <utility>
 
+#include "lighting/disc.h"
+#include "lighting/irradiance.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/rays.h"
+#include "shadows/field/occlusion_field.h"
+#include "shadows/visibility/disc_points.h"
+
 namespace penumbra::runtime {
 
 namespace {

@@ -7,6 +7,10 @@
 #include <span>
 #include <vector>
 
+#include "lighting/disc.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/rays.h"
+#include "prt/transfer/vertex_sight.h"
 #include "shadows/silhouette/casters.h"
 #include "shadows/silhouette/disc_shadow.h"
 #include "shadows/silhouette/outline.h"

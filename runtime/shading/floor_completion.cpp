@@ -3,6 +3,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "calib/camera/code_curve.h"
+#include "calib/camera/lens_vignetting.h"
+#include "calib/camera/projection.h"
+#include "calib/camera/vignetting.h"
+#include "lighting/disc.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/rays.h"
+
 namespace penumbra::runtime {
 
 namespace {

@@ -6,6 +6,9 @@
 #include <optional>
 #include <vector>
 
+#include "calib/camera/code_curve.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/rays.h"
 #include "capture/frames.h"
 #include "lighting/completion.h"
 #include "lighting/light_estimate.h"

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "prt/geometry/mesh.h"
+#include "shadows/visibility/lamp.h"
 #include "core/conventions.h"
 
 namespace penumbra::runtime {

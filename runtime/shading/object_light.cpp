@@ -2,6 +2,19 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/aside.h"
+#include "lighting/disc.h"
+#include "lighting/estimate.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+#include "lighting/rotation.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/mesh.h"
+#include "prt/transfer/transfer.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/scene_light.h"
+#include "runtime/shading/surroundings.h"
+#include "shadows/visibility/lamp.h"
 #include "core/conventions.h"
 #include "runtime/shading/compose_stage.h"
 

@@ -2,6 +2,18 @@
 
 #include <algorithm>
 
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/estimate.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+#include "lighting/rotation.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/mesh.h"
+#include "prt/transfer/relight.h"
+#include "prt/transfer/transfer.h"
+#include "runtime/shading/compose_stage.h"
+#include "shadows/field/occlusion_field.h"
 #include "core/conventions.h"
 #include "runtime/shading/scene_light.h"
 

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "lighting/light_estimate.h"
 #include "shadows/field/planar_shadow.h"
 #include "runtime/shading/disc_stage.h"
 #include "runtime/shading/lamp_stage.h"

@@ -1,5 +1,8 @@
 #include "runtime/shading/scene_light.h"
 
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "prt/transfer/transfer.h"
 #include "lighting/irradiance.h"
 #include "lighting/projection.h"
 #include "lighting/rotation.h"

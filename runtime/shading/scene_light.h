@@ -2,6 +2,8 @@
 // threads: reentrant
 #pragma once
 
+#include "lighting/disc.h"
+#include "prt/transfer/transfer.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/sh.h"

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/rays.h"
 #include "lighting/basis.h"
 #include "core/conventions.h"
 #include "core/parallel.h"

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "prt/geometry/mesh.h"
 #include "shadows/field/occlusion_field.h"
 #include "shadows/silhouette/casters.h"
 #include "core/pose.h"

@@ -4,6 +4,10 @@
 #include <cmath>
 #include <span>
 
+#include "prt/geometry/animation.h"
+#include "prt/geometry/ground_grid.h"
+#include "prt/reference/environment_light.h"
+#include "prt/reference/reference.h"
 #include "core/conventions.h"
 
 namespace penumbra::runtime {

@@ -2,6 +2,10 @@
 
 #include <filesystem>
 
+#include "calib/camera/response.h"
+#include "capture/environment/environment_file.h"
+#include "capture/studio/environments.h"
+#include "prt/geometry/mesh.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/studio/prop_world.h"
 

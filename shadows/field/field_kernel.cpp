@@ -1,7 +1,7 @@
 #include <cstddef>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "shadows/field_kernel.cpp"
+#define HWY_TARGET_INCLUDE "shadows/field/field_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -10,6 +10,7 @@
 #include <limits>
 #include <mutex>
 
+#include "prt/geometry/rays.h"
 #include "lighting/basis.h"
 #include "core/conventions.h"
 #include "core/half.h"

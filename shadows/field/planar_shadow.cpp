@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "prt/transfer/relight.h"
 #include "lighting/basis.h"
 #include "lighting/disc.h"
 #include "lighting/irradiance.h"

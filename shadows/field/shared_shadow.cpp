@@ -1,6 +1,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "lighting/rotation.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/receiver.h"
+#include "prt/transfer/transfer.h"
 #include "shadows/field/planar_shadow.h"
 #include "core/parallel.h"
 #include "shadows/field/occlusion_field.h"

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 
+#include "core/aside.h"
+#include "lighting/disc.h"
 #include "core/conventions.h"
 
 namespace penumbra::shadows {

@@ -5,6 +5,9 @@
 #include <span>
 #include <vector>
 
+#include "lighting/disc.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/rays.h"
 #include "shadows/silhouette/casters.h"
 #include "shadows/silhouette/outline.h"
 #include "shadows/silhouette/outline_memo.h"

@@ -1,7 +1,12 @@
+#include "shadows/silhouette/disc_shadow.h"
+
 #include <algorithm>
 #include <cmath>
 #include <optional>
 
+#include "shadows/silhouette/internal/outline_sides.h"
+#include "shadows/silhouette/outline.h"
+#include "shadows/silhouette/outline_memo.h"
 #include "core/scratch.h"
 #include "shadows/silhouette/disc_rays.h"
 #include "shadows/silhouette/place_kernel.h"

@@ -6,6 +6,7 @@
 #include <cassert>
 #include <cmath>
 
+#include "shadows/silhouette/outline.h"
 #include "shadows/silhouette/projection_kernel.h"
 
 namespace penumbra::shadows {

@@ -4,7 +4,7 @@
 #include <array>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "shadows/place_kernel.cpp"
+#define HWY_TARGET_INCLUDE "shadows/silhouette/place_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -1,7 +1,7 @@
 #include "shadows/silhouette/projection_kernel.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "shadows/projection_kernel.cpp"
+#define HWY_TARGET_INCLUDE "shadows/silhouette/projection_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -1,8 +1,11 @@
+#include "shadows/visibility/disc_points.h"
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <utility>
 
+#include "prt/transfer/vertex_sight.h"
 #include "core/parallel.h"
 #include "shadows/silhouette/disc_rays.h"
 #include "shadows/silhouette/place_kernel.h"

@@ -5,6 +5,9 @@
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 
+#include "core/aside.h"
+#include "shadows/silhouette/casters.h"
+#include "shadows/silhouette/disc_shadow.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
 #include "core/scratch.h"

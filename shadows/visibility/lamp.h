@@ -5,6 +5,8 @@
 #include <glm/vec3.hpp>
 #include <span>
 
+#include "shadows/silhouette/casters.h"
+#include "shadows/silhouette/disc_shadow.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
 #include "core/image.h"

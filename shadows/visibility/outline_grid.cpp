@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/aside.h"
+
 namespace penumbra::shadows {
 
 namespace {

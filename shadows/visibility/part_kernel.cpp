@@ -1,7 +1,7 @@
 #include "shadows/visibility/internal/part_kernel.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "shadows/part_kernel.cpp"
+#define HWY_TARGET_INCLUDE "shadows/visibility/part_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -4,6 +4,9 @@
 #include <cassert>
 #include <cmath>
 
+#include "shadows/silhouette/disc_rays.h"
+#include "shadows/silhouette/outline.h"
+
 namespace penumbra::shadows {
 
 namespace {

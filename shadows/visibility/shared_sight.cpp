@@ -5,6 +5,10 @@
 #include <glm/gtx/quaternion.hpp>
 #include <optional>
 
+#include "prt/geometry/mesh.h"
+#include "shadows/silhouette/outline_memo.h"
+#include "shadows/silhouette/place_kernel.h"
+#include "shadows/silhouette/projection_kernel.h"
 #include "core/parallel.h"
 #include "core/scratch.h"
 #include "shadows/silhouette/disc_rays.h"

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "prt/transfer/vertex_samples.h"
 #include "core/parallel.h"
 #include "shadows/silhouette/disc_rays.h"
 #include "shadows/visibility/internal/shared_sight.h"

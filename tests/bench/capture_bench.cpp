@@ -4,6 +4,7 @@
 #include <opencv2/photo.hpp>
 #include <random>
 
+#include "calib/calib.h"
 #include "bench/harness.h"
 #include "capture/capture.h"
 #include "capture/device/internal/exposure_schedule.h"

@@ -1,6 +1,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "prt/prt.h"
 #include "bench/harness.h"
 #include "compositor/compositor.h"
 #include "core/conventions.h"

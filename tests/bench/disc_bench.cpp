@@ -1,6 +1,8 @@
 // A disc that moves: what tracing its light anew costs, against every vertex and every node of the map with all rays.
 #include <cmath>
 
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "bench/harness.h"
 #include "core/conventions.h"
 #include "shadows/shadows.h"

@@ -2,6 +2,7 @@
 #include <filesystem>
 #include <thread>
 
+#include "calib/calib.h"
 #include "bench/harness.h"
 #include "capture/capture.h"
 #include "support/temp_folder.h"

@@ -1,6 +1,8 @@
 // What a frame costs as a whole: a light update of one object with default settings, and compositing it.
 #include <cmath>
 
+#include "calib/calib.h"
+#include "lighting/lighting.h"
 #include "bench/harness.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
@@ -9,20 +11,20 @@
 namespace penumbra::bench {
 namespace {
 
-using service::ComposeStage;
+using runtime::ComposeStage;
 
 struct Setup {
-  service::PreparedScene scene;
+  runtime::PreparedScene scene;
   std::vector<capture::CameraInfo> cameras{1};
   lighting::LightEstimate light;
 
   Setup() {
-    service::SceneObject object;
+    runtime::SceneObject object;
     object.name = "knot", object.asset = "builtin:knot", object.stand = true;
-    service::RealGeometry floor;
-    floor.plane = service::RealPlane{};
+    runtime::RealGeometry floor;
+    floor.plane = runtime::RealPlane{};
     floor.albedo = Rgb{.4f, .4f, .4f};
-    scene = *service::prepare({{object}, {floor}}, {},
+    scene = *runtime::prepare({{object}, {floor}}, {},
                               [](const std::string&) { return std::function<void(double)>(); });
     capture::CameraInfo& c = cameras[0];
     c.name = "view";
@@ -34,7 +36,7 @@ struct Setup {
     light = *lighting::estimate_map(capture::make_sky_environment(1024, 512, .7), {});
     for (lighting::Disc& d : light.discs) d.id = 1;
   }
-  std::unique_ptr<ComposeStage> stage(service::StageTimes& times, bool with_look = false) const {
+  std::unique_ptr<ComposeStage> stage(StageTimes& times, bool with_look = false) const {
     std::vector<capture::CameraInfo> seen_by = cameras;
     seen_by[0].noise_known = with_look;
     if (with_look) seen_by[0].psf_sigma_px = .7;
@@ -58,7 +60,7 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
   return out;
 }
 
-void report(benchmark::State& state, const service::StageTimes& times) {
+void report(benchmark::State& state, const StageTimes& times) {
   for (const auto& [name, p] : times.summary()) state.counters[name + "_ms"] = p.p50_ms;
 }
 
@@ -94,7 +96,7 @@ void light_update(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   const auto source = static_cast<Source>(state.range(1));
   const double step = source == kSun ? .01 : .05;  // radians
-  service::StageTimes times;
+  StageTimes times;
   const auto stage = setup().stage(times);
   if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
   const lighting::LightEstimate start = light_of(source);
@@ -129,7 +131,7 @@ BENCHMARK(light_update)
 // A camera that moves with every frame over a standing light, without and with its blur and noise; peer: a copy of the frame.
 void composite_frame(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
-  service::StageTimes times;
+  StageTimes times;
   const auto stage = setup().stage(times, state.range(1) != 0);
   if (!stage) return state.SkipWithError("no OpenGL ES 3.1");
   capture::Frame frame;

@@ -1,5 +1,4 @@
 // Boards drawn by OpenCV, seen in perspective: every corner where it must be.
-#include "calib/estimate/boards.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

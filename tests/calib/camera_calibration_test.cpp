@@ -1,4 +1,4 @@
-#include "calib/estimate/camera_calibration.h"
+#include "calib/calib.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

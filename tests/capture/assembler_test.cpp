@@ -5,6 +5,7 @@
 #include <glm/gtx/quaternion.hpp>
 #include <random>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
 #include "core/half.h"

@@ -1,4 +1,6 @@
 // Exposure labels: right for every delay, and refused where the picture says otherwise.
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "capture/device/internal/bracketed_camera.h"
 
 #include <gtest/gtest.h>

@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "tests/support/temp_folder.h"
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
 #include "core/half.h"

@@ -5,6 +5,7 @@
 #include <limits>
 #include <random>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "codec/codec.h"
 #include "core/conventions.h"

@@ -1,4 +1,6 @@
 // The schedule that follows the light: as few exposures as its error allows, within the sensor's limits.
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "capture/device/internal/exposure_schedule.h"
 
 #include <gtest/gtest.h>

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "tests/support/temp_folder.h"
 

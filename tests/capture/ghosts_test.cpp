@@ -4,6 +4,8 @@
 #include <cstdio>
 #include <functional>
 
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "core/conventions.h"
 #include "tests/support/brackets.h"
 

@@ -5,6 +5,8 @@
 #include <limits>
 #include <numeric>
 
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "tests/support/brackets.h"
 
 namespace penumbra::capture {

@@ -1,4 +1,5 @@
 // Camera formats in RGB codes: known colours, any stride, and nothing read beyond what came.
+#include "capture/capture.h"
 #include "capture/raw_formats.h"
 
 #include <gtest/gtest.h>

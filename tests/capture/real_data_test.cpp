@@ -5,6 +5,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/vec3.hpp>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "codec/codec.h"
 #include "core/conventions.h"

@@ -1,4 +1,3 @@
-#include "capture/recording/recording.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,6 +11,7 @@
 #include <fstream>
 #include <random>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "codec/codec.h"
 #include "tests/support/temp_folder.h"

@@ -1,5 +1,4 @@
 // Several cameras as one source: order, unplugging, closing; and the tables of rig.toml that name them.
-#include "capture/device/rig.h"
 
 #include <gtest/gtest.h>
 
@@ -7,6 +6,7 @@
 #include <chrono>
 #include <fstream>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "tests/support/fake_camera.h"
 #include "tests/support/temp_folder.h"

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <limits>
 
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "core/half.h"
 #include "tests/support/brackets.h"
 

@@ -1,4 +1,5 @@
-#include "capture/environment/shared_surfaces.h"
+#include "calib/calib.h"
+#include "capture/capture.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,6 @@
 // Stacks as people take them: times that are not known, cameras held by hand, people who walk through.
-#include "capture/hdr/stacks.h"
+#include "calib/calib.h"
+#include "capture/capture.h"
 
 #include <gtest/gtest.h>
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "capture/hdr/internal/table_merger.h"
 #include "core/half.h"
 #include "tests/support/brackets.h"

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "capture/hdr/pose_warp.h"
 #include "core/conventions.h"

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "prt/prt.h"
 #include "compositor/compositor.h"
 #include "tests/support/scenes.h"
 

@@ -1,3 +1,5 @@
+#include "shadows/shadows.h"
+#include "prt/prt.h"
 #include "compositor/compositor.h"
 
 #include <gtest/gtest.h>

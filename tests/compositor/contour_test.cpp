@@ -1,4 +1,5 @@
 // One sample a pixel and contours, against 256 samples and against four.
+#include "prt/prt.h"
 #include "compositor/internal/contour.h"
 
 #include <gtest/gtest.h>

@@ -1,3 +1,4 @@
+#include "prt/prt.h"
 #include "compositor/internal/draw_list.h"
 
 #include <gtest/gtest.h>

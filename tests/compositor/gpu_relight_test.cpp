@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "prt/prt.h"
 #include "compositor/compositor.h"
 #include "tests/support/temp_folder.h"
 

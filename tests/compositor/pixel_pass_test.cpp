@@ -1,4 +1,6 @@
 // The two shares of a frame against what each pixel is to become, looked up one by one.
+#include "shadows/shadows.h"
+#include "prt/prt.h"
 #include "compositor/internal/pixel_pass.h"
 
 #include <gtest/gtest.h>

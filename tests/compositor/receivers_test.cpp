@@ -1,4 +1,6 @@
 // Rows of shadow ratios against what each pixel's ray meets, looked up one by one.
+#include "shadows/shadows.h"
+#include "prt/prt.h"
 #include "compositor/internal/receivers.h"
 
 #include <gtest/gtest.h>

@@ -1,5 +1,5 @@
 // A recording: its cameras and responses, its pictures and their labels.
-#include "capture/recording/recording.h"
+#include "capture/capture.h"
 #include "fuzz/file_input.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {

@@ -10,7 +10,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     if (const auto config = service::read_rig_config(path, to_composite))
       for (const auto& camera : config->cameras)
         if (camera.info.projection.width < 1 || !(camera.settings.fps > 0)) __builtin_trap();
-  if (const auto tracker = service::read_tracker_file(path))
+  if (const auto tracker = tools::read_tracker_file(path))
     if (tracker->empty()) __builtin_trap();
   return 0;
 }

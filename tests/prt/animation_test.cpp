@@ -1,4 +1,3 @@
-#include "prt/geometry/animation.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,3 +1,4 @@
+#include "prt/prt.h"
 #include "prt/transfer/internal/blocked_rows.h"
 
 #include <gtest/gtest.h>

@@ -1,11 +1,9 @@
-#include "prt/clip/key_frames.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "prt/prt.h"
-#include "prt/clip/sequence.h"
 
 namespace penumbra::prt {
 namespace {

@@ -1,4 +1,3 @@
-#include "prt/clip/light_map.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,3 @@
-#include "prt/clip/live_bake.h"
 
 #include <gtest/gtest.h>
 

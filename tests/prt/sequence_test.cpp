@@ -1,4 +1,3 @@
-#include "prt/clip/sequence.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,5 +1,4 @@
 // What a look-up says is what the ray of that cell found.
-#include "prt/transfer/vertex_sight.h"
 
 #include <gtest/gtest.h>
 #include <hwy/targets.h>

@@ -1,3 +1,5 @@
+#include "capture/capture.h"
+#include "lighting/lighting.h"
 #include "service/http_api.h"
 
 #include <gtest/gtest.h>
@@ -8,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 namespace penumbra::service {
+
 namespace {
 
 TEST(HttpApi, TakesAnyFreePortAndRefusesOneInUse) {

@@ -7,6 +7,7 @@
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::service {
+
 namespace {
 
 class RigConfigFile : public testing::Test {

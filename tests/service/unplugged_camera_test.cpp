@@ -7,12 +7,16 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
-#include "capture/device/rig.h"
+#include "calib/calib.h"
+#include "prt/prt.h"
+#include "capture/capture.h"
 #include "service/http_api.h"
 #include "runtime/pipeline/runner.h"
 #include "tests/support/fake_camera.h"
 
 namespace penumbra::service {
+
+using namespace runtime;
 namespace {
 
 using Clock = std::chrono::steady_clock;

@@ -6,6 +6,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "shadows/silhouette/disc_rays.h"
 #include "shadows/visibility/internal/shared_sight.h"
 

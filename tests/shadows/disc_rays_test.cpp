@@ -1,3 +1,6 @@
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "shadows/silhouette/disc_rays.h"
 
 #include <gtest/gtest.h>

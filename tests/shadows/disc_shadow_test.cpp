@@ -5,6 +5,8 @@
 #include <functional>
 #include <glm/gtc/matrix_transform.hpp>
 
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "core/conventions.h"
 #include "shadows/silhouette/disc_rays.h"
 #include "shadows/shadows.h"

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::shadows {

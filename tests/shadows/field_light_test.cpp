@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "lighting/lighting.h"
-#include "shadows/field/occlusion_field.h"
+#include "shadows/shadows.h"
 #include "tests/support/lights.h"
 
 namespace penumbra::shadows {

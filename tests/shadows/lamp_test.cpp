@@ -1,4 +1,4 @@
-#include "shadows/visibility/lamp.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "shadows/field/occlusion_field.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 

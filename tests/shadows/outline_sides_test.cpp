@@ -1,4 +1,6 @@
 // Outlines found patch by patch are those of a look at every edge.
+#include "shadows/shadows.h"
+#include "prt/prt.h"
 #include "shadows/silhouette/internal/outline_sides.h"
 
 #include <gtest/gtest.h>

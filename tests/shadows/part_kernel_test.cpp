@@ -1,4 +1,5 @@
 // Counting layers in vectors against one direction at a time, for any number of directions.
+#include "shadows/shadows.h"
 #include "shadows/visibility/internal/part_kernel.h"
 
 #include <gtest/gtest.h>

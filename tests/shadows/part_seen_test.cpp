@@ -1,4 +1,7 @@
 // What outlines leave of a disc in sight: by closed form, and by many rays.
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "shadows/visibility/internal/part_seen.h"
 
 #include <gtest/gtest.h>

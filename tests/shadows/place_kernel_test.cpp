@@ -1,3 +1,4 @@
+#include "shadows/shadows.h"
 #include "shadows/silhouette/place_kernel.h"
 
 #include <gtest/gtest.h>

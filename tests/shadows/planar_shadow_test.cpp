@@ -6,6 +6,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <limits>
 
+#include "prt/prt.h"
 #include "lighting/lighting.h"
 #include "shadows/shadows.h"
 #include "tests/support/lights.h"

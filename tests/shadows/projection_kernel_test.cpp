@@ -1,4 +1,5 @@
 // Stretches of outlines on the plane, on every kind of processor that this one can be.
+#include "shadows/shadows.h"
 #include "shadows/silhouette/projection_kernel.h"
 
 #include <gtest/gtest.h>

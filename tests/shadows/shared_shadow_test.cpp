@@ -1,6 +1,7 @@
 // Two objects on one floor: what they darken together.
 #include <gtest/gtest.h>
 
+#include "prt/prt.h"
 #include "shadows/shadows.h"
 #include "tests/support/lights.h"
 

@@ -1,4 +1,7 @@
 // Vertices that share a ray have the light that a ray of their own would give them.
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "shadows/visibility/internal/shared_sight.h"
 
 #include <gtest/gtest.h>

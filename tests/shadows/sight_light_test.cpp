@@ -1,4 +1,7 @@
 // A disc's light looked up in what vertices are known to see, against rays.
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "shadows/visibility/internal/sight_light.h"
 
 #include <gtest/gtest.h>

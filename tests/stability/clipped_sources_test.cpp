@@ -5,6 +5,7 @@
 #include <cmath>
 #include <random>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
 #include "lighting/lighting.h"

@@ -4,13 +4,20 @@
 #include <random>
 #include <set>
 
-#include "calib/estimate/vignetting_calibration.h"
+#include "runtime/pipeline/governance.h"
+#include "capture/capture.h"
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
+#include "calib/calib.h"
 #include "tools/chart/governor_bench.h"
 #include "runtime/shading/compose_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
+
+using namespace tools;
 namespace {
 
 using glm::dvec3;
@@ -598,4 +605,4 @@ TEST_F(Composite, TenMinutesOfOneSceneStandStill) {
 }
 
 }  // namespace
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -1,6 +1,7 @@
 // Where compact sources are found, and that nothing is lost or made in finding them.
 #include <gtest/gtest.h>
 
+#include "lighting/lighting.h"
 #include "tests/stability/maps.h"
 
 namespace penumbra::lighting {

@@ -3,10 +3,14 @@
 
 #include <cmath>
 
+#include "capture/capture.h"
+#include "prt/prt.h"
 #include "lighting/lighting.h"
 #include "tools/common/still.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
+
+using namespace tools;
 namespace {
 
 using glm::dvec3;
@@ -218,4 +222,4 @@ TEST(OddScene, EnvironmentsThatAreNoLight) {
 }
 
 }  // namespace
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -2,6 +2,9 @@
 // floor.
 #include <gtest/gtest.h>
 
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
 #include "runtime/shading/disc_stage.h"
 #include "runtime/shading/compose_stage.h"
 #include "tests/stability/maps.h"

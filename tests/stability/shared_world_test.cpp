@@ -4,6 +4,8 @@
 
 #include <cmath>
 
+#include "capture/capture.h"
+#include "prt/prt.h"
 #include "core/conventions.h"
 #include "lighting/lighting.h"
 #include "tools/chart/accuracy.h"
@@ -11,7 +13,9 @@
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"
 
-namespace penumbra::service {
+namespace penumbra::runtime {
+
+using namespace tools;
 namespace {
 
 using glm::dvec3;
@@ -212,4 +216,4 @@ TEST(TiltedObject, CastsTheShadowOfHowItLies) {
 }
 
 }  // namespace
-}  // namespace penumbra::service
+}  // namespace penumbra::runtime

@@ -3,6 +3,7 @@
 
 #include <set>
 
+#include "lighting/lighting.h"
 #include "runtime/shading/compose_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
@@ -23,7 +24,7 @@ double floor_luminance(const RadianceSh& light, const dvec3& normal) {
 double shadow_share(const LightEstimate& e) {
   Rgb discs;
   for (const Disc& d : e.discs) discs += irradiance(d, kUp);
-  return luminance(discs) / luminance(service::open_irradiance(e, kUp));
+  return luminance(discs) / luminance(runtime::open_irradiance(e, kUp));
 }
 
 std::set<int> ids_of(const LightEstimate& e) {
@@ -349,8 +350,8 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
     const auto e = estimator.estimate(test::environment_at(std::move(map), i * kStepNs));
     ASSERT_TRUE(e);
     ids.merge(ids_of(*e));
-    floor.values.push_back(luminance(service::open_irradiance(*e, kUp)));
-    wall.values.push_back(luminance(service::open_irradiance(*e, wall_normal)));
+    floor.values.push_back(luminance(runtime::open_irradiance(*e, kUp)));
+    wall.values.push_back(luminance(runtime::open_irradiance(*e, wall_normal)));
     share.values.push_back(shadow_share(*e));
   }
   std::printf(

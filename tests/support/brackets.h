@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/half.h"
 

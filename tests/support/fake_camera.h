@@ -5,6 +5,7 @@
 #include <thread>
 #include <vector>
 
+#include "calib/calib.h"
 #include "capture/capture.h"
 
 namespace penumbra::test {

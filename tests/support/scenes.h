@@ -9,6 +9,8 @@
 #include <random>
 #include <vector>
 
+#include "shadows/shadows.h"
+#include "prt/prt.h"
 #include "compositor/compositor.h"
 #include "lighting/lighting.h"
 #include "tests/support/lights.h"

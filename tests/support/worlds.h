@@ -7,8 +7,8 @@
 
 namespace penumbra::test {
 
-inline service::SceneObject twist(const glm::dvec3& position) {
-  service::SceneObject o;
+inline runtime::SceneObject twist(const glm::dvec3& position) {
+  runtime::SceneObject o;
   o.asset = "builtin:twist";
   o.name = "twist";
   o.albedo = {.6f, .6f, .6f};
@@ -17,20 +17,20 @@ inline service::SceneObject twist(const glm::dvec3& position) {
   return o;
 }
 
-inline service::RealGeometry grey_plane(const glm::dvec3& point = {0, 0, 0},
+inline runtime::RealGeometry grey_plane(const glm::dvec3& point = {0, 0, 0},
                                         const glm::dvec3& normal = {0, 1, 0}) {
-  service::RealGeometry g;
-  g.plane = service::RealPlane{point, glm::normalize(normal)};
+  runtime::RealGeometry g;
+  g.plane = runtime::RealPlane{point, glm::normalize(normal)};
   g.albedo = Rgb{.4f, .4f, .4f};
   return g;
 }
 
 /// Baked anew with few rays, silently.
-inline Result<service::PreparedScene> prepared(const service::Scene& scene) {
-  service::BakeSettings settings;
+inline Result<runtime::PreparedScene> prepared(const runtime::Scene& scene) {
+  runtime::BakeSettings settings;
   settings.rays = settings.ground_rays = 512;
   settings.use_cache = false;
-  return service::prepare(scene, settings,
+  return runtime::prepare(scene, settings,
                           [](const std::string&) { return std::function<void(double)>(); });
 }
 

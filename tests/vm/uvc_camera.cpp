@@ -17,6 +17,8 @@
 #include <span>
 #include <vector>
 
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "tests/vm/uvc_scene.h"
 
 namespace penumbra::test {

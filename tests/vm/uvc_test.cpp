@@ -9,6 +9,8 @@
 #include <cstdlib>
 #include <thread>
 
+#include "calib/calib.h"
+#include "capture/capture.h"
 #include "capture/device/internal/bracketed_camera.h"
 #include "capture/device/internal/v4l2_node.h"
 #include "core/half.h"

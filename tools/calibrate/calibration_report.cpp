@@ -7,6 +7,8 @@
 #include <cmath>
 #include <initializer_list>
 
+#include "calib/camera/colour.h"
+#include "calib/camera/response.h"
 #include "core/files.h"
 #include "tools/common/gnuplot.h"
 

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <span>
 
+#include "calib/camera/colour.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/camera_calibration.h"
 #include "calib/estimate/colour_calibration.h"

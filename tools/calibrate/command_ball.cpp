@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <charconv>
 
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/calibrate/commands.h"
 #include "calib/camera/mirror_ball.h"

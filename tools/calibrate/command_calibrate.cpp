@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <filesystem>
 
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/calibrate/commands.h"
 #include "calib/camera/projection.h"
@@ -22,7 +23,7 @@
 #include "runtime/pipeline/report.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
-#include "service/stop_signal.h"
+#include "core/stop_signal.h"
 
 namespace penumbra::tools {
 
@@ -114,8 +115,8 @@ bool is_rig(const std::string& path) {
 
 Result<CameraFilm> open_film(const std::string& path, const std::string& camera) {
   if (!is_rig(path)) return CameraFilm::open(path, camera);
-  PENUMBRA_ASSIGN(config, read_rig_config(path, false));
-  PENUMBRA_ASSIGN(rig, open_rig(config, progress_bar));
+  PENUMBRA_ASSIGN(config, service::read_rig_config(path, false));
+  PENUMBRA_ASSIGN(rig, service::open_rig(config, progress_bar));
   return CameraFilm::of(std::move(rig.source), path, camera);
 }
 

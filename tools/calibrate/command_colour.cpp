@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "calib/camera/colour.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/calibrate/commands.h"
 #include "calib/estimate/colour_calibration.h"

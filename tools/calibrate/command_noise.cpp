@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <map>
 
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/calibrate/commands.h"
 #include "calib/estimate/noise_calibration.h"

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/calibrate/commands.h"
 #include "calib/estimate/boards.h"

@@ -4,11 +4,18 @@
 #include <cmath>
 #include <limits>
 
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+#include "prt/geometry/pinhole_view.h"
+#include "prt/geometry/plane.h"
+#include "runtime/scene/scene.h"
 #include "core/conventions.h"
 
 namespace penumbra::tools {
 
-Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view, double seconds) {
+Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view, double seconds) {
   // Sixteen samples a pixel call some full that are not: the sky behind them would count as the object's error.
   constexpr int kFiner = 4;
   prt::PinholeView fine = view;

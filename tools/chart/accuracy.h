@@ -3,6 +3,9 @@
 
 #include <vector>
 
+#include "lighting/light_estimate.h"
+#include "prt/geometry/pinhole_view.h"
+#include "runtime/scene/scene.h"
 #include "core/result.h"
 #include "tools/common/still.h"
 
@@ -13,7 +16,7 @@ struct Masks {
   std::vector<bool> object, floor;
 };
 /// errors: as render_composite
-Result<Masks> make_masks(const PreparedScene& scene, const prt::PinholeView& view,
+Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view,
                          double seconds = 0);
 
 struct Accuracy {

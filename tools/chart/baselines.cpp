@@ -3,6 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/irradiance.h"
+#include "lighting/projection.h"
+#include "prt/bake/bake.h"
+#include "prt/transfer/transfer.h"
 #include "core/conventions.h"
 
 namespace penumbra::tools {
@@ -162,18 +168,18 @@ LightEstimate dissertation_light(const Image<Rgb>& map) {
   return light;
 }
 
-PreparedScene without_floor_shadow(const PreparedScene& scene) {
-  PreparedScene out = scene;
-  for (PreparedObject& o : out.objects) {
+runtime::PreparedScene without_floor_shadow(const runtime::PreparedScene& scene) {
+  runtime::PreparedScene out = scene;
+  for (runtime::PreparedObject& o : out.objects) {
     clear(o.baked.ground_deficit);
     clear(o.baked.ground_indirect);
   }
   return out;
 }
 
-PreparedScene without_shadows(const PreparedScene& scene) {
-  PreparedScene out = without_floor_shadow(scene);
-  for (PreparedObject& o : out.objects) {
+runtime::PreparedScene without_shadows(const runtime::PreparedScene& scene) {
+  runtime::PreparedScene out = without_floor_shadow(scene);
+  for (runtime::PreparedObject& o : out.objects) {
     const auto& normals = o.baked.mesh.normals;
     o.baked.transfer = open_transfer(
         o.baked.transfer.bands, normals.size(), [&](std::size_t p) { return normals[p]; },
@@ -183,8 +189,8 @@ PreparedScene without_shadows(const PreparedScene& scene) {
   return out;
 }
 
-PreparedScene with_ambient_occlusion(const PreparedScene& scene) {
-  PreparedScene out = without_shadows(scene);
+runtime::PreparedScene with_ambient_occlusion(const runtime::PreparedScene& scene) {
+  runtime::PreparedScene out = without_shadows(scene);
   const double open = lighting::cosine_coefficient(0) / kPi / std::sqrt(4 * kPi);
   for (std::size_t i = 0; i < out.objects.size(); ++i) {
     const prt::BakedObject& truth = scene.objects[i].baked;

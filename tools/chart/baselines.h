@@ -22,10 +22,10 @@ lighting::LightEstimate phone_light(const Image<Rgb>& map);
 lighting::LightEstimate dissertation_light(const Image<Rgb>& map);
 
 /// The scene with objects that neither shade themselves nor the floor.
-PreparedScene without_shadows(const PreparedScene& scene);
+runtime::PreparedScene without_shadows(const runtime::PreparedScene& scene);
 /// The scene with objects that throw no shadow on the floor.
-PreparedScene without_floor_shadow(const PreparedScene& scene);
+runtime::PreparedScene without_floor_shadow(const runtime::PreparedScene& scene);
 /// The scene with visibility as one number a point, the same for every direction.
-PreparedScene with_ambient_occlusion(const PreparedScene& scene);
+runtime::PreparedScene with_ambient_occlusion(const runtime::PreparedScene& scene);
 
 }  // namespace penumbra::tools

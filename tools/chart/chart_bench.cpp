@@ -7,6 +7,18 @@
 #include <cmath>
 #include <filesystem>
 
+#include "capture/studio/studio.h"
+#include "lighting/disc.h"
+#include "lighting/discs.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "lighting/projection.h"
+#include "lighting/rotation.h"
+#include "prt/geometry/pinhole_view.h"
+#include "prt/transfer/transfer.h"
+#include "prt/transfer/vertex_sight.h"
+#include "runtime/pipeline/governance.h"
+#include "runtime/shading/disc_stage.h"
 #include "core/conventions.h"
 #include "tools/chart/flip.h"
 #include "tools/chart/governor_bench.h"
@@ -44,10 +56,10 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
 }
 
 // Every update with another light.
-LightTime time_updates(ComposeStage& stage, const lighting::LightEstimate& light) {
+runtime::LightTime time_updates(runtime::ComposeStage& stage, const lighting::LightEstimate& light) {
   constexpr double kTurn = .01;  // radians: more than DiscStage overlooks
   const int runs = light.discs.size() > kManyDiscs ? 1 : kRuns;  // these take seconds
-  return time_single_threaded(
+  return runtime::time_single_threaded(
       runs, [&](int run) { stage.update_light(turned(light, kTurn * (runs - run)), 0); });
 }
 
@@ -69,9 +81,9 @@ prt::Transfer with_bands(const prt::Transfer& t, int bands) {
   return out;
 }
 
-PreparedScene ChartScene::prepared_with(int bands) const {
-  PreparedScene out = prepared_;
-  for (PreparedObject& o : out.objects) {
+runtime::PreparedScene ChartScene::prepared_with(int bands) const {
+  runtime::PreparedScene out = prepared_;
+  for (runtime::PreparedObject& o : out.objects) {
     o.baked.transfer = with_bands(o.baked.transfer, bands);
     o.baked.ground_deficit = with_bands(o.baked.ground_deficit, bands);
   }
@@ -82,18 +94,18 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   ChartScene bench;
   const std::string stem = std::filesystem::path(asset).stem().string();
   bench.name_ = asset.starts_with("builtin:") ? asset.substr(8) : stem;
-  SceneObject object;
+  runtime::SceneObject object;
   object.asset = asset;
   object.name = bench.name_;
   object.albedo = {.6f, .6f, .6f};
   object.stand = true;
-  RealGeometry floor;
-  floor.plane = RealPlane{};
+  runtime::RealGeometry floor;
+  floor.plane = runtime::RealPlane{};
   floor.albedo = Rgb{.4f, .4f, .4f};
-  BakeSettings settings;
+  runtime::BakeSettings settings;
   settings.bands = kMaxBands;
   settings.rays = settings.ground_rays = rays;
-  auto prepared = prepare({{object}, {floor}}, settings, progress_bar);
+  auto prepared = runtime::prepare({{object}, {floor}}, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
   bench.prepared_ = std::move(*prepared);
   bench.view_ = make_view();
@@ -110,7 +122,7 @@ Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& e
   auto rest = lighting::project_latlong(split.rest, kMaxBands);
   if (!rest) return std::unexpected(rest.error());
   const lighting::Governor::Limits limits;
-  const lighting::ErrorTable table({&rest->above, split.discs}, shadow_probes(scene.prepared()),
+  const lighting::ErrorTable table({&rest->above, split.discs}, runtime::shadow_probes(scene.prepared()),
                                    limits.most_bands, limits.most_discs);
   return lighting::Governor({}, costs).cheapest(table, limits.budget);
 }
@@ -124,8 +136,8 @@ Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment
   return Truth{std::move(*empty), std::move(*full)};
 }
 
-Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
-                         const lighting::LightEstimate& light, const DiscTaps& taps,
+Result<Measured> measure(const ChartScene& bench, const runtime::PreparedScene& scene,
+                         const lighting::LightEstimate& light, const runtime::DiscTaps& taps,
                          const Truth& truth) {
   auto stage = make_still_stage(scene, bench.view(), taps);
   if (!stage) return std::unexpected(stage.error());
@@ -138,17 +150,17 @@ Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
   return out;
 }
 
-Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
-                               const lighting::LightEstimate& light, const DiscTaps& taps) {
+Result<runtime::LightTime> time_updates(const ChartScene& bench, const runtime::PreparedScene& scene,
+                               const lighting::LightEstimate& light, const runtime::DiscTaps& taps) {
   auto stage = make_still_stage(scene, bench.view(), taps);
   if (!stage) return std::unexpected(stage.error());
   return time_updates(**stage, light);
 }
 
-std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size) {
+std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t discs, int map_size) {
   std::size_t bytes = 0;
   const auto of = [](const prt::Transfer& t) { return t.values.size() * sizeof(t.values[0]); };
-  for (const PreparedObject& o : scene.objects) {
+  for (const runtime::PreparedObject& o : scene.objects) {
     bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
     if (discs == 0) continue;
     bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) + of_sight(o.baked.sight);

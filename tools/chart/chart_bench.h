@@ -4,6 +4,11 @@
 #include <functional>
 #include <string>
 
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "prt/geometry/pinhole_view.h"
+#include "prt/transfer/transfer.h"
+#include "runtime/shading/disc_stage.h"
 #include "tools/chart/accuracy.h"
 #include "tools/chart/chart_plot.h"
 #include "runtime/scene/scene.h"
@@ -24,16 +29,16 @@ class ChartScene {
 
   const std::string& name() const { return name_; }
   /// Baked with kMaxBands.
-  const PreparedScene& prepared() const { return prepared_; }
+  const runtime::PreparedScene& prepared() const { return prepared_; }
   /// As if it had been baked with so many.
-  PreparedScene prepared_with(int bands) const;
+  runtime::PreparedScene prepared_with(int bands) const;
   const Masks& masks() const { return masks_; }
   StillScene in(const Image<Rgb>& environment) const { return {&prepared_, &environment, view_}; }
   const prt::PinholeView& view() const { return view_; }
 
  private:
   std::string name_;
-  PreparedScene prepared_;
+  runtime::PreparedScene prepared_;
   Masks masks_;
   prt::PinholeView view_;
 };
@@ -56,17 +61,17 @@ Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment
 struct Measured {
   Accuracy accuracy;
   double flip = 0;
-  LightTime time;  // of ComposeStage::update_light on one thread, everything traced anew
+  runtime::LightTime time;  // of ComposeStage::update_light on one thread, everything traced anew
 };
-Result<Measured> measure(const ChartScene& bench, const PreparedScene& scene,
-                         const lighting::LightEstimate& light, const DiscTaps& taps,
+Result<Measured> measure(const ChartScene& bench, const runtime::PreparedScene& scene,
+                         const lighting::LightEstimate& light, const runtime::DiscTaps& taps,
                          const Truth& truth);
 
 /// Its time alone, once more.
-Result<LightTime> time_updates(const ChartScene& bench, const PreparedScene& scene,
-                               const lighting::LightEstimate& light, const DiscTaps& taps);
+Result<runtime::LightTime> time_updates(const ChartScene& bench, const runtime::PreparedScene& scene,
+                               const lighting::LightEstimate& light, const runtime::DiscTaps& taps);
 
 /// The baked coefficients and the discs' maps, in bytes.
-std::size_t memory_of(const PreparedScene& scene, std::size_t discs, int map_size);
+std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t discs, int map_size);
 
 }  // namespace penumbra::tools

@@ -7,6 +7,18 @@
 #include <filesystem>
 #include <map>
 
+#include "lighting/estimate.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "lighting/projection.h"
+#include "runtime/pipeline/governance.h"
+#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/disc_stage.h"
+#include "tools/chart/accuracy.h"
+#include "tools/chart/chart_plot.h"
+#include "tools/common/print.h"
+#include "tools/common/still.h"
 #include "tools/common/command.h"
 #include "tools/chart/commands.h"
 #include "tools/chart/chart_options.h"
@@ -42,7 +54,7 @@ struct Environment {
 Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
   std::vector<Environment> out;
   for (const std::string& path : o.environments) {
-    auto light = read_light(path, std::nullopt);
+    auto light = runtime::read_light(path, std::nullopt);
     if (!light) return std::unexpected(light.error());
     auto map = capture::to_latlong(light->file);
     if (!map) return std::unexpected(map.error());
@@ -59,7 +71,7 @@ struct Method {
   std::string label = "discs and bands";
   bool baseline = false;
   int bands = 5, most_discs = 8, map_size = 256, rows = 0, bake_rays = kBakeRays;
-  DiscTaps taps;
+  runtime::DiscTaps taps;
   int age_columns = 0;  // how far the map has turned since the light was measured
   double update_rate = 1;
   bool chosen = false;
@@ -140,7 +152,7 @@ Image<Rgb> turned(const Image<Rgb>& map, int columns) {
   return out;
 }
 
-using TimeOf = std::function<LightTime()>;
+using TimeOf = std::function<runtime::LightTime()>;
 
 class Charter {
  public:
@@ -151,7 +163,7 @@ class Charter {
 
   Result<void> run(const Environment& environment) {
     if (o_.bands.empty() && costs_.per_disc_ms < 0) {
-      auto costs = fit_costs(baked_with(lighting::Governor::Limits{}.most_bands));
+      auto costs = runtime::fit_costs(baked_with(lighting::Governor::Limits{}.most_bands));
       if (!costs) return std::unexpected(costs.error());
       costs_ = *costs;
     }
@@ -219,12 +231,12 @@ class Charter {
     return m.rows > 0 ? reduced(map, m.rows) : map;
   }
 
-  const PreparedScene& baked_with(int bands) {
+  const runtime::PreparedScene& baked_with(int bands) {
     const auto [known, is_new] = scenes_.try_emplace({bands, kBakeRays});
     if (is_new) known->second = bench_.prepared_with(bands);
     return known->second;
   }
-  Result<const PreparedScene*> baked_for(const Method& m) {
+  Result<const runtime::PreparedScene*> baked_for(const Method& m) {
     if (m.bake_rays == kBakeRays) return &baked_with(m.bands);
     const auto [known, is_new] = scenes_.try_emplace({m.bands, m.bake_rays});
     if (is_new) {
@@ -235,13 +247,13 @@ class Charter {
     return &known->second;
   }
 
-  static LightTime time_of(lighting::LightEstimator& estimator,
+  static runtime::LightTime time_of(lighting::LightEstimator& estimator,
                            const penumbra::Environment& environment) {
     (void)estimator.estimate(environment);  // makes its tables
-    return time_single_threaded(9, [&](int) { (void)estimator.estimate(environment); });
+    return runtime::time_single_threaded(9, [&](int) { (void)estimator.estimate(environment); });
   }
   // What it costs to get so many bands from a map, for those who need nothing else of it.
-  static LightTime projection_time(const Image<Rgb>& map, int bands) {
+  static runtime::LightTime projection_time(const Image<Rgb>& map, int bands) {
     lighting::LightEstimator estimator({bands, {0, 1}});
     penumbra::Environment environment;
     environment.radiance = map;
@@ -260,7 +272,7 @@ class Charter {
     };
     auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
     if (!bands3) return fail(bands3.error().code, e.name, bands3.error().detail);
-    const PreparedScene& scene = baked_with(3);
+    const runtime::PreparedScene& scene = baked_with(3);
     PENUMBRA_TRY(add(plain("no floor shadow", 3), e, without_floor_shadow(scene), *bands3,
                      three_bands, {}, truth));
     PENUMBRA_TRY(add(plain("unshadowed SH9", 3), e, without_shadows(scene), *bands3, three_bands,
@@ -290,12 +302,12 @@ class Charter {
     for (const int n : {16, 64, 256})
       PENUMBRA_TRY(points(
           fmt::format("{} sampled lights", n),
-          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, [] { return LightTime{}; },
+          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, [] { return runtime::LightTime{}; },
           n == 16));
     return {};
   }
 
-  Result<void> add(const Method& m, const Environment& e, const PreparedScene& scene,
+  Result<void> add(const Method& m, const Environment& e, const runtime::PreparedScene& scene,
                    const lighting::LightEstimate& light, const TimeOf& estimate,
                    const LightOf& again, const Truth& truth) {
     auto measured = measure(bench_, scene, light, m.taps, truth);
@@ -342,7 +354,7 @@ class Charter {
     return {};
   }
 
-  bool is_baked(const PreparedScene& scene) const {
+  bool is_baked(const runtime::PreparedScene& scene) const {
     return std::ranges::any_of(scenes_, [&](const auto& s) { return &s.second == &scene; });
   }
 
@@ -351,24 +363,24 @@ class Charter {
     std::size_t point;
     double rate;  // updates a frame
     TimeOf estimate;
-    DiscTaps taps;
+    runtime::DiscTaps taps;
     lighting::LightEstimate light;
-    const PreparedScene* scene;
-    std::vector<LightTime> rounds;
+    const runtime::PreparedScene* scene;
+    std::vector<runtime::LightTime> rounds;
   };
 
-  void add_round(Timing& t, const LightTime& update) {
-    const LightTime estimate = t.estimate();
+  void add_round(Timing& t, const runtime::LightTime& update) {
+    const runtime::LightTime estimate = t.estimate();
     t.rounds.push_back(
         {t.rate * (update.p50_ms + estimate.p50_ms), update.p99_ms + estimate.p99_ms});
-    const auto median = [&](double LightTime::*which) {
+    const auto median = [&](double runtime::LightTime::*which) {
       std::vector<double> all;
-      for (const LightTime& round : t.rounds) all.push_back(round.*which);
+      for (const runtime::LightTime& round : t.rounds) all.push_back(round.*which);
       std::ranges::nth_element(all, all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2));
       return all[all.size() / 2];
     };
-    points_[t.point].ms_p50 = median(&LightTime::p50_ms);
-    points_[t.point].ms_p99 = median(&LightTime::p99_ms);
+    points_[t.point].ms_p50 = median(&runtime::LightTime::p50_ms);
+    points_[t.point].ms_p99 = median(&runtime::LightTime::p99_ms);
   }
 
   Result<void> time_again() {
@@ -399,7 +411,7 @@ class Charter {
   std::vector<ChartPoint>& points_;
   std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
   lighting::CostModel costs_{0, 0, -1};  // until fitted
-  std::map<std::pair<int, int>, PreparedScene> scenes_;  // by bands and rays of the bake
+  std::map<std::pair<int, int>, runtime::PreparedScene> scenes_;  // by bands and rays of the bake
   std::vector<Timing> timings_;                          // of the environment at hand
 };
 
@@ -442,7 +454,7 @@ Result<void> chart_governor(const ChartOptions& o) {
   const std::string asset = o.assets.empty() ? "builtin:knot" : o.assets[0];
   auto bench = ChartScene::make(asset, kBakeRays);
   if (!bench) return std::unexpected(bench.error());
-  auto costs = fit_costs(bench->prepared_with(lighting::Governor::Limits{}.most_bands));
+  auto costs = runtime::fit_costs(bench->prepared_with(lighting::Governor::Limits{}.most_bands));
   if (!costs) return std::unexpected(costs.error());
   auto proof = prove_governor(bench->prepared(), *costs, o.budget, o.governor,
                               progress_bar("random scenes"));
@@ -496,7 +508,7 @@ Result<void> chart(const ChartOptions& o) {
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
   for (const std::string& asset : assets)  // all of them before the long work
-    PENUMBRA_TRY(load_asset(asset, {.7f, .7f, .7f}, 0));
+    PENUMBRA_TRY(runtime::load_asset(asset, {.7f, .7f, .7f}, 0));
   std::vector<ChartPoint> points;
   if (!o.json && !o.truncated)
     fmt::print(

@@ -6,12 +6,20 @@
 #include <cmath>
 #include <filesystem>
 
+#include "lighting/projection.h"
+#include "lighting/rotation.h"
+#include "prt/clip/light_map.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
+#include "prt/transfer/transfer.h"
+#include "tools/chart/rgbe_video.h"
+#include "tools/common/print.h"
 #include "capture/studio/environments.h"
 #include "codec/codec.h"
 #include "core/files.h"
 #include "runtime/scene/animated.h"
 #include "tools/chart/chart_options.h"
-#include "tools/common/map_size.h"
+#include "tools/common/number_pairs.h"
 #include "tools/common/gnuplot.h"
 #include "runtime/pipeline/light_file.h"
 #include "tools/common/output.h"
@@ -55,7 +63,7 @@ class ClipBench {
 Result<std::vector<RadianceSh>> read_lights(const ChartOptions& o) {
   std::vector<RadianceSh> out;
   for (const std::string& path : o.environments) {
-    PENUMBRA_ASSIGN(light, read_light(path, std::nullopt));
+    PENUMBRA_ASSIGN(light, runtime::read_light(path, std::nullopt));
     out.push_back(light.light.light);
   }
   if (!out.empty() && !o.with_procedural) return out;
@@ -72,7 +80,7 @@ Result<ClipBench> ClipBench::make(const ChartOptions& o, const std::filesystem::
   PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
   PENUMBRA_ASSIGN(lights, read_lights(o));
   PENUMBRA_ASSIGN(standing,
-                  standing_character(asset, {.5f, .5f, .5f}, o.animation, size[0], size[1]));
+                  runtime::standing_character(asset, {.5f, .5f, .5f}, o.animation, size[0], size[1]));
   prt::Character& character = standing.character;
   // Grey, so that every coder has one channel to code.
   std::ranges::fill(character.albedo, Rgb{.5f, .5f, .5f});
@@ -197,9 +205,9 @@ Result<void> ClipBench::run(const std::filesystem::path& scratch, std::vector<Po
       const auto layers = static_cast<std::size_t>(coefficients());
       for (std::size_t i = static_cast<std::size_t>(n); i < maps_.size(); i += layers)
         video.push_back(maps_[i]);
-      PENUMBRA_ASSIGN(coded, codec::encode_rgbe_video(video, quality));
+      PENUMBRA_ASSIGN(coded, encode_rgbe_video(video, quality));
       bytes += coded.size();
-      PENUMBRA_ASSIGN(decoded, codec::decode_rgbe_video(coded, "maps"));
+      PENUMBRA_ASSIGN(decoded, decode_rgbe_video(coded, "maps"));
       for (std::size_t f = 0; f < decoded.size(); ++f)
         maps[f * layers + static_cast<std::size_t>(n)] = std::move(decoded[f]);
     }

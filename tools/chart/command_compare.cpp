@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "tools/chart/chart_bench.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/chart/commands.h"
 #include "codec/codec.h"

@@ -2,6 +2,11 @@
 
 #include <cmath>
 
+#include "calib/camera/response.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/disc_stage.h"
+#include "tools/chart/accuracy.h"
+#include "tools/common/still.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"
 #include "capture/studio/studio.h"
@@ -37,8 +42,8 @@ Result<std::vector<Image<Rgb>>> measured_maps(const Image<Rgb>& environment, int
   return out;
 }
 
-Result<double> measure_flicker(const ChartScene& bench, const PreparedScene& scene,
-                               const LightOf& light, const DiscTaps& taps, const Still& empty,
+Result<double> measure_flicker(const ChartScene& bench, const runtime::PreparedScene& scene,
+                               const LightOf& light, const runtime::DiscTaps& taps, const Still& empty,
                                std::span<const Image<Rgb>> maps) {
   auto stage = make_still_stage(scene, bench.view(), taps);
   if (!stage) return std::unexpected(stage.error());

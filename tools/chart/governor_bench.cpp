@@ -3,6 +3,17 @@
 #include <algorithm>
 #include <cmath>
 
+#include "lighting/basis.h"
+#include "lighting/disc.h"
+#include "lighting/discs.h"
+#include "lighting/irradiance.h"
+#include "lighting/projection.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/receiver.h"
+#include "prt/reference/environment_light.h"
+#include "prt/reference/reference.h"
+#include "prt/transfer/transfer.h"
+#include "runtime/pipeline/governance.h"
 #include "capture/studio/environments.h"
 #include "shadows/field/planar_shadow.h"
 #include "shadows/silhouette/casters.h"
@@ -55,7 +66,7 @@ double at_grid(const prt::Transfer& t, int size, int n, glm::vec2 uv) {
 // The floor around an object at fixed probes.
 class FloorProbes {
  public:
-  explicit FloorProbes(const PreparedObject& o) : object_(o) {
+  explicit FloorProbes(const runtime::PreparedObject& o) : object_(o) {
     const prt::Receiver& receiver = *o.baked.receiver;
     const double reach = .45 * double(receiver.grid.half_extent);
     for (int j = 0; j < kProbesAside; ++j)
@@ -97,19 +108,19 @@ class FloorProbes {
     return kPi * sum;
   }
 
-  const PreparedObject& object_;
+  const runtime::PreparedObject& object_;
   std::vector<glm::dvec3> world_;
   std::vector<glm::vec2> uv_;
   Values deficit_, indirect_;  // [probe][n]
 };
 
 // s at the probes with the object really there.
-Result<Values> reference_ratios(const PreparedScene& scene, const FloorProbes& probes,
+Result<Values> reference_ratios(const runtime::PreparedScene& scene, const FloorProbes& probes,
                                 const Image<Rgb>& map, int rays) {
   auto light = prt::EnvironmentLight::from_map(map);
   if (!light) return std::unexpected(light.error());
   prt::World world;
-  world.mesh = world_mesh(scene, true);
+  world.mesh = runtime::world_mesh(scene, true);
   world.planes = scene.planes;
   world.light = &*light;
   std::vector<prt::IrradiancePoint> points;
@@ -134,13 +145,13 @@ struct Split {
   std::vector<shadows::DiscShadow> shadows;
 };
 
-Result<Split> split_and_trace(const PreparedScene& scene, const Image<Rgb>& map) {
+Result<Split> split_and_trace(const runtime::PreparedScene& scene, const Image<Rgb>& map) {
   lighting::DiscSplit split;
   PENUMBRA_TRY(lighting::split_discs(map, {kMostDiscs, .02}, split));
   auto rest = lighting::project_latlong(split.rest, kMaxBands);
   if (!rest) return std::unexpected(rest.error());
   Split out{*rest, std::move(split.discs), {}};
-  const PreparedObject& o = scene.objects[0];
+  const runtime::PreparedObject& o = scene.objects[0];
   const shadows::Outline outline(o.baked.mesh);
   const shadows::Caster caster{&o.baked.mesh, &outline, o.world_from_bake};
   for (const lighting::Disc& d : out.discs)
@@ -228,7 +239,7 @@ double ScenePlans::least_factor(const lighting::CostModel& costs, double budget)
   return 0;
 }
 
-Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed, int rays) {
+Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint32_t seed, int rays) {
   const Image<Rgb> map = capture::make_random_environment(2 * kMapRows, kMapRows, seed);
   const FloorProbes probes(scene.objects[0]);
   auto reference = reference_ratios(scene, probes, map, rays);
@@ -238,7 +249,7 @@ Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed,
   const lighting::Governor::Limits limits;
   ScenePlans out{seed,
                  {{&split->rest.above, split->discs},
-                  shadow_probes(scene),
+                  runtime::shadow_probes(scene),
                   limits.most_bands,
                   limits.most_discs},
                  {}};
@@ -251,7 +262,7 @@ Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed,
   return out;
 }
 
-Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting::CostModel& costs,
+Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene, const lighting::CostModel& costs,
                                      double budget, int test_scenes,
                                      const std::function<void(double)>& progress) {
   constexpr int kCalibration = 59;

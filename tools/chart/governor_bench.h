@@ -29,7 +29,7 @@ struct ScenePlans {
 
 /// The shadow of the scene's first object on its floor in random environment `seed`, by reference rays and by every plan.
 /// errors: kUndetermined (no shadow worth measuring), else as the parts
-Result<ScenePlans> measure_plans(const PreparedScene& scene, std::uint32_t seed, int rays);
+Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint32_t seed, int rays);
 
 /// Lowest success probability that k successes of n leave possible with 95 % confidence, one-sided.
 /// source: Clopper & Pearson 1934
@@ -52,7 +52,7 @@ inline constexpr double kBudgets[] = {.02, .03, .05, .08};
 /// factor and the program's own. The scenes
 /// of either are numbered from fixed starts of their own: neither was looked at to shape the prediction.
 /// source: split conformal prediction, the loss of a choice instead of a residual
-Result<GovernorProof> prove_governor(const PreparedScene& scene, const lighting::CostModel& costs,
+Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene, const lighting::CostModel& costs,
                                      double budget, int test_scenes,
                                      const std::function<void(double)>& progress);
 

@@ -8,6 +8,7 @@
 #include <memory>
 #include <numbers>
 
+#include "core/conventions.h"
 #include "codec/range_coder.h"
 
 namespace penumbra::tools {
@@ -108,22 +109,22 @@ float joined(std::uint8_t base, std::uint8_t exponent, std::uint8_t negative) {
 }
 
 struct Models {
-  std::array<NumberModel, 64> coefficient;
-  std::array<BitModel, 64> last;  // is the coefficient at this place the last that is not zero?
-  BitModel empty;
-  NumberModel motion[2];
-  NumberModel exponent[3];
-  std::array<BitModel, 8> negative;
+  std::array<codec::NumberModel, 64> coefficient;
+  std::array<codec::BitModel, 64> last;  // is the coefficient at this place the last that is not zero?
+  codec::BitModel empty;
+  codec::NumberModel motion[2];
+  codec::NumberModel exponent[3];
+  std::array<codec::BitModel, 8> negative;
 };
 
 // Bits to or from the stream: one code path says what is coded, so that both sides agree.
 class Writer {
  public:
-  bool bit(BitModel& m, bool v) {
+  bool bit(codec::BitModel& m, bool v) {
     range_.bit(m, v);
     return v;
   }
-  int number(NumberModel& m, int v) {
+  int number(codec::NumberModel& m, int v) {
     m.encode(range_, v);
     return v;
   }
@@ -131,17 +132,17 @@ class Writer {
   static constexpr bool kWrites = true;
 
  private:
-  RangeEncoder range_;
+  codec::RangeEncoder range_;
 };
 class Reader {
  public:
   explicit Reader(std::span<const unsigned char> bytes) : range_(bytes) {}
-  bool bit(BitModel& m, bool) { return range_.bit(m); }
-  int number(NumberModel& m, int) { return m.decode(range_); }
+  bool bit(codec::BitModel& m, bool) { return range_.bit(m); }
+  int number(codec::NumberModel& m, int) { return m.decode(range_); }
   static constexpr bool kWrites = false;
 
  private:
-  RangeDecoder range_;
+  codec::RangeDecoder range_;
 };
 
 template <class Stream>

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "calib/camera/code_curve.h"
+#include "capture/frames.h"
 #include "codec/codec.h"
 #include "tools/common/camera_film.h"
 

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "capture/recording/recording.h"
+
 namespace penumbra::tools {
 
 Result<CameraFilm> CameraFilm::of(std::unique_ptr<capture::FrameSource> source,

@@ -9,8 +9,8 @@ namespace penumbra::tools {
 
 namespace {
 
-int report(const std::string& program, const Error& e) {
-  std::string line = program + ": " + e.where + ": " + e.detail;
+int report(const Error& e) {
+  std::string line = "penumbra: " + e.where + ": " + e.detail;
   for (char& ch : line)
     if (ch == '\n' || ch == '\r') ch = ' ';
   std::fprintf(stderr, "%s\n", line.c_str());
@@ -40,12 +40,12 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   } catch (const CLI::Success& e) {
     return app.exit(e);  // help and version
   } catch (const CLI::ParseError& e) {
-    return report(name, {ErrorCode::kInvalid, "arguments", e.what()});
+    return report({ErrorCode::kInvalid, "arguments", e.what()});
   }
   try {
-    if (const auto result = action(); !result) return report(name, result.error());
+    if (const auto result = action(); !result) return report(result.error());
   } catch (const std::exception& e) {
-    return report(name, {ErrorCode::kUnavailable, "internal", e.what()});
+    return report({ErrorCode::kUnavailable, "internal", e.what()});
   }
   return 0;
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "codec/display.h"
 #include "codec/codec.h"
 #include "core/files.h"
 
@@ -112,7 +113,7 @@ Result<void> FrameWriter::handle(const Job& job) {
   if (!options_.video || !job.in_video) return {};
   const StageTimer timer(times_, "encode video");
   const auto* bytes = std::get_if<Image<Rgb8>>(job.pixels.get());
-  const Image<Rgb8> converted = bytes ? Image<Rgb8>() : to_display(*job.pixels);
+  const Image<Rgb8> converted = bytes ? Image<Rgb8>() : codec::to_display(*job.pixels);
   const Image<Rgb8>& picture = bytes ? *bytes : converted;
   if (!video_) {
     auto video = compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(),

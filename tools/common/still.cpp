@@ -2,6 +2,14 @@
 
 #include <algorithm>
 
+#include "calib/camera/projection.h"
+#include "capture/frames.h"
+#include "compositor/compositor.h"
+#include "prt/reference/environment_light.h"
+#include "prt/reference/reference.h"
+#include "runtime/shading/disc_stage.h"
+#include "runtime/shading/scene_light.h"
+#include "shadows/visibility/lamp.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
 #include "runtime/shading/compose_stage.h"
@@ -66,9 +74,9 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   return out;
 }
 
-Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scene,
+Result<std::unique_ptr<runtime::ComposeStage>> make_still_stage(const runtime::PreparedScene& scene,
                                                        const prt::PinholeView& view,
-                                                       const DiscTaps& taps) {
+                                                       const runtime::DiscTaps& taps) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
@@ -76,11 +84,11 @@ Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scen
                        view.principal_px};
   camera.world_from_camera = view.world_from_camera;
   static StageTimes times;  // nobody asks for them
-  return ComposeStage::create({camera}, scene, compositor::Compositor::Surface::kOffscreen, times,
+  return runtime::ComposeStage::create({camera}, scene, compositor::Compositor::Surface::kOffscreen, times,
                               4, taps);
 }
 
-Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
+Result<Still> composite_still(runtime::ComposeStage& stage, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real,
                               double seconds) {
   // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or a column.
@@ -105,7 +113,7 @@ Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
 }
 
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real, const DiscTaps& taps) {
+                               const Still& real, const runtime::DiscTaps& taps) {
   auto stage = make_still_stage(*in.scene, in.view, taps);
   if (!stage) return std::unexpected(stage.error());
   return composite_still(**stage, in.view, light, real, in.seconds);
@@ -114,7 +122,7 @@ Result<Still> render_composite(const StillScene& in, const lighting::LightEstima
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
                            const lighting::LightEstimate& light) {
   const bool level = !planes.empty() && std::ranges::all_of(planes, [](const prt::Plane& p) {
-    return p.normal.y > kLevel;
+    return p.normal.y > runtime::kLevel;
   });
   return level ? light.floor_light : light.light;
 }
@@ -128,7 +136,7 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
       truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated))
                 : *map_light;
   prt::World world;
-  world.mesh = world_mesh(*in.scene, with_objects, in.seconds);
+  world.mesh = runtime::world_mesh(*in.scene, with_objects, in.seconds);
   world.planes = in.scene->planes;
   if (with_objects)
     for (const shadows::Lamp& lamp : in.scene->lamps)

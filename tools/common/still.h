@@ -5,6 +5,7 @@
 #include <functional>
 #include <string>
 
+#include "runtime/shading/disc_stage.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
@@ -21,7 +22,7 @@ struct Still {
 };
 
 struct StillScene {
-  const PreparedScene* scene = nullptr;
+  const runtime::PreparedScene* scene = nullptr;
   const Image<Rgb>* environment = nullptr;  // lat-long
   prt::PinholeView view;
   double seconds = 0;  // of what moves by itself or turns
@@ -38,18 +39,18 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
 
 /// A stage for stills of one view: 16 samples a pixel.
 /// errors: as ComposeStage::create
-Result<std::unique_ptr<ComposeStage>> make_still_stage(const PreparedScene& scene,
+Result<std::unique_ptr<runtime::ComposeStage>> make_still_stage(const runtime::PreparedScene& scene,
                                                        const prt::PinholeView& view,
-                                                       const DiscTaps& taps);
+                                                       const runtime::DiscTaps& taps);
 /// The mean of four pictures a fraction of a pixel apart: edges get 64 samples a pixel.
 /// errors: as ComposeStage::process
-Result<Still> composite_still(ComposeStage& stage, const prt::PinholeView& view,
+Result<Still> composite_still(runtime::ComposeStage& stage, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real,
                               double seconds = 0);
 
 /// Our method over the real picture, under `light`.
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real, const DiscTaps& taps = {});
+                               const Still& real, const runtime::DiscTaps& taps = {});
 
 /// The light that the compositor uses for what stands on these planes: the floor's when all are level.
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,

@@ -6,7 +6,7 @@
 
 namespace penumbra::tools {
 
-nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const Configuration& c) {
+nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& times, const Configuration& c) {
   const auto frames = static_cast<double>(counts.frames);
   return {{"frames", counts.frames},
           {"dropped", counts.dropped},
@@ -14,11 +14,11 @@ nlohmann::json summarise(const RunCounts& counts, const StageTimes& times, const
           {"unusable_environment_frames", counts.unusable},
           {"seconds", counts.seconds},
           {"fps", counts.seconds > 0 ? frames / counts.seconds : 0},
-          {"stages", to_json(times)},
+          {"stages", runtime::to_json(times)},
           {"configuration",
            {{"bands", c.bands},
             {"discs", counts.discs},
-            {"plan", counts.plan ? to_json(*counts.plan) : nlohmann::json()},
+            {"plan", counts.plan ? runtime::to_json(*counts.plan) : nlohmann::json()},
             {"exposures", counts.exposures},
             {"width", c.width},
             {"height", c.height},

@@ -13,7 +13,7 @@ struct Configuration {
   std::string renderer;
 };
 
-nlohmann::json summarise(const RunCounts& counts, const StageTimes& times,
+nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& times,
                          const Configuration& configuration);
 /// A table for people.
 void print_summary(const nlohmann::json& summary);

@@ -3,6 +3,7 @@
 
 #include <filesystem>
 
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "tools/penumbra/bake_options.h"
@@ -38,7 +39,7 @@ Result<void> bake(const BakeCommandOptions& o) {
     return fail(ErrorCode::kInvalid, "--bounces",
                 fmt::format("not within 0..{}", prt::kMostBounces));
   PENUMBRA_TRY(check_writable(o.output));
-  auto mesh = load_asset(o.asset, albedo_of(o), .04f);
+  auto mesh = runtime::load_asset(o.asset, albedo_of(o), .04f);
   if (!mesh) return std::unexpected(mesh.error());
   prt::BakeOptions options;
   options.bands = o.bands;

@@ -5,10 +5,14 @@
 #include <charconv>
 #include <filesystem>
 
+#include "prt/clip/key_frames.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
+#include "tools/common/print.h"
 #include "core/files.h"
 #include "runtime/scene/animated.h"
 #include "tools/penumbra/bake_options.h"
-#include "tools/common/map_size.h"
+#include "tools/common/number_pairs.h"
 #include "runtime/shading/median_time.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
@@ -18,15 +22,6 @@ namespace penumbra::tools {
 namespace {
 
 namespace fs = std::filesystem;
-
-// Two numbers with a sign between them.
-bool read_pair(const std::string& text, char sign, int& a, int& b) {
-  const char* const end = text.data() + text.size();
-  const auto first = std::from_chars(text.data(), end, a);
-  if (first.ec != std::errc() || first.ptr == end || *first.ptr != sign) return false;
-  const auto second = std::from_chars(first.ptr + 1, end, b);
-  return second.ec == std::errc() && second.ptr == end;
-}
 
 fs::path shard_file(const std::string& output, int index, int count) {
   return fmt::format("{}.shard-{}-of-{}", output, index + 1, count);
@@ -63,13 +58,13 @@ Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
 }
 
 // Of decoding and relighting the surface at a moment between two frames, on one core.
-double relight_ms(const prt::BakedSequence& s, const StandingCharacter& of) {
+double relight_ms(const prt::BakedSequence& s, const runtime::StandingCharacter& of) {
   const tbb::global_control one_core(tbb::global_control::max_allowed_parallelism, 1);
   RadianceSh light(s.surface.bands());
   for (int n = 0; n < light.size(); ++n) light[n] = {1, 1, 1};
   const auto turns = prt::bone_turns(of.character, prt::rest_pose(of.character));
   std::vector<float> out(3 * s.surface.stride());
-  return median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
+  return runtime::median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
 }
 
 // Key frames besides those of --fps.
@@ -157,7 +152,7 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
   if (o.merge < 0 || o.merge > 4096 || (o.merge > 0 && !o.shard.empty()))
     return fail(ErrorCode::kInvalid, "--merge", "joins 1..4096 shards, and bakes none");
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(character, standing_character(o.asset, albedo_of(o), o.animation,
+  PENUMBRA_ASSIGN(character, runtime::standing_character(o.asset, albedo_of(o), o.animation,
                                                 options.map_width, options.map_height));
   options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
   std::vector<fs::path> journals;

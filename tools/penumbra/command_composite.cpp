@@ -3,6 +3,16 @@
 
 #include <filesystem>
 
+#include "capture/frames.h"
+#include "capture/recording/recording.h"
+#include "compositor/compositor.h"
+#include "runtime/pipeline/governance.h"
+#include "runtime/pipeline/light_stage.h"
+#include "runtime/pipeline/runner.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/compose_stage.h"
+#include "tools/common/light_options.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "core/files.h"
@@ -10,7 +20,7 @@
 #include "tools/common/output.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
-#include "service/stop_signal.h"
+#include "core/stop_signal.h"
 #include "tools/common/summary.h"
 
 namespace penumbra::tools {
@@ -42,25 +52,25 @@ Result<void> composite(const CompositeOptions& o) {
   PENUMBRA_TRY(check_budget(o.budget));
   auto source = capture::open_capture(o.capture);
   if (!source) return std::unexpected(source.error());
-  auto scene = read_scene(o.scene);
+  auto scene = runtime::read_scene(o.scene);
   if (!scene) return std::unexpected(scene.error());
   StageTimes times;
   const auto& cameras = (*source)->cameras();
-  auto light = LightStage::create(cameras, {o.bands, *discs}, times);
+  auto light = runtime::LightStage::create(cameras, {o.bands, *discs}, times);
   if (!light) return fail(light.error().code, o.capture, light.error().detail);
   // The output is tried before the long work.
   const double rate = (*source)->view_rate();
   auto folder = OutputFolder::create(o.output);
   if (!folder) return std::unexpected(folder.error());
-  BakeSettings settings;
+  runtime::BakeSettings settings;
   settings.bands = o.bands;
-  auto prepared = prepare(*scene, settings, progress_bar);
+  auto prepared = runtime::prepare(*scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
-  auto governance = make_governance(*prepared, o.budget, false);
+  auto governance = runtime::make_governance(*prepared, o.budget, false);
   if (!governance) return std::unexpected(governance.error());
   light->govern(*governance);
   auto compose =
-      ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
+      runtime::ComposeStage::create(cameras, *prepared, compositor::Compositor::Surface::kOffscreen, times);
   if (!compose) return std::unexpected(compose.error());
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(folder->begin());
@@ -69,9 +79,9 @@ Result<void> composite(const CompositeOptions& o) {
 
   int first_view = -1;
   std::vector<std::uint64_t> written(cameras.size());
-  auto counts = run_replay(
+  auto counts = runtime::run_replay(
       **source, *light, **compose,
-      [&](const Output& out) {
+      [&](const runtime::Output& out) {
         if (first_view < 0) first_view = out.source.camera;
         const bool first = out.source.camera == first_view;
         const auto camera = static_cast<std::size_t>(out.source.camera);

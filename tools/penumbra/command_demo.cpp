@@ -5,6 +5,18 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include "capture/frames.h"
+#include "capture/recording/folder.h"
+#include "capture/studio/studio.h"
+#include "codec/display.h"
+#include "compositor/compositor.h"
+#include "runtime/pipeline/governance.h"
+#include "runtime/pipeline/light_stage.h"
+#include "runtime/pipeline/runner.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/compose_stage.h"
+#include "tools/common/light_options.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "codec/codec.h"
@@ -13,7 +25,7 @@
 #include "tools/common/output.h"
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
-#include "service/stop_signal.h"
+#include "core/stop_signal.h"
 #include "runtime/studio/studio_setup.h"
 #include "tools/common/summary.h"
 
@@ -78,21 +90,21 @@ Result<void> check(const DemoOptions& o) {
   return {};
 }
 
-Result<std::unique_ptr<ComposeStage>> make_compose(const std::vector<capture::CameraInfo>& cameras,
-                                                   const PreparedScene& scene, bool headless,
+Result<std::unique_ptr<runtime::ComposeStage>> make_compose(const std::vector<capture::CameraInfo>& cameras,
+                                                   const runtime::PreparedScene& scene, bool headless,
                                                    StageTimes& times) {
   if (!headless && has_display()) {
-    auto windowed = ComposeStage::create(cameras, scene, Compositor::Surface::kWindow, times);
+    auto windowed = runtime::ComposeStage::create(cameras, scene, Compositor::Surface::kWindow, times);
     if (windowed) return windowed;
     spdlog::warn("{}: {}; going on without a window", windowed.error().where,
                  windowed.error().detail);
   }
-  return ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
+  return runtime::ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
 }
 
 // False when the user has closed the window.
 bool show(Compositor& output, const FramePixels& pixels) {
-  return !output.has_window() || output.present(to_display(pixels));
+  return !output.has_window() || output.present(codec::to_display(pixels));
 }
 
 // The recording's folder, where one is asked for: refused before the long work when it holds a capture.
@@ -108,12 +120,12 @@ Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
 }
 
 struct Prepared {
-  StudioSetup setup;
-  PreparedScene scene;
+  runtime::StudioSetup setup;
+  runtime::PreparedScene scene;
 };
 
 Result<Prepared> prepare_demo(const DemoOptions& o) {
-  StudioRequest request;
+  runtime::StudioRequest request;
   request.environment = o.environment;
   request.asset = o.asset;
   request.animation = o.animation;
@@ -125,11 +137,11 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
   request.frames = o.frames;
   // A live camera costs the machine nothing; its frames are filmed before the clock starts.
   request.clip = o.live ? 16 : 0;
-  auto setup = set_up_studio(request, progress_bar);
+  auto setup = runtime::set_up_studio(request, progress_bar);
   if (!setup) return std::unexpected(setup.error());
-  BakeSettings settings;
+  runtime::BakeSettings settings;
   settings.bands = o.bands;
-  auto scene = prepare(setup->scene, settings, progress_bar);
+  auto scene = runtime::prepare(setup->scene, settings, progress_bar);
   if (!scene) return std::unexpected(scene.error());
   return Prepared{std::move(*setup), std::move(*scene)};
 }
@@ -150,9 +162,9 @@ Result<void> demo(const DemoOptions& o) {
                  e.gain.value());
   StageTimes times;
   const auto discs = choose_discs(o.discs);  // checked before the bake
-  auto light = LightStage::create(studio.cameras(), {o.bands, *discs}, times);
+  auto light = runtime::LightStage::create(studio.cameras(), {o.bands, *discs}, times);
   if (!light) return std::unexpected(light.error());
-  auto governance = make_governance(ready->scene, o.budget, o.live);
+  auto governance = runtime::make_governance(ready->scene, o.budget, o.live);
   if (!governance) return std::unexpected(governance.error());
   light->govern(*governance);
   auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
@@ -169,7 +181,7 @@ Result<void> demo(const DemoOptions& o) {
     recording.emplace(studio, std::move(*recorder));
   }
   std::shared_ptr<const FramePixels> last, last_source;
-  const Sink sink = [&](const Output& out) {
+  const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
     if (stop || !show((*compose)->output(), *out.pixels)) return false;
@@ -177,18 +189,18 @@ Result<void> demo(const DemoOptions& o) {
   };
   capture::FrameSource& source =
       recording ? static_cast<capture::FrameSource&>(*recording) : studio;
-  auto counts = o.live ? run_live(source, *light, **compose, sink, times, stop)
-                       : run_replay(source, *light, **compose, sink, times);
+  auto counts = o.live ? runtime::run_live(source, *light, **compose, sink, times, stop)
+                       : runtime::run_replay(source, *light, **compose, sink, times);
   if (!counts) return std::unexpected(counts.error());
   if (stop) return stopped(o.output);
   PENUMBRA_TRY((*writer)->finish());
   if (recording) {
     PENUMBRA_TRY(recording->finish());
-    PENUMBRA_TRY(write_scene((*record)->file("scene.toml"), ready->setup.scene));
+    PENUMBRA_TRY(runtime::write_scene((*record)->file("scene.toml"), ready->setup.scene));
     PENUMBRA_TRY((*record)->keep());
   }
-  PENUMBRA_TRY(codec::write_frame(output->file("still.png"), to_display(*last)));
-  PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), to_display(*last_source)));
+  PENUMBRA_TRY(codec::write_frame(output->file("still.png"), codec::to_display(*last)));
+  PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), codec::to_display(*last_source)));
   const nlohmann::json summary =
       summarise(*counts, times,
                 {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()),

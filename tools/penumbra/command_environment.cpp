@@ -3,6 +3,7 @@
 
 #include <optional>
 
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "capture/frames.h"
@@ -28,7 +29,7 @@ struct Seen {
 };
 
 // The newest map at that time; frames that show no light are passed over.
-Result<Seen> replay(capture::FrameSource& source, LightStage& stage, const std::string& name,
+Result<Seen> replay(capture::FrameSource& source, runtime::LightStage& stage, const std::string& name,
                     double at_s) {
   std::optional<Seen> seen;
   std::string why = "no frame of its surroundings";
@@ -57,7 +58,7 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   StageTimes times;
-  PENUMBRA_ASSIGN(stage, LightStage::create(source->cameras(), {.bands = 3}, times));
+  PENUMBRA_ASSIGN(stage, runtime::LightStage::create(source->cameras(), {.bands = 3}, times));
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
   PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));

@@ -6,6 +6,9 @@
 #include <cmath>
 #include <numeric>
 
+#include "calib/camera/response.h"
+#include "calib/estimate/estimate_response.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "capture/hdr/merge.h"

@@ -3,6 +3,11 @@
 
 #include <filesystem>
 
+#include "prt/bake/baked_file.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/receiver.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "calib/camera/projection.h"
@@ -69,7 +74,7 @@ Result<json> inspect_baked(const std::string& file) {
     out["receiver"] = {{"texels", g.size * g.size},
                        {"half_extent_m", g.half_extent},
                        {"height_m", g.height},
-                       {"albedo", to_json(baked->receiver->albedo)}};
+                       {"albedo", runtime::to_json(baked->receiver->albedo)}};
   }
   return out;
 }
@@ -117,7 +122,7 @@ Result<json> inspect_toml(const std::string& file) {
   auto root = parse_toml(file);
   if (!root) return std::unexpected(root.error());
   if (root->contains("capture")) {
-    auto rig = read_rig_config(file);
+    auto rig = service::read_rig_config(file);
     if (!rig) return std::unexpected(rig.error());
     return json{{"kind", "service configuration"}, {"source", rig->source}, {"bands", rig->bands}};
   }
@@ -130,10 +135,10 @@ Result<json> inspect_toml(const std::string& file) {
                 {"height", camera->projection.height},
                 {"projection", calib::projection_name(camera->projection.kind)}};
   }
-  auto scene = read_scene(file);
+  auto scene = runtime::read_scene(file);
   if (!scene) return std::unexpected(scene.error());
   json objects = json::array();
-  for (const SceneObject& o : scene->objects) {
+  for (const runtime::SceneObject& o : scene->objects) {
     json object = {{"name", o.name}, {"asset", o.asset}};
     if (!o.animation.empty()) object["animation"] = o.animation;
     if (!o.blend.empty()) object["blend"] = {{"animation", o.blend}, {"share", o.blend_share}};

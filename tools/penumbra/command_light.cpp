@@ -1,6 +1,13 @@
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
+#include "calib/camera/projection.h"
+#include "capture/environment/environment_file.h"
+#include "lighting/disc.h"
+#include "lighting/estimate.h"
+#include "lighting/light_estimate.h"
+#include "tools/common/light_options.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "runtime/pipeline/light_file.h"
@@ -20,7 +27,7 @@ struct LightEstimateOptions {
 }  // namespace
 
 Result<void> light_estimate(const LightEstimateOptions& o) {
-  auto light = read_light(o.environment, o.projection);
+  auto light = runtime::read_light(o.environment, o.projection);
   if (!light) return std::unexpected(light.error());
   auto bands = choose_bands(o.bands, light->light);
   if (!bands) return std::unexpected(bands.error());
@@ -33,7 +40,7 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   // Measured in the file's own pixels; the split in a lat-long map.
   const lighting::LightEstimate estimate = lighting::make_estimate(light->light, *bands);
   if (o.json) {
-    nlohmann::json out = to_json(estimate), parts = to_json(*split);
+    nlohmann::json out = runtime::to_json(estimate), parts = runtime::to_json(*split);
     out["discs"] = parts["discs"];
     out["rest"] = parts["rest"];
     out["projection"] = calib::projection_name(light->file.projection.kind);

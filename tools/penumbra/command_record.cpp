@@ -2,6 +2,9 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include "capture/frames.h"
+#include "service/rig_config.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "core/files.h"
@@ -9,7 +12,7 @@
 #include "service/recorder.h"
 #include "runtime/pipeline/report.h"
 #include "service/rig_source.h"
-#include "service/stop_signal.h"
+#include "core/stop_signal.h"
 
 namespace penumbra::tools {
 
@@ -22,7 +25,7 @@ struct RecordOptions {
   bool json = false;
 };
 
-std::string line_of(const std::vector<capture::CameraInfo>& cameras, const RecordCounts& counts) {
+std::string line_of(const std::vector<capture::CameraInfo>& cameras, const service::RecordCounts& counts) {
   std::string text = fmt::format("recorded {:.1f} s", counts.seconds);
   for (std::size_t i = 0; i < counts.frames.size(); ++i) {
     text += fmt::format(", {} {} frames", cameras[i].name, counts.frames[i]);
@@ -32,7 +35,7 @@ std::string line_of(const std::vector<capture::CameraInfo>& cameras, const Recor
 }
 
 nlohmann::json to_json(const std::vector<capture::CameraInfo>& cameras,
-                       const RecordCounts& counts) {
+                       const service::RecordCounts& counts) {
   nlohmann::json list = nlohmann::json::array();
   for (std::size_t i = 0; i < counts.frames.size(); ++i)
     list.push_back(
@@ -48,20 +51,20 @@ Result<void> record(const RecordOptions& o) {
   if (o.frames < 0) return fail(ErrorCode::kInvalid, "--frames", "negative");
   if (std::filesystem::path(o.output).extension() != ".mkv")
     return fail(ErrorCode::kInvalid, o.output, "a recording's name ends in .mkv");
-  PENUMBRA_ASSIGN(config, read_rig_config(o.config, false));
+  PENUMBRA_ASSIGN(config, service::read_rig_config(o.config, false));
   std::error_code ignored;
   if (std::filesystem::exists(o.output, ignored))
     return fail(ErrorCode::kUnwritable, o.output, "exists already");
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(rig, open_rig(config, progress_bar));
+  PENUMBRA_ASSIGN(rig, service::open_rig(config, progress_bar));
   capture::FrameSource& source = *rig.source;
   const auto& cameras = source.cameras();
   const bool watched = isatty(STDERR_FILENO);
-  const auto tell = [&](const RecordCounts& counts) {
+  const auto tell = [&](const service::RecordCounts& counts) {
     if (watched) std::fprintf(stderr, "\r%s\x1b[K", line_of(cameras, counts).c_str());
   };
   const std::atomic<bool>& stop = catch_stop_signals();
-  auto counts = record_frames(source, o.output, {o.seconds, static_cast<std::uint64_t>(o.frames)},
+  auto counts = service::record_frames(source, o.output, {o.seconds, static_cast<std::uint64_t>(o.frames)},
                               stop, tell);
   if (watched) std::fputs("\r\x1b[K", stderr);
   if (!counts) return std::unexpected(counts.error());

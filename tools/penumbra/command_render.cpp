@@ -4,6 +4,15 @@
 
 #include <filesystem>
 
+#include "calib/camera/drawable.h"
+#include "capture/environment/environment_file.h"
+#include "capture/recording/folder.h"
+#include "lighting/estimate.h"
+#include "lighting/light_estimate.h"
+#include "prt/geometry/pinhole_view.h"
+#include "runtime/scene/scene.h"
+#include "tools/common/light_options.h"
+#include "tools/common/print.h"
 #include "tools/common/command.h"
 #include "tools/penumbra/commands.h"
 #include "codec/codec.h"
@@ -12,7 +21,6 @@
 #include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/still.h"
-#include "runtime/shading/view_projection.h"
 
 namespace penumbra::tools {
 
@@ -31,7 +39,7 @@ struct RenderOptions {
 Result<prt::PinholeView> read_view(const std::string& path) {
   auto camera = capture::read_camera_file(path);
   if (!camera) return std::unexpected(camera.error());
-  PENUMBRA_TRY(check_drawable(camera->projection, path));
+  PENUMBRA_TRY(calib::check_drawable(camera->projection, path));
   return prt::PinholeView{camera->projection.width, camera->projection.height,
                           camera->projection.focal_px, camera->projection.principal_px,
                           camera->world_from_camera};
@@ -48,7 +56,7 @@ Result<void> render(const RenderOptions& o) {
     return fail(ErrorCode::kInvalid, o.output, "linear radiance goes to .exr or .hdr");
   if (!(std::abs(o.time_s) < 1e6)) return fail(ErrorCode::kInvalid, "--time", "not within +-1e6 s");
   PENUMBRA_TRY(check_writable(o.output));
-  auto light = read_light(o.environment, o.projection);
+  auto light = runtime::read_light(o.environment, o.projection);
   if (!light) return std::unexpected(light.error());
   auto map = capture::to_latlong(light->file);
   if (!map) return std::unexpected(map.error());
@@ -58,13 +66,13 @@ Result<void> render(const RenderOptions& o) {
   if (!bands) return std::unexpected(bands.error());
   if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
     return fail(ErrorCode::kInvalid, "--truncated-to", "not within 1..9");
-  auto scene = read_scene(o.scene);
+  auto scene = runtime::read_scene(o.scene);
   if (!scene) return std::unexpected(scene.error());
-  BakeSettings settings;
+  runtime::BakeSettings settings;
   settings.bands = *bands;
   if (o.reference || o.without_objects)
     settings.rays = settings.ground_rays = 64, settings.bounces = 0;
-  auto prepared = prepare(*scene, settings, progress_bar);
+  auto prepared = runtime::prepare(*scene, settings, progress_bar);
   if (!prepared) return std::unexpected(prepared.error());
 
   const StillScene in{&*prepared, &*map, *view, o.time_s};

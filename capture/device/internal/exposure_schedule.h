@@ -8,6 +8,7 @@
 #include <span>
 #include <vector>
 
+#include "calib/camera/noise.h"
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
 #include "capture/hdr/pixel_weights.h"

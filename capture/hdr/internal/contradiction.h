@@ -5,6 +5,9 @@
 #include <cmath>
 #include <cstdint>
 
+#include "core/units.h"
+#include "calib/camera/code_curve.h"
+#include "calib/camera/noise.h"
 #include "capture/hdr/merge_math.h"
 
 namespace penumbra::capture {

@@ -7,6 +7,9 @@
 #include <span>
 #include <vector>
 
+#include "calib/camera/code_curve.h"
+#include "calib/camera/noise.h"
+#include "calib/camera/projection.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/hdr/internal/contradiction.h"

@@ -3,6 +3,8 @@
 
 #include <span>
 
+#include "shadows/silhouette/casters.h"
+#include "shadows/silhouette/outline_memo.h"
 #include "core/image.h"
 #include "shadows/silhouette/internal/outline_sides.h"
 

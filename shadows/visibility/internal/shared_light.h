@@ -4,6 +4,9 @@
 #include <utility>
 #include <vector>
 
+#include "lighting/disc.h"
+#include "prt/geometry/mesh.h"
+
 
 namespace penumbra::shadows {
 

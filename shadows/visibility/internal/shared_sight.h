@@ -5,6 +5,10 @@
 #include <span>
 #include <vector>
 
+#include "core/parallel.h"
+#include "lighting/disc.h"
+#include "shadows/silhouette/casters.h"
+#include "shadows/silhouette/outline.h"
 #include "shadows/visibility/internal/part_seen.h"
 
 namespace penumbra::shadows {

@@ -5,6 +5,9 @@
 #include <span>
 #include <vector>
 
+#include "lighting/disc.h"
+#include "prt/geometry/plane.h"
+#include "prt/transfer/vertex_sight.h"
 #include "shadows/silhouette/casters.h"
 
 

@@ -1,0 +1,442 @@
+// Characters in scenes: against the path tracer, through files, and with everything else that a scene has.
+#include "capture/capture.h"
+#include "prt/prt.h"
+#include "lighting/lighting.h"
+#include "runtime/scene/animated.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <fstream>
+
+#include "tools/chart/accuracy.h"
+#include "runtime/pipeline/light_file.h"
+#include "tools/common/still.h"
+#include "tests/stability/maps.h"
+#include "tests/support/shared_data.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::runtime {
+
+using namespace tools;
+namespace {
+
+using testing::HasSubstr;
+
+Scene walker_scene(std::array<int, 2> light_map = {0, 0}) {
+  Scene scene;
+  SceneObject walker;
+  walker.name = "walker";
+  walker.asset = "builtin:walker";
+  walker.animation = "Walk";
+  walker.albedo = {.6f, .5f, .4f};
+  walker.light_map = light_map;
+  scene.objects.push_back(walker);
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  floor.albedo = Rgb{.4f, .4f, .4f};
+  scene.real.push_back(floor);
+  return scene;
+}
+
+// The walk in few frames of few rays, for tests that are not about its light.
+struct CoarseWalk {
+  std::string file;
+  float half_extent = 0;  // of its receiver, metres
+};
+CoarseWalk coarse_walk(const test::TempFolder& folder, const Rgb& albedo) {
+  auto standing = standing_character("builtin:walker", albedo, "Walk", 0, 0);
+  EXPECT_TRUE(standing);
+  prt::SequenceOptions options;
+  options.frames_per_second = 6;
+  options.between = 0;
+  options.bands = 3;
+  options.rays = options.ground_rays = 64;
+  options.ground_size = 32;
+  const std::filesystem::path journals[] = {folder.path() / "journal"};
+  EXPECT_TRUE(prt::bake_frames(standing->character, standing->clip, options, {}, journals[0]));
+  const auto sequence =
+      prt::compress_frames(standing->character, standing->clip, options, journals);
+  EXPECT_TRUE(sequence);
+  const auto file = folder.path() / "walk.shlm";
+  EXPECT_TRUE(prt::write_sequence(file, standing->character, standing->clip, *sequence));
+  return {file, sequence->receiver->grid.half_extent};
+}
+
+const auto no_progress = [](const std::string&) { return std::function<void(double)>(); };
+
+Result<PreparedScene> prepare_quickly(const Scene& scene, int rays = 256) {
+  BakeSettings settings;
+  settings.bands = 5;
+  settings.rays = settings.ground_rays = rays;
+  settings.use_cache = false;
+  return prepare(scene, settings, no_progress);
+}
+
+prt::PinholeView view_of(int width, int height) {
+  prt::PinholeView view{width, height, glm::dvec2(1.1 * height), {.5 * width, .5 * height}, {}};
+  view.world_from_camera = capture::look_at({.9, 1.5, 2.6}, {0, .75, 0});
+  return view;
+}
+
+// At moments of the walk under one light.
+struct Figures {
+  double object = 0, bias = 0, shadow = 0;
+  int pictures = 0;
+};
+Figures compare_with_reference(const PreparedScene& scene, const Image<Rgb>& map, int moments,
+                               double error) {
+  Figures sum;
+  const prt::PinholeView view = view_of(72, 120);
+  const auto estimate = lighting::estimate_map(map, {});
+  EXPECT_TRUE(estimate);
+  for (int i = 0; i < moments; ++i) {
+    const double t = 1.1 * (i + .37) / moments;  // between frames of the bake
+    const StillScene in{&scene, &map, view, t};
+    const auto masks = make_masks(scene, view, t);
+    const auto real = render_real(in, error, {});
+    EXPECT_TRUE(masks && real);
+    const auto ours = render_composite(in, *estimate, *real);
+    const auto truth = render_reference(in, true, error, {}, {});
+    EXPECT_TRUE(ours && truth);
+    const Accuracy a = compare_pictures(*ours, *truth, *real, *masks);
+    sum.object += a.object_without_noise * a.object_without_noise;
+    sum.bias += a.object_bias;
+    sum.shadow += a.shadow_rmse * a.shadow_rmse;
+    ++sum.pictures;
+  }
+  sum.object = std::sqrt(sum.object / sum.pictures);
+  sum.shadow = std::sqrt(sum.shadow / sum.pictures);
+  sum.bias /= sum.pictures;
+  return sum;
+}
+
+TEST(AnimatedGroundTruth, TheWalkerIsLitAsIfItStoodThere) {
+  const auto scene = prepare_quickly(walker_scene());
+  ASSERT_TRUE(scene) << scene.error().detail;
+  for (const auto& [name, map] : {std::pair{"room", capture::make_room_environment(512, 256)},
+                                  {"sky", capture::make_sky_environment(512, 256, .8)}}) {
+    const Figures f = compare_with_reference(*scene, map, 3, .02);
+    std::printf("%s: object %.2f %%, bias %.2f %%, shadow %.4f\n", name, 100 * f.object,
+                100 * f.bias, f.shadow);
+    // Creases between limbs are narrower than the vertices stand apart: a light map shows them better.
+    EXPECT_LT(f.object, .04) << name;
+    EXPECT_LT(std::abs(f.bias), .02) << name;
+    EXPECT_LT(f.shadow, .05) << name;
+  }
+}
+
+TEST(AnimatedGroundTruth, ALightMapIsAsGoodAsVertices) {
+  const auto scene = prepare_quickly(walker_scene({96, 96}), 128);
+  ASSERT_TRUE(scene) << scene.error().detail;
+  ASSERT_GT(scene->objects[0].animation->layout.texels.size(), 3000u);
+  for (const auto& map :
+       {capture::make_room_environment(512, 256), capture::make_sky_environment(512, 256, .8)}) {
+    const Figures f = compare_with_reference(*scene, map, 2, .02);
+    std::printf("object %.2f %%, bias %.2f %%, shadow %.4f\n", 100 * f.object, 100 * f.bias,
+                f.shadow);
+    EXPECT_LT(f.object, .03);
+    EXPECT_LT(std::abs(f.bias), .015);
+  }
+}
+
+// Twenty moments under eight real environments take nine minutes: PENUMBRA_LONG=1 asks for them, another word for those whose
+// names hold it.
+TEST(AnimatedGroundTruth, TwentyMomentsUnderEightEnvironments) {
+  if (!std::getenv("PENUMBRA_LONG")) GTEST_SKIP() << "long: set PENUMBRA_LONG=1";
+  PENUMBRA_NEED_SHARED(folder, "envmaps");
+  const auto scene = prepare_quickly(walker_scene({128, 128}), 512);
+  ASSERT_TRUE(scene) << scene.error().detail;
+  double square = 0;
+  int count = 0;
+  for (const auto& file : std::filesystem::directory_iterator(folder)) {
+    if (!file.path().string().ends_with("_1k.hdr")) continue;
+    const std::string_view only = std::getenv("PENUMBRA_LONG");
+    if (only != "1" && file.path().string().find(only) == std::string::npos) continue;
+    const auto light = read_light(file.path(), std::nullopt);
+    ASSERT_TRUE(light);
+    const auto map = capture::to_latlong(light->file);
+    const Figures f = compare_with_reference(*scene, *map, 20, .015);
+    std::printf("%-44s object %.2f %%, bias %+.2f %%, shadow %.4f\n", file.path().stem().c_str(),
+                100 * f.object, 100 * f.bias, f.shadow);
+    std::fflush(stdout);
+    // Edges of a sharp sun's shadow on the body are finer than texels and vertices.
+    EXPECT_LT(f.object, .065) << file.path();
+    square += f.object * f.object;
+    ++count;
+  }
+  EXPECT_GT(count, 0);
+  std::printf("all: object %.2f %%\n", 100 * std::sqrt(square / count));
+  EXPECT_LT(std::sqrt(square / count), .03);
+}
+
+// What is left is as it was, `from_s` earlier: keys before 0 still lead to those after it.
+void cut(prt::Clip& clip, double from_s, double length_s) {
+  const auto earlier = [&](auto& track) {
+    for (auto& key : track) key.seconds -= from_s;
+  };
+  for (prt::Clip::NodeTracks& t : clip.nodes)
+    earlier(t.translation), earlier(t.scale), earlier(t.rotation);
+  for (prt::Clip::MorphTrack& t : clip.morphs) earlier(t.weight);
+  clip.seconds = length_s;
+}
+
+// The same clip baked for every picture, with more rays, and kept whole.
+PreparedScene baked_finely(const PreparedScene& scene, double from_s, double length_s) {
+  PreparedScene out = scene;
+  PreparedObject& o = out.objects[0];
+  auto fine = std::make_shared<Animation>(*o.animation);
+  cut(fine->character.clips[static_cast<std::size_t>(fine->clip)], from_s, length_s);
+  prt::SequenceOptions options;
+  options.frames_per_second = 60;
+  options.bands = 5;
+  options.rays = options.ground_rays = 512;
+  options.ground_size = o.baked.receiver->grid.size;
+  options.ground_albedo = o.baked.receiver->albedo;
+  options.error = 1e-4;
+  options.between = 0;  // what is cut out jumps where it begins anew, and nobody looks there
+  const test::TempFolder folder;
+  const std::filesystem::path journals[] = {folder.path() / "journal"};
+  EXPECT_TRUE(prt::bake_frames(fine->character, fine->clip, options, {}, journals[0]));
+  auto sequence = prt::compress_frames(fine->character, fine->clip, options, journals);
+  EXPECT_TRUE(sequence);
+  fine->sequence = std::move(*sequence);
+  o.baked.receiver = fine->sequence.receiver;
+  o.animation = fine;
+  return out;
+}
+
+// F = RMS[(a_t - a_t-1) - (r_t - r_t-1)] / mean r on body and floor, sixty pictures a second.
+TEST(AnimatedGroundTruth, AWalkDoesNotFlickerUnderAStandingLight) {
+  const auto prepared = prepare_quickly(walker_scene());
+  ASSERT_TRUE(prepared);
+  constexpr int kPictures = 14;
+  constexpr double kFrom_s = .3, kFirst_s = .01, kLength_s = .25;
+  static_assert(kFirst_s + (kPictures - 1) / 60. < kLength_s - 1 / 60.,
+                "the last baked frame blends into the first one");
+  const PreparedScene truth = baked_finely(*prepared, kFrom_s, kLength_s);
+  const prt::PinholeView view = view_of(160, 214);
+  for (const auto& map :
+       {capture::make_room_environment(512, 256), capture::make_sky_environment(512, 256, .8)}) {
+    const auto estimate = lighting::estimate_map(map, {});
+    ASSERT_TRUE(estimate);
+    const auto real = render_real({&*prepared, &map, view, 0}, .05, {});
+    ASSERT_TRUE(real);
+    double flicker = 0, mean = 0, count = 0;
+    Image<Rgb> before[2];
+    for (int f = 0; f < kPictures; ++f) {
+      const double t = kFrom_s + kFirst_s + f / 60.;
+      const auto ours = render_composite({&*prepared, &map, view, t}, *estimate, *real),
+                 should = render_composite({&truth, &map, view, t - kFrom_s}, *estimate, *real);
+      const auto masks = make_masks(*prepared, view, t);
+      ASSERT_TRUE(ours && should && masks);
+      for (std::size_t i = 0; f > 0 && i < masks->floor.size(); ++i) {
+        if (!masks->floor[i] && !masks->object[i]) continue;
+        const auto change = [&](const Image<Rgb>& now, const Image<Rgb>& past) {
+          return double(luminance(now.pixels()[i])) - double(luminance(past.pixels()[i]));
+        };
+        const double error =
+            change(ours->radiance, before[0]) - change(should->radiance, before[1]);
+        flicker += error * error;
+        mean += luminance(should->radiance.pixels()[i]);
+        ++count;
+      }
+      before[0] = ours->radiance;
+      before[1] = should->radiance;
+    }
+    flicker = std::sqrt(flicker / count) / (mean / count);
+    std::printf("flicker %.3f %%\n", 100 * flicker);
+    EXPECT_LT(flicker, .005);
+  }
+}
+
+TEST(Animated, StaticLightDoesNotFlickerOnAThingThatRests) {
+  Scene scene = walker_scene();
+  scene.objects[0].live = true;  // its own bake would be for nothing
+  auto prepared = prepare_quickly(scene, 64);
+  ASSERT_TRUE(prepared);
+  // A clip that goes on but moves nothing: every frame is made anew and comes out the same.
+  PreparedObject& walker = prepared->objects[0];
+  auto resting = std::make_shared<Animation>(*walker.animation);
+  resting->live = false;
+  prt::Clip& clip = resting->character.clips[0];
+  for (prt::Clip::NodeTracks& t : clip.nodes)
+    t.rotation.resize(1), t.translation.resize(std::min<std::size_t>(t.translation.size(), 1));
+  prt::SequenceOptions options;
+  options.frames_per_second = 4;
+  options.bands = 5;
+  options.rays = options.ground_rays = 64;
+  options.ground_size = 32;
+  const test::TempFolder folder;
+  const std::filesystem::path journals[] = {folder.path() / "j"};
+  ASSERT_TRUE(prt::bake_frames(resting->character, 0, options, {}, journals[0]));
+  auto sequence = prt::compress_frames(resting->character, 0, options, journals);
+  ASSERT_TRUE(sequence);
+  ASSERT_GT(sequence->surface.frames(), 3);
+  resting->sequence = std::move(*sequence);
+  walker.baked.receiver = resting->sequence.receiver;
+  walker.animation = resting;
+  walker.frame = -1;
+  walker.move_to(0, true);
+  const prt::PinholeView view = view_of(64, 96);
+  const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
+  auto stage = make_still_stage(*prepared, view, {});
+  ASSERT_TRUE(stage);
+  const Still backdrop{Image<Rgb>(64, 96, {.5f, .5f, .5f}), 0, 0, {}, {}};
+  const auto first = composite_still(**stage, view, *estimate, backdrop, 0);
+  const auto later = composite_still(**stage, view, *estimate, backdrop, 12.34);
+  ASSERT_TRUE(first && later);
+  EXPECT_EQ(std::memcmp(first->radiance.pixels().data(), later->radiance.pixels().data(),
+                        first->radiance.area() * sizeof(Rgb)),
+            0);
+  const auto drawn = std::ranges::count_if(
+      first->radiance.pixels(), [](const Rgb& p) { return std::abs(luminance(p) - .5f) > .01f; });
+  EXPECT_GT(drawn, 300);
+}
+
+TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
+  // A second object and a real box: shadows that meet, sides that see each other.
+  const test::TempFolder folder;
+  Scene scene = walker_scene();
+  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
+  SceneObject box;
+  box.name = "box";
+  box.asset = "builtin:box";
+  box.position = {.5, 0, .2};
+  scene.objects.push_back(box);
+  RealGeometry crate;
+  crate.mesh = "builtin:box";
+  crate.position = {-.6, 0, 0};
+  scene.real.push_back(crate);
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const prt::PinholeView view = view_of(80, 120);
+  const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
+  auto stage = make_still_stage(*prepared, view, {});
+  ASSERT_TRUE(stage);
+  const Still backdrop{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
+  std::optional<Image<Rgb>> before;
+  for (const double t : {0., .2, .4}) {
+    const auto still = composite_still(**stage, view, *estimate, backdrop, t);
+    ASSERT_TRUE(still);
+    for (const Rgb& c : still->radiance.pixels()) EXPECT_TRUE(is_finite(c));
+    if (before) {
+      double change = 0;
+      for (std::size_t i = 0; i < before->area(); ++i)
+        change += std::abs(luminance(before->pixels()[i]) - luminance(still->radiance.pixels()[i]));
+      EXPECT_GT(change, 1);
+    }
+    before = still->radiance;
+  }
+}
+
+TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
+  const test::TempFolder folder;
+  const auto [file, half_extent] = coarse_walk(folder, {.7f, .7f, .7f});
+  Scene scene = walker_scene();
+  scene.objects[0].albedo = {.7f, .7f, .7f};
+  scene.objects[0].transfer = file;
+  scene.objects[0].scale = 2;
+  scene.objects[0].rotation = glm::angleAxis(1., glm::dvec3(0, 1, 0));
+  auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const prt::Bounds b = prt::bounds_of(prepared->objects[0].mesh_at(.3));
+  EXPECT_NEAR(b.high.y - b.low.y, 3.5, .16);
+  EXPECT_NEAR(b.low.y, 0, .05);
+  EXPECT_NEAR(prepared->objects[0].baked.receiver->grid.half_extent, 2 * half_extent, 1e-4);
+  scene.objects[0].albedo = {.2f, .7f, .7f};
+  prepared = prepare_quickly(scene);
+  ASSERT_FALSE(prepared);
+  EXPECT_THAT(prepared.error().detail, HasSubstr("another mesh"));
+  scene.objects[0].albedo = {.7f, .7f, .7f};
+  scene.objects[0].rotation = glm::angleAxis(.5, glm::dvec3(1, 0, 0));
+  prepared = prepare_quickly(scene);
+  ASSERT_FALSE(prepared);
+  EXPECT_THAT(prepared.error().detail, HasSubstr("cannot be tilted"));
+}
+
+// Poses that no clip has: traced for the moment, they must be right in kind.
+TEST(AnimatedGroundTruth, ABlendOfClipsIsLitByLiveTransfer) {
+  Scene scene = walker_scene();
+  scene.objects[0].blend = "Wave";
+  scene.objects[0].blend_share = .4;
+  scene.objects[0].live = true;
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const PreparedObject& walker = prepared->objects[0];
+  EXPECT_FALSE(walker.live);                                 // each stage traces its own
+  EXPECT_GT(prt::bounds_of(walker.mesh_at(.3)).high.x, .5);  // an arm waves
+  for (const auto& map :
+       {capture::make_room_environment(512, 256), capture::make_sky_environment(512, 256, .8)}) {
+    const Figures f = compare_with_reference(*prepared, map, 2, .02);
+    std::printf("object %.2f %%, bias %.2f %%, shadow %.4f\n", 100 * f.object, 100 * f.bias,
+                f.shadow);
+    EXPECT_LT(f.object, .08);  // vertices stand twice as far apart as in a bake
+    EXPECT_LT(std::abs(f.bias), .04);
+    EXPECT_LT(f.shadow, .06);
+  }
+}
+
+TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
+  Scene scene = walker_scene();
+  scene.objects[0].live = true;
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared);
+  std::vector<std::uint16_t> first;
+  for (int run = 0; run < 2; ++run) {
+    PreparedObject o = prepared->objects[0];
+    ASSERT_TRUE(o.begin_live());
+    for (int frame = 0; frame < 4; ++frame) EXPECT_TRUE(o.move_to(frame / 60., true));
+    EXPECT_FALSE(o.move_to(3 / 60., true));  // there already
+    EXPECT_TRUE(o.move_to(-1, true));        // a time like any other
+    if (run == 0) first = o.baked.transfer.values;
+    EXPECT_EQ(o.baked.transfer.values, first);
+  }
+  EXPECT_FALSE(prepared->objects[0].live);
+  // A budget of next to nothing leaves next to nothing to trace: frames may not stop for it.
+  auto hurried = std::make_shared<Animation>(*prepared->objects[0].animation);
+  hurried->live_seconds = 1e-6;
+  PreparedObject o = prepared->objects[0];
+  o.animation = hurried;
+  ASSERT_TRUE(o.begin_live());
+  o.move_to(0, true, true);
+  const double kept = o.live->bake.rays_kept();
+  for (int frame = 1; frame < 4; ++frame) o.move_to(frame / 60., true, true);
+  EXPECT_LT(o.live->bake.rays_kept(), kept);  // forgets faster than it traces
+  EXPECT_GT(o.live->bake.rays_kept(), 0);
+}
+
+// Without probes the governor predicts nothing of what left-out bands would have done.
+TEST(Animated, TheGovernorKnowsACharactersShadow) {
+  const test::TempFolder folder;
+  Scene scene = walker_scene();
+  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
+  for (const bool live : {false, true}) {
+    scene.objects[0].live = live;
+    if (live) scene.objects[0].transfer.clear();
+    const auto prepared = prepare_quickly(scene);
+    ASSERT_TRUE(prepared);
+    const prt::Transfer& probes = prepared->objects[0].baked.shadow_probes;
+    ASSERT_EQ(probes.points, std::size_t{prt::BakedObject::kShadowProbes}) << live;
+    ASSERT_EQ(probes.bands, kMaxBands);
+    for (std::size_t p = 0; p < probes.points; ++p) EXPECT_GT(probes.value(0, 0, p), 0);
+  }
+}
+
+TEST(Animated, WhatDoesNotMoveSaysSo) {
+  Scene scene = walker_scene();
+  scene.objects[0].asset = "builtin:knot";
+  auto prepared = prepare_quickly(scene);
+  ASSERT_FALSE(prepared);
+  EXPECT_THAT(prepared.error().detail, HasSubstr("builtin:walker"));
+  scene = walker_scene();
+  scene.objects[0].animation = "Fly";
+  prepared = prepare_quickly(scene);
+  ASSERT_FALSE(prepared);
+  EXPECT_THAT(prepared.error().detail, HasSubstr("Walk, Wave, Rest"));
+}
+
+}  // namespace
+}  // namespace penumbra::runtime

@@ -1,0 +1,373 @@
+#include "shadows/shadows.h"
+#include "prt/prt.h"
+#include "runtime/scene/scene.h"
+
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <glm/gtc/quaternion.hpp>
+
+#include "tests/support/mesh_files.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::runtime {
+namespace {
+
+namespace fs = std::filesystem;
+
+class SceneFile : public testing::Test {
+ protected:
+  fs::path path() const { return folder_.path() / "scene.toml"; }
+  Result<Scene> read(const std::string& text) {
+    std::ofstream(path(), std::ios::binary) << text;
+    return read_scene(path());
+  }
+  void expect_invalid(const std::string& text, int line, const std::string& word) {
+    const auto scene = read(text);
+    ASSERT_FALSE(scene) << text;
+    EXPECT_EQ(scene.error().code, ErrorCode::kInvalid) << scene.error().detail;
+    EXPECT_EQ(scene.error().where, path().string() + ":" + std::to_string(line))
+        << scene.error().detail;
+    EXPECT_NE(scene.error().detail.find(word), std::string::npos) << scene.error().detail;
+  }
+  Scene round_trip(const Scene& scene) {
+    EXPECT_TRUE(write_scene(path(), scene));
+    const auto back = read_scene(path());
+    EXPECT_TRUE(back) << back.error().where << ": " << back.error().detail;
+    return back ? *back : Scene{};
+  }
+  test::TempFolder folder_;
+};
+
+SceneObject placed_object() {
+  SceneObject o;
+  o.name = "bunny";
+  o.asset = "/somewhere/bunny.obj";
+  o.albedo = {.1f, .25f, .7f};
+  o.position = {1. / 3, -2.5, 1e-7};
+  o.rotation = glm::angleAxis(.7, glm::normalize(glm::dvec3(1, 2, 3)));
+  o.scale = .0371;
+  o.spin_rpm = -12.5;
+  return o;
+}
+
+void expect_same_placement(const Placement& a, const Placement& b) {
+  EXPECT_EQ(a.position, b.position);
+  EXPECT_LT(glm::length(a.rotation - b.rotation), 1e-15);
+  EXPECT_EQ(a.stand, b.stand);
+  if (a.stand) {
+    EXPECT_EQ(a.stand_size_m, b.stand_size_m);
+  } else {
+    EXPECT_EQ(a.scale, b.scale);
+  }
+}
+
+void expect_same(const SceneObject& a, const SceneObject& b) {
+  EXPECT_EQ(a.name, b.name);
+  EXPECT_EQ(a.asset, b.asset);
+  EXPECT_EQ(a.albedo, b.albedo);
+  expect_same_placement(a, b);
+  EXPECT_EQ(a.spin_rpm, b.spin_rpm);
+}
+
+TEST_F(SceneFile, WhatIsWrittenIsRead) {
+  SceneObject standing;
+  standing.name = "knot";
+  standing.asset = "builtin:knot";
+  standing.stand = true;
+  standing.stand_size_m = .35;
+  RealGeometry floor, table;
+  floor.plane = RealPlane{{.1, .2, .3}, glm::normalize(glm::dvec3(.1, 1, -.2))};
+  floor.albedo = Rgb{.4f, .5f, .6f};
+  table.mesh = "/somewhere/table.ply";
+  table.position = {1, .5, -2};
+  table.rotation = glm::angleAxis(.3, glm::dvec3(0, 1, 0));
+  table.scale = .01;
+  const shadows::Lamp lamp{{.1, 2, -.3}, .05, {3, 2, 1}};
+  const Scene scene{{placed_object(), standing}, {floor, table}, {lamp}};
+  const Scene back = round_trip(scene);
+  ASSERT_EQ(back.lamps.size(), 1U);
+  EXPECT_EQ(back.lamps[0].position, lamp.position);
+  EXPECT_EQ(back.lamps[0].radius_m, lamp.radius_m);
+  EXPECT_EQ(back.lamps[0].irradiance_at_1m, lamp.irradiance_at_1m);
+  ASSERT_EQ(back.objects.size(), 2U);
+  ASSERT_EQ(back.real.size(), 2U);
+  for (std::size_t i = 0; i < 2; ++i) expect_same(back.objects[i], scene.objects[i]);
+  ASSERT_TRUE(back.real[0].plane);
+  EXPECT_EQ(back.real[0].plane->point, floor.plane->point);
+  EXPECT_LT(glm::distance(back.real[0].plane->normal, floor.plane->normal), 1e-15);
+  EXPECT_EQ(back.real[0].albedo, floor.albedo);
+  EXPECT_EQ(back.real[1].mesh, table.mesh);
+  expect_same_placement(back.real[1], table);
+  EXPECT_FALSE(back.real[1].albedo);
+}
+
+TEST_F(SceneFile, NamesAndPathsMayHoldAnyCharacter) {
+  for (const std::string name :
+       {"a \"quoted\" bunny", "back\\slash", "two\nlines", "h\xc3\xa4schen", "tab\there"}) {
+    SceneObject o = placed_object();
+    o.name = name;
+    o.asset = "/somewhere/" + name + ".obj";
+    const Scene back = round_trip({{o}, {}});
+    ASSERT_EQ(back.objects.size(), 1U) << name;
+    EXPECT_EQ(back.objects[0].name, name);
+    EXPECT_EQ(back.objects[0].asset, o.asset);
+  }
+}
+
+TEST_F(SceneFile, BlendsOfClipsComeBackLive) {
+  const auto scene = read(
+      "version = 1\n[[object]]\nasset = \"a.glb\"\nanimation = \"Walk\"\nblend = \"Wave\"\n"
+      "blend_share = 0.25\nlive_ms = 3\n[[object]]\nasset = \"b.glb\"\nanimation = \"0\"\n"
+      "transfer = \"live\"\n");
+  ASSERT_TRUE(scene) << scene.error().detail;
+  const Scene back = round_trip(*scene);
+  ASSERT_EQ(back.objects.size(), 2u);
+  EXPECT_TRUE(back.objects[0].live);
+  EXPECT_EQ(back.objects[0].blend, "Wave");
+  EXPECT_EQ(back.objects[0].blend_share, .25);
+  EXPECT_EQ(back.objects[0].live_ms, 3);
+  EXPECT_TRUE(back.objects[1].live);
+  EXPECT_EQ(back.objects[1].transfer, "");
+  EXPECT_EQ(back.objects[1].blend, "");
+}
+
+TEST_F(SceneFile, RelativePathsAreMeantFromTheScene) {
+  const auto scene =
+      read("version = 1\n[[object]]\nasset = \"meshes/a.obj\"\n[[real]]\nmesh = \"b.ply\"\n");
+  ASSERT_TRUE(scene) << scene.error().detail;
+  EXPECT_EQ(scene->objects[0].asset, (folder_.path() / "meshes/a.obj").string());
+  EXPECT_EQ(scene->objects[0].name, "a");
+  EXPECT_EQ(scene->real[0].mesh, (folder_.path() / "b.ply").string());
+}
+
+TEST_F(SceneFile, UnknownKeysAreNamedWithFileAndLine) {
+  expect_invalid("version = 1\nobjects = 3\n", 2, "objects");
+  expect_invalid("version = 1\n[[object]]\nasset = \"a.obj\"\ncolor = [1, 1, 1]\n", 4, "color");
+  expect_invalid(
+      "version = 1\n\n[[real]]\nplane = { point = [0,0,0], normal = [0,1,0] }\nmass = 3\n", 5,
+      "mass");
+  expect_invalid("version = 1\n[[real]]\nplane = { point = [0,0,0], normal = [0,1,0], size = 3 }\n",
+                 3, "size");
+}
+
+TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
+  const std::string head = "version = 1\n[[object]]\nasset = \"a.obj\"\n";
+  for (const auto& [line, word] : {std::pair{"albedo = [1, 2, 0]", "albedo"},
+                                   {"albedo = [1, 0]", "albedo"},
+                                   {"albedo = [-0.1, 0, 0]", "albedo"},
+                                   {"position = [0, nan, 0]", "position"},
+                                   {"position = [0, inf, 0]", "position"},
+                                   {"position = 3", "position"},
+                                   {"rotation = [0, 0, 0, 2]", "rotation"},
+                                   {"rotation = [0, 0, 0, 0]", "rotation"},
+                                   {"scale = 0", "scale"},
+                                   {"scale = -1", "scale"},
+                                   {"scale = nan", "scale"},
+                                   {"scale = \"big\"", "scale"},
+                                   {"scale = 1e-30", "scale"},
+                                   {"position = [0, 1e20, 0]", "position"},
+                                   {"spin_rpm = 1e308", "spin_rpm"},
+                                   {"stand_size_m = 0", "stand_size_m"},
+                                   {"spin_rpm = inf", "spin_rpm"},
+                                   {"name = 3", "name"},
+                                   {"animation = 1", "animation"}})
+    expect_invalid(head + line + "\n", 4, word);
+  expect_invalid(head + "scale = 2\nstand_size_m = 1\n", 5, "stand_size_m");
+  const std::string walks = head + "animation = \"Walk\"\n";
+  for (const std::string line :
+       {"blend_share = 0.5", "live_ms = 3", "blend = \"\"", "blend = 3", "light_map = [7, 64]"})
+    expect_invalid(walks + line + "\n", 5, line.substr(0, line.find(' ')));
+  expect_invalid(head + "blend = \"Wave\"\n", 4, "blend");
+  const std::string blends = walks + "blend = \"Wave\"\n";
+  for (const std::string line : {"blend_share = 1.5", "blend_share = nan", "live_ms = 0",
+                                 "live_ms = 1e9", "light_map = [64, 64]", "transfer = \"a.shlm\""})
+    expect_invalid(blends + line + "\n", 6, line.substr(0, line.find(' ')));
+  expect_invalid("version = 2\n", 1, "version");
+  expect_invalid("version = 1\nobject = 3\n", 2, "object");
+  expect_invalid("version = 1\n[[real]]\nplane = { point = [0,0,0], normal = [0,0,0] }\n", 3,
+                 "normal");
+  expect_invalid("version = 1\n[[real]]\nplane = 3\n", 3, "plane");
+  const std::string mesh = "version = 1\n[[real]]\nmesh = \"a.obj\"\n";
+  expect_invalid(mesh + "position = [0, 1e5, 0]\n", 4, "position");
+  expect_invalid(mesh + "scale = 1\nstand_size_m = 1\n", 5, "stand_size_m");
+  for (const std::string key : {"position = [0, 0, 0]", "scale = 2", "stand_size_m = 1"})
+    expect_invalid(
+        "version = 1\n[[real]]\nplane = { point = [0, 0, 0], normal = [0, 1, 0] }\n" + key + "\n",
+        4, key.substr(0, key.find(' ')));
+  const std::string lamp = "version = 1\n[[lamp]]\nirradiance_at_1m = [1, 1, 1]\n";
+  expect_invalid(lamp + "position = [0, 1e20, 0]\n", 4, "position");
+  expect_invalid(lamp + "position = [0, 1, 0]\nradius_m = -1\n", 5, "radius_m");
+  expect_invalid("version = 1\n[[lamp]]\nposition = [0, 1, 0]\nirradiance_at_1m = [1, -1, 1]\n", 4,
+                 "irradiance_at_1m");
+  expect_invalid(lamp + "colour = 3\n", 4, "colour");
+}
+
+TEST_F(SceneFile, WhatIsMissingIsNamed) {
+  for (const auto& [text, word] : {std::pair{"", "version"},
+                                   {"version = 1\n[[object]]\nname = \"a\"\n", "asset"},
+                                   {"version = 1\n[[real]]\nalbedo = [1, 1, 1]\n", "plane"}}) {
+    const auto scene = read(text);
+    ASSERT_FALSE(scene) << text;
+    EXPECT_EQ(scene.error().code, ErrorCode::kInvalid);
+    EXPECT_NE(scene.error().where.find("scene.toml"), std::string::npos);
+    EXPECT_NE(scene.error().detail.find(word), std::string::npos) << scene.error().detail;
+  }
+}
+
+TEST_F(SceneFile, DamagedAndAbsentFilesAreErrors) {
+  const auto damaged = read("version = 1\n[[object]\n");
+  ASSERT_FALSE(damaged);
+  EXPECT_EQ(damaged.error().code, ErrorCode::kUnreadable);
+  EXPECT_EQ(damaged.error().where, path().string() + ":2");
+  const auto absent = read_scene(folder_.path() / "nowhere.toml");
+  ASSERT_FALSE(absent);
+  EXPECT_EQ(absent.error().code, ErrorCode::kNotFound);
+  EXPECT_FALSE(write_scene(path() / "below" / "scene.toml", {})) << "below a regular file";
+}
+
+// ------------------------------------------------------------------------------------- placing
+
+BakeSettings quick() {
+  return {2, 0, 64, 64, false};
+}
+const auto kNoProgress = [](const std::string&) { return std::function<void(double)>(); };
+
+prt::Bounds world_bounds(const PreparedScene& scene) {
+  const prt::Mesh mesh = world_mesh(scene, true);
+  return prt::bounds_of(mesh);
+}
+
+TEST_F(SceneFile, RealMeshesStandWhereTheyArePlaced) {
+  RealGeometry box;
+  box.mesh = "builtin:box";
+  box.position = {1, .25, -2};
+  box.stand = true;
+  box.stand_size_m = .8;
+  const auto scene = prepare({{}, {box}}, quick(), kNoProgress);
+  ASSERT_TRUE(scene) << scene.error().detail;
+  const prt::Bounds b = prt::bounds_of(scene->real_mesh);
+  EXPECT_NEAR(b.low.y, .25f, 1e-6f);
+  EXPECT_NEAR(b.high.y, 1.05f, 1e-6f);
+  EXPECT_NEAR(b.centre().x, 1, 1e-6f);
+  EXPECT_NEAR(b.centre().z, -2, 1e-6f);
+  box.mesh = "";
+  EXPECT_EQ(prepare({{}, {box}}, quick(), kNoProgress).error().code, ErrorCode::kInvalid);
+}
+
+TEST_F(SceneFile, FlatOnAndHalfInTheFloorStandOnItAndBelowItDoesNot) {
+  prt::Mesh decal;
+  decal.positions = {{-.2f, 0, -.2f}, {-.2f, 0, .2f}, {.2f, 0, .2f}, {.2f, 0, -.2f}};
+  decal.normals.assign(4, {0, 1, 0});
+  decal.triangles = {{0, 1, 2}, {0, 2, 3}};
+  const prt::Mesh box = prt::make_box({-.1f, -.2f, -.1f}, {.1f, .1f, .1f}, 1, {.5f, .5f, .5f});
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  for (const auto& [mesh, height, stands] :
+       {std::tuple(decal, 0., true), {box, 0., true}, {box, -.5, false}}) {
+    test::write_obj(mesh, folder_.path() / "thing.obj");
+    SceneObject o;
+    o.name = "thing";
+    o.asset = (folder_.path() / "thing.obj").string();
+    o.position = {0, height, 0};
+    const auto scene = prepare({{o}, {floor}}, quick(), kNoProgress);
+    ASSERT_TRUE(scene) << scene.error().detail;
+    EXPECT_EQ(scene->objects[0].baked.receiver.has_value(), stands) << height;
+  }
+}
+
+TEST_F(SceneFile, StandingObjectRestsOnItsPlaneAtItsSize) {
+  for (const double height : {0., .75}) {
+    SceneObject o;
+    o.asset = o.name = "builtin:twist";
+    o.stand = true;
+    o.stand_size_m = .4;
+    o.position = {.3, height, -.2};
+    RealGeometry plane;
+    plane.plane = RealPlane{{0, height, 0}, {0, 1, 0}};
+    const auto scene = prepare({{o}, {plane}}, quick(), kNoProgress);
+    ASSERT_TRUE(scene) << scene.error().detail;
+    const prt::Bounds b = world_bounds(*scene);
+    const glm::vec3 size = b.high - b.low;
+    EXPECT_NEAR(std::max({size.x, size.y, size.z}), .4, 1e-4);
+    EXPECT_NEAR(b.low.y, height, 1e-5);
+    EXPECT_NEAR(b.centre().x, .3, 1e-4);
+    EXPECT_NEAR(b.centre().z, -.2, 1e-4);
+  }
+}
+
+TEST_F(SceneFile, BakedFileStandsWhereItsAssetWould) {
+  // An asset that floats .3 above its own origin and off it.
+  const fs::path file = folder_.path() / "baked.glb";
+  prt::Mesh mesh = prt::make_box({.1f, .3f, -.2f}, {.5f, .5f, .2f}, 2, {.5f, .5f, .5f});
+  prt::BakeOptions options;
+  options.bands = 2;
+  options.rays = options.ground_rays = 64;
+  options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, prt::bounds_of(mesh).low.y, 16), {}};
+  const auto baked = prt::bake(mesh, options);
+  ASSERT_TRUE(baked);
+  ASSERT_TRUE(prt::write_baked(file, *baked));
+  SceneObject o;
+  o.name = "box";
+  o.asset = file.string();
+  o.stand = true;
+  o.stand_size_m = .8;
+  o.position = {1, 0, 2};
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  const auto scene = prepare({{o}, {floor}}, quick(), kNoProgress);
+  ASSERT_TRUE(scene) << scene.error().detail;
+  const prt::Bounds b = world_bounds(*scene);
+  EXPECT_NEAR(b.low.y, 0, 1e-4) << "stands on the floor";
+  EXPECT_NEAR(b.centre().x, 1, 1e-3);
+  EXPECT_NEAR(b.centre().z, 2, 1e-3);
+  const PreparedObject& object = scene->objects[0];
+  ASSERT_TRUE(object.baked.receiver);
+  const glm::dvec3 plane =
+      object.world_from_bake * glm::dvec3(0, object.baked.receiver->grid.height, 0);
+  EXPECT_NEAR(plane.y, 0, 1e-4) << "its shadow lies on the floor";
+}
+
+TEST_F(SceneFile, BakedFileKeepsItsScaleHoweverItIsTurned) {
+  const fs::path file = folder_.path() / "baked.glb";
+  prt::BakeOptions options;
+  options.bands = 2;
+  options.rays = options.ground_rays = 64;
+  const auto baked =
+      prt::bake(prt::make_box({-.2f, 0, -.2f}, {.2f, .4f, .2f}, 1, {.5f, .5f, .5f}), options);
+  ASSERT_TRUE(baked);
+  ASSERT_TRUE(prt::write_baked(file, *baked));
+  SceneObject o;
+  o.name = "box";
+  o.asset = file.string();
+  o.scale = 2;
+  for (const glm::dquat& turn :
+       {glm::dquat(1, 0, 0, 0), glm::dquat(0, 1, 0, 0), glm::dquat(.5, .5, .5, .5),
+        glm::angleAxis(1.1, glm::dvec3(1, 0, 0))}) {
+    o.rotation = turn;
+    const auto scene =
+        prepare({{o}, {}}, quick(), kNoProgress);  // no plane: any attitude is allowed
+    ASSERT_TRUE(scene) << scene.error().detail;
+    const prt::Bounds b = prt::bounds_of(scene->objects[0].baked.mesh);
+    EXPECT_NEAR(b.high.y - b.low.y, .8, 1e-5) << turn.w << ' ' << turn.x;
+  }
+}
+
+TEST_F(SceneFile, TurntableTurnsAboutTheNormalAndClosesAfterOneTurn) {
+  PreparedObject o;
+  o.world_from_bake = {glm::angleAxis(.4, glm::dvec3(1, 0, 0)), {1, 2, 3}};
+  o.spin_rpm = 10;
+  const glm::dvec3 up = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
+  for (const double t : {0., .7, 3., 6.}) {
+    const Pose pose = o.pose_at(t);
+    EXPECT_LT(glm::distance(pose.rotation * glm::dvec3(0, 1, 0), up), 1e-12);
+    EXPECT_LT(glm::distance(pose.translation, glm::dvec3(1, 2, 3)), 1e-12);
+  }
+  EXPECT_LT(glm::distance(o.pose_at(6) * glm::dvec3(1, 0, 0), o.pose_at(0) * glm::dvec3(1, 0, 0)),
+            1e-9);
+  EXPECT_GT(glm::distance(o.pose_at(3) * glm::dvec3(1, 0, 0), o.pose_at(0) * glm::dvec3(1, 0, 0)),
+            1.9);
+}
+
+}  // namespace
+}  // namespace penumbra::runtime

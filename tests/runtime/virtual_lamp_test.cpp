@@ -1,0 +1,121 @@
+// A virtual lamp through the whole pipeline: the real floor brightens by the same ratio as shadows darken it.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "capture/capture.h"
+#include "prt/prt.h"
+#include "core/conventions.h"
+#include "lighting/lighting.h"
+#include "tools/chart/accuracy.h"
+#include "tools/common/still.h"
+#include "tests/support/worlds.h"
+
+namespace penumbra::runtime {
+
+using namespace tools;
+namespace {
+
+PreparedScene lamp_scene(bool with_lamp, bool with_object) {
+  PreparedScene scene;
+  scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.4f, .4f, .4f}, {}});
+  prt::Mesh mesh = with_object
+                       ? prt::make_box({-.1f, 0, -.1f}, {.1f, .2f, .1f}, 4, {.6f, .6f, .6f})
+                       : prt::make_box({-9.1f, 0, -9.1f}, {-9, .1f, -9}, 2, {.6f, .6f, .6f});
+  prt::BakeOptions bake;
+  bake.rays = bake.ground_rays = 64;
+  bake.bounces = 1;
+  bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
+  scene.objects.push_back({"box", *prt::bake(std::move(mesh), bake), {}, 0, nullptr});
+  if (with_lamp) scene.lamps.push_back({{.4, .6, 0}, .02, {2, 1, .5f}});
+  return scene;
+}
+
+TEST(VirtualLamp, LightsTheFloorByItsShareOfTheRealLightAndCastsShadows) {
+  const prt::PinholeView view{
+      160, 120, {150, 150}, {80, 60}, capture::look_at({0, 1.6, 1.2}, {0, 0, 0})};
+  lighting::LightEstimate light;
+  light.valid = true;
+  light.light = RadianceSh(5);
+  light.light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));  // radiance 1, E = pi
+  light.floor_light = light.light;
+  light.mean_radiance = {1, 1, 1};
+  Still real;
+  real.radiance = Image<Rgb>(160, 120, {.4f, .4f, .4f});
+  const auto shown = [&](bool lamp, bool object) {
+    const PreparedScene scene = lamp_scene(lamp, object);
+    return render_composite({&scene, nullptr, view}, light, real);
+  };
+  const auto open = shown(true, false), with = shown(true, true), without = shown(false, true);
+  if (!open && open.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << open.error().detail;
+  ASSERT_TRUE(open && with && without);
+  const auto pixel = [&](const glm::dvec3& p) {
+    const glm::dvec3 c = view.world_from_camera.inverse() * p;
+    return glm::ivec2(static_cast<int>(view.principal_px.x + view.focal_px.x * c.x / -c.z),
+                      static_cast<int>(view.principal_px.y - view.focal_px.y * c.y / -c.z));
+  };
+  const auto floor_at = [&](const glm::ivec2& at) {  // the centre of that pixel on the floor
+    const glm::dvec3 d = view.world_from_camera.rotation *
+                         glm::dvec3((at.x + .5 - 80) / 150, -(at.y + .5 - 60) / 150, -1);
+    const glm::dvec3 eye = view.world_from_camera.translation;
+    return eye - d * (eye.y / d.y);
+  };
+  for (const glm::dvec3 p : {glm::dvec3(.4, 0, 0), {0, 0, .3}, {-.3, 0, -.3}, {.2, 0, .5}}) {
+    const glm::ivec2 at = pixel(p);
+    const glm::dvec3 to = glm::dvec3(.4, .6, 0) - floor_at(at);
+    const double e = .6 / std::pow(glm::length(to), 3);
+    const Rgb ratio = open->radiance.at(at.x, at.y) * (1 / .4f);
+    EXPECT_NEAR(ratio.r, 1 + 2 * e / kPi, .01 * (1 + 2 * e / kPi)) << at.x << ' ' << at.y;
+    EXPECT_NEAR(ratio.b, 1 + .5 * e / kPi, .01 * (1 + .5 * e / kPi));
+  }
+  const glm::ivec2 shade = pixel({-.2, 0, 0});  // behind the box, seen from the lamp
+  EXPECT_NEAR(with->radiance.at(shade.x, shade.y).r, without->radiance.at(shade.x, shade.y).r,
+              2e-3);
+  const glm::ivec2 lid = pixel({.05, .2, 0});
+  EXPECT_GT(with->radiance.at(lid.x, lid.y).r, without->radiance.at(lid.x, lid.y).r + .2f);
+}
+
+// A world in which the lamp really hangs beside the object, low over a dim floor so that it is most of the light.
+TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
+  Scene world{{test::twist({0, 0, 0})}, {test::grey_plane()}};
+  world.lamps.push_back({{.45, .55, .3}, .04, {60, 50, 35}});
+  const auto scene = test::prepared(world);
+  world.lamps.clear();
+  const auto unlit = test::prepared(world);
+  ASSERT_TRUE(scene && unlit);
+  const Image<Rgb> map = capture::make_room_environment(256, 128);
+  const prt::PinholeView view{
+      128, 96, {120, 120}, {64, 48}, capture::look_at({.5, 1.2, 1.5}, {0, .15, 0})};
+  const StillScene in{&*scene, &map, view};
+  const auto masks = make_masks(*unlit, view);
+  if (!masks && masks.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
+  const auto empty = render_real(in, .01, {}),
+             truth = render_reference(in, true, .006, std::nullopt, {});
+  const auto light = lighting::estimate_map(map, {});
+  ASSERT_TRUE(masks && empty && truth && light);
+  const auto ours = render_composite(in, *light, *empty),
+             naive = render_composite({&*unlit, &map, view}, *light, *empty);
+  ASSERT_TRUE(ours && naive);
+  const auto rms = [&](const Still& a, const std::vector<bool>& where) {
+    double square = 0, mean = 0;
+    for (std::size_t i = 0; i < where.size(); ++i) {
+      if (!where[i]) continue;
+      const double d = luminance(a.radiance.pixels()[i]) - luminance(truth->radiance.pixels()[i]);
+      square += d * d, mean += luminance(truth->radiance.pixels()[i]);
+    }
+    const auto count = static_cast<double>(std::ranges::count(where, true));
+    return std::sqrt(square / count) / (mean / count);
+  };
+  std::printf("lamp: floor %.3f (without %.3f), object %.2f %% (without %.2f %%)\n",
+              rms(*ours, masks->floor), rms(*naive, masks->floor), 100 * rms(*ours, masks->object),
+              100 * rms(*naive, masks->object));
+  EXPECT_LT(rms(*ours, masks->floor), .03);
+  EXPECT_GT(rms(*naive, masks->floor), .2);
+  EXPECT_LT(rms(*ours, masks->object), .05);
+  EXPECT_GT(rms(*naive, masks->object), .2);
+}
+
+}  // namespace
+}  // namespace penumbra::runtime
