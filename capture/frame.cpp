@@ -2,7 +2,6 @@
 
 #include "capture/frames.h"
 
-
 namespace penumbra::capture {
 
 int width(const FramePixels& pixels) {

@@ -13,8 +13,8 @@
 #include <string>
 #include <vector>
 
+#include "calib/camera/camera_model.h"
 #include "calib/camera/noise.h"
-#include "calib/camera/projection.h"
 #include "calib/camera/response.h"
 #include "core/image.h"
 #include "core/pose.h"
@@ -27,19 +27,19 @@ enum class Role { kEnvironment, kView };
 
 /// A part of a picture that has a lens of its own, as 360-degree cameras have two.
 struct Lens {
-  int x_px = 0, y_px = 0;        // of the part in the picture
-  calib::Projection projection;  // of the part, whose size it has
+  int x_px = 0, y_px = 0;         // of the part in the picture
+  calib::CameraModel projection;  // of the part, whose size it has
   glm::dquat camera_from_lens{1, 0, 0, 0};
   double half_field_rad = 0;  // what is further off the lens's axis shows nothing
 };
 
 /// A mirror ball that stands in a camera's picture.
 struct Ball {
-  struct Outline {
+  struct OutlinePixels {
     glm::dvec2 centre;
     double radius;
   };
-  std::optional<Outline>
+  std::optional<OutlinePixels>
       outline_px;                // in the camera's picture, which does not move; else by its place:
   glm::dvec3 centre_m{0, 0, 0};  // in the world
   double radius_m = 0;
@@ -52,7 +52,7 @@ struct CameraInfo {
   std::string name;
   Role role = Role::kEnvironment;
   std::string eye;  // "", "left" or "right"
-  calib::Projection projection;
+  calib::CameraModel projection;
   calib::Response response;
   calib::NoiseModel noise;
   bool noise_known = false;  // of this camera; else `noise` only weighs exposures in a merge
@@ -88,10 +88,10 @@ struct CameraCounts {
   std::uint64_t frames = 0;         // handed on
   std::uint64_t lost = 0;           // never arrived
   std::uint64_t damaged = 0;        // arrived in part
-  std::uint64_t refused = 0;        // showed another exposure than their label said
+  std::uint64_t rejected = 0;       // showed another exposure than their label said
   std::uint64_t reconnected = 0;    // times that the camera came back
   std::optional<int> delay_frames;  // between a request and the first frame that shows it
-  bool deaf = false;                // its pictures do not follow the exposures that it is asked for
+  bool ignores_controls = false;    // its pictures do not follow the exposures that it is asked for
   std::vector<Exposure> exposures;  // that it is asked for in turn
   std::optional<double>
       light_error;  // that they leave, of an irradiance; nothing: they were not chosen

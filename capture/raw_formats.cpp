@@ -137,8 +137,8 @@ Result<RawConverter> RawConverter::make(const RawLayout& layout) {
   if (impl->bayer && (layout.width < 4 || layout.height < 4))
     return fail(ErrorCode::kInvalid, name, "too small to interpolate");
   if (impl->yuv) {
-    const int least = av_image_get_linesize(impl->yuv->format, layout.width, 0);
-    if (layout.stride < least) return fail(ErrorCode::kInvalid, name, "rows overlap");
+    const int smallest = av_image_get_linesize(impl->yuv->format, layout.width, 0);
+    if (layout.stride < smallest) return fail(ErrorCode::kInvalid, name, "rows overlap");
     // Exact rounding, and chroma of neighbouring pixels interpolated.
     impl->scaler =
         sws_getContext(layout.width, layout.height, impl->yuv->format, layout.width, layout.height,

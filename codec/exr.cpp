@@ -125,16 +125,16 @@ Result<void> check_header(const Imf::Header& header, const std::string& name) {
   return {};
 }
 
-struct Channels {
+struct ExrChannels {
   bool luminance_chroma = false;
   std::array<std::string, 3> rgb;  // three times the same for grey
 };
 
-std::optional<Channels> choose_channels(const Imf::ChannelList& list) {
+std::optional<ExrChannels> choose_channels(const Imf::ChannelList& list) {
   const auto has = [&](const char* channel) { return list.findChannel(channel) != nullptr; };
-  if (has("R") && has("G") && has("B")) return Channels{false, {"R", "G", "B"}};
-  if (has("Y") && has("RY") && has("BY")) return Channels{true, {}};
-  if (has("Y")) return Channels{false, {"Y", "Y", "Y"}};
+  if (has("R") && has("G") && has("B")) return ExrChannels{false, {"R", "G", "B"}};
+  if (has("Y") && has("RY") && has("BY")) return ExrChannels{true, {}};
+  if (has("Y")) return ExrChannels{false, {"Y", "Y", "Y"}};
   std::string only;
   for (auto c = list.begin(); c != list.end(); ++c) {
     if (std::strcmp(c.name(), "A") == 0) continue;
@@ -142,7 +142,7 @@ std::optional<Channels> choose_channels(const Imf::ChannelList& list) {
     only = c.name();
   }
   if (only.empty()) return std::nullopt;
-  return Channels{false, {only, only, only}};
+  return ExrChannels{false, {only, only, only}};
 }
 
 std::string channel_names(const Imf::ChannelList& list) {
@@ -152,7 +152,7 @@ std::string channel_names(const Imf::ChannelList& list) {
 }
 
 // Float slices, since the library's RGBA interface would clamp 32 bit channels to half.
-void read_channels(Imf::InputFile& file, const Channels& channels, Image<Rgb>& pixels) {
+void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>& pixels) {
   const Imath::Box2i window = file.header().dataWindow();
   const bool grey = channels.rgb[0] == channels.rgb[1];
   Imf::FrameBuffer buffer;

@@ -114,7 +114,7 @@ class RangeDecoder {
 /// Whole numbers that are mostly near 0: is it 0, its sign, how far (unary, then Elias gamma), each bit with a model of its
 /// own.
 struct NumberModel {
-  static constexpr int kUnary = 14, kMostBits = 28;  // beyond what any coder here writes
+  static constexpr int kUnary = 14, kMaxBits = 28;  // beyond what any coder here writes
   BitModel zero, sign;
   std::array<BitModel, kUnary> further;
 
@@ -141,7 +141,7 @@ struct NumberModel {
     while (rest < kUnary && in.bit(further[static_cast<std::size_t>(rest)])) ++rest;
     if (rest == kUnary) {
       int bits = 0;
-      while (bits < kMostBits && in.raw_bit()) ++bits;
+      while (bits < kMaxBits && in.raw_bit()) ++bits;
       int beyond = 1;
       for (int i = 0; i < bits; ++i) beyond = beyond << 1 | int{in.raw_bit()};
       rest = kUnary + beyond - 1;

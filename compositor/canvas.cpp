@@ -19,7 +19,7 @@ bool Canvas::fits(const Rect& rect) const {
   return w <= width_ && h <= height_ && static_cast<long>(width_) * height_ <= 2l * w * h;
 }
 
-// Drawn larger and averaged: without a GPU that takes less time than multisampling.
+// DrawnLayers larger and averaged: without a GPU that takes less time than multisampling.
 Result<void> Canvas::make_targets() {
   targets_.clear();
   fine_depth_ = {};

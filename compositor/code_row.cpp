@@ -20,14 +20,16 @@ constexpr std::size_t kPiece = 64;
 static_assert(kPiece % (HWY_MAX_BYTES / sizeof(float)) == 0);
 
 // Where a signal lies in the table of codes.
-HWY_INLINE hn::Vec<DI> Bucket(const CodeCurve::Tables8& t, hn::Vec<D> linear) {
+HWY_INLINE hn::Vec<DI> Bucket(const ResponseTable::Tables8& t, hn::Vec<D> linear) {
   const D d;
   const DI di;
-  const auto level = hn::Add(linear, hn::Set(d, t.black)), least = hn::Set(d, CodeCurve::kSmallest);
-  const auto x = hn::Min(hn::IfThenElse(hn::Gt(level, least), level, least),  // NaN is the least
-                         hn::Set(d, CodeCurve::kLargest));
-  return hn::Sub(hn::ShiftRight<CodeCurve::kShift8>(hn::BitCast(di, x)),
-                 hn::Set(di, static_cast<std::int32_t>(CodeCurve::kFirst8)));
+  const auto level = hn::Add(linear, hn::Set(d, t.black)),
+             smallest = hn::Set(d, ResponseTable::kSmallest);
+  const auto x =
+      hn::Min(hn::IfThenElse(hn::Gt(level, smallest), level, smallest),  // NaN is the least
+              hn::Set(d, ResponseTable::kLargest));
+  return hn::Sub(hn::ShiftRight<ResponseTable::kShift8>(hn::BitCast(di, x)),
+                 hn::Set(di, static_cast<std::int32_t>(ResponseTable::kFirst8)));
 }
 
 struct Piece {
@@ -44,7 +46,7 @@ HWY_INLINE hn::Vec<D> Load4(const float* object, std::size_t i, hn::Vec<D> (&sig
 }
 
 // Up to kPiece pixels; rows have room for whole vectors.
-HWY_INLINE std::size_t CompositePiece(const CodeCurve::Tables8 (&t)[3], const float* object,
+HWY_INLINE std::size_t CompositePiece(const ResponseTable::Tables8 (&t)[3], const float* object,
                                       const float* const (&ratios)[3], std::uint8_t* codes,
                                       std::size_t count) {
   const D d;
@@ -80,7 +82,7 @@ HWY_INLINE std::size_t CompositePiece(const CodeCurve::Tables8 (&t)[3], const fl
   return touched;
 }
 
-HWY_ATTR std::size_t CompositeCodes(const CodeCurve::Tables8 (&t)[3], const float* object,
+HWY_ATTR std::size_t CompositeCodes(const ResponseTable::Tables8 (&t)[3], const float* object,
                                     const float* r, const float* g, const float* b,
                                     std::uint8_t* codes, std::size_t count) {
   const std::size_t whole = count / kPiece * kPiece, left = count - whole;
@@ -101,7 +103,7 @@ HWY_ATTR std::size_t CompositeCodes(const CodeCurve::Tables8 (&t)[3], const floa
                                   codes + 3 * whole, left);
 }
 
-HWY_ATTR void DecodeCodes(const CodeCurve::Tables8 (&t)[3], const float* const* roundings,
+HWY_ATTR void DecodeCodes(const ResponseTable::Tables8 (&t)[3], const float* const* roundings,
                           const std::uint8_t* codes, std::size_t count, const SignalRows& out) {
   for (std::size_t i = 0; i < count; ++i)
     for (std::size_t c = 0; c < 3; ++c) {
@@ -111,7 +113,7 @@ HWY_ATTR void DecodeCodes(const CodeCurve::Tables8 (&t)[3], const float* const* 
     }
 }
 
-HWY_ATTR void EncodeCodes(const CodeCurve::Tables8 (&t)[3], const SignalRows& in,
+HWY_ATTR void EncodeCodes(const ResponseTable::Tables8 (&t)[3], const SignalRows& in,
                           const std::uint32_t* touched, std::size_t count, std::uint8_t* codes) {
   const DI di;
   const std::size_t lanes = hn::Lanes(di);
@@ -144,10 +146,10 @@ namespace {
 // Tables where the largest code stands for more: a copy where it does, small beside a row.
 class ClippedTables {
  public:
-  ClippedTables(const CodeCurve& curve, const Rgb& clipped)
+  ClippedTables(const ResponseTable& curve, const Rgb& clipped)
       : tables{curve.tables8(0), curve.tables8(1), curve.tables8(2)} {
     for (int c = 0; c < 3; ++c) {
-      CodeCurve::Tables8& t = tables[c];
+      ResponseTable::Tables8& t = tables[c];
       if (!(clipped[c] > t.decode[255])) continue;
       std::copy_n(t.decode, 256, decode_[c]);
       for (unsigned code = 255; t.decode[code] > kClipping * t.decode[255]; --code)
@@ -157,7 +159,7 @@ class ClippedTables {
   }
   ClippedTables(const ClippedTables&) = delete;
 
-  CodeCurve::Tables8 tables[3];
+  ResponseTable::Tables8 tables[3];
 
  private:
   float decode_[3][256];
@@ -165,19 +167,19 @@ class ClippedTables {
 
 }  // namespace
 
-void decode_codes(const CodeCurve& curve, const Rgb& clipped, const float* const* roundings,
+void decode_codes(const ResponseTable& curve, const Rgb& clipped, const float* const* roundings,
                   const Rgb8* pixels, std::size_t count, const SignalRows& out) {
   const ClippedTables with(curve, clipped);
   HWY_DYNAMIC_DISPATCH(DecodeCodes)(with.tables, roundings, &pixels->r, count, out);
 }
 
-void encode_codes(const CodeCurve& curve, const SignalRows& in, const std::uint32_t* touched,
+void encode_codes(const ResponseTable& curve, const SignalRows& in, const std::uint32_t* touched,
                   std::size_t count, Rgb8* pixels) {
-  const CodeCurve::Tables8 tables[3] = {curve.tables8(0), curve.tables8(1), curve.tables8(2)};
+  const ResponseTable::Tables8 tables[3] = {curve.tables8(0), curve.tables8(1), curve.tables8(2)};
   HWY_DYNAMIC_DISPATCH(EncodeCodes)(tables, in, touched, count, &pixels->r);
 }
 
-std::size_t composite_codes(const CodeCurve& curve, const Rgb& clipped, const float* object,
+std::size_t composite_codes(const ResponseTable& curve, const Rgb& clipped, const float* object,
                             const float* r, const float* g, const float* b, Rgb8* pixels,
                             std::size_t count) {
   static_assert(sizeof(Rgb8) == 3);

@@ -4,21 +4,21 @@
 
 #include <cassert>
 
-#include "compositor/internal/camera_look.h"
 #include "compositor/internal/gl.h"
 #include "compositor/internal/gpu_relight.h"
 #include "compositor/internal/layered_rows.h"
 #include "compositor/internal/pixel_pass.h"
-#include "core/aside.h"
+#include "compositor/internal/sensor_effects.h"
+#include "core/background_task.h"
 
 namespace penumbra::compositor {
 
 namespace {
 
-bool valid(const CameraLook& look) {
-  const auto within = [](float v, float most) { return v >= 0 && v <= most; };  // NaN is not
-  return within(look.psf_sigma_px, CameraLook::kLargestPsfSigma) && within(look.shot_gain, 1e6f) &&
-         within(look.read_noise, 1e6f);
+bool valid(const SensorEffects& look) {
+  const auto within = [](float v, float largest) { return v >= 0 && v <= largest; };  // NaN is not
+  return within(look.psf_sigma_px, SensorEffects::kLargestPsfSigma) &&
+         within(look.shot_gain, 1e6f) && within(look.read_noise, 1e6f);
 }
 
 constexpr const char* kShowVertex = R"(#version 310 es
@@ -36,7 +36,7 @@ out vec4 colour;
 void main() { colour = vec4(texture(picture, uv).rgb, 1); }
 )";
 
-Touched touched(std::size_t pixels, const FramePixels& frame) {
+CompositeStats touched(std::size_t pixels, const FramePixels& frame) {
   const auto all = std::visit([](const auto& f) { return f.area(); }, frame);
   return {pixels, static_cast<double>(pixels) / static_cast<double>(all)};
 }
@@ -45,10 +45,10 @@ void begin_with(const FramePixels& camera, FramePixels& out) {
   if (&camera != &out) out = camera;
 }
 
-Touched put(const View& view, const Layered& in, FramePixels& frame, LookPlanes& look) {
-  if (!view.look.none()) return touched(composite_look(view, frame, in, look), frame);
-  return touched(composite_share(Share::kBeside, view, frame, in) +
-                     composite_share(Share::kObjects, view, frame, in),
+CompositeStats put(const View& view, const Layered& in, FramePixels& frame, SensorPlanes& look) {
+  if (!view.look.none()) return touched(composite_effects(view, frame, in, look), frame);
+  return touched(composite_fraction(FrameRegion::kBeside, view, frame, in) +
+                     composite_fraction(FrameRegion::kObjects, view, frame, in),
                  frame);
 }
 
@@ -65,7 +65,7 @@ struct Drawn::Impl {
   std::shared_ptr<Layer> objects, hidden;  // given back by draw()
   Receivers receivers{2};
   Rect receiver_area;
-  LookPlanes look;
+  SensorPlanes look;
 };
 
 Drawn::Drawn() : impl_(std::make_unique<Impl>()) {}
@@ -73,7 +73,7 @@ Drawn::~Drawn() = default;
 Drawn::Drawn(Drawn&&) noexcept = default;
 Drawn& Drawn::operator=(Drawn&&) noexcept = default;
 
-Touched Drawn::put_into(FramePixels& frame) {
+CompositeStats Drawn::composite_into(FramePixels& frame) {
   Impl& d = *impl_;
   return put(d.view, layered(*d.objects, *d.hidden, d.receivers, d.receiver_area, d.view), frame,
              d.look);
@@ -83,8 +83,8 @@ struct Compositor::Impl {
   explicit Impl(int oversampling) : receivers(oversampling) {}
   Result<void> check(const View& view, const FramePixels& frame) const;
   Result<Rect> draw(const View& view);
-  Result<Touched> composite_while_drawing(const View& view, const FramePixels& camera,
-                                          FramePixels& out);
+  Result<CompositeStats> composite_while_drawing(const View& view, const FramePixels& camera,
+                                                 FramePixels& out);
 
   int width = 0, height = 0;
   std::unique_ptr<GlContext> context;  // destroyed last: the names below live in it
@@ -94,8 +94,8 @@ struct Compositor::Impl {
   std::vector<std::optional<GpuRelight>> clips;  // empty where removed
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
-  SharedLayer objects, hidden;
-  LookPlanes look;
+  CommonLayer objects, hidden;
+  SensorPlanes look;
 };
 
 Compositor::Compositor(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -136,9 +136,9 @@ int Compositor::add_object(const prt::BakedObject& object, const Appearance& app
   return impl_->layers->add_object(object, appearance);
 }
 
-void Compositor::set_form(int object, const prt::Mesh& mesh) {
+void Compositor::update_vertices(int object, const prt::Mesh& mesh) {
   impl_->context->make_current();
-  impl_->layers->set_form(object, mesh);
+  impl_->layers->update_vertices(object, mesh);
 }
 
 void Compositor::set_pose(int object, const Pose& world_from_bake) {
@@ -182,8 +182,8 @@ void Compositor::set_real_shadow(const shadows::PlanarShadow& shadow) {
   impl_->receivers.set_real_shadow(shadow);
 }
 
-void Compositor::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
-  impl_->receivers.set_disc_shadows(discs);
+void Compositor::set_shadow_maps(std::span<const ShadowMapOnPlane> lights) {
+  impl_->receivers.set_shadow_maps(lights);
 }
 
 void Compositor::add_plane(const glm::dvec3& point, const glm::dvec3& normal) {
@@ -231,30 +231,30 @@ Result<Rect> Compositor::Impl::draw(const View& view) {
 }
 
 // Without a GPU drawing begins on one core alone: another one copies the frame and composites what no layer reaches.
-Result<Touched> Compositor::Impl::composite_while_drawing(const View& view,
-                                                          const FramePixels& camera,
-                                                          FramePixels& out) {
+Result<CompositeStats> Compositor::Impl::composite_while_drawing(const View& view,
+                                                                 const FramePixels& camera,
+                                                                 FramePixels& out) {
   context->make_current();
   const Rect area = receivers.prepare(view.camera);
   const Layer room{layers->reach_of_objects(view.camera), {}}, nothing;
   std::size_t beside = 0;
-  Aside aside;
+  BackgroundTask aside;
   aside.run([&] {
     begin_with(camera, out);
-    beside =
-        composite_share(Share::kBeside, view, out, layered(room, nothing, receivers, area, view));
+    beside = composite_fraction(FrameRegion::kBeside, view, out,
+                                layered(room, nothing, receivers, area, view));
   });
   const Result<void> drawn = layers->draw(view, area, objects, hidden);
   aside.wait();
   PENUMBRA_TRY(drawn);
   assert(objects.now->rect == room.rect);
-  return touched(beside + composite_share(Share::kObjects, view, out,
-                                          layered(*objects.now, nothing, receivers, area, view)),
+  return touched(beside + composite_fraction(FrameRegion::kObjects, view, out,
+                                             layered(*objects.now, nothing, receivers, area, view)),
                  out);
 }
 
-Result<Touched> Compositor::composite(const View& view, const FramePixels& camera,
-                                      FramePixels& out) {
+Result<CompositeStats> Compositor::composite(const View& view, const FramePixels& camera,
+                                             FramePixels& out) {
   Impl& i = *impl_;
   PENUMBRA_TRY(i.check(view, camera));
   if (view.look.none() && !i.layers->has_occluders())

@@ -14,6 +14,11 @@
 #include <string>
 #include <vector>
 
+#include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
+#include "core/image.h"
+#include "core/pose.h"
+#include "core/result.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/sequence.h"
@@ -21,12 +26,7 @@
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/receiver.h"
 #include "shadows/field/planar_shadow.h"
-#include "shadows/silhouette/disc_shadow.h"
-#include "calib/camera/code_curve.h"
-#include "core/image.h"
-#include "core/pose.h"
-#include "core/result.h"
-#include "calib/camera/vignetting.h"
+#include "shadows/silhouette/shadow_map.h"
 
 namespace penumbra::compositor {
 
@@ -35,7 +35,7 @@ namespace penumbra::compositor {
 /// not blurred again; a shadowed one gets what its noise lacks to that of a really darker one. By
 /// default nothing happens.
 /// source: Klein & Murray 2010; noise Hasinoff et al. 2010
-struct CameraLook {
+struct SensorEffects {
   static constexpr float kLargestPsfSigma = 20;
 
   float psf_sigma_px = 0;   // 0..kLargestPsfSigma; the pixel grid keeps edges too sharp under .6
@@ -50,9 +50,9 @@ struct CameraLook {
 /// One eye of one frame.
 struct View {
   prt::PinholeView camera;
-  const CodeCurve* curve = nullptr;  // of 8 or 16 bit as the frame; unused for float frames
-  float signal_per_radiance = 1;     // sensor signal (fraction of full scale) per unit of radiance
-  CameraLook look{};
+  const ResponseTable* curve = nullptr;  // of 8 or 16 bit as the frame; unused for float frames
+  float signal_per_radiance = 1;  // sensor signal (fraction of full scale) per unit of radiance
+  SensorEffects look{};
   Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
   /// What the largest code stands for, in signal, where a shadow falls on it or an object's edge lies over it: what the code says, or
   /// more where it is known that the surface is brighter. Not for float frames.
@@ -75,18 +75,18 @@ struct Appearance {
   std::span<const prt::SurfaceLayout::Texel> texels{};
 };
 
-struct Touched {
+struct CompositeStats {
   std::size_t pixels = 0;  // written
   double fraction = 0;     // of the frame
 };
 
-/// A disc's shadow and what it is a part of.
-struct DiscShadowOnPlane {
-  const shadows::DiscShadow* shadow;
-  Rgb share;  // E_disc/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
-  /// What real things take of the same disc further around (its `taken`), one map for all shadows of the disc on that plane;
+/// A light's shadow and what it is a part of.
+struct ShadowMapOnPlane {
+  const shadows::ShadowMap* shadow;
+  Rgb part;  // E_light/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
+  /// What real things take of the same light further around (its `taken`), one map for all shadows of the light on that plane;
   /// null without real things.
-  const shadows::DiscShadow* real = nullptr;
+  const shadows::ShadowMap* real = nullptr;
 };
 
 /// A view that has been drawn, with all that compositing it takes.
@@ -100,7 +100,7 @@ class Drawn {
 
   /// The second step of Compositor::composite.
   /// in: frame of the size and kind that draw() was told
-  Touched put_into(FramePixels& frame);
+  CompositeStats composite_into(FramePixels& frame);
 
  private:
   friend class Compositor;
@@ -123,7 +123,7 @@ class Compositor {
   /// Uploads geometry once; the number names the object from then on.
   int add_object(const prt::BakedObject& object, const Appearance& appearance = {});
   /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of them are drawn.
-  void set_form(int object, const prt::Mesh& mesh);
+  void update_vertices(int object, const prt::Mesh& mesh);
   /// Rigid placement of the bake frame in the world.
   void set_pose(int object, const Pose& world_from_bake);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
@@ -137,12 +137,12 @@ class Compositor {
   /// errors: kUnavailable (GL)
   Result<void> relight(int clip, double frame, const RadianceSh& light,
                        std::span<const glm::mat3> turns, std::span<float> out);
-  /// A plane that real things shade: its grid and place, once, and what they take of the light beside the discs. The picture
+  /// A plane that real things shade: its grid and place, once, and what they take of the light beside the lights. The picture
   /// shows that already; what virtual things take is taken from what is left.
   void add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid);
   void set_real_shadow(const shadows::PlanarShadow& shadow);
-  /// The discs' shadows on real planes, all at once; none after creation. Copies the maps.
-  void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
+  /// The lights' shadows on real planes, all at once; none after creation. Copies the maps.
+  void set_shadow_maps(std::span<const ShadowMapOnPlane> lights);
   /// Real geometry (world frame): hides objects and shadows behind it.
   /// The number names it for set_ratios.
   int add_occluder(const prt::Mesh& world_mesh);
@@ -160,8 +160,8 @@ class Compositor {
   /// errors: kInvalid (size, missing curve, depth, look; `out` is left alone), kUnavailable (GL lost; `out` may have
   /// its shadows already)
   /// source: Debevec 1998 in the ratio form
-  Result<Touched> composite(const View& view, const FramePixels& camera, FramePixels& out);
-  Result<Touched> composite(const View& view, FramePixels& frame) {
+  Result<CompositeStats> composite(const View& view, const FramePixels& camera, FramePixels& out);
+  Result<CompositeStats> composite(const View& view, FramePixels& frame) {
     return composite(view, frame, frame);
   }
   /// composite() in two steps, the second on any thread while this one goes on. What view.curve points to must stay until

@@ -9,8 +9,8 @@
 #include <optional>
 #include <utility>
 
-#include "core/parallel.h"
 #include "core/half.h"
+#include "core/parallel.h"
 
 namespace penumbra::compositor {
 
@@ -46,26 +46,26 @@ std::vector<std::uint32_t> parts_of(const prt::Mesh& mesh, std::vector<std::uint
   return part;
 }
 
-struct Part {
+struct MeshPart {
   prt::Bounds bounds;
   Rgb albedo;  // of its first vertex
 };
 
 bool may_meet(const prt::Mesh& mesh, std::span<const std::uint32_t> place) {
-  constexpr std::size_t kMost = 256;  // parts; more are not looked at pair by pair
+  constexpr std::size_t kMax = 256;  // parts; more are not looked at pair by pair
   const std::vector<std::uint32_t> part_of = parts_of(mesh, {place.begin(), place.end()});
-  std::map<std::uint32_t, Part> parts;
+  std::map<std::uint32_t, MeshPart> parts;
   for (const auto& t : mesh.triangles)
     for (const std::uint32_t v : t) {
       const glm::vec3& p = mesh.positions[v];
       prt::Bounds& b =
-          parts.try_emplace(part_of[v], Part{{p, p}, mesh.albedo[v]}).first->second.bounds;
+          parts.try_emplace(part_of[v], MeshPart{{p, p}, mesh.albedo[v]}).first->second.bounds;
       b = {glm::min(b.low, p), glm::max(b.high, p)};
     }
-  if (parts.size() > kMost) return true;
+  if (parts.size() > kMax) return true;
   for (auto a = parts.begin(); a != parts.end(); ++a)
     for (auto b = parts.begin(); b != a; ++b) {
-      const Part &p = a->second, &q = b->second;
+      const MeshPart &p = a->second, &q = b->second;
       if (!(p.albedo == q.albedo) && glm::all(glm::lessThan(p.bounds.low, q.bounds.high)) &&
           glm::all(glm::lessThan(q.bounds.low, p.bounds.high)))
         return true;
@@ -79,10 +79,10 @@ Contour::Contour(const prt::Mesh& mesh)
     : place_(prt::places_of(mesh.positions)),
       rim_(mesh.positions.size(), 0),
       first_(mesh.positions.size()) {
-  constexpr std::size_t kMostRims = 100'000;  // both ways
+  constexpr std::size_t kMaxRims = 100'000;  // both ways
   const std::vector<Step> rims = rims_of(mesh);
   for (const auto& [a, b] : rims) rim_[place_[a]] = rim_[place_[b]] = kBoth;
-  serves_ = rims.size() <= kMostRims && !may_meet(mesh, place_);
+  serves_ = rims.size() <= kMaxRims && !may_meet(mesh, place_);
 }
 
 void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
@@ -104,7 +104,7 @@ void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& cl
 void Contour::meet(std::uint32_t from, std::uint32_t to, bool front) {
   std::int32_t& first = first_[std::min(place_[from], place_[to])];
   for (std::int32_t i = first; i != kNone; i = edges_[static_cast<std::size_t>(i)].next) {
-    Edge& e = edges_[static_cast<std::size_t>(i)];
+    ContourEdge& e = edges_[static_cast<std::size_t>(i)];
     if (e.from != to || e.to != from || e.front != front || e.inner) continue;
     e.inner = true;
     return;
@@ -114,13 +114,13 @@ void Contour::meet(std::uint32_t from, std::uint32_t to, bool front) {
 }
 
 // False where a triangle reaches behind the camera.
-bool Contour::see_facings(std::span<const Triangle> triangles) {
+bool Contour::see_facings(std::span<const ContourTriangle> triangles) {
   // Seen so nearly from its side a triangle may have either facing for GL, which snaps corners to a part of a pixel.
   constexpr float kSliver_px2 = 1.f / 256;  // twice its area
   constexpr float kNearest = 1 / static_cast<float>(kNearPlane);
   around_ = rim_;
   facing_.clear();
-  for (const Triangle& t : triangles) {
+  for (const ContourTriangle& t : triangles) {
     const glm::vec3 &a = projected_[t[0]], &b = projected_[t[1]], &c = projected_[t[2]];
     const auto before_camera = [](const glm::vec3& p) { return p.z > 0 && p.z <= kNearest; };
     if (!before_camera(a) || !before_camera(b) || !before_camera(c)) return false;
@@ -131,9 +131,9 @@ bool Contour::see_facings(std::span<const Triangle> triangles) {
   return true;
 }
 
-bool Contour::find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
+bool Contour::find(std::span<const glm::vec3> positions, std::span<const ContourTriangle> triangles,
                    bool fronts_only, const glm::dmat4& clip_from_object, int frame_width,
-                   int frame_height, std::vector<Line>& out) {
+                   int frame_height, std::vector<ContourLine>& out) {
   seen_.clear();
   project(positions, clip_from_object, frame_width, frame_height);
   if (!see_facings(triangles)) return false;
@@ -142,20 +142,20 @@ bool Contour::find(std::span<const glm::vec3> positions, std::span<const Triangl
   for (std::size_t i = 0; i < triangles.size(); ++i) {
     const bool front = facing_[i] == kFront;
     if (fronts_only && !front) continue;
-    const Triangle& t = triangles[i];
+    const ContourTriangle& t = triangles[i];
     seen_.push_back(t);
     for (std::size_t k = 0; k < 3; ++k) {
       const std::uint32_t from = t[front ? k : (k + 1) % 3], to = t[front ? (k + 1) % 3 : k];
       if (around_[place_[from]] == kBoth && around_[place_[to]] == kBoth) meet(from, to, front);
     }
   }
-  for (const Edge& e : edges_)
+  for (const ContourEdge& e : edges_)
     if (!e.inner) out.push_back({glm::vec2(projected_[e.from]), glm::vec2(projected_[e.to])});
   return true;
 }
 
 // Along the axis where the line is longer: one gap for each middle that it passes.
-void ContourSmoother::collect(const Line& line, const Rect& rect) {
+void ContourSmoother::collect(const ContourLine& line, const Rect& rect) {
   const glm::vec2 d = line.to - line.from;
   const bool steep = std::abs(d.y) > std::abs(d.x);
   const int along = steep ? 1 : 0, across = 1 - along;
@@ -183,12 +183,12 @@ void ContourSmoother::collect(const Line& line, const Rect& rect) {
   }
 }
 
-void ContourSmoother::decide(std::span<const Crossing> gap, const Layer& layer) {
+void ContourSmoother::decide(std::span<const GapCrossing> gap, const Layer& layer) {
   const std::size_t before = 4 * static_cast<std::size_t>(gap[0].gap / 2);
   const bool down = gap[0].gap % 2 == 1;
   const std::size_t after = before + 4 * (down ? static_cast<std::size_t>(layer.rect.width()) : 1);
   std::optional<float> ends, begins;
-  for (const Crossing& c : gap) {
+  for (const GapCrossing& c : gap) {
     if (c.surface_before)
       ends = std::max(ends.value_or(0), c.at);
     else
@@ -202,18 +202,18 @@ void ContourSmoother::decide(std::span<const Crossing> gap, const Layer& layer) 
   }
   const float at = ends && (covered_before || !begins) ? *ends : *begins;
   const bool first_is_cut = at < .5f;
-  Share s{first_is_cut ? before : after, std::abs(at - .5f), {}};
+  PixelCoverage s{first_is_cut ? before : after, std::abs(at - .5f), {}};
   std::copy_n(&layer.halves[first_is_cut ? after : before], 4, s.neighbour.begin());
-  shares_.push_back(s);
+  fractions_.push_back(s);
 }
 
-bool ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
+bool ContourSmoother::smooth(std::span<const ContourLine> lines, Layer& layer) {
   constexpr std::size_t kMissedOf = 50;
   crossings_.clear();
-  shares_.clear();
+  fractions_.clear();
   at_background_ = missed_ = 0;
-  for (const Line& line : lines) collect(line, layer.rect);
-  std::ranges::sort(crossings_, {}, &Crossing::gap);
+  for (const ContourLine& line : lines) collect(line, layer.rect);
+  std::ranges::sort(crossings_, {}, &GapCrossing::gap);
   for (auto i = crossings_.begin(); i != crossings_.end();) {
     const auto end =
         std::find_if(i, crossings_.end(), [&](const auto& c) { return c.gap != i->gap; });
@@ -221,7 +221,7 @@ bool ContourSmoother::smooth(std::span<const Line> lines, Layer& layer) {
     i = end;
   }
   if (kMissedOf * missed_ > at_background_) return false;
-  for (const Share& s : shares_)
+  for (const PixelCoverage& s : fractions_)
     for (std::size_t c = 0; c < 4; ++c) {
       std::uint16_t& half = layer.halves[s.pixel + c];
       const float own = float_from_half(half);

@@ -13,16 +13,16 @@ namespace penumbra::compositor {
 namespace {
 
 constexpr float kColourTolerance = .02f, kSteepest = .25f;
-constexpr int kMostRounds = 8;
-constexpr double kLeastGain = .05;   // of the triangles; a round that takes fewer away is the last
-constexpr float kLeastCosine = .9f;  // between a triangle before and after
+constexpr int kMaxRounds = 8;
+constexpr double kMinGain = .05;   // of the triangles; a round that takes fewer away is the last
+constexpr float kMinCosine = .9f;  // between a triangle before and after
 
-using Triangle = DrawList::Triangle;
+using DrawTriangle = DrawList::DrawTriangle;
 
 // Six times the volume that the triangles enclose; negative when they face inwards.
 double signed_volume(const prt::Mesh& mesh) {
   double sum = 0;
-  for (const Triangle& t : mesh.triangles)
+  for (const DrawTriangle& t : mesh.triangles)
     sum += glm::dot(glm::dvec3(mesh.positions[t[0]]),
                     glm::cross(glm::dvec3(mesh.positions[t[1]]), glm::dvec3(mesh.positions[t[2]])));
   return sum;
@@ -32,7 +32,7 @@ bool every_edge_is_shared(const prt::Mesh& mesh) {
   // Creases split a vertex in two; the place is what counts.
   const std::vector<std::uint32_t> place = prt::places_of(mesh.positions);
   std::vector<std::pair<std::uint32_t, std::uint32_t>> edges, reversed;
-  for (const Triangle& t : mesh.triangles)
+  for (const DrawTriangle& t : mesh.triangles)
     for (std::size_t i = 0; i < 3; ++i) {
       const std::uint32_t a = place[t[i]], b = place[t[(i + 1) % 3]];
       if (a == b) continue;
@@ -44,16 +44,16 @@ bool every_edge_is_shared(const prt::Mesh& mesh) {
   return edges == reversed;
 }
 
-bool has(const Triangle& t, std::uint32_t v) {
+bool has(const DrawTriangle& t, std::uint32_t v) {
   return t[0] == v || t[1] == v || t[2] == v;
 }
 
-glm::vec3 area_normal(const prt::Mesh& mesh, const Triangle& t) {
+glm::vec3 area_normal(const prt::Mesh& mesh, const DrawTriangle& t) {
   const glm::vec3 &a = mesh.positions[t[0]], &b = mesh.positions[t[1]], &c = mesh.positions[t[2]];
   return glm::cross(b - a, c - a);
 }
 
-float longest_edge(const prt::Mesh& mesh, const Triangle& t) {
+float longest_edge(const prt::Mesh& mesh, const DrawTriangle& t) {
   const glm::vec3 &a = mesh.positions[t[0]], &b = mesh.positions[t[1]], &c = mesh.positions[t[2]];
   return std::max({glm::distance(a, b), glm::distance(b, c), glm::distance(c, a)});
 }
@@ -72,17 +72,16 @@ class DrawList::Finder {
         moved_(mesh.positions.size(), 0.f) {}
 
   void run() {
-    for (int round = 0; round < kMostRounds; ++round) {
+    for (int round = 0; round < kMaxRounds; ++round) {
       const std::size_t before = triangles_.size();
       collapse_round();
-      if (static_cast<double>(before - triangles_.size()) <
-          kLeastGain * static_cast<double>(before))
+      if (static_cast<double>(before - triangles_.size()) < kMinGain * static_cast<double>(before))
         return;
     }
   }
 
  private:
-  struct Candidate {
+  struct CollapseCandidate {
     Collapse collapse;
     float moved, longest;
   };
@@ -94,13 +93,13 @@ class DrawList::Finder {
     std::iota(into_.begin(), into_.end(), 0u);
     for (std::uint32_t v = 0; v < mesh_.positions.size(); ++v) {
       if (busy_[v] || fan(v).empty() || !find_ring(v)) continue;
-      std::optional<Candidate> best;
+      std::optional<CollapseCandidate> best;
       for (const std::uint32_t into : ring_)
         if (auto c = candidate(v, into); c && (!best || c->longest < best->longest)) best = c;
       if (best) take(*best);
     }
-    std::vector<Triangle> kept;
-    for (Triangle t : triangles_) {
+    std::vector<DrawTriangle> kept;
+    for (DrawTriangle t : triangles_) {
       for (std::uint32_t& v : t) v = into_[v];
       if (t[0] != t[1] && t[1] != t[2] && t[2] != t[0]) kept.push_back(t);
     }
@@ -109,7 +108,7 @@ class DrawList::Finder {
 
   void list_fans() {
     fan_begin_.assign(mesh_.positions.size() + 1, 0);
-    for (const Triangle& t : triangles_)
+    for (const DrawTriangle& t : triangles_)
       for (const std::uint32_t v : t) ++fan_begin_[v + 1];
     std::partial_sum(fan_begin_.begin(), fan_begin_.end(), fan_begin_.begin());
     fans_.resize(triangles_.size() * 3);
@@ -148,12 +147,12 @@ class DrawList::Finder {
     return std::ranges::count_if(ring_, [&](auto u) { return around.contains(u); }) == 2;
   }
 
-  std::optional<Candidate> candidate(std::uint32_t v, std::uint32_t into) const {
-    Candidate c{{v, into, {}, {}, 0, 0}, HUGE_VALF, 0};
+  std::optional<CollapseCandidate> candidate(std::uint32_t v, std::uint32_t into) const {
+    CollapseCandidate c{{v, into, {}, {}, 0, 0}, HUGE_VALF, 0};
     for (const std::uint32_t i : fan(v)) {
-      const Triangle& before = triangles_[i];
+      const DrawTriangle& before = triangles_[i];
       if (has(before, into)) continue;
-      Triangle after = before;
+      DrawTriangle after = before;
       std::ranges::replace(after, v, into);
       if (!faces_alike(mesh_, before, after)) return {};
       const glm::vec3 n1 = area_normal(mesh_, after);
@@ -171,7 +170,7 @@ class DrawList::Finder {
     if (!(c.moved <= tolerance_) || !joins_cleanly(v, into)) return {};
     for (const prt::Mesh& form : forms_)
       for (const std::uint32_t i : fan(v)) {
-        Triangle after = triangles_[i];
+        DrawTriangle after = triangles_[i];
         if (has(after, into)) continue;
         std::ranges::replace(after, v, into);
         if (!faces_alike(form, triangles_[i], after)) return {};
@@ -179,10 +178,11 @@ class DrawList::Finder {
     return c;
   }
 
-  static bool faces_alike(const prt::Mesh& mesh, const Triangle& before, const Triangle& after) {
+  static bool faces_alike(const prt::Mesh& mesh, const DrawTriangle& before,
+                          const DrawTriangle& after) {
     const glm::vec3 n0 = area_normal(mesh, before), n1 = area_normal(mesh, after);
     const float l0 = glm::length(n0), l1 = glm::length(n1);
-    return l0 > 0 && l1 > 0 && glm::dot(n0, n1) >= kLeastCosine * l0 * l1;
+    return l0 > 0 && l1 > 0 && glm::dot(n0, n1) >= kMinCosine * l0 * l1;
   }
 
   static float moved_in(const prt::Mesh& form, const Collapse& c) {
@@ -193,7 +193,7 @@ class DrawList::Finder {
   }
 
   // Keeps the triangle over the vertex: where its projection has no negative weight.
-  void settle(Candidate& c, const Triangle& t, const glm::vec3& normal_by_area) const {
+  void settle(CollapseCandidate& c, const DrawTriangle& t, const glm::vec3& normal_by_area) const {
     const glm::vec3 &p = mesh_.positions[c.collapse.vertex], &a = mesh_.positions[t[0]],
                     &b = mesh_.positions[t[1]], &d = mesh_.positions[t[2]];
     glm::vec3 w(glm::dot(glm::cross(b - p, d - p), normal_by_area),
@@ -208,7 +208,7 @@ class DrawList::Finder {
     c.collapse.weights = w;
   }
 
-  void take(Candidate& c) {
+  void take(CollapseCandidate& c) {
     c.collapse.ring_begin = static_cast<std::uint32_t>(out_.rings_.size());
     out_.rings_.insert(out_.rings_.end(), ring_.begin(), ring_.end());
     c.collapse.ring_end = static_cast<std::uint32_t>(out_.rings_.size());
@@ -224,7 +224,7 @@ class DrawList::Finder {
   const std::span<const prt::Mesh> forms_;
   const float tolerance_;
   DrawList& out_;
-  std::vector<Triangle> triangles_;
+  std::vector<DrawTriangle> triangles_;
   std::vector<float> moved_;  // what earlier rounds moved around each vertex
   std::vector<std::uint32_t> fan_begin_, fans_, ring_, ends_, into_;
   std::vector<char> busy_;
@@ -257,7 +257,7 @@ bool DrawList::keeps_colour(const Collapse& c, std::span<const Rgb> colours, flo
   });
 }
 
-std::span<const Triangle> DrawList::select(std::span<const Rgb> colours) {
+std::span<const DrawTriangle> DrawList::select(std::span<const Rgb> colours) {
   double sum = 0;
   for (const Rgb& c : colours) sum += c.r + c.g + c.b;
   const float floor = .25f * static_cast<float>(sum / (3. * static_cast<double>(colours.size())));
@@ -274,8 +274,8 @@ std::span<const Triangle> DrawList::select(std::span<const Rgb> colours) {
   for (auto c = collapses_.rbegin(); c != collapses_.rend(); ++c)
     stands_for_[c->vertex] = stands_for_[stands_for_[c->vertex]];
   selected_.clear();
-  for (const Triangle& t : triangles_) {
-    const Triangle s{stands_for_[t[0]], stands_for_[t[1]], stands_for_[t[2]]};
+  for (const DrawTriangle& t : triangles_) {
+    const DrawTriangle s{stands_for_[t[0]], stands_for_[t[1]], stands_for_[t[2]]};
     if (s[0] != s[1] && s[1] != s[2] && s[2] != s[0]) selected_.push_back(s);
   }
   return selected_;

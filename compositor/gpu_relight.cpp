@@ -58,8 +58,8 @@ Result<GpuRelight> GpuRelight::create(const prt::TransferSequence& sequence) {
                             largest >> 20));
   auto program = make_compute_program(kRelight);
   if (!program) return std::unexpected(program.error());
-  constexpr std::size_t kMostPoints = 65535 / 2 * kBlocksInGroup * prt::TransferSequence::kLanes;
-  if (sequence.points() > kMostPoints)
+  constexpr std::size_t kMaxPoints = 65535 / 2 * kBlocksInGroup * prt::TransferSequence::kLanes;
+  if (sequence.points() > kMaxPoints)
     return fail(ErrorCode::kUnavailable, "GL", "a clip has more points than one dispatch takes");
   forget_errors();
   GpuRelight out(sequence, std::move(*program));
@@ -73,7 +73,7 @@ Result<void> GpuRelight::relight(double frame, const RadianceSh& light,
                                  std::span<const glm::mat3> turns, std::span<float> out) {
   sequence_->plan(frame, light, turns, plan_);
   todo_.clear();
-  for (const prt::RelightPlan::Part& part : plan_.parts)
+  for (const prt::RelightPlan::RelightPart& part : plan_.parts)
     for (std::uint32_t i = 0; i < part.point_count; i += prt::TransferSequence::kLanes)
       todo_.push_back({part.first_term, part.first_term + part.term_count, i / 2, 0});
   todo_.resize((todo_.size() + kBlocksInGroup - 1) / kBlocksInGroup * kBlocksInGroup);
@@ -82,7 +82,7 @@ Result<void> GpuRelight::relight(double frame, const RadianceSh& light,
   const std::size_t sums = todo_.size() * prt::TransferSequence::kLanes;
   fill(terms_.get(), plan_.terms.data(), plan_.terms.size() * sizeof(prt::RelightPlan::Term),
        GL_STREAM_DRAW);
-  fill(blocks_.get(), todo_.data(), todo_.size() * sizeof(Block), GL_STREAM_DRAW);
+  fill(blocks_.get(), todo_.data(), todo_.size() * sizeof(GpuBlock), GL_STREAM_DRAW);
   fill(sums_.get(), nullptr, sums * 4 * sizeof(float), GL_STREAM_READ);
   const GLuint buffers[] = {values_.get(), terms_.get(), blocks_.get(), sums_.get()};
   for (GLuint i = 0; i < 4; ++i) glBindBufferBase(GL_SHADER_STORAGE_BUFFER, i, buffers[i]);
@@ -95,7 +95,7 @@ Result<void> GpuRelight::relight(double frame, const RadianceSh& light,
   if (!lit) return fail(ErrorCode::kUnavailable, "GL", "relit transfer can't be read back");
   const std::span<const std::uint32_t> order = sequence_->order();
   const std::size_t stride = sequence_->stride();
-  for (const prt::RelightPlan::Part& part : plan_.parts) {
+  for (const prt::RelightPlan::RelightPart& part : plan_.parts) {
     for (std::uint32_t i = 0; i < part.point_count; ++i)
       for (std::size_t c = 0; c < 3; ++c)
         out[c * stride + order[part.first_point + i]] = lit[4 * i + c];

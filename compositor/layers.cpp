@@ -86,10 +86,10 @@ void attribute(GLuint location, int components, std::size_t offset_bytes) {
                         reinterpret_cast<const void*>(offset_bytes));
 }
 
-// The surface that is drawn may leave the baked one by this share of the object's radius, while that is less than so
+// The surface that is drawn may leave the baked one by this fraction of the object's radius, while that is less than so
 // many pixels.
 constexpr float kFormTolerance = 1.5e-3f;
-constexpr double kMostMoved_px = .5;
+constexpr double kMaxMoved_px = .5;
 
 // Planes that hide less of an object than this do not, metres.
 constexpr double kTouching = 1e-4;
@@ -156,7 +156,7 @@ Result<Layers> Layers::create(int width, int height, int oversampling) {
 }
 
 // In the object's vertex array.
-void Layers::add_pictures(Object& o, const prt::BakedObject& baked, const Appearance& look) {
+void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked, const Appearance& look) {
   if (!look.texture && look.texels.empty()) return;
   if (look.texture) {
     o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
@@ -207,14 +207,14 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   const bool pictures = appearance.texture || !appearance.texels.empty();
   const float tolerance =
       fine_ || pictures ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
-  Object o{.triangles = {mesh, tolerance, appearance.forms},
-           .changes_form = !appearance.forms.empty(),
-           .albedo = mesh.albedo,
-           .colours = std::vector<Rgb>(mesh.positions.size()),
-           .stride = baked.transfer.stride,
-           .bounds = bounds,
-           .tolerance = tolerance,
-           .area_m2 = area_m2(mesh)};
+  DrawnObject o{.triangles = {mesh, tolerance, appearance.forms},
+                .changes_form = !appearance.forms.empty(),
+                .albedo = mesh.albedo,
+                .colours = std::vector<Rgb>(mesh.positions.size()),
+                .stride = baked.transfer.stride,
+                .bounds = bounds,
+                .tolerance = tolerance,
+                .area_m2 = area_m2(mesh)};
   if (!fine_ && !pictures) {
     o.contour.emplace(mesh);
     o.positions = mesh.positions;
@@ -235,8 +235,8 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   return static_cast<int>(objects_.size()) - 1;
 }
 
-void Layers::set_form(int object, const prt::Mesh& mesh) {
-  Object& o = objects_[static_cast<std::size_t>(object)];
+void Layers::update_vertices(int object, const prt::Mesh& mesh) {
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   o.moves = true;
   o.bounds = bounds_of(mesh);
   if (o.contour) o.positions = mesh.positions;
@@ -252,7 +252,7 @@ void Layers::set_pose(int object, const Pose& world_from_bake) {
   drawn_.reset();
 }
 
-void Layers::fill_indices(Object& o, std::span<const DrawList::Triangle> triangles) {
+void Layers::fill_indices(DrawnObject& o, std::span<const DrawList::DrawTriangle> triangles) {
   o.index_count = static_cast<GLsizei>(triangles.size() * 3);
   o.shown = triangles;
   glBindVertexArray(0);  // whose own buffer would change
@@ -261,7 +261,7 @@ void Layers::fill_indices(Object& o, std::span<const DrawList::Triangle> triangl
 }
 
 void Layers::set_light(int object, std::span<const float> relit) {
-  Object& o = objects_[static_cast<std::size_t>(object)];
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   if (o.light_map) {
     fill_light_map(*o.light_map, relit, o.stride, o.albedo);
     drawn_.reset();
@@ -368,19 +368,19 @@ void Layers::draw_occluders(const glm::dmat4& clip_from_world) {
 void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world) {
   const PushedBack state(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
-  for (const RealPlane& p : planes_) {
+  for (const DrawnPlane& p : planes_) {
     if (std::ranges::none_of(objects_,
-                             [&](const Object& o) { return hidden_m(p, o, eye) > kTouching; }))
+                             [&](const DrawnObject& o) { return hidden_m(p, o, eye) > kTouching; }))
       continue;
     glBindVertexArray(p.quad.geometry.get());
     glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
   }
 }
 
-void Layers::choose_triangles(Object& o, const prt::PinholeView& camera) const {
+void Layers::choose_triangles(DrawnObject& o, const prt::PinholeView& camera) const {
   const double distance = distance_to_box(o, camera.world_from_camera.translation);
   const bool coarse_is_fine = !fine_ && (o.changes_form || !o.moves) && !o.albedo_map &&
-                              o.tolerance * camera.focal_px.x < kMostMoved_px * distance;
+                              o.tolerance * camera.focal_px.x < kMaxMoved_px * distance;
   if (!coarse_is_fine) {
     if (!o.every_triangle) fill_indices(o, o.triangles.all());
     o.every_triangle = true;
@@ -390,7 +390,7 @@ void Layers::choose_triangles(Object& o, const prt::PinholeView& camera) const {
   }
 }
 
-void Layers::bind_pictures(const Object& o, GLuint program) const {
+void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
   glActiveTexture(GL_TEXTURE1);
   glBindTexture(GL_TEXTURE_2D, o.light_map ? o.light_map->texture.get() : white_.get());
   glActiveTexture(GL_TEXTURE0);
@@ -400,7 +400,7 @@ void Layers::bind_pictures(const Object& o, GLuint program) const {
 }
 
 void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone) {
-  for (Object& o : objects_) {
+  for (DrawnObject& o : objects_) {
     const GLuint program = (o.albedo_map ? textured_program_ : object_program_).get();
     glUseProgram(program);
     glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
@@ -426,7 +426,7 @@ Rect Layers::reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bou
 Rect Layers::reach_of_objects(const prt::PinholeView& camera) const {
   const glm::dmat4 clip_from_world = clip_from_world_of(camera);
   Rect out;
-  for (const Object& o : objects_)
+  for (const DrawnObject& o : objects_)
     out = united(out, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
   return out;
 }
@@ -435,7 +435,7 @@ Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& c
                                            Layer& out) {
   out.rect = reach_of_objects(view.camera);
   if (out.rect.empty()) return {};
-  for (Object& o : objects_) choose_triangles(o, view.camera);
+  for (DrawnObject& o : objects_) choose_triangles(o, view.camera);
   if (one_sample_does(view.camera, clip_from_world) &&
       find_contours(view.camera, clip_from_world)) {
     PENUMBRA_TRY(draw_on(plain_canvas_, view, clip_from_world, out));
@@ -456,8 +456,8 @@ Result<void> Layers::draw_on(Canvas& canvas, const View& view, const glm::dmat4&
   return {};
 }
 
-Result<void> Layers::draw(const View& view, const Rect& receiver_area, SharedLayer& objects_layer,
-                          SharedLayer& hidden_layer) {
+Result<void> Layers::draw(const View& view, const Rect& receiver_area, CommonLayer& objects_layer,
+                          CommonLayer& hidden_layer) {
   // A camera on a tripod before unchanged objects in unchanged light: the layers still hold.
   if (drawn_ && drawn_->view.camera == view.camera && drawn_->receiver_area == receiver_area &&
       drawn_->view.signal_per_radiance == view.signal_per_radiance)
@@ -476,7 +476,7 @@ Result<void> Layers::draw(const View& view, const Rect& receiver_area, SharedLay
   }
   if (const GLenum error = glGetError(); error != GL_NO_ERROR)
     return fail(ErrorCode::kUnavailable, "GL", fmt::format("error 0x{:04x} while drawing", error));
-  drawn_ = Drawn{view, receiver_area};
+  drawn_ = DrawnLayers{view, receiver_area};
   return {};
 }
 

@@ -3,55 +3,55 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/vector_relational.hpp>
 
+#include "compositor/internal/layers.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
-#include "compositor/internal/layers.h"
 
 namespace penumbra::compositor {
 
 namespace {
 
 // Of all triangles in the mean, as they are seen, whatever the light: rougher surfaces need the samples.
-constexpr double kLeastTriangle_px2 = .35;
+constexpr double kMinTriangle_px2 = .35;
 // What is hidden by a plane may end there without a smooth edge.
-constexpr double kMostHidden_px = .5;
+constexpr double kMaxHidden_px = .5;
 
-struct Box {
+struct OrientedBox {
   glm::dvec3 centre, half;
 };
-Box around(const prt::Bounds& bounds, const Pose& world_from_bounds) {
+OrientedBox around(const prt::Bounds& bounds, const Pose& world_from_bounds) {
   const glm::dmat3 turn = glm::mat3_cast(world_from_bounds.rotation);
   const glm::dvec3 half = .5 * glm::dvec3(bounds.high - bounds.low);
   return {world_from_bounds * glm::dvec3(bounds.centre()),
           glm::abs(turn[0]) * half.x + glm::abs(turn[1]) * half.y + glm::abs(turn[2]) * half.z};
 }
 
-bool meet(const Box& a, const Box& b) {
+bool meet(const OrientedBox& a, const OrientedBox& b) {
   return glm::all(glm::lessThan(glm::abs(a.centre - b.centre), a.half + b.half));
 }
 
 }  // namespace
 
 // From the eye to the nearest point of the object's box, metres; 0 within.
-double Layers::distance_to_box(const Object& o, const glm::dvec3& eye) {
+double Layers::distance_to_box(const DrawnObject& o, const glm::dvec3& eye) {
   const glm::dvec3 there = o.world_from_bake.inverse() * eye;
   return glm::distance(there,
                        glm::clamp(there, glm::dvec3(o.bounds.low), glm::dvec3(o.bounds.high)));
 }
 
 // The black back of a closed surface shows only from within.
-bool Layers::fronts_only(const Object& o, const glm::dvec3& eye) {
+bool Layers::fronts_only(const DrawnObject& o, const glm::dvec3& eye) {
   return o.triangles.closed() && distance_to_box(o, eye) > kNearPlane;
 }
 
-bool Layers::in_view(const Object& o, const glm::dmat4& clip_from_world) const {
+bool Layers::in_view(const DrawnObject& o, const glm::dmat4& clip_from_world) const {
   return !reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds).empty();
 }
 
 // Seen from behind a plane hides nothing, as in Receivers.
-double Layers::hidden_m(const RealPlane& plane, const Object& o, const glm::dvec3& eye) {
+double Layers::hidden_m(const DrawnPlane& plane, const DrawnObject& o, const glm::dvec3& eye) {
   if (glm::dot(plane.normal, eye - plane.point) <= 0) return 0;
-  const Box box = around(o.bounds, o.world_from_bake);
+  const OrientedBox box = around(o.bounds, o.world_from_bake);
   const glm::dvec3 n = glm::inverse(o.world_from_bake.rotation) * plane.normal;
   const double reach = glm::dot(glm::abs(n), .5 * glm::dvec3(o.bounds.high - o.bounds.low));
   return reach - glm::dot(plane.normal, box.centre - plane.point);
@@ -64,8 +64,8 @@ bool Layers::one_sample_does(const prt::PinholeView& camera,
   for (auto o = objects_.begin(); o != objects_.end(); ++o) {
     if (!in_view(*o, clip_from_world)) continue;
     if (!one_sample_does(*o, camera)) return false;
-    const Box box = around(o->bounds, o->world_from_bake);
-    if (std::any_of(objects_.begin(), o, [&](const Object& other) {
+    const OrientedBox box = around(o->bounds, o->world_from_bake);
+    if (std::any_of(objects_.begin(), o, [&](const DrawnObject& other) {
           return in_view(other, clip_from_world) &&
                  meet(box, around(other.bounds, other.world_from_bake));
         }))
@@ -74,18 +74,17 @@ bool Layers::one_sample_does(const prt::PinholeView& camera,
   return true;
 }
 
-bool Layers::one_sample_does(const Object& o, const prt::PinholeView& camera) const {
+bool Layers::one_sample_does(const DrawnObject& o, const prt::PinholeView& camera) const {
   if (!o.contour || !o.contour->serves()) return false;
   const glm::dvec3& eye = camera.world_from_camera.translation;
   const double px_per_metre =
       camera.focal_px.x / glm::distance(eye, o.world_from_bake * glm::dvec3(o.bounds.centre()));
   // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
   const double triangle_m2 = .5 * o.area_m2 / static_cast<double>(o.triangles.all().size());
-  if (triangle_m2 * px_per_metre * px_per_metre < kLeastTriangle_px2) return false;
-  const double most_px_per_metre =
-      camera.focal_px.x / std::max(distance_to_box(o, eye), kNearPlane);
-  return std::ranges::all_of(planes_, [&](const RealPlane& p) {
-    return hidden_m(p, o, eye) * most_px_per_metre < kMostHidden_px;
+  if (triangle_m2 * px_per_metre * px_per_metre < kMinTriangle_px2) return false;
+  const double max_px_per_metre = camera.focal_px.x / std::max(distance_to_box(o, eye), kNearPlane);
+  return std::ranges::all_of(planes_, [&](const DrawnPlane& p) {
+    return hidden_m(p, o, eye) * max_px_per_metre < kMaxHidden_px;
   });
 }
 
@@ -94,7 +93,7 @@ bool Layers::one_sample_does(const Object& o, const prt::PinholeView& camera) co
 bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) {
   lines_.clear();
   glBindVertexArray(0);
-  for (Object& o : objects_) {
+  for (DrawnObject& o : objects_) {
     o.seen_count = 0;
     if (!in_view(o, clip_from_world)) continue;
     if (!o.contour->find(o.positions, o.shown, fronts_only(o, camera.world_from_camera.translation),

@@ -30,8 +30,9 @@ std::size_t composite_part(const Codec& codec, const float* object, const float*
 }
 
 // Eight bits are what cameras deliver live: in vectors.
-std::size_t composite_part(const Coded<std::uint8_t>& codec, const float* object, const float* r,
-                           const float* g, const float* b, Rgb8* pixels, std::size_t count) {
+std::size_t composite_part(const CodedPixels<std::uint8_t>& codec, const float* object,
+                           const float* r, const float* g, const float* b, Rgb8* pixels,
+                           std::size_t count) {
   return composite_codes(codec.curve, codec.clipped, object, r, g, b, pixels, count);
 }
 
@@ -67,9 +68,9 @@ std::size_t composite_objects(const Codec& codec, Pixel* row, int y, const Layer
 }
 
 template <class Pixel, class Codec>
-std::size_t composite_rows(Share share, const Codec& codec, Image<Pixel>& frame,
+std::size_t composite_rows(FrameRegion fraction, const Codec& codec, Image<Pixel>& frame,
                            const Layered& in) {
-  const Rect& area = share == Share::kBeside ? in.area : in.objects.rect;
+  const Rect& area = fraction == FrameRegion::kBeside ? in.area : in.objects.rect;
   std::atomic<std::size_t> touched = 0;
   parallel_for(area.y0, area.y1, 8, [&](const auto& range) {
     thread_local RowBuffers rows;  // grow once per thread
@@ -77,8 +78,8 @@ std::size_t composite_rows(Share share, const Codec& codec, Image<Pixel>& frame,
     std::size_t count = 0;
     for (int y = range.begin(); y < range.end(); ++y) {
       Pixel* const row = frame.row(y).data();
-      count += share == Share::kBeside ? composite_beside(codec, row, y, in, rows)
-                                       : composite_objects(codec, row, y, in, rows);
+      count += fraction == FrameRegion::kBeside ? composite_beside(codec, row, y, in, rows)
+                                                : composite_objects(codec, row, y, in, rows);
     }
     touched += count;
   });
@@ -87,12 +88,13 @@ std::size_t composite_rows(Share share, const Codec& codec, Image<Pixel>& frame,
 
 }  // namespace
 
-std::size_t composite_share(Share share, const View& view, FramePixels& frame, const Layered& in) {
+std::size_t composite_fraction(FrameRegion fraction, const View& view, FramePixels& frame,
+                               const Layered& in) {
   if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    return composite_rows(share, Coded<std::uint8_t>(view), *f8, in);
+    return composite_rows(fraction, CodedPixels<std::uint8_t>(view), *f8, in);
   if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    return composite_rows(share, Coded<std::uint16_t>(view), *f16, in);
-  return composite_rows(share, Linear{}, std::get<Image<Rgb>>(frame), in);
+    return composite_rows(fraction, CodedPixels<std::uint16_t>(view), *f16, in);
+  return composite_rows(fraction, Linear{}, std::get<Image<Rgb>>(frame), in);
 }
 
 }  // namespace penumbra::compositor

@@ -1,8 +1,8 @@
 #include <algorithm>
 #include <cstring>
 
-#include "prt/geometry/receiver.h"
 #include "compositor/internal/receivers.h"
+#include "prt/geometry/receiver.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "compositor/plane_kernel.cpp"
@@ -155,9 +155,9 @@ HWY_ATTR void MultiplyPlaneRatios(const PlaneLookup& t, int y, int x0, int x1, f
   });
 }
 
-HWY_INLINE void SubtractShare(hn::Vec<D> value, float share, std::size_t count, float* out) {
+HWY_INLINE void SubtractFraction(hn::Vec<D> value, float fraction, std::size_t count, float* out) {
   const D d;
-  const auto product = hn::Mul(value, hn::Set(d, share));
+  const auto product = hn::Mul(value, hn::Set(d, fraction));
   if (count == hn::Lanes(d)) {
     hn::StoreU(hn::Sub(hn::LoadU(d, out), product), d, out);
     return;
@@ -168,7 +168,7 @@ HWY_INLINE void SubtractShare(hn::Vec<D> value, float share, std::size_t count, 
 }
 
 // Positions (px, py) that the map holds.
-HWY_INLINE hn::Mask<D> Holds(const DiscLookup& t, hn::Vec<D> px, float py) {
+HWY_INLINE hn::Mask<D> Holds(const ShadowMapLookup& t, hn::Vec<D> px, float py) {
   const D d;
   const auto at = [&](int k) HWY_ATTR {
     return hn::MulAdd(px, hn::Set(d, t.at.h[k][0]), hn::Set(d, t.at.h[k][1] * py + t.at.h[k][2]));
@@ -180,8 +180,8 @@ HWY_INLINE hn::Mask<D> Holds(const DiscLookup& t, hn::Vec<D> px, float py) {
                                           hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
 }
 
-// Adds share of the map's value at (dx into the pixel, py of the picture), 0 outside, for all pixels of a piece.
-HWY_INLINE void AddSamples(const DiscLookup& t, int x0, float dx, float py, float share,
+// Adds fraction of the map's value at (dx into the pixel, py of the picture), 0 outside, for all pixels of a piece.
+HWY_INLINE void AddSamples(const ShadowMapLookup& t, int x0, float dx, float py, float fraction,
                            std::size_t total, float* sum) {
   const D d;
   const std::size_t lanes = hn::Lanes(d);
@@ -211,13 +211,13 @@ HWY_INLINE void AddSamples(const DiscLookup& t, int x0, float dx, float py, floa
     const auto top = hn::MulAdd(fx, hn::Sub(hn::BitCast(d, corners[1]), a), a),
                bottom = hn::MulAdd(fx, hn::Sub(hn::BitCast(d, corners[3]), c), c);
     const auto value = hn::MulAdd(hn::Load(d, cells.fy + i), hn::Sub(bottom, top), top);
-    const auto weight = hn::Mul(hn::Load(d, cells.inside + i), hn::Set(d, share));
+    const auto weight = hn::Mul(hn::Load(d, cells.inside + i), hn::Set(d, fraction));
     hn::Store(hn::MulAdd(weight, value, hn::Load(d, sum + i)), d, sum + i);
   }
 }
 
 // Of pixels [x0, x0 + total) of row y; sum: room for kPiece.
-HWY_INLINE void MeanValues(const DiscLookup& t, int y, int x0, std::size_t total, float* sum) {
+HWY_INLINE void MeanValues(const ShadowMapLookup& t, int y, int x0, std::size_t total, float* sum) {
   std::fill_n(sum, kPiece, 0.f);
   const int n = t.samples;
   const float step = 1 / static_cast<float>(n);
@@ -226,7 +226,7 @@ HWY_INLINE void MeanValues(const DiscLookup& t, int y, int x0, std::size_t total
                step * step, total, sum);
 }
 
-HWY_ATTR void LoadDiscValues(const DiscLookup& t, int y, int x0, int x1, float* out) {
+HWY_ATTR void LoadShadowValues(const ShadowMapLookup& t, int y, int x0, int x1, float* out) {
   const D d;
   const std::size_t lanes = hn::Lanes(d);
   const auto top = static_cast<float>(y);
@@ -247,8 +247,8 @@ HWY_ATTR void LoadDiscValues(const DiscLookup& t, int y, int x0, int x1, float* 
   });
 }
 
-HWY_ATTR void SubtractDiscShares(const DiscLookup& t, int y, int x0, int x1, float* r, float* g,
-                                 float* b) {
+HWY_ATTR void SubtractShadowFractions(const ShadowMapLookup& t, int y, int x0, int x1, float* r,
+                                      float* g, float* b) {
   const D d;
   const std::size_t lanes = hn::Lanes(d);
   ForPieces(static_cast<std::size_t>(x1 - x0), [&](std::size_t first, std::size_t total) HWY_ATTR {
@@ -257,9 +257,9 @@ HWY_ATTR void SubtractDiscShares(const DiscLookup& t, int y, int x0, int x1, flo
     for (std::size_t i = 0; i < total; i += lanes) {
       const auto value = hn::Load(d, values + i);
       const std::size_t count = total - i < lanes ? total - i : lanes, at = first + i;
-      SubtractShare(value, t.share.r, count, r + at);
-      SubtractShare(value, t.share.g, count, g + at);
-      SubtractShare(value, t.share.b, count, b + at);
+      SubtractFraction(value, t.fraction.r, count, r + at);
+      SubtractFraction(value, t.fraction.g, count, g + at);
+      SubtractFraction(value, t.fraction.b, count, b + at);
     }
   });
 }
@@ -271,21 +271,21 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace penumbra::compositor {
 HWY_EXPORT(MultiplyPlaneRatios);
-HWY_EXPORT(SubtractDiscShares);
-HWY_EXPORT(LoadDiscValues);
+HWY_EXPORT(SubtractShadowFractions);
+HWY_EXPORT(LoadShadowValues);
 
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b) {
   HWY_DYNAMIC_DISPATCH(MultiplyPlaneRatios)(plane, y, x0, x1, r, g, b);
 }
 
-void load_disc_values(const DiscLookup& disc, int y, int x0, int x1, float* out) {
-  HWY_DYNAMIC_DISPATCH(LoadDiscValues)(disc, y, x0, x1, out);
+void load_shadow_values(const ShadowMapLookup& source, int y, int x0, int x1, float* out) {
+  HWY_DYNAMIC_DISPATCH(LoadShadowValues)(source, y, x0, x1, out);
 }
 
-void subtract_disc_shares(const DiscLookup& disc, int y, int x0, int x1, float* r, float* g,
-                          float* b) {
-  HWY_DYNAMIC_DISPATCH(SubtractDiscShares)(disc, y, x0, x1, r, g, b);
+void subtract_shadow_fractions(const ShadowMapLookup& source, int y, int x0, int x1, float* r,
+                               float* g, float* b) {
+  HWY_DYNAMIC_DISPATCH(SubtractShadowFractions)(source, y, x0, x1, r, g, b);
 }
 }  // namespace penumbra::compositor
 #endif

@@ -7,7 +7,7 @@ namespace penumbra::compositor {
 
 namespace {
 // Where real things take more than 95 % of the light the ratio has no footing.
-constexpr float kLeastLeft = .05f;
+constexpr float kMinLeft = .05f;
 }  // namespace
 
 int Receivers::add(const prt::GroundGrid& grid) {
@@ -20,7 +20,7 @@ void Receivers::set_pose(int receiver, const Pose& world_from_bake) {
 }
 
 void Receivers::add_real(const prt::GroundGrid& grid, const Pose& world_from_bake) {
-  real_ = Receiver{grid, world_from_bake, {}, {}, {}, false};
+  real_ = FloorReceiver{grid, world_from_bake, {}, {}, {}, false};
 }
 
 namespace {
@@ -51,18 +51,18 @@ void Receivers::set_real_shadow(const shadows::PlanarShadow& shadow) {
   if (real_) take(shadow, *real_);
 }
 
-void Receivers::set_disc_shadows(std::span<const DiscShadowOnPlane> discs) {
-  discs_.resize(discs.size());
-  real_discs_.clear();
-  for (std::size_t i = 0; i < discs.size(); ++i) {
-    discs_[i].shadow = *discs[i].shadow;
-    discs_[i].share = discs[i].share;
-    discs_[i].real = -1;
-    if (!discs[i].real || discs[i].real->empty()) continue;
-    auto known = std::ranges::find(real_discs_, discs[i].real, &RealDisc::source);
-    if (known == real_discs_.end())
-      known = real_discs_.insert(known, {discs[i].real, *discs[i].real, discs[i].share});
-    discs_[i].real = static_cast<int>(known - real_discs_.begin());
+void Receivers::set_shadow_maps(std::span<const ShadowMapOnPlane> lights) {
+  lights_.resize(lights.size());
+  real_shadow_maps_.clear();
+  for (std::size_t i = 0; i < lights.size(); ++i) {
+    lights_[i].shadow = *lights[i].shadow;
+    lights_[i].fraction = lights[i].part;
+    lights_[i].real = -1;
+    if (!lights[i].real || lights[i].real->empty()) continue;
+    auto known = std::ranges::find(real_shadow_maps_, lights[i].real, &RealShadowMap::source);
+    if (known == real_shadow_maps_.end())
+      known = real_shadow_maps_.insert(known, {lights[i].real, *lights[i].real, lights[i].part});
+    lights_[i].real = static_cast<int>(known - real_shadow_maps_.begin());
   }
 }
 
@@ -89,22 +89,23 @@ Homography homography(const prt::PinholeView& v, const Pose& map_from_camera, do
   return out;
 }
 
-DiscLookup disc_lookup(const prt::PinholeView& view, const shadows::DiscShadow& shadow,
-                       const Image<float>& nodes, int samples, const Rgb& share, const Rect& area) {
+ShadowMapLookup shadow_lookup(const prt::PinholeView& view, const shadows::ShadowMap& shadow,
+                              const Image<float>& nodes, int samples, const Rgb& fraction,
+                              const Rect& area) {
   return {homography(view, shadow.world_from_map.inverse() * view.world_from_camera, 0, {0, 0},
                      shadow.cell_m),
           nodes.pixels().data(),
           nodes.width(),
           nodes.height(),
           samples,
-          share,
+          fraction,
           area};
 }
 
 }  // namespace
 
 bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
-                               const Receiver& r, PlaneLookup& lookup) {
+                               const FloorReceiver& r, PlaneLookup& lookup) {
   if (!r.visible) return false;
   const double h = r.grid.height;
   const glm::dvec3 corners[4] = {{r.low.x, h, r.low.y},
@@ -137,22 +138,22 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   Rect all;
   const glm::dmat4 clip_from_world = clip_from_world_of(view);
   PlaneLookup lookup;
-  for (const Receiver& r : receivers_) {
+  for (const FloorReceiver& r : receivers_) {
     if (!prepare_lookup(view, clip_from_world, r, lookup)) continue;
     lookups_.push_back(lookup);
     all = united(all, lookup.area);
   }
   real_lookup_.reset();
   if (real_ && prepare_lookup(view, clip_from_world, *real_, lookup)) real_lookup_ = lookup;
-  const auto disc_area = [&](const shadows::DiscShadow& s) {
+  const auto source_area = [&](const shadows::ShadowMap& s) {
     const double x = (s.taken.width() - 1) * double(s.cell_m),
                  z = (s.taken.height() - 1) * double(s.cell_m);
     const glm::dvec3 corners[4] = {{0, 0, 0}, {x, 0, 0}, {0, 0, z}, {x, 0, z}};
     return reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
   };
-  const auto look_up = [&](const shadows::DiscShadow& s, const Image<float>& nodes,
-                           const Rgb& share, const Rect& area) {
-    DiscLookup out = disc_lookup(view, s, nodes, samples_, share, area);
+  const auto look_up = [&](const shadows::ShadowMap& s, const Image<float>& nodes,
+                           const Rgb& fraction, const Rect& area) {
+    ShadowMapLookup out = shadow_lookup(view, s, nodes, samples_, fraction, area);
     const std::size_t first = half_images_.size();
     find_visible(view, s.world_from_map.translation,
                  s.world_from_map.rotation * glm::dvec3(0, 1, 0));
@@ -160,17 +161,17 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     out.visible = {first, half_images_.size() - first};
     return out;
   };
-  for (const RealDisc& d : real_discs_)
-    missing_.push_back(look_up(d.shadow, d.shadow.taken, d.share, disc_area(d.shadow)));
-  for (const OnPlane& d : discs_) {
-    const shadows::DiscShadow& s = d.shadow;
+  for (const RealShadowMap& d : real_shadow_maps_)
+    missing_.push_back(look_up(d.shadow, d.shadow.taken, d.fraction, source_area(d.shadow)));
+  for (const OnPlane& d : lights_) {
+    const shadows::ShadowMap& s = d.shadow;
     if (s.empty()) continue;
-    const Rect area = disc_area(s);
+    const Rect area = source_area(s);
     if (area.empty()) continue;
-    taken_.push_back(look_up(s, s.taken, d.share, area));
+    taken_.push_back(look_up(s, s.taken, d.fraction, area));
     if (d.real >= 0 && !s.missing.empty())
       fine_missing_.push_back(
-          {static_cast<std::size_t>(d.real), look_up(s, s.missing, d.share, area)});
+          {static_cast<std::size_t>(d.real), look_up(s, s.missing, d.fraction, area)});
     all = united(all, area);
   }
   return all;
@@ -190,7 +191,7 @@ void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& poi
                          m.y * view.principal_px.y / view.focal_px.y - m.z};
   };
   const HalfImage own = nearness(point, normal);
-  for (const RealPlane& other : planes_) {
+  for (const ReceiverPlane& other : planes_) {
     // Seen from behind a plane hides nothing; the plane itself is no other.
     if (glm::dot(other.normal, view.world_from_camera.translation - other.point) <= 0) continue;
     if (glm::dot(other.normal, normal) > 1 - kSame &&
@@ -230,12 +231,12 @@ Rect Receivers::reach_in_row(int y) const {
 Receivers::Columns Receivers::visible_columns(const Sides& sides, int y, const Rect& area) const {
   double first = area.x0, last = area.x1;
   for (const HalfImage& h : std::span(half_images_).subspan(sides.first, sides.count)) {
-    const double rest = h.b * (y + .5) + h.c;
+    const double residual = h.b * (y + .5) + h.c;
     if (std::abs(h.a) < 1e-15) {
-      if (rest < 0) return {0, 0};
+      if (residual < 0) return {0, 0};
       continue;
     }
-    const double edge = -rest / h.a - .5;  // of the first, or the last, pixel centre inside
+    const double edge = -residual / h.a - .5;  // of the first, or the last, pixel centre inside
     if (h.a > 0)
       first = std::max(first, std::ceil(edge));
     else
@@ -267,45 +268,45 @@ void Receivers::multiply(const PlaneLookup& plane, int y, const Rect& area, floa
 bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) const {
   const auto in_row = [&](const auto& lookup) { return y >= lookup.area.y0 && y < lookup.area.y1; };
   const bool on_planes = std::ranges::any_of(lookups_, in_row),
-             of_discs = std::ranges::any_of(taken_, in_row);
-  if (area.empty() || (!on_planes && !of_discs)) return false;
+             of_lights = std::ranges::any_of(taken_, in_row);
+  if (area.empty() || (!on_planes && !of_lights)) return false;
   for (const PlaneLookup& plane : lookups_) multiply(plane, y, area, r, g, b);
-  if (of_discs || real_lookup_ || !missing_.empty()) subtract_discs(y, area, r, g, b);
+  if (of_lights || real_lookup_ || !missing_.empty()) subtract_shadows(y, area, r, g, b);
   return true;
 }
 
-// Of each disc its fine map where there is one, else the wide one.
+// Of each light its fine map where there is one, else the wide one.
 void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                              std::span<float> b) const {
   thread_local std::vector<float> row;  // grows once per thread
-  for (std::size_t disc = 0; disc < missing_.size(); ++disc) {
+  for (std::size_t shadow_map = 0; shadow_map < missing_.size(); ++shadow_map) {
     row.assign(r.size(), 0.f);
-    const auto load = [&](const DiscLookup& d) {
+    const auto load = [&](const ShadowMapLookup& d) {
       if (y < d.area.y0 || y >= d.area.y1) return;
       const Columns c = within(visible_columns(d.visible, y, d.area), area);
       if (c.x0 < c.x1)
-        load_disc_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
+        load_shadow_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
     };
-    load(missing_[disc]);
+    load(missing_[shadow_map]);
     for (const FineLookup& fine : fine_missing_)
-      if (fine.real == disc) load(fine.map);
-    const Rgb& share = missing_[disc].share;
+      if (fine.real == shadow_map) load(fine.map);
+    const Rgb& fraction = missing_[shadow_map].fraction;
     for (std::size_t x = 0; x < row.size(); ++x) {
-      r[x] -= share.r * row[x];
-      g[x] -= share.g * row[x];
-      b[x] -= share.b * row[x];
+      r[x] -= fraction.r * row[x];
+      g[x] -= fraction.g * row[x];
+      b[x] -= fraction.b * row[x];
     }
   }
 }
 
-void Receivers::subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const {
+void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const {
   const auto subtract_taken = [&] {
-    for (const DiscLookup& d : taken_) {
+    for (const ShadowMapLookup& d : taken_) {
       if (y < d.area.y0 || y >= d.area.y1) continue;
       const Columns c = within(visible_columns(d.visible, y, d.area), area);
       if (c.x0 >= c.x1) continue;
       const int skip = c.x0 - area.x0;
-      subtract_disc_shares(d, y, c.x0, c.x1, r + skip, g + skip, b + skip);
+      subtract_shadow_fractions(d, y, c.x0, c.x1, r + skip, g + skip, b + skip);
     }
   };
   const auto width = static_cast<std::size_t>(area.width());
@@ -325,7 +326,7 @@ void Receivers::subtract_discs(int y, const Rect& area, float* r, float* g, floa
     take_missing(y, area, lr, lg, lb);
     for (std::size_t c = 0; c < 3; ++c)
       for (std::size_t x = 0; x < width; ++x)
-        rows[c][x] = 1 - (1 - rows[c][x]) / std::max(left[c * width + x], kLeastLeft);
+        rows[c][x] = 1 - (1 - rows[c][x]) / std::max(left[c * width + x], kMinLeft);
   }
   for (float* row : rows)
     for (std::size_t x = 0; x < width; ++x) row[x] = std::max(row[x], 0.f);

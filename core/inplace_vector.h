@@ -8,7 +8,7 @@
 
 namespace penumbra {
 
-template <class T, std::size_t kMost>
+template <class T, std::size_t kMax>
 class InplaceVector {
  public:
   using value_type = T;
@@ -16,9 +16,9 @@ class InplaceVector {
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
   void clear() { size_ = 0; }
-  /// in: fewer than kMost elements
+  /// in: fewer than kMax elements
   T& push_back(const T& value) {
-    assert(size_ < kMost);
+    assert(size_ < kMax);
     return elements_[size_++] = value;
   }
 
@@ -40,7 +40,7 @@ class InplaceVector {
   }
 
  private:
-  std::array<T, kMost> elements_{};
+  std::array<T, kMax> elements_{};
   std::size_t size_ = 0;
 };
 

@@ -20,7 +20,7 @@ namespace penumbra::detail {
 // The thread sanitizer can't see libtbb hand work from thread to thread and would call every loop a race. In its build
 // loops run on threads that it sees, so that it judges the bodies.
 void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
-               Part part) {
+               LoopBody part) {
   assert(grain > 0);
   if (first >= last) return;
   std::atomic<std::int64_t> next{first};
@@ -48,7 +48,7 @@ void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const 
 #else
 
 void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
-               Part part) {
+               LoopBody part) {
   assert(grain > 0);
   using Range = tbb::blocked_range<std::int64_t>;
   tbb::parallel_for(Range(first, last, static_cast<std::size_t>(grain)),

@@ -18,10 +18,10 @@ struct Indices {
 };
 
 namespace detail {
-using Part = void (*)(const void* body, std::int64_t first, std::int64_t last);
+using LoopBody = void (*)(const void* body, std::int64_t first, std::int64_t last);
 // What is the same for all loops stands in parallel.cpp: TBB's headers cost every file that loops a second and a half.
 void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
-               Part part);
+               LoopBody part);
 }  // namespace detail
 
 // body(Indices) over [first, last) in parts of about `grain` (at least 1) indices.

@@ -37,7 +37,7 @@ class Scratch final : public std::pmr::memory_resource {
     std::size_t space = size_ - used_;
     if (std::align(alignment, bytes, at, space)) {
       used_ = size_ - space + bytes;
-      most_ = std::max(most_, used_);
+      max_ = std::max(max_, used_);
       return at;
     }
     // Does not fit this time; the block will be larger when the last scope has ended.
@@ -56,7 +56,7 @@ class Scratch final : public std::pmr::memory_resource {
       std::pmr::new_delete_resource()->deallocate(o.at, o.bytes, o.alignment);
     overflow_.clear();
     if (missing_ == 0) return;
-    size_ = most_ + missing_ + missing_ / 2;
+    size_ = max_ + missing_ + missing_ / 2;
     block_ = std::make_unique_for_overwrite<std::byte[]>(size_);
     missing_ = 0;
   }
@@ -66,7 +66,7 @@ class Scratch final : public std::pmr::memory_resource {
     std::size_t bytes, alignment;
   };
   std::unique_ptr<std::byte[]> block_;
-  std::size_t size_ = 0, used_ = 0, most_ = 0, missing_ = 0;
+  std::size_t size_ = 0, used_ = 0, max_ = 0, missing_ = 0;
   int scopes_ = 0;
   std::vector<Overflow> overflow_;
 };

@@ -11,12 +11,12 @@ void StageTimes::add(const std::string& stage, double ms) {
   if (found == stages_.end()) {
     found = stages_.insert(stages_.end(), Stage{stage, {}, 0});
     // No frame pays for more room later; the system gives the memory when it is written to.
-    found->ms.reserve(kMostSamples);
+    found->ms.reserve(kMaxSamples);
   }
-  if (found->ms.size() < kMostSamples) {
+  if (found->ms.size() < kMaxSamples) {
     found->ms.push_back(static_cast<float>(ms));
   } else {
-    found->ms[found->next++ % kMostSamples] = static_cast<float>(ms);
+    found->ms[found->next++ % kMaxSamples] = static_cast<float>(ms);
   }
 }
 
@@ -31,9 +31,9 @@ std::vector<std::pair<std::string, StageTimes::Percentiles>> StageTimes::summary
   for (const Stage& stage : stages) {
     std::vector<float> sorted = stage.ms;
     std::ranges::sort(sorted);
-    const auto at = [&](double share) {
+    const auto at = [&](double fraction) {
       const auto rank =
-          static_cast<std::size_t>(std::ceil(share * static_cast<double>(sorted.size())));
+          static_cast<std::size_t>(std::ceil(fraction * static_cast<double>(sorted.size())));
       return static_cast<double>(sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1]);
     };
     out.emplace_back(stage.name, Percentiles{at(.5), at(.99), sorted.size()});

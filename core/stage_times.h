@@ -22,7 +22,7 @@ class StageTimes {
   std::vector<std::pair<std::string, Percentiles>> summary() const;
 
  private:
-  static constexpr std::size_t kMostSamples =
+  static constexpr std::size_t kMaxSamples =
       1 << 16;  // a stage that runs for days keeps its last ones
   struct Stage {
     std::string name;

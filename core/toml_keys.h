@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "core/files.h"
+#include "core/renamed.h"
 #include "core/result.h"
 
 namespace penumbra {
@@ -42,8 +43,14 @@ class TomlKeys {
       if (std::ranges::find(known, key.str()) == known.end())
         return fail(ErrorCode::kInvalid,
                     fmt::format("{}:{}", path_.string(), key.source().begin.line),
-                    fmt::format("unknown key \"{}\"", key.str()));
+                    unknown(key.str()));
     return {};
+  }
+
+  static std::string unknown(std::string_view key) {
+    if (const auto now = new_name(kRenamedKeys, key))
+      return fmt::format("\"{}\" is now \"{}\"", key, *now);
+    return fmt::format("unknown key \"{}\"", key);
   }
 
   Result<std::string> text(std::string_view key) const {

@@ -1,35 +1,35 @@
 #include <algorithm>
 
 #include "lighting/basis.h"
-#include "lighting/disc.h"
-#include "lighting/irradiance.h"
+#include "lighting/distant_light.h"
 #include "lighting/internal/sh_recursion.h"
+#include "lighting/irradiance.h"
 
 namespace penumbra::lighting {
 
 namespace {
 
 // Sixteen floats with element-wise arithmetic that the compiler turns into vector instructions.
-struct Block {
+struct FloatBlock {
   float v[kBasisLanes];
 
-  friend Block operator+(const Block& a, const Block& b) {
-    Block out;
+  friend FloatBlock operator+(const FloatBlock& a, const FloatBlock& b) {
+    FloatBlock out;
     for (int i = 0; i < kBasisLanes; ++i) out.v[i] = a.v[i] + b.v[i];
     return out;
   }
-  friend Block operator-(const Block& a, const Block& b) {
-    Block out;
+  friend FloatBlock operator-(const FloatBlock& a, const FloatBlock& b) {
+    FloatBlock out;
     for (int i = 0; i < kBasisLanes; ++i) out.v[i] = a.v[i] - b.v[i];
     return out;
   }
-  friend Block operator*(const Block& a, const Block& b) {
-    Block out;
+  friend FloatBlock operator*(const FloatBlock& a, const FloatBlock& b) {
+    FloatBlock out;
     for (int i = 0; i < kBasisLanes; ++i) out.v[i] = a.v[i] * b.v[i];
     return out;
   }
-  friend Block operator*(const Block& a, float k) {
-    Block out;
+  friend FloatBlock operator*(const FloatBlock& a, float k) {
+    FloatBlock out;
     for (int i = 0; i < kBasisLanes; ++i) out.v[i] = a.v[i] * k;
     return out;
   }
@@ -44,16 +44,17 @@ void evaluate_basis(int bands, const glm::dvec3& d, std::span<double> out) {
 }
 
 void evaluate_basis_block(int bands, const float* x, const float* y, const float* z, float* out) {
-  Block bx, by, bz, one;
+  FloatBlock bx, by, bz, one;
   for (int i = 0; i < kBasisLanes; ++i) {
     bx.v[i] = x[i];
     by.v[i] = y[i];
     bz.v[i] = z[i];
     one.v[i] = 1;
   }
-  evaluate_recursion<Block, float>(bands, bx, by, bz, one, [&](int n, const Block& value) {
-    std::copy(value.v, value.v + kBasisLanes, out + n * kBasisLanes);
-  });
+  evaluate_recursion<FloatBlock, float>(
+      bands, bx, by, bz, one, [&](int n, const FloatBlock& value) {
+        std::copy(value.v, value.v + kBasisLanes, out + n * kBasisLanes);
+      });
 }
 
 Rgb evaluate(const RadianceSh& light, const glm::dvec3& direction) {

@@ -2,21 +2,21 @@
 #include <cmath>
 #include <utility>
 
-#include "lighting/disc.h"
-#include "lighting/discs.h"
+#include "lighting/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
+#include "lighting/internal/sh_inpainting.h"
 #include "lighting/irradiance.h"
 #include "lighting/light_estimate.h"
+#include "lighting/light_extraction.h"
 #include "lighting/light_filter.h"
 #include "lighting/projection.h"
-#include "lighting/internal/hole_fit.h"
 
 namespace penumbra::lighting {
 
 namespace {
 
-constexpr int kGlance = 8;  // maps between predictions where no disc would be used
+constexpr int kGlance = 8;  // maps between predictions where no light would be used
 constexpr int kCalm = 8;    // maps without clipping before that
 
 // Whether a projector can read maps of this width; others take the slow way.
@@ -24,13 +24,13 @@ bool in_quarters(int width) {
   return width % 4 == 0;
 }
 
-void add_discs(std::span<const Disc> discs, Projection& projection) {
-  for (const Disc& disc : discs) {
-    const RadianceSh whole = project_disc(disc, kMaxBands),
-                     above = project_disc_above(disc, kMaxBands);
+void add_distant_lights(std::span<const DistantLight> lights, ShProjection& projection) {
+  for (const DistantLight& source : lights) {
+    const RadianceSh whole = project_distant_light(source, kMaxBands),
+                     upper_moments = project_upper_distant_light(source, kMaxBands);
     for (int n = 0; n < kMaxCoefficients; ++n) {
       projection.light[n] += whole[n];
-      projection.above[n] += above[n];
+      projection.upper_moments[n] += upper_moments[n];
     }
   }
 }
@@ -51,89 +51,89 @@ LatLongProjector& LightEstimator::projector_for(const Image<Rgb>& map) {
   return *projector_;
 }
 
-Result<Projection> LightEstimator::project(const Image<Rgb>& map) {
+Result<ShProjection> LightEstimator::project(const Image<Rgb>& map) {
   if (!in_quarters(map.width())) return project_latlong(map, kMaxBands);
   return projector_for(map).project(map);
 }
 
 // After peel().
-Result<Projection> LightEstimator::project_rest() {
-  if (!in_quarters(split_.rest.width())) return project_latlong(split_.rest, kMaxBands);
-  return projector_->project_read(split_.rest);
+Result<ShProjection> LightEstimator::project_rest() {
+  if (!in_quarters(split_.residual.width())) return project_latlong(split_.residual, kMaxBands);
+  return projector_->project_read(split_.residual);
 }
 
-Result<Projection> LightEstimator::fill_holes(const Result<Projection>& moments,
-                                              const Image<float>& confidence) {
+Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& moments,
+                                                const Image<float>& confidence) {
   if (!moments || confidence.empty()) return moments;
   if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
-    hole_fit_ = std::make_unique<HoleFit>(confidence);
+    hole_fit_ = std::make_unique<ShInpainting>(confidence);
   return hole_fit_->fill(moments->light);
 }
 
-// Into split_ and left_over_.
+// Into split_ and unused_.
 Result<void> LightEstimator::peel(const Environment& environment) {
   maps_since_split_ = 0;
-  DiscOptions found = options_.discs;
-  found.least_share /= 2;
+  ExtractionOptions found = options_.lights;
+  found.min_irradiance_fraction /= 2;
   const Image<Rgb>& map = environment.radiance;
   if (in_quarters(map.width())) {
     PENUMBRA_TRY(projector_for(map).read(map, luminance_));
-    PENUMBRA_TRY(split_discs(map, luminance_, found, split_, environment.clipped));
+    PENUMBRA_TRY(extract_lights(map, luminance_, found, split_, environment.clipped));
   } else {
-    PENUMBRA_TRY(split_discs(map, found, split_, environment.clipped));
+    PENUMBRA_TRY(extract_lights(map, found, split_, environment.clipped));
   }
   const double irradiance = kPi * split_.mean_luminance;
-  tracker_.update(environment.time, options_.discs.least_share, irradiance, split_.discs,
-                  left_over_);
-  completions_.apply(split_.discs, left_over_);
+  tracker_.update(environment.time, options_.lights.min_irradiance_fraction, irradiance,
+                  split_.lights, unused_);
+  completions_.apply(split_.lights, unused_);
   return {};
 }
 
 // As many as the plan says, and all that are clipped; the others are left over.
-void LightEstimator::choose_discs() {
-  auto used = std::min(split_.discs.size(), static_cast<std::size_t>(plan_->discs));
-  for (std::size_t i = used; i < split_.discs.size(); ++i)
-    if (split_.discs[i].clipped) used = i + 1;
-  plan_->discs = std::max(plan_->discs, static_cast<int>(used));
-  left_over_.insert(left_over_.end(), split_.discs.begin() + static_cast<std::ptrdiff_t>(used),
-                    split_.discs.end());
-  split_.discs.resize(used);
+void LightEstimator::choose_max_lights() {
+  auto used = std::min(split_.lights.size(), static_cast<std::size_t>(plan_->lights));
+  for (std::size_t i = used; i < split_.lights.size(); ++i)
+    if (split_.lights[i].clipped) used = i + 1;
+  plan_->lights = std::max(plan_->lights, static_cast<int>(used));
+  unused_.insert(unused_.end(), split_.lights.begin() + static_cast<std::ptrdiff_t>(used),
+                 split_.lights.end());
+  split_.lights.resize(used);
 }
 
-// Without discs: the whole light in harmonics. Split now and then, for what the governor predicts.
-Result<Projection> LightEstimator::measure_whole(const Environment& environment) {
+// Without lights: the whole light in harmonics. Split now and then, for what the governor predicts.
+Result<ShProjection> LightEstimator::measure_whole(const Environment& environment) {
   if (++maps_since_split_ >= kGlance) {
     PENUMBRA_TRY(peel(environment));
-    PENUMBRA_ASSIGN(rest, fill_holes(project_rest(), environment.confidence));
-    add_discs(left_over_, rest);
-    plan_ = plan_for(rest, environment.time);
+    PENUMBRA_ASSIGN(residual, fill_holes(project_rest(), environment.confidence));
+    add_distant_lights(unused_, residual);
+    plan_ = plan_for(residual, environment.time);
   }
-  split_.discs.clear();
+  split_.lights.clear();
   auto whole = fill_holes(project(environment.radiance), environment.confidence);
   if (whole && options_.filter) filter_.update(environment.time, *whole);
   return whole;
 }
 
-// With the plan's discs in split_, all others in harmonics.
-Result<Projection> LightEstimator::measure_split(const Environment& environment) {
-  left_over_.clear();
-  if (options_.discs.most > 0) PENUMBRA_TRY(peel(environment));
+// With the plan's lights in split_, all others in harmonics.
+Result<ShProjection> LightEstimator::measure_split(const Environment& environment) {
+  unused_.clear();
+  if (options_.lights.max_count > 0) PENUMBRA_TRY(peel(environment));
   auto projection =
-      fill_holes(options_.discs.most > 0 ? project_rest() : project(environment.radiance),
+      fill_holes(options_.lights.max_count > 0 ? project_rest() : project(environment.radiance),
                  environment.confidence);
   if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
-  // What tracked ones leave over is not filtered: it completes the disc of this map.
-  const auto is_weak = [](const Disc& disc) { return disc.id == 0; };
-  for (const Disc& disc : left_over_)
-    if (is_weak(disc)) add_discs({&disc, 1}, *projection);
-  std::erase_if(left_over_, is_weak);
+  // What tracked ones leave over is not filtered: it completes the light of this map.
+  const auto is_weak = [](const DistantLight& source) { return source.id == 0; };
+  for (const DistantLight& source : unused_)
+    if (is_weak(source)) add_distant_lights({&source, 1}, *projection);
+  std::erase_if(unused_, is_weak);
   if (options_.filter) filter_.update(environment.time, *projection);
   if (governor_) {
     plan_ = plan_for(*projection, environment.time);
-    choose_discs();
+    choose_max_lights();
   }
-  add_discs(left_over_, *projection);
+  add_distant_lights(unused_, *projection);
   return projection;
 }
 
@@ -142,63 +142,64 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
     return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   // A source at the edge of clipping must not change sides with every map.
   maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
-  const bool without_discs = options_.discs.most > 0 && governor_ && governor_->most_discs() == 0 &&
-                             maps_unclipped_ == kCalm;
-  if (without_discs != without_discs_) {
+  const bool without_lights = options_.lights.max_count > 0 && governor_ &&
+                              governor_->max_lights() == 0 && maps_unclipped_ == kCalm;
+  if (without_lights != without_lights_) {
     // Another part of the light is measured from now on.
-    without_discs_ = without_discs;
+    without_lights_ = without_lights;
     maps_since_split_ = kGlance;
     filter_ = LightFilter();
   }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  const auto projection = without_discs ? measure_whole(environment) : measure_split(environment);
+  const auto projection = without_lights ? measure_whole(environment) : measure_split(environment);
   if (!projection) return std::unexpected(projection.error());
-  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.discs, out);
+  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
   out.time = environment.time;
   out.clipped_fraction = environment.clipped_fraction;
   return {};
 }
 
-void LightEstimator::govern(const Governance& governance) {
-  governance_ = governance;
-  governance_->limits.most_bands = options_.bands;
-  governance_->limits.most_discs = options_.discs.most;
-  governor_.emplace(governance_->limits, governance_->costs);
+void LightEstimator::set_governor(const GovernorConfig& governor_config) {
+  governor_config_ = governor_config;
+  governor_config_->limits.max_bands = options_.bands;
+  governor_config_->limits.max_lights = options_.lights.max_count;
+  governor_.emplace(governor_config_->limits, governor_config_->costs);
 }
 
-void LightEstimator::allow_discs(int most) {
+void LightEstimator::allow_lights(int max_count) {
   if (!governor_) return;
-  governor_->allow_discs(most);
+  governor_->allow_lights(max_count);
 }
 
-Plan LightEstimator::plan_for(const Projection& rest, TimestampNs time) {
-  errors_.predict({&rest.above, split_.discs}, governance_->probes, governance_->limits.most_bands,
-                  governance_->limits.most_discs);
+Plan LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
+  errors_.predict({&residual.upper_moments, split_.lights}, governor_config_->probes,
+                  governor_config_->limits.max_bands, governor_config_->limits.max_lights);
   return governor_->update(errors_, time);
 }
 
-LightEstimate make_estimate(const Projection& projection, int bands, std::vector<Disc> discs) {
+LightEstimate make_estimate(const ShProjection& projection, int bands,
+                            std::vector<DistantLight> lights) {
   LightEstimate estimate;
-  make_estimate(projection, bands, std::span<const Disc>(discs), estimate);
+  make_estimate(projection, bands, std::span<const DistantLight>(lights), estimate);
   return estimate;
 }
 
-void make_estimate(const Projection& projection, int bands, std::span<const Disc> discs,
+void make_estimate(const ShProjection& projection, int bands, std::span<const DistantLight> lights,
                    LightEstimate& estimate) {
   const RadianceSh& nine_bands = projection.light;
-  std::vector<Disc> list = std::move(estimate.discs);
-  list.assign(discs.begin(), discs.end());
+  std::vector<DistantLight> list = std::move(estimate.lights);
+  list.assign(lights.begin(), lights.end());
   estimate = {};
   estimate.light = nine_bands.with_bands(bands);
-  estimate.floor_light = floor_light(projection.above, bands);
-  estimate.discs = std::move(list);
+  estimate.upper_hemisphere_light = upper_hemisphere_light(projection.upper_moments, bands);
+  estimate.lights = std::move(list);
   estimate.valid = true;
   estimate.coverage = projection.coverage;
   // A fit to a small part of the sphere may swing below zero elsewhere.
   const Rgb mean = nine_bands[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
   estimate.mean_radiance = {std::max(mean.r, 0.f), std::max(mean.g, 0.f), std::max(mean.b, 0.f)};
-  for (const Disc& d : estimate.discs)
+  for (const DistantLight& d : estimate.lights)
     estimate.mean_radiance += d.radiance * static_cast<float>(d.solid_angle_sr() / (4 * kPi));
   // Orthonormality makes the mean square over normals a plain sum: (1/4pi) sum_{l >= B} A_l^2
   // |l_l|^2.
@@ -219,22 +220,22 @@ Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions&
 
 RadianceSh whole_light(const LightEstimate& e) {
   RadianceSh sum = e.light;
-  for (const Disc& d : e.discs) {
-    const RadianceSh own = project_disc(d, sum.bands());
+  for (const DistantLight& d : e.lights) {
+    const RadianceSh own = project_distant_light(d, sum.bands());
     for (int n = 0; n < sum.size(); ++n) sum[n] += own[n];
   }
   return sum;
 }
 
-RadianceSh whole_floor_light(const LightEstimate& e) {
-  RadianceSh above(e.floor_light.bands()), sum = e.floor_light;
-  for (const Disc& d : e.discs) {
-    const RadianceSh own = project_disc_above(d, above.bands());
-    for (int n = 0; n < above.size(); ++n) above[n] += own[n];
+RadianceSh whole_upper_hemisphere_light(const LightEstimate& e) {
+  RadianceSh upper_moments(e.upper_hemisphere_light.bands()), sum = e.upper_hemisphere_light;
+  for (const DistantLight& d : e.lights) {
+    const RadianceSh own = project_upper_distant_light(d, upper_moments.bands());
+    for (int n = 0; n < upper_moments.size(); ++n) upper_moments[n] += own[n];
   }
-  if (e.discs.empty()) return sum;
-  above = floor_light(above, above.bands());
-  for (int n = 0; n < sum.size(); ++n) sum[n] += above[n];
+  if (e.lights.empty()) return sum;
+  upper_moments = upper_hemisphere_light(upper_moments, upper_moments.bands());
+  for (int n = 0; n < sum.size(); ++n) sum[n] += upper_moments[n];
   return sum;
 }
 

@@ -12,22 +12,22 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/completion.h"
-#include "lighting/disc.h"
-#include "lighting/disc_tracker.h"
-#include "lighting/discs.h"
+#include "lighting/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
+#include "lighting/light_extraction.h"
 #include "lighting/light_filter.h"
+#include "lighting/light_tracker.h"
 #include "lighting/map_luminance.h"
 #include "lighting/projection.h"
+#include "lighting/saturation_recovery.h"
 
 namespace penumbra::lighting {
 
 struct EstimateOptions {
   int bands = 5;
-  DiscOptions discs{};  // most = 0: harmonics alone
-  bool filter = true;   // of streams, see LightFilter
+  ExtractionOptions lights{};  // most = 0: harmonics alone
+  bool filter = true;          // of streams, see LightFilter
 };
 
 /// Keeps tables between environments of one size.
@@ -38,11 +38,11 @@ class LightEstimator {
   ~LightEstimator();
   LightEstimator(LightEstimator&&) noexcept;
   LightEstimator& operator=(LightEstimator&&) noexcept;
-  /// From now on bands and discs are the governor's choice within the options'; estimates carry the plan.
-  void govern(const Governance& governance);
-  /// As Governor::allow_discs; nothing without governance. With none the map is split only now and then, for the
+  /// From now on bands and lights are the governor's choice within the options'; estimates carry the plan.
+  void set_governor(const GovernorConfig& governor_config);
+  /// As Governor::allow_lights; nothing without governance. With none the map is split only now and then, for the
   /// prediction, unless something in it is clipped.
-  void allow_discs(int most);
+  void allow_lights(int max_count);
   /// in:  radiance 0 where the confidence is 0
   /// out: keeps its memory; as it was after an error
   Result<void> estimate(const Environment& environment, LightEstimate& out);
@@ -51,55 +51,59 @@ class LightEstimator {
     PENUMBRA_TRY(estimate(environment, out));
     return out;
   }
-  /// From the next map on, as long as the disc is tracked and clipped.
-  /// errors: as CompletionMemory::remember
-  Result<void> complete(const Completion& completion) { return completions_.remember(completion); }
+  /// From the next map on, as long as the light is tracked and clipped.
+  /// errors: as RecoveryMemory::remember
+  Result<void> complete(const SaturationRecovery& recovery) {
+    return completions_.remember(recovery);
+  }
 
  private:
   LatLongProjector& projector_for(const Image<Rgb>& map);
-  Result<Projection> project(const Image<Rgb>& map);
-  Result<Projection> project_rest();
-  Result<Projection> fill_holes(const Result<Projection>& moments, const Image<float>& confidence);
-  Plan plan_for(const Projection& rest, TimestampNs time);
+  Result<ShProjection> project(const Image<Rgb>& map);
+  Result<ShProjection> project_rest();
+  Result<ShProjection> fill_holes(const Result<ShProjection>& moments,
+                                  const Image<float>& confidence);
+  Plan plan_for(const ShProjection& residual, TimestampNs time);
   Result<void> peel(const Environment& environment);
-  void choose_discs();
-  Result<Projection> measure_whole(const Environment& environment);
-  Result<Projection> measure_split(const Environment& environment);
+  void choose_max_lights();
+  Result<ShProjection> measure_whole(const Environment& environment);
+  Result<ShProjection> measure_split(const Environment& environment);
 
-  std::unique_ptr<class HoleFit> hole_fit_;
+  std::unique_ptr<class ShInpainting> hole_fit_;
   EstimateOptions options_;
   MapLuminance luminance_;
-  DiscSplit split_;
-  std::vector<Disc> left_over_;  // of the split: what is not used as discs
-  DiscTracker tracker_;
-  CompletionMemory completions_;
+  LightExtraction split_;
+  std::vector<DistantLight> unused_;  // of the split: what is not used as lights
+  LightTracker tracker_;
+  RecoveryMemory completions_;
   LightFilter filter_;
-  std::optional<Governance> governance_;
+  std::optional<GovernorConfig> governor_config_;
   std::optional<Governor> governor_;
   ErrorTable errors_;
   std::optional<Plan> plan_;
   int maps_since_split_ = 0;
-  bool without_discs_ = false;  // the map before was measured whole
+  bool without_lights_ = false;  // the map before was measured whole
   int maps_unclipped_ = 0;
   int width_ = 0, height_ = 0;
   std::unique_ptr<LatLongProjector> projector_;
 };
 
-/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `discs` come
+/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `lights` come
 /// on top of the projection.
-LightEstimate make_estimate(const Projection& nine_bands, int bands, std::vector<Disc> discs = {});
-/// in: discs other than out's own
+LightEstimate make_estimate(const ShProjection& nine_bands, int bands,
+                            std::vector<DistantLight> lights = {});
+/// in: lights other than out's own
 /// out: keeps its memory
-void make_estimate(const Projection& nine_bands, int bands, std::span<const Disc> discs,
+void make_estimate(const ShProjection& nine_bands, int bands, std::span<const DistantLight> lights,
                    LightEstimate& out);
 
 /// Of a still map: LightEstimator's first estimate.
 /// errors: as LightEstimator::estimate
 Result<LightEstimate> estimate_map(const Image<Rgb>& map, const EstimateOptions& options);
 
-/// Discs and rest together in harmonics, for who lights by harmonics alone.
+/// Lights and rest together in harmonics, for who lights by harmonics alone.
 RadianceSh whole_light(const LightEstimate& estimate);
-RadianceSh whole_floor_light(const LightEstimate& estimate);
+RadianceSh whole_upper_hemisphere_light(const LightEstimate& estimate);
 
 /// Largest possible change of any diffuse surface's exit radiance between two lights, relative to
 /// the mean exit radiance under `before`: a hard bound by Cauchy-Schwarz with |t| <= sqrt(2/(3

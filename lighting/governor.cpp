@@ -2,12 +2,12 @@
 #include <cmath>
 #include <memory_resource>
 
+#include "core/scratch.h"
 #include "lighting/basis.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/irradiance.h"
 #include "lighting/projection.h"
-#include "core/scratch.h"
 
 namespace penumbra::lighting {
 
@@ -16,15 +16,15 @@ namespace {
 constexpr double kNegligible_ms = .25;
 constexpr double kOwnSteps = .008;  // of bake, maps and interpolation, whatever the light
 constexpr double kTraced =
-    .035;  // of taps and the form of a disc, as a share of its share of the light
-// Error that a point-like source causes when nine bands hold it, as a share of its own share of the light; wider
+    .035;  // of samples and the form of a light, as a fraction of its fraction of the light
+// Error that a point-like source causes when nine bands hold it, as a fraction of its own fraction of the light; wider
 // ones less, by what of their energy lies beyond band 8.
 constexpr double kBeyondNineBands = .28;
 
 // Share of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a point.
-double narrowness(const Disc& disc) {
+double narrowness(const DistantLight& source) {
   constexpr double kHeldByNine = .37;  // radians: 21 degrees, where 81 coefficients suffice
-  const double t = disc.radius.value() / kHeldByNine;
+  const double t = source.radius.value() / kHeldByNine;
   return t >= 1 ? 0 : (1 - t) * (1 - t);
 }
 
@@ -43,36 +43,36 @@ void add_ratio(const ShadowProbes& probes, const RadianceSh& light, double open,
 
 }  // namespace
 
-void ErrorTable::predict(const SplitLight& light, const ShadowProbes& probes, int most_bands,
-                         int most_discs) {
-  most_bands_ = most_bands;
-  most_discs_ = std::min(most_discs, static_cast<int>(light.discs.size()));
+void ErrorTable::predict(const SplitLight& light, const ShadowProbes& probes, int max_bands,
+                         int max_lights) {
+  max_bands_ = max_bands;
+  max_lights_ = std::min(max_lights, static_cast<int>(light.lights.size()));
   const Scratch::Scope scope;
   std::pmr::vector<double> truth(scope.memory()), difference(probes.count(), scope.memory());
   const glm::dvec3 up(0, 1, 0);
   const auto open_of = [&](const RadianceSh& l) { return luminance(evaluate(irradiance(l), up)); };
-  errors_.resize(static_cast<std::size_t>((most_discs_ + 1) * most_bands_));
-  for (int discs = most_discs_; discs >= 0; --discs) {
-    RadianceSh above = light.rest_above->with_bands(kMaxBands);
+  errors_.resize(static_cast<std::size_t>((max_lights_ + 1) * max_bands_));
+  for (int lights = max_lights_; lights >= 0; --lights) {
+    RadianceSh upper_moments = light.upper_residual->with_bands(kMaxBands);
     double traced = 0, traced_square = 0, beyond = 0;
-    for (std::size_t j = 0; j < light.discs.size(); ++j) {
-      const Disc& d = light.discs[j];
+    for (std::size_t j = 0; j < light.lights.size(); ++j) {
+      const DistantLight& d = light.lights[j];
       const double own = luminance(irradiance(d, up));
-      if (j < static_cast<std::size_t>(discs)) {
+      if (j < static_cast<std::size_t>(lights)) {
         traced += own;
         traced_square += own * own;
         continue;
       }
       beyond += std::pow(narrowness(d) * own, 2);
-      const RadianceSh moments = project_disc_above(d, kMaxBands);
-      for (int n = 0; n < kMaxCoefficients; ++n) above[n] += moments[n];
+      const RadianceSh moments = project_upper_distant_light(d, kMaxBands);
+      for (int n = 0; n < kMaxCoefficients; ++n) upper_moments[n] += moments[n];
     }
-    const RadianceSh full = floor_light(above, kMaxBands);
+    const RadianceSh full = upper_hemisphere_light(upper_moments, kMaxBands);
     const double open = std::max(open_of(full) + traced, 1e-30);
     truth.assign(probes.count(), 0);
     add_ratio(probes, full, open, -1, truth);
-    for (int bands = 1; bands <= most_bands_; ++bands) {
-      const RadianceSh cut = floor_light(above, bands);
+    for (int bands = 1; bands <= max_bands_; ++bands) {
+      const RadianceSh cut = upper_hemisphere_light(upper_moments, bands);
       std::ranges::copy(truth, difference.begin());
       add_ratio(probes, cut, open_of(cut) + traced, 1, difference);
       double square = 0;
@@ -80,35 +80,36 @@ void ErrorTable::predict(const SplitLight& light, const ShadowProbes& probes, in
       if (!difference.empty()) square /= static_cast<double>(difference.size());
       square += (kBeyondNineBands * kBeyondNineBands * beyond + kTraced * kTraced * traced_square) /
                 (open * open);
-      errors_[static_cast<std::size_t>(discs * most_bands_ + bands - 1)] =
+      errors_[static_cast<std::size_t>(lights * max_bands_ + bands - 1)] =
           std::sqrt(square + kOwnSteps * kOwnSteps);
     }
   }
 }
 
 Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
-  return cheapest(errors, budget, most_discs());
+  return cheapest(errors, budget, max_lights());
 }
 
-Plan Governor::cheapest(const ErrorTable& errors, double budget, int discs_allowed) const {
+Plan Governor::cheapest(const ErrorTable& errors, double budget, int lights_allowed) const {
   Plan best, most_accurate;
   bool found = false;
-  double least_error = HUGE_VAL;
-  for (int discs = 0; discs <= std::min(errors.most_discs(), discs_allowed); ++discs)
-    for (int bands = 1; bands <= std::min(errors.most_bands(), limits_.most_bands); ++bands) {
-      Plan plan{bands, discs, factor_ * errors.error(bands, discs), costs_.ms(bands, discs), true};
-      if (plan.error < least_error) least_error = plan.error, most_accurate = plan;
+  double min_error = HUGE_VAL;
+  for (int lights = 0; lights <= std::min(errors.max_lights(), lights_allowed); ++lights)
+    for (int bands = 1; bands <= std::min(errors.max_bands(), limits_.max_bands); ++bands) {
+      Plan plan{bands, lights, factor_ * errors.error(bands, lights), costs_.ms(bands, lights),
+                true};
+      if (plan.error < min_error) min_error = plan.error, most_accurate = plan;
       if (plan.error > budget || (found && plan.ms >= best.ms)) continue;
       best = plan;
       found = true;
     }
   // Bands that cost next to nothing also serve the objects' own shading, which the prediction does not see.
-  while (found && best.bands < std::min(errors.most_bands(), limits_.most_bands) &&
-         costs_.ms(best.bands + 1, best.discs) < best.ms + kNegligible_ms) {
+  while (found && best.bands < std::min(errors.max_bands(), limits_.max_bands) &&
+         costs_.ms(best.bands + 1, best.lights) < best.ms + kNegligible_ms) {
     ++best.bands;
-    best.error = factor_ * errors.error(best.bands, best.discs);
+    best.error = factor_ * errors.error(best.bands, best.lights);
   }
-  if (found) best.ms = costs_.ms(best.bands, best.discs);
+  if (found) best.ms = costs_.ms(best.bands, best.lights);
   if (found) return best;
   most_accurate.within_budget = false;
   return most_accurate;
@@ -116,19 +117,19 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget, int discs_allow
 
 Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
   Plan plan = choose(errors, now);
-  plan.short_of_time = !plan.within_budget && most_discs() < limits_.most_discs &&
-                       cheapest(errors, limits_.budget, limits_.most_discs).discs > plan.discs;
+  plan.time_limited = !plan.within_budget && max_lights() < limits_.max_lights &&
+                      cheapest(errors, limits_.budget, limits_.max_lights).lights > plan.lights;
   return plan;
 }
 
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
   const Plan needed = cheapest(errors, limits_.budget);
-  if (!current_ || current_->discs > most_discs()) {
+  if (!current_ || current_->lights > max_lights()) {
     could_do_less_since_.reset();
     return *(current_ = needed);
   }
   const double present =
-      factor_ * errors.error(current_->bands, std::min(current_->discs, errors.most_discs()));
+      factor_ * errors.error(current_->bands, std::min(current_->lights, errors.max_lights()));
   const bool too_little = present > limits_.budget && needed.error < present;
   const Plan modest = cheapest(errors, kMargin * limits_.budget);
   const bool could_do_less = modest.within_budget && modest.ms < current_->ms;

@@ -11,22 +11,22 @@
 
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 
 namespace penumbra::lighting {
 
 /// What one light update costs here, fitted where it runs.
 struct CostModel {
-  double base_ms = .2, per_coefficient_ms = .01, per_disc_ms = 5;
-  double ms(int bands, int discs) const {
-    return base_ms + per_coefficient_ms * coefficient_count(bands) + per_disc_ms * discs;
+  double base_ms = .2, per_coefficient_ms = .01, per_light_ms = 5;
+  double ms(int bands, int lights) const {
+    return base_ms + per_coefficient_ms * coefficient_count(bands) + per_light_ms * lights;
   }
 };
 
 /// What the prediction needs to know of a light that has been split as far as it goes.
 struct SplitLight {
-  const RadianceSh* rest_above;  // nine bands of moments over y > 0, without the discs
-  std::span<const Disc> discs;   // by falling irradiance
+  const RadianceSh* upper_residual;      // nine bands of moments over y > 0, without the lights
+  std::span<const DistantLight> lights;  // by falling irradiance
 };
 
 /// pi S_n of a scene at points of its floor: [point][n], nine bands (prt::BakedObject::shadow_probes).
@@ -35,38 +35,38 @@ struct ShadowProbes {
   std::size_t count() const { return deficit.size() / kMaxCoefficients; }
 };
 
-/// Predicted RMS error of the shadow ratio s for every plan with up to `most_bands` bands and `most_discs` traced
-/// discs: what the bands left out would have done at the probes, the share of a disc that is too narrow even
+/// Predicted RMS error of the shadow ratio s for every plan with up to `max_bands` bands and `max_lights` traced
+/// lights: what the bands left out would have done at the probes, the fraction of a light that is too narrow even
 /// for nine bands, and what our own steps cost.
 class ErrorTable {
  public:
   ErrorTable() = default;
-  ErrorTable(const SplitLight& light, const ShadowProbes& probes, int most_bands, int most_discs) {
-    predict(light, probes, most_bands, most_discs);
+  ErrorTable(const SplitLight& light, const ShadowProbes& probes, int max_bands, int max_lights) {
+    predict(light, probes, max_bands, max_lights);
   }
   /// Anew; keeps its memory.
-  void predict(const SplitLight& light, const ShadowProbes& probes, int most_bands, int most_discs);
-  int most_bands() const { return most_bands_; }
-  int most_discs() const { return most_discs_; }
-  double error(int bands, int discs) const {
-    return errors_[static_cast<std::size_t>(discs * most_bands_ + bands - 1)];
+  void predict(const SplitLight& light, const ShadowProbes& probes, int max_bands, int max_lights);
+  int max_bands() const { return max_bands_; }
+  int max_lights() const { return max_lights_; }
+  double error(int bands, int lights) const {
+    return errors_[static_cast<std::size_t>(lights * max_bands_ + bands - 1)];
   }
 
  private:
-  int most_bands_ = 0, most_discs_ = 0;
+  int max_bands_ = 0, max_lights_ = 0;
   std::vector<double> errors_;
 };
 
 struct Plan {
-  int bands = 5, discs = 0;
+  int bands = 5, lights = 0;
   double error = 0;  // predicted, with the factor that holds in 95 % of scenes
   double ms = 0;
-  bool within_budget = true;   // false: the most accurate there is
-  bool short_of_time = false;  // another disc would be needed, and there is no time for it
+  bool within_budget = true;  // false: the most accurate there is
+  bool time_limited = false;  // another light would be needed, and there is no time for it
 };
 
-/// Chooses the cheapest bands and discs whose predicted error, times `kCalibrated`, is within the budget.
-/// More at once, less only after two seconds in which four fifths of the budget would have sufficed; discs that there is
+/// Chooses the cheapest bands and lights whose predicted error, times `kConformalFactor`, is within the budget.
+/// More at once, less only after two seconds in which four fifths of the budget would have sufficed; lights that there is
 /// no time for go at once.
 /// threads: thread-bound
 /// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/accuracy.md
@@ -74,31 +74,31 @@ class Governor {
  public:
   /// 1.76 holds the promise of the shadow (`chart --governor`); what it is more pays for the objects' own shading, which
   /// the prediction does not see: with 2.15 one of the room's lamps was left in harmonics and an object 3.5 % off.
-  static constexpr double kCalibrated = 2.3;
+  static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
 
   struct Limits {
     double budget = .05;  // RMS of s
-    int most_bands = 5, most_discs = 8;
+    int max_bands = 5, max_lights = 8;
   };
   /// factor: on predicted errors
-  Governor(const Limits& limits, const CostModel& costs, double factor = kCalibrated)
+  Governor(const Limits& limits, const CostModel& costs, double factor = kConformalFactor)
       : limits_(limits), costs_(costs), factor_(factor) {}
 
   /// What this light needs by itself.
   Plan cheapest(const ErrorTable& errors, double budget) const;
   Plan update(const ErrorTable& errors, TimestampNs now);
-  /// From the next update on, at once: discs for which there is time, whatever the limits say.
-  void allow_discs(int most) { affordable_discs_ = std::max(most, 0); }
-  int most_discs() const { return std::min(limits_.most_discs, affordable_discs_); }
+  /// From the next update on, at once: lights for which there is time, whatever the limits say.
+  void allow_lights(int max_count) { affordable_lights_ = std::max(max_count, 0); }
+  int max_lights() const { return std::min(limits_.max_lights, affordable_lights_); }
 
  private:
-  Plan cheapest(const ErrorTable& errors, double budget, int most_discs) const;
+  Plan cheapest(const ErrorTable& errors, double budget, int max_lights) const;
   Plan choose(const ErrorTable& errors, TimestampNs now);
 
   Limits limits_;
-  int affordable_discs_ = std::numeric_limits<int>::max();
+  int affordable_lights_ = std::numeric_limits<int>::max();
   CostModel costs_;
   double factor_;
   std::optional<Plan> current_;
@@ -106,7 +106,7 @@ class Governor {
 };
 
 /// What a governed estimator is told.
-struct Governance {
+struct GovernorConfig {
   Governor::Limits limits;
   CostModel costs;
   ShadowProbes probes;  // of what stands in the scene

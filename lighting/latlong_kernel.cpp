@@ -133,7 +133,7 @@ HWY_ATTR double Luminance(const float* rgb, int width, float* peaks) {
   const hn::CappedTag<float, 1> one;
   const int lanes = static_cast<int>(hn::Lanes(d));
   auto sum = hn::Zero(d);
-  double rest = 0;
+  double residual = 0;
   for (int k = 0; k < width; ++peaks) {
     const int end = k + kPeakBlock < width ? k + kPeakBlock : width;
     auto peak = hn::Zero(d);
@@ -145,11 +145,11 @@ HWY_ATTR double Luminance(const float* rgb, int width, float* peaks) {
     *peaks = hn::GetLane(hn::MaxOfLanes(d, peak));
     for (; k < end; ++k) {
       const float l = hn::GetLane(LuminanceAt(one, rgb + 3 * k));
-      rest += static_cast<double>(l);
+      residual += static_cast<double>(l);
       *peaks = l > *peaks ? l : *peaks;
     }
   }
-  return static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum))) + rest;
+  return static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum))) + residual;
 }
 
 HWY_ATTR double LuminanceAbove(const float* rgb, int width, float level) {

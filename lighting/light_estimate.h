@@ -8,7 +8,7 @@
 #include "core/image.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/projection.h"
 
@@ -16,14 +16,15 @@ namespace penumbra::lighting {
 
 /// What an engine asks for.
 struct LightEstimate {
-  RadianceSh light{1};        // of the whole sphere without the discs
-  RadianceSh floor_light{1};  // likewise, for what stands on a horizontal floor, see floor_light()
-  std::vector<Disc> discs;    // compact sources, by falling irradiance
-  TimestampNs time;           // capture time of the newest frame in it
-  bool valid = false;         // false until a first environment has been measured
-  double coverage = 0;        // of the sphere
-  double clipped_fraction = 0;  // of the sphere's solid angle, saturated in every exposure
-  Rgb mean_radiance;            // over the sphere
+  RadianceSh light{1};  // of the whole sphere without the lights
+  RadianceSh upper_hemisphere_light{
+      1};  // likewise, for what stands on a horizontal floor, see upper_hemisphere_light()
+  std::vector<DistantLight> lights;  // compact sources, by falling irradiance
+  TimestampNs time;                  // capture time of the newest frame in it
+  bool valid = false;                // false until a first environment has been measured
+  double coverage = 0;               // of the sphere
+  double clipped_fraction = 0;       // of the sphere's solid angle, saturated in every exposure
+  Rgb mean_radiance;                 // over the sphere
   /// RMS error over all normals of unshadowed irradiance by leaving out bands >= light.bands(),
   /// relative to the mean irradiance; from the bands up to 9 that were measured, so none for 9.
   std::optional<double> truncation_error;

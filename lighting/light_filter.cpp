@@ -4,7 +4,6 @@
 #include "lighting/light_filter.h"
 #include "lighting/projection.h"
 
-
 namespace penumbra::lighting {
 
 namespace {
@@ -18,16 +17,17 @@ constexpr double kDark = 1e-30;     // noise variance of no light at all
 constexpr Seconds kLongestStep{1};  // the noise is not measured across longer ones
 constexpr int kNoiseMaps = 60;
 constexpr double kPrior = 8;  // maps' worth of trust in the mean noise of all coefficients
-constexpr double kMoveRate = .5, kLeastMove = .1, kMostMove = 4;
+constexpr double kMoveRate = .5, kMinMove = .1, kMaxMove = 4;
 
 }  // namespace
 
-void LightFilter::update(TimestampNs time, Projection& light) {
+void LightFilter::update(TimestampNs time, ShProjection& light) {
   const int bands = light.light.bands();
-  for (const RadianceSh* part : {&light.light, &light.above})
+  for (const RadianceSh* part : {&light.light, &light.upper_moments})
     for (const Rgb& term : part->terms())
       if (!is_finite(term)) return repeat(light);
-  const bool follows = known_ && bands == bands_ && light.above.bands() == bands && time >= time_;
+  const bool follows =
+      known_ && bands == bands_ && light.upper_moments.bands() == bands && time >= time_;
   if (!follows) restart(light);
   const double step_s = known_ ? (time - time_).count() : 0;
   const bool new_time = !known_ || time > time_;
@@ -50,27 +50,28 @@ void LightFilter::update(TimestampNs time, Projection& light) {
   write(light);
 }
 
-void LightFilter::repeat(Projection& light) const {
-  if (known_ && light.light.bands() == bands_ && light.above.bands() == bands_) write(light);
+void LightFilter::repeat(ShProjection& light) const {
+  if (known_ && light.light.bands() == bands_ && light.upper_moments.bands() == bands_)
+    write(light);
 }
 
-void LightFilter::restart(const Projection& light) {
+void LightFilter::restart(const ShProjection& light) {
   *this = LightFilter();
-  bands_ = std::min(light.light.bands(), light.above.bands());
+  bands_ = std::min(light.light.bands(), light.upper_moments.bands());
 }
 
-void LightFilter::start(Value& v) const {
+void LightFilter::start(FilteredValue& v) const {
   v.estimate = v.measured;
   v.variance = v.noise;
   v.innovation = 0;
 }
 
-bool LightFilter::read(const Projection& light) {
+bool LightFilter::read(const ShProjection& light) {
   bool differs = false;
   energy_.fill(0);
   for (int i = 0; i < count(); ++i) {
-    const RadianceSh& part = i < count() / 2 ? light.light : light.above;
-    Value& v = values_[at(i)];
+    const RadianceSh& part = i < count() / 2 ? light.light : light.upper_moments;
+    FilteredValue& v = values_[at(i)];
     const float measured = part[i / 3 % coefficient_count(bands_)][i % 3];
     differs |= measured != v.measured;
     v.measured = measured;
@@ -79,9 +80,9 @@ bool LightFilter::read(const Projection& light) {
   return differs;
 }
 
-void LightFilter::write(Projection& light) const {
+void LightFilter::write(ShProjection& light) const {
   for (int i = 0; i < count(); ++i) {
-    RadianceSh& part = i < count() / 2 ? light.light : light.above;
+    RadianceSh& part = i < count() / 2 ? light.light : light.upper_moments;
     part[i / 3 % coefficient_count(bands_)][i % 3] = static_cast<float>(values_[at(i)].estimate);
   }
 }
@@ -94,7 +95,7 @@ bool LightFilter::is_another_light(double step_s) {
   double square = 0, product = 0;
   bool mean_left = false;
   for (int i = 0; i < count(); ++i) {
-    Value& v = values_[at(i)];
+    FilteredValue& v = values_[at(i)];
     const double drift = kDrift * kDrift * energy_[group(i)];
     const double move = step_s > 0 ? move_ * v.noise : 0;
     v.variance += step_s * (kNoiseDrift * v.noise + drift) + move;
@@ -107,8 +108,8 @@ bool LightFilter::is_another_light(double step_s) {
   if (mean_left || square > kReset * kReset) return true;
   // Innovations of the right gain are white. Where they keep their sign the light moves and the
   // estimate lags, so every map is given some movement; where they alternate, less.
-  if (step_s > 0) move_ += kMoveRate * (move_ + kLeastMove) * std::clamp(product, -1., kMostMove);
-  move_ = std::clamp(move_, 0., kMostMove);
+  if (step_s > 0) move_ += kMoveRate * (move_ + kMinMove) * std::clamp(product, -1., kMaxMove);
+  move_ = std::clamp(move_, 0., kMaxMove);
   surprise_ = square > kSurprise ? square : 1;
   return false;
 }
@@ -116,7 +117,7 @@ bool LightFilter::is_another_light(double step_s) {
 void LightFilter::correct() {
   gain_ = 0;
   for (int i = 0; i < count(); ++i) {
-    Value& v = values_[at(i)];
+    FilteredValue& v = values_[at(i)];
     const double expected = v.variance + v.noise,
                  gain = 1 - v.noise / (surprise_ * expected);  // variance as large as it was seen
     v.estimate += gain * (double(v.measured) - v.estimate);
@@ -145,7 +146,7 @@ void LightFilter::remember(double step_s) {
   if (complete) noise_maps_ = std::min(noise_maps_ + 1, kNoiseMaps);
   std::array<double, kGroups> mean{};
   for (int i = 0; i < count(); ++i) {
-    Value& v = values_[at(i)];
+    FilteredValue& v = values_[at(i)];
     for (std::size_t k = kept; k > 0; --k) v.before[k] = v.before[k - 1];
     v.before[0] = v.measured;
     if (!complete) continue;
@@ -160,7 +161,7 @@ void LightFilter::remember(double step_s) {
   maps_ = kept + 1;
   if (!complete) return;
   for (int i = 0; i < count(); ++i) {
-    Value& v = values_[at(i)];
+    FilteredValue& v = values_[at(i)];
     const double trusted =
         (noise_maps_ * v.own_noise + kPrior * mean[group(i)]) / (noise_maps_ + kPrior);
     v.noise = std::max({v.own_noise, trusted, kFloor * kFloor * energy_[group(i)], kDark});

@@ -23,14 +23,14 @@ class LightFilter {
  public:
   /// Replaces the light by what is known of it now. Time that goes back, or another number of
   /// bands, starts again; a map with NaN is left out: what was known stands in for it.
-  void update(TimestampNs time, Projection& light);
+  void update(TimestampNs time, ShProjection& light);
   /// Mean weight of the newest map in the estimate: 1 = as measured.
   double gain() const { return gain_; }
 
  private:
   static constexpr std::size_t kMaps = 4;    // that measure the noise
   static constexpr std::size_t kGroups = 6;  // a channel of the whole light, or of the part above
-  struct Value {
+  struct FilteredValue {
     double estimate = 0, variance = 0, noise = 0, own_noise = 0;
     double innovation = 0;  // over its deviation
     float measured = 0;
@@ -39,16 +39,16 @@ class LightFilter {
   int count() const { return 6 * coefficient_count(bands_); }
   static std::size_t at(int i) { return static_cast<std::size_t>(i); }
   std::size_t group(int i) const { return at(i < count() / 2 ? i % 3 : 3 + i % 3); }
-  void repeat(Projection& light) const;
-  void restart(const Projection& light);
-  void start(Value& value) const;
-  bool read(const Projection& light);  // whether it differs from the last
-  void write(Projection& light) const;
+  void repeat(ShProjection& light) const;
+  void restart(const ShProjection& light);
+  void start(FilteredValue& value) const;
+  bool read(const ShProjection& light);  // whether it differs from the last
+  void write(ShProjection& light) const;
   bool is_another_light(double step_s);
   void correct();
   void remember(double step_s);
 
-  std::array<Value, 6 * kMaxCoefficients> values_{};
+  std::array<FilteredValue, 6 * kMaxCoefficients> values_{};
   std::array<double, kGroups> energy_{};  // mean square of its coefficients
   std::array<double, kMaps> age_s_{};
   std::size_t maps_ = 0;  // in `before`

@@ -7,14 +7,14 @@
 #include <new>
 #include <vector>
 
+#include "core/parallel.h"
 #include "lighting/basis.h"
+#include "lighting/internal/latlong_kernel.h"
+#include "lighting/internal/sh_inpainting.h"
 #include "lighting/map_luminance.h"
-#include "lighting/patched_map.h"
 #include "lighting/projection.h"
 #include "lighting/rotation.h"
-#include "core/parallel.h"
-#include "lighting/internal/hole_fit.h"
-#include "lighting/internal/latlong_kernel.h"
+#include "lighting/row_overlay.h"
 
 namespace penumbra::lighting {
 
@@ -112,8 +112,8 @@ LatLongProjector& LatLongProjector::operator=(LatLongProjector&&) noexcept = def
 
 namespace {
 
-// Sums of products in double; index by coefficient, then colour.
-struct Sums {
+// ShSums of products in double; index by coefficient, then colour.
+struct ShSums {
   double term[kMaxCoefficients][3] = {};
 
   RadianceSh to_light(int bands) const {
@@ -136,16 +136,16 @@ Result<void> LatLongProjector::check_size(int width, int height) const {
 
 // The map itself is only asked which of its pixels is not finite.
 template <class Map>
-Result<Projection> LatLongProjector::sum_up(const Map& map) const {
+Result<ShProjection> LatLongProjector::sum_up(const Map& map) const {
   const Tables& t = *tables_;
-  Sums all, above;
+  ShSums all, upper_moments;
   const double* legendre = t.legendre.data();
   for (int j = 0; j < t.height; ++j) {
     // Rows are summed from the zenith; at the horizon the sum so far is the upper hemisphere's. The middle
     // row of an odd number lies half above.
-    if (t.height % 2 == 0 && j == t.height / 2) above = all;
+    if (t.height % 2 == 0 && j == t.height / 2) upper_moments = all;
     const bool is_middle = t.height % 2 == 1 && j == t.height / 2;
-    if (is_middle) above = all;
+    if (is_middle) upper_moments = all;
     const RowSums& row = t.rows[static_cast<std::size_t>(j)];
     for (int m = 0; m < t.bands; ++m)
       for (int l = m; l < t.bands; ++l) {
@@ -156,15 +156,16 @@ Result<Projection> LatLongProjector::sum_up(const Map& map) const {
       }
     if (is_middle)
       for (int n = 0; n < kMaxCoefficients; ++n)
-        for (int c = 0; c < 3; ++c) above.term[n][c] = .5 * (above.term[n][c] + all.term[n][c]);
+        for (int c = 0; c < 3; ++c)
+          upper_moments.term[n][c] = .5 * (upper_moments.term[n][c] + all.term[n][c]);
   }
   const RadianceSh local = all.to_light(t.bands);
   for (const Rgb& term : local.terms())
     if (!is_finite(term)) return std::unexpected(first_non_finite(map));
-  return Projection{t.to_world * local, t.to_world * above.to_light(t.bands), 1};
+  return ShProjection{t.to_world * local, t.to_world * upper_moments.to_light(t.bands), 1};
 }
 
-Result<Projection> LatLongProjector::project(const Image<Rgb>& map) {
+Result<ShProjection> LatLongProjector::project(const Image<Rgb>& map) {
   PENUMBRA_TRY(check_size(map.width(), map.height()));
   tables_->sum_rows(map, [](int) { return true; });
   return sum_up(map);
@@ -180,7 +181,7 @@ Result<void> LatLongProjector::read(const Image<Rgb>& map, MapLuminance& luminan
   return {};
 }
 
-Result<Projection> LatLongProjector::project_read(const PatchedMap& changed) {
+Result<ShProjection> LatLongProjector::project_read(const RowOverlay& changed) {
   PENUMBRA_TRY(check_size(changed.width(), changed.height()));
   tables_->sum_rows(changed, [&](int y) {
     char& changes = tables_->changes[static_cast<std::size_t>(y)];
@@ -191,11 +192,11 @@ Result<Projection> LatLongProjector::project_read(const PatchedMap& changed) {
   return sum_up(changed);
 }
 
-Result<Projection> project_latlong(const PatchedMap& map, int bands) {
+Result<ShProjection> project_latlong(const RowOverlay& map, int bands) {
   return project_latlong(map.whole(), bands);
 }
 
-Result<Projection> project_latlong(const Image<Rgb>& map, int bands) {
+Result<ShProjection> project_latlong(const Image<Rgb>& map, int bands) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   if (map.width() % 4 == 0) return LatLongProjector(map.width(), map.height(), bands).project(map);
   std::vector<glm::vec3> direction;
@@ -213,13 +214,13 @@ namespace {
 constexpr double kSmoothness =
     1e-3;  // mu of the penalty at full loss; in proportion to what is unseen
 constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
-constexpr double kLeastCoverage = .02;
+constexpr double kMinCoverage = .02;
 
 using Matrix = Eigen::MatrixXd;
 /// Of one light; takes nothing from the heap.
 using Moments = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::ColMajor, kMaxCoefficients, 3>;
 
-// Sums over the seen pixels of w Y Y^T, of w L Y^T and of w.
+// ShSums over the seen pixels of w Y Y^T, of w L Y^T and of w.
 struct NormalEquations {
   Matrix gram, moments;
   double seen_sr = 0;
@@ -254,7 +255,7 @@ Matrix penalised(const Matrix& lower_gram, int bands, double unseen) {
 }
 
 struct BothSums {
-  NormalEquations whole, above;
+  NormalEquations whole, upper_moments;
 };
 
 Result<BothSums> accumulate(const LightSamples& s, int bands, bool need_gram) {
@@ -270,7 +271,7 @@ Result<BothSums> accumulate(const LightSamples& s, int bands, bool need_gram) {
                    {basis.data(), static_cast<std::size_t>(count)});
     const Eigen::RowVector3d radiance(s.radiance[i].r, s.radiance[i].g, s.radiance[i].b);
     sums.whole.add(basis, radiance, w, need_gram);
-    if (s.direction[i].y > 0) sums.above.add(basis, radiance, w, false);
+    if (s.direction[i].y > 0) sums.upper_moments.add(basis, radiance, w, false);
   }
   return sums;
 }
@@ -294,14 +295,14 @@ const Matrix& upper_gram() {
 
 // Moments of a light over the upper hemisphere alone.
 RadianceSh moments_above(const RadianceSh& light) {
-  RadianceSh above(light.bands());
-  for (int i = 0; i < above.size(); ++i)
+  RadianceSh upper_moments(light.bands());
+  for (int i = 0; i < upper_moments.size(); ++i)
     for (int c = 0; c < 3; ++c) {
       double sum = 0;
       for (int k = 0; k < light.size(); ++k) sum += upper_gram()(i, k) * light[k][c];
-      above[i][c] = static_cast<float>(sum);
+      upper_moments[i][c] = static_cast<float>(sum);
     }
-  return above;
+  return upper_moments;
 }
 
 // +1 where the basis is even in y, -1 where it is odd.
@@ -329,14 +330,14 @@ Eigen::LDLT<Matrix> floor_system(int bands) {
 
 }  // namespace
 
-RadianceSh floor_light(const RadianceSh& above, int bands) {
+RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands) {
   // (G_up + e G_low) c = b_up + e b_mirror with G_low = P G_up P and b_mirror = P b_up.
   static const std::vector<Eigen::LDLT<Matrix>> systems = [] {
     std::vector<Eigen::LDLT<Matrix>> all;
     for (int b = 1; b <= kMaxBands; ++b) all.push_back(floor_system(b));
     return all;
   }();
-  const RadianceSh used = above.with_bands(bands);
+  const RadianceSh used = upper_moments.with_bands(bands);
   Moments moments(coefficient_count(bands), 3);
   for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m)
@@ -346,7 +347,7 @@ RadianceSh floor_light(const RadianceSh& above, int bands) {
   return to_light(fit, bands);
 }
 
-Result<Projection> project_samples(const LightSamples& s, int bands) {
+Result<ShProjection> project_samples(const LightSamples& s, int bands) {
   const std::size_t n = s.radiance.size();
   if (s.direction.size() != n || s.solid_angle_sr.size() != n ||
       (!s.confidence.empty() && s.confidence.size() != n))
@@ -356,22 +357,22 @@ Result<Projection> project_samples(const LightSamples& s, int bands) {
   for (std::size_t i = 0; i < n; ++i)
     seen += s.solid_angle_sr[i] * (s.confidence.empty() ? 1. : double(s.confidence[i]));
   const double coverage = std::min(1., seen / (4 * kPi));
-  if (coverage < kLeastCoverage)
+  if (coverage < kMinCoverage)
     return fail(ErrorCode::kUndetermined, "environment",
                 fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage));
   const bool complete = coverage > kFullCoverage;
   auto sums = accumulate(s, bands, !complete);
   if (!sums) return std::unexpected(sums.error());
   if (complete)
-    return Projection{to_light(sums->whole.moments, bands), to_light(sums->above.moments, bands),
-                      coverage};
+    return ShProjection{to_light(sums->whole.moments, bands),
+                        to_light(sums->upper_moments.moments, bands), coverage};
   const Matrix fit =
       penalised(sums->whole.gram, bands, 1 - coverage).ldlt().solve(sums->whole.moments);
   const RadianceSh light = to_light(fit, bands);
-  return Projection{light, moments_above(light), coverage};
+  return ShProjection{light, moments_above(light), coverage};
 }
 
-HoleFit::HoleFit(const Image<float>& confidence) : confidence_(confidence) {
+ShInpainting::ShInpainting(const Image<float>& confidence) : confidence_(confidence) {
   // The gram is smooth in its directions: blocks of at most 256 x 128 stand for their pixels.
   const int width = confidence.width(), height = confidence.height();
   const int block = std::max(1, (width + 255) / 256);
@@ -393,8 +394,8 @@ HoleFit::HoleFit(const Image<float>& confidence) : confidence_(confidence) {
   system_.compute(penalised(sums.gram, kMaxBands, 1 - coverage_));
 }
 
-Result<Projection> HoleFit::fill(const RadianceSh& moments) const {
-  if (coverage_ < kLeastCoverage)
+Result<ShProjection> ShInpainting::fill(const RadianceSh& moments) const {
+  if (coverage_ < kMinCoverage)
     return fail(ErrorCode::kUndetermined, "environment",
                 fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage_));
   Moments right(kMaxCoefficients, 3);
@@ -402,7 +403,7 @@ Result<Projection> HoleFit::fill(const RadianceSh& moments) const {
     for (int c = 0; c < 3; ++c) right(n, c) = moments[n][c];
   const Moments fit = system_.solve(right);
   const RadianceSh light = to_light(fit, kMaxBands);
-  return Projection{light, moments_above(light), coverage_};
+  return ShProjection{light, moments_above(light), coverage_};
 }
 
 }  // namespace penumbra::lighting

@@ -1,4 +1,4 @@
-// Projection of environments onto spherical harmonics.
+// ShProjection of environments onto spherical harmonics.
 // threads: free functions reentrant; LatLongProjector thread-bound
 #pragma once
 
@@ -10,14 +10,15 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "lighting/map_luminance.h"
-#include "lighting/patched_map.h"
+#include "lighting/row_overlay.h"
 
 namespace penumbra::lighting {
 
 /// Light in spherical harmonics: of the whole sphere, and of the hemisphere above the horizon alone.
-struct Projection {
+struct ShProjection {
   RadianceSh light;
-  RadianceSh above;     // sum over directions with y > 0 only: moments, not a function to evaluate
+  RadianceSh
+      upper_moments;    // sum over directions with y > 0 only: moments, not a function to evaluate
   double coverage = 1;  // seen part of the sphere's solid angle
 };
 
@@ -28,7 +29,7 @@ struct Projection {
 /// projection and hardly any bias (docs/accuracy.md), for one small matrix product.
 inline constexpr double kBelowWeight =
     .03;  // lower weights win little and blow the coefficients up
-RadianceSh floor_light(const RadianceSh& above, int bands);
+RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands);
 
 /// Projects lat-long maps of one size; all tables are made at construction.
 /// Each row is reduced to its Fourier sums about +y (quarter-period symmetries folded), weighted by
@@ -45,25 +46,25 @@ class LatLongProjector {
   /// in:      linear relative radiance, lat-long, the size given at construction
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
   /// threads: internally parallel, the same bits on any number of cores; no allocation
-  Result<Projection> project(const Image<Rgb>& map);
+  Result<ShProjection> project(const Image<Rgb>& map);
   /// The same in two steps, for who looks for sources in between and cuts them out: a map is read once, and of `changed`,
   /// which refers to that map, the changed rows alone. Nothing else is read or projected in between. What is not finite is
   /// found by project_read, and by who looks at the luminance. `luminance` keeps its memory.
   Result<void> read(const Image<Rgb>& map, MapLuminance& luminance);
-  Result<Projection> project_read(const PatchedMap& changed);
+  Result<ShProjection> project_read(const RowOverlay& changed);
 
  private:
   Result<void> check_size(int width, int height) const;
   template <class Map>
-  Result<Projection> sum_up(const Map& map) const;
+  Result<ShProjection> sum_up(const Map& map) const;
   struct Tables;
   std::unique_ptr<Tables> tables_;
 };
 
 /// One call for one map; any width.
 /// errors: as LatLongProjector::project, kInvalid (empty)
-Result<Projection> project_latlong(const Image<Rgb>& map, int bands);
-Result<Projection> project_latlong(const PatchedMap& map, int bands);
+Result<ShProjection> project_latlong(const Image<Rgb>& map, int bands);
+Result<ShProjection> project_latlong(const RowOverlay& map, int bands);
 
 /// Any camera's pixels: unit directions, solid angles (steradian), confidence 0..1, radiance.
 struct LightSamples {
@@ -73,11 +74,11 @@ struct LightSamples {
   std::span<const Rgb> radiance;
 };
 
-/// Projection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes:
+/// ShProjection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes:
 /// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (methods: hole filling), so a
 /// constant environment stays exactly constant under any hole.
 /// errors:  kInvalid (lengths),
 /// kNonFinite, kUndetermined (coverage below 2 %)
-Result<Projection> project_samples(const LightSamples& samples, int bands);
+Result<ShProjection> project_samples(const LightSamples& samples, int bands);
 
 }  // namespace penumbra::lighting

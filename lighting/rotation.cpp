@@ -2,7 +2,6 @@
 
 #include "lighting/rotation.h"
 
-
 namespace penumbra::lighting {
 
 namespace {

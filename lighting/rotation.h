@@ -31,8 +31,8 @@ class ShRotation {
  private:
   void apply(std::span<const Rgb> in, std::span<Rgb> out) const;
   int bands_;
-  static constexpr int kMostEntries = kMaxBands * (4 * kMaxBands * kMaxBands - 1) / 3;
-  std::array<double, kMostEntries> bands_matrices_;  // D^0, D^1, ... row by row
+  static constexpr int kMaxEntries = kMaxBands * (4 * kMaxBands * kMaxBands - 1) / 3;
+  std::array<double, kMaxEntries> bands_matrices_;  // D^0, D^1, ... row by row
 };
 
 }  // namespace penumbra::lighting

@@ -6,8 +6,8 @@
 #include <algorithm>
 #include <thread>
 
-#include "codec/display.h"
 #include "codec/codec.h"
+#include "codec/display.h"
 #include "runtime/pipeline/report.h"
 
 namespace penumbra::service {
@@ -47,8 +47,8 @@ std::string status_of(const PublishedState::Snapshot& s, double stale_after_s) {
 
 nlohmann::json to_json(const capture::CameraCounts& c) {
   nlohmann::json out = {{"frames", c.frames},           {"lost", c.lost},
-                        {"damaged", c.damaged},         {"refused", c.refused},
-                        {"reconnected", c.reconnected}, {"follows_exposure", !c.deaf}};
+                        {"damaged", c.damaged},         {"rejected", c.rejected},
+                        {"reconnected", c.reconnected}, {"follows_exposure", !c.ignores_controls}};
   out["delay_frames"] = c.delay_frames ? nlohmann::json(*c.delay_frames) : nlohmann::json(nullptr);
   out["exposures_s"] = nlohmann::json::array();
   out["gains"] = nlohmann::json::array();
@@ -73,14 +73,16 @@ struct HttpApi::Impl {
   int port = 0;
 
   void routes(const PublishedState& state, const StageTimes& times, double stale_after_s) {
-    server.Get("/healthz", [&state, &times, stale_after_s](const httplib::Request&,
-                                                           httplib::Response& r) {
-      const auto s = state.snapshot();
-      const std::string status = status_of(s, stale_after_s);
-      nlohmann::json body = {{"status", status}, {"frames", s.frames}, {"stages", runtime::to_json(times)}};
-      for (const auto& [name, counts] : s.cameras) body["cameras"][name] = to_json(counts);
-      reply(r, body, status == "ok" ? 200 : 503);
-    });
+    server.Get("/healthz",
+               [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
+                 const auto s = state.snapshot();
+                 const std::string status = status_of(s, stale_after_s);
+                 nlohmann::json body = {
+                     {"status", status}, {"frames", s.frames}, {"stages", runtime::to_json(times)}};
+                 for (const auto& [name, counts] : s.cameras)
+                   body["cameras"][name] = to_json(counts);
+                 reply(r, body, status == "ok" ? 200 : 503);
+               });
     server.Get("/v1/light", [&state, stale_after_s](const httplib::Request&, httplib::Response& r) {
       const auto s = state.snapshot();
       if (!s.light.valid) return reply(r, {{"error", "no light has been measured yet"}}, 503);

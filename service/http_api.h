@@ -10,9 +10,9 @@
 
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
-#include "lighting/light_estimate.h"
 #include "core/result.h"
 #include "core/stage_times.h"
+#include "lighting/light_estimate.h"
 
 namespace penumbra::service {
 

@@ -35,8 +35,7 @@ int main(int argc, char** argv) {
   }
   try {
     const auto silent = [](const std::string&) { return std::function<void(double)>(); };
-    if (const auto served = service::serve(options, silent); !served)
-      return report(served.error());
+    if (const auto served = service::serve(options, silent); !served) return report(served.error());
   } catch (const std::exception& e) {
     return report({ErrorCode::kUnavailable, "internal", e.what()});
   }

@@ -20,7 +20,7 @@ using capture::Frame;
 using Clock = std::chrono::steady_clock;
 
 constexpr std::size_t kQueued = 8;  // frames a camera: an eighth of a second at 60 a second
-constexpr std::size_t kMostEarly = 64;
+constexpr std::size_t kMaxEarly = 64;
 constexpr Seconds kPatience(10);
 
 // What ends a live recording while next() waits for a camera: a signal, or a camera that stays silent.
@@ -69,7 +69,7 @@ Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
       return fail(ErrorCode::kUnavailable, name, "the source ended without a frame of it");
     PENUMBRA_ASSIGN(coding, capture::coding_of(*frame));
     found[static_cast<std::size_t>(frame->camera)] = coding;
-    if (out.frames.size() == kMostEarly) out.frames.pop_front();
+    if (out.frames.size() == kMaxEarly) out.frames.pop_front();
     out.frames.push_back(std::move(*frame));
   }
   for (const auto& coding : found) out.codings.push_back(*coding);

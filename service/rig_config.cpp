@@ -4,8 +4,8 @@
 
 #include <algorithm>
 
+#include "capture/camera_regions.h"
 #include "capture/frames.h"
-#include "capture/sights.h"
 #include "core/conventions.h"
 #include "core/toml_keys.h"
 
@@ -71,7 +71,7 @@ Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfi
   c.source = source == "studio" || source == "cameras" ? source : resolve(source, folder);
   PENUMBRA_TRY(read_path(keys, "environment", folder, c.environment));
   PENUMBRA_TRY(read_path(keys, "asset", folder, c.asset));
-  PENUMBRA_TRY(read_path(keys, "prop", folder, c.prop));
+  PENUMBRA_TRY(read_path(keys, "real_mesh", folder, c.real_mesh));
   PENUMBRA_TRY(read_number(keys, "fps", 0, 1000, c.fps));
   PENUMBRA_TRY(read_integer(keys, "width", 64, 8192, c.width));
   return read_integer(keys, "height", 64, 8192, c.height);
@@ -108,17 +108,18 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   if (!keys.has("capture"))
     return keys.invalid("capture",
                         "missing: say source = \"studio\", \"cameras\" or a capture folder");
-  constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "prop",
+  constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "real_mesh",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
-  constexpr std::string_view light_keys[] = {"bands", "discs", "budget", "stale_after_s"};
+  constexpr std::string_view light_keys[] = {"bands", "max_lights", "max_shadow_error",
+                                             "stale_after_s"};
   constexpr std::string_view http_keys[] = {"address", "port"};
   const auto capture = [&](const TomlKeys& k) { return read_capture(k, folder, c); };
   const auto scene = [&](const TomlKeys& k) { return read_path(k, "file", folder, c.scene); };
   const auto light = [&](const TomlKeys& k) -> Result<void> {
     PENUMBRA_TRY(read_integer(k, "bands", 1, kMaxBands, c.bands));
-    PENUMBRA_TRY(read_integer(k, "discs", 0, 64, c.discs));
-    PENUMBRA_TRY(read_number(k, "budget", .001, 1, c.budget));
+    PENUMBRA_TRY(read_integer(k, "max_lights", 0, 64, c.max_lights));
+    PENUMBRA_TRY(read_number(k, "max_shadow_error", .001, 1, c.max_shadow_error));
     return read_number(k, "stale_after_s", 0, 3600, c.stale_after_s);
   };
   const auto http = [&](const TomlKeys& k) { return read_http(k, c); };

@@ -16,12 +16,12 @@ struct RigConfig {
   std::vector<capture::RigCamera> cameras;
   std::optional<std::string> environment;  // of the studio
   std::optional<std::string> asset;        // of the studio's own scene
-  std::optional<std::string> prop;         // a real thing in the studio
+  std::optional<std::string> real_mesh;    // a real thing in the studio
   std::optional<std::string> scene;        // scene.toml; needed for a capture folder
   double fps = 30;                         // of the studio's view camera
   int width = 1280, height = 720;          // of the studio's view camera
-  int bands = 5, discs = 8;                // at most
-  double budget = .05;                     // RMS error of the shadow ratio
+  int bands = 5, max_lights = 8;           // at most
+  double max_shadow_error = .05;           // RMS error of the shadow ratio
   double stale_after_s = 1;                // light older than this is reported as stale
   std::string address = "127.0.0.1";
   int port = 8787;  // 0: any free one

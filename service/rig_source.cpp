@@ -53,13 +53,13 @@ Result<RigSource> open_rig(const RigConfig& c, const ProgressOf& progress) {
   RigSource rig;
   if (c.source == "studio") {
     const runtime::StudioRequest request{.environment = c.environment,
-                                .asset = c.asset,
-                                .prop = c.prop,
-                                .width = c.width,
-                                .height = c.height,
-                                .fps = c.fps,
-                                .frames = 1 << 30,
-                                .clip = 16};
+                                         .asset = c.asset,
+                                         .real_mesh = c.real_mesh,
+                                         .width = c.width,
+                                         .height = c.height,
+                                         .fps = c.fps,
+                                         .frames = 1 << 30,
+                                         .clip = 16};
     PENUMBRA_ASSIGN(setup, runtime::set_up_studio(request, progress));
     rig.scene = std::move(setup.scene);
     rig.source = std::make_unique<capture::Studio>(setup.world, setup.options);

@@ -7,8 +7,8 @@
 
 #include "capture/frames.h"
 #include "core/result.h"
-#include "service/rig_config.h"
 #include "runtime/scene/scene.h"
+#include "service/rig_config.h"
 
 namespace penumbra::service {
 

@@ -56,15 +56,15 @@ Result<NoiseFile> parse_noise_file(std::string_view text, const std::filesystem:
   const toml::table* const table = root["noise"].as_table();
   if (!table) return keys.invalid("noise", "no [noise]");
   const TomlKeys noise(path, *table);
-  constexpr std::string_view inside[] = {"full_well_electrons", "full_well_sigma", "read_fraction",
+  constexpr std::string_view inside[] = {"full_well_electrons", "full_well_sigma", "read_noise",
                                          "read_sigma", "black_level"};
   PENUMBRA_TRY(noise.only(inside));
   NoiseFile out;
   PENUMBRA_ASSIGN(electrons, noise.number("full_well_electrons"));
-  PENUMBRA_ASSIGN(read, noise.number("read_fraction"));
+  PENUMBRA_ASSIGN(read, noise.number("read_noise"));
   PENUMBRA_ASSIGN(black, noise.number("black_level"));
   if (!(electrons > 0)) return noise.invalid("full_well_electrons", "not positive");
-  if (!(read >= 0 && read < 1)) return noise.invalid("read_fraction", "not within 0..1");
+  if (!(read >= 0 && read < 1)) return noise.invalid("read_noise", "not within 0..1");
   if (!(black >= 0 && black < 1)) return noise.invalid("black_level", "not within 0..1");
   out.model = {electrons, read};
   out.black_level = black;

@@ -23,7 +23,6 @@ struct NoiseFile {
 /// errors: kInvalid (line, key), kUnreadable; `path` names the text in errors
 Result<NoiseFile> parse_noise_file(std::string_view text, const std::filesystem::path& path);
 
-
 /// errors: kInvalid (line, key), kUnreadable; `path` names the text in errors
 Result<std::array<double, 3>> parse_vignetting_file(std::string_view text,
                                                     const std::filesystem::path& path);

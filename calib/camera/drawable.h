@@ -3,13 +3,13 @@
 
 #include <string>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "core/result.h"
 
 namespace penumbra::calib {
 
 /// errors: kInvalid (another projection, a distorted one), `where` is given
-inline Result<void> check_drawable(const Projection& p, const std::string& where) {
+inline Result<void> check_drawable(const CameraModel& p, const std::string& where) {
   if (p.kind != ProjectionKind::kPinhole)
     return fail(ErrorCode::kInvalid, where, "must be a pinhole camera");
   if (p.is_distorted())

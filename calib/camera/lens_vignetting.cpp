@@ -6,7 +6,7 @@
 
 namespace penumbra::calib {
 
-Vignetting vignetting_of(const Projection& camera, const std::array<double, 3>& terms) {
+Vignetting vignetting_of(const CameraModel& camera, const std::array<double, 3>& terms) {
   const glm::dvec2 size(camera.width, camera.height);
   return {terms, has_intrinsics(camera.kind) ? camera.principal_px : size / 2.,
           glm::length(size) / 2};
@@ -15,7 +15,7 @@ Vignetting vignetting_of(const Projection& camera, const std::array<double, 3>& 
 namespace {
 
 // Shares from the middle out to the farthest corner.
-auto shares_of(const Vignetting& v, const Projection& camera) {
+auto fractions_of(const Vignetting& v, const CameraModel& camera) {
   constexpr int kSteps = 64;
   const glm::dvec2 size(camera.width, camera.height);
   const glm::dvec2 farthest = glm::max(v.centre_px, size - v.centre_px);
@@ -26,13 +26,13 @@ auto shares_of(const Vignetting& v, const Projection& camera) {
 
 }  // namespace
 
-bool is_plausible(const Vignetting& v, const Projection& camera) {
-  return std::ranges::all_of(shares_of(v, camera),
+bool is_plausible(const Vignetting& v, const CameraModel& camera) {
+  return std::ranges::all_of(fractions_of(v, camera),
                              [](double left) { return left >= .02 && left <= 1.5; });
 }
 
-double least_share(const Vignetting& v, const Projection& camera) {
-  return v.none() ? 1 : std::ranges::min(shares_of(v, camera));
+double min_fraction(const Vignetting& v, const CameraModel& camera) {
+  return v.none() ? 1 : std::ranges::min(fractions_of(v, camera));
 }
 
 }  // namespace penumbra::calib

@@ -4,16 +4,16 @@
 
 #include <array>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/vignetting.h"
 
 namespace penumbra::calib {
 
 /// The vignetting of a camera with these terms: about its principal point if it has one.
-Vignetting vignetting_of(const Projection& camera, const std::array<double, 3>& terms);
+Vignetting vignetting_of(const CameraModel& camera, const std::array<double, 3>& terms);
 /// Whether V stays within 0.02..1.5 over the whole picture.
-bool is_plausible(const Vignetting& vignetting, const Projection& camera);
+bool is_plausible(const Vignetting& vignetting, const CameraModel& camera);
 /// The least of V over the whole picture.
-double least_share(const Vignetting& vignetting, const Projection& camera);
+double min_fraction(const Vignetting& vignetting, const CameraModel& camera);
 
 }  // namespace penumbra::calib

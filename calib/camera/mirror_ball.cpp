@@ -29,7 +29,7 @@ Result<MirrorBall> MirrorBall::at(const glm::dvec3& centre, double radius) {
 }
 
 // In the plane through the picture's axis the outline's nearest and farthest points part by the cone's whole angle.
-Result<MirrorBall> MirrorBall::from_outline(const Projection& camera, const glm::dvec2& centre_px,
+Result<MirrorBall> MirrorBall::from_outline(const CameraModel& camera, const glm::dvec2& centre_px,
                                             double radius_px) {
   const glm::dvec2 off = centre_px - camera.principal_px;
   const double length = glm::length(off);
@@ -37,7 +37,8 @@ Result<MirrorBall> MirrorBall::from_outline(const Projection& camera, const glm:
   const auto near = direction_from_pixel(camera, centre_px - radius_px * out);
   const auto far = direction_from_pixel(camera, centre_px + radius_px * out);
   if (!(radius_px > 0) || !near || !far)
-    return fail(ErrorCode::kInvalid, "mirror ball", "its outline leaves what the camera sees");
+    return fail(ErrorCode::kInvalid, "mirror ball",
+                "the ball's outline is partly outside the image");
   return MirrorBall(glm::normalize(*near + *far), std::sin(angle_between(*near, *far) / 2));
 }
 
@@ -54,7 +55,7 @@ std::optional<glm::dvec3> MirrorBall::light_from_ray(const glm::dvec3& ray) cons
   return v - 2 * glm::dot(v, normal) * normal;
 }
 
-std::optional<MirrorBall::Seen> MirrorBall::ray_from_light(const glm::dvec3& light) const {
+std::optional<MirrorBall::BallHit> MirrorBall::ray_from_light(const glm::dvec3& light) const {
   const double wanted = angle_between(-axis_, light);
   const double rim = kPi / 2 - std::asin(ratio_);  // the normal's angle on the outline
   if (wanted > kPi - std::asin(ratio_)) return std::nullopt;
@@ -73,18 +74,18 @@ std::optional<MirrorBall::Seen> MirrorBall::ray_from_light(const glm::dvec3& lig
   glm::dvec3 side = unit - glm::dot(unit, axis_) * axis_;
   const double length = glm::length(side);
   side = length > 1e-12 ? side / length : glm::dvec3(0);
-  return Seen{axis_ * std::cos(b) + side * std::sin(b), 1 - t / rim};
+  return BallHit{axis_ * std::cos(b) + side * std::sin(b), 1 - t / rim};
 }
 
 Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radius_m,
                               double sigma_px) {
   if (outlines.empty() || !(radius_m > 0))
     return fail(ErrorCode::kInvalid, "mirror ball", "needs an outline and a positive radius");
-  struct Seen {
+  struct BallHit {
     glm::dvec3 centre;
     glm::dmat3 information;  // inverse of the covariance
   };
-  std::vector<Seen> seen;
+  std::vector<BallHit> seen;
   glm::dmat3 all(0);
   glm::dvec3 sum(0);
   for (const BallOutline& o : outlines) {
@@ -105,8 +106,8 @@ Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radi
   const glm::dvec3 centre = covariance * sum;
   for (std::size_t i = 0; i < seen.size(); ++i) {
     const glm::dvec3 off = seen[i].centre - centre;
-    constexpr double kMostSigmas = 5;
-    if (glm::dot(off, seen[i].information * off) > kMostSigmas * kMostSigmas)
+    constexpr double kMaxSigmas = 5;
+    if (glm::dot(off, seen[i].information * off) > kMaxSigmas * kMaxSigmas)
       return fail(
           ErrorCode::kUndetermined, outlines[i].camera,
           fmt::format("sees the ball {:.0f} mm from where all together do: check the circles, the "

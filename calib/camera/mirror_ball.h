@@ -8,7 +8,7 @@
 #include <span>
 #include <string>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "core/pose.h"
 #include "core/result.h"
 
@@ -24,7 +24,7 @@ class MirrorBall {
   static Result<MirrorBall> at(const glm::dvec3& centre, double radius);
   /// From its outline in a picture, given as a circle.
   /// errors: kInvalid (the circle leaves what the camera sees)
-  static Result<MirrorBall> from_outline(const Projection& camera, const glm::dvec2& centre_px,
+  static Result<MirrorBall> from_outline(const CameraModel& camera, const glm::dvec2& centre_px,
                                          double radius_px);
 
   const glm::dvec3& direction() const { return axis_; }  // unit, from the camera to the centre
@@ -33,12 +33,13 @@ class MirrorBall {
   /// Where the light comes from that this ray (any length) shows; nothing beside the ball.
   std::optional<glm::dvec3> light_from_ray(const glm::dvec3& ray) const;
 
-  struct Seen {
-    glm::dvec3 ray;   // unit
-    double from_rim;  // 1 in the middle, 0 on the outline: share of the normal's angle that is left
+  struct BallHit {
+    glm::dvec3 ray;  // unit
+    double
+        from_rim;  // 1 in the middle, 0 on the outline: fraction of the normal's angle that is left
   };
   /// Inverse; nothing for light from behind the ball, which grazes it.
-  std::optional<Seen> ray_from_light(const glm::dvec3& light) const;
+  std::optional<BallHit> ray_from_light(const glm::dvec3& light) const;
 
  private:
   MirrorBall(const glm::dvec3& axis, double ratio) : axis_(axis), ratio_(ratio) {}
@@ -49,7 +50,7 @@ class MirrorBall {
 /// A ball's outline in the picture of a camera that stands, as someone laid a circle over it.
 struct BallOutline {
   std::string camera;  // names it in errors
-  Projection projection;
+  CameraModel projection;
   Pose world_from_camera;
   glm::dvec2 centre_px;
   double radius_px = 0;

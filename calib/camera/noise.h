@@ -1,7 +1,6 @@
 // How noisy a camera's signal is.
 #pragma once
 
-
 namespace penumbra::calib {
 
 /// Signal y in fractions of full scale at gain g: var(y) = g y / full_well + (g read)^2, where
@@ -10,9 +9,9 @@ namespace penumbra::calib {
 /// source: Hasinoff et al. 2010, eq. 1-3
 struct NoiseModel {
   double full_well_electrons = 20000;
-  double read_fraction = 5e-4;
+  double read_noise = 5e-4;
   double variance(double y, double gain) const {
-    return gain * y / full_well_electrons + gain * gain * read_fraction * read_fraction;
+    return gain * y / full_well_electrons + gain * gain * read_noise * read_noise;
   }
 };
 

@@ -5,9 +5,9 @@
 #include <glm/geometric.hpp>
 #include <vector>
 
-#include "calib/camera/projection.h"
-#include "calib/camera/projection_table.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/internal/radial_lens.h"
+#include "calib/camera/projection_table.h"
 #include "core/conventions.h"
 
 namespace penumbra::calib {
@@ -63,19 +63,19 @@ double edge_flux(const RadialLens& lens, double a, double s0, double s1) {
 }
 
 /// Normalised corners of a pixel. y points down, which changes no flux.
-struct Corners {
+struct PixelCorners {
   double x0, x1, y0, y1;
 };
 
-Corners corners(const RadialLens& lens, int x, int y) {
+PixelCorners corners(const RadialLens& lens, int x, int y) {
   return {(x - lens.centre_px.x) / lens.focal_px.x, (x + 1 - lens.centre_px.x) / lens.focal_px.x,
           (y - lens.centre_px.y) / lens.focal_px.y, (y + 1 - lens.centre_px.y) / lens.focal_px.y};
 }
 
 /// Part of the pixel's area within the rim. The mirror ball is equal-area with dw/dA = 4 in its
 /// normalised plane, so the same flux measures area.
-double covered_fraction(const RadialLens& lens, const Corners& c) {
-  const RadialLens area{{0, 0}, {1, 1}, {RadialCurve::Kind::kMirrorBall, {}}};
+double covered_fraction(const RadialLens& lens, const PixelCorners& c) {
+  const RadialLens area{{0, 0}, {1, 1}, {RadialCurve::CurveKind::kMirrorBall, {}}};
   const double k = 1 / lens.rim();
   const double flux = edge_flux(area, c.x1 * k, c.y0 * k, c.y1 * k) -
                       edge_flux(area, c.x0 * k, c.y0 * k, c.y1 * k) +
@@ -86,7 +86,7 @@ double covered_fraction(const RadialLens& lens, const Corners& c) {
 
 /// The middle of what a rim pixel sees when its centre lies outside: half way between its innermost
 /// corner and the rim.
-glm::dvec3 rim_direction(const RadialLens& lens, const Corners& c) {
+glm::dvec3 rim_direction(const RadialLens& lens, const PixelCorners& c) {
   const glm::dvec2 inner{std::clamp(0., c.x0, c.x1), std::clamp(0., c.y0, c.y1)};
   const glm::dvec2 centre{(c.x0 + c.x1) / 2, (c.y0 + c.y1) / 2};
   const double rho = (std::fmin(std::hypot(inner.x, inner.y), lens.rim()) + lens.rim()) / 2;
@@ -95,7 +95,7 @@ glm::dvec3 rim_direction(const RadialLens& lens, const Corners& c) {
 
 void fill_radial_cell(ProjectionTable& table, const RadialLens& lens, int x, int y,
                       double solid_angle) {
-  const Corners c = corners(lens, x, y);
+  const PixelCorners c = corners(lens, x, y);
   const double far = std::hypot(std::max(std::abs(c.x0), std::abs(c.x1)),
                                 std::max(std::abs(c.y0), std::abs(c.y1)));
   if (far <= lens.rim()) return set_cell(table, x, y, solid_angle, 1);
@@ -112,7 +112,7 @@ void fill_radial(ProjectionTable& table, const RadialLens& lens) {
   std::vector<double> above(width), below(width), side(width + 1);
   const auto horizontal = [&](int y, std::vector<double>& flux) {
     for (int x = 0; x < table.width; ++x) {
-      const Corners c = corners(lens, x, y);
+      const PixelCorners c = corners(lens, x, y);
       flux[static_cast<std::size_t>(x)] = edge_flux(lens, c.y0, c.x0, c.x1);
     }
   };
@@ -120,7 +120,7 @@ void fill_radial(ProjectionTable& table, const RadialLens& lens) {
   for (int y = 0; y < table.height; ++y) {
     horizontal(y + 1, below);
     for (int x = 0; x <= table.width; ++x) {
-      const Corners c = corners(lens, x, y);
+      const PixelCorners c = corners(lens, x, y);
       side[static_cast<std::size_t>(x)] = edge_flux(lens, c.x0, c.y0, c.y1);
     }
     for (int x = 0; x < table.width; ++x) {
@@ -158,7 +158,7 @@ double triangle_solid_angle(const glm::dvec3& a, const glm::dvec3& b, const glm:
 }
 
 /// A pixel of a distorted picture is the quadrangle of its corners' directions.
-void fill_distorted(ProjectionTable& table, const Projection& p) {
+void fill_distorted(ProjectionTable& table, const CameraModel& p) {
   using Directions = std::vector<std::optional<glm::dvec3>>;
   const auto corners_of_row = [&](int y, Directions& out) {
     out.clear();
@@ -178,7 +178,7 @@ void fill_distorted(ProjectionTable& table, const Projection& p) {
   }
 }
 
-void fill_pinhole(ProjectionTable& table, const Projection& p) {
+void fill_pinhole(ProjectionTable& table, const CameraModel& p) {
   if (p.is_distorted()) return fill_distorted(table, p);
   std::vector<double> xs, ys;
   for (int x = 0; x <= p.width; ++x) xs.push_back((x - p.principal_px.x) / p.focal_px.x);
@@ -198,7 +198,7 @@ std::vector<double> face_lines(int size, bool centres_on_edges) {
   return lines;
 }
 
-void fill_faces(ProjectionTable& table, const Projection& p) {
+void fill_faces(ProjectionTable& table, const CameraModel& p) {
   const bool cross = p.kind == ProjectionKind::kVerticalCross;
   const int size = cross ? p.width / 3 : p.width;
   const std::vector<double> lines = face_lines(size, !cross);
@@ -216,7 +216,7 @@ void fill_faces(ProjectionTable& table, const Projection& p) {
 
 // ------------------------------------------------------------------------------- lat-long
 
-void fill_latlong(ProjectionTable& table, const Projection& p) {
+void fill_latlong(ProjectionTable& table, const CameraModel& p) {
   for (int y = 0; y < p.height; ++y) {
     const double cell = latlong_solid_angle(y, p.width, p.height);
     for (int x = 0; x < p.width; ++x) set_cell(table, x, y, cell, 1);
@@ -225,7 +225,7 @@ void fill_latlong(ProjectionTable& table, const Projection& p) {
 
 /// Pixel centres on the poles and on the seam: the first and last rows are caps half a row high,
 /// the first and last columns (the same meridian) half as wide.
-void fill_exr_latlong(ProjectionTable& table, const Projection& p) {
+void fill_exr_latlong(ProjectionTable& table, const CameraModel& p) {
   const auto theta = [&](double row) { return kPi * std::clamp(row / (p.height - 1), 0., 1.); };
   for (int y = 0; y < p.height; ++y) {
     const double band = std::cos(theta(y - .5)) - std::cos(theta(y + .5));
@@ -238,7 +238,7 @@ void fill_exr_latlong(ProjectionTable& table, const Projection& p) {
 
 }  // namespace
 
-ProjectionTable make_projection_table(const Projection& p) {
+ProjectionTable make_projection_table(const CameraModel& p) {
   assert(p.width > 0 && p.height > 0);
   const auto area = static_cast<std::size_t>(p.width) * static_cast<std::size_t>(p.height);
   ProjectionTable table{p.width, p.height, {}, std::vector<float>(area), std::vector<float>(area)};

@@ -5,7 +5,7 @@
 #include <glm/vec3.hpp>
 #include <vector>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 
 namespace penumbra::calib {
 
@@ -19,6 +19,6 @@ struct ProjectionTable {
   std::vector<float> solid_angle_sr;
   std::vector<float> confidence;
 };
-ProjectionTable make_projection_table(const Projection& projection);
+ProjectionTable make_projection_table(const CameraModel& projection);
 
 }  // namespace penumbra::calib

@@ -178,8 +178,8 @@ Result<Response> Response::with_white_balance(const std::array<double, 3>& gains
       return fail(ErrorCode::kInvalid, "white balance",
                   fmt::format("gain {} is not positive and finite", gain));
   Response out = *this;
-  const double least = std::ranges::min(gains);
-  for (std::size_t c = 0; c < 3; ++c) out.white_balance_[c] = gains[c] / least;
+  const double smallest = std::ranges::min(gains);
+  for (std::size_t c = 0; c < 3; ++c) out.white_balance_[c] = gains[c] / smallest;
   return out;
 }
 

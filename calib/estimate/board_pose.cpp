@@ -5,7 +5,7 @@
 #include <glm/gtx/quaternion.hpp>
 #include <opencv2/calib3d.hpp>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/rig_calibration.h"
 
@@ -25,7 +25,7 @@ glm::dmat3 from_opencv(const cv::Mat& rotation_vector) {
 }  // namespace
 
 // As a pinhole would see it that looks at the board's middle: no corner is then far from its axis.
-std::optional<Pose> board_pose(const Projection& projection, const BoardView& view) {
+std::optional<Pose> board_pose(const CameraModel& projection, const BoardView& view) {
   constexpr double kWidest = .17;  // cosine of the angle from the middle
   std::vector<glm::dvec3> seen;
   glm::dvec3 sum(0);

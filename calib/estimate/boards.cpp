@@ -11,7 +11,7 @@
 namespace penumbra::calib {
 namespace {
 
-constexpr std::size_t kLeastCorners = 6;
+constexpr std::size_t kMinCorners = 6;
 
 std::optional<double> to_number(std::string_view text) {
   double value = 0;
@@ -179,7 +179,7 @@ std::optional<BoardView> find_board(const FramePixels& picture, const Board& boa
   } catch (const cv::Exception&) {
     return std::nullopt;  // OpenCV's way of saying that it can't make sense of a picture
   }
-  if (view.pixels.size() < kLeastCorners) return std::nullopt;
+  if (view.pixels.size() < kMinCorners) return std::nullopt;
   return view;
 }
 

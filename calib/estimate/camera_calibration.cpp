@@ -18,7 +18,7 @@ namespace penumbra::calib {
 namespace {
 
 constexpr int kShared = 4;  // fx fy cx cy, before the distortion
-constexpr std::size_t kLeastBoards = 3;
+constexpr std::size_t kMinBoards = 3;
 
 using Pose6 = std::array<double, 6>;  // camera from board: angle-axis, translation
 
@@ -76,7 +76,7 @@ struct Pinhole {
 };
 
 template <class Lens>
-struct Corner {
+struct BoardCorner {
   glm::dvec2 pixel, board;
   template <class T>
   bool operator()(const T* intrinsics, const T* pose, T* residual) const {
@@ -99,7 +99,7 @@ double guessed_theta(ProjectionKind kind, double rho) {
   return rho;
 }
 
-struct Guess {
+struct LensGuess {
   double focal = 0;
   std::vector<std::optional<Pose6>> poses;
   double cost = HUGE_VAL;  // of the corners near the axis, in pixels
@@ -151,26 +151,26 @@ std::optional<std::pair<Pose6, double>> guess_pose(const BoardView& view, Projec
   return std::pair{pose, sum / static_cast<double>(seen.size())};
 }
 
-Guess guess_at(std::span<const BoardView> views, ProjectionKind kind, glm::dvec2 centre,
-               double focal) {
-  Guess out{.focal = focal, .poses = {}};
+LensGuess guess_at(std::span<const BoardView> views, ProjectionKind kind, glm::dvec2 centre,
+                   double focal) {
+  LensGuess out{.focal = focal, .poses = {}};
   std::vector<double> costs;
   for (const BoardView& view : views) {
     const auto pose = guess_pose(view, kind, centre, focal);
     out.poses.push_back(pose ? std::optional(pose->first) : std::nullopt);
     if (pose) costs.push_back(pose->second);
   }
-  if (costs.size() * 2 < views.size() || costs.size() < kLeastBoards) return out;
+  if (costs.size() * 2 < views.size() || costs.size() < kMinBoards) return out;
   std::ranges::nth_element(costs, costs.begin() + static_cast<std::ptrdiff_t>(costs.size() / 2));
   out.cost = costs[costs.size() / 2];
   return out;
 }
 
-Guess best_guess(std::span<const BoardView> views, ProjectionKind kind, int width, int height) {
-  Guess best;
+LensGuess best_guess(std::span<const BoardView> views, ProjectionKind kind, int width, int height) {
+  LensGuess best;
   constexpr double kShortest = .15, kLongest = 4, kStep = 1.15;  // of the picture's width
-  for (double share = kShortest; share < kLongest; share *= kStep) {
-    Guess guess = guess_at(views, kind, {width / 2., height / 2.}, share * width);
+  for (double fraction = kShortest; fraction < kLongest; fraction *= kStep) {
+    LensGuess guess = guess_at(views, kind, {width / 2., height / 2.}, fraction * width);
     if (guess.cost < best.cost) best = std::move(guess);
   }
   return best;
@@ -178,7 +178,7 @@ Guess best_guess(std::span<const BoardView> views, ProjectionKind kind, int widt
 
 // ------------------------------------------------------------------------------- refinement
 
-struct Fit {
+struct LensFit {
   std::vector<double> intrinsics;
   std::vector<std::optional<Pose6>> poses;
   std::vector<double> covariance;  // of the intrinsics, row by row
@@ -190,7 +190,7 @@ struct Fit {
 template <class Lens>
 class Solver {
  public:
-  Solver(std::span<const BoardView> views, Fit& fit, bool undistorted)
+  Solver(std::span<const BoardView> views, LensFit& fit, bool undistorted)
       : views_(views), fit_(fit), undistorted_(undistorted) {}
 
   // False when it does not converge to something finite.
@@ -229,7 +229,7 @@ class Solver {
     std::vector<glm::dvec2> out;
     for (std::size_t i = 0; i < views_[board].pixels.size(); ++i) {
       glm::dvec2 off;
-      const Corner<Lens> corner{views_[board].pixels[i], views_[board].on_board_m[i]};
+      const BoardCorner<Lens> corner{views_[board].pixels[i], views_[board].on_board_m[i]};
       corner(fit_.intrinsics.data(), fit_.poses[board]->data(), &off.x);
       out.push_back(off);
     }
@@ -244,8 +244,8 @@ class Solver {
     for (std::size_t b = 0; b < views_.size(); ++b) {
       if (!used[b]) continue;
       for (std::size_t i = 0; i < views_[b].pixels.size(); ++i) {
-        auto* const cost = new ceres::AutoDiffCostFunction<Corner<Lens>, 2, kCount, 6>(
-            new Corner<Lens>{views_[b].pixels[i], views_[b].on_board_m[i]});
+        auto* const cost = new ceres::AutoDiffCostFunction<BoardCorner<Lens>, 2, kCount, 6>(
+            new BoardCorner<Lens>{views_[b].pixels[i], views_[b].on_board_m[i]});
         problem.AddResidualBlock(cost, huber_px > 0 ? new ceres::HuberLoss(huber_px) : nullptr,
                                  intrinsics, fit_.poses[b]->data());
       }
@@ -264,7 +264,7 @@ class Solver {
   }
 
   std::span<const BoardView> views_;
-  Fit& fit_;
+  LensFit& fit_;
   bool undistorted_;
 };
 
@@ -313,16 +313,16 @@ void leave_out(CameraCalibration& out, std::vector<bool>& used) {
     if (used[b]) distances.push_back(out.boards[b].rms_px);
   std::ranges::nth_element(distances,
                            distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2));
-  constexpr double kTimes = 3, kLeastPx = .5;
-  const double most = std::max(kLeastPx, kTimes * distances[distances.size() / 2]);
+  constexpr double kTimes = 3, kMinPx = .5;
+  const double largest = std::max(kMinPx, kTimes * distances[distances.size() / 2]);
   for (std::size_t b = 0; b < used.size(); ++b)
-    if (used[b] && out.boards[b].rms_px > most) used[b] = false;
+    if (used[b] && out.boards[b].rms_px > largest) used[b] = false;
 }
 
-Result<void> check_focal(const Fit& fit) {
+Result<void> check_focal(const LensFit& fit) {
   const double worst = std::max(fit.sigma(0) / fit.intrinsics[0], fit.sigma(1) / fit.intrinsics[1]);
-  constexpr double kMostSigma = .02;
-  if (worst > kMostSigma)
+  constexpr double kMaxSigma = .02;
+  if (worst > kMaxSigma)
     return undetermined(fmt::format(
         "the focal length is uncertain by {:.1f} %: add pictures of the board tilted by "
         "30 to 45 degrees, to each side",
@@ -331,9 +331,9 @@ Result<void> check_focal(const Fit& fit) {
 }
 
 // Towards the axis xi and alpha do the same to the picture.
-Result<void> check_double_sphere(const Fit& fit) {
-  constexpr double kMostSigma = .05;
-  if (fit.sigma(kShared) <= kMostSigma) return {};
+Result<void> check_double_sphere(const LensFit& fit) {
+  constexpr double kMaxSigma = .05;
+  if (fit.sigma(kShared) <= kMaxSigma) return {};
   return undetermined(
       fmt::format("xi is uncertain by {:.2f}, for xi and alpha differ only far from the axis: "
                   "bring the board to "
@@ -342,8 +342,8 @@ Result<void> check_double_sphere(const Fit& fit) {
 }
 
 Result<void> check_reach(const CameraCalibration& c, bool distorted) {
-  constexpr double kLeastReach = .4;
-  if (distorted && c.reach < kLeastReach)
+  constexpr double kMinReach = .4;
+  if (distorted && c.reach < kMinReach)
     return undetermined(
         fmt::format("no corner lies beyond {:.0f} % of the way to the picture's corners, and the "
                     "lens cannot be known there: bring the board to the borders",
@@ -352,7 +352,7 @@ Result<void> check_reach(const CameraCalibration& c, bool distorted) {
 }
 
 // From the solver's focal length f' = f / (1 + xi) to the paper's f, with its covariance.
-void of_paper(Fit& fit) {
+void of_paper(LensFit& fit) {
   const std::size_t n = fit.intrinsics.size();
   const double stretch = 1 + fit.intrinsics[kShared];
   std::vector<double> jacobian(n * n, 0), half(n * n, 0), whole(n * n, 0);
@@ -370,14 +370,14 @@ void of_paper(Fit& fit) {
 }
 
 template <class Lens>
-Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Projection& start,
+Result<CameraCalibration> calibrate(std::span<const BoardView> views, const CameraModel& start,
                                     bool undistorted) {
-  Guess guess = best_guess(views, start.kind, start.width, start.height);
+  LensGuess guess = best_guess(views, start.kind, start.width, start.height);
   if (!std::isfinite(guess.cost))
     return undetermined("no pose of the boards fits this projection: is it the right one?");
-  Fit fit{{guess.focal, guess.focal, start.principal_px.x, start.principal_px.y},
-          std::move(guess.poses),
-          {}};
+  LensFit fit{{guess.focal, guess.focal, start.principal_px.x, start.principal_px.y},
+              std::move(guess.poses),
+              {}};
   fit.intrinsics.resize(kShared + Lens::kDistortion, 0);
   if (std::is_same_v<
           Lens,
@@ -405,7 +405,7 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Proj
     out.rms_px = rms(all);
   };
   for (int pass = 0; pass < 3; ++pass) {
-    if (static_cast<std::size_t>(std::ranges::count(used, true)) < kLeastBoards)
+    if (static_cast<std::size_t>(std::ranges::count(used, true)) < kMinBoards)
       return undetermined(
           "fewer than 3 boards agree with each other: hold the board flat and still");
     if (!solver.solve(1, used)) return undetermined("the solution does not converge");
@@ -460,11 +460,11 @@ Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, Pro
   if (options.undistorted && kind == ProjectionKind::kDoubleSphere)
     return fail(ErrorCode::kInvalid, "double-sphere", "has no undistorted form; take equidistant");
   PENUMBRA_ASSIGN(start, make_projection(kind, width, height));
-  if (views.size() < kLeastBoards)
+  if (views.size() < kMinBoards)
     return undetermined(fmt::format(
         "the board was found in {} pictures, at least {} are needed: ten to thirty, from different "
         "sides and up to the borders",
-        views.size(), kLeastBoards));
+        views.size(), kMinBoards));
   switch (kind) {
     case ProjectionKind::kEquidistant:
       return calibrate<Equidistant>(views, start, options.undistorted);

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/estimate/boards.h"
 #include "core/pose.h"
 
@@ -23,7 +23,7 @@ struct BoardFit {
 };
 
 struct CameraCalibration {
-  Projection projection;
+  CameraModel projection;
   glm::dvec2 focal_sigma_px{0, 0}, principal_sigma_px{0, 0};  // one standard deviation
   std::array<double, 5> distortion_sigma{};
   double rms_px = 0;  // over the boards used

@@ -17,7 +17,7 @@ namespace penumbra::calib {
 namespace {
 
 constexpr std::size_t kFewestPairs = 8;
-constexpr double kMostUncertain = .05;  // of an element, against the mean of the diagonal
+constexpr double kMaxUncertain = .05;  // of an element, against the mean of the diagonal
 constexpr const char* kChannels[] = {"red", "green", "blue"};
 
 using Vector = Eigen::Vector3d;
@@ -67,11 +67,11 @@ std::vector<Parameter> parameters_of(ColourModel model) {
   return out;
 }
 
-struct Fit {
+struct ColourFit {
   Matrix matrix = Matrix::Zero(), sigma = Matrix::Zero();
 };
-std::optional<Fit> weighted_fit(const Relative& pairs, const std::vector<double>& weights,
-                                const std::vector<Parameter>& parameters) {
+std::optional<ColourFit> weighted_fit(const Relative& pairs, const std::vector<double>& weights,
+                                      const std::vector<Parameter>& parameters) {
   const auto count = std::ssize(parameters);
   Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(count, count);
   Eigen::VectorXd right = Eigen::VectorXd::Zero(count);
@@ -94,7 +94,7 @@ std::optional<Fit> weighted_fit(const Relative& pairs, const std::vector<double>
   const Eigen::LDLT<Eigen::MatrixXd> solver(normal);
   if (solver.info() != Eigen::Success || !(solver.rcond() > 1e-14)) return std::nullopt;
   const Eigen::VectorXd solution = solver.solve(right);
-  Fit out;
+  ColourFit out;
   const auto set = [&](Matrix& m, Eigen::Index p, double value) {
     for (const auto& [r, c] : parameters[static_cast<std::size_t>(p)]) m(r, c) = value;
   };
@@ -123,14 +123,14 @@ std::unexpected<Error> too_few_colours(const std::string& which) {
                   "--model gains");
 }
 
-Result<void> check_determined(const Fit& fit) {
+Result<void> check_determined(const ColourFit& fit) {
   const double size = fit.matrix.diagonal().cwiseAbs().mean();
   Eigen::Index r = 0, c = 0;
-  const double most = fit.sigma.maxCoeff(&r, &c);
-  if (most <= kMostUncertain * size) return {};
+  const double largest = fit.sigma.maxCoeff(&r, &c);
+  if (largest <= kMaxUncertain * size) return {};
   return too_few_colours(
       fmt::format("how much {} of the one is in {} of the other ({:.3g} +- {:.3g})", kChannels[c],
-                  kChannels[r], fit.matrix(r, c), most));
+                  kChannels[r], fit.matrix(r, c), largest));
 }
 
 Result<Relative> relative(std::span<const ColourPair> pairs) {
@@ -168,7 +168,7 @@ Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, Co
                             pairs.size(), kFewestPairs));
   PENUMBRA_ASSIGN(scaled, relative(pairs));
   const auto parameters = parameters_of(model);
-  Fit fit;
+  ColourFit fit;
   fit.matrix = start_by_medians(scaled);
   std::vector<double> weights(pairs.size());
   ColourCalibration out;

@@ -19,10 +19,9 @@
 #include <utility>
 #include <vector>
 
-#include "core/parallel.h"
 #include "calib/camera/response.h"
 #include "calib/estimate/estimate_response.h"
-
+#include "core/parallel.h"
 
 namespace penumbra::calib {
 namespace {
@@ -79,7 +78,7 @@ Result<void> check_arguments(Pictures pictures, std::span<const Seconds> times) 
 
 // ------------------------------------------------------------------------------- samples
 
-struct Candidate {
+struct SquareCandidate {
   int x = 0, y = 0;
   double mean = 0;   // of its codes over the bracket
   int contrast = 0;  // largest difference to a neighbour: small survives misregistration
@@ -87,7 +86,7 @@ struct Candidate {
 
 /// What a coarse walk over the bracket finds, per channel.
 struct Survey {
-  std::array<std::vector<Candidate>, 3> candidates;  // usable in two pictures or more
+  std::array<std::vector<SquareCandidate>, 3> candidates;  // usable in two pictures or more
   std::array<bool, 3> moves{};  // some usable pixel changes its code with the exposure
   bool any_pixel = false, any_above_black = false, any_below_clip = false;
 };
@@ -152,7 +151,7 @@ Result<void> check_survey(const Survey& survey) {
       return undetermined(fmt::format(
           "no overlap: {} sampled pixels are well exposed in two pictures in {}, {} are needed",
           candidates.size(), kChannelNames[c], kMinSamples));
-    const auto [low, high] = std::ranges::minmax(candidates, {}, &Candidate::mean);
+    const auto [low, high] = std::ranges::minmax(candidates, {}, &SquareCandidate::mean);
     if (high.mean - low.mean < 4)
       return undetermined(fmt::format("one colour: {} is the same everywhere", kChannelNames[c]));
     if (!survey.moves[c])
@@ -170,7 +169,7 @@ Result<void> check_order(Pictures pictures, std::span<const Seconds> times, cons
   double previous = -1;
   for (const std::size_t k : order) {
     double sum = 0;
-    for (const Candidate& p : survey.candidates[1]) sum += pictures[k]->at(p.x, p.y).g;
+    for (const SquareCandidate& p : survey.candidates[1]) sum += pictures[k]->at(p.x, p.y).g;
     const double mean = sum / static_cast<double>(survey.candidates[1].size());
     if (mean < previous - 1)
       return undetermined(fmt::format("picture {} is darker than one with a shorter exposure", k));
@@ -180,12 +179,12 @@ Result<void> check_order(Pictures pictures, std::span<const Seconds> times, cons
 }
 
 /// `count` candidates spread evenly over brightness, the smoothest ones of each brightness first.
-std::vector<Candidate> spread(std::vector<Candidate> candidates, std::size_t count) {
-  std::ranges::stable_sort(candidates, {}, &Candidate::contrast);
-  std::array<std::vector<Candidate>, kCodes / 2> buckets;
-  for (const Candidate& c : candidates)
+std::vector<SquareCandidate> spread(std::vector<SquareCandidate> candidates, std::size_t count) {
+  std::ranges::stable_sort(candidates, {}, &SquareCandidate::contrast);
+  std::array<std::vector<SquareCandidate>, kCodes / 2> buckets;
+  for (const SquareCandidate& c : candidates)
     buckets[std::min(buckets.size() - 1, static_cast<std::size_t>(c.mean / 2))].push_back(c);
-  std::vector<Candidate> chosen;
+  std::vector<SquareCandidate> chosen;
   for (std::size_t depth = 0; chosen.size() < count; ++depth)
     for (const auto& bucket : buckets)
       if (depth < bucket.size() && chosen.size() < count) chosen.push_back(bucket[depth]);
@@ -240,9 +239,9 @@ cv::Mat curve_terms() {
     for (int j = 0; j < kTerms; ++j) out.at<double>(z, j) = out.at<double>(z - 1, j);
     const auto above = std::ranges::upper_bound(kKnots, at);
     const auto j = static_cast<int>(above - kKnots.begin());
-    const double share = (at - *(above - 1)) / (*above - *(above - 1));
-    out.at<double>(z, j - 1) += (1 - share) * step;
-    out.at<double>(z, j) += share * step;
+    const double fraction = (at - *(above - 1)) / (*above - *(above - 1));
+    out.at<double>(z, j - 1) += (1 - fraction) * step;
+    out.at<double>(z, j) += fraction * step;
   }
   const cv::Mat middle = out.row(kCodes / 2 - 1).clone();
   for (int z = 0; z < kCodes - 1; ++z) out.row(z) -= middle;
@@ -265,22 +264,22 @@ cv::Mat smoothness_of_terms(double total_weight) {
 /// The solution of `matrix` x = `right` with no x below a least slope: what would fall is held there and the rest solved
 /// again (an active set, Lawson & Hanson 1974). Nothing when singular.
 std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
-  constexpr double kLeast = .1;  // twice the code is at least a tenth of an octave more light
+  constexpr double kMin = .1;  // twice the code is at least a tenth of an octave more light
   std::vector<bool> held(static_cast<std::size_t>(kTerms), false);
   for (;;) {
     cv::Mat m = matrix.clone(), r = right.clone(), x;
     for (int j = 0; j < kTerms; ++j) {
       if (!held[static_cast<std::size_t>(j)]) continue;
-      r -= kLeast * m.col(j);
+      r -= kMin * m.col(j);
       m.row(j) = 0;
       m.col(j) = 0;
       m.at<double>(j, j) = 1;
-      r.at<double>(j) = kLeast;
+      r.at<double>(j) = kMin;
     }
     if (!cv::solve(m, r, x, cv::DECOMP_CHOLESKY)) return std::nullopt;
     bool falls = false;
     for (int j = 0; j < kTerms; ++j) {
-      if (held[static_cast<std::size_t>(j)] || x.at<double>(j) >= kLeast) continue;
+      if (held[static_cast<std::size_t>(j)] || x.at<double>(j) >= kMin) continue;
       held[static_cast<std::size_t>(j)] = falls = true;
     }
     if (!falls) return x;
@@ -289,11 +288,11 @@ std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
 
 /// ln of the light for codes 1..255 of one channel.
 Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Seconds> times,
-                                        const std::vector<Candidate>& samples, int channel) {
+                                        const std::vector<SquareCandidate>& samples, int channel) {
   try {
     Equations equations;
     std::vector<std::pair<int, double>> codes_and_log_times;
-    for (const Candidate& s : samples) {
+    for (const SquareCandidate& s : samples) {
       codes_and_log_times.clear();
       for (std::size_t k = 0; k < pictures.size(); ++k) {
         const int code = channel_of(pictures[k]->at(s.x, s.y), channel);
@@ -317,24 +316,24 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
 
 /// Least-squares monotone fit (pool adjacent violators; Barlow et al. 1972).
 std::vector<double> monotone(const std::vector<double>& values) {
-  struct Block {
+  struct ResponseBlock {
     double mean;
     std::size_t count;
   };
-  std::vector<Block> blocks;
+  std::vector<ResponseBlock> blocks;
   for (const double v : values) {
     blocks.push_back({v, 1});
     while (blocks.size() > 1 && blocks[blocks.size() - 2].mean > blocks.back().mean) {
-      const Block last = blocks.back();
+      const ResponseBlock last = blocks.back();
       blocks.pop_back();
-      Block& into = blocks.back();
+      ResponseBlock& into = blocks.back();
       const auto a = static_cast<double>(into.count), b = static_cast<double>(last.count);
       into.mean = (a * into.mean + b * last.mean) / (a + b);
       into.count += last.count;
     }
   }
   std::vector<double> out;
-  for (const Block& b : blocks) out.insert(out.end(), b.count, b.mean);
+  for (const ResponseBlock& b : blocks) out.insert(out.end(), b.count, b.mean);
   return out;
 }
 
@@ -375,19 +374,20 @@ Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
 namespace {
 
 // Every second row or column of squares of a picture: parts that see the same scene, or different places of it.
-enum class Part { kEvenRows, kOddRows, kLeft, kRight };
+enum class PictureHalf { kEvenRows, kOddRows, kLeft, kRight };
 
-Picture part_of(const Picture& whole, Part part) {
-  const bool rows = part == Part::kEvenRows || part == Part::kOddRows;
+Picture part_of(const Picture& whole, PictureHalf part) {
+  const bool rows = part == PictureHalf::kEvenRows || part == PictureHalf::kOddRows;
   const int half = whole.width() / 2;
   Picture out(rows ? whole.width() : half, rows ? whole.height() / 2 : whole.height());
-  const int x0 = part == Part::kRight ? half : 0, y0 = part == Part::kOddRows ? 1 : 0;
+  const int x0 = part == PictureHalf::kRight ? half : 0, y0 = part == PictureHalf::kOddRows ? 1 : 0;
   for (int y = 0; y < out.height(); ++y)
     for (int x = 0; x < out.width(); ++x) out.at(x, y) = whole.at(x + x0, rows ? 2 * y + y0 : y);
   return out;
 }
 
-Result<Response> estimate_from(Pictures pictures, std::span<const Seconds> times, Part part) {
+Result<Response> estimate_from(Pictures pictures, std::span<const Seconds> times,
+                               PictureHalf part) {
   std::vector<Picture> parts;
   std::vector<const Picture*> pointers;
   for (const Picture* p : pictures) parts.push_back(part_of(*p, part));
@@ -400,7 +400,7 @@ struct CodeRange {
 };
 
 // What a part's pictures hold, without the outermost hundredth: beyond it its curve is a guess.
-CodeRange codes_of(Pictures pictures, Part part) {
+CodeRange codes_of(Pictures pictures, PictureHalf part) {
   std::array<std::size_t, 256> counts{};
   std::size_t all = 0;
   for (const Picture* whole : pictures)
@@ -438,21 +438,22 @@ Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* cons
                                                std::span<const Seconds> times) {
   PENUMBRA_ASSIGN(whole, estimate_response(pictures, times));
   ResponseCalibration out{std::move(whole), 0, {}};
-  const auto even = estimate_from(pictures, times, Part::kEvenRows),
-             odd = estimate_from(pictures, times, Part::kOddRows);
+  const auto even = estimate_from(pictures, times, PictureHalf::kEvenRows),
+             odd = estimate_from(pictures, times, PictureHalf::kOddRows);
   if (!even || !odd)
     return undetermined("too few pixels to tell how sure the curve is: take larger pictures");
   // The mean of two halves is half as uncertain as their difference.
   out.sigma = difference(*even, *odd) / 2;
-  const auto left = estimate_from(pictures, times, Part::kLeft),
-             right = estimate_from(pictures, times, Part::kRight);
-  const CodeRange l = codes_of(pictures, Part::kLeft), r = codes_of(pictures, Part::kRight);
+  const auto left = estimate_from(pictures, times, PictureHalf::kLeft),
+             right = estimate_from(pictures, times, PictureHalf::kRight);
+  const CodeRange l = codes_of(pictures, PictureHalf::kLeft),
+                  r = codes_of(pictures, PictureHalf::kRight);
   const CodeRange both{std::max(l.low, r.low), std::min(l.high, r.high)};
   constexpr int kTooFew = 64;  // codes
   if (!left || !right || both.high - both.low < kTooFew) return out;
   out.between_places = difference(*left, *right, both);
-  constexpr double kMost = .05;
-  if (*out.between_places > kMost && *out.between_places > 4 * out.sigma)
+  constexpr double kMax = .05;
+  if (*out.between_places > kMax && *out.between_places > 4 * out.sigma)
     return undetermined(fmt::format(
         "the left and the right half have curves {:.0f} % apart: switch local tone mapping "
         "(\"HDR\", \"dynamic contrast\") off, or keep the scene still",

@@ -9,7 +9,7 @@
 #include <numeric>
 #include <optional>
 
-#include "core/aside.h"
+#include "core/background_task.h"
 #include "core/image.h"
 #include "core/toml_keys.h"
 
@@ -17,7 +17,7 @@ namespace penumbra::calib {
 
 namespace {
 
-constexpr std::size_t kFewestFrames = 8, kMostFrames = 64;
+constexpr std::size_t kFewestFrames = 8, kMaxFrames = 64;
 constexpr double kClip = .95;
 
 std::unexpected<Error> undetermined(std::string detail) {
@@ -43,7 +43,7 @@ class Curve {
 };
 
 // Through time, of one pixel and channel.
-struct Sample {
+struct PixelNoise {
   double mean, variance, step;
 };
 
@@ -79,8 +79,8 @@ std::vector<double> brightness_of_frames(const StillSeries& series, const Curve&
   return out;
 }
 
-std::optional<Sample> sample_of(const StillSeries& series, std::size_t i, const Curve& curve,
-                                const std::vector<double>& brightness, double black_level) {
+std::optional<PixelNoise> sample_of(const StillSeries& series, std::size_t i, const Curve& curve,
+                                    const std::vector<double>& brightness, double black_level) {
   double sum = 0, square = 0;
   for (std::size_t t = 0; t < series.frames(); ++t) {
     const std::uint16_t code = series.codes()[t][i];
@@ -91,15 +91,15 @@ std::optional<Sample> sample_of(const StillSeries& series, std::size_t i, const 
   }
   const auto n = static_cast<double>(series.frames());
   const double mean = sum / n;
-  return Sample{mean, (square - sum * mean) / (n - 1), curve.step(mean + black_level)};
+  return PixelNoise{mean, (square - sum * mean) / (n - 1), curve.step(mean + black_level)};
 }
 
 // Above it something moved: chance explains five standard deviations. The quietest quarter tells the scale, whatever happens to
 // the others. source: quantiles of chi squared, Wilson & Hilferty 1931
-double largest_variance(std::vector<Sample>& samples, double freedom) {
+double largest_variance(std::vector<PixelNoise>& samples, double freedom) {
   constexpr double kQuarter = -.6745;  // standard deviations, of a normal distribution
   const auto quarter = samples.begin() + std::ssize(samples) / 4;
-  std::ranges::nth_element(samples, quarter, {}, &Sample::variance);
+  std::ranges::nth_element(samples, quarter, {}, &PixelNoise::variance);
   const double spread = 2 / (9 * freedom);
   const double scale = quarter->variance / std::pow(1 - spread + kQuarter * std::sqrt(spread), 3);
   return scale * (1 + 5 * std::sqrt(2 / freedom));
@@ -110,7 +110,7 @@ void add_points(const StillSeries& series, const Response& response, double blac
                 std::vector<NoisePoint>& out) {
   constexpr double kQuiet = .1;  // variance in squared steps
   constexpr std::size_t kFewestSamples = 200;
-  std::map<int, std::vector<Sample>> bins;
+  std::map<int, std::vector<PixelNoise>> bins;
   const Curve green(response, series.bits(), 1);
   const auto brightness = brightness_of_frames(series, green, black_level);
   for (int c = 0; c < 3; ++c) {
@@ -121,11 +121,11 @@ void add_points(const StillSeries& series, const Response& response, double blac
   }
   for (auto& [bin, samples] : bins) {
     if (samples.size() < kFewestSamples) continue;
-    const double most = largest_variance(samples, static_cast<double>(series.frames() - 1));
+    const double largest = largest_variance(samples, static_cast<double>(series.frames() - 1));
     NoisePoint point{0, series.gain(), 0, 0};
     double rounding = 0;
-    for (const Sample& s : samples) {
-      if (s.variance > most) continue;
+    for (const PixelNoise& s : samples) {
+      if (s.variance > largest) continue;
       point.signal += s.mean, point.variance += s.variance, rounding += s.step * s.step;
       ++point.samples;
     }
@@ -146,7 +146,7 @@ struct Dark {
 };
 // Of the capped lens; nothing where black is cut off at code 0.
 std::optional<Dark> dark_of(const StillSeries& series, const Response& response) {
-  constexpr double kMostAtZero = .05;
+  constexpr double kMaxAtZero = .05;
   double sum = 0, variance = 0, rounding = 0;
   std::size_t at_zero = 0, all = 0, pixels = 0;
   for (int c = 0; c < 3; ++c) {
@@ -166,7 +166,7 @@ std::optional<Dark> dark_of(const StillSeries& series, const Response& response)
       ++pixels;
     }
   }
-  if (static_cast<double>(at_zero) > kMostAtZero * static_cast<double>(all)) return std::nullopt;
+  if (static_cast<double>(at_zero) > kMaxAtZero * static_cast<double>(all)) return std::nullopt;
   const auto n = static_cast<double>(pixels);
   const double noise = (variance - rounding / 12) / n;
   return Dark{sum / n, noise > .1 * rounding / n ? noise : 0,
@@ -174,11 +174,11 @@ std::optional<Dark> dark_of(const StillSeries& series, const Response& response)
 }
 
 // var = g y a + g^2 b with weights by the model's own variance; a = 1 / full well, b = read^2.
-struct Fit {
+struct NoiseFit {
   double a = 0, b = 0, var_a = 0, var_b = 0, error = 0;
 };
-std::optional<Fit> fit_model(const std::vector<NoisePoint>& points) {
-  Fit fit;
+std::optional<NoiseFit> fit_model(const std::vector<NoisePoint>& points) {
+  NoiseFit fit;
   // Between points a curve or a camera's own noise reduction is off by this at least.
   constexpr double kModel = .02;
   for (int round = 0; round < 8; ++round) {
@@ -218,7 +218,7 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
     if (codes_.empty()) bits_ = bits, width_ = image.width(), height_ = image.height();
     if (bits != bits_ || image.width() != width_ || image.height() != height_)
       return fail(ErrorCode::kInvalid, name, "another size or depth than the first frame");
-    if (codes_.size() >= kMostFrames) return {};
+    if (codes_.size() >= kMaxFrames) return {};
     const auto area = static_cast<double>(image.area());
     const int apart = std::max(1, static_cast<int>(std::ceil(std::sqrt(area / kEnough))));
     auto& codes = codes_.emplace_back();
@@ -237,7 +237,7 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level) {
-  constexpr double kMostUncertain = .1;
+  constexpr double kMaxUncertain = .1;
   std::size_t frames = 0;
   for (const StillSeries& s : still) frames = std::max(frames, s.frames());
   if (frames < kFewestFrames)
@@ -267,14 +267,14 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
       "show it everything from dark to bright, at two exposures four stops apart";
   if (!fit || !(fit->a > 0) || brightest.signal < 8 * dimmest.signal)
     return undetermined("all that is seen has about one brightness: " + more);
-  if (std::sqrt(fit->var_a) > kMostUncertain * fit->a)
+  if (std::sqrt(fit->var_a) > kMaxUncertain * fit->a)
     return undetermined(fmt::format("the full well stays uncertain by {:.0f} %: {}",
                                     100 * std::sqrt(fit->var_a) / fit->a, more));
   out.model.full_well_electrons = 1 / fit->a;
   out.full_well_sigma = std::sqrt(fit->var_a) / (fit->a * fit->a);
-  out.model.read_fraction = std::sqrt(fit->b);
+  out.model.read_noise = std::sqrt(fit->b);
   const double sigma_b = std::sqrt(fit->var_b);
-  out.read_sigma = fit->b > sigma_b ? sigma_b / (2 * out.model.read_fraction) : std::sqrt(sigma_b);
+  out.read_sigma = fit->b > sigma_b ? sigma_b / (2 * out.model.read_noise) : std::sqrt(sigma_b);
   out.error = fit->error;
   return out;
 }
@@ -284,7 +284,7 @@ std::string print_noise_file(const NoiseCalibration& c) {
       "version = 1\n\n[noise]\nfull_well_electrons = {:.6g}\nfull_well_sigma = {:.3g}  # one "
       "standard "
       "deviation\nread_fraction = {:.5g}\nread_sigma = {:.3g}\nblack_level = {:.6g}\n",
-      c.model.full_well_electrons, c.full_well_sigma, c.model.read_fraction, c.read_sigma,
+      c.model.full_well_electrons, c.full_well_sigma, c.model.read_noise, c.read_sigma,
       c.black_level);
 }
 

@@ -10,9 +10,9 @@
 #include <string_view>
 #include <vector>
 
-#include "core/image.h"
 #include "calib/camera/noise.h"
 #include "calib/camera/response.h"
+#include "core/image.h"
 #include "core/units.h"
 
 namespace penumbra::calib {
@@ -59,6 +59,6 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level);
 
-/// "version = 1" and [noise]: full_well_electrons, read_fraction, black_level, how sure they are.
+/// "version = 1" and [noise]: full_well_electrons, read_noise, black_level, how sure they are.
 std::string print_noise_file(const NoiseCalibration& calibration);
 }  // namespace penumbra::calib

@@ -49,7 +49,7 @@ void transform_back(const T* pose, const T* point, T* out) {
 }
 
 // One corner: where it is seen, and how many pixels a change of direction makes there.
-struct Corner {
+struct SeenCorner {
   glm::dvec3 on_board, seen;
   double pixels[2][3];
 
@@ -64,10 +64,11 @@ struct Corner {
   }
 };
 
-std::optional<Corner> corner_of(const Projection& projection, glm::dvec2 pixel, glm::dvec2 board) {
+std::optional<SeenCorner> corner_of(const CameraModel& projection, glm::dvec2 pixel,
+                                    glm::dvec2 board) {
   const auto seen = direction_from_pixel(projection, pixel);
   if (!seen) return std::nullopt;
-  Corner out{{board.x, -board.y, 0}, *seen, {}};
+  SeenCorner out{{board.x, -board.y, 0}, *seen, {}};
   // Two directions at right angles to it; what they move the pixel by.
   const glm::dvec3 any = std::abs(seen->z) < .9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
   const glm::dvec3 u = glm::normalize(glm::cross(*seen, any)), v = glm::cross(*seen, u);
@@ -85,7 +86,7 @@ std::optional<Corner> corner_of(const Projection& projection, glm::dvec2 pixel, 
 
 // Board fixed to nothing: its pose in the rig at each moment.
 struct FreeBoard {
-  Corner corner;
+  SeenCorner corner;
   double weight;
   template <class T>
   bool operator()(const T* rig_from_camera, const T* rig_from_board, T* residual) const {
@@ -101,7 +102,7 @@ struct FreeBoard {
 
 // Board fixed in the tracker's world.
 struct FixedBoard {
-  Corner corner;
+  SeenCorner corner;
   double weight;
   template <class T>
   bool operator()(const T* body_from_camera, const T* world_from_body, const T* world_from_board,
@@ -196,7 +197,7 @@ class Adjustment {
  private:
   struct Observed {
     std::size_t camera, moment;
-    std::vector<Corner> corners;
+    std::vector<SeenCorner> corners;
   };
   bool tracked() const { return !options_.tracker.empty(); }
 
@@ -207,7 +208,7 @@ class Adjustment {
     for (std::size_t v = 0; v < observed_.size(); ++v) {
       Observed& o = observed_[v];
       if (!used_[v]) continue;
-      for (const Corner& corner : o.corners) {
+      for (const SeenCorner& corner : o.corners) {
         if (tracked())
           problem.AddResidualBlock(new ceres::AutoDiffCostFunction<FixedBoard, 2, 6, 6, 6>(
                                        new FixedBoard{corner, weight}),
@@ -251,7 +252,7 @@ class Adjustment {
   std::pair<double, std::size_t> squares(std::size_t v) const {
     const Observed& o = observed_[v];
     double sum = 0;
-    for (const Corner& corner : o.corners) {
+    for (const SeenCorner& corner : o.corners) {
       double r[2];
       if (tracked())
         FixedBoard{corner, 1}(cameras_[o.camera].data(), moments_[o.moment].data(),
@@ -283,8 +284,8 @@ class Adjustment {
     return all[all.size() / 2];
   }
   Result<void> check_fit(const RigCalibration& out) const {
-    constexpr double kMost_px = 2, kMostSigmas = 3;
-    if (out.rms_px > kMost_px || 3 * out.left_out.size() > observed_.size())
+    constexpr double kMax_px = 2, kMaxSigmas = 3;
+    if (out.rms_px > kMax_px || 3 * out.left_out.size() > observed_.size())
       return undetermined(fmt::format(
           "the boards contradict each other ({:.1f} px RMS, {} of {} left out): is --board's size "
           "right, "
@@ -292,7 +293,7 @@ class Adjustment {
           out.rms_px, out.left_out.size(), observed_.size(),
           tracked() ? ", did the board stand still, and are quaternions x, y, z, w" : ""));
     const double sigmas = tracked() ? tracker_misfit() : 0;
-    if (sigmas > kMostSigmas)
+    if (sigmas > kMaxSigmas)
       return undetermined(fmt::format(
           "the tracker contradicts the cameras by {:.1f} times its stated noise: are its metres "
           "and "
@@ -332,7 +333,7 @@ class Adjustment {
 
   // Boards three times as far off as the usual one; of a moment the farthest, for it bends the others.
   void leave_out() {
-    constexpr double kTimes = 3, kLeast_px = .5;
+    constexpr double kTimes = 3, kMin_px = .5;
     std::vector<double> all;
     std::map<std::size_t, std::pair<double, std::size_t>> farthest;  // by moment: pixels, view
     for (std::size_t v = 0; v < observed_.size(); ++v) {
@@ -344,9 +345,9 @@ class Adjustment {
       worst = std::max(worst, std::pair(all.back(), v));
     }
     std::ranges::nth_element(all, all.begin() + std::ssize(all) / 2);
-    const double most = std::max(kLeast_px, kTimes * all[all.size() / 2]);
+    const double largest = std::max(kMin_px, kTimes * all[all.size() / 2]);
     for (const auto& [moment, worst] : farthest)
-      if (worst.first > most) used_[worst.second] = false;
+      if (worst.first > largest) used_[worst.second] = false;
   }
 
   // Along the rig's axes. A small turn of the angle-axis numbers is turned into one of the rotation by differences.
@@ -371,11 +372,11 @@ class Adjustment {
   }
 
   Result<void> set_offset_sigma(ceres::Covariance& covariance, RigCalibration& out) const {
-    constexpr double kMostOffsetSigma = .005;
+    constexpr double kMaxOffsetSigma = .005;
     double variance = 0;
     covariance.GetCovarianceBlock(&offset_s_, &offset_s_, &variance);
     out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance));
-    if (out.tracker_offset_sigma_s > kMostOffsetSigma)
+    if (out.tracker_offset_sigma_s > kMaxOffsetSigma)
       return undetermined(
           fmt::format("the clocks' offset stays uncertain by {:.0f} ms: move the rig "
                       "faster, half a metre and 30 degrees a second",
@@ -384,7 +385,7 @@ class Adjustment {
   }
 
   Result<void> estimate_sigmas(RigCalibration& out) {
-    constexpr double kMostPosition_m = .05, kMostTurn = .02;
+    constexpr double kMaxPosition_m = .05, kMaxTurn = .02;
     ceres::Problem problem;
     build(problem, false);
     ceres::Covariance::Options options;
@@ -406,7 +407,7 @@ class Adjustment {
       set_sigmas(cameras_[c], block, out.cameras[c]);
       const double place = glm::length(out.cameras[c].position_sigma_m),
                    turn = glm::length(out.cameras[c].rotation_sigma_rad);
-      if (place > kMostPosition_m || turn > kMostTurn)
+      if (place > kMaxPosition_m || turn > kMaxTurn)
         return undetermined(
             fmt::format("a camera's place stays uncertain by {:.0f} mm and {:.1f} degrees: {}",
                         1000 * place, turn * 180 / kPi,

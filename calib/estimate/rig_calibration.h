@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/estimate/boards.h"
 #include "core/pose.h"
 
@@ -16,7 +16,7 @@ namespace penumbra::calib {
 
 struct RigCameraInput {
   std::string name;
-  Projection projection;  // as calibrate_camera() found it
+  CameraModel projection;  // as calibrate_camera() found it
 };
 
 struct RigObservation {
@@ -34,7 +34,7 @@ struct TrackerPose {
 struct RigOptions {
   std::vector<TrackerPose> tracker;  // by time; empty: none
   double tracker_sigma_m = .001, tracker_sigma_rad = .001;
-  double most_offset_s = .5;     // of the tracker's clock
+  double max_offset_s = .5;      // of the tracker's clock
   double simultaneous_s = .005;  // frames closer than this show one moment
 };
 
@@ -70,6 +70,6 @@ Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      const RigOptions& options = {});
 
 /// A board's pose in front of a known camera; nothing where its corners fit none.
-std::optional<Pose> board_pose(const Projection& projection, const BoardView& view);
+std::optional<Pose> board_pose(const CameraModel& projection, const BoardView& view);
 
 }  // namespace penumbra::calib

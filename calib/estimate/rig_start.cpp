@@ -35,12 +35,12 @@ double angle_between(const glm::dquat& a, const glm::dquat& b) {
 // The pose that lies nearest to all of them; half a metre counts as a radian.
 Pose medoid(const std::vector<Pose>& poses) {
   const Pose* best = nullptr;
-  double least = std::numeric_limits<double>::infinity();
+  double smallest = std::numeric_limits<double>::infinity();
   for (const Pose& p : poses) {
     double sum = 0;
     for (const Pose& q : poses)
       sum += 2 * glm::length(p.translation - q.translation) + angle_between(p.rotation, q.rotation);
-    if (sum < least) least = sum, best = &p;
+    if (sum < smallest) smallest = sum, best = &p;
   }
   return *best;
 }
@@ -107,8 +107,8 @@ Result<double> find_offset(const std::vector<double>& times,
   constexpr double kStep = .002, kLongest = 1;  // seconds
   constexpr std::size_t kFewest = 6;
   const auto& tracker = options.tracker;
-  double best = 0, least = std::numeric_limits<double>::infinity();
-  for (double offset = -options.most_offset_s; offset <= options.most_offset_s; offset += kStep) {
+  double best = 0, smallest = std::numeric_limits<double>::infinity();
+  for (double offset = -options.max_offset_s; offset <= options.max_offset_s; offset += kStep) {
     double sum = 0;
     std::size_t count = 0;
     for (std::size_t m = 1; m < times.size(); ++m) {
@@ -123,18 +123,18 @@ Result<double> find_offset(const std::vector<double>& times,
       ++count;
     }
     if (count < kFewest) continue;
-    if (sum / static_cast<double>(count) < least)
-      least = sum / static_cast<double>(count), best = offset;
+    if (sum / static_cast<double>(count) < smallest)
+      smallest = sum / static_cast<double>(count), best = offset;
   }
-  if (!std::isfinite(least))
+  if (!std::isfinite(smallest))
     return undetermined(
         "fewer than six pairs of frames, within a second of each other, show the board within the "
-        "tracker's times: film for longer, or look at more frames (--every)");
-  if (std::abs(best) > options.most_offset_s - 1.5 * kStep)
+        "tracker's times: film for longer, or look at more frames (--min-interval)");
+  if (std::abs(best) > options.max_offset_s - 1.5 * kStep)
     return undetermined(
         fmt::format("the clocks differ by {} s or more, or the tracker follows another "
                     "body: bring its times nearer to the frames'",
-                    options.most_offset_s));
+                    options.max_offset_s));
   return best;
 }
 
@@ -147,15 +147,14 @@ cv::Mat to_opencv(const glm::dmat3& m) {
 
 // One axis leaves the camera's place along it open.
 bool turns_about_two_axes(const std::vector<Pose>& world_from_body) {
-  constexpr double kLeast = 8 * kPi / 180;  // about the second axis, RMS
+  constexpr double kMin = 8 * kPi / 180;  // about the second axis, RMS
   Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
   for (const Pose& p : world_from_body) {
     const glm::dvec3 t = turn_of(glm::conjugate(world_from_body[0].rotation) * p.rotation);
     const Eigen::Vector3d v(t.x, t.y, t.z);
     spread += v * v.transpose() / static_cast<double>(world_from_body.size());
   }
-  return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvalues()[1]) >
-         kLeast;
+  return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvalues()[1]) > kMin;
 }
 
 Result<Pose> hand_eye(const std::vector<Pose>& world_from_body,
@@ -213,7 +212,7 @@ Result<void> place_on_body(const RigOptions& options, RigStart& start) {
 TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s) {
   constexpr double kReach = .04;       // seconds to both sides
   constexpr double kLongestGap = .25;  // seconds that the tracker may be silent for
-  constexpr std::ptrdiff_t kFewest = 3, kMost = 41;
+  constexpr std::ptrdiff_t kFewest = 3, kMax = 41;
   const auto first_of = [&](double t) {
     return std::ranges::lower_bound(tracker, t, {}, &TrackerPose::time_s) - tracker.begin();
   };
@@ -224,7 +223,7 @@ TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s)
                                         tracker[static_cast<std::size_t>(last)].time_s - time_s);
     back ? --first : ++last;
   }
-  last = std::min(last, first + kMost);
+  last = std::min(last, first + kMax);
   const std::ptrdiff_t count = last - first;
   const auto around =
       tracker.subspan(static_cast<std::size_t>(first), static_cast<std::size_t>(count));
@@ -270,12 +269,12 @@ Result<void> check_tracker(std::span<const RigObservation> observations,
   if (observations.empty()) return {};
   const auto [first, last] = std::ranges::minmax(observations, {}, &RigObservation::time_s);
   const double from = tracker.front().time_s, to = tracker.back().time_s;
-  if (last.time_s + options.most_offset_s < from || first.time_s - options.most_offset_s > to)
+  if (last.time_s + options.max_offset_s < from || first.time_s - options.max_offset_s > to)
     return undetermined(
         fmt::format("the tracker's times ({:.3f} to {:.3f} s) and the frames' ({:.3f} to {:.3f} s) "
                     "lie more than "
                     "{} s apart",
-                    from, to, first.time_s, last.time_s, options.most_offset_s));
+                    from, to, first.time_s, last.time_s, options.max_offset_s));
   return {};
 }
 
@@ -289,8 +288,8 @@ Result<RigStart> start_rig(std::span<const RigCameraInput> cameras,
   std::vector<Posed> posed;
   for (const RigObservation& o : observations) {
     if (!options.tracker.empty() &&
-        (o.time_s + options.most_offset_s < options.tracker.front().time_s ||
-         o.time_s - options.most_offset_s > options.tracker.back().time_s))
+        (o.time_s + options.max_offset_s < options.tracker.front().time_s ||
+         o.time_s - options.max_offset_s > options.tracker.back().time_s))
       continue;
     if (const auto pose = board_pose(cameras[o.camera].projection, o.view))
       posed.push_back({&o, *pose});

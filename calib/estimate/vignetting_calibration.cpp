@@ -19,17 +19,17 @@ namespace {
 
 constexpr int kBlocks = 48;                    // along the longer side
 constexpr double kDark = .03, kClipped = .95;  // of full scale
-constexpr double kMostClipped = .005;          // of a block's samples: noise reaches there first
-constexpr double kMostUneven = .02;            // RMS that is left, relative
+constexpr double kMaxClipped = .005;           // of a block's samples: noise reaches there first
+constexpr double kMaxUneven = .02;             // RMS that is left, relative
 
 // Mean linear signal of a block of pixels.
-struct Block {
+struct PixelBlock {
   glm::dvec2 off;     // from the centre, in half diagonals
   double log_signal;  // of the mean over the channels
 };
 
 // A pixel's channel as the sensor gave it, black level and all.
-struct Reader {
+struct SignalReader {
   const Response& response;
   double black_level;
   double operator()(const Rgb8& p, int c) const { return response.decode((&p.r)[c] / 255., c); }
@@ -39,11 +39,12 @@ struct Reader {
 
 struct BlockSum {
   double mean = 0;     // of the channels, without the black level
-  double clipped = 0;  // share of the samples
+  double clipped = 0;  // fraction of the samples
 };
 
 template <class Pixel>
-BlockSum sum_block(const Image<Pixel>& image, const Reader& read, const glm::ivec2& low, int side) {
+BlockSum sum_block(const Image<Pixel>& image, const SignalReader& read, const glm::ivec2& low,
+                   int side) {
   BlockSum out;
   for (int y = low.y; y < low.y + side; ++y)
     for (int x = low.x; x < low.x + side; ++x)
@@ -57,8 +58,8 @@ BlockSum sum_block(const Image<Pixel>& image, const Reader& read, const glm::ive
   return out;
 }
 
-Result<std::vector<Block>> blocks_of(const EvenPicture& picture, const Projection& camera,
-                                     const Vignetting& frame, const Reader& read) {
+Result<std::vector<PixelBlock>> blocks_of(const EvenPicture& picture, const CameraModel& camera,
+                                          const Vignetting& frame, const SignalReader& read) {
   const auto [width, height] =
       std::visit([](const auto& i) { return std::pair(i.width(), i.height()); }, picture.pixels);
   if (width != camera.width || height != camera.height)
@@ -72,7 +73,7 @@ Result<std::vector<Block>> blocks_of(const EvenPicture& picture, const Projectio
   constexpr int kFewest = 12;  // blocks a side
   if (std::min(width, height) / side < kFewest)
     return undetermined("is too small or too narrow to tell a lens from");
-  std::vector<Block> out;
+  std::vector<PixelBlock> out;
   for (int y = 0; y + side <= height; y += side)
     for (int x = 0; x + side <= width; x += side) {
       const auto [mean, clipped] = std::visit(
@@ -84,7 +85,7 @@ Result<std::vector<Block>> blocks_of(const EvenPicture& picture, const Projectio
       if (mean <= 0 || (!is_linear && mean < kDark))
         return undetermined(
             "is too dark in places: expose longer, until the middle is at half of full scale");
-      if (clipped > kMostClipped)
+      if (clipped > kMaxClipped)
         return undetermined(
             "is clipped in places, in one colour at least: expose shorter, until the middle is at "
             "half of full scale");
@@ -109,24 +110,24 @@ struct Residual {
   }
 };
 
-struct Fit {
+struct FalloffFit {
   std::array<double, 3> terms{};
   std::vector<std::array<double, 3>> pictures;  // log brightness, slope in x and y
   double residual = 0;                          // RMS
   double corner_sigma = 0;
 };
 
-Result<Fit> fit(std::span<const std::vector<Block>> pictures) {
-  Fit out;
+Result<FalloffFit> fit(std::span<const std::vector<PixelBlock>> pictures) {
+  FalloffFit out;
   ceres::Problem problem;
   std::size_t count = 0;
   out.pictures.resize(pictures.size());
   for (std::size_t i = 0; i < pictures.size(); ++i) {
     out.pictures[i] = {pictures[i][pictures[i].size() / 2].log_signal, 0, 0};
-    for (const Block& b : pictures[i]) {
+    for (const PixelBlock& b : pictures[i]) {
       problem.AddResidualBlock(
           new ceres::AutoDiffCostFunction<Residual, 1, 3, 3>(new Residual{b.off, b.log_signal}),
-          new ceres::HuberLoss(kMostUneven), out.pictures[i].data(), out.terms.data());
+          new ceres::HuberLoss(kMaxUneven), out.pictures[i].data(), out.terms.data());
       ++count;
     }
   }
@@ -139,7 +140,7 @@ Result<Fit> fit(std::span<const std::vector<Block>> pictures) {
     return fail(ErrorCode::kUndetermined, "vignetting", "no lens explains these pictures");
   double squares = 0;
   for (std::size_t i = 0; i < pictures.size(); ++i)
-    for (const Block& b : pictures[i]) {
+    for (const PixelBlock& b : pictures[i]) {
       double r = 0;
       Residual{b.off, b.log_signal}(out.pictures[i].data(), out.terms.data(), &r);
       squares += r * r;
@@ -164,11 +165,11 @@ double corner_of(const std::array<double, 3>& terms) {
 
 // Light that is brighter in its middle looks like a lens, but not in every picture of a turned camera.
 Result<void> check_agreement(std::span<const EvenPicture> pictures,
-                             std::span<const std::vector<Block>> blocks, double corner) {
-  constexpr double kMostApart = .03;
+                             std::span<const std::vector<PixelBlock>> blocks, double corner) {
+  constexpr double kMaxApart = .03;
   for (std::size_t i = 0; i < pictures.size() && pictures.size() > 1; ++i) {
     PENUMBRA_ASSIGN(alone, fit(blocks.subspan(i, 1)));
-    if (std::abs(corner_of(alone.terms) - corner) > kMostApart)
+    if (std::abs(corner_of(alone.terms) - corner) > kMaxApart)
       return fail(ErrorCode::kUndetermined, pictures[i].name,
                   fmt::format("says {:.0f} % in the corners where all together say {:.0f} %: the "
                               "surface is not evenly lit",
@@ -177,13 +178,13 @@ Result<void> check_agreement(std::span<const EvenPicture> pictures,
   return {};
 }
 
-std::vector<VignettingCalibration::Ring> rings_of(std::span<const std::vector<Block>> pictures,
-                                                  const Fit& fitted) {
+std::vector<VignettingCalibration::Ring> rings_of(std::span<const std::vector<PixelBlock>> pictures,
+                                                  const FalloffFit& fitted) {
   constexpr int kRings = 24;
   std::vector<VignettingCalibration::Ring> rings(kRings);
   std::vector<int> counts(kRings);
   for (std::size_t i = 0; i < pictures.size(); ++i)
-    for (const Block& b : pictures[i]) {
+    for (const PixelBlock& b : pictures[i]) {
       const auto ring =
           std::min(static_cast<std::size_t>(glm::length(b.off) * kRings), rings.size() - 1);
       const auto& [log_brightness, sx, sy] = fitted.pictures[i];
@@ -201,18 +202,18 @@ std::vector<VignettingCalibration::Ring> rings_of(std::span<const std::vector<Bl
 }  // namespace
 
 Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> pictures,
-                                                   const Projection& camera,
+                                                   const CameraModel& camera,
                                                    const Response& response, double black_level) {
   if (pictures.empty()) return fail(ErrorCode::kInvalid, "pictures", "none");
   VignettingCalibration out;
   out.vignetting = vignetting_of(camera, {});
-  std::vector<std::vector<Block>> blocks;
+  std::vector<std::vector<PixelBlock>> blocks;
   for (const EvenPicture& p : pictures) {
     PENUMBRA_ASSIGN(found, blocks_of(p, camera, out.vignetting, {response, black_level}));
     blocks.push_back(std::move(found));
   }
   PENUMBRA_ASSIGN(fitted, fit(blocks));
-  if (fitted.residual > kMostUneven)
+  if (fitted.residual > kMaxUneven)
     return fail(
         ErrorCode::kUndetermined, pictures[0].name,
         fmt::format("{:.1f} % are left that no lens explains: photograph something even, such as "
@@ -232,7 +233,7 @@ Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> 
 
 std::string print_vignetting_file(const VignettingCalibration& c) {
   return fmt::format(
-      "version = 1\n[vignetting]\n# share of the light: 1 + a1 p^2 + a2 p^4 + a3 p^6, p in half "
+      "version = 1\n[vignetting]\n# fraction of the light: 1 + a1 p^2 + a2 p^4 + a3 p^6, p in half "
       "diagonals "
       "from the centre\nterms = [{:.17g}, {:.17g}, {:.17g}]\ncorner = {:.6g}\ncorner_sigma = "
       "{:.3g}\n",

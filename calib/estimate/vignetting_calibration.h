@@ -9,11 +9,11 @@
 #include <string_view>
 #include <vector>
 
-#include "core/image.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/lens_vignetting.h"
-#include "calib/camera/projection.h"
 #include "calib/camera/response.h"
 #include "calib/camera/vignetting.h"
+#include "core/image.h"
 
 namespace penumbra::calib {
 
@@ -36,7 +36,7 @@ struct VignettingCalibration {
 /// From pictures of a surface that is lit evenly, or evenly slanted: each picture may have a brightness and a slope of its own.
 /// errors: kInvalid (sizes, none), kUndetermined (dark, clipped, not even: says which and what to do)
 Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> pictures,
-                                                   const Projection& camera,
+                                                   const CameraModel& camera,
                                                    const Response& response, double black_level);
 
 /// "version = 1" and [vignetting]: terms, corner, corner_sigma.

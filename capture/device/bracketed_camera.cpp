@@ -42,7 +42,7 @@ ExposureLimits BracketedCamera::limits() const {
   // A range that begins at nothing begins at the shortest time that anyone needs.
   out.shortest = std::max(out.shortest, nearest(out.shortest.count(), 1).time);
   out.longest = std::max(out.shortest, nearest(kOfAPeriod / fps_, 1).time);
-  out.most = std::max(Gain(1), nearest(out.longest.count(), kHighGain).gain);
+  out.max_gain = std::max(Gain(1), nearest(out.longest.count(), kHighGain).gain);
   return out;
 }
 
@@ -71,7 +71,7 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   ++counts_.arrived;
   if (raw.applied) take_told(number, *raw.applied);
   const ExposureLabels::Label label = label_of(raw.time, number, *pixels);
-  if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.refused;
+  if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.rejected;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
   ++counts_.frames;
   if (auto_schedule_ && auto_schedule_->see(*pixels, label.exposure, raw.time)) {
@@ -101,7 +101,7 @@ ExposureLabels::Label BracketedCamera::label_of(TimestampNs time, std::uint64_t 
   if (!asks_each_frame()) return {kGood, device_->nearest(schedule_[0])};
   const auto label = labels_.judge(number, time, meter_.measure(pixels));
   counts_.delay_frames = labels_.delay();
-  counts_.deaf = labels_.deaf();
+  counts_.ignores_controls = labels_.ignores_controls();
   return label;
 }
 

@@ -18,11 +18,11 @@ namespace penumbra::capture {
 struct CameraMode {
   std::string format;  // four characters as the driver spells them: YUYV, NV12, MJPG, RG12, ...
   int width = 0, height = 0;
-  double most_fps = 0;    // 0: the driver does not say
+  double max_fps = 0;     // 0: the driver does not say
   bool readable = false;  // by us
 };
 
-struct Range {
+struct ControlRange {
   double low = 0, high = 0;
 };
 
@@ -31,15 +31,15 @@ struct CameraListing {
   std::string device;        // what `device` in rig.toml takes: /dev/video0, libcamera:...
   std::string name, driver;  // as the driver gives them
   std::vector<CameraMode> modes;
-  std::optional<Range> exposure_s;  // seconds; nothing: the exposure cannot be set
-  std::optional<Range> gain;        // in the driver's own unit
+  std::optional<ControlRange> exposure_s;  // seconds; nothing: the exposure cannot be set
+  std::optional<ControlRange> gain;        // in the driver's own unit
 };
 
 /// All cameras that can stream, by V4L2 and then by libcamera, which may show the same ones; what cannot be opened is left out with its reason in
-/// `refused`.
+/// `rejected`.
 struct CameraList {
   std::vector<CameraListing> cameras;
-  std::vector<Error> refused;
+  std::vector<Error> rejected;
 };
 CameraList list_cameras();
 

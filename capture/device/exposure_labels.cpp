@@ -3,17 +3,17 @@
 #include <cmath>
 #include <numeric>
 
-#include "core/aside.h"
-#include "calib/camera/code_curve.h"
-#include "capture/hdr/merge.h"
+#include "calib/camera/response_table.h"
 #include "capture/device/internal/bracketed_camera.h"
+#include "capture/hdr/merge.h"
+#include "core/background_task.h"
 #include "core/median.h"
 
 namespace penumbra::capture {
 
 namespace {
 
-constexpr int kMostDelay = 10;           // frames
+constexpr int kMaxDelay = 10;            // frames
 constexpr std::size_t kRemembered = 24;  // frames
 constexpr std::size_t kFirst = 18,
                       kEnough = 12;  // frames that tell the delay, at the start and later
@@ -23,9 +23,9 @@ constexpr double kUniform =
     .12;  // of the blocks' offsets: a change of exposure is the same everywhere
 constexpr double kPatience = 4;      // frames refused before the delay is looked for anew
 constexpr double kForgiveness = .8;  // of earlier refusals, for each good frame
-constexpr int kMostPatience = 24;    // after so many the light has changed after all
+constexpr int kMaxPatience = 24;     // after so many the light has changed after all
 constexpr int kFollows = 8;          // good frames in a row that no chance explains
-constexpr std::size_t kLeastBlocks = 6;
+constexpr std::size_t kMinBlocks = 6;
 constexpr double kDriftSeconds = .7;  // what changes more slowly is light, not flicker
 
 // Median over the blocks that both know, and the median distance from it.
@@ -37,7 +37,7 @@ std::optional<Offset> offset_between(const std::vector<float>& signal,
   std::vector<double> logs;
   for (std::size_t i = 0; i < std::min(signal.size(), radiance.size()); ++i)
     if (signal[i] > 0 && radiance[i] > 0) logs.push_back(std::log(signal[i] / radiance[i]));
-  if (logs.size() < kLeastBlocks) return std::nullopt;
+  if (logs.size() < kMinBlocks) return std::nullopt;
   Offset out;
   out.value = median(logs);
   for (double& l : logs) l = std::abs(l - out.value);
@@ -63,7 +63,7 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, Time
       .02;  // of a period a frame: what grew is believed after a second or two
   latency_ = std::min(latency_ + kForget * period_, std::max(0., (arrived - time).count()));
   constexpr std::size_t kFewestPeriods = 5, kPeriods = 15;
-  constexpr std::uint64_t kMostMissing = 600;  // a longer gap is a new start
+  constexpr std::uint64_t kMaxMissing = 600;  // a longer gap is a new start
   if (!sequence_) {
     sequence_ = sequence, time_ = time;
     return number_;
@@ -72,8 +72,8 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, Time
   std::uint64_t step = sequence > *sequence_ ? sequence - *sequence_ : 1;
   // Late delivery moves a time by less than half a period.
   if (period_ > 0 && std::round(apart / period_) > static_cast<double>(step))
-    step = static_cast<std::uint64_t>(std::min(apart / period_ + .5, double{kMostMissing}));
-  step = std::min(step, kMostMissing);
+    step = static_cast<std::uint64_t>(std::min(apart / period_ + .5, double{kMaxMissing}));
+  step = std::min(step, kMaxMissing);
   periods_.push_back(apart / static_cast<double>(step));
   if (periods_.size() > kPeriods) periods_.pop_front();
   if (periods_.size() >= kFewestPeriods) {
@@ -89,7 +89,7 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, Time
 Brightness BrightnessMeter::measure(const FramePixels& pixels) {
   constexpr int kSamples = 10;  // a side of a block
   constexpr float kClipped = .95f, kDark = .005f;
-  const auto meter = [](const auto& image, const CodeCurve& codes) {
+  const auto meter = [](const auto& image, const ResponseTable& codes) {
     Brightness out;
     for (int by = 0; by < Brightness::kRows; ++by)
       for (int bx = 0; bx < Brightness::kColumns; ++bx) {
@@ -102,9 +102,9 @@ Brightness BrightnessMeter::measure(const FramePixels& pixels) {
                         (2 * kSamples * Brightness::kRows);
           const auto& p = image.at(x, y);
           const float linear[] = {codes.decode(0, p.r), codes.decode(1, p.g), codes.decode(2, p.b)};
-          const float most = std::max({linear[0], linear[1], linear[2]}),
+          const float largest = std::max({linear[0], linear[1], linear[2]}),
                       mean = (linear[0] + linear[1] + linear[2]) / 3;
-          if (most > kClipped || mean < kDark) continue;
+          if (largest > kClipped || mean < kDark) continue;
           sum += mean, ++usable;
         }
         // Blocks that are partly clipped would seem too dark.
@@ -118,15 +118,15 @@ Brightness BrightnessMeter::measure(const FramePixels& pixels) {
   return {};
 }
 
-const CodeCurve& BrightnessMeter::curve(int bits) {
+const ResponseTable& BrightnessMeter::curve(int bits) {
   if (!curve_ || curve_->largest_code() + 1 != 1u << bits)
-    curve_ = make_code_curve(camera_.response, bits, camera_.black_level);
+    curve_ = make_response_table(camera_.response, bits, camera_.black_level);
   return *curve_;
 }
 
 void ExposureLabels::requested(std::uint64_t after_frame, Exposure exposure) {
   requests_.push_back({after_frame, exposure});
-  while (requests_.size() > kRemembered + kMostDelay) requests_.pop_front();
+  while (requests_.size() > kRemembered + kMaxDelay) requests_.pop_front();
 }
 
 std::optional<Exposure> ExposureLabels::in_force(std::uint64_t frame, int delay) const {
@@ -157,17 +157,17 @@ double ExposureLabels::disagreement(int delay) const {
 
 // The shortest delay that explains the frames about as well as any: a schedule that repeats hides whole turns of it.
 void ExposureLabels::find_delay() {
-  constexpr double kTied = .03;
-  double least = 2;
-  std::array<double, kMostDelay + 1> scores{};
-  for (int delay = 1; delay <= kMostDelay; ++delay)
-    least = std::min(least, scores[static_cast<std::size_t>(delay)] = disagreement(delay));
+  constexpr double kTie = .03;
+  double smallest = 2;
+  std::array<double, kMaxDelay + 1> scores{};
+  for (int delay = 1; delay <= kMaxDelay; ++delay)
+    smallest = std::min(smallest, scores[static_cast<std::size_t>(delay)] = disagreement(delay));
   suspicion_ = 0;
-  deaf_ = least > kAgrees;
-  if (deaf_) return;
-  const auto tied = [&](double score) { return score < least + kTied; };
+  ignores_controls_ = smallest > kAgrees;
+  if (ignores_controls_) return;
+  const auto ties = [&](double score) { return score < smallest + kTie; };
   const int best =
-      static_cast<int>(std::find_if(scores.begin() + 1, scores.end(), tied) - scores.begin());
+      static_cast<int>(std::find_if(scores.begin() + 1, scores.end(), ties) - scores.begin());
   if (delay_ == best) return;
   delay_ = best;
   refused_in_a_row_ = 0;
@@ -177,7 +177,7 @@ void ExposureLabels::find_delay() {
 // Single frames of the history may be mislabelled: each block's median is not.
 void ExposureLabels::begin_with_history() {
   std::vector<std::vector<double>> blocks;
-  for (const Seen& s : seen_) {
+  for (const LabelledFrame& s : seen_) {
     const auto exposure = in_force(s.frame, *delay_);
     blocks.resize(std::max(blocks.size(), s.brightness.blocks.size()));
     for (std::size_t i = 0; exposure && i < s.brightness.blocks.size(); ++i)
@@ -211,7 +211,7 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
         return std::abs(offset->value - std::log(r.exposure.product())) < kExact &&
                std::abs(std::log(r.exposure.product() / label->product())) > kAgrees;
       });
-  if (!slipped || refused_in_a_row_ >= kMostPatience) {
+  if (!slipped || refused_in_a_row_ >= kMaxPatience) {
     radiance_.clear();
     return accept(*label, time, seen, 0);
   }
@@ -228,18 +228,18 @@ ExposureLabels::Label ExposureLabels::accept(const Exposure& exposure, Timestamp
   last_ = time;
   refused_in_a_row_ = 0;
   suspicion_ *= kForgiveness;
-  if (++good_in_a_row_ >= kFollows) deaf_ = false;
+  if (++good_in_a_row_ >= kFollows) ignores_controls_ = false;
   const double flicker = offset - drift_;
   drift_ += flicker * (1 - std::exp(-passed / kDriftSeconds));
   Label out{Verdict::kGood, exposure};
   out.exposure.gain = exposure.gain * std::exp(flicker);
   const auto scale = static_cast<float>(1 / out.exposure.product());
   radiance_.resize(seen.blocks.size());
-  constexpr float kNewShare = .3f;
+  constexpr float kNewFraction = .3f;
   for (std::size_t i = 0; i < radiance_.size(); ++i) {
     if (seen.blocks[i] <= 0) continue;
     const float now = seen.blocks[i] * scale;
-    radiance_[i] = radiance_[i] > 0 ? (1 - kNewShare) * radiance_[i] + kNewShare * now : now;
+    radiance_[i] = radiance_[i] > 0 ? (1 - kNewFraction) * radiance_[i] + kNewFraction * now : now;
   }
   return out;
 }

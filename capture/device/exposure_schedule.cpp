@@ -12,7 +12,7 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kMostExposures = 6;
+constexpr int kMaxExposures = 6;
 constexpr double kClearly = .25;  // of the budget
 constexpr double kHeadroom =
     .8;  // under the clip level: noise and small changes need no new schedule
@@ -58,13 +58,13 @@ bool same_exposure(const Exposure& a, const Exposure& b) {
 
 Exposure within_limits(double product, const ExposureLimits& limits) {
   const double time = std::min(product, limits.longest.count());
-  return {Seconds(time), Gain(std::clamp(product / time, 1., limits.most.value()))};
+  return {Seconds(time), Gain(std::clamp(product / time, 1., limits.max_gain.value()))};
 }
 
 }  // namespace
 
 ExposurePlanner::ExposurePlanner(const CameraInfo& camera, int bits)
-    : curve_(make_code_curve(camera.response, bits, camera.black_level)),
+    : curve_(make_response_table(camera.response, bits, camera.black_level)),
       noise_(camera.noise),
       black_(camera.black_level),
       clip_signal_(kClipLevel - camera.black_level) {}
@@ -107,7 +107,8 @@ SchedulePlan ExposurePlanner::judge(std::vector<Exposure> exposures,
 
 SchedulePlan ExposurePlanner::plan(const std::vector<RadianceBin>& light,
                                    const ExposureLimits& limits, double budget) const {
-  const double first = limits.shortest.count(), last = limits.longest.count() * limits.most.value();
+  const double first = limits.shortest.count(),
+               last = limits.longest.count() * limits.max_gain.value();
   const int rungs = 1 + std::max(0, static_cast<int>(2 * std::log2(last / first)));
   const auto rung = [&](double i) {
     return within_limits(std::min(last, first * std::pow(kHalfStop, std::round(i))), limits);
@@ -128,13 +129,13 @@ SchedulePlan ExposurePlanner::plan(const std::vector<RadianceBin>& light,
     return best;
   };
   std::vector<SchedulePlan> plans;
-  for (int count = 1; count <= std::min(kMostExposures, rungs); ++count) {
+  for (int count = 1; count <= std::min(kMaxExposures, rungs); ++count) {
     plans.push_back(best_of(count));
     if (plans.back().error() <= budget) return plans.back();
   }
-  const double least = std::ranges::min_element(plans, {}, &SchedulePlan::error)->error();
+  const double smallest = std::ranges::min_element(plans, {}, &SchedulePlan::error)->error();
   return *std::ranges::find_if(
-      plans, [&](const SchedulePlan& p) { return p.error() <= (1 + kClearly) * least; });
+      plans, [&](const SchedulePlan& p) { return p.error() <= (1 + kClearly) * smallest; });
 }
 
 namespace {
@@ -154,8 +155,8 @@ std::vector<RadianceBin> coarser(std::vector<RadianceBin> fine) {
     RadianceBin& sum = out.back();
     const double all = sum.solid_angle + bin.solid_angle;
     if (all > 0) {
-      const double share = bin.solid_angle / all;
-      sum.radiance += share * (bin.radiance - sum.radiance);
+      const double fraction = bin.solid_angle / all;
+      sum.radiance += fraction * (bin.radiance - sum.radiance);
     }
     sum.brightest = bin.brightest;
     sum.solid_angle = all;
@@ -173,8 +174,9 @@ LightHistogram::LightHistogram(const CameraInfo& camera) : weights_(camera.proje
         0., camera.response.decode(static_cast<double>(code) / 255, 1) - camera.black_level);
 }
 
-void LightHistogram::add(const FramePixels& pixels, const Exposure& exposure, std::size_t most) {
-  Seen seen;
+void LightHistogram::add(const FramePixels& pixels, const Exposure& exposure,
+                         std::size_t max_count) {
+  SeenExposure seen;
   seen.exposure = exposure;
   const auto gather = [&](const auto& image, int shift) {
     const int step = std::max(1, image.width() / kEnough);
@@ -196,26 +198,27 @@ void LightHistogram::add(const FramePixels& pixels, const Exposure& exposure, st
     gather(*words, 8);
   else
     return;
-  std::erase_if(seen_, [&](const Seen& s) { return same_exposure(s.exposure, exposure); });
+  std::erase_if(seen_, [&](const SeenExposure& s) { return same_exposure(s.exposure, exposure); });
   seen_.push_back(seen);
-  while (seen_.size() > most) seen_.pop_front();
+  while (seen_.size() > max_count) seen_.pop_front();
 }
 
 bool LightHistogram::holds(std::span<const Exposure> exposures) const {
   return std::ranges::all_of(exposures, [&](const Exposure& e) {
-    return std::ranges::any_of(seen_, [&](const Seen& s) { return same_exposure(s.exposure, e); });
+    return std::ranges::any_of(seen_,
+                               [&](const SeenExposure& s) { return same_exposure(s.exposure, e); });
   });
 }
 
 std::vector<RadianceBin> LightHistogram::light(const ExposurePlanner& planner) const {
-  std::vector<const Seen*> longest_first;
-  for (const Seen& s : seen_) longest_first.push_back(&s);
-  std::ranges::stable_sort(longest_first, [](const Seen* a, const Seen* b) {
+  std::vector<const SeenExposure*> longest_first;
+  for (const SeenExposure& s : seen_) longest_first.push_back(&s);
+  std::ranges::stable_sort(longest_first, [](const SeenExposure* a, const SeenExposure* b) {
     return a->exposure.product() > b->exposure.product();
   });
   std::vector<RadianceBin> out;
   double from = 0;  // radiance that a longer exposure has counted
-  for (const Seen* seen : longest_first) {
+  for (const SeenExposure* seen : longest_first) {
     const double e = seen->exposure.product(), to = planner.clip(seen->exposure);
     for (std::size_t code = 0; code < 256; ++code) {
       const CodeLight& sum = seen->code[code];
@@ -263,14 +266,14 @@ bool AutoSchedule::see(const FramePixels& pixels, const Exposure& exposure, Time
   plan_ = std::move(now);
   // What no plan could mend is looked at again when it grows, or after a while.
   constexpr double kGrown = 1.1;
-  const bool grown = over && plan_.error() > kGrown * least_error_;
+  const bool grown = over && plan_.error() > kGrown * min_error_;
   if (!probing_ && !grown && !rested) return false;
   SchedulePlan next = planner_->plan(light, limits_, kUnder * budget_);
   planned_ = time;
   const bool better =
       over ? next.error() < plan_.error()
            : next.exposures.size() < plan_.exposures.size() && next.error() <= budget_;
-  least_error_ = over && !better ? plan_.error() : 0;
+  min_error_ = over && !better ? plan_.error() : 0;
   if (!probing_ && !better) return false;
   probing_ = false;
   plan_ = std::move(next);

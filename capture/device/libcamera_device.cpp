@@ -17,9 +17,9 @@
 #include <map>
 #include <mutex>
 
+#include "capture/device/internal/v4l2_node.h"
 #include "capture/raw_formats.h"
 #include "core/unique_fd.h"
-#include "capture/device/internal/v4l2_node.h"
 
 namespace penumbra::capture {
 
@@ -80,27 +80,28 @@ std::vector<CameraMode> modes_of(const lc::StreamConfiguration& stream) {
   return out;
 }
 
-struct Limits {
-  std::optional<Range> time_s, gain;
+struct ControlLimits {
+  std::optional<ControlRange> time_s, gain;
 };
-Limits limits_of(const lc::Camera& camera) {
-  Limits out;
+ControlLimits limits_of(const lc::Camera& camera) {
+  ControlLimits out;
   const lc::ControlInfoMap& controls = camera.controls();
   if (const auto it = controls.find(&lc::controls::ExposureTime); it != controls.end())
-    out.time_s = Range{it->second.min().get<std::int32_t>() * kMicrosecond,
-                       it->second.max().get<std::int32_t>() * kMicrosecond};
+    out.time_s = ControlRange{it->second.min().get<std::int32_t>() * kMicrosecond,
+                              it->second.max().get<std::int32_t>() * kMicrosecond};
   if (const auto it = controls.find(&lc::controls::AnalogueGain); it != controls.end())
-    out.gain = Range{double(it->second.min().get<float>()), double(it->second.max().get<float>())};
+    out.gain =
+        ControlRange{double(it->second.min().get<float>()), double(it->second.max().get<float>())};
   return out;
 }
 
 // A buffer of one memory, however many planes lie in it.
-struct Picture {
+struct DeviceBuffer {
   MappedBuffer memory;
   int fd;
   std::size_t offset;
 };
-Result<Picture> map_buffer(const lc::FrameBuffer& buffer, const std::string& device) {
+Result<DeviceBuffer> map_buffer(const lc::FrameBuffer& buffer, const std::string& device) {
   const auto& planes = buffer.planes();
   std::size_t end = 0;
   for (const auto& plane : planes) {
@@ -109,7 +110,7 @@ Result<Picture> map_buffer(const lc::FrameBuffer& buffer, const std::string& dev
                   "gives pictures in several memories, which are not read here");
     end = std::max(end, std::size_t{plane.offset} + plane.length);
   }
-  Picture out{MappedBuffer(planes[0].fd.get(), end, 0), planes[0].fd.get(), planes[0].offset};
+  DeviceBuffer out{MappedBuffer(planes[0].fd.get(), end, 0), planes[0].fd.get(), planes[0].offset};
   if (!out.memory)
     return fail(ErrorCode::kUnavailable, device,
                 fmt::format("cannot map a buffer: {}", std::strerror(errno)));
@@ -215,12 +216,12 @@ class LibcameraDevice : public CameraDevice {
   std::shared_ptr<lc::Camera> camera_;
   CameraSettings settings_;
   std::string name_;
-  Limits limits_;
+  ControlLimits limits_;
   double unit_gain_;
   lc::Stream* stream_ = nullptr;
   std::optional<RawConverter> converter_;
   std::unique_ptr<lc::FrameBufferAllocator> allocator_;
-  std::map<const lc::FrameBuffer*, Picture> pictures_;
+  std::map<const lc::FrameBuffer*, DeviceBuffer> pictures_;
   std::vector<std::unique_ptr<lc::Request>> requests_;
   Completed completed_;
   std::optional<Exposure> wanted_;
@@ -381,7 +382,7 @@ Result<std::optional<CameraFrame>> LibcameraDevice::wait(Seconds timeout, Second
 Result<FramePixels> LibcameraDevice::pixels() {
   if (!last_) return fail(ErrorCode::kUnreadable, settings_.device, "no frame at hand");
   const lc::FrameBuffer* const buffer = last_->findBuffer(stream_);
-  const Picture& picture = pictures_.at(buffer);
+  const DeviceBuffer& picture = pictures_.at(buffer);
   std::size_t used = 0;
   for (const auto& plane : buffer->metadata().planes()) used += plane.bytesused;
   const auto all = picture.memory.bytes().subspan(picture.offset);
@@ -402,17 +403,17 @@ Result<FramePixels> LibcameraDevice::pixels() {
 void list_libcamera(CameraList& list) {
   auto cameras = manager();
   if (!cameras) {
-    list.refused.push_back(cameras.error());
+    list.rejected.push_back(cameras.error());
     return;
   }
   for (const auto& camera : (*cameras)->cameras()) {
     const std::string device = std::string(kLibcamera) + camera->id();
     const auto configuration = camera->generateConfiguration({lc::StreamRole::VideoRecording});
     if (!configuration || configuration->empty()) {
-      list.refused.push_back({ErrorCode::kUnavailable, device, "makes no video"});
+      list.rejected.push_back({ErrorCode::kUnavailable, device, "makes no video"});
       continue;
     }
-    const Limits limits = limits_of(*camera);
+    const ControlLimits limits = limits_of(*camera);
     list.cameras.push_back({device, name_of(*camera), "libcamera", modes_of(configuration->at(0)),
                             limits.time_s, limits.gain});
   }

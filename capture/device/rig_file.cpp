@@ -16,15 +16,15 @@ constexpr std::string_view kDeviceKeys[] = {"device", "format",    "fps",       
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   std::vector<Exposure> schedule;
   if (!keys.has("exposures_s")) return schedule;
-  constexpr std::size_t kMost = 16;
+  constexpr std::size_t kMax = 16;
   PENUMBRA_ASSIGN(times, keys.numbers("exposures_s"));
   std::vector<double> gains(times.size(), 1.);
   if (keys.has("gains")) {
     PENUMBRA_ASSIGN(given, keys.numbers("gains", times.size()));
     gains = given;
   }
-  if (times.empty() || times.size() > kMost)
-    return keys.invalid("exposures_s", fmt::format("not \"auto\" or 1 to {} exposures", kMost));
+  if (times.empty() || times.size() > kMax)
+    return keys.invalid("exposures_s", fmt::format("not \"auto\" or 1 to {} exposures", kMax));
   for (std::size_t i = 0; i < times.size(); ++i) {
     if (!(times[i] > 0 && times[i] <= 60))
       return keys.invalid("exposures_s", "not within 0..60 seconds");

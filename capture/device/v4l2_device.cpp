@@ -7,8 +7,8 @@
 #include <utility>
 
 #include "capture/device/cameras.h"
-#include "capture/raw_formats.h"
 #include "capture/device/internal/v4l2_node.h"
+#include "capture/raw_formats.h"
 
 namespace penumbra::capture {
 

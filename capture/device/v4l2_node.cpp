@@ -17,7 +17,7 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr std::uint32_t kMostEntries = 512;  // of any list that a driver gives
+constexpr std::uint32_t kMaxEntries = 512;  // of any list that a driver gives
 
 template <std::size_t n>
 std::string text(const std::uint8_t (&field)[n]) {
@@ -88,32 +88,32 @@ Result<V4l2Node> V4l2Node::open(const std::string& device) {
   return node;
 }
 
-double V4l2Node::most_fps(std::uint32_t fourcc, std::uint32_t width, std::uint32_t height) const {
-  double most = 0;
+double V4l2Node::max_fps(std::uint32_t fourcc, std::uint32_t width, std::uint32_t height) const {
+  double largest = 0;
   v4l2_frmivalenum interval{};
   interval.pixel_format = fourcc, interval.width = width, interval.height = height;
-  for (; interval.index < kMostEntries && call(VIDIOC_ENUM_FRAMEINTERVALS, &interval) == 0;
+  for (; interval.index < kMaxEntries && call(VIDIOC_ENUM_FRAMEINTERVALS, &interval) == 0;
        ++interval.index) {
     if (interval.type != V4L2_FRMIVAL_TYPE_DISCRETE)
       return rate(interval.stepwise.min);  // the shortest
-    most = std::max(most, rate(interval.discrete));
+    largest = std::max(largest, rate(interval.discrete));
   }
-  return most;
+  return largest;
 }
 
 std::vector<CameraMode> V4l2Node::modes() const {
   std::vector<CameraMode> out;
   v4l2_fmtdesc format{};
   format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
-  for (; format.index < kMostEntries && call(VIDIOC_ENUM_FMT, &format) == 0; ++format.index) {
+  for (; format.index < kMaxEntries && call(VIDIOC_ENUM_FMT, &format) == 0; ++format.index) {
     const auto add = [&](std::uint32_t width, std::uint32_t height) {
       out.push_back({fourcc_name(format.pixelformat), static_cast<int>(width),
-                     static_cast<int>(height), most_fps(format.pixelformat, width, height),
+                     static_cast<int>(height), max_fps(format.pixelformat, width, height),
                      format_rank(format.pixelformat) > 0});
     };
     v4l2_frmsizeenum size{};
     size.pixel_format = format.pixelformat;
-    for (; size.index < kMostEntries && call(VIDIOC_ENUM_FRAMESIZES, &size) == 0; ++size.index) {
+    for (; size.index < kMaxEntries && call(VIDIOC_ENUM_FRAMESIZES, &size) == 0; ++size.index) {
       if (size.type == V4L2_FRMSIZE_TYPE_DISCRETE) {
         add(size.discrete.width, size.discrete.height);
         continue;
@@ -165,8 +165,9 @@ Result<CameraListing> describe(const std::string& device) {
   CameraListing out{device, node->name(), node->driver(), node->modes(), {}, {}};
   const V4l2Exposure e = exposure_of(*node);
   if (e.time)
-    out.exposure_s = Range{e.time->low * V4l2Exposure::kUnit, e.time->high * V4l2Exposure::kUnit};
-  if (e.gain) out.gain = Range{e.gain->low, e.gain->high};
+    out.exposure_s =
+        ControlRange{e.time->low * V4l2Exposure::kUnit, e.time->high * V4l2Exposure::kUnit};
+  if (e.gain) out.gain = ControlRange{e.gain->low, e.gain->high};
   return out;
 }
 
@@ -188,7 +189,7 @@ void list_v4l2(CameraList& list) {
       list.cameras.push_back(std::move(*listing));
     else if (listing.error().code !=
              ErrorCode::kInvalid)  // metadata and output nodes are no cameras
-      list.refused.push_back(listing.error());
+      list.rejected.push_back(listing.error());
   }
 }
 
@@ -199,9 +200,9 @@ Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes, const Camer
   };
   // Larger is better, from the first to the last.
   const auto merit = [&](const CameraMode& m) {
-    const bool fast = m.most_fps == 0 || m.most_fps > .99 * s.fps;
+    const bool fast = m.max_fps == 0 || m.max_fps > .99 * s.fps;
     const auto code = fourcc_from(m.format);
-    return std::tuple(fast, fast ? 0. : m.most_fps, code ? format_rank(*code) : 0);
+    return std::tuple(fast, fast ? 0. : m.max_fps, code ? format_rank(*code) : 0);
   };
   const CameraMode* best = nullptr;
   for (const CameraMode& m : modes)

@@ -2,12 +2,12 @@
 #include <atomic>
 #include <cmath>
 
+#include "capture/camera_regions.h"
 #include "capture/environment/assembler.h"
+#include "capture/environment/internal/gather_kernel.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
-#include "capture/sights.h"
-#include "capture/environment/internal/gather_kernel.h"
-#include "capture/seen_grid.h"
+#include "capture/warp_grid.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
 
@@ -19,7 +19,7 @@ namespace {
 
 constexpr int kRowsAtOnce = 16;
 
-bool is_identity_latlong(const calib::Projection& p, const Pose& pose, int width, int height) {
+bool is_identity_latlong(const calib::CameraModel& p, const Pose& pose, int width, int height) {
   return p.kind == calib::ProjectionKind::kLatLong && p.width == width && p.height == height &&
          std::abs(std::abs(pose.rotation.w) - 1) < 1e-9;
 }
@@ -33,35 +33,37 @@ void carry_colour(const glm::mat3& colour, std::span<Rgb> row) {
 
 }  // namespace
 
-EnvironmentAssembler::EnvironmentAssembler(const Sight& sight, const Pose& world_from_camera,
-                                           int width, int height, const glm::dmat3& colour)
+EnvironmentAssembler::EnvironmentAssembler(const CameraRegion& region,
+                                           const Pose& world_from_camera, int width, int height,
+                                           const glm::dmat3& colour)
     : colour_(colour),
-      source_width_(sight.width),
-      source_height_(sight.height),
+      source_width_(region.width),
+      source_height_(region.height),
       width_(width),
       height_(height),
       seen_(static_cast<std::size_t>(height)),
       alpha_(static_cast<std::size_t>(height)) {
-  if (sight.projection && !sight.vignetted &&
-      is_identity_latlong(*sight.projection, world_from_camera, width, height))
+  if (region.projection && !region.vignetted &&
+      is_identity_latlong(*region.projection, world_from_camera, width, height))
     std::ranges::fill(seen_, width);
   else
-    make_taps(sight.look, glm::conjugate(world_from_camera.rotation));
+    make_samples(region.look, glm::conjugate(world_from_camera.rotation));
 }
 
-EnvironmentAssembler::EnvironmentAssembler(const calib::Projection& projection,
+EnvironmentAssembler::EnvironmentAssembler(const calib::CameraModel& projection,
                                            const Pose& world_from_camera, int width, int height,
                                            const glm::dmat3& colour)
-    : EnvironmentAssembler(plain_sight(projection), world_from_camera, width, height, colour) {}
+    : EnvironmentAssembler(plain_visibility(projection), world_from_camera, width, height, colour) {
+}
 
-void EnvironmentAssembler::make_taps(const Look& look, const glm::dquat& camera_from_world) {
-  taps_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_), {-1, 0, 0});
-  std::vector<float> gains(taps_.size(), 1.f);
+void EnvironmentAssembler::make_samples(const Look& look, const glm::dquat& camera_from_world) {
+  samples_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_), {-1, 0, 0});
+  std::vector<float> gains(samples_.size(), 1.f);
   std::atomic<bool> vignetted = false;
   const auto where = [&](const glm::dvec2& px) {
     return look(camera_from_world * latlong_direction(px.x, px.y, width_, height_));
   };
-  see_each_pixel(width_, height_, where, [&](int x, int y, const SeenAt* seen) {
+  warp_grid(width_, height_, where, [&](int x, int y, const PixelHit* seen) {
     if (!seen) return;
     const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) +
                    static_cast<std::size_t>(x);
@@ -72,18 +74,19 @@ void EnvironmentAssembler::make_taps(const Look& look, const glm::dquat& camera_
     const double py = std::clamp(seen->px.y - .5, 0., source_height_ - 1.);
     const int ix = std::min(static_cast<int>(px), source_width_ - 2);
     const int iy = std::min(static_cast<int>(py), source_height_ - 2);
-    taps_[i] = {iy * source_width_ + ix, static_cast<float>(px - ix), static_cast<float>(py - iy)};
+    samples_[i] = {iy * source_width_ + ix, static_cast<float>(px - ix),
+                   static_cast<float>(py - iy)};
   });
   if (vignetted) gains_ = std::move(gains);
   list_seen();
 }
 
 void EnvironmentAssembler::list_seen() {
-  const GatherTap* tap = taps_.data();
+  const GatherSample* sample = samples_.data();
   for (int y = 0; y < height_; ++y) {
-    Span span{width_, 0};
-    for (int x = 0; x < width_; ++x, ++tap) {
-      if (tap->offset < 0) {
+    ColumnSpan span{width_, 0};
+    for (int x = 0; x < width_; ++x, ++sample) {
+      if (sample->offset < 0) {
         complete_ = false;
         continue;
       }
@@ -106,10 +109,10 @@ void EnvironmentAssembler::gather_rows(int first_row, int last_row, const std::u
     const auto& [first, last] = spans_[row];
     alpha_[row] = 0;
     if (first >= last) continue;
-    alpha_[row] = double(
-        gather_row(source, source_width_,
-                   &taps_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
-                   last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
+    alpha_[row] = double(gather_row(
+        source, source_width_,
+        &samples_[row * static_cast<std::size_t>(width_) + static_cast<std::size_t>(first)],
+        last - first, scale, &out.row(y)[static_cast<std::size_t>(first)].r));
   }
 }
 
@@ -119,18 +122,18 @@ void EnvironmentAssembler::list_clipped(const Image<HalfRgba>& source,
   out.clear();
   const auto width = static_cast<std::size_t>(width_);
   const HalfRgba* const pixels = source.pixels().data();
-  const auto takes_part = [&](const GatherTap& tap) {
-    if (tap.offset < 0) return false;
-    const HalfRgba *const upper = pixels + tap.offset, *const lower = upper + source_width_;
+  const auto takes_part = [&](const GatherSample& sample) {
+    if (sample.offset < 0) return false;
+    const HalfRgba *const upper = pixels + sample.offset, *const lower = upper + source_width_;
     const auto in_row = [&](const HalfRgba* p) {
-      return (tap.right < 1 && p[0].a == 0) || (tap.right > 0 && p[1].a == 0);
+      return (sample.right < 1 && p[0].a == 0) || (sample.right > 0 && p[1].a == 0);
     };
-    return (tap.down < 1 && in_row(upper)) || (tap.down > 0 && in_row(lower));
+    return (sample.down < 1 && in_row(upper)) || (sample.down > 0 && in_row(lower));
   };
   for (std::size_t y = 0; y < seen_.size(); ++y) {
     if (alpha_[y] == seen_[y]) continue;
     for (std::size_t i = y * width; i < (y + 1) * width; ++i)
-      if (taps_.empty() ? pixels[i].a == 0 : takes_part(taps_[i]))
+      if (samples_.empty() ? pixels[i].a == 0 : takes_part(samples_[i]))
         out.push_back(static_cast<std::uint32_t>(i));
   }
 }
@@ -141,13 +144,13 @@ void EnvironmentAssembler::assemble(const MergedImage& merged, Environment& out)
     out.confidence = {};
     if (!complete_) {
       out.confidence = Image<float>(width_, height_);
-      for (std::size_t i = 0; i < taps_.size(); ++i)
-        out.confidence.pixels()[i] = taps_[i].offset < 0 ? 0.f : 1.f;
+      for (std::size_t i = 0; i < samples_.size(); ++i)
+        out.confidence.pixels()[i] = samples_[i].offset < 0 ? 0.f : 1.f;
     }
   }
   const auto* source = &merged.pixels.pixels()[0].r;
   parallel_for(0, height_, kRowsAtOnce, [&](const auto& rows) {
-    if (taps_.empty()) {
+    if (samples_.empty()) {
       for (int y = rows.begin(); y < rows.end(); ++y)
         alpha_[static_cast<std::size_t>(y)] =
             double(convert_row(source + 4 * static_cast<std::ptrdiff_t>(y) * width_, width_,

@@ -5,14 +5,14 @@
 #include <cmath>
 #include <iterator>
 
-#include "core/median.h"
 #include "core/conventions.h"
+#include "core/median.h"
 
 namespace penumbra::capture {
 
 namespace {
 
-constexpr std::size_t kMostPixels = 2048;  // of an overlap: its median is known to a few per mille
+constexpr std::size_t kMaxPixels = 2048;  // of an overlap: its median is known to a few per mille
 constexpr std::size_t kFewestPixels = 16;
 constexpr double kStep =
     .1;  // of a new round's gains, after the first: what walks past must not flicker
@@ -49,8 +49,8 @@ std::optional<Channels> log_ratio(const Environment& a, const Environment& b,
 }  // namespace
 
 EnvironmentBlend::EnvironmentBlend(std::size_t views)
-    : weights_(views), first_logs_(views), gains_(views, Rgb{1, 1, 1}), tied_(views, false) {
-  tied_[0] = true;
+    : weights_(views), first_logs_(views), gains_(views, Rgb{1, 1, 1}), has_gain_(views, false) {
+  has_gain_[0] = true;
 }
 
 void EnvironmentBlend::set_view(std::size_t view, Image<float> from_rim) {
@@ -70,7 +70,7 @@ void EnvironmentBlend::pair_views() {
       for (std::uint32_t i = 0; i < total_.area(); ++i)
         if (std::min(weights_[a].pixels()[i], weights_[b].pixels()[i]) > 0) common.push_back(i);
       Pair pair{a, b, {}};
-      const std::size_t step = common.size() / kMostPixels + 1;
+      const std::size_t step = common.size() / kMaxPixels + 1;
       for (std::size_t i = 0; i < common.size(); i += step) pair.pixels.push_back(common[i]);
       if (pair.pixels.size() >= kFewestPixels) pairs_.push_back(std::move(pair));
     }
@@ -116,18 +116,19 @@ std::vector<std::optional<Channels>> EnvironmentBlend::solve(
 
 // A gain that wanders off by two stops is a camera that somebody covered, not a gain.
 void EnvironmentBlend::follow_gains(std::span<const Environment* const> views) {
-  const double most = std::log(4.);
+  const double largest = std::log(4.);
   const auto logs = solve(views);
   for (std::size_t v = 1; v < views.size(); ++v) {
     if (!logs[v]) continue;
-    if (!tied_[v]) first_logs_[v] = *logs[v];
+    if (!has_gain_[v]) first_logs_[v] = *logs[v];
     for (std::size_t c = 0; c < 3; ++c) {
-      if (std::abs((*logs[v])[c] - first_logs_[v][c]) > most) continue;
+      if (std::abs((*logs[v])[c] - first_logs_[v][c]) > largest) continue;
       float& gain = gains_[v][static_cast<int>(c)];
       const double wanted = std::exp((*logs[v])[c]);
-      gain = static_cast<float>(tied_[v] ? gain * std::pow(wanted / double(gain), kStep) : wanted);
+      gain =
+          static_cast<float>(has_gain_[v] ? gain * std::pow(wanted / double(gain), kStep) : wanted);
     }
-    tied_[v] = true;
+    has_gain_[v] = true;
   }
 }
 

@@ -28,7 +28,7 @@ class EnvironmentBlend {
   /// What each view is multiplied by; the first is 1.
   const std::vector<Rgb>& gains() const { return gains_; }
   /// Whether a view's gain is known: it overlaps, by way of others perhaps, with the first.
-  bool tied(std::size_t view) const { return tied_[view]; }
+  bool has_gain(std::size_t view) const { return has_gain_[view]; }
 
  private:
   struct Pair {
@@ -47,7 +47,7 @@ class EnvironmentBlend {
   bool paired_ = false;
   std::vector<Channels> first_logs_;  // of the gains
   std::vector<Rgb> gains_;
-  std::vector<bool> tied_;
+  std::vector<bool> has_gain_;
   Image<float> total_;  // of the weights that count
 };
 

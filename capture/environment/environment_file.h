@@ -6,7 +6,7 @@
 #include <filesystem>
 #include <optional>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/projection_table.h"
 #include "core/image.h"
 #include "core/result.h"
@@ -17,7 +17,7 @@ namespace penumbra::capture {
 /// mapping comes from the OpenEXR attribute where there is one, else from `projection`, else from
 /// the shape: 2:1 lat-long, 3:4 vertical cross, 1:1 angular. Non-finite pixels get no solid angle.
 struct EnvironmentFile {
-  calib::Projection projection;
+  calib::CameraModel projection;
   calib::ProjectionTable table;
   Image<Rgb> radiance;
   std::size_t non_finite = 0;

@@ -102,32 +102,32 @@ HWY_INLINE Four Bilinear(const std::uint16_t* p, const std::uint16_t* q, float r
 }
 #endif
 
-HWY_INLINE Four Sample(const std::uint16_t* rgba, int source_width, const GatherTap& tap) {
-  if (tap.offset < 0) return Black();
-  const std::uint16_t* const p = rgba + 4 * static_cast<std::ptrdiff_t>(tap.offset);
-  return Bilinear(p, p + 4 * static_cast<std::ptrdiff_t>(source_width), tap.right, tap.down);
+HWY_INLINE Four Sample(const std::uint16_t* rgba, int source_width, const GatherSample& sample) {
+  if (sample.offset < 0) return Black();
+  const std::uint16_t* const p = rgba + 4 * static_cast<std::ptrdiff_t>(sample.offset);
+  return Bilinear(p, p + 4 * static_cast<std::ptrdiff_t>(source_width), sample.right, sample.down);
 }
 
 // A row of the environment is a curve in the source: where it goes is known, so its lines are asked for in time.
-HWY_INLINE void FetchAhead(const std::uint16_t* rgba, int source_width, const GatherTap* taps,
+HWY_INLINE void FetchAhead(const std::uint16_t* rgba, int source_width, const GatherSample* samples,
                            int i, int count) {
-  constexpr int kAhead = 40;  // taps
+  constexpr int kAhead = 40;  // samples
   if (i + kAhead >= count) return;
-  const std::uint16_t* const p = rgba + 4 * static_cast<std::ptrdiff_t>(taps[i + kAhead].offset);
+  const std::uint16_t* const p = rgba + 4 * static_cast<std::ptrdiff_t>(samples[i + kAhead].offset);
   hwy::Prefetch(p);
   hwy::Prefetch(p + 4 * static_cast<std::ptrdiff_t>(source_width));
 }
 
-HWY_ATTR float GatherRow(const std::uint16_t* rgba, int source_width, const GatherTap* taps,
+HWY_ATTR float GatherRow(const std::uint16_t* rgba, int source_width, const GatherSample* samples,
                          int count, float scale, float* out) {
   Four sum = Black();
   for (int i = 0; i + 1 < count; ++i) {
-    FetchAhead(rgba, source_width, taps, i, count);
-    const Four v = Sample(rgba, source_width, taps[i]);
+    FetchAhead(rgba, source_width, samples, i, count);
+    const Four v = Sample(rgba, source_width, samples[i]);
     sum = Sum(sum, v);
     StorePixel(v, scale, out + 3 * i);
   }
-  const Four v = Sample(rgba, source_width, taps[count - 1]);
+  const Four v = Sample(rgba, source_width, samples[count - 1]);
   StoreLastPixel(v, scale, out + 3 * (count - 1));
   return Fourth(Sum(sum, v));
 }
@@ -153,9 +153,9 @@ namespace penumbra::capture {
 HWY_EXPORT(GatherRow);
 HWY_EXPORT(ConvertRow);
 
-float gather_row(const std::uint16_t* rgba, int source_width, const GatherTap* taps, int count,
-                 float scale, float* out) {
-  return HWY_DYNAMIC_DISPATCH(GatherRow)(rgba, source_width, taps, count, scale, out);
+float gather_row(const std::uint16_t* rgba, int source_width, const GatherSample* samples,
+                 int count, float scale, float* out) {
+  return HWY_DYNAMIC_DISPATCH(GatherRow)(rgba, source_width, samples, count, scale, out);
 }
 float convert_row(const std::uint16_t* rgba, int count, float scale, float* out) {
   return HWY_DYNAMIC_DISPATCH(ConvertRow)(rgba, count, scale, out);

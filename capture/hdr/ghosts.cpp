@@ -2,8 +2,8 @@
 #include <algorithm>
 
 #include "capture/hdr/internal/table_kernel.h"
-#include "capture/hdr/merge.h"
 #include "capture/hdr/internal/table_merger.h"
+#include "capture/hdr/merge.h"
 #include "core/half.h"
 
 namespace penumbra::capture {
@@ -65,10 +65,10 @@ void TableMerger::bound_undecided(const BlockJob& job, const LeftOut& left, std:
   }
 }
 
-void TableMerger::merge_mixed(const BlockJob& job, Block& block) const {
+void TableMerger::merge_mixed(const BlockJob& job, MergeBlock& block) const {
   LeftOut left;
   BlockJob kept = job;
-  std::array<std::array<std::uint8_t, kBlockSamples>, kMostExposures> codes;
+  std::array<std::array<std::uint8_t, kBlockSamples>, kMaxExposures> codes;
   std::array<HalfRgba, kMergeBlock> before;
   const bool any = leave_out_contradicted(job, left);
   if (any) {
@@ -95,10 +95,10 @@ void TableMerger::merge_mixed(const BlockJob& job, Block& block) const {
                            static_cast<double>(sums[run][c]);
 }
 
-// Light that went out of sight while something became too bright to tell is taken to be the same light, evenly spread.
+// Light that went out of visibility while something became too bright to tell is taken to be the same light, evenly spread.
 void TableMerger::keep_energy(MergedImage& out) {
   std::array<double, 3> vanished{};
-  for (const Block& block : blocks_)
+  for (const MergeBlock& block : blocks_)
     for (std::size_t c = 0; c < 3; ++c) vanished[c] += block.vanished[c];
   const auto each_undecided = [&](const auto& visit) {
     for (std::size_t b = 0; b < blocks_.size(); ++b) {
@@ -111,14 +111,14 @@ void TableMerger::keep_energy(MergedImage& out) {
   };
   const auto undecided = [](const HalfRgba& p, std::size_t c) { return (p.a >> c & 1) != 0; };
   std::array<double, 3> weights{};
-  each_undecided([&](Block&, const HalfRgba& p, double weight) {
+  each_undecided([&](MergeBlock&, const HalfRgba& p, double weight) {
     for (std::size_t c = 0; c < 3; ++c) weights[c] += undecided(p, c) ? weight : 0;
   });
   std::array<float, 3> more{};
   for (std::size_t c = 0; c < 3; ++c)
     if (weights[c] > 0) more[c] = static_cast<float>(std::max(0., vanished[c]) / weights[c]);
   const bool moved = std::ranges::any_of(more, [](float m) { return m > 0; });
-  each_undecided([&](Block& block, HalfRgba& p, double) {
+  each_undecided([&](MergeBlock& block, HalfRgba& p, double) {
     std::uint16_t* const channels[] = {&p.r, &p.g, &p.b};
     for (std::size_t c = 0; c < 3; ++c)
       if (undecided(p, c))
@@ -127,7 +127,7 @@ void TableMerger::keep_energy(MergedImage& out) {
     p.a = moved ? kHalfOne : std::uint16_t{0};
     if (moved && block.counts.clipped > 0) --block.counts.clipped;
   });
-  for (Block& block : blocks_) block.undecided = false;
+  for (MergeBlock& block : blocks_) block.undecided = false;
 }
 
 }  // namespace penumbra::capture

@@ -7,13 +7,13 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
-#include "core/aside.h"
-#include "calib/camera/code_curve.h"
 #include "calib/camera/lens_vignetting.h"
+#include "calib/camera/response_table.h"
 #include "capture/hdr/internal/contradiction.h"
+#include "capture/hdr/internal/table_merger.h"
 #include "capture/hdr/merge_math.h"
 #include "capture/hdr/pose_warp.h"
-#include "capture/hdr/internal/table_merger.h"
+#include "core/background_task.h"
 #include "core/half.h"
 #include "core/scratch.h"
 
@@ -42,19 +42,19 @@ void to_half(const MergedFloat& in, double shortest, MergedImage& out) {
 }  // namespace
 
 HdrRing::HdrRing(CameraInfo camera, int slots)
-    : camera_(std::move(camera)), most_slots_(static_cast<std::size_t>(std::max(1, slots))) {}
+    : camera_(std::move(camera)), max_slots_(static_cast<std::size_t>(std::max(1, slots))) {}
 HdrRing::~HdrRing() = default;
 HdrRing::HdrRing(HdrRing&&) noexcept = default;
 HdrRing& HdrRing::operator=(HdrRing&&) noexcept = default;
 
 // The slot of this exposure. Flicker moves the gain that a frame is given, by less than half a stop around its mean.
-HdrRing::Slot* HdrRing::slot_of(const Exposure& exposure) {
+HdrRing::RingSlot* HdrRing::slot_of(const Exposure& exposure) {
   constexpr double kHalfStop = .3;
-  const auto apart = [&](const Slot& s) {
+  const auto apart = [&](const RingSlot& s) {
     return std::abs(s.gain_log - std::log(exposure.gain.value()));
   };
-  Slot* nearest = nullptr;
-  for (Slot& s : slots_)
+  RingSlot* nearest = nullptr;
+  for (RingSlot& s : slots_)
     if (std::abs(s.nominal.time.count() / exposure.time.count() - 1) < .01 &&
         apart(s) < (nearest ? apart(*nearest) : kHalfStop))
       nearest = &s;
@@ -70,21 +70,21 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
         fmt::format("{}x{}, expected {}x{}", width(*frame.pixels), height(*frame.pixels), w, h));
   std::optional<Frame> replaced;
   const double gain_log = std::log(frame.exposure.gain.value());
-  if (Slot* const old = slot_of(frame.exposure)) {
+  if (RingSlot* const old = slot_of(frame.exposure)) {
     came_back_ = true;
     replaced = std::exchange(old->frame, frame);
     old->placed = taken_++;
     old->gain_log += .1 * (gain_log - old->gain_log);
   } else {
-    if (slots_.size() >= most_slots_)
-      slots_.erase(std::ranges::min_element(slots_, {}, &Slot::placed));
+    if (slots_.size() >= max_slots_)
+      slots_.erase(std::ranges::min_element(slots_, {}, &RingSlot::placed));
     slots_.push_back({frame, frame.exposure, gain_log, taken_++});
-    std::ranges::stable_sort(slots_, [](const Slot& a, const Slot& b) {
+    std::ranges::stable_sort(slots_, [](const RingSlot& a, const RingSlot& b) {
       return a.nominal.product() > b.nominal.product();
     });
   }
   // An exposure that the schedule has left behind must not go on lighting the scene.
-  std::erase_if(slots_, [&](const Slot& s) { return s.placed + 3 * slots_.size() < taken_; });
+  std::erase_if(slots_, [&](const RingSlot& s) { return s.placed + 3 * slots_.size() < taken_; });
   const bool turned = turn_to(frame);
   // What was merged before was seen from elsewhere.
   PENUMBRA_TRY(merge_now(turned || was_turned_ ? std::nullopt : replaced));
@@ -100,7 +100,7 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
 bool HdrRing::turn_to(const Frame& newest) {
   constexpr double kSeen_px = .25;
   bool any = false;
-  for (Slot& s : slots_) {
+  for (RingSlot& s : slots_) {
     const glm::dquat before_from_now =
         glm::conjugate(s.frame.world_from_camera.rotation) * newest.world_from_camera.rotation;
     const double angle =
@@ -121,11 +121,11 @@ bool HdrRing::turn_to(const Frame& newest) {
 
 // Tables have no place for what was not seen: there a slot says what the newest frame makes one expect, and that it is clipped
 // where that is.
-void HdrRing::fill_unseen(Slot& slot, const Frame& newest) const {
+void HdrRing::fill_unseen(RingSlot& slot, const Frame& newest) const {
   const auto* now = std::get_if<Image<Rgb8>>(newest.pixels.get());
   const auto* seen = std::get_if<Image<Rgb8>>(slot.turned.get());
   if (!now || !seen) return;
-  const CodeCurve curve = make_code_curve(camera_.response, 8, camera_.black_level);
+  const ResponseTable curve = make_response_table(camera_.response, 8, camera_.black_level);
   const double ratio = slot.frame.exposure.product() / newest.exposure.product();
   std::array<std::array<std::uint8_t, 256>, 3> expected{};
   for (int c = 0; c < 3; ++c)
@@ -145,26 +145,27 @@ void HdrRing::fill_unseen(Slot& slot, const Frame& newest) const {
 
 Result<void> HdrRing::merge_now(const std::optional<Frame>& replaced) {
   const auto bytes = [](const FramePixels& p) { return std::get_if<Image<Rgb8>>(&p); };
-  if (!std::ranges::all_of(slots_, [&](const Slot& s) { return bytes(*s.pixels()); }))
+  if (!std::ranges::all_of(slots_, [&](const RingSlot& s) { return bytes(*s.pixels()); }))
     return merge_all();
   const bool anew = !std::ranges::equal(
       slots_, table_exposures_,
       [](const Exposure& a, const Exposure& b) {
         return a.product() == b.product() && a.gain == b.gain;
       },
-      &Slot::nominal);
+      &RingSlot::nominal);
   if (anew) {
     table_exposures_.clear();
-    for (const Slot& s : slots_) table_exposures_.push_back(s.nominal);
+    for (const RingSlot& s : slots_) table_exposures_.push_back(s.nominal);
     auto table = TableMerger::make(table_exposures_, camera_);
     table_ = table ? std::make_unique<TableMerger>(std::move(*table)) : nullptr;
   }
   if (!table_) return merge_all();
   const Scratch::Scope scope;
-  std::pmr::vector<TableMerger::Slot> slots(scope.memory());
-  for (const Slot& s : slots_) slots.push_back({bytes(*s.pixels()), s.frame.exposure, s.placed});
+  std::pmr::vector<TableMerger::MergeSlot> slots(scope.memory());
+  for (const RingSlot& s : slots_)
+    slots.push_back({bytes(*s.pixels()), s.frame.exposure, s.placed});
   if (!anew && replaced && bytes(*replaced->pixels)) {
-    const TableMerger::Slot before{bytes(*replaced->pixels), replaced->exposure, 0};
+    const TableMerger::MergeSlot before{bytes(*replaced->pixels), replaced->exposure, 0};
     table_->update(slots, &before, merged_);
   } else {
     table_->update(slots, nullptr, merged_);
@@ -176,13 +177,13 @@ Result<void> HdrRing::merge_now(const std::optional<Frame>& replaced) {
 Result<void> HdrRing::merge_all() {
   ExposureStack stack{
       {}, {}, camera_.response, camera_.noise, camera_.black_level, {}, camera_.noise_known};
-  for (const Slot& s : slots_) {
+  for (const RingSlot& s : slots_) {
     stack.frames.push_back(s.pixels());
     stack.valid.push_back(s.turned ? s.valid : Image<std::uint8_t>{});
     stack.exposures.push_back(s.frame.exposure);
-    stack.trust.push_back(stack.trust.size());
+    stack.priority.push_back(stack.priority.size());
   }
-  std::ranges::sort(stack.trust, [&](std::size_t a, std::size_t b) {
+  std::ranges::sort(stack.priority, [&](std::size_t a, std::size_t b) {
     return slots_[a].placed > slots_[b].placed;
   });
   auto merged = capture::merge(stack);

@@ -8,8 +8,8 @@
 #include <optional>
 #include <vector>
 
-#include "capture/hdr/internal/table_merger.h"
 #include "capture/frames.h"
+#include "capture/hdr/internal/table_merger.h"
 #include "capture/hdr/merge.h"
 #include "core/image.h"
 #include "core/result.h"
@@ -36,11 +36,11 @@ class HdrRing {
   /// Different exposures that stand in the ring.
   std::size_t exposures() const { return slots_.size(); }
   /// False while a shorter exposure may still come: until one came back, or so many different ones stand in the ring.
-  bool knows_bracket() const { return came_back_ || slots_.size() >= kUsualBracket; }
+  bool bracket_complete() const { return came_back_ || slots_.size() >= kUsualBracket; }
 
  private:
   static constexpr std::size_t kUsualBracket = 4;
-  struct Slot {
+  struct RingSlot {
     Frame frame;
     Exposure nominal;          // as its exposure came first; flicker moves the frames' own
     double gain_log = 0;       // of late, in the mean
@@ -53,16 +53,16 @@ class HdrRing {
     }
   };
   bool turn_to(const Frame& newest);
-  void fill_unseen(Slot& slot, const Frame& newest) const;
-  Slot* slot_of(const Exposure& exposure);
+  void fill_unseen(RingSlot& slot, const Frame& newest) const;
+  RingSlot* slot_of(const Exposure& exposure);
   Result<void> merge_now(const std::optional<Frame>& replaced);
   Result<void> merge_all();
   CameraInfo camera_;
-  std::size_t most_slots_;
+  std::size_t max_slots_;
   bool came_back_ = false;   // an exposure
   bool was_turned_ = false;  // some slot, at the last merge
   std::uint64_t taken_ = 0;
-  std::vector<Slot> slots_;  // longest exposure first
+  std::vector<RingSlot> slots_;  // longest exposure first
   std::vector<Exposure> table_exposures_;
   std::unique_ptr<TableMerger> table_;
   MergedImage merged_;

@@ -8,16 +8,16 @@
 #include <numeric>
 
 #include "capture/frames.h"
-#include "capture/hdr/merge_math.h"
 #include "capture/hdr/internal/contradiction.h"
+#include "capture/hdr/merge_math.h"
 #include "core/parallel.h"
 
 namespace penumbra::capture {
 
-CodeCurve make_code_curve(const calib::Response& response, int bits, double black_level) {
-  return CodeCurve({response.decode_table(bits, 0), response.decode_table(bits, 1),
-                    response.decode_table(bits, 2)},
-                   static_cast<float>(black_level));
+ResponseTable make_response_table(const calib::Response& response, int bits, double black_level) {
+  return ResponseTable({response.decode_table(bits, 0), response.decode_table(bits, 1),
+                        response.decode_table(bits, 2)},
+                       static_cast<float>(black_level));
 }
 
 Result<void> check_exposures(std::span<const Exposure> exposures) {
@@ -39,8 +39,8 @@ namespace {
 template <class Pixel>
 class Stack {
  public:
-  Stack(const ExposureStack& in, const CodeCurve* curve)
-      : in_(in), curve_(curve), order_(in.trust) {
+  Stack(const ExposureStack& in, const ResponseTable* curve)
+      : in_(in), curve_(curve), order_(in.priority) {
     for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
     if (curve) step_ = QuantisationStep(*curve);
     if (order_.empty()) {
@@ -51,7 +51,7 @@ class Stack {
   int width() const { return images_[0]->width(); }
   int height() const { return images_[0]->height(); }
 
-  Sample sample(std::size_t k, std::size_t i, int c) const {
+  SignalSample sample(std::size_t k, std::size_t i, int c) const {
     const Pixel& p = images_[k]->pixels()[i];
     const auto code = c == 0 ? p.r : c == 1 ? p.g : p.b;
     if constexpr (std::is_same_v<Pixel, Rgb>) {
@@ -66,7 +66,7 @@ class Stack {
   bool shows(std::size_t k, std::size_t i) const {
     return in_.valid.empty() || in_.valid[k].area() == 0 || in_.valid[k].pixels()[i] != 0;
   }
-  struct Value {
+  struct MergedValue {
     double radiance;
     bool clipped, black;
   };
@@ -77,22 +77,22 @@ class Stack {
     for (const std::size_t k : order_) {
       if (!shows(k, i)) continue;
       const bool fits =
-          in_.trust.empty() || std::ranges::none_of(out, [&](std::size_t j) {
+          in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
             for (int c = 0; c < 3; ++c)
               if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k],
-                             in_.noise, step_, c, most_sigmas(in_.noise_known)))
+                             in_.noise, step_, c, max_sigmas(in_.noise_known)))
                 return true;
             return false;
           });
       if (fits) out.push_back(k);
     }
   }
-  Value merge(std::size_t i, int c, std::span<const std::size_t> exposures) const {
+  MergedValue merge(std::size_t i, int c, std::span<const std::size_t> exposures) const {
     thread_local std::vector<Measurement> measured;
     measured.clear();
     double lower_bound = 0, longest = 0, longest_gain = 1;
     for (const std::size_t k : exposures) {
-      const Sample s = sample(k, i, c);
+      const SignalSample s = sample(k, i, c);
       const double e = in_.exposures[k].product(), g = in_.exposures[k].gain.value();
       if (s.clipped) {
         lower_bound = std::max(lower_bound, s.signal / e);
@@ -109,14 +109,14 @@ class Stack {
 
  private:
   const ExposureStack& in_;
-  const CodeCurve* curve_;
+  const ResponseTable* curve_;
   QuantisationStep step_;
   std::vector<std::size_t> order_;
   std::vector<const Image<Pixel>*> images_;
 };
 
 template <class Pixel>
-MergedFloat merge_pixels(const ExposureStack& in, const CodeCurve* curve) {
+MergedFloat merge_pixels(const ExposureStack& in, const ResponseTable* curve) {
   const Stack<Pixel> stack(in, curve);
   MergedFloat out;
   out.radiance = Image<Rgb>(stack.width(), stack.height());
@@ -158,10 +158,10 @@ Result<void> check_stack(const ExposureStack& stack) {
         ErrorCode::kInvalid, "exposure stack",
         fmt::format("{} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
   PENUMBRA_TRY(check_exposures(stack.exposures));
-  std::vector<std::size_t> trust = stack.trust;
-  std::ranges::sort(trust);
-  for (std::size_t k = 0; k < trust.size(); ++k)
-    if (trust[k] != k || trust.size() != stack.frames.size())
+  std::vector<std::size_t> priority = stack.priority;
+  std::ranges::sort(priority);
+  for (std::size_t k = 0; k < priority.size(); ++k)
+    if (priority[k] != k || priority.size() != stack.frames.size())
       return fail(ErrorCode::kInvalid, "exposure stack",
                   "its order of trust is no order of its frames");
   if (!stack.valid.empty() && stack.valid.size() != stack.frames.size())
@@ -196,7 +196,8 @@ Result<MergedFloat> merge(const ExposureStack& stack) {
     out = merge_pixels<Rgb>(stack, nullptr);
   } else {
     const bool wide = std::holds_alternative<Image<Rgb16>>(*stack.frames[0]);
-    const CodeCurve curve = make_code_curve(stack.response, wide ? 16 : 8, stack.black_level);
+    const ResponseTable curve =
+        make_response_table(stack.response, wide ? 16 : 8, stack.black_level);
     out = wide ? merge_pixels<Rgb16>(stack, &curve) : merge_pixels<Rgb8>(stack, &curve);
   }
   if (out.clipped_fraction == 1)

@@ -7,9 +7,9 @@
 #include <memory>
 #include <vector>
 
-#include "calib/camera/code_curve.h"
 #include "calib/camera/noise.h"
 #include "calib/camera/response.h"
+#include "calib/camera/response_table.h"
 #include "core/half.h"
 #include "core/image.h"
 #include "core/result.h"
@@ -26,14 +26,14 @@ struct ExposureStack {
   double black_level = 0;
   /// Most trusted first: samples that contradict a more trusted one by more than the noise explains are left out.
   /// Empty: nothing moved between the exposures, and all count.
-  std::vector<std::size_t> trust{};
+  std::vector<std::size_t> priority{};
   bool noise_known = true;  // of a guess, more has to be explained
   /// For each frame 1 where it shows anything; empty: everywhere. A frame's own may be empty, too.
   std::vector<Image<std::uint8_t>> valid{};
 };
 
 /// Code curve of a response at 8 or 16 bits.
-CodeCurve make_code_curve(const calib::Response& response, int bits, double black_level);
+ResponseTable make_response_table(const calib::Response& response, int bits, double black_level);
 
 struct MergedImage {
   Image<HalfRgba> pixels;  // radiance / `scale`; fourth channel 0 where every exposure is clipped

@@ -3,11 +3,10 @@
 
 #include <span>
 
+#include "calib/camera/noise.h"
+#include "calib/camera/response_table.h"
 #include "core/result.h"
 #include "core/units.h"
-#include "calib/camera/code_curve.h"
-#include "calib/camera/noise.h"
-
 
 namespace penumbra::capture {
 
@@ -19,7 +18,7 @@ inline constexpr double kClipLevel = .95;
 class QuantisationStep {
  public:
   QuantisationStep() = default;
-  explicit QuantisationStep(const CodeCurve& curve) : curve_(&curve) {}
+  explicit QuantisationStep(const ResponseTable& curve) : curve_(&curve) {}
   double variance(int channel, double signal) const {
     if (curve_ == nullptr) return 0;
     const unsigned code = curve_->encode(channel, static_cast<float>(signal));
@@ -31,7 +30,7 @@ class QuantisationStep {
   }
 
  private:
-  const CodeCurve* curve_ = nullptr;
+  const ResponseTable* curve_ = nullptr;
 };
 
 /// One unclipped measurement of a pixel: linear signal y of exposure e = time x gain.

@@ -5,7 +5,7 @@
 
 namespace penumbra::capture {
 
-PixelWeights::PixelWeights(const calib::Projection& projection)
+PixelWeights::PixelWeights(const calib::CameraModel& projection)
     : width_(static_cast<std::size_t>(projection.width)), columns_((width_ + kCell - 1) / kCell) {
   const int rows = (projection.height + kCell - 1) / kCell;
   // The parallelogram of a pixel in the middle of the cell, or of the picture's last one.

@@ -4,8 +4,7 @@
 #include <cstddef>
 #include <vector>
 
-#include "calib/camera/projection.h"
-
+#include "calib/camera/camera_model.h"
 
 namespace penumbra::capture {
 
@@ -14,7 +13,7 @@ namespace penumbra::capture {
 class PixelWeights {
  public:
   static constexpr int kCell = 16;  // pixels a side
-  explicit PixelWeights(const calib::Projection& projection);
+  explicit PixelWeights(const calib::CameraModel& projection);
   float of(int x, int y) const {
     return weights_[static_cast<std::size_t>(y / kCell) * columns_ +
                     static_cast<std::size_t>(x / kCell)];

@@ -4,13 +4,13 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
-#include "calib/camera/projection.h"
-#include "capture/sights.h"
-#include "capture/seen_grid.h"
+#include "calib/camera/camera_model.h"
+#include "capture/camera_regions.h"
+#include "capture/warp_grid.h"
 
 namespace penumbra::capture {
 
-double pixel_angle(const calib::Projection& p) {
+double pixel_angle(const calib::CameraModel& p) {
   const glm::dvec2 middle(p.width / 2., p.height / 2.);
   const auto a = calib::direction_from_pixel(p, middle),
              b = calib::direction_from_pixel(p, middle + glm::dvec2(1, 0));
@@ -18,21 +18,21 @@ double pixel_angle(const calib::Projection& p) {
 }
 
 std::shared_ptr<const FramePixels> turned(const FramePixels& picture,
-                                          const calib::Projection& projection,
+                                          const calib::CameraModel& projection,
                                           const Vignetting& vignetting,
                                           const glm::dquat& before_from_now,
                                           Image<std::uint8_t>& valid) {
   if (valid.width() != projection.width || valid.height() != projection.height)
     valid = Image<std::uint8_t>(projection.width, projection.height);
-  const auto where = [&](const glm::dvec2& px) -> std::optional<SeenAt> {
+  const auto where = [&](const glm::dvec2& px) -> std::optional<PixelHit> {
     const auto direction = calib::direction_from_pixel(projection, px);
     if (!direction) return std::nullopt;
     const auto before = calib::pixel_from_direction(projection, before_from_now * *direction);
-    return before ? std::optional(SeenAt{*before}) : std::nullopt;
+    return before ? std::optional(PixelHit{*before}) : std::nullopt;
   };
   const auto turn = [&](const auto& image) -> FramePixels {
     std::decay_t<decltype(image)> out(image.width(), image.height());
-    see_each_pixel(image.width(), image.height(), where, [&](int x, int y, const SeenAt* seen) {
+    warp_grid(image.width(), image.height(), where, [&](int x, int y, const PixelHit* seen) {
       constexpr double kAlike = .03;
       const bool alike =
           seen &&

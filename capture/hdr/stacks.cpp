@@ -9,18 +9,18 @@
 #include <opencv2/imgproc.hpp>
 #include <random>
 
-#include "core/aside.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
-#include "core/median.h"
 #include "capture/hdr/merge_math.h"
+#include "core/background_task.h"
+#include "core/median.h"
 
 namespace penumbra::capture {
 
 namespace {
 
 constexpr int kBlock = 4;  // pixels a side
-constexpr std::size_t kFewestBlocks = 50, kMostBlocks = 4000;
+constexpr std::size_t kFewestBlocks = 50, kMaxBlocks = 4000;
 
 struct LogRatio {
   double value;
@@ -28,7 +28,7 @@ struct LogRatio {
 };
 // Of a block's signals in one channel, if no pixel of either picture clips or comes near black.
 std::optional<LogRatio> log_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
-                                  const CodeCurve& curve, int channel, int left, int top) {
+                                  const ResponseTable& curve, int channel, int left, int top) {
   constexpr double kClipped = .9;
   constexpr unsigned kDarkCode = 8;  // below, codes and noise reduction bend the curve
   const auto code = [&](const Rgb8& p) { return channel == 0 ? p.r : channel == 1 ? p.g : p.b; };
@@ -48,7 +48,7 @@ std::optional<LogRatio> log_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
 }  // namespace
 
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
-                                              const CodeCurve& curve) {
+                                              const ResponseTable& curve) {
   if (!a.same_size(b)) return fail(ErrorCode::kInvalid, "exposure ratio", "pictures of two sizes");
   std::vector<LogRatio> all;
   for (int y = 0; y + kBlock <= a.height(); y += kBlock)
@@ -63,12 +63,12 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
                     all.size()));
   // Neighbours are alike: as many as are independent, evenly over the picture.
   std::vector<LogRatio> some;
-  const std::size_t apart = (all.size() + kMostBlocks - 1) / kMostBlocks;
+  const std::size_t apart = (all.size() + kMaxBlocks - 1) / kMaxBlocks;
   for (std::size_t i = 0; i < all.size(); i += apart) some.push_back(all[i]);
   std::vector<double> logs;
   for (const LogRatio& l : some) logs.push_back(l.value);
   ExposureRatio out;
-  out.share =
+  out.fraction =
       static_cast<double>(all.size()) * kBlock * kBlock / (3. * static_cast<double>(a.area()));
   out.blocks = logs.size();
   out.ratio = std::exp(median(logs));
@@ -110,19 +110,19 @@ cv::Mat features_of(const Image<Rgb8>& picture) {
   return even;
 }
 
-struct Features {
+struct PictureFeatures {
   std::vector<cv::KeyPoint> points;
   cv::Mat descriptors;
 };
-Features find_features(const Image<Rgb8>& picture) {
-  constexpr int kMost = 4000;
-  Features out;
-  cv::SIFT::create(kMost)->detectAndCompute(features_of(picture), {}, out.points, out.descriptors);
+PictureFeatures find_features(const Image<Rgb8>& picture) {
+  constexpr int kMax = 4000;
+  PictureFeatures out;
+  cv::SIFT::create(kMax)->detectAndCompute(features_of(picture), {}, out.points, out.descriptors);
   return out;
 }
 
 // From the reference's pixels to the picture's; nothing when too few points agree.
-cv::Mat homography_between(const Features& reference, const Features& picture) {
+cv::Mat homography_between(const PictureFeatures& reference, const PictureFeatures& picture) {
   constexpr double kDistinct = .75;  // Lowe 2004: nearest over second nearest
   constexpr double kInlier_px = 2;
   constexpr int kFewest = 20;
@@ -152,7 +152,7 @@ double mean_shift(const cv::Mat& h, int width, int height) {
   return sum / static_cast<double>(grid.size());
 }
 
-// Resampled, and where the picture shows anything. What a clipped pixel has a share in is clipped.
+// Resampled, and where the picture shows anything. What a clipped pixel has a fraction in is clipped.
 struct Warped {
   Image<Rgb8> picture;
   Image<std::uint8_t> valid;
@@ -169,11 +169,11 @@ Warped warp(const Image<Rgb8>& picture, const cv::Mat& h) {
   resample(in, target, cv::BORDER_REPLICATE);
   resample(cv::Mat(in.size(), CV_8UC1, cv::Scalar(255)), seen, cv::BORDER_CONSTANT);
   seen = seen == 255;
-  cv::Mat clipped, share;
+  cv::Mat clipped, fraction;
   cv::threshold(in, clipped, kClippedCode, 255, cv::THRESH_BINARY);
-  resample(clipped, share, cv::BORDER_REPLICATE);
-  cv::threshold(share, share, 0, 255, cv::THRESH_BINARY);
-  cv::bitwise_or(target, share, target);
+  resample(clipped, fraction, cv::BORDER_REPLICATE);
+  cv::threshold(fraction, fraction, 0, 255, cv::THRESH_BINARY);
+  cv::bitwise_or(target, fraction, target);
   return out;
 }
 
@@ -189,7 +189,7 @@ Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference) {
   const auto picture = [&](std::size_t k) -> const Image<Rgb8>& {
     return std::get<Image<Rgb8>>(*stack.frames[k]);
   };
-  const Features first = find_features(picture(reference));
+  const PictureFeatures first = find_features(picture(reference));
   Alignment out{std::vector<double>(stack.frames.size(), 0)};
   stack.valid.assign(stack.frames.size(), {});
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {

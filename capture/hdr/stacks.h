@@ -7,8 +7,8 @@
 #include <span>
 #include <vector>
 
+#include "calib/camera/response_table.h"
 #include "capture/hdr/merge.h"
-#include "calib/camera/code_curve.h"
 #include "core/image.h"
 #include "core/result.h"
 
@@ -20,7 +20,7 @@ struct ExposureStack;
 struct ExposureRatio {
   double ratio = 1;
   double low = 1, high = 1;  // 95 % of the estimates of resampled pictures lie between
-  double share = 0;          // of the pictures' patches
+  double fraction = 0;       // of the pictures' patches
   std::size_t blocks = 0;    // of 4x4 pixels that took part
 };
 /// Median over blocks of 4x4 pixels in which neither clips nor is dark, so that what moved has no say; its interval by
@@ -29,7 +29,7 @@ struct ExposureRatio {
 /// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell)
 /// source: Hanji & Mantiuk 2023 (ratios from overlaps); gauge: Grossberg & Nayar 2003
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
-                                              const CodeCurve& curve);
+                                              const ResponseTable& curve);
 
 /// How far the pictures of a hand-held stack lay from the reference, pixels in the mean.
 struct Alignment {

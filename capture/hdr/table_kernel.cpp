@@ -1,6 +1,6 @@
 #include "capture/hdr/internal/table_kernel.h"
 
-#include "core/aside.h"
+#include "core/background_task.h"
 #include "core/half.h"
 
 #undef HWY_TARGET_INCLUDE

@@ -29,7 +29,7 @@ void fetch_ahead(const std::uint8_t* codes) {
   for (int i = 0; i < kBlockSamples; i += 64) __builtin_prefetch(codes + 2 * kBlockSamples + i);
 }
 
-unsigned first_clipped(const CodeCurve& curve, int channel, double black_level) {
+unsigned first_clipped(const ResponseTable& curve, int channel, double black_level) {
   unsigned code = 0;
   while (code < 255 && static_cast<double>(curve.decode(channel, code)) + black_level < kClipLevel)
     ++code;
@@ -39,15 +39,15 @@ unsigned first_clipped(const CodeCurve& curve, int channel, double black_level) 
 }  // namespace
 
 TableMerger::TableMerger(const CameraInfo& camera)
-    : curve_(make_code_curve(camera.response, 8, camera.black_level)),
+    : curve_(make_response_table(camera.response, 8, camera.black_level)),
       projection_(camera.projection),
       noise_(camera.noise),
-      most_sigmas_(most_sigmas(camera.noise_known)),
+      max_sigmas_(max_sigmas(camera.noise_known)),
       channel_sets_(camera.response.same_for_all_channels() ? 1 : 3) {}
 
 std::optional<TableMerger> TableMerger::make(std::span<const Exposure> exposures,
                                              const CameraInfo& camera) {
-  if (exposures.empty() || exposures.size() > kMostExposures || !two_suffice(exposures))
+  if (exposures.empty() || exposures.size() > kMaxExposures || !two_suffice(exposures))
     return std::nullopt;
   TableMerger out(camera);
   out.nominal_.assign(exposures.begin(), exposures.end());
@@ -101,16 +101,16 @@ void TableMerger::fill_tables() {
 }
 
 // Flicker moves exposures by a few per cent, each frame by another amount. To first order a pair's radiance moves by
-// its members' changes, weighted by their share of the light.
+// its members' changes, weighted by their fraction of the light.
 void TableMerger::scale_step(std::size_t step) {
   const std::size_t last = nominal_.size() - 1, k = std::min(step, last);
   const auto change = [&](std::size_t i) { return nominal_[i].product() / current_[i].product(); };
   const double alone = change(k);
   double pair = alone;
   if (step < last) {
-    const double share =
+    const double fraction =
         current_[k].product() / (current_[k].product() + current_[k + 1].product());
-    pair = share * alone + (1 - share) * change(k + 1);
+    pair = fraction * alone + (1 - fraction) * change(k + 1);
   }
   for (std::size_t set = 0; set < channel_sets_; ++set)
     parallel_for(std::size_t{0}, std::size_t{256}, 32, [&](const auto& rows) {
@@ -123,7 +123,7 @@ void TableMerger::scale_step(std::size_t step) {
     });
 }
 
-void TableMerger::follow(std::span<const Slot> slots) {
+void TableMerger::follow(std::span<const MergeSlot> slots) {
   for (std::size_t k = 0; k < slots.size(); ++k) {
     if (std::abs(slots[k].exposure.product() / current_[k].product() - 1) < kSameExposure) continue;
     current_[k] = slots[k].exposure;
@@ -150,8 +150,8 @@ void TableMerger::compare_exposures(std::size_t one) {
   for (std::size_t set = 0; set < channel_sets_; ++set)
     for (std::size_t k = 0; k < current_.size(); ++k) {
       if (k == one) continue;
-      allowed(set, one, k) = allowed_codes(samples(set), current_[one], current_[k], most_sigmas_);
-      allowed(set, k, one) = allowed_codes(samples(set), current_[k], current_[one], most_sigmas_);
+      allowed(set, one, k) = allowed_codes(samples(set), current_[one], current_[k], max_sigmas_);
+      allowed(set, k, one) = allowed_codes(samples(set), current_[k], current_[one], max_sigmas_);
     }
 }
 
@@ -159,8 +159,8 @@ CodeTolerance TableMerger::tolerance(const Exposure& now, const Exposure& before
   constexpr double kEver = 1.7;  // 6 standard deviations, where `often` means 3.5
   CodeTolerance out{};
   for (std::size_t set = 0; set < channel_sets_; ++set) {
-    const AllowedCodes often = allowed_codes(samples(set), now, before, most_sigmas_),
-                       ever = allowed_codes(samples(set), now, before, kEver * most_sigmas_);
+    const AllowedCodes often = allowed_codes(samples(set), now, before, max_sigmas_),
+                       ever = allowed_codes(samples(set), now, before, kEver * max_sigmas_);
     const auto widen = [](std::uint8_t& tolerance, int code, std::uint32_t interval) {
       const int low = interval & 255, high = static_cast<int>(interval >> 8);
       tolerance = static_cast<std::uint8_t>(std::max<int>({tolerance, code - low, high - code}));
@@ -184,8 +184,9 @@ TableView TableMerger::view() const {
           static_cast<int>(nominal_.size())};
 }
 
-TableMerger::Job TableMerger::describe(std::span<const Slot> slots, const Slot* replaced) const {
-  Job job;
+TableMerger::MergeJob TableMerger::describe(std::span<const MergeSlot> slots,
+                                            const MergeSlot* replaced) const {
+  MergeJob job;
   for (std::size_t k = 0; k < slots.size(); ++k) {
     job.codes[k] = &slots[k].pixels->pixels()[0].r;
     job.by_age[k] = static_cast<std::uint8_t>(k);
@@ -201,7 +202,8 @@ TableMerger::Job TableMerger::describe(std::span<const Slot> slots, const Slot* 
   return job;
 }
 
-void TableMerger::update(std::span<const Slot> slots, const Slot* replaced, MergedImage& out) {
+void TableMerger::update(std::span<const MergeSlot> slots, const MergeSlot* replaced,
+                         MergedImage& out) {
   assert(slots.size() == nominal_.size());
   const Image<Rgb8>& any = *slots[0].pixels;
   follow(slots);
@@ -213,10 +215,10 @@ void TableMerger::update(std::span<const Slot> slots, const Slot* replaced, Merg
     replaced = nullptr;
   }
   out.scale = scale_;
-  const Job job = describe(slots, replaced);
+  const MergeJob job = describe(slots, replaced);
   // Nothing is known of what stood there before: older frames may show anything.
   if (!replaced)
-    for (Block& block : blocks_) block.changed = job.now;
+    for (MergeBlock& block : blocks_) block.changed = job.now;
   parallel_for(std::size_t{0}, whole, 64, [&](const auto& range) {
     for (std::size_t b = range.begin(); b < range.end(); ++b) {
       const std::size_t first = b * kMergeBlock;
@@ -238,26 +240,26 @@ void TableMerger::update(std::span<const Slot> slots, const Slot* replaced, Merg
   if (area % kMergeBlock) update_rest(job, out);
   keep_energy(out);
   std::size_t clipped = 0, black = 0;
-  for (const Block& b : blocks_) clipped += b.counts.clipped, black += b.counts.black;
+  for (const MergeBlock& b : blocks_) clipped += b.counts.clipped, black += b.counts.black;
   out.clipped_fraction = static_cast<double>(clipped) / static_cast<double>(area);
   out.black_fraction = static_cast<double>(black) / static_cast<double>(3 * area);
 }
 
 // The last pixels in a block of their own, repeated so that the counts stay right in proportion.
-void TableMerger::update_rest(const Job& job, MergedImage& out) {
+void TableMerger::update_rest(const MergeJob& job, MergedImage& out) {
   using Codes = std::array<std::uint8_t, kBlockSamples>;
   const std::size_t first = (blocks_.size() - 1) * kMergeBlock, rest = out.pixels.area() - first;
   const auto repeat = [&](const std::uint8_t* source, Codes& codes) {
     for (std::size_t i = 0; i < codes.size(); ++i) codes[i] = source[3 * first + i % (3 * rest)];
     return codes.data();
   };
-  std::array<Codes, kMostExposures + 1> padded;
+  std::array<Codes, kMaxExposures + 1> padded;
   std::array<HalfRgba, kMergeBlock> pixels{};
   std::copy_n(&out.pixels.pixels()[first], rest, pixels.begin());
   BlockJob block{job, {}, nullptr, pixels.data(), first, rest};
   for (std::size_t k = 0; k < nominal_.size(); ++k)
     block.codes[k] = repeat(job.codes[k], padded[k]);
-  if (job.replaced) block.replaced = repeat(job.replaced, padded[kMostExposures]);
+  if (job.replaced) block.replaced = repeat(job.replaced, padded[kMaxExposures]);
   update_block(block, blocks_.back());
   std::copy_n(pixels.begin(), rest, &out.pixels.pixels()[first]);
 }
@@ -270,9 +272,9 @@ BlockCounts TableMerger::merge_real(const BlockJob& job) const {
   return counts;
 }
 
-void TableMerger::update_block(const BlockJob& job, Block& block) const {
+void TableMerger::update_block(const BlockJob& job, MergeBlock& block) const {
   block.vanished = {};
-  const Job& all = job.all;
+  const MergeJob& all = job.all;
   const bool anew = all.replaced == nullptr;
   if (!anew && block_changed(all.tolerance, job.codes[all.newest()], job.replaced))
     block.changed = all.now;

@@ -10,13 +10,13 @@
 #include <glm/matrix.hpp>
 
 #include "calib/camera/calibration_files.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/colour.h"
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/noise.h"
-#include "calib/camera/projection.h"
 #include "calib/camera/response.h"
+#include "capture/camera_regions.h"
 #include "capture/frames.h"
-#include "capture/sights.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
 
@@ -26,7 +26,7 @@ namespace {
 
 constexpr std::string_view kLensKeys[] = {"crop_px",      "projection",      "focal_px",
                                           "principal_px", "distortion",      "intrinsics",
-                                          "field_deg",    "camera_from_lens"};
+                                          "fov_deg",      "camera_from_lens"};
 constexpr std::string_view kBallKeys[] = {"outline_px", "centre_m", "radius_m", "reflectance"};
 
 Result<glm::dvec2> read_pair(const TomlKeys& keys, std::string_view key) {
@@ -41,14 +41,14 @@ struct Size {
 Result<Size> read_size(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(width, keys.integer("width", 1, codec::kMaxSide));
   PENUMBRA_ASSIGN(height, keys.integer("height", 1, codec::kMaxSide));
-  constexpr double kMostPixels = 128e6;  // a frame, its light and its ring still fit into memory
-  if (double(width) * height > kMostPixels)
+  constexpr double kMaxPixels = 128e6;  // a frame, its light and its ring still fit into memory
+  if (double(width) * height > kMaxPixels)
     return keys.invalid("width", fmt::format("{} x {} pixels are more than {:.0f} million", width,
-                                             height, kMostPixels / 1e6));
+                                             height, kMaxPixels / 1e6));
   return Size{width, height};
 }
 
-Result<calib::Projection> read_own_projection(const TomlKeys& keys, const Size& size) {
+Result<calib::CameraModel> read_own_projection(const TomlKeys& keys, const Size& size) {
   PENUMBRA_ASSIGN(name, keys.text("projection"));
   const auto kind = calib::projection_kind(name);
   if (!kind)
@@ -71,7 +71,7 @@ Result<calib::Projection> read_own_projection(const TomlKeys& keys, const Size& 
 }
 
 /// A file of `calibrate camera`: one camera with a projection of its own; its other keys are its own, too.
-Result<calib::Projection> read_lens_file(const fs::path& path) {
+Result<calib::CameraModel> read_lens_file(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys file(path, root);
   PENUMBRA_TRY(file.version(1));
@@ -85,7 +85,7 @@ Result<calib::Projection> read_lens_file(const fs::path& path) {
   return read_own_projection(keys, size);
 }
 
-Result<calib::Projection> read_intrinsics(const TomlKeys& keys) {
+Result<calib::CameraModel> read_intrinsics(const TomlKeys& keys) {
   for (const std::string_view key : {"projection", "focal_px", "principal_px", "distortion"})
     if (keys.has(key)) return keys.invalid(key, "intrinsics has it already");
   PENUMBRA_ASSIGN(name, keys.text("intrinsics"));
@@ -100,7 +100,7 @@ Result<calib::Projection> read_intrinsics(const TomlKeys& keys) {
   return projection;
 }
 
-Result<calib::Projection> read_projection(const TomlKeys& keys) {
+Result<calib::CameraModel> read_projection(const TomlKeys& keys) {
   if (keys.has("intrinsics")) return read_intrinsics(keys);
   PENUMBRA_ASSIGN(size, read_size(keys));
   return read_own_projection(keys, size);
@@ -140,9 +140,9 @@ Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
 }
 
 /// A file of `calibrate noise`.
-Result<void> read_noise(const TomlKeys& keys, CameraInfo& info) {
+Result<void> noise_in(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("noise")) return {};
-  for (const std::string_view key : {"black_level", "full_well_electrons", "read_fraction"})
+  for (const std::string_view key : {"black_level", "full_well_electrons", "read_noise"})
     if (keys.has(key)) return keys.invalid(key, "noise has it already");
   PENUMBRA_ASSIGN(name, keys.text("noise"));
   PENUMBRA_ASSIGN(bytes, read_bytes(keys.path().parent_path() / name));
@@ -168,11 +168,10 @@ Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
     info.noise.full_well_electrons = electrons;
     info.noise_known = true;
   }
-  if (keys.has("read_fraction")) {
-    PENUMBRA_ASSIGN(read, keys.number("read_fraction"));
-    if (read < 0 || read >= 1)
-      return keys.invalid("read_fraction", "not within 0..1 of full scale");
-    info.noise.read_fraction = read;
+  if (keys.has("read_noise")) {
+    PENUMBRA_ASSIGN(read, keys.number("read_noise"));
+    if (read < 0 || read >= 1) return keys.invalid("read_noise", "not within 0..1 of full scale");
+    info.noise.read_noise = read;
   }
   if (keys.has("psf_sigma_px")) {
     PENUMBRA_ASSIGN(sigma, keys.number("psf_sigma_px"));
@@ -207,7 +206,7 @@ Result<void> read_vignetting(const TomlKeys& keys, CameraInfo& info) {
     return keys.invalid(
         "vignetting", "the projection " +
                           std::string(calib::projection_name(info.projection.kind)) + " has none");
-  const auto plausible = [&](const calib::Projection& p) {
+  const auto plausible = [&](const calib::CameraModel& p) {
     return calib::is_plausible(calib::vignetting_of(p, info.vignetting), p);
   };
   if (info.lenses.empty() ? plausible(info.projection)
@@ -283,10 +282,10 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
   if (!calib::has_intrinsics(projection.kind))
     return keys.invalid("projection", "of a lens: equidistant, kb4, double-sphere or pinhole");
   lens.projection = projection;
-  PENUMBRA_ASSIGN(field_deg, keys.number("field_deg"));
-  if (!(field_deg > 0 && field_deg <= 360))
-    return keys.invalid("field_deg", "not within 0..360 degrees from edge to edge");
-  lens.half_field_rad = field_deg / 360 * kPi;
+  PENUMBRA_ASSIGN(fov_deg, keys.number("fov_deg"));
+  if (!(fov_deg > 0 && fov_deg <= 360))
+    return keys.invalid("fov_deg", "not within 0..360 degrees from edge to edge");
+  lens.half_field_rad = fov_deg / 360 * kPi;
   if (!keys.has("camera_from_lens")) return lens;
   PENUMBRA_ASSIGN(pose, read_pose(keys, "camera_from_lens"));
   lens.camera_from_lens = pose.rotation;
@@ -295,13 +294,13 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
 
 /// Where a camera has them; its projection is then the first lens's, in the coordinates of the whole picture.
 Result<void> read_lenses(const TomlKeys& keys, CameraInfo& info) {
-  constexpr std::size_t kMost = 16;
+  constexpr std::size_t kMax = 16;
   for (const std::string_view key :
        {"projection", "intrinsics", "focal_px", "principal_px", "distortion"})
     if (keys.has(key)) return keys.invalid(key, "each [[camera.lens]] has its own");
   PENUMBRA_ASSIGN(tables, keys.tables("lens"));
-  if (tables.empty() || tables.size() > kMost)
-    return keys.invalid("lens", fmt::format("{} lenses, not 1 to {}", tables.size(), kMost));
+  if (tables.empty() || tables.size() > kMax)
+    return keys.invalid("lens", fmt::format("{} lenses, not 1 to {}", tables.size(), kMax));
   PENUMBRA_ASSIGN(size, read_size(keys));
   for (const toml::table* table : tables) {
     PENUMBRA_ASSIGN(lens, read_lens(TomlKeys(keys.path(), *table), size));
@@ -325,9 +324,9 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
     if (keys.has("radius_m"))
       return keys.invalid("radius_m", "goes with centre_m: an outline needs none");
     if (!(o[2] > 0)) return keys.invalid("outline_px", "its radius is not positive");
-    ball.outline_px = Ball::Outline{{o[0], o[1]}, o[2]};
+    ball.outline_px = Ball::OutlinePixels{{o[0], o[1]}, o[2]};
     info.ball = ball;
-    if (const auto seen = sights_of(info, {}); !seen)
+    if (const auto seen = camera_regions(info, {}); !seen)
       return keys.invalid("outline_px", seen.error().detail);
   } else {
     PENUMBRA_ASSIGN(c, keys.numbers("centre_m", 3));
@@ -347,7 +346,7 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
 }
 
 /// What else than its whole picture shows the surroundings.
-Result<void> read_sights(const TomlKeys& keys, CameraInfo& info) {
+Result<void> read_visibilities(const TomlKeys& keys, CameraInfo& info) {
   if (keys.has("lens")) {
     PENUMBRA_TRY(read_lenses(keys, info));
     if (info.role != Role::kEnvironment) return keys.invalid("lens", "is for environment cameras");
@@ -379,8 +378,8 @@ Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<Fr
 Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   CameraInfo info;
   PENUMBRA_TRY(read_identity(keys, info));
-  PENUMBRA_TRY(read_sights(keys, info));
-  PENUMBRA_TRY(read_noise(keys, info));
+  PENUMBRA_TRY(read_visibilities(keys, info));
+  PENUMBRA_TRY(noise_in(keys, info));
   PENUMBRA_TRY(read_sensor(keys, info));
   PENUMBRA_TRY(read_vignetting(keys, info));
   PENUMBRA_TRY(read_colour(keys, info));
@@ -403,7 +402,7 @@ Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response)
 
 namespace {
 
-std::string print_projection(const calib::Projection& p) {
+std::string print_projection(const calib::CameraModel& p) {
   std::string text = fmt::format("projection = \"{}\"\n", calib::projection_name(p.kind));
   if (calib::has_intrinsics(p.kind))
     text += fmt::format("focal_px = [{}, {}]\nprincipal_px = [{}, {}]\n", p.focal_px.x,
@@ -418,7 +417,7 @@ std::string print_projection(const calib::Projection& p) {
 std::string print_lens(const Lens& lens) {
   const glm::dmat4 m = glm::mat4_cast(lens.camera_from_lens);
   return fmt::format(
-      "\n[[camera.lens]]\ncrop_px = [{}, {}, {}, {}]\n{}field_deg = {}\ncamera_from_lens = [{}]\n",
+      "\n[[camera.lens]]\ncrop_px = [{}, {}, {}, {}]\n{}fov_deg = {}\ncamera_from_lens = [{}]\n",
       lens.x_px, lens.y_px, lens.projection.width, lens.projection.height,
       print_projection(lens.projection), lens.half_field_rad * 360 / kPi,
       fmt::join(&m[0][0], &m[0][0] + 16, ", "));
@@ -434,7 +433,7 @@ std::string print_ball(const Ball& ball, const Rgb& reflectance) {
                      reflectance.g, reflectance.b);
 }
 
-std::string print_sights(const CameraInfo& c) {
+std::string print_visibilities(const CameraInfo& c) {
   std::string text;
   for (const Lens& lens : c.lenses) text += print_lens(lens);
   if (c.ball) text += print_ball(*c.ball, c.ball_reflectance);
@@ -458,8 +457,8 @@ std::string print_camera(const CameraInfo& c, const std::string& response,
   const calib::NoiseModel usual;
   if (c.noise_known || c.noise.full_well_electrons != usual.full_well_electrons)
     text += fmt::format("full_well_electrons = {}\n", c.noise.full_well_electrons);
-  if (c.noise_known || c.noise.read_fraction != usual.read_fraction)
-    text += fmt::format("read_fraction = {}\n", c.noise.read_fraction);
+  if (c.noise_known || c.noise.read_noise != usual.read_noise)
+    text += fmt::format("read_noise = {}\n", c.noise.read_noise);
   if (c.psf_sigma_px > 0) text += fmt::format("psf_sigma_px = {}\n", c.psf_sigma_px);
   if (c.vignetting != std::array<double, 3>{})
     text += fmt::format("vignetting = [{}]\n", fmt::join(c.vignetting, ", "));
@@ -470,7 +469,7 @@ std::string print_camera(const CameraInfo& c, const std::string& response,
   const glm::dmat4 m = c.world_from_camera.matrix();
   text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
   if (!frames.empty()) text += fmt::format("frames = {}\n", toml_quoted(frames));
-  return text + print_sights(c);
+  return text + print_visibilities(c);
 }
 
 }  // namespace penumbra::capture

@@ -27,7 +27,7 @@ class FolderSource final : public FrameSource {
       rows_.push_back(std::move(read[c].rows));
     }
     // At the same time the light comes before the picture that it lights.
-    std::ranges::stable_sort(order_, {}, [&](const Entry& e) {
+    std::ranges::stable_sort(order_, {}, [&](const FrameEntry& e) {
       return std::tuple(rows_[e.camera][e.row].time, cameras_[e.camera].role == Role::kView,
                         e.camera);
     });
@@ -45,7 +45,7 @@ class FolderSource final : public FrameSource {
 
   Result<std::optional<Frame>> next() override {
     if (position_ == order_.size()) return std::nullopt;
-    const Entry entry = order_[position_++];  // a bad picture does not stop the rest
+    const FrameEntry entry = order_[position_++];  // a bad picture does not stop the rest
     const FrameRow& row = rows_[entry.camera][entry.row];
     const CameraInfo& camera = cameras_[entry.camera];
     const fs::path path = folder_ / row.file;
@@ -63,13 +63,13 @@ class FolderSource final : public FrameSource {
   }
 
  private:
-  struct Entry {
+  struct FrameEntry {
     std::size_t camera, row;
   };
   fs::path folder_;
   std::vector<CameraInfo> cameras_;
   std::vector<std::vector<FrameRow>> rows_;
-  std::vector<Entry> order_;
+  std::vector<FrameEntry> order_;
   std::size_t position_ = 0;
 };
 

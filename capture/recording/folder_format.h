@@ -13,7 +13,6 @@
 #include "calib/camera/response.h"
 #include "capture/frames.h"
 
-
 namespace penumbra::capture {
 
 /// One line of a camera's frame list.

@@ -3,8 +3,8 @@
 #include <algorithm>
 
 #include "capture/frames.h"
-#include "capture/recording/folder.h"
 #include "capture/recording/camera_table.h"
+#include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
 #include "codec/codec.h"
 #include "core/toml_keys.h"

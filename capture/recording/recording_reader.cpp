@@ -8,11 +8,11 @@
 
 #include "calib/camera/response.h"
 #include "capture/frames.h"
+#include "capture/raw_formats.h"
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
-#include "capture/raw_formats.h"
-#include "capture/recording/recording.h"
 #include "capture/recording/internal/recording_format.h"
+#include "capture/recording/recording.h"
 #include "core/toml_keys.h"
 
 extern "C" {
@@ -31,7 +31,7 @@ namespace {
 // ahead to hand them on in order of time.
 constexpr std::size_t kAhead = 64;
 // Pictures of one camera that wait for their labels; more in a row without one are no recording of ours.
-constexpr std::size_t kMostWaiting = 64;
+constexpr std::size_t kMaxWaiting = 64;
 
 struct FreePacket {
   void operator()(AVPacket* p) const { av_packet_free(&p); }
@@ -152,7 +152,7 @@ Result<FramePixels> PictureTrack::from_frame() {
 
 // ------------------------------------------------------------------------------- the file
 
-struct Coded {
+struct CodedFrame {
   std::size_t camera;
   std::uint64_t sequence;
   FrameRow row;
@@ -190,7 +190,7 @@ class Recording final : public FrameSource {
   std::unique_ptr<AVFormatContext, FreeContainer> container_;
   std::vector<CameraInfo> cameras_;
   std::vector<PictureTrack> tracks_;
-  std::deque<Coded> ahead_;
+  std::deque<CodedFrame> ahead_;
   bool ended_ = false;
   double view_rate_ = 0;
 };
@@ -285,7 +285,7 @@ Result<std::unique_ptr<FrameSource>> Recording::open(const fs::path& path) {
 Result<void> Recording::keep_picture(Packet packet) {
   for (PictureTrack& track : tracks_) {
     if (track.stream() != packet->stream_index) continue;
-    if (track.waiting.size() == kMostWaiting)
+    if (track.waiting.size() == kMaxWaiting)
       return fail(ErrorCode::kUnreadable, at(*packet), "pictures without labels");
     track.waiting.push_back(std::move(packet));
     break;
@@ -335,10 +335,10 @@ Result<std::optional<Frame>> Recording::next() {
   PENUMBRA_TRY(read_ahead());
   if (ahead_.empty()) return std::nullopt;
   // At the same time the light comes before the picture that it lights.
-  const auto first = std::ranges::min_element(ahead_, {}, [&](const Coded& c) {
+  const auto first = std::ranges::min_element(ahead_, {}, [&](const CodedFrame& c) {
     return std::tuple(c.row.time, cameras_[c.camera].role == Role::kView, c.camera);
   });
-  const Coded coded = std::move(*first);
+  const CodedFrame coded = std::move(*first);
   ahead_.erase(first);
   PictureTrack& track = tracks_[coded.camera];
   auto pixels = track.decode(*coded.picture);

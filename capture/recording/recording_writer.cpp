@@ -9,12 +9,12 @@
 #include <cstring>
 #include <mutex>
 
-#include "core/files.h"
 #include "calib/camera/response.h"
 #include "capture/frames.h"
 #include "capture/recording/folder_format.h"
-#include "capture/recording/recording.h"
 #include "capture/recording/internal/recording_format.h"
+#include "capture/recording/recording.h"
+#include "core/files.h"
 #include "core/unique_fd.h"
 
 extern "C" {
@@ -32,7 +32,7 @@ std::string_view coding_name(Coding coding) {
   return coding == Coding::kJpeg ? "JPEG" : coding == Coding::kRgb8 ? "8 bits" : "16 bits";
 }
 
-struct Track {
+struct VideoTrack {
   Coding coding = Coding::kRgb8;
   AVStream* stream = nullptr;
   AVStream* labels = nullptr;
@@ -76,7 +76,7 @@ Result<Coding> coding_of(const Frame& frame) {
 struct RecordingWriter::Impl {
   std::filesystem::path path;
   std::vector<CameraInfo> cameras;
-  std::vector<Track> tracks;
+  std::vector<VideoTrack> tracks;
   UniqueFd file;
   AVFormatContext* container = nullptr;
   AVPacket* label = nullptr;
@@ -93,11 +93,11 @@ struct RecordingWriter::Impl {
   Result<void> open(std::span<const Coding> codings, double view_rate);
   Result<void> open_file();
   Result<void> add_track(const CameraInfo& camera, Coding coding, double rate);
-  Result<void> open_encoder(Track& track, const CameraInfo& camera);
+  Result<void> open_encoder(VideoTrack& track, const CameraInfo& camera);
   Result<void> attach(const std::string& name, const std::string& text);
   Result<void> attach_cameras(double view_rate);
-  Result<void> code(const Frame& frame, Track& track);
-  Result<void> mux(const Frame& frame, Track& track);
+  Result<void> code(const Frame& frame, VideoTrack& track);
+  Result<void> mux(const Frame& frame, VideoTrack& track);
 
   static int write_bytes(void* self, std::uint8_t* data, int size);
   static std::int64_t seek(void* self, std::int64_t offset, int whence);
@@ -125,7 +125,7 @@ std::int64_t RecordingWriter::Impl::seek(void* opaque, std::int64_t offset, int 
 }
 
 RecordingWriter::Impl::~Impl() {
-  for (Track& track : tracks) {
+  for (VideoTrack& track : tracks) {
     avcodec_free_context(&track.encoder);
     av_frame_free(&track.picture);
     av_packet_free(&track.packet);
@@ -151,7 +151,7 @@ Result<void> RecordingWriter::Impl::open_file() {
   return std::unexpected(error(AVERROR(ENOMEM)));
 }
 
-Result<void> RecordingWriter::Impl::open_encoder(Track& track, const CameraInfo& camera) {
+Result<void> RecordingWriter::Impl::open_encoder(VideoTrack& track, const CameraInfo& camera) {
   const AVCodec* codec = avcodec_find_encoder(AV_CODEC_ID_FFVHUFF);
   if (!codec) return fail(ErrorCode::kUnavailable, path.string(), "FFmpeg has no FFVHUFF coder");
   track.encoder = avcodec_alloc_context3(codec);
@@ -175,9 +175,9 @@ Result<void> RecordingWriter::Impl::open_encoder(Track& track, const CameraInfo&
 
 Result<void> RecordingWriter::Impl::add_track(const CameraInfo& camera, Coding coding,
                                               double rate) {
-  Track track{.coding = coding,
-              .stream = avformat_new_stream(container, nullptr),
-              .packet = av_packet_alloc()};
+  VideoTrack track{.coding = coding,
+                   .stream = avformat_new_stream(container, nullptr),
+                   .packet = av_packet_alloc()};
   track.stream->time_base = kMilliseconds;
   if (rate > 0) track.stream->avg_frame_rate = {static_cast<int>(std::lround(rate * 1000)), 1000};
   av_dict_set(&track.stream->metadata, "title", camera.name.c_str(), 0);
@@ -243,7 +243,7 @@ Result<void> RecordingWriter::Impl::open(std::span<const Coding> codings, double
 }
 
 // The picture as a packet.
-Result<void> RecordingWriter::Impl::code(const Frame& frame, Track& track) {
+Result<void> RecordingWriter::Impl::code(const Frame& frame, VideoTrack& track) {
   if (track.coding == Coding::kJpeg) {
     if (const int r = av_new_packet(track.packet, static_cast<int>(frame.jpeg->size())); r < 0)
       return std::unexpected(error(r));
@@ -264,7 +264,7 @@ Result<void> RecordingWriter::Impl::code(const Frame& frame, Track& track) {
   return {};
 }
 
-Result<void> RecordingWriter::Impl::mux(const Frame& frame, Track& track) {
+Result<void> RecordingWriter::Impl::mux(const Frame& frame, VideoTrack& track) {
   const std::string& name = cameras[static_cast<std::size_t>(frame.camera)].name;
   const std::string text = print_row({fmt::format("{}/{}", name, frame.sequence), frame.time,
                                       frame.exposure, frame.world_from_camera});
@@ -318,7 +318,7 @@ Result<void> RecordingWriter::write(const Frame& frame) {
   const auto n = static_cast<std::size_t>(frame.camera);
   if (frame.camera < 0 || n >= impl_->tracks.size())
     return fail(ErrorCode::kInvalid, "recording", fmt::format("no camera {}", frame.camera));
-  Track& track = impl_->tracks[n];
+  VideoTrack& track = impl_->tracks[n];
   const CameraInfo& camera = impl_->cameras[n];
   PENUMBRA_TRY(check_frame(frame, camera, track.last));
   PENUMBRA_ASSIGN(coding, coding_of(frame));

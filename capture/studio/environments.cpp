@@ -136,7 +136,7 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
     return Rgb{.11f, .21f, .46f} + Rgb{.35f, .33f, .26f} * low +
            Rgb{.5f, .45f, .35f} * std::pow(gamma, 60.f);
   });
-  // Points of equal area on the disc, each giving its energy to the pixel that it falls on: the energy does
+  // Points of equal area on the light, each giving its energy to the pixel that it falls on: the energy does
   // not depend on the grid.
   constexpr int kPoints = 20000;
   const Rgb radiance{46000, 43000, 38000};
@@ -149,15 +149,15 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
         latlong_pixel(c * sun + s * (std::cos(a) * side + std::sin(a) * up), width, height);
     const int x = std::min(static_cast<int>(p.x), width - 1),
               y = std::min(static_cast<int>(p.y), height - 1);
-    const double share = 2 * kPi * cap / kPoints / latlong_solid_angle(y, width, height);
-    map.at(x, y) += radiance * static_cast<float>(share);
+    const double fraction = 2 * kPi * cap / kPoints / latlong_solid_angle(y, width, height);
+    map.at(x, y) += radiance * static_cast<float>(fraction);
   }
   return map;
 }
 
 namespace {
 
-// A source of one radiance: a disc, or a rectangle on the sphere's tangent plane.
+// A source of one radiance: a light, or a rectangle on the sphere's tangent plane.
 struct Source {
   dvec3 axis, side, up;
   double half_width, half_height;  // tangents of the half angles
@@ -198,9 +198,9 @@ Image<Rgb> make_random_environment(int width, int height, std::uint32_t seed) {
     s.round = uniform(0, 1) < .5;
     s.half_height = s.round ? s.half_width : s.half_width * uniform(.3, 1.5);
     // Its light on a surface that faces it, against that of an even sky: from a glimmer to a sun.
-    const double share = std::exp(uniform(std::log(.05), std::log(5.)));
+    const double fraction = std::exp(uniform(std::log(.05), std::log(5.)));
     const double solid_angle = (s.round ? kPi : 4) * s.half_width * s.half_height;
-    s.radiance = tint(.25) * static_cast<float>(share * kPi / solid_angle);
+    s.radiance = tint(.25) * static_cast<float>(fraction * kPi / solid_angle);
     sources.push_back(s);
   }
   return paint(width, height, 2, [&](const dvec3& d) {

@@ -5,12 +5,12 @@
 #include <numeric>
 #include <vector>
 
-#include "calib/camera/code_curve.h"
+#include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"
 #include "core/parallel.h"
-#include "calib/camera/vignetting.h"
 
 namespace penumbra::capture {
 
@@ -32,11 +32,11 @@ const std::vector<float>& normal_quantiles() {
     double square = 0;
     for (std::size_t i = 0; i < q.size() / 2; ++i) {
       // Bisection on erfc: once, at start.
-      const double share = (static_cast<double>(i) + .5) / 65536;
+      const double fraction = (static_cast<double>(i) + .5) / 65536;
       double low = -10, high = 0;
       for (int k = 0; k < 60; ++k) {
         const double middle = (low + high) / 2;
-        (.5 * std::erfc(-middle / std::numbers::sqrt2) < share ? low : high) = middle;
+        (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
       }
       q[i] = low;
       q[q.size() - 1 - i] = -low;
@@ -65,7 +65,7 @@ double small_poisson(double mean, std::uint64_t state) {
 
 struct Exposer {
   const Sensor& sensor;
-  const CodeCurve curve;
+  const ResponseTable curve;
   float signal_per_radiance, shot_variance, read_variance, electrons;
   std::uint64_t seed;
   const float* normal = normal_quantiles().data();
@@ -203,10 +203,10 @@ void expose(const Sensor& sensor, const Image<Rgb>& radiance, Exposure exposure,
   }
   const double gain = exposure.gain.value();
   const Exposer e{sensor,
-                  make_code_curve(sensor.response, sensor.bits, sensor.black_level),
+                  make_response_table(sensor.response, sensor.bits, sensor.black_level),
                   static_cast<float>(exposure.product()),
                   static_cast<float>(gain / sensor.noise.full_well_electrons),
-                  static_cast<float>(std::pow(gain * sensor.noise.read_fraction, 2)),
+                  static_cast<float>(std::pow(gain * sensor.noise.read_noise, 2)),
                   static_cast<float>(sensor.noise.full_well_electrons / gain),
                   mix(seed)};
   const auto into = [&]<class Pixel>(Image<Pixel>*) {

@@ -5,8 +5,8 @@
 #include <cstdint>
 
 #include "calib/camera/noise.h"
-#include "capture/frames.h"
 #include "calib/camera/response.h"
+#include "capture/frames.h"
 #include "core/image.h"
 #include "core/units.h"
 

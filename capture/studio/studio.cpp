@@ -1,8 +1,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "calib/camera/code_curve.h"
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
+#include "calib/camera/response_table.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"
@@ -19,7 +19,7 @@ constexpr int kEnvironmentCamera = 0, kViewCamera = 1;
 
 // Average over the pixel of what the world shows; a map of the same size is copied by its pixel
 // centres.
-Image<Rgb> film_environment(const World& world, int width, int height) {
+Image<Rgb> film_environment(const RadianceWorld& world, int width, int height) {
   const auto* floor_world = dynamic_cast<const FloorWorld*>(&world);
   if (floor_world && floor_world->environment().width() == width &&
       floor_world->environment().height() == height)
@@ -39,9 +39,9 @@ Image<Rgb> film_environment(const World& world, int width, int height) {
   return out;
 }
 
-Image<Rgb> film_view(const World& world, const CameraInfo& camera) {
+Image<Rgb> film_view(const RadianceWorld& world, const CameraInfo& camera) {
   constexpr int kSamples = 3;
-  const calib::Projection& p = camera.projection;
+  const calib::CameraModel& p = camera.projection;
   Image<Rgb> out(p.width, p.height);
   parallel_for(0, p.height, [&](int y) {
     for (int x = 0; x < p.width; ++x) {
@@ -114,7 +114,7 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
   // Darkest radiance that matters for lighting: a hundredth of the mean, at SNR 3 with
   // quantisation.
   const double darkest = .01 * mean;
-  const CodeCurve curve = make_code_curve(sensor.response, sensor.bits, sensor.black_level);
+  const ResponseTable curve = make_response_table(sensor.response, sensor.bits, sensor.black_level);
   double low = 1;
   for (unsigned code = 1; code < curve.largest_code(); ++code) {
     const double y = curve.decode(1, code),
@@ -137,7 +137,7 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
   return out;
 }
 
-Studio::Studio(std::shared_ptr<const World> world, StudioOptions options)
+Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options)
     : options_(std::move(options)), world_(std::move(world)), cameras_(make_cameras(options_)) {
   environment_radiance_ =
       film_environment(*world_, options_.environment_width, options_.environment_height);

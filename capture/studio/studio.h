@@ -41,7 +41,7 @@ struct StudioOptions {
 /// The world seen by an environment camera (lat-long, at (0, 1, 0)) and a view camera (pinhole).
 class Studio : public FrameSource {
  public:
-  Studio(std::shared_ptr<const World> world, StudioOptions options);
+  Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options);
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
   Result<std::optional<Frame>> next() override;
   double view_rate() const override { return options_.view_fps; }
@@ -57,7 +57,7 @@ class Studio : public FrameSource {
   Frame environment_frame(std::uint64_t index);
   Frame view_frame(std::uint64_t index);
   StudioOptions options_;
-  std::shared_ptr<const World> world_;
+  std::shared_ptr<const RadianceWorld> world_;
   std::vector<CameraInfo> cameras_;
   Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras
   std::vector<std::shared_ptr<const FramePixels>> environment_clip_, view_clip_;

@@ -12,9 +12,9 @@ namespace penumbra::capture {
 
 /// What the studio's cameras look at.
 /// threads: reentrant
-class World {
+class RadianceWorld {
  public:
-  virtual ~World() = default;
+  virtual ~RadianceWorld() = default;
   /// Linear radiance arriving at `origin` from `direction`.
   virtual Rgb radiance(const glm::dvec3& origin, const glm::dvec3& direction) const = 0;
   /// The far light alone, without the floor: what an environment camera brackets.
@@ -26,7 +26,7 @@ class World {
 /// procedural texture; it is lit by the environment. Radiance is scaled so that the mean luminance
 /// over the sphere is kMeanLuminance: full scales a second at gain 1, the light of a room for usual
 /// exposure times.
-class FloorWorld : public World {
+class FloorWorld : public RadianceWorld {
  public:
   static constexpr double kCaptureHeight = .8, kMeanLuminance = 60;
   /// errors: kInvalid (no pixels), kNonFinite, kUndetermined (black)

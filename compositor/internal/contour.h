@@ -10,21 +10,21 @@
 #include <span>
 #include <vector>
 
-#include "prt/geometry/mesh.h"
 #include "compositor/internal/canvas.h"
+#include "prt/geometry/mesh.h"
 
 namespace penumbra::compositor {
 
 /// An edge of a surface, in pixels of the frame, x to the right and y down. Who goes from `from` to `to` in the picture has the
 /// surface at the left hand.
-struct Line {
+struct ContourLine {
   glm::vec2 from, to;
 };
 
 /// The contour of a mesh in a view. One thread at a time.
 class Contour {
  public:
-  using Triangle = std::array<std::uint32_t, 3>;
+  using ContourTriangle = std::array<std::uint32_t, 3>;
 
   /// Vertices in one place count as one, in every form.
   explicit Contour(const prt::Mesh& mesh);
@@ -36,21 +36,21 @@ class Contour {
   /// Appends the edges of `triangles` between front and back, at borders and at creases (where the two sides have vertices of
   /// their own); those that other surfaces hide too. False, and nothing seen, where a triangle reaches behind the camera.
   /// fronts_only: triangles seen from behind are not drawn
-  bool find(std::span<const glm::vec3> positions, std::span<const Triangle> triangles,
+  bool find(std::span<const glm::vec3> positions, std::span<const ContourTriangle> triangles,
             bool fronts_only, const glm::dmat4& clip_from_object, int frame_width, int frame_height,
-            std::vector<Line>& out);
+            std::vector<ContourLine>& out);
   /// The triangles that can be seen, of the last find().
-  std::span<const Triangle> seen() const { return seen_; }
+  std::span<const ContourTriangle> seen() const { return seen_; }
 
  private:
-  struct Edge {
+  struct ContourEdge {
     std::uint32_t from, to;
     std::int32_t next;  // of the same lower place
     bool front, inner;  // inner: a triangle that continues it is at the other side
   };
   void project(std::span<const glm::vec3> positions, const glm::dmat4& clip_from_object,
                int frame_width, int frame_height);
-  bool see_facings(std::span<const Triangle> triangles);
+  bool see_facings(std::span<const ContourTriangle> triangles);
   void meet(std::uint32_t from, std::uint32_t to, bool front);
 
   // Triangles around a place, one bit each; no edge between two places without all bits is a line.
@@ -62,8 +62,8 @@ class Contour {
   std::vector<std::uint8_t> facing_;  // by triangle
   std::vector<glm::vec3> projected_;  // pixels and 1/metre
   std::vector<std::int32_t> first_;   // by place, of the edges that have it as their lower one
-  std::vector<Edge> edges_;
-  std::vector<Triangle> seen_;
+  std::vector<ContourEdge> edges_;
+  std::vector<ContourTriangle> seen_;
   bool serves_ = true;
 };
 
@@ -75,25 +75,25 @@ class ContourSmoother {
  public:
   /// False, the layer being good for nothing, where parts before the background are so thin that samples missed too much of
   /// them.
-  bool smooth(std::span<const Line> lines, Layer& layer);
+  bool smooth(std::span<const ContourLine> lines, Layer& layer);
 
  private:
   // Of a pixel to the next one along an axis, right or down.
-  struct Crossing {
+  struct GapCrossing {
     std::uint32_t gap;  // twice the pixel's index in the layer, one more: down
     float at;           // 0..1 from the one middle to the other
     bool surface_before;
   };
-  struct Share {
+  struct PixelCoverage {
     std::size_t pixel;
     float of_neighbour;
     std::array<std::uint16_t, 4> neighbour;  // as it was drawn
   };
-  void collect(const Line& line, const Rect& rect);
-  void decide(std::span<const Crossing> gap, const Layer& layer);
+  void collect(const ContourLine& line, const Rect& rect);
+  void decide(std::span<const GapCrossing> gap, const Layer& layer);
 
-  std::vector<Crossing> crossings_;
-  std::vector<Share> shares_;
+  std::vector<GapCrossing> crossings_;
+  std::vector<PixelCoverage> fractions_;
   std::size_t at_background_ = 0, missed_ = 0;  // gaps
 };
 

@@ -9,7 +9,6 @@
 
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::compositor {
 
 /// Vertices are taken away by half-edge collapses in independent rounds (Hoppe 1996, Progressive Meshes, with the
@@ -17,7 +16,7 @@ namespace penumbra::compositor {
 /// the form is found once, which keep the colours at each `select`. One thread at a time.
 class DrawList {
  public:
-  using Triangle = std::array<std::uint32_t, 3>;
+  using DrawTriangle = std::array<std::uint32_t, 3>;
 
   /// `tolerance`: how far the surface may move, in metres of the mesh, by a bound; 0: not at all, every triangle stays.
   /// Borders and creases keep all their vertices. `forms`: others that the same mesh takes, in which the surface may not move
@@ -26,8 +25,8 @@ class DrawList {
 
   /// Triangles of the mesh's own vertices whose interpolated colours leave what they are by 2 % in each round of
   /// collapses at most (of a quarter of the mean where they are darker). `colours`: one a vertex. Valid until the next call.
-  std::span<const Triangle> select(std::span<const Rgb> colours);
-  std::span<const Triangle> all() const { return triangles_; }
+  std::span<const DrawTriangle> select(std::span<const Rgb> colours);
+  std::span<const DrawTriangle> all() const { return triangles_; }
   /// Every edge joins two triangles that face the same side, outwards (vertices in one place count as one): back faces
   /// are never seen from outside.
   bool closed() const { return closed_; }
@@ -43,7 +42,7 @@ class DrawList {
 
   bool keeps_colour(const Collapse& c, std::span<const Rgb> colours, float floor) const;
 
-  std::vector<Triangle> triangles_, selected_;
+  std::vector<DrawTriangle> triangles_, selected_;
   std::vector<Collapse> collapses_;  // rounds in order
   std::vector<std::uint32_t> rings_, stands_for_;
   std::vector<char> needed_;

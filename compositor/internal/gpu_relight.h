@@ -5,13 +5,13 @@
 #include <span>
 #include <vector>
 
-#include "prt/clip/sequence.h"
 #include "compositor/internal/gl.h"
+#include "prt/clip/sequence.h"
 
 namespace penumbra::compositor {
 
 /// prt::TransferSequence::relight as a compute shader: the maps stay on the device, each moment's terms go there and the
-/// light comes back, since what discs and neighbours add is known on the CPU.
+/// light comes back, since what lights and neighbours add is known on the CPU.
 class GpuRelight {
  public:
   /// The sequence must outlive it.
@@ -31,10 +31,10 @@ class GpuRelight {
   GlProgram program_;
   GlBuffer values_, terms_, blocks_, sums_;
   prt::RelightPlan plan_;  // kept for its room
-  struct Block {
+  struct GpuBlock {
     std::uint32_t first_term, end_term, word, unused;
   };
-  std::vector<Block> todo_;
+  std::vector<GpuBlock> todo_;
 };
 
 }  // namespace penumbra::compositor

@@ -6,22 +6,22 @@
 #include <span>
 #include <vector>
 
+#include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
 #include "compositor/internal/code_row.h"
 #include "compositor/internal/half_rows.h"
 #include "compositor/internal/layers.h"
 #include "compositor/internal/receivers.h"
-#include "calib/camera/code_curve.h"
-#include "calib/camera/vignetting.h"
 
 namespace penumbra::compositor {
 
 /// Access to one kind of pixel: linear signal in, linear signal out.
 template <class Code>
-struct Coded {
-  const CodeCurve& curve;
+struct CodedPixels {
+  const ResponseTable& curve;
   Rgb clipped;  // signal of the largest code
 
-  explicit Coded(const View& view) : curve(*view.curve), clipped(view.clipped_signal) {}
+  explicit CodedPixels(const View& view) : curve(*view.curve), clipped(view.clipped_signal) {}
   float decode(int c, Code code) const { return decode_clipped(curve, c, code, clipped[c]); }
   Code encode(int c, float v) const {
     if constexpr (sizeof(Code) == 1)

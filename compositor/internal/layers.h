@@ -6,15 +6,15 @@
 #include <span>
 #include <vector>
 
-#include "prt/bake/bake.h"
-#include "prt/geometry/mesh.h"
-#include "prt/geometry/pinhole_view.h"
-#include "compositor/internal/canvas.h"
 #include "compositor/compositor.h"
+#include "compositor/internal/canvas.h"
 #include "compositor/internal/contour.h"
 #include "compositor/internal/draw_list.h"
 #include "compositor/internal/gl.h"
 #include "compositor/internal/projection.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/pinhole_view.h"
 
 namespace penumbra::compositor {
 
@@ -23,7 +23,7 @@ class Layers {
   static Result<Layers> create(int width, int height, int oversampling);
 
   int add_object(const prt::BakedObject& object, const Appearance& appearance);
-  void set_form(int object, const prt::Mesh& mesh);
+  void update_vertices(int object, const prt::Mesh& mesh);
   void set_pose(int object, const Pose& world_from_bake);
   void set_light(int object, std::span<const float> relit);
   int add_occluder(const prt::Mesh& mesh);
@@ -38,8 +38,8 @@ class Layers {
   /// where that shows no worse of one sample and the objects' contours. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
   /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller
   /// keeps them.
-  Result<void> draw(const View& view, const Rect& receiver_area, SharedLayer& objects,
-                    SharedLayer& hidden);
+  Result<void> draw(const View& view, const Rect& receiver_area, CommonLayer& objects,
+                    CommonLayer& hidden);
 
  private:
   struct LightMap {
@@ -49,13 +49,13 @@ class Layers {
     std::vector<std::array<int, 2>> places{};  // of the texels
     std::vector<Rgb> pixels{};
   };
-  struct Object {
+  struct DrawnObject {
     GlVertexArray geometry{};
     GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
     std::optional<LightMap> light_map{};
     DrawList triangles;
-    std::span<const DrawList::Triangle> shown{};  // of `triangles`, in `indices`
+    std::span<const DrawList::DrawTriangle> shown{};  // of `triangles`, in `indices`
     // Of what one sample a pixel may do for, and the vertices in their present form.
     std::optional<Contour> contour{};
     std::vector<glm::vec3> positions{};
@@ -76,7 +76,7 @@ class Layers {
     GlBuffer vertices, deficits, indices;
     GLsizei index_count = 0;
   };
-  struct RealPlane {
+  struct DrawnPlane {
     glm::dvec3 point, normal;
     Occluder quad;
   };
@@ -85,7 +85,7 @@ class Layers {
     std::vector<std::array<std::uint32_t, 3>> triangles;
     std::optional<prt::Bounds> shaded;  // of the triangles with a ratio other than 1
   };
-  struct Drawn {
+  struct DrawnLayers {
     View view;
     Rect receiver_area;
   };
@@ -104,26 +104,26 @@ class Layers {
         white_(std::move(white)) {}
   void draw_occluders(const glm::dmat4& clip_from_world);
   void draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_from_world);
-  static void add_pictures(Object& object, const prt::BakedObject& baked,
+  static void add_pictures(DrawnObject& object, const prt::BakedObject& baked,
                            const Appearance& appearance);
   static void fill_light_map(LightMap& map, std::span<const float> relit, std::size_t stride,
                              const std::vector<Rgb>& albedo);
   static Occluder upload(const prt::Mesh& mesh);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone);
-  void bind_pictures(const Object& object, GLuint program) const;
-  void choose_triangles(Object& object, const prt::PinholeView& camera) const;
-  static void fill_indices(Object& object, std::span<const DrawList::Triangle> triangles);
+  void bind_pictures(const DrawnObject& object, GLuint program) const;
+  void choose_triangles(DrawnObject& object, const prt::PinholeView& camera) const;
+  static void fill_indices(DrawnObject& object, std::span<const DrawList::DrawTriangle> triangles);
   Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                      Layer& out);
   Result<void> draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
                        Layer& out);
-  static double distance_to_box(const Object& object, const glm::dvec3& eye);
-  static bool fronts_only(const Object& object, const glm::dvec3& eye);
+  static double distance_to_box(const DrawnObject& object, const glm::dvec3& eye);
+  static bool fronts_only(const DrawnObject& object, const glm::dvec3& eye);
   /// How deep an object lies behind the plane, metres; not above 0 where that hides nothing.
-  static double hidden_m(const RealPlane& plane, const Object& object, const glm::dvec3& eye);
-  bool in_view(const Object& object, const glm::dmat4& clip_from_world) const;
+  static double hidden_m(const DrawnPlane& plane, const DrawnObject& object, const glm::dvec3& eye);
+  bool in_view(const DrawnObject& object, const glm::dmat4& clip_from_world) const;
   bool one_sample_does(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) const;
-  bool one_sample_does(const Object& object, const prt::PinholeView& camera) const;
+  bool one_sample_does(const DrawnObject& object, const prt::PinholeView& camera) const;
   bool find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world);
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
@@ -132,13 +132,13 @@ class Layers {
   Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
   GlProgram object_program_, textured_program_, occluder_program_;
   GlTexture white_;  // of one texel
-  std::vector<Object> objects_;
+  std::vector<DrawnObject> objects_;
   std::vector<Occluder> occluders_;
-  std::vector<RealPlane> planes_;
+  std::vector<DrawnPlane> planes_;
   std::vector<OccluderMesh> occluder_meshes_;  // by occluder
   ContourSmoother smoother_;
-  std::vector<Line> lines_;
-  std::optional<Drawn> drawn_;  // what the caller's layers show
+  std::vector<ContourLine> lines_;
+  std::optional<DrawnLayers> drawn_;  // what the caller's layers show
 };
 
 }  // namespace penumbra::compositor

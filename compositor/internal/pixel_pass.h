@@ -9,14 +9,15 @@ namespace penumbra::compositor {
 
 struct Layered;
 
-/// Two shares of a frame that together are all of it and have no pixel in common.
-enum class Share {
+/// Two fractions of a frame that together are all of it and have no pixel in common.
+enum class FrameRegion {
   kBeside,  // what the layer of objects does not reach: of that layer only its rectangle is asked for
   kObjects,  // its rectangle
 };
 
 /// Composites one share in place; returns the number of pixels written.
-/// threads: two shares of one frame may be composited side by side
-std::size_t composite_share(Share share, const View& view, FramePixels& frame, const Layered& in);
+/// threads: two fractions of one frame may be composited side by side
+std::size_t composite_fraction(FrameRegion fraction, const View& view, FramePixels& frame,
+                               const Layered& in);
 
 }  // namespace penumbra::compositor

@@ -8,7 +8,6 @@
 
 #include "prt/geometry/pinhole_view.h"
 
-
 namespace penumbra::compositor {
 
 inline constexpr double kNearPlane = .02, kFarPlane = 1000;  // metres

@@ -9,13 +9,13 @@
 #include <span>
 #include <vector>
 
-#include "prt/geometry/pinhole_view.h"
-#include "prt/geometry/receiver.h"
-#include "shadows/field/planar_shadow.h"
-#include "shadows/silhouette/disc_shadow.h"
 #include "compositor/compositor.h"
 #include "compositor/internal/projection.h"
 #include "core/pose.h"
+#include "prt/geometry/pinhole_view.h"
+#include "prt/geometry/receiver.h"
+#include "shadows/field/planar_shadow.h"
+#include "shadows/silhouette/shadow_map.h"
 
 namespace penumbra::compositor {
 
@@ -56,20 +56,20 @@ struct PlaneLookup {
   Sides visible{};
 };
 
-/// The shadow of one disc on a plane, likewise.
-struct DiscLookup {
+/// The shadow of one light on a plane, likewise.
+struct ShadowMapLookup {
   Homography at;       // in cells from node (0, 0)
   const float* nodes;  // width x height
   int width, height;
-  int samples;  // a pixel along each axis: a hard edge must not show its pixels
-  Rgb share;    // of the disc in the light of the open plane
+  int samples;   // a pixel along each axis: a hard edge must not show its pixels
+  Rgb fraction;  // of the light in the light of the open plane
   Rect area;
   Sides visible{};
 };
 
 class Receivers {
  public:
-  /// samples: of a disc's shadow, a pixel along each axis
+  /// samples: of a light's shadow, a pixel along each axis
   explicit Receivers(int samples) : samples_(samples) {}
 
   int add(const prt::GroundGrid& grid);
@@ -79,17 +79,17 @@ class Receivers {
   }
   void set_pose(int receiver, const Pose& world_from_bake);
   void set_shadow(int receiver, const shadows::PlanarShadow& shadow);
-  /// What real things take of a plane's light without discs, r below. At most one.
+  /// What real things take of a plane's light without lights, r below. At most one.
   void add_real(const prt::GroundGrid& grid, const Pose& world_from_bake);
   void set_real_shadow(const shadows::PlanarShadow& shadow);
   /// All of them at once; copies the maps.
-  void set_disc_shadows(std::span<const DiscShadowOnPlane> discs);
+  void set_shadow_maps(std::span<const ShadowMapOnPlane> lights);
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
   /// The ratios s of row y, pixels [area.x0, area.x1), into r, g, b, which hold 1
   /// on entry: s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j m_j), q_j what
-  /// virtual things take of disc j, m_j what real things take of it anyway and r what they leave of the rest. False when
+  /// virtual things take of light j, m_j what real things take of it anyway and r what they leave of the rest. False when
   /// no shadow reaches the row.
   /// area: may be narrower; reach_in_row alone is shaded
   bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
@@ -97,7 +97,7 @@ class Receivers {
   Rect reach_in_row(int y) const;
 
  private:
-  struct Receiver {
+  struct FloorReceiver {
     prt::GroundGrid grid;
     Pose world_from_bake;
     Image<std::uint32_t> ratio;        // PackedRatio
@@ -105,20 +105,20 @@ class Receivers {
     bool visible = false;
   };
   struct OnPlane {
-    shadows::DiscShadow shadow;
-    Rgb share;
-    int real = -1;  // in real_discs_
+    shadows::ShadowMap shadow;
+    Rgb fraction;
+    int real = -1;  // in real_shadow_maps_
   };
-  struct RealDisc {
-    const shadows::DiscShadow* source;  // only to tell discs apart
-    shadows::DiscShadow shadow;
-    Rgb share;
+  struct RealShadowMap {
+    const shadows::ShadowMap* source;  // only to tell lights apart
+    shadows::ShadowMap shadow;
+    Rgb fraction;
   };
-  struct FineLookup {  // where virtual things shade a disc
-    std::size_t real;  // in real_discs_
-    DiscLookup map;
+  struct FineLookup {  // where virtual things shade a light
+    std::size_t real;  // in real_shadow_maps_
+    ShadowMapLookup map;
   };
-  struct RealPlane {
+  struct ReceiverPlane {
     glm::dvec3 point, normal;
   };
   struct Columns {
@@ -131,24 +131,24 @@ class Receivers {
   void add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high);
   Columns visible_columns(const Sides& sides, int y, const Rect& area) const;
   bool prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
-                      const Receiver& receiver, PlaneLookup& out);
+                      const FloorReceiver& receiver, PlaneLookup& out);
   void multiply(const PlaneLookup& plane, int y, const Rect& area, float* r, float* g,
                 float* b) const;
   void take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                     std::span<float> b) const;
-  /// The discs' shadows, and what is left of it all by real things.
-  void subtract_discs(int y, const Rect& area, float* r, float* g, float* b) const;
+  /// The lights' shadows, and what is left of it all by real things.
+  void subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const;
 
   int samples_;
-  std::vector<Receiver> receivers_;
-  std::optional<Receiver> real_;
-  std::vector<OnPlane> discs_;
-  std::vector<RealDisc> real_discs_;
-  std::vector<RealPlane> planes_;
+  std::vector<FloorReceiver> receivers_;
+  std::optional<FloorReceiver> real_;
+  std::vector<OnPlane> lights_;
+  std::vector<RealShadowMap> real_shadow_maps_;
+  std::vector<ReceiverPlane> planes_;
   std::vector<PlaneLookup> lookups_;
   std::optional<PlaneLookup> real_lookup_;
-  std::vector<DiscLookup> taken_;
-  std::vector<DiscLookup> missing_;  // of real_discs_
+  std::vector<ShadowMapLookup> taken_;
+  std::vector<ShadowMapLookup> missing_;  // of real_shadow_maps_
   std::vector<FineLookup> fine_missing_;
   std::vector<HalfImage> half_images_;  // of the lookups
 };
@@ -158,10 +158,10 @@ void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, floa
                            float* b);
 
 /// Writes the value of pixels [x0, x1) of row y that the map holds wholly to out[0 .. x1-x0); leaves the others.
-void load_disc_values(const DiscLookup& disc, int y, int x0, int x1, float* out);
+void load_shadow_values(const ShadowMapLookup& shadow_map, int y, int x0, int x1, float* out);
 
 /// Subtracts share * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.
-void subtract_disc_shares(const DiscLookup& disc, int y, int x0, int x1, float* r, float* g,
-                          float* b);
+void subtract_shadow_fractions(const ShadowMapLookup& shadow_map, int y, int x0, int x1, float* r,
+                               float* g, float* b);
 
 }  // namespace penumbra::compositor

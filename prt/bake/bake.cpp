@@ -10,18 +10,18 @@
 #include <optional>
 #include <utility>
 
+#include "core/parallel.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
 #include "prt/bake/bake.h"
+#include "prt/bake/bake_rules.h"
+#include "prt/bake/internal/visibility_bake.h"
 #include "prt/geometry/mesh.h"
+#include "prt/geometry/ray_pattern.h"
 #include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
-#include "prt/transfer/vertex_sight.h"
-#include "core/parallel.h"
-#include "prt/bake/bake_rules.h"
-#include "prt/geometry/ray_pattern.h"
-#include "prt/bake/internal/sight_bake.h"
+#include "prt/transfer/visibility_map.h"
 
 namespace penumbra::prt {
 
@@ -29,11 +29,11 @@ namespace {
 
 constexpr int kLanes = RayScene::kPacket;
 static_assert(kLanes == lighting::kBasisLanes);
-constexpr int kManyRays = 512;      // a quarter of them is enough for reflected light
-constexpr std::size_t kChunk = 64;  // points a task takes at once
-constexpr double kFineShare = .2;   // of a bake's progress
+constexpr int kManyRays = 512;        // a quarter of them is enough for reflected light
+constexpr std::size_t kChunk = 64;    // points a task takes at once
+constexpr double kFineFraction = .2;  // of a bake's progress
 
-struct Point {
+struct BakePoint {
   glm::vec3 position, normal;
   int rays;
 };
@@ -43,7 +43,7 @@ struct BounceHit {
   static constexpr std::uint32_t kGround = 0xfffffffeu;
   std::uint32_t triangle;
   float u, v;    // barycentric, or the receiver's texture coordinates
-  float weight;  // share of this ray in the point's transfer
+  float weight;  // fraction of this ray in the point's transfer
 };
 
 struct PointResult {
@@ -82,16 +82,16 @@ class Baker {
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
   std::uint64_t trace_all(const RayScene& scene, std::vector<PointResult>& out);
-  void keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
+  void keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin, const float* weight,
                  const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
                  PointResult& out) const;
-  std::uint32_t ground_mask(const RayScene::Packet& packet) const;
+  std::uint32_t ground_mask(const RayScene::RayPacket& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
   std::array<double, 3> added_by_last_bounce() const;
-  void add_further_bounces(const std::array<double, 3>& share);
+  void add_further_bounces(const std::array<double, 3>& fraction);
   void add_ground_bounce(const BounceHit& hit, int channel, float* sum) const;
-  void report_progress(double share);
+  void report_progress(double fraction);
   std::vector<PointQuality> quality(const std::vector<PointResult>& results) const;
   double standard_error(const std::vector<PointResult>& results,
                         const std::vector<PointQuality>& quality) const;
@@ -111,12 +111,12 @@ class Baker {
   Mesh mesh_;
   glm::vec3 centre_{};
   float scale_ = 1;
-  std::vector<Point> points_;
+  std::vector<BakePoint> points_;
   std::size_t coefficients_ = 0;
   int channels_ = 1;
   std::vector<float> shadowed_, current_, next_;  // [point][channel][n]
   std::vector<float> ground_far_;                 // transfer of an unshadowed receiver, per n
-  VertexSight sight_;
+  VisibilityMap visibility_;
   std::mutex progress_mutex_;
   double progress_ = 0;
 };
@@ -137,7 +137,7 @@ bool Baker::grey() const {
          (!options_.receiver || is_grey(options_.receiver->albedo));
 }
 
-std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
+std::uint32_t Baker::ground_mask(const RayScene::RayPacket& packet) const {
   std::uint32_t mask = 0;
   for (int i = 0; i < kLanes; ++i)
     if (packet.y[i] < 0) mask |= 1u << i;
@@ -146,9 +146,9 @@ std::uint32_t Baker::ground_mask(const RayScene::Packet& packet) const {
 
 // Of many rays one of the four groups stands for all (null: all are kept): reflected light is a small and smooth part, and every hit is read
 // again in every bounce.
-void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, const float* weight,
-                      const std::uint8_t* groups, bool ground_point, std::uint32_t blocked,
-                      PointResult& out) const {
+void Baker::keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin,
+                      const float* weight, const std::uint8_t* groups, bool ground_point,
+                      std::uint32_t blocked, PointResult& out) const {
   for (; blocked; blocked &= blocked - 1) {
     const int i = std::countr_zero(blocked);
     const bool on_object = packet.triangle[i] != RayScene::kMiss;
@@ -173,7 +173,7 @@ void Baker::keep_hits(const RayScene::Packet& packet, const glm::vec3& origin, c
 
 void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                         PointResult& out) const {
-  const Point& point = points_[index];
+  const BakePoint& point = points_[index];
   const bool ground_point = is_ground_point(index);
   const bool plane_blocks = options_.receiver && !ground_point;
   const glm::vec3 origin = point.position + kRayNear * point.normal;
@@ -196,7 +196,7 @@ void Baker::trace_point(const RayScene& scene, const RayPatterns& patterns, std:
   out.behind = 0;
   alignas(64) float sum[kMaxCoefficients * kLanes];
   std::fill_n(sum, coefficients_ * kLanes, 0.f);
-  RayScene::Packet packet;
+  RayScene::RayPacket packet;
   alignas(64) float weight[kLanes], basis[kMaxCoefficients * kLanes];
   for (int block = 0; block < patterns.rays() / kLanes; ++block) {
     if (cone) {
@@ -314,12 +314,12 @@ std::array<double, 3> Baker::added_by_last_bounce() const {
 
 // The bounces that are not traced: each is the one before, fainter by the same share. Power iteration: what a bounce
 // adds soon has the form of the scene's largest eigenvector, whatever the light.
-void Baker::add_further_bounces(const std::array<double, 3>& share) {
+void Baker::add_further_bounces(const std::array<double, 3>& fraction) {
   const auto channels = static_cast<std::size_t>(channels_);
   parallel_for(std::size_t{0}, points_.size(), [&](std::size_t p) {
     for (std::size_t c = 0; c < channels; ++c) {
-      constexpr double kMostShare = .95;  // beyond, two bounces say too little
-      const double q = std::clamp(share[c], 0., kMostShare);
+      constexpr double kMaxFraction = .95;  // beyond, two bounces say too little
+      const double q = std::clamp(fraction[c], 0., kMaxFraction);
       const auto further = static_cast<float>(q / (1 - q));
       const std::size_t at = (p * channels + c) * coefficients_;
       for (std::size_t n = at; n < at + coefficients_; ++n)
@@ -328,10 +328,10 @@ void Baker::add_further_bounces(const std::array<double, 3>& share) {
   });
 }
 
-void Baker::report_progress(double share) {
+void Baker::report_progress(double fraction) {
   if (!options_.progress) return;
   const std::scoped_lock lock(progress_mutex_);
-  progress_ += share;
+  progress_ += fraction;
   options_.progress(std::min(1., progress_));
 }
 
@@ -403,7 +403,7 @@ Transfer Baker::shadow_probes() const {
       bands_ < kMaxBands ? 0 : std::min<std::size_t>(dark.size(), BakedObject::kShadowProbes);
   Transfer out(kMaxBands, 1, count);
   for (std::size_t i = 0; i < count; ++i) {
-    // Steps by the golden ratio reach all of the dark part evenly, whatever its outline.
+    // Steps by the golden ratio reach all of the dark part evenly, whatever its silhouette.
     const double at = std::fmod(.5 + static_cast<double>(i) * .6180339887498949, 1.);
     const float* const t = transfer_at(dark[static_cast<std::size_t>(at * double(dark.size()))], 0);
     for (int n = 0; n < kMaxCoefficients; ++n)
@@ -415,29 +415,29 @@ Transfer Baker::shadow_probes() const {
 // Transfer without bounces, and what vertices see past the mesh alone. Returns the number of rays.
 std::uint64_t Baker::trace_all(const RayScene& scene, std::vector<PointResult>& out) {
   const RayPatterns patterns(options_.rays), ground_patterns(options_.ground_rays);
-  std::optional<SightBake> sight;
-  if (options_.sight) sight.emplace(mesh_, scene);
+  std::optional<VisibilityBake> visibility;
+  if (options_.visibility) visibility.emplace(mesh_, scene);
   const auto rays_of = [&](std::size_t i) {
-    return static_cast<std::uint64_t>(points_[i].rays +
-                                      (sight && !is_ground_point(i) ? SightBake::kRays : 0));
+    return static_cast<std::uint64_t>(
+        points_[i].rays + (visibility && !is_ground_point(i) ? VisibilityBake::kRays : 0));
   };
   std::uint64_t rays = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) rays += rays_of(i);
-  const double share = (sight ? .9 - kFineShare : .9) / static_cast<double>(rays);
+  const double fraction = (visibility ? .9 - kFineFraction : .9) / static_cast<double>(rays);
   parallel_for(std::size_t{0}, points_.size(), kChunk, [&](const Indices<std::size_t>& range) {
     double traced = 0;
     for (std::size_t i = range.begin(); i < range.end(); ++i) {
       trace_point(scene, is_ground_point(i) ? ground_patterns : patterns, i, out[i]);
       start_transfer(i, out[i]);
-      if (sight && !is_ground_point(i)) sight->trace(i);
+      if (visibility && !is_ground_point(i)) visibility->trace(i);
       traced += static_cast<double>(rays_of(i));
     }
-    report_progress(share * traced);
+    report_progress(fraction * traced);
   });
-  if (!sight) return rays;
-  sight->refine([&](double done) { report_progress(kFineShare * done); });
-  sight_ = sight->take();
-  return rays + 64 * sight_.fine.size();
+  if (!visibility) return rays;
+  visibility->refine([&](double done) { report_progress(kFineFraction * done); });
+  visibility_ = visibility->take();
+  return rays + 64 * visibility_.fine.size();
 }
 
 Result<BakedObject> Baker::run(Mesh mesh) {
@@ -461,17 +461,17 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   };
   current_ = shadowed_;
   if (options_.bounces > 0) next_.resize(floats);
-  std::array<double, 3> added{}, share{};
+  std::array<double, 3> added{}, fraction{};
   for (int b = 0; b < options_.bounces; ++b) {
     parallel([&](const Indices<std::size_t>& range) {
       for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
     });
     std::swap(current_, next_);
     const std::array<double, 3> before = std::exchange(added, added_by_last_bounce());
-    for (std::size_t c = 0; c < 3; ++c) share[c] = before[c] > 0 ? added[c] / before[c] : 0;
+    for (std::size_t c = 0; c < 3; ++c) fraction[c] = before[c] > 0 ? added[c] / before[c] : 0;
     report_progress(.1 / options_.bounces);
   }
-  if (options_.bounces > 0) add_further_bounces(share);
+  if (options_.bounces > 0) add_further_bounces(fraction);
   BakedObject out;
   const std::size_t vertices = mesh_.positions.size();
   out.transfer = packed_vertices();
@@ -482,7 +482,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
     out.shadow_probes = shadow_probes();
     out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
   }
-  out.sight = std::move(sight_);
+  out.visibility = std::move(visibility_);
   out.mesh = std::move(mesh);
   if (options_.progress) options_.progress(1);  // shares do not add up to it to the last bit
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
@@ -519,9 +519,9 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not in 1..{}", o.indirect_bands, kMaxBands));
   if (!o.ray_frames.empty() && o.ray_frames.size() != mesh.positions.size())
     return fail(ErrorCode::kInvalid, "ray frames", "and vertices differ in number");
-  if (o.bounces < 0 || o.bounces > kMostBounces)
+  if (o.bounces < 0 || o.bounces > kMaxBounces)
     return fail(ErrorCode::kInvalid, "bounces",
-                fmt::format("{} is not in 0..{}", o.bounces, kMostBounces));
+                fmt::format("{} is not in 0..{}", o.bounces, kMaxBounces));
   return Baker(mesh, o).run(std::move(mesh));
 }
 

@@ -15,20 +15,20 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
-#include "prt/transfer/vertex_sight.h"
+#include "prt/transfer/visibility_map.h"
 
 namespace penumbra::prt {
 
-inline constexpr int kMostBounces = 256;
+inline constexpr int kMaxBounces = 256;
 
 struct BakeOptions {
   int bands = 5;
   /// Of light between the object's parts, and between object and receiver. From the second on, what comes after the
   /// last is continued as a geometric series.
   int bounces = 4;
-  int rays = 1024;         // per vertex, a multiple of 64
-  int ground_rays = 1024;  // per receiver texel, a multiple of 64
-  bool sight = false;      // whether to find BakedObject::sight
+  int rays = 1024;          // per vertex, a multiple of 64
+  int ground_rays = 1024;   // per receiver texel, a multiple of 64
+  bool visibility = false;  // whether to find BakedObject::visibility
   std::optional<Receiver> receiver;
   /// Bands of what comes by reflection (BakedObject::indirect).
   int indirect_bands = kIndirectBands;
@@ -40,8 +40,9 @@ struct BakeOptions {
 
 /// How well a vertex is known; not kept in files.
 struct PointQuality {
-  float standard_error = 0;  // of t_0, share of an open point's
-  float behind = 0;  // share of its rays that met a surface from behind: it lies within something
+  float standard_error = 0;  // of t_0, fraction of an open point's
+  float behind =
+      0;  // fraction of its rays that met a surface from behind: it lies within something
 };
 
 struct BakeReport {
@@ -60,15 +61,15 @@ struct BakedObject {
   /// (E0_n - E_n)/pi at the receiver's texels, row by row: what the object takes of an unshadowed
   /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
   Transfer ground_deficit;
-  /// The share of `transfer`, and of the receiver's irradiance/pi, that came by reflection between object and
-  /// receiver: smooth, so at most kIndirectBands, and what a disc needs beside its direct light.
+  /// The fraction of `transfer`, and of the receiver's irradiance/pi, that came by reflection between object and
+  /// receiver: smooth, so at most kIndirectBands, and what a light needs beside its direct light.
   Transfer indirect, ground_indirect;
   /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform sky would darken by
   /// 5 %: what the governor predicts truncation from. No points without receiver or bounces.
   static constexpr int kShadowProbes = 64;
   Transfer shadow_probes;
   /// Of the mesh alone: what the receiver hides counts as open.
-  VertexSight sight;
+  VisibilityMap visibility;
   BakeReport report;
 };
 

@@ -11,10 +11,10 @@ namespace penumbra::prt {
 inline constexpr float kRayNear = 1e-4f;
 /// In radii from the object's middle: receiver points beyond send their rays into the cone that it fills, others all around.
 inline constexpr float kConeFrom = 1.15f;
-/// A point that sees a larger share of back faces lies within something.
-inline constexpr float kHiddenShare = .25f;
+/// A point that sees a larger fraction of back faces lies within something.
+inline constexpr float kHiddenFraction = .25f;
 
-/// Bands of a character's reflected light. It is smooth, but where discs are split off their whole reflection comes from
+/// Bands of a character's reflected light. It is smooth, but where lights are split off their whole reflection comes from
 /// these bands: under a sharp sun three leave 3.4 % of the light out, five 1.2 %, seven none (walker, rustig_koppie).
 constexpr int reflected_bands(int bands) {
   return bands > 3 ? 6 : bands;

@@ -7,19 +7,19 @@
 #include <cstring>
 #include <fstream>
 
+#include "core/files.h"
+#include "core/half.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
-#include "prt/transfer/vertex_sight.h"
-#include "core/files.h"
-#include "core/half.h"
+#include "prt/transfer/visibility_map.h"
 
 // Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
 // four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
 // 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are accessors of
-// half-float bits in the order of prt::Transfer, the vertices' sight three of words.
+// half-float bits in the order of prt::Transfer, the vertices' visibility three of words.
 
 namespace penumbra::prt {
 namespace {
@@ -69,7 +69,7 @@ Value number(double v) {
 // Accessors of the transfers that no viewer needs.
 struct OwnAccessors {
   int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
-  int sight = -1, refined_sight = -1, fine_sight = -1;
+  int visibility = -1, refined_visibility = -1, fine_visibility = -1;
 };
 
 Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
@@ -82,10 +82,10 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
   d["rays"] = number(static_cast<double>(o.report.rays));
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
-  if (!o.sight.empty())
-    d["vertex_sight"] = Value(Value::Object{{"open", Value(own.sight)},
-                                            {"refined", Value(own.refined_sight)},
-                                            {"fine", Value(own.fine_sight)}});
+  if (!o.visibility.empty())
+    d["vertex_sight"] = Value(Value::Object{{"open", Value(own.visibility)},
+                                            {"refined", Value(own.refined_visibility)},
+                                            {"fine", Value(own.fine_visibility)}});
   if (o.receiver) {
     const GroundGrid& g = o.receiver->grid;
     const Rgb& a = o.receiver->albedo;
@@ -139,12 +139,13 @@ Model to_model(const BakedObject& o) {
   };
   OwnAccessors own;
   own.indirect = add_halves(o.indirect);
-  if (!o.sight.empty()) {
-    own.sight = add_words(o.sight.open.data(), o.sight.open.size());
-    own.refined_sight = add_words(o.sight.refined.data(), 2 * o.sight.refined.size());
+  if (!o.visibility.empty()) {
+    own.visibility = add_words(o.visibility.open.data(), o.visibility.open.size());
+    own.refined_visibility =
+        add_words(o.visibility.refined.data(), 2 * o.visibility.refined.size());
     // An accessor holds at least one.
-    if (!o.sight.fine.empty())
-      own.fine_sight = add_words(o.sight.fine.data(), 2 * o.sight.fine.size());
+    if (!o.visibility.fine.empty())
+      own.fine_visibility = add_words(o.visibility.fine.data(), 2 * o.visibility.fine.size());
   }
   if (o.receiver) {
     own.ground_deficit = add_halves(o.ground_deficit);
@@ -272,9 +273,9 @@ bool read_words(const Model& m, double index, std::size_t count, std::vector<T>&
   return true;
 }
 
-bool read_sight(const Model& m, const Value& own, std::size_t vertices, VertexSight& out) {
+bool read_visibility(const Model& m, const Value& own, std::size_t vertices, VisibilityMap& out) {
   if (!own.IsObject()) return false;
-  if (!read_words(m, get(own, "open"), vertices * VertexSight::kWords, out.open) ||
+  if (!read_words(m, get(own, "open"), vertices * VisibilityMap::kWords, out.open) ||
       !read_words(m, get(own, "refined"), vertices, out.refined))
     return false;
   std::size_t blocks = 0;
@@ -337,7 +338,7 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
                    o.transfer.channels, o.transfer.points, o.indirect))
     return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
   if (extras->Has("vertex_sight") &&
-      !read_sight(m, extras->Get("vertex_sight"), o.transfer.points, o.sight))
+      !read_visibility(m, extras->Get("vertex_sight"), o.transfer.points, o.visibility))
     return fail(ErrorCode::kUnreadable, file, "damaged sight");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "damaged receiver");

@@ -7,17 +7,17 @@
 #include <queue>
 #include <set>
 
+#include "prt/clip/light_map.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
-#include "prt/clip/light_map.h"
 
 namespace penumbra::prt {
 
 namespace {
 
 constexpr std::uint32_t kNone = 0xffffffffu;
-constexpr float kLeastCosine = .6f;  // between a chart's direction and its triangles
-constexpr int kGap = 2;  // texels between charts: lookups of one touch nothing of another
+constexpr float kMinCosine = .6f;  // between a chart's direction and its triangles
+constexpr int kGap = 2;            // texels between charts: lookups of one touch nothing of another
 
 struct Chart {
   std::vector<std::uint32_t> triangles;
@@ -76,8 +76,8 @@ class Occupied {
     const glm::vec2 low = glm::floor(glm::min(glm::min(p[0], p[1]), p[2])),
                     high = glm::ceil(glm::max(glm::max(p[0], p[1]), p[2]));
     // A sliver across the whole mesh: not worth its box of cells.
-    constexpr float kMostCells = 1 << 16;
-    if (!((high.x - low.x) * (high.y - low.y) < kMostCells)) return true;
+    constexpr float kMaxCells = 1 << 16;
+    if (!((high.x - low.x) * (high.y - low.y) < kMaxCells)) return true;
     for (int y = static_cast<int>(low.y); y < static_cast<int>(high.y); ++y)
       for (int x = static_cast<int>(low.x); x < static_cast<int>(high.x); ++x) {
         const glm::vec2 at(static_cast<float>(x) + .5f, static_cast<float>(y) + .5f);
@@ -139,7 +139,7 @@ std::vector<Chart> find_charts(const Character& c) {
       chart.triangles.push_back(i);
       for (const std::uint32_t n : neighbours[i]) {
         if (n == kNone || taken[n]) continue;
-        if (glm::dot(normal[n], chart.direction) <= kLeastCosine * glm::length(normal[n])) continue;
+        if (glm::dot(normal[n], chart.direction) <= kMinCosine * glm::length(normal[n])) continue;
         if (!occupied.take(n)) continue;
         taken[n] = 1;
         next.push(n);

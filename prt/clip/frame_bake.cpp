@@ -1,8 +1,8 @@
-#include "prt/geometry/ground_grid.h"
+#include "prt/clip/internal/frame_bake.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
 #include "lighting/rotation.h"
-#include "prt/clip/internal/frame_bake.h"
+#include "prt/geometry/ground_grid.h"
 
 #include <fmt/format.h>
 
@@ -22,7 +22,7 @@ namespace penumbra::prt {
 
 namespace {
 
-constexpr int kMostFrames = 4096;
+constexpr int kMaxFrames = 4096;
 constexpr std::uint64_t kBakeVersion = 3;  // changes with what a bake computes
 constexpr float kOpenT0 = .28209479f;      // Y_0: of a point that sees all
 constexpr std::uint16_t kHidden = 0x7e00;  // a half that is no number
@@ -72,10 +72,10 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
   if (!(o.frames_per_second > 0 && o.frames_per_second <= 1000))
     return fail(ErrorCode::kInvalid, "frames per second", "not within 0..1000");
   const double seconds = c.clips[static_cast<std::size_t>(clip)].seconds;
-  if (!(seconds * o.frames_per_second <= kMostFrames))
+  if (!(seconds * o.frames_per_second <= kMaxFrames))
     return fail(ErrorCode::kInvalid, "animation",
                 fmt::format("{:.1f} s at {} frames a second are more than {} frames", seconds,
-                            o.frames_per_second, kMostFrames));
+                            o.frames_per_second, kMaxFrames));
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands",
                 fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
@@ -86,9 +86,9 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
     return fail(ErrorCode::kInvalid, "light map", "the asset has no texture coordinates for one");
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
-  if (o.bounces < 0 || o.bounces > kMostBounces)
+  if (o.bounces < 0 || o.bounces > kMaxBounces)
     return fail(ErrorCode::kInvalid, "bounces",
-                fmt::format("{} is not in 0..{}", o.bounces, kMostBounces));
+                fmt::format("{} is not in 0..{}", o.bounces, kMaxBounces));
   const auto is_albedo = [](const Rgb& a) {
     return a.r >= 0 && a.r <= 1 && a.g >= 0 && a.g <= 1 && a.b >= 0 && a.b <= 1;
   };
@@ -229,7 +229,7 @@ std::vector<float> floats_of(const Transfer& t) {
 // What lies within another part is never seen, and what it would see there means nothing.
 void FrameBaker::mark_hidden(const BakeReport& report, Transfer& transfer) const {
   for (std::size_t p = 0; p < layout_.points(); ++p)
-    if (report.quality[p].behind > kHiddenShare)
+    if (report.quality[p].behind > kHiddenFraction)
       for (std::size_t k = p; k < transfer.values.size(); k += transfer.stride)
         transfer.values[k] = kHidden;
 }
@@ -286,11 +286,11 @@ void FrameBaker::complete_in_time(std::size_t p, std::span<Transfer> frames,
     std::size_t next = f + 1;
     while (hidden(next)) ++next;
     for (std::size_t between = f + 1; between < next; ++between) {
-      const float share = parts(f, between) / parts(f, next);
+      const float fraction = parts(f, between) / parts(f, next);
       for (std::size_t k = p; k < frames[0].values.size(); k += frames[0].stride)
         frames[between % count].values[k] =
             half_from_float(std::lerp(float_from_half(frames[f % count].values[k]),
-                                      float_from_half(frames[next % count].values[k]), share));
+                                      float_from_half(frames[next % count].values[k]), fraction));
     }
     f = next;
   }
@@ -356,7 +356,7 @@ void FrameBaker::equalise_seams(const BakeReport& report, Transfer& transfer,
   if (seams_.empty()) return;
   std::vector<char> hidden(layout_.points());
   for (std::size_t p = 0; p < hidden.size(); ++p)
-    hidden[p] = report.quality[p].behind > kHiddenShare;
+    hidden[p] = report.quality[p].behind > kHiddenFraction;
   std::vector<float> values = floats_of(transfer);
   const std::vector<float> more = floats_of(indirect);
   values.insert(values.end(), more.begin(), more.end());
@@ -438,7 +438,7 @@ Result<FrameRecord> FrameBaker::bake(int position,
   out.rays = baked->report.rays;
   out.seconds = baked->report.seconds;
   for (std::size_t p = 0; p < layout_.points(); ++p) {
-    if (baked->report.quality[p].behind > kHiddenShare) continue;
+    if (baked->report.quality[p].behind > kHiddenFraction) continue;
     ++out.seen;
     out.mean += baked->transfer.value(0, 0, p);
     out.error_variance += std::pow(double(baked->report.quality[p].standard_error) * kOpenT0, 2);

@@ -9,7 +9,7 @@ namespace penumbra::prt {
 namespace {
 
 constexpr char kMagic[8] = {'P', 'N', 'B', 'J', 'R', 'N', 'L', '1'};
-struct Head {
+struct JournalHead {
   char magic[8];
   std::uint64_t bake, values;
   std::uint32_t frames, unused;
@@ -32,7 +32,7 @@ Result<std::uintmax_t> scan(const std::filesystem::path& path, const JournalKey&
                             const Visit& visit) {
   std::ifstream in(path, std::ios::binary);
   if (!in) return fail(ErrorCode::kNotFound, path.string(), "no such journal of a bake");
-  Head head{};
+  JournalHead head{};
   in.read(reinterpret_cast<char*>(&head), sizeof head);
   if (!in || std::memcmp(head.magic, kMagic, sizeof kMagic) != 0)
     return fail(ErrorCode::kUnreadable, path.string(), "is not a journal of a bake");
@@ -68,9 +68,9 @@ Result<Journal> Journal::open(const std::filesystem::path& path, const JournalKe
   std::error_code error;
   // One without a whole frame holds nothing that could be lost.
   if (!std::filesystem::exists(path, error) ||
-      std::filesystem::file_size(path, error) <= sizeof(Head)) {
+      std::filesystem::file_size(path, error) <= sizeof(JournalHead)) {
     out.out_.open(path, std::ios::binary | std::ios::trunc);
-    Head head{};
+    JournalHead head{};
     std::memcpy(head.magic, kMagic, sizeof kMagic);
     head.bake = key.bake;
     head.frames = key.frames;

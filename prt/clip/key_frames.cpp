@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "prt/transfer/transfer.h"
 #include "prt/clip/sequence.h"
+#include "prt/transfer/transfer.h"
 
 namespace penumbra::prt {
 

@@ -23,13 +23,13 @@ struct KeyFrames {
   std::uint32_t width(std::size_t frame) const {
     return (frame + 1 < at.size() ? at[frame + 1] : parts) - at[frame];
   }
-  /// The key frame before a time and the share of the way to the next; one clip later is at.size() frames later.
+  /// The key frame before a time and the fraction of the way to the next; one clip later is at.size() frames later.
   double frame_at(double clips) const;
 };
 
 /// By interval from key frame i on: what linear interpolation across it leaves out, RMS over a sample of the points under
 /// light of mean_band_energy, absolute: h^2/4 max |t''|, t'' from divided differences at both ends. That is twice the bound
-/// for smooth functions: sight comes and goes at once, so halving h halves the error (the walker at 15 and 30 frames a
+/// for smooth functions: visibility comes and goes at once, so halving h halves the error (the walker at 15 and 30 frames a
 /// second: at worst 3.5 and 1.6 %, told 4.1 and 2.3; with an eighth 2.0 and 1.2). Infinite where key frames are too few to
 /// tell (fewer than four).
 /// source: error of linear interpolation, e.g. Burden & Faires 2011, theorem 3.3

@@ -11,7 +11,6 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::prt {
 
 namespace {

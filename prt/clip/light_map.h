@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "prt/geometry/mesh.h"
 #include "prt/geometry/animation.h"
+#include "prt/geometry/mesh.h"
 
 namespace penumbra::prt {
 
@@ -19,9 +19,9 @@ inline const std::vector<glm::vec2>& light_coordinates_of(const Character& c) {
 
 /// What a character's texture coordinates are worth as those of a light map.
 struct TextureUse {
-  double outside = 0;  // share of triangles that leave 0..1
-  double overlap = 0;  // share of covered texels that two triangles claim
-  double no_area = 0;  // share of the surface whose triangles have none in the texture plane
+  double outside = 0;  // fraction of triangles that leave 0..1
+  double overlap = 0;  // fraction of covered texels that two triangles claim
+  double no_area = 0;  // fraction of the surface whose triangles have none in the texture plane
   bool usable() const { return outside == 0 && overlap < .01 && no_area < .01; }
 };
 TextureUse texture_use(const Character& character, int width, int height);

@@ -11,19 +11,19 @@
 #include <glm/gtx/quaternion.hpp>
 #include <numeric>
 
+#include "core/parallel.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
 #include "lighting/rotation.h"
 #include "prt/bake/bake.h"
+#include "prt/bake/bake_rules.h"
 #include "prt/clip/light_map.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
+#include "prt/geometry/ray_pattern.h"
 #include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
-#include "core/parallel.h"
-#include "prt/bake/bake_rules.h"
-#include "prt/geometry/ray_pattern.h"
 
 namespace penumbra::prt {
 
@@ -34,7 +34,7 @@ constexpr std::size_t kChunk = 32;  // points a task takes at once
 // After vertices went so far (RMS, radii) an estimate counts 1/e: the material's own transfer, and what the floor sees of
 // feet that step over it.
 constexpr double kMemory = .1, kGroundMemory = .02;
-constexpr float kMostVisits = RayPatterns::kVariants;  // then rays repeat: 1024 a point
+constexpr float kMaxVisits = RayPatterns::kVariants;  // then rays repeat: 1024 a point
 constexpr float kFirstGuess = 1e-3f;  // what a hidden point's counts until the point is seen
 
 }  // namespace
@@ -43,7 +43,7 @@ struct LiveBake::Impl {
   Impl(const Character& c, const LiveBakeOptions& o, RayScene s, const Mesh& form);
 
   // What a visit finds at a point in the bake frame: light that is blocked, then by channel light that comes instead.
-  struct Found {
+  struct VisitResult {
     std::vector<float> sums;
     float behind;
   };
@@ -62,11 +62,11 @@ struct LiveBake::Impl {
   const glm::vec3& normal(std::size_t p) const { return on_ground(p) ? kUp : mesh.normals[p]; }
   void move_to(const CharacterPose& pose);
   Aim aim(std::size_t p) const;
-  void trace(std::size_t p, Found& found) const;
-  void gather(const RayScene::Packet& packet, int lane, float weight, const glm::vec3& origin,
-              bool ground_point, Found& found) const;
+  void trace(std::size_t p, VisitResult& found) const;
+  void gather(const RayScene::RayPacket& packet, int lane, float weight, const glm::vec3& origin,
+              bool ground_point, VisitResult& found) const;
   void gather_ground(const glm::vec3& at, float weight, float* sum) const;
-  void remember(std::size_t p, const Found& found);
+  void remember(std::size_t p, const VisitResult& found);
   void refresh();
   void write(BakedObject& out) const;
   // planes() functions of `coefficients` each.
@@ -148,7 +148,7 @@ void LiveBake::Impl::move_to(const CharacterPose& pose) {
     to_bake.emplace_back(glm::dmat3(t), traced_bands);
     to_material.emplace_back(glm::dmat3(glm::transpose(t)), traced_bands);
   }
-  scene.set_form(mesh);
+  scene.update_vertices(mesh);
   centre = bounds_of(mesh).centre();
   radius = std::max(radius_around(mesh, centre), 1e-30f);
   travelled += std::sqrt(square / static_cast<double>(vertices)) / double(radius);
@@ -199,8 +199,8 @@ void LiveBake::Impl::gather_ground(const glm::vec3& at, float weight, float* sum
 }
 
 // What arrives along a blocked ray from where it ended.
-void LiveBake::Impl::gather(const RayScene::Packet& packet, int lane, float weight,
-                            const glm::vec3& origin, bool ground_point, Found& found) const {
+void LiveBake::Impl::gather(const RayScene::RayPacket& packet, int lane, float weight,
+                            const glm::vec3& origin, bool ground_point, VisitResult& found) const {
   float* const sum = &found.sums[coefficients];
   if (packet.triangle[lane] == RayScene::kMiss) {
     if (ground_point) return;
@@ -222,13 +222,13 @@ void LiveBake::Impl::gather(const RayScene::Packet& packet, int lane, float weig
   }
 }
 
-void LiveBake::Impl::trace(std::size_t p, Found& found) const {
+void LiveBake::Impl::trace(std::size_t p, VisitResult& found) const {
   const Aim a = aim(p);
   const bool ground_point = on_ground(p), plane_blocks = options.receiver && !ground_point;
   const float each = (a.cos_half > 0 ? 2 * (1 - a.cos_half) : 1) / static_cast<float>(kRays);
   found.sums.assign(planes() * coefficients, 0.f);
   found.behind = 0;
-  RayScene::Packet packet;
+  RayScene::RayPacket packet;
   alignas(64) float basis[kMaxCoefficients * kLanes];
   for (int block = 0; block < kRays / kLanes; ++block) {
     if (a.cos_half > 0)
@@ -266,13 +266,13 @@ void LiveBake::Impl::turn(const lighting::ShRotation& by, const float* in, float
   }
 }
 
-void LiveBake::Impl::remember(std::size_t p, const Found& found) {
+void LiveBake::Impl::remember(std::size_t p, const VisitResult& found) {
   // What lies within another part keeps what it had, as in clips.
-  const bool hidden = found.behind > kHiddenShare;
+  const bool hidden = found.behind > kHiddenFraction;
   if (hidden && counts[p] > 0) return;
   const float before = counts[p];
   // Older visits count less, the first not at all in the end: they gathered from estimates that lacked further bounces.
-  const float aged = before > .5f ? std::min(1 - .5f / before, 1 - 1 / kMostVisits) : 0;
+  const float aged = before > .5f ? std::min(1 - .5f / before, 1 - 1 / kMaxVisits) : 0;
   const auto keep = aged * static_cast<float>(std::exp((visited_at[p] - travelled) / memory(p)));
   visited_at[p] = travelled;
   ++visits[p];
@@ -378,7 +378,7 @@ LiveBake::Cost LiveBake::update(const CharacterPose& pose, std::size_t visits, B
     const auto round_begin = Clock::now();
     const std::size_t round = std::min(left, s.size());
     parallel_for(std::size_t{0}, round, kChunk, [&](const auto& range) {
-      thread_local Impl::Found found;  // grows once per thread
+      thread_local Impl::VisitResult found;  // grows once per thread
       for (std::size_t i = range.begin(); i < range.end(); ++i) {
         const std::size_t p = (s.next + i) % s.size() * s.step % s.size();
         s.trace(p, found);

@@ -7,8 +7,8 @@
 #include <memory>
 #include <optional>
 
-#include "prt/bake/bake.h"
 #include "core/result.h"
+#include "prt/bake/bake.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/receiver.h"
 

@@ -9,7 +9,7 @@
 #include <optional>
 #include <tuple>
 
-#include "core/aside.h"
+#include "core/background_task.h"
 #include "core/parallel.h"
 
 namespace penumbra::prt {
@@ -26,14 +26,14 @@ Place place_of(const glm::vec3& p) {
   return {p.x, p.y, p.z};
 }
 
-struct Edge {
+struct SeamEdge {
   std::uint32_t a, b;
 };
 
 // The texels that a bilinear lookup reads.
-class Map {
+class TexelMap {
  public:
-  Map(const Character& c, const SurfaceLayout& layout)
+  TexelMap(const Character& c, const SurfaceLayout& layout)
       : coordinates_(light_coordinates_of(c)),
         width_(layout.width),
         height_(layout.height),
@@ -48,12 +48,12 @@ class Map {
     return coordinates_[vertex] *
            glm::vec2(static_cast<float>(width_), static_cast<float>(height_));
   }
-  float length(const Edge& e) const { return glm::distance(texel(e.a), texel(e.b)); }
+  float length(const SeamEdge& e) const { return glm::distance(texel(e.a), texel(e.b)); }
 
   // Writes four points and weights; false where one is missing that counts.
-  bool look_up(const Edge& e, float share, float sign, std::uint32_t* points,
+  bool look_up(const SeamEdge& e, float fraction, float sign, std::uint32_t* points,
                float* weights) const {
-    const glm::vec2 at = glm::mix(texel(e.a), texel(e.b), share) - .5f;
+    const glm::vec2 at = glm::mix(texel(e.a), texel(e.b), fraction) - .5f;
     const glm::vec2 low = glm::floor(at), part = at - low;
     for (int k = 0; k < 4; ++k) {
       const int x = std::clamp(static_cast<int>(low.x) + k % 2, 0, width_ - 1),
@@ -82,33 +82,33 @@ class Map {
 
 Seams::Seams(const Character& c, const SurfaceLayout& layout) {
   if (layout.texels.empty()) return;
-  const Map map(c, layout);
+  const TexelMap map(c, layout);
   const auto smooth = [&](std::uint32_t v, std::uint32_t w) {
     return glm::dot(glm::normalize(c.normals[v]), glm::normalize(c.normals[w])) > kSmooth;
   };
-  const auto meet = [&](const Edge& one, const Edge& other) {
+  const auto meet = [&](const SeamEdge& one, const SeamEdge& other) {
     const auto count =
         static_cast<int>(std::ceil(kSamples * std::max({map.length(one), map.length(other), .5f})));
     for (int i = 0; i < count; ++i) {
-      const float share = (static_cast<float>(i) + .5f) / static_cast<float>(count);
+      const float fraction = (static_cast<float>(i) + .5f) / static_cast<float>(count);
       Lookup l;
-      if (map.look_up(one, share, 1, &l.point[0], &l.weight[0]) &&
-          map.look_up(other, share, -1, &l.point[4], &l.weight[4]))
+      if (map.look_up(one, fraction, 1, &l.point[0], &l.weight[0]) &&
+          map.look_up(other, fraction, -1, &l.point[4], &l.weight[4]))
         lookups_.push_back(l);
     }
   };
   // By the places of their ends: vertices at a seam stand twice.
-  std::map<std::pair<Place, Place>, Edge> open;
+  std::map<std::pair<Place, Place>, SeamEdge> open;
   for (const auto& t : c.triangles)
     for (std::size_t k = 0; k < 3; ++k) {
-      const Edge e{t[k], t[(k + 1) % 3]};
+      const SeamEdge e{t[k], t[(k + 1) % 3]};
       const Place a = place_of(c.positions[e.a]), b = place_of(c.positions[e.b]);
       const auto other = open.find({b, a});
       if (other == open.end()) {
         open.try_emplace({a, b}, e);
         continue;
       }
-      const Edge back{other->second.b, other->second.a};  // the same way round
+      const SeamEdge back{other->second.b, other->second.a};  // the same way round
       open.erase(other);
       const bool apart = glm::distance(map.texel(e.a), map.texel(back.a)) > 1e-3f ||
                          glm::distance(map.texel(e.b), map.texel(back.b)) > 1e-3f;

@@ -7,15 +7,15 @@
 #include <map>
 #include <set>
 
-#include "prt/clip/internal/journal.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
+#include "prt/clip/internal/frame_bake.h"
+#include "prt/clip/internal/journal.h"
+#include "prt/clip/internal/sequence_codec.h"
 #include "prt/clip/key_frames.h"
 #include "prt/clip/light_map.h"
 #include "prt/geometry/animation.h"
 #include "prt/transfer/transfer.h"
-#include "prt/clip/internal/frame_bake.h"
-#include "prt/clip/internal/sequence_codec.h"
 
 namespace penumbra::prt {
 
@@ -31,13 +31,13 @@ Result<void> bake_positions(const FrameBaker& baker, std::span<const int> wanted
                             const std::function<void(double)>& progress, const Visit& visit) {
   const std::set<std::uint32_t> done(journal.frames().begin(), journal.frames().end());
   for (std::size_t i = 0; i < wanted.size(); ++i) {
-    const auto share = [&](double of_frame) {
+    const auto fraction = [&](double of_frame) {
       if (progress)
         progress((static_cast<double>(i) + of_frame) / static_cast<double>(wanted.size()));
     };
-    share(0);
+    fraction(0);
     if (done.contains(static_cast<std::uint32_t>(wanted[i]))) continue;
-    auto record = baker.bake(wanted[i], share);
+    auto record = baker.bake(wanted[i], fraction);
     if (!record) return std::unexpected(record.error());
     PENUMBRA_TRY(journal.add(*record));
     visit(std::move(*record));

@@ -15,9 +15,9 @@
 
 #include "core/result.h"
 #include "core/sh.h"
-#include "prt/geometry/animation.h"
 #include "prt/clip/key_frames.h"
 #include "prt/clip/light_map.h"  // IWYU pragma: export
+#include "prt/geometry/animation.h"
 #include "prt/geometry/receiver.h"
 
 namespace penumbra::prt {
@@ -32,12 +32,12 @@ struct RelightPlan {
     std::uint32_t offset;
     float r, g, b;
   };
-  struct Part {
+  struct RelightPart {
     std::uint32_t first_term, term_count, first_point, point_count;
     std::uint32_t wide_count;  // terms whose maps do not fit eight bits; they come first
   };
   std::vector<Term> terms;
-  std::vector<Part> parts;  // no point in two
+  std::vector<RelightPart> parts;  // no point in two
 };
 
 /// A mean square over a part's points of what a term adds to the brightest colour.
@@ -47,7 +47,7 @@ struct TermEnergy {
 };
 
 /// Transfer at points over the frames of a clip, compressed.
-///   t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green, red - green and
+///   t(f) = m + sum_k v_k(f) U_k for every group of points that fraction a bone, and apart for green, red - green and
 ///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks. A long
 ///   clip has several spans of frames with an m and U_k each; from one to the next the sums are mixed.
 /// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and the cut of components
@@ -60,7 +60,7 @@ class TransferSequence {
   std::size_t points() const { return points_; }
   std::size_t stride() const { return (points_ + 63) / 64 * 64; }
   /// Most components of any group at a time, the mean not counted.
-  int most_components() const;
+  int max_components() const;
 
   /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo, as prt::relight.
   /// in: frame 0..frames(), between frames on a straight line, beyond the last to the first; light in the bake frame;
@@ -104,14 +104,14 @@ class TransferSequence {
       return weight.empty() ? 1 : weight[static_cast<std::size_t>(inside)];
     }
   };
-  struct Group {
+  struct BoneGroup {
     int bone;
     int plane;                 // 0: green or grey, 1: red - green, 2: blue - green
     std::size_t first, count;  // in order_
     std::vector<Component> components;
   };
   float weight_at(const Component& c, double frame) const;
-  void add_terms(const Group& group, double frame, const RadianceSh& seen, bool wide,
+  void add_terms(const BoneGroup& group, double frame, const RadianceSh& seen, bool wide,
                  std::vector<RelightPlan::Term>& terms, std::vector<TermEnergy>& energies) const;
   /// Fills in what follows from values_.
   void finish_maps();
@@ -120,7 +120,7 @@ class TransferSequence {
   std::size_t points_ = 0;
   std::vector<float> step_;           // by band: what one unit of a value is
   std::vector<std::uint32_t> order_;  // points by bone
-  std::vector<Group> groups_;
+  std::vector<BoneGroup> groups_;
   std::vector<std::int16_t> values_;  // padded to kernels' width a map
   std::vector<std::int8_t>
       narrow_;  // the same once more where a map fits: relighting waits for memory

@@ -8,8 +8,8 @@
 #include <cstring>
 #include <numeric>
 
-#include "codec/range_coder.h"
 #include "codec/codec.h"
+#include "codec/range_coder.h"
 #include "core/half.h"
 #include "core/parallel.h"
 
@@ -20,7 +20,7 @@ namespace {
 // A walk's transfer has some thirty components that are worth their bytes; a clip of many moves has as many for each.
 constexpr int kLongestSpan = 128;  // frames
 constexpr std::size_t kPad = TransferSequence::kLanes;
-constexpr std::size_t kMostValues = std::size_t{1} << 28;
+constexpr std::size_t kMaxValues = std::size_t{1} << 28;
 
 std::size_t padded(std::size_t count) {
   return (count + kPad - 1) / kPad * kPad;
@@ -80,14 +80,14 @@ int band_of(int n) {
   return static_cast<int>(std::sqrt(static_cast<double>(n) + .5));
 }
 
-/// Frames that share principal components.
-struct Span {
+/// Frames that fraction principal components.
+struct FrameSpan {
   int first, count;
 };
 
-std::vector<Span> spans_of(int frames) {
+std::vector<FrameSpan> spans_of(int frames) {
   const int spans = (frames + kLongestSpan - 1) / kLongestSpan;
-  std::vector<Span> out;
+  std::vector<FrameSpan> out;
   for (int i = 0; i < spans; ++i) {
     const int first = frames * i / spans;
     out.push_back({first, frames * (i + 1) / spans - first});
@@ -109,7 +109,7 @@ class SequenceCodec::Encoder {
         error_(error) {
     for (const PointGroup& g : groups_of(layout, order_))
       for (int plane = 0; plane < frames[0].channels; ++plane)
-        for (const Span& span : spans_of(static_cast<int>(frames.size())))
+        for (const FrameSpan& span : spans_of(static_cast<int>(frames.size())))
           parts_.push_back({g, plane, span, {}, {}, {}});
     parallel_for(std::size_t{0}, parts_.size(), [&](std::size_t i) { analyse(parts_[i]); });
   }
@@ -126,15 +126,15 @@ class SequenceCodec::Encoder {
       const float middle = std::sqrt(low * high);
       (error_at(middle) <= reachable ? low : high) = middle;
     }
-    while (values_at(low) > kMostValues) low *= 1.1f;
+    while (values_at(low) > kMaxValues) low *= 1.1f;
     return {quantise(low), std::sqrt(error_at(low) / samples)};
   }
 
  private:
-  struct Part {
+  struct PointPart {
     PointGroup group;
     int plane;
-    Span span;
+    FrameSpan span;
     Eigen::MatrixXf maps;     // column 0: the mean; k: U_k, by row = coefficient * count + point
     Eigen::MatrixXf weights;  // frames x components, of mean square 1
     std::vector<double>
@@ -142,7 +142,7 @@ class SequenceCodec::Encoder {
   };
 
   // An error of green, or of grey, is one of all three colours.
-  static double worth(const Part& part) { return part.plane == 0 ? 3 : 1; }
+  static double worth(const PointPart& part) { return part.plane == 0 ? 3 : 1; }
 
   float value(const Transfer& t, int plane, int n, std::size_t point) const {
     if (t.channels == 1) return t.value(0, n, point);
@@ -150,7 +150,7 @@ class SequenceCodec::Encoder {
     return plane == 0 ? green : t.value(plane == 1 ? 0 : 2, n, point) - green;
   }
 
-  void analyse(Part& part) {
+  void analyse(PointPart& part) {
     const auto count = static_cast<Eigen::Index>(part.group.count);
     const Eigen::Index rows = count * coefficients_, columns = part.span.count;
     Eigen::MatrixXf x(rows, columns);
@@ -188,17 +188,18 @@ class SequenceCodec::Encoder {
   }
 
   // Components until what is left of them does not count in the error.
-  Eigen::Index worth_keeping(const Part& part, double rest, const Eigen::VectorXd& energies) const {
-    constexpr double kShare = .02;
-    const double share = static_cast<double>(part.group.count) * part.span.count * kShare;
-    const Eigen::Index most = energies.size() - 1;
+  Eigen::Index worth_keeping(const PointPart& part, double rest,
+                             const Eigen::VectorXd& energies) const {
+    constexpr double kFraction = .02;
+    const double fraction = static_cast<double>(part.group.count) * part.span.count * kFraction;
+    const Eigen::Index largest = energies.size() - 1;
     Eigen::Index k = 0;
-    for (; k < most && rest > error_ * error_ * share; ++k) rest -= energies(most - k);
+    for (; k < largest && rest > error_ * error_ * fraction; ++k) rest -= energies(largest - k);
     return k;
   }
 
   // A component is worth its bits when its values' variance is above that of the step's rounding.
-  bool keeps(const Part& part, std::size_t k, float step) const {
+  bool keeps(const PointPart& part, std::size_t k, float step) const {
     const double values =
         static_cast<double>(part.span.count) * static_cast<double>(part.maps.rows());
     return part.energy[k] > values * step * step / 4;
@@ -207,7 +208,7 @@ class SequenceCodec::Encoder {
   double error_at(float step) {
     std::vector<double> errors(parts_.size());
     parallel_for(std::size_t{0}, parts_.size(), [&](std::size_t i) {
-      const Part& part = parts_[i];
+      const PointPart& part = parts_[i];
       const auto frames = static_cast<double>(part.span.count);
       const auto rounding = [&](Eigen::Index column) {
         double sum = 0;
@@ -230,7 +231,7 @@ class SequenceCodec::Encoder {
   // That a reader has to hold.
   std::size_t values_at(float step) const {
     std::size_t sum = 0;
-    for (const Part& part : parts_) {
+    for (const PointPart& part : parts_) {
       std::size_t columns = 1;
       for (std::size_t k = 0; k + 1 < part.energy.size(); ++k) columns += keeps(part, k, step);
       sum += columns * static_cast<std::size_t>(coefficients_) * padded(part.group.count);
@@ -240,7 +241,7 @@ class SequenceCodec::Encoder {
 
   float finest_step() const {
     float largest = 0;
-    for (const Part& part : parts_)
+    for (const PointPart& part : parts_)
       if (part.maps.size() > 0) largest = std::max(largest, part.maps.cwiseAbs().maxCoeff());
     return std::max(1e-7f, largest / 32000);
   }
@@ -254,7 +255,7 @@ class SequenceCodec::Encoder {
     out.order_ = order_;
     for (int l = 0; l < out.bands_; ++l)
       out.step_.push_back(band_weight(l) > 0 ? step / band_weight(l) : 0);
-    for (const Part& part : parts_) {
+    for (const PointPart& part : parts_) {
       if (part.span.first == 0)
         out.groups_.push_back(
             {part.group.bone, part.plane, part.group.first, part.group.count, {}});
@@ -266,7 +267,7 @@ class SequenceCodec::Encoder {
     return out;
   }
 
-  TransferSequence::Component component(const Part& part, std::size_t k, float step,
+  TransferSequence::Component component(const PointPart& part, std::size_t k, float step,
                                         TransferSequence& out) const {
     TransferSequence::Component c{part.span.first, part.span.count, {}, {}};
     const auto column = static_cast<Eigen::Index>(k);
@@ -294,7 +295,7 @@ class SequenceCodec::Encoder {
   std::vector<std::uint32_t> order_;
   int coefficients_;
   double error_;
-  std::vector<Part> parts_;
+  std::vector<PointPart> parts_;
 };
 
 double SequenceCodec::rendered_rms(std::span<const Transfer> frames) {
@@ -320,7 +321,7 @@ SequenceCodec::Outcome SequenceCodec::encode(std::span<const Transfer> frames,
 namespace {
 
 // What earlier values of a map say of the next, and how restless it is around there.
-struct Guess {
+struct ValuePrediction {
   int value, activity;
 };
 
@@ -335,7 +336,7 @@ class MapCoder {
   void for_values(const PointGroup& group, bool predict, std::int16_t* map, const Code& code) {
     residual_.assign(group.count, 0);
     for (std::size_t i = 0; i < group.count; ++i) {
-      const Guess g = guess(group, i, map);
+      const ValuePrediction g = guess(group, i, map);
       const int base = predict ? g.value : 0;
       const int value = code(map[i], base, g.activity);
       map[i] = static_cast<std::int16_t>(value);
@@ -344,7 +345,7 @@ class MapCoder {
   }
 
  private:
-  Guess guess(const PointGroup& group, std::size_t i, const std::int16_t* map) const {
+  ValuePrediction guess(const PointGroup& group, std::size_t i, const std::int16_t* map) const {
     int value[3] = {}, known = 0, restless = 0;
     bool all = true;
     for (const std::uint32_t n : layout_.neighbours[order_[group.first + i]]) {
@@ -384,7 +385,7 @@ class MapCoder {
 };
 
 // A number's models by how restless it is around, by band and by component.
-struct Models {
+struct ValueModels {
   codec::NumberModel number[4][3][MapCoder::kActivities];
   codec::NumberModel& at(std::size_t component, int band, int activity) {
     return number[std::min<std::size_t>(component, 3)][std::min(band, 2)][activity];
@@ -400,7 +401,7 @@ std::vector<std::uint32_t> places_in_groups(const std::vector<std::uint32_t>& or
   return place;
 }
 
-class Bytes {
+class ByteStream {
  public:
   template <class T>
   void put(T value) {
@@ -445,13 +446,13 @@ struct StreamHead {
 
 std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
                                                 const StreamLayout& layout) {
-  Bytes out;
+  ByteStream out;
   out.put(StreamHead{static_cast<std::uint32_t>(s.points_), static_cast<std::uint16_t>(s.frames_),
                      static_cast<std::uint8_t>(s.bands_), static_cast<std::uint8_t>(s.channels_)});
   if (s.points_ == 0) return out.take();
   for (const float step : s.step_) out.put(step);
-  for (const TransferSequence::Group& g : s.groups_) {
-    for (const Span& span : spans_of(s.frames_))
+  for (const TransferSequence::BoneGroup& g : s.groups_) {
+    for (const FrameSpan& span : spans_of(s.frames_))
       out.put(static_cast<std::uint8_t>(
           std::ranges::count(g.components, span.first, &TransferSequence::Component::first_frame)));
     for (const TransferSequence::Component& c : g.components)
@@ -460,11 +461,11 @@ std::vector<unsigned char> SequenceCodec::write(const TransferSequence& s,
   const std::vector<PointGroup> groups = groups_of(layout, s.order_);
   const std::vector<std::uint32_t> place = places_in_groups(s.order_, groups);
   MapCoder coder(layout, s.order_, place);
-  auto models = std::make_unique<Models>();
+  auto models = std::make_unique<ValueModels>();
   codec::BitModel zero_map, predicted;
   codec::RangeEncoder range;
   for (std::size_t i = 0; i < s.groups_.size(); ++i) {
-    const TransferSequence::Group& g = s.groups_[i];
+    const TransferSequence::BoneGroup& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];
     std::size_t k = 0;  // in the span
     for (const TransferSequence::Component& c : g.components) {
@@ -523,11 +524,11 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
   }
   s.order_ = order_by_bone(layout);
   const std::vector<PointGroup> groups = groups_of(layout, s.order_);
-  const std::vector<Span> spans = spans_of(s.frames_);
+  const std::vector<FrameSpan> spans = spans_of(s.frames_);
   for (const PointGroup& points : groups)
     for (int plane = 0; plane < s.channels_; ++plane) {
-      TransferSequence::Group g{points.bone, plane, points.first, points.count, {}};
-      for (const Span& span : spans) {
+      TransferSequence::BoneGroup g{points.bone, plane, points.first, points.count, {}};
+      for (const FrameSpan& span : spans) {
         std::uint8_t components = 0;
         if (!in.get(components) || components < 1 || components > span.count)
           return damaged("number of components out of range");
@@ -546,18 +547,18 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
       }
       s.groups_.push_back(std::move(g));
     }
-  std::size_t most = 0;
-  for (const TransferSequence::Group& g : s.groups_)
-    most += g.components.size() * static_cast<std::size_t>(coefficient_count(s.bands_)) *
-            padded(g.count);
-  if (most > kMostValues) return damaged("more values than any bake has");
+  std::size_t largest = 0;
+  for (const TransferSequence::BoneGroup& g : s.groups_)
+    largest += g.components.size() * static_cast<std::size_t>(coefficient_count(s.bands_)) *
+               padded(g.count);
+  if (largest > kMaxValues) return damaged("more values than any bake has");
   const std::vector<std::uint32_t> place = places_in_groups(s.order_, groups);
   MapCoder coder(layout, s.order_, place);
-  auto models = std::make_unique<Models>();
+  auto models = std::make_unique<ValueModels>();
   codec::BitModel zero_map, predicted;
   codec::RangeDecoder range(in.rest());
   for (std::size_t i = 0; i < s.groups_.size(); ++i) {
-    TransferSequence::Group& g = s.groups_[i];
+    TransferSequence::BoneGroup& g = s.groups_[i];
     const PointGroup& points = groups[i / static_cast<std::size_t>(s.channels_)];
     std::size_t k = 0;  // in the span
     for (TransferSequence::Component& c : g.components) {

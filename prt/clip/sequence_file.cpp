@@ -7,21 +7,21 @@
 #include <fstream>
 #include <functional>
 
-#include "prt/clip/key_frames.h"
-#include "prt/clip/light_map.h"
-#include "prt/geometry/animation.h"
-#include "prt/geometry/receiver.h"
 #include "core/files.h"
 #include "core/hash.h"
 #include "prt/clip/internal/frame_bake.h"
-#include "prt/clip/sequence.h"
 #include "prt/clip/internal/sequence_codec.h"
+#include "prt/clip/key_frames.h"
+#include "prt/clip/light_map.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
+#include "prt/geometry/receiver.h"
 
 namespace penumbra::prt {
 
 namespace {
 
-constexpr std::uint32_t kMostTexels = 4096;  // of a light map's or a receiver's side
+constexpr std::uint32_t kMaxTexels = 4096;  // of a light map's or a receiver's side
 constexpr char kMagic[8] = {'P', 'N', 'B', 'S', 'H', 'L', 'M', '2'};
 
 struct FileHead {
@@ -42,8 +42,8 @@ std::uint64_t fingerprint(const SurfaceLayout& layout) {
 }
 
 bool sizes_are_valid(const FileHead& head) {
-  return head.map_width <= kMostTexels && head.map_height <= kMostTexels &&
-         (head.map_width == 0) == (head.map_height == 0) && head.ground_size <= kMostTexels;
+  return head.map_width <= kMaxTexels && head.map_height <= kMaxTexels &&
+         (head.map_width == 0) == (head.map_height == 0) && head.ground_size <= kMaxTexels;
 }
 
 SequenceReport report_of(const FileHead& head) {
@@ -124,12 +124,12 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
     return fail(ErrorCode::kInvalid, name, "has a light map, and the asset no texture coordinates");
   const SurfaceLayout layout =
       lay_out(character, static_cast<int>(head.map_width), static_cast<int>(head.map_height));
-  const auto share = [](double v) { return v >= 0 && v < 1e6; };  // NaN is none
+  const auto fraction = [](double v) { return v >= 0 && v < 1e6; };  // NaN is none
   if (head.seconds != character.clips[static_cast<std::size_t>(clip)].seconds ||
-      !share(head.standard_error) || !share(head.compression_error) ||
-      !share(head.interpolation_error) || !share(head.worst_interpolation) ||
-      !share(head.ground_albedo[0]) || !share(head.ground_albedo[1]) ||
-      !share(head.ground_albedo[2]))
+      !fraction(head.standard_error) || !fraction(head.compression_error) ||
+      !fraction(head.interpolation_error) || !fraction(head.worst_interpolation) ||
+      !fraction(head.ground_albedo[0]) || !fraction(head.ground_albedo[1]) ||
+      !fraction(head.ground_albedo[2]))
     return fail(ErrorCode::kUnreadable, name, "damaged: its figures are out of range");
   if (head.layout != fingerprint(layout))
     return fail(ErrorCode::kInvalid, name, "lays its texels out otherwise than this program does");

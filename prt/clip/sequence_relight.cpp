@@ -13,8 +13,8 @@
 #include <hwy/highway.h>
 
 #include "lighting/rotation.h"
-#include "prt/transfer/transfer.h"
 #include "prt/clip/sequence.h"
+#include "prt/transfer/transfer.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace penumbra::prt {
@@ -86,13 +86,13 @@ std::span<const float> mean_band_energy() {
   return kEnergy;
 }
 
-int TransferSequence::most_components() const {
-  std::ptrdiff_t most = 1;
-  for (const Group& g : groups_)
+int TransferSequence::max_components() const {
+  std::ptrdiff_t largest = 1;
+  for (const BoneGroup& g : groups_)
     for (const Component& c : g.components)
-      most =
-          std::max(most, std::ranges::count(g.components, c.first_frame, &Component::first_frame));
-  return static_cast<int>(most) - 1;
+      largest = std::max(largest,
+                         std::ranges::count(g.components, c.first_frame, &Component::first_frame));
+  return static_cast<int>(largest) - 1;
 }
 
 float TransferSequence::weight_at(const Component& c, double frame) const {
@@ -106,7 +106,7 @@ void TransferSequence::finish_maps() {
   narrow_.resize(values_.size());
   for (std::size_t i = 0; i < values_.size(); ++i)
     narrow_[i] = static_cast<std::int8_t>(values_[i]);
-  for (Group& g : groups_)
+  for (BoneGroup& g : groups_)
     for (Component& c : g.components)
       for (Map& map : c.maps) {
         if (map.none()) continue;
@@ -121,7 +121,7 @@ void TransferSequence::finish_maps() {
 namespace {
 
 // The energy below which terms can go that together are at most `share` of all; in steps of a quarter of an octave.
-float unseen_energy(std::span<const TermEnergy> terms, float share) {
+float unseen_energy(std::span<const TermEnergy> terms, float fraction) {
   constexpr int kShift = 21;
   constexpr std::uint32_t kBuckets = 0x7f800000u >> kShift;  // up to infinity
   std::array<float, kBuckets> sums{};
@@ -132,18 +132,18 @@ float unseen_energy(std::span<const TermEnergy> terms, float share) {
   }
   float sum = 0;
   std::uint32_t i = 0;
-  while (i < kBuckets && (sum += sums[i]) <= share * all) ++i;
+  while (i < kBuckets && (sum += sums[i]) <= fraction * all) ++i;
   return std::bit_cast<float>(i << kShift);
 }
 
 // Of the terms that were added last.
 void keep_what_is_seen(std::span<const TermEnergy> energies, std::vector<RelightPlan::Term>& terms,
-                       RelightPlan::Part& part) {
+                       RelightPlan::RelightPart& part) {
   constexpr float kUnseen = TransferSequence::kUnseen;
-  const float least = unseen_energy(energies, kUnseen * kUnseen);
+  const float smallest = unseen_energy(energies, kUnseen * kUnseen);
   std::uint32_t kept = part.first_term;
   for (std::size_t i = 0; i < energies.size(); ++i) {
-    if (energies[i].energy < least) continue;
+    if (energies[i].energy < smallest) continue;
     terms[kept++] = terms[part.first_term + i];
     part.wide_count += energies[i].wide;
   }
@@ -153,7 +153,7 @@ void keep_what_is_seen(std::span<const TermEnergy> energies, std::vector<Relight
 
 }  // namespace
 
-void TransferSequence::add_terms(const Group& group, double frame, const RadianceSh& seen,
+void TransferSequence::add_terms(const BoneGroup& group, double frame, const RadianceSh& seen,
                                  bool wide, std::vector<RelightPlan::Term>& terms,
                                  std::vector<TermEnergy>& energies) const {
   for (const Component& c : group.components) {
@@ -181,14 +181,14 @@ void TransferSequence::plan(double frame, const RadianceSh& light, std::span<con
   out.parts.clear();
   thread_local std::vector<TermEnergy> energies;  // grows once per thread
   for (std::size_t first = 0; first < groups_.size(); first += planes) {
-    const Group& group = groups_[first];
+    const BoneGroup& group = groups_[first];
     // The light as the bone sees it.
     const RadianceSh seen =
         lighting::ShRotation(glm::dmat3(glm::transpose(turn_of(turns, group.bone))), bands) *
         light.with_bands(bands);
-    RelightPlan::Part part{static_cast<std::uint32_t>(out.terms.size()), 0,
-                           static_cast<std::uint32_t>(group.first),
-                           static_cast<std::uint32_t>(group.count), 0};
+    RelightPlan::RelightPart part{static_cast<std::uint32_t>(out.terms.size()), 0,
+                                  static_cast<std::uint32_t>(group.first),
+                                  static_cast<std::uint32_t>(group.count), 0};
     energies.clear();
     for (const bool wide : {true, false})
       for (std::size_t plane = 0; plane < planes; ++plane)
@@ -207,7 +207,7 @@ void TransferSequence::relight(double frame, const RadianceSh& light,
   parallel_for(std::size_t{0}, todo.parts.size(), 4, [&](const auto& range) {
     thread_local std::vector<float> sums;
     for (std::size_t k = range.begin(); k < range.end(); ++k) {
-      const RelightPlan::Part& part = todo.parts[k];
+      const RelightPlan::RelightPart& part = todo.parts[k];
       const std::size_t count = (part.point_count + kLanes - 1) / kLanes * kLanes;
       sums.resize(3 * count);
       HWY_DYNAMIC_DISPATCH(SumTerms)
@@ -226,7 +226,7 @@ void TransferSequence::decode(double frame, std::span<const glm::mat3> turns, Tr
   const auto planes = static_cast<std::size_t>(channels_);
   parallel_for(std::size_t{0}, groups_.size() / planes, [&](std::size_t part) {
     constexpr std::size_t kBlock = 64;
-    const Group& first = groups_[part * planes];
+    const BoneGroup& first = groups_[part * planes];
     const bool turned = !turns.empty();
     const lighting::ShRotation turn(glm::dmat3(turn_of(turns, first.bone)), bands_);
     const auto count = static_cast<std::size_t>(coefficient_count(bands_));

@@ -9,19 +9,18 @@
 
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::prt {
 
 namespace {
 
-glm::vec3 between(const glm::vec3& a, const glm::vec3& b, float share) {
-  return glm::mix(a, b, share);
+glm::vec3 between(const glm::vec3& a, const glm::vec3& b, float fraction) {
+  return glm::mix(a, b, fraction);
 }
-glm::quat between(const glm::quat& a, const glm::quat& b, float share) {
-  return glm::normalize(glm::slerp(a, b, share));  // on the shorter arc
+glm::quat between(const glm::quat& a, const glm::quat& b, float fraction) {
+  return glm::normalize(glm::slerp(a, b, fraction));  // on the shorter arc
 }
-float between(float a, float b, float share) {
-  return std::lerp(a, b, share);
+float between(float a, float b, float fraction) {
+  return std::lerp(a, b, fraction);
 }
 
 template <class T>
@@ -105,16 +104,16 @@ CharacterPose sample(const Character& character, const Clip& clip, double second
   return pose;
 }
 
-CharacterPose blend(const CharacterPose& a, const CharacterPose& b, float share) {
+CharacterPose blend(const CharacterPose& a, const CharacterPose& b, float fraction) {
   CharacterPose out = a;
   for (std::size_t i = 0; i < out.nodes.size(); ++i) {
     NodePose& n = out.nodes[i];
-    n.translation = between(n.translation, b.nodes[i].translation, share);
-    n.rotation = between(n.rotation, b.nodes[i].rotation, share);
-    n.scale = between(n.scale, b.nodes[i].scale, share);
+    n.translation = between(n.translation, b.nodes[i].translation, fraction);
+    n.rotation = between(n.rotation, b.nodes[i].rotation, fraction);
+    n.scale = between(n.scale, b.nodes[i].scale, fraction);
   }
   for (std::size_t i = 0; i < out.morph_weights.size(); ++i)
-    out.morph_weights[i] = between(out.morph_weights[i], b.morph_weights[i], share);
+    out.morph_weights[i] = between(out.morph_weights[i], b.morph_weights[i], fraction);
   return out;
 }
 
@@ -166,29 +165,29 @@ namespace {
 
 // The strongest of both, which sum to 1 again.
 Character::Influence mean_influence(const Character::Influence& a, const Character::Influence& b) {
-  struct Share {
+  struct BoneShare {
     std::uint16_t bone;
     float weight;
   };
-  std::vector<Share> shares;
+  std::vector<BoneShare> fractions;
   for (const Character::Influence* f : {&a, &b})
     for (std::size_t k = 0; k < Character::kInfluences; ++k) {
       if (f->weight[k] == 0) continue;
-      const auto known = std::ranges::find(shares, f->bone[k], &Share::bone);
-      if (known == shares.end()) {
-        shares.push_back({f->bone[k], .5f * f->weight[k]});
+      const auto known = std::ranges::find(fractions, f->bone[k], &BoneShare::bone);
+      if (known == fractions.end()) {
+        fractions.push_back({f->bone[k], .5f * f->weight[k]});
       } else {
         known->weight += .5f * f->weight[k];
       }
     }
-  std::ranges::stable_sort(shares, std::ranges::greater(), &Share::weight);
-  if (shares.size() > Character::kInfluences) shares.resize(Character::kInfluences);
+  std::ranges::stable_sort(fractions, std::ranges::greater(), &BoneShare::weight);
+  if (fractions.size() > Character::kInfluences) fractions.resize(Character::kInfluences);
   float sum = 0;
-  for (const Share& s : shares) sum += s.weight;
+  for (const BoneShare& s : fractions) sum += s.weight;
   Character::Influence out;
-  for (std::size_t k = 0; k < shares.size(); ++k) {
-    out.bone[k] = shares[k].bone;
-    out.weight[k] = shares[k].weight / sum;
+  for (std::size_t k = 0; k < fractions.size(); ++k) {
+    out.bone[k] = fractions[k].bone;
+    out.weight[k] = fractions[k].weight / sum;
   }
   return out;
 }

@@ -15,9 +15,9 @@
 #include <string>
 #include <vector>
 
-#include "prt/geometry/mesh.h"
 #include "core/image.h"
 #include "core/result.h"
+#include "prt/geometry/mesh.h"
 
 namespace penumbra::prt {
 
@@ -122,7 +122,7 @@ CharacterPose rest_pose(const Character& character);
 /// The clip at a time, which wraps around at its end.
 CharacterPose sample(const Character& character, const Clip& clip, double seconds);
 /// 0: a, 1: b. Both of one character.
-CharacterPose blend(const CharacterPose& a, const CharacterPose& b, float share);
+CharacterPose blend(const CharacterPose& a, const CharacterPose& b, float fraction);
 
 /// The character's mesh at a pose, by linear blend skinning. Vertex i is vertex i in every pose. Allocates nothing once
 /// `out` has its size.

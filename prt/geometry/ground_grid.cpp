@@ -5,7 +5,6 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 
-
 namespace penumbra::prt {
 
 glm::vec2 GroundGrid::position(glm::vec2 uv) const {

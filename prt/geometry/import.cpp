@@ -6,8 +6,8 @@
 #include <glm/geometric.hpp>
 #include <map>
 
-#include "prt/geometry/mesh.h"
 #include "prt/geometry/internal/assimp_scene.h"
+#include "prt/geometry/mesh.h"
 
 namespace penumbra::prt {
 

@@ -6,15 +6,15 @@
 #include <optional>
 #include <span>
 
-#include "prt/geometry/animation.h"
 #include "codec/codec.h"
+#include "prt/geometry/animation.h"
 #include "prt/geometry/internal/assimp_scene.h"
 
 namespace penumbra::prt {
 
 namespace {
 
-constexpr std::size_t kMostBones = 65535;
+constexpr std::size_t kMaxBones = 65535;
 
 glm::vec3 to_glm(const aiVector3D& v) {
   return {v.x, v.y, v.z};
@@ -100,9 +100,9 @@ class Importer {
       return fail(
           ErrorCode::kInvalid, file_,
           out_.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
-    if (out_.bones.size() > kMostBones)
+    if (out_.bones.size() > kMaxBones)
       return fail(ErrorCode::kInvalid, file_,
-                  fmt::format("has {} bones, more than {}", out_.bones.size(), kMostBones));
+                  fmt::format("has {} bones, more than {}", out_.bones.size(), kMaxBones));
     if (!one_texture_) out_.texture.reset();
     if (!out_.texture) out_.tint.clear();
     for (unsigned i = 0; i < scene_.mNumAnimations; ++i)
@@ -214,7 +214,7 @@ class Importer {
   }
 
   Result<void> add_rigid(const aiMesh& in, int node) {
-    const auto bone = static_cast<std::uint16_t>(std::min(out_.bones.size(), kMostBones));
+    const auto bone = static_cast<std::uint16_t>(std::min(out_.bones.size(), kMaxBones));
     out_.bones.push_back({node, glm::mat4(1)});
     out_.influences.insert(out_.influences.end(), in.mNumVertices, {{bone}, {1}});
     return {};
@@ -222,24 +222,24 @@ class Importer {
 
   Result<void> add_skin(const aiMesh& in, std::size_t first) {
     const std::size_t first_bone = out_.bones.size();
-    std::vector<std::vector<std::pair<float, std::uint16_t>>> shares(in.mNumVertices);
+    std::vector<std::vector<std::pair<float, std::uint16_t>>> fractions(in.mNumVertices);
     for (unsigned b = 0; b < in.mNumBones; ++b) {
       const aiBone& bone = *in.mBones[b];
       const auto node = by_name_.find(bone.mName.C_Str());
       if (node == by_name_.end())
         return fail(ErrorCode::kInvalid, file_,
                     fmt::format("no node is joint \"{}\"", bone.mName.C_Str()));
-      const auto index = static_cast<std::uint16_t>(std::min(out_.bones.size(), kMostBones));
+      const auto index = static_cast<std::uint16_t>(std::min(out_.bones.size(), kMaxBones));
       out_.bones.push_back({node->second, to_glm(bone.mOffsetMatrix)});
       for (unsigned w = 0; w < bone.mNumWeights; ++w) {
         const aiVertexWeight& weight = bone.mWeights[w];
         if (weight.mVertexId >= in.mNumVertices || !(weight.mWeight > 0) ||
             !std::isfinite(weight.mWeight))
           continue;
-        shares[weight.mVertexId].emplace_back(weight.mWeight, index);
+        fractions[weight.mVertexId].emplace_back(weight.mWeight, index);
       }
     }
-    for (auto& s : shares) {
+    for (auto& s : fractions) {
       std::ranges::stable_sort(s, std::ranges::greater(), &std::pair<float, std::uint16_t>::first);
       if (s.size() > Character::kInfluences) s.resize(Character::kInfluences);
       if (s.empty()) {

@@ -12,7 +12,6 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::prt {
 
 Bounds bounds_of(const Mesh& mesh) {

@@ -62,7 +62,7 @@ std::pair<double, double> concentric_disk(double u, double v) {
   return {r * std::cos(phi), r * std::sin(phi)};
 }
 
-struct Sample {
+struct StratumSample {
   double u, v;
   std::uint8_t group;
 };
@@ -70,8 +70,8 @@ struct Sample {
 // Owen-scrambled Sobol points: a (0, m, 2)-net as a whole, and each quarter is one of its own, so
 // the quarters' spread bounds the error of the whole from above. In Morton order, so that sixteen
 // neighbours make a coherent packet.
-std::vector<Sample> make_samples(int rays, std::mt19937& rng) {
-  std::vector<Sample> samples;
+std::vector<StratumSample> make_samples(int rays, std::mt19937& rng) {
+  std::vector<StratumSample> samples;
   const auto seed_u = static_cast<std::uint32_t>(rng()), seed_v = static_cast<std::uint32_t>(rng());
   for (int i = 0; i < rays; ++i) {
     const auto index = static_cast<std::uint32_t>(i);
@@ -79,7 +79,7 @@ std::vector<Sample> make_samples(int rays, std::mt19937& rng) {
                        owen_scrambled(sobol_second(index), seed_v) * 0x1p-32,
                        static_cast<std::uint8_t>(i / (rays / 4))});
   }
-  std::ranges::sort(samples, {}, [](const Sample& s) { return morton(s.u, s.v); });
+  std::ranges::sort(samples, {}, [](const StratumSample& s) { return morton(s.u, s.v); });
   return samples;
 }
 
@@ -88,7 +88,7 @@ std::vector<Sample> make_samples(int rays, std::mt19937& rng) {
 RayPatterns::RayPatterns(int rays) : rays_(rays), variants_(kVariants) {
   std::mt19937 rng(20050101);
   for (Variant& variant : variants_)
-    for (const Sample& s : make_samples(rays, rng)) {
+    for (const StratumSample& s : make_samples(rays, rng)) {
       const auto [x, y] = concentric_disk(s.u, s.v);
       variant.disk_x.push_back(static_cast<float>(x));
       variant.disk_y.push_back(static_cast<float>(y));
@@ -117,7 +117,7 @@ const std::uint8_t* RayPatterns::groups(Turn turn, int block) const {
 
 namespace {
 
-void rotate_lane(RayScene::Packet& p, int lane, RayPatterns::Turn turn, const glm::mat3& f,
+void rotate_lane(RayScene::RayPacket& p, int lane, RayPatterns::Turn turn, const glm::mat3& f,
                  float lx, float ly, float lz) {
   const float x = turn.cosine * lx - turn.sine * ly, y = turn.sine * lx + turn.cosine * ly;
   p.x[lane] = f[0].x * x + f[1].x * y + f[2].x * lz;
@@ -128,7 +128,7 @@ void rotate_lane(RayScene::Packet& p, int lane, RayPatterns::Turn turn, const gl
 }  // namespace
 
 void RayPatterns::cosine_block(Turn turn, int block, const glm::mat3& frame,
-                               RayScene::Packet& packet) const {
+                               RayScene::RayPacket& packet) const {
   const Variant& v = variants_[static_cast<std::size_t>(turn.variant)];
   const auto first = static_cast<std::size_t>(block * RayScene::kPacket);
   for (int i = 0; i < RayScene::kPacket; ++i) {
@@ -138,7 +138,7 @@ void RayPatterns::cosine_block(Turn turn, int block, const glm::mat3& frame,
 }
 
 void RayPatterns::cone_block(Turn turn, int block, const glm::mat3& frame, float cos_half,
-                             RayScene::Packet& packet) const {
+                             RayScene::RayPacket& packet) const {
   const Variant& v = variants_[static_cast<std::size_t>(turn.variant)];
   const auto first = static_cast<std::size_t>(block * RayScene::kPacket);
   for (int i = 0; i < RayScene::kPacket; ++i) {

@@ -7,7 +7,6 @@
 
 #include "prt/geometry/rays.h"
 
-
 namespace penumbra::prt {
 
 /// One of several fixed patterns of N points on the unit square. A point keeps the pattern and the
@@ -25,10 +24,11 @@ class RayPatterns {
 
   int rays() const { return rays_; }
   /// Fills directions of block `block` (rays 16*block ..) around `axis`, distributed by the cosine.
-  void cosine_block(Turn turn, int block, const glm::mat3& frame, RayScene::Packet& packet) const;
+  void cosine_block(Turn turn, int block, const glm::mat3& frame,
+                    RayScene::RayPacket& packet) const;
   /// The same, uniform in solid angle in a cone of given cosine of its half angle.
   void cone_block(Turn turn, int block, const glm::mat3& frame, float cos_half,
-                  RayScene::Packet& packet) const;
+                  RayScene::RayPacket& packet) const;
   /// Which of the four groups each ray of a block belongs to.
   const std::uint8_t* groups(Turn turn, int block) const;
 

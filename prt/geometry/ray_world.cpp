@@ -3,15 +3,15 @@
 #include <algorithm>
 #include <utility>
 
+#include "prt/geometry/internal/embree_mesh.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
-#include "prt/geometry/internal/embree_mesh.h"
 
 namespace penumbra::prt {
 
 namespace {
 
-// Rays into the frame of a mesh. Packet traversal looks at the bounds of all lanes: unused ones repeat
+// Rays into the frame of a mesh. RayPacket traversal looks at the bounds of all lanes: unused ones repeat
 // the first ray.
 void turn_rays(const RayWorld::Rays& in, int count, const glm::mat3& turn, const glm::vec3& shift,
                RTCRay16& out) {
@@ -39,8 +39,8 @@ std::uint32_t near_sphere(const RTCRay16& rays, const glm::vec3& centre, float r
 }  // namespace
 
 // One scene a mesh and no instancing: a handful of meshes costs a turn of the rays each, which a sphere around the
-// mesh often spares. Shadow rays to a disc scatter along silhouettes, so packets are declared incoherent:
-// twice as fast for wide discs (and coherent packets of Embree 3.13 do not end in instanced scenes).
+// mesh often spares. Shadow rays to a light scatter along silhouettes, so packets are declared incoherent:
+// twice as fast for wide lights (and coherent packets of Embree 3.13 do not end in instanced scenes).
 struct RayWorld::Impl {
   struct Body {
     RTCScene scene;
@@ -114,7 +114,7 @@ void RayWorld::set_pose(int mesh, const Pose& world_from_mesh) {
   body.shift = glm::vec3(mesh_from_world.translation);
 }
 
-void RayWorld::set_form(int mesh, const Mesh& form) {
+void RayWorld::update_vertices(int mesh, const Mesh& form) {
   Impl::Body& body = impl_->bodies[static_cast<std::size_t>(mesh)];
   set_embree_form(body.scene, form);
   body.centre = bounds_of(form).centre();

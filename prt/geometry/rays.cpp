@@ -2,9 +2,9 @@
 
 #include <algorithm>
 
+#include "prt/geometry/internal/embree_mesh.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
-#include "prt/geometry/internal/embree_mesh.h"
 
 namespace penumbra::prt {
 
@@ -84,7 +84,7 @@ constexpr int kPacket = RayScene::kPacket;
 alignas(64) const
     int kAllActive[kPacket] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
 
-void fill(RTCRay16& ray, const glm::vec3& o, float near, const RayScene::Packet& p) {
+void fill(RTCRay16& ray, const glm::vec3& o, float near, const RayScene::RayPacket& p) {
   std::fill_n(ray.org_x, kPacket, o.x);
   std::fill_n(ray.org_y, kPacket, o.y);
   std::fill_n(ray.org_z, kPacket, o.z);
@@ -107,7 +107,7 @@ RTCIntersectContext coherent_context() {
 
 }  // namespace
 
-void RayScene::set_form(const Mesh& form) {
+void RayScene::update_vertices(const Mesh& form) {
   set_embree_form(impl_->scene, form);
 }
 
@@ -132,7 +132,7 @@ bool RayScene::occluded(const glm::vec3& o, const glm::vec3& d, float near, floa
   return ray.tfar < 0;
 }
 
-void RayScene::intersect(const glm::vec3& origin, float near, Packet& p) const {
+void RayScene::intersect(const glm::vec3& origin, float near, RayPacket& p) const {
   RTCIntersectContext context = coherent_context();
   RTCRayHit16 query;
   fill(query.ray, origin, near, p);
@@ -150,7 +150,7 @@ void RayScene::intersect(const glm::vec3& origin, float near, Packet& p) const {
   }
 }
 
-std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const Packet& p) const {
+std::uint32_t RayScene::occluded(const glm::vec3& origin, float near, const RayPacket& p) const {
   RTCIntersectContext context = coherent_context();
   RTCRay16 ray;
   fill(ray, origin, near, p);

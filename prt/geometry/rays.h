@@ -30,7 +30,7 @@ class RayScene {
   RayScene& operator=(RayScene&&) noexcept;
 
   /// Another form of the same mesh: as many vertices, the same triangles. Only while no ray is under way.
-  void set_form(const Mesh& form);
+  void update_vertices(const Mesh& form);
 
   std::optional<Hit> intersect(const glm::vec3& origin, const glm::vec3& direction, float near,
                                float far = 1e30f) const;
@@ -38,7 +38,7 @@ class RayScene {
                 float far = 1e30f) const;
 
   static constexpr int kPacket = 16;
-  struct Packet {
+  struct RayPacket {
     alignas(64) float x[kPacket], y[kPacket], z[kPacket];  // unit directions
     alignas(64) float distance[kPacket], u[kPacket], v[kPacket];
     alignas(64) std::uint32_t triangle[kPacket];  // kMiss or the triangle
@@ -46,9 +46,9 @@ class RayScene {
   };
   static constexpr std::uint32_t kMiss = 0xffffffffu;
   /// Sixteen rays from one origin: nearest hits.
-  void intersect(const glm::vec3& origin, float near, Packet& packet) const;
+  void intersect(const glm::vec3& origin, float near, RayPacket& packet) const;
   /// Sixteen rays from one origin: bit i is set when ray i is blocked.
-  std::uint32_t occluded(const glm::vec3& origin, float near, const Packet& packet) const;
+  std::uint32_t occluded(const glm::vec3& origin, float near, const RayPacket& packet) const;
 
  private:
   struct Impl;
@@ -71,14 +71,14 @@ class RayWorld {
   Result<int> add(const Mesh& mesh);
   void set_pose(int mesh, const Pose& world_from_mesh);
   /// Another form of the same mesh: as many vertices, the same triangles.
-  void set_form(int mesh, const Mesh& form);
+  void update_vertices(int mesh, const Mesh& form);
   bool empty() const;
 
   static constexpr int kPacket = 16;
   struct Rays {
     alignas(64) float ox[kPacket], oy[kPacket], oz[kPacket];  // origins, metres
     alignas(64) float dx[kPacket], dy[kPacket], dz[kPacket];  // unit directions
-    alignas(64) float far[kPacket];  // metres: blockers beyond do not count
+    alignas(64) float far[kPacket];  // metres: occluders beyond do not count
     Rays() { std::fill_n(far, kPacket, 1e30f); }
   };
   /// Bit i is set when one of the first `count` rays, i, is blocked by any mesh but `except`.

@@ -3,15 +3,15 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "core/conventions.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
-#include "core/conventions.h"
 
 namespace penumbra::prt {
 
 namespace {
 
-enum Node {
+enum WalkerNode {
   kHips,
   kSpine,
   kChest,
@@ -51,18 +51,18 @@ constexpr Joint kJoints[kNodes] = {
 };
 
 /// A cross section: an ellipse across the tube's way.
-struct Section {
+struct CrossSection {
   glm::vec3 centre;
   float side, depth;  // half axes, metres
 };
 struct Tube {
-  std::vector<Section> sections;  // the ends close to a point
-  std::vector<int> bones;         // in their order along the tube
-  glm::vec2 corner, size;         // of its field in the texture plane
+  std::vector<CrossSection> sections;  // the ends close to a point
+  std::vector<int> bones;              // in their order along the tube
+  glm::vec2 corner, size;              // of its field in the texture plane
   int rings, around;
 };
 
-Section between(const std::vector<Section>& s, float at) {
+CrossSection between(const std::vector<CrossSection>& s, float at) {
   const float scaled = std::clamp(at, 0.f, 1.f) * static_cast<float>(s.size() - 1);
   const auto i = std::min(static_cast<std::size_t>(scaled), s.size() - 2);
   // Catmull-Rom, so that limbs have no rings.
@@ -73,9 +73,9 @@ Section between(const std::vector<Section>& s, float at) {
     return .5f * (2.f * p1 + (p2 - p0) * t + (2.f * p0 - 5.f * p1 + 4.f * p2 - p3) * t * t +
                   (3.f * p1 - p0 - 3.f * p2 + p3) * t * t * t);
   };
-  return {curve([](const Section& x) { return x.centre; }),
-          curve([](const Section& x) { return x.side; }),
-          curve([](const Section& x) { return x.depth; })};
+  return {curve([](const CrossSection& x) { return x.centre; }),
+          curve([](const CrossSection& x) { return x.side; }),
+          curve([](const CrossSection& x) { return x.depth; })};
 }
 
 /// Smoothly from bone to bone within this distance of the joint between them.
@@ -118,7 +118,7 @@ void add_tube(const Tube& tube, Rgb albedo, Character& out) {
     const float v = static_cast<float>(j) / static_cast<float>(tube.rings);
     // Rings crowd at the ends, where the tube rounds off.
     const float at = .5f - .5f * std::cos(static_cast<float>(kPi) * v);
-    const Section s = between(tube.sections, at);
+    const CrossSection s = between(tube.sections, at);
     const float round = std::sqrt(std::max(0.f, 1 - std::pow(2 * at - 1, 8.f)));
     for (int i = 0; i < columns; ++i) {
       const float u = static_cast<float>(i) / static_cast<float>(tube.around);

@@ -2,10 +2,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/conventions.h"
 #include "lighting/basis.h"
 #include "lighting/irradiance.h"
 #include "prt/reference/environment_light.h"
-#include "core/conventions.h"
 
 namespace penumbra::prt {
 
@@ -52,8 +52,8 @@ EnvironmentLight EnvironmentLight::from_sh(const RadianceSh& sh) {
       magnitude.at(x, y) = {m, m, m};
       mean += double(m) / (kWidth * kHeight);
     }
-  const auto least = static_cast<float>(.05 * mean);
-  for (Rgb& m : magnitude.pixels()) m += Rgb{least, least, least};
+  const auto smallest = static_cast<float>(.05 * mean);
+  for (Rgb& m : magnitude.pixels()) m += Rgb{smallest, smallest, smallest};
   auto sampled = from_map(magnitude);
   EnvironmentLight light =
       sampled ? std::move(*sampled) : EnvironmentLight();  // no light at all: no sampler
@@ -72,20 +72,20 @@ Rgb EnvironmentLight::map_value(const glm::vec3& direction) const {
                  std::clamp(static_cast<int>(p.y), 0, map_.height() - 1));
 }
 
-EnvironmentLight::Sample EnvironmentLight::sample(float u1, float u2) const {
+EnvironmentLight::LightSample EnvironmentLight::sample(float u1, float u2) const {
   const int w = map_.width(), h = map_.height();
   const auto row = std::ranges::upper_bound(cumulative_rows_, u1);
   const int y = std::min(static_cast<int>(row - cumulative_rows_.begin()), h - 1);
   const float below = y > 0 ? cumulative_rows_[static_cast<std::size_t>(y - 1)] : 0;
-  const float row_share = cumulative_rows_[static_cast<std::size_t>(y)] - below;
-  const float v = row_share > 0 ? (u1 - below) / row_share : .5f;
+  const float row_fraction = cumulative_rows_[static_cast<std::size_t>(y)] - below;
+  const float v = row_fraction > 0 ? (u1 - below) / row_fraction : .5f;
 
   const auto first = cumulative_columns_.begin() + static_cast<std::ptrdiff_t>(y) * w;
   const auto column = std::upper_bound(first, first + w, u2);
   const int x = std::min(static_cast<int>(column - first), w - 1);
   const float left = x > 0 ? first[x - 1] : 0;
-  const float share = first[x] - left;
-  const float u = share > 0 ? (u2 - left) / share : .5f;
+  const float fraction = first[x] - left;
+  const float u = fraction > 0 ? (u2 - left) / fraction : .5f;
 
   // Uniform in solid angle inside the pixel: cos th is linear in v.
   const double c0 = std::cos(kPi * y / h), c1 = std::cos(kPi * (y + 1) / h);

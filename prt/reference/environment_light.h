@@ -24,12 +24,12 @@ class EnvironmentLight {
 
   Rgb radiance(const glm::vec3& direction) const;
   bool has_sampler() const { return !cumulative_rows_.empty(); }
-  struct Sample {
+  struct LightSample {
     glm::vec3 direction;
     Rgb radiance;
     float density;  // per steradian
   };
-  Sample sample(float u1, float u2) const;
+  LightSample sample(float u1, float u2) const;
   float density(const glm::vec3& direction) const;
 
  private:

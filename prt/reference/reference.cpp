@@ -3,16 +3,16 @@
 #include <glm/geometric.hpp>
 #include <mutex>
 
+#include "core/conventions.h"
+#include "core/parallel.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
+#include "prt/geometry/ray_pattern.h"
 #include "prt/geometry/rays.h"
 #include "prt/reference/environment_light.h"
 #include "prt/reference/reference.h"
-#include "core/conventions.h"
-#include "core/parallel.h"
-#include "prt/geometry/ray_pattern.h"
 
 namespace penumbra::prt {
 
@@ -61,7 +61,7 @@ enum class Meeting { kNothing, kSurface, kBack };
 
 class Tracer {
  public:
-  static Result<Tracer> make(const World& world, int longest_path) {
+  static Result<Tracer> make(const ReferenceWorld& world, int longest_path) {
     Tracer tracer(world, longest_path);
     if (!world.mesh.triangles.empty()) {
       auto scene = RayScene::build(world.mesh);
@@ -79,13 +79,14 @@ class Tracer {
   Rgb seen_from_camera(const glm::vec3& o, const glm::vec3& d, PathNumbers& numbers) const;
 
  private:
-  Tracer(const World& world, int longest_path) : world_(world), longest_path_(longest_path) {}
+  Tracer(const ReferenceWorld& world, int longest_path)
+      : world_(world), longest_path_(longest_path) {}
   const Plane* nearest_plane(const glm::vec3& o, const glm::vec3& d, float near,
                              float& distance) const;
   Rgb direct(const SurfacePoint& at, PathNumbers& numbers) const;
   Rgb from_lamp(const SphereLight& lamp, const SurfacePoint& at, PathNumbers& numbers) const;
 
-  const World& world_;
+  const ReferenceWorld& world_;
   int longest_path_;
   std::shared_ptr<const RayScene> scene_;
   float near_ = 1e-4f;
@@ -150,7 +151,7 @@ Rgb Tracer::from_lamp(const SphereLight& lamp, const SurfacePoint& at, PathNumbe
 // Power of two strategies is balanced by density: w = p_light/(p_light + p_cosine).
 Rgb Tracer::direct(const SurfacePoint& at, PathNumbers& numbers) const {
   const float u1 = numbers.next(), u2 = numbers.next();
-  const EnvironmentLight::Sample s = world_.light->sample(u1, u2);
+  const EnvironmentLight::LightSample s = world_.light->sample(u1, u2);
   const float cosine = glm::dot(at.normal, s.direction);
   if (cosine <= 0 || s.density <= 0) return {};
   if (occluded(at.position + near_ * at.normal, s.direction)) return {};
@@ -236,12 +237,12 @@ double half_difference(const Image<Rgb>& a, const Image<Rgb>& b, int samples) {
 
 }  // namespace
 
-Result<Reference> render_reference(const World& world, const PinholeView& view,
+Result<Reference> render_reference(const ReferenceWorld& world, const PinholeView& view,
                                    const ReferenceOptions& options) {
   if (view.width < 1 || view.height < 1 || !(view.focal_px.x > 0) || !(view.focal_px.y > 0) ||
       !std::isfinite(view.focal_px.x + view.focal_px.y + view.principal_px.x + view.principal_px.y))
     return fail(ErrorCode::kInvalid, "camera", "size and focal length must be positive and finite");
-  if (options.most_samples < 2)
+  if (options.max_samples < 2)
     return fail(ErrorCode::kInvalid, "samples", "two at least, one for each half");
   if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
   auto tracer = Tracer::make(world, options.longest_path);
@@ -250,14 +251,14 @@ Result<Reference> render_reference(const World& world, const PinholeView& view,
   out.half_a = out.half_b = Image<Rgb>(view.width, view.height);
   int done = 0;
   double error = 1;
-  for (int pass = 4; done < options.most_samples / 2; pass = std::min(pass * 2, 64)) {
-    const int count = std::min(pass, options.most_samples / 2 - done);
+  for (int pass = 4; done < options.max_samples / 2; pass = std::min(pass * 2, 64)) {
+    const int count = std::min(pass, options.max_samples / 2 - done);
     render_half(*tracer, view, 2 * options.seed, done, count, out.half_a);
     render_half(*tracer, view, 2 * options.seed + 1, done, count, out.half_b);
     done += count;
     error = half_difference(out.half_a, out.half_b, done);
     if (options.progress)
-      options.progress(std::min(1., std::max(double(done) / (options.most_samples / 2),
+      options.progress(std::min(1., std::max(double(done) / (options.max_samples / 2),
                                              std::pow(options.error / std::max(error, 1e-12), 2))));
     if (error < options.error) break;
   }
@@ -274,7 +275,7 @@ Result<Reference> render_reference(const World& world, const PinholeView& view,
   return out;
 }
 
-Result<std::vector<Rgb>> reference_irradiance(const World& world,
+Result<std::vector<Rgb>> reference_irradiance(const ReferenceWorld& world,
                                               std::span<const IrradiancePoint> points, int samples,
                                               std::uint64_t seed) {
   if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");

@@ -24,7 +24,7 @@ struct SphereLight {
   Rgb irradiance_at_1m;  // of a surface that faces it: pi r^2 times its radiance
 };
 
-struct World {
+struct ReferenceWorld {
   Mesh mesh;  // world frame, virtual and real together
   std::vector<Plane> planes;
   const EnvironmentLight* light = nullptr;
@@ -34,9 +34,9 @@ struct World {
 };
 
 struct ReferenceOptions {
-  double error = .01;       // stop when the estimated relative RMS error is below
-  int longest_path = 12;    // diffuse bounces; Russian roulette from the fourth on
-  int most_samples = 4096;  // per pixel
+  double error = .01;      // stop when the estimated relative RMS error is below
+  int longest_path = 12;   // diffuse bounces; Russian roulette from the fourth on
+  int max_samples = 4096;  // per pixel
   std::uint64_t seed = 1;
   std::function<void(double done)> progress;
 };
@@ -50,14 +50,14 @@ struct Reference {
 
 /// Path tracer with next-event estimation and balance-heuristic weights (Veach & Guibas 1995).
 /// errors: kInvalid (size), kUnavailable
-Result<Reference> render_reference(const World& world, const PinholeView& view,
+Result<Reference> render_reference(const ReferenceWorld& world, const PinholeView& view,
                                    const ReferenceOptions& options);
 
 /// Irradiance at surface points by the same estimator: for shadow errors in s and for closed forms.
 struct IrradiancePoint {
   glm::dvec3 position, normal;
 };
-Result<std::vector<Rgb>> reference_irradiance(const World& world,
+Result<std::vector<Rgb>> reference_irradiance(const ReferenceWorld& world,
                                               std::span<const IrradiancePoint> points, int samples,
                                               std::uint64_t seed);
 

@@ -102,9 +102,9 @@ HWY_ATTR void RelightChannel(const std::uint16_t* values, std::size_t stride, st
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
+#include "core/parallel.h"
 #include "prt/transfer/relight.h"
 #include "prt/transfer/transfer.h"
-#include "core/parallel.h"
 
 namespace penumbra::prt {
 HWY_EXPORT(RelightGrey);

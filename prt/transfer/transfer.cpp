@@ -1,7 +1,7 @@
 #include <algorithm>
 
-#include "prt/transfer/transfer.h"
 #include "core/half.h"
+#include "prt/transfer/transfer.h"
 
 namespace penumbra::prt {
 

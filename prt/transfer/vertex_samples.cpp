@@ -5,7 +5,6 @@
 
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::prt {
 
 namespace {
@@ -59,7 +58,7 @@ bool is_like_its_neighbours(const Mesh& mesh, const Neighbours& near, std::uint3
 
 // Whom all around it can spare is left out, one after the other.
 VertexSamples::VertexSamples(const Mesh& mesh) {
-  constexpr std::size_t kLeast = 3;
+  constexpr std::size_t kMin = 3;
   const Neighbours near = neighbours_of(mesh);
   const std::size_t count = mesh.positions.size();
   std::vector<std::size_t> left(count);  // samples, of a vertex and those beside it
@@ -69,7 +68,7 @@ VertexSamples::VertexSamples(const Mesh& mesh) {
   const double longest = 2 * mean_edge(mesh);
   for (std::uint32_t i = 0; i < count; ++i) {
     if (is_like_its_neighbours(mesh, near, i, longest) &&
-        std::ranges::all_of(near.of(i), [&](std::uint32_t k) { return left[k] > kLeast; })) {
+        std::ranges::all_of(near.of(i), [&](std::uint32_t k) { return left[k] > kMin; })) {
       for (const std::uint32_t k : near.of(i)) --left[k];
       continue;
     }
@@ -86,7 +85,7 @@ VertexSamples::VertexSamples(const Mesh& mesh) {
     for (const std::uint32_t k : near.of(i))
       if (k != i && place[k] != kNone) beside.push_back(place[k]);
     // Of many, some from all over their list: numbers go around a mesh in rows.
-    const std::size_t taken = std::min(beside.size(), kMost - used);
+    const std::size_t taken = std::min(beside.size(), kMax - used);
     for (std::size_t k = 0; k < taken; ++k)
       around_[i][used++] = beside[(2 * k + 1) * beside.size() / (2 * taken)];
   }

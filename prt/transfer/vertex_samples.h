@@ -17,7 +17,7 @@ struct Mesh;
 /// threads: const members reentrant
 class VertexSamples {
  public:
-  static constexpr std::size_t kMost = 4;
+  static constexpr std::size_t kMax = 4;
 
   explicit VertexSamples(const Mesh& mesh);
 
@@ -27,14 +27,14 @@ class VertexSamples {
     const std::uint32_t first = around_[vertex][0];
     return first < vertices_.size() && vertices_[first] == vertex;
   }
-  /// Places in vertices() of samples at and beside the vertex, its own first, kMost of many; of none: vertices().size().
-  const std::array<std::uint32_t, kMost>& around(std::size_t vertex) const {
+  /// Places in vertices() of samples at and beside the vertex, its own first, kMax of many; of none: vertices().size().
+  const std::array<std::uint32_t, kMax>& around(std::size_t vertex) const {
     return around_[vertex];
   }
 
  private:
   std::vector<std::uint32_t> vertices_;
-  std::vector<std::array<std::uint32_t, kMost>> around_;  // by vertex
+  std::vector<std::array<std::uint32_t, kMax>> around_;  // by vertex
 };
 
 }  // namespace penumbra::prt

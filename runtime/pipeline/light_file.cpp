@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <charconv>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/projection_table.h"
 
 namespace penumbra::runtime {

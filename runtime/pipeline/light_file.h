@@ -5,8 +5,8 @@
 #include <string>
 
 #include "capture/environment/environment_file.h"
-#include "lighting/discs.h"
 #include "lighting/governor.h"
+#include "lighting/light_extraction.h"
 #include "lighting/projection.h"
 #include "runtime/scene/scene.h"
 
@@ -14,7 +14,7 @@ namespace penumbra::runtime {
 
 struct FileLight {
   capture::EnvironmentFile file;
-  lighting::Projection light{RadianceSh(kMaxBands), RadianceSh(kMaxBands), 1};
+  lighting::ShProjection light{RadianceSh(kMaxBands), RadianceSh(kMaxBands), 1};
 };
 
 /// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are

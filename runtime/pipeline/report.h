@@ -5,12 +5,12 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-#include "lighting/disc.h"
+#include "core/image.h"
+#include "core/stage_times.h"
+#include "lighting/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "core/image.h"
-#include "core/stage_times.h"
 
 namespace penumbra::runtime {
 
@@ -24,7 +24,7 @@ inline nlohmann::json to_json(const RadianceSh& light) {
   return out;
 }
 
-inline nlohmann::json to_json(const lighting::Disc& d) {
+inline nlohmann::json to_json(const lighting::DistantLight& d) {
   return {{"id", d.id},
           {"direction", {d.direction.x, d.direction.y, d.direction.z}},
           {"radius_rad", d.radius.value()},
@@ -34,32 +34,33 @@ inline nlohmann::json to_json(const lighting::Disc& d) {
 }
 
 inline const char* reason_of(const lighting::Plan& p) {
-  if (p.within_budget) return "the cheapest whose predicted shadow error keeps to the budget";
-  if (p.short_of_time) return "the most accurate that a frame's time allows";
-  return "the most accurate there is; none keeps to the budget";
+  if (p.within_budget) return "the cheapest whose predicted shadow error is within the limit";
+  if (p.time_limited) return "the most accurate that a frame's time allows";
+  return "the most accurate there is; none is within the limit";
 }
 
 /// What the governor picked and why.
 inline nlohmann::json to_json(const lighting::Plan& p) {
   return {{"bands", p.bands},
-          {"discs", p.discs},
+          {"lights", p.lights},
           {"predicted_error", p.error},
           {"predicted_ms", p.ms},
           {"within_budget", p.within_budget},
-          {"short_of_time", p.short_of_time},
+          {"time_limited", p.time_limited},
           {"why", reason_of(p)}};
 }
 
-/// The whole light in harmonics, and beside it the split for who lights by discs: `rest` plus `discs` is all.
+/// The whole light in harmonics, and beside it the split for who lights by lights: `rest` plus `lights` is all.
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
-  nlohmann::json discs = nlohmann::json::array();
-  for (const lighting::Disc& d : e.discs) discs.push_back(to_json(d));
+  nlohmann::json lights = nlohmann::json::array();
+  for (const lighting::DistantLight& d : e.lights) lights.push_back(to_json(d));
   return {{"bands", e.light.bands()},
           {"coefficients", to_json(lighting::whole_light(e))},
-          {"floor_coefficients", to_json(lighting::whole_floor_light(e))},
-          {"discs", discs},
-          {"rest",
-           {{"coefficients", to_json(e.light)}, {"floor_coefficients", to_json(e.floor_light)}}},
+          {"upper_hemisphere_coefficients", to_json(lighting::whole_upper_hemisphere_light(e))},
+          {"lights", lights},
+          {"residual",
+           {{"coefficients", to_json(e.light)},
+            {"upper_hemisphere_coefficients", to_json(e.upper_hemisphere_light)}}},
           {"mean_radiance", to_json(e.mean_radiance)},
           {"coverage", e.coverage},
           {"clipped_fraction", e.clipped_fraction},

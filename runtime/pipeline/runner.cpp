@@ -13,13 +13,13 @@
 #include <vector>
 
 #include "capture/frames.h"
-#include "lighting/completion.h"
-#include "lighting/disc.h"
+#include "core/background_task.h"
+#include "lighting/distant_light.h"
 #include "lighting/light_estimate.h"
-#include "runtime/pipeline/light_stage.h"
-#include "core/aside.h"
+#include "lighting/saturation_recovery.h"
+#include "runtime/pipeline/internal/frame_budget.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"
-#include "runtime/pipeline/internal/pace.h"
+#include "runtime/pipeline/light_estimation_stage.h"
 
 namespace penumbra::runtime {
 
@@ -41,12 +41,13 @@ bool deliver(const capture::Frame& frame, const lighting::LightEstimate& light,
              Composited composited, const Sink& sink, RunCounts& counts) {
   counts.touched += composited.touched.fraction;
   counts.plan = light.plan;
-  counts.discs = std::max(counts.discs, static_cast<int>(light.discs.size()));
+  counts.lights = std::max(counts.lights, static_cast<int>(light.lights.size()));
   return sink({frame, std::make_shared<const FramePixels>(std::move(composited.pixels)), light});
 }
 
 Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light,
-                         ComposeStage& compose, const Sink& sink, RunCounts& counts, bool& go_on) {
+                         CompositeStage& compose, const Sink& sink, RunCounts& counts,
+                         bool& go_on) {
   ++counts.frames;
   if (!light.valid) {
     ++counts.without_light;
@@ -86,7 +87,7 @@ namespace {
 // A replay in the order of its frames. View frames wait for the first whole light.
 class Replay {
  public:
-  Replay(LightStage& light, ComposeStage& compose, const Sink& sink, RunCounts& counts)
+  Replay(LightEstimationStage& light, CompositeStage& compose, const Sink& sink, RunCounts& counts)
       : light_(light), compose_(compose), sink_(sink), counts_(counts) {}
 
   bool go_on() const { return go_on_; }
@@ -99,15 +100,15 @@ class Replay {
       ++counts_.unusable;
       last_unusable_ = measured.error();
     }
-    return light_.settled() ? compose_waiting() : Result<void>{};
+    return light_.ready() ? compose_waiting() : Result<void>{};
   }
 
   Result<void> add_view(const capture::Frame& frame) {
-    constexpr std::size_t kMostWaiting = 16, kMostPixels = 64'000'000;
+    constexpr std::size_t kMaxWaiting = 16, kMaxPixels = 64'000'000;
     waiting_.push_back(frame);
     const std::size_t pixels =
         std::visit([](const auto& p) { return p.area(); }, *frame.pixels) * waiting_.size();
-    const bool wait = !light_.settled() && waiting_.size() < kMostWaiting && pixels < kMostPixels;
+    const bool wait = !light_.ready() && waiting_.size() < kMaxWaiting && pixels < kMaxPixels;
     return wait ? Result<void>{} : compose_waiting();
   }
 
@@ -122,8 +123,8 @@ class Replay {
   }
 
  private:
-  LightStage& light_;
-  ComposeStage& compose_;
+  LightEstimationStage& light_;
+  CompositeStage& compose_;
   const Sink& sink_;
   RunCounts& counts_;
   lighting::LightEstimate estimate_;
@@ -134,8 +135,8 @@ class Replay {
 
 }  // namespace
 
-Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
-                             const Sink& sink, StageTimes& times) {
+Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage& light,
+                             CompositeStage& compose, const Sink& sink, StageTimes& times) {
   RunCounts counts;
   Replay replay(light, compose, sink, counts);
   const auto start = Clock::now();
@@ -163,8 +164,8 @@ struct Live {
   FrameMailbox environment;
   Latest<capture::Frame> view;
   Latest<lighting::LightEstimate> light;
-  Latest<std::vector<lighting::Completion>> completions;
-  std::atomic<int> affordable_discs = std::numeric_limits<int>::max();
+  Latest<std::vector<lighting::SaturationRecovery>> completions;
+  std::atomic<int> affordable_lights = std::numeric_limits<int>::max();
   std::mutex mutex;
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
@@ -194,10 +195,10 @@ bool wait_until(Clock::time_point due, const Live& live, const std::atomic<bool>
   return true;
 }
 
-void produce(Live& live, capture::FrameSource& source, const LightStage& light, StageTimes& times,
-             const std::atomic<bool>& stop) noexcept {
+void produce(Live& live, capture::FrameSource& source, const LightEstimationStage& light,
+             StageTimes& times, const std::atomic<bool>& stop) noexcept {
   try {
-    constexpr int kMostFailures = 8;
+    constexpr int kMaxFailures = 8;
     int failures_in_a_row = 0;
     std::optional<Clock::time_point> origin;
     TimestampNs first{};
@@ -208,7 +209,7 @@ void produce(Live& live, capture::FrameSource& source, const LightStage& light, 
       }();
       if (!frame) {
         // One damaged frame is not the end of a live run; a source that gives nothing else is.
-        if (++failures_in_a_row > kMostFailures) return live.stop_with(frame.error());
+        if (++failures_in_a_row > kMaxFailures) return live.stop_with(frame.error());
         const std::scoped_lock lock(live.mutex);
         ++live.unusable;
         live.last_unusable = frame.error();
@@ -233,7 +234,7 @@ void produce(Live& live, capture::FrameSource& source, const LightStage& light, 
   }
 }
 
-void measure(Live& live, LightStage& light) noexcept {
+void measure(Live& live, LightEstimationStage& light) noexcept {
   try {
     std::optional<lighting::LightEstimate>
         held;  // until the bracket is whole, or nothing more comes
@@ -245,11 +246,11 @@ void measure(Live& live, LightStage& light) noexcept {
         continue;
       }
       if (const auto completions = live.completions.take()) light.complete(*completions);
-      light.allow_discs(live.affordable_discs);
+      light.allow_lights(live.affordable_lights);
       auto estimate = light.process(*frame);
       if (estimate) {
         held.reset();
-        light.settled() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
+        light.ready() ? live.light.put(std::move(*estimate)) : void(held = std::move(*estimate));
       } else if (is_ordinary(estimate.error())) {
         const std::scoped_lock lock(live.mutex);
         ++live.unusable;
@@ -267,7 +268,7 @@ void measure(Live& live, LightStage& light) noexcept {
 // one; otherwise at once, so that nothing comes later than it has to.
 class LiveFrames {
  public:
-  LiveFrames(ComposeStage& compose, const Sink& sink, RunCounts& counts)
+  LiveFrames(CompositeStage& compose, const Sink& sink, RunCounts& counts)
       : compose_(compose), sink_(sink), counts_(counts) {}
 
   bool go_on() const { return go_on_; }
@@ -316,7 +317,7 @@ class LiveFrames {
   struct UnderWay {
     capture::Frame frame;
     lighting::LightEstimate light;
-    BegunFrame begun;
+    PendingFrame begun;
     Composited done;
   };
 
@@ -327,30 +328,32 @@ class LiveFrames {
     in_sink_ms_ += watch.ms();
   }
 
-  ComposeStage& compose_;
+  CompositeStage& compose_;
   const Sink& sink_;
   RunCounts& counts_;
   bool go_on_ = true;
   double busy_ms_ = 0, in_sink_ms_ = 0;
   std::array<UnderWay, 2> slots_;
   UnderWay* last_ = nullptr;  // whose end is done aside
-  Aside aside_;               // ends before what it works on
+  BackgroundTask aside_;      // ends before what it works on
 };
 
-// Clipped sources stay discs whatever they cost.
-void keep_pace(Pace& pace, double busy_ms, const lighting::LightEstimate& light, Live& live) {
-  const int before = pace.most_discs();
-  pace.add(busy_ms,
-           static_cast<int>(std::ranges::count(light.discs, false, &lighting::Disc::clipped)));
-  if (pace.most_discs() == before) return;
-  spdlog::info("light: a frame's time allows {} discs", pace.most_discs());
-  live.affordable_discs = pace.most_discs();
+// Clipped sources stay lights whatever they cost.
+void keep_pace(FrameBudget& pace, double busy_ms, const lighting::LightEstimate& light,
+               Live& live) {
+  const int before = pace.max_lights();
+  pace.add(busy_ms, static_cast<int>(
+                        std::ranges::count(light.lights, false, &lighting::DistantLight::clipped)));
+  if (pace.max_lights() == before) return;
+  spdlog::info("light: a frame's time allows {} distant lights", pace.max_lights());
+  live.affordable_lights = pace.max_lights();
 }
 
 }  // namespace
 
-Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
-                           const Sink& sink, StageTimes& times, const std::atomic<bool>& stop) {
+Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,
+                           CompositeStage& compose, const Sink& sink, StageTimes& times,
+                           const std::atomic<bool>& stop) {
   Live live;
   RunCounts counts;
   Result<void> composed;
@@ -367,7 +370,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, Comp
     };
     const std::unique_ptr<Live, decltype(let_go)> release(&live, let_go);
     lighting::LightEstimate estimate;
-    Pace pace(period_ms(source));
+    FrameBudget pace(period_ms(source));
     LiveFrames frames(compose, sink, counts);
     while (frames.go_on() && !stop) {
       auto frame = live.view.wait(Seconds(.5));

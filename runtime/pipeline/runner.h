@@ -7,11 +7,11 @@
 #include <optional>
 
 #include "capture/frames.h"
+#include "core/queues.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "runtime/pipeline/light_stage.h"
-#include "core/queues.h"
-#include "runtime/shading/compose_stage.h"
+#include "runtime/pipeline/light_estimation_stage.h"
+#include "runtime/shading/composite_stage.h"
 
 namespace penumbra::runtime {
 
@@ -23,7 +23,7 @@ struct RunCounts {
       0;               // environment frames all black or all clipped; live also damaged frames
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
-  int discs = 0;                       // most that lit a frame
+  int lights = 0;                      // most that lit a frame
   std::optional<lighting::Plan> plan;  // the governor's last
   int exposures = 0;                   // distinct exposures of the environment camera
 };
@@ -40,14 +40,15 @@ using Sink = std::function<bool(const Output&)>;
 /// Every frame in order of time on this thread: the same input gives the same bytes.
 /// errors: what the source and the stages say; kUndetermined when no environment frame ever gave
 /// light
-Result<RunCounts> run_replay(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
-                             const Sink& sink, StageTimes& times);
+Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage& light,
+                             CompositeStage& compose, const Sink& sink, StageTimes& times);
 
 /// The source on one thread (paced to its timestamps), the light on another, compositing on this
-/// one; they meet in one-slot mailboxes. Where frames take longer than the source's view_rate allows, the governor's discs are given
-/// up one by one, and taken back when there is time (Pace). Stops when the source ends, the sink says so, or `stop` is
+/// one; they meet in one-slot mailboxes. Where frames take longer than the source's view_rate allows, the governor's lights are given
+/// up one by one, and taken back when there is time (FrameBudget). Stops when the source ends, the sink says so, or `stop` is
 /// set.
-Result<RunCounts> run_live(capture::FrameSource& source, LightStage& light, ComposeStage& compose,
-                           const Sink& sink, StageTimes& times, const std::atomic<bool>& stop);
+Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,
+                           CompositeStage& compose, const Sink& sink, StageTimes& times,
+                           const std::atomic<bool>& stop);
 
 }  // namespace penumbra::runtime

@@ -23,14 +23,14 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr float kEdgeShare =
+constexpr float kEdgeFraction =
     .03f;                        // of the radius: longest edge where transfer is kept at vertices
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
-constexpr int kMostRays = 512;
+constexpr int kMaxRays = 512;
 constexpr double kNone =
     std::numeric_limits<double>::quiet_NaN();  // no frame yet: every time is another
 // Of live transfer: every point costs time in every frame.
-constexpr float kLiveEdgeShare = .06f;
+constexpr float kLiveEdgeFraction = .06f;
 constexpr int kLiveGroundSize = 32;
 constexpr std::size_t kFirstVisits = 16,
                       kVisits = 2;  // a point: before the first frame, and a frame
@@ -62,7 +62,7 @@ prt::CharacterPose Animation::pose_at(double seconds) const {
   const auto sampled = [&](int number) {
     return prt::sample(character, character.clips[static_cast<std::size_t>(number)], seconds);
   };
-  return blend ? prt::blend(sampled(clip), sampled(*blend), blend_share) : sampled(clip);
+  return blend ? prt::blend(sampled(clip), sampled(*blend), blend_weight) : sampled(clip);
 }
 
 double Animation::longest_clip_s() const {
@@ -89,10 +89,11 @@ Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
 namespace {
 
 // Edges are measured where the vertices are kept, in units of the asset.
-void refine(prt::Character& character, float edge_share) {
+void refine(prt::Character& character, float edge_fraction) {
   prt::Mesh rest;
   rest.positions = character.positions;
-  prt::subdivide(character, edge_share * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+  prt::subdivide(character,
+                 edge_fraction * prt::radius_around(rest, prt::bounds_of(rest).centre()));
 }
 
 }  // namespace
@@ -110,7 +111,7 @@ Result<StandingCharacter> standing_character(const std::string& asset, Rgb albed
   if (map_width > 0) {
     character = prt::for_light_map(std::move(character), map_width, map_height);
   } else {
-    refine(character, kEdgeShare);
+    refine(character, kEdgeFraction);
   }
   return StandingCharacter{std::move(character), *clip};
 }
@@ -119,8 +120,8 @@ prt::SequenceOptions sequence_options(const BakeSettings& settings) {
   prt::SequenceOptions o;
   o.bands = settings.bands;
   o.bounces = settings.bounces;
-  o.rays = std::min(settings.rays, kMostRays);
-  o.ground_rays = std::min(settings.ground_rays, kMostRays);
+  o.rays = std::min(settings.rays, kMaxRays);
+  o.ground_rays = std::min(settings.ground_rays, kMaxRays);
   return o;
 }
 
@@ -167,7 +168,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   const prt::Bounds room = prt::bounds_of(room_of(*animation));
   const glm::vec3 extent = room.high - room.low;
   const double scale =
-      o.stand ? o.stand_size_m / std::max({extent.x, extent.y, extent.z, 1e-9f}) : o.scale;
+      o.place_on_floor ? o.fit_size_m / std::max({extent.x, extent.y, extent.z, 1e-9f}) : o.scale;
   animation->character.frame =
       glm::mat4(glm::mat3(static_cast<float>(scale))) * animation->character.frame;
   const prt::Plane* const plane =
@@ -184,7 +185,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the middle.
   const glm::vec4 middle = -standing_frame[3];
   const glm::dvec3 aside =
-      o.stand ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
+      o.place_on_floor ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
   out.world_from_bake = {o.rotation, frame.translation + aside};
   if (plane && std::abs(glm::dot(o.position - plane->point, plane->normal)) > 1e-3)
     spdlog::warn("{}: its clip is baked for standing on the floor, and there it stands", o.name);
@@ -233,12 +234,12 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   if (!o.blend.empty()) {
     PENUMBRA_ASSIGN(blend, clip_named("blend", o.blend));
     animation->blend = blend;
-    animation->blend_share = static_cast<float>(o.blend_share);
+    animation->blend_weight = static_cast<float>(o.blend_weight);
   }
-  refine(character, kLiveEdgeShare);
+  refine(character, kLiveEdgeFraction);
   animation->character = std::move(character);
   animation->live = true;
-  animation->live_seconds = o.live_ms / 1e3;
+  animation->live_seconds = o.transfer_ms / 1e3;
   animation->bands = settings.bands;
   PreparedObject out;
   const prt::Plane* const plane = place(o, planes, *animation, out);
@@ -247,7 +248,7 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
     out.baked.receiver =
         prt::Receiver{prt::fit_ground_grid(room_of(*animation), 0, kLiveGroundSize), plane->albedo};
   spdlog::info("{}: transfer of {} vertices is traced while it plays, {:g} ms a frame", o.name,
-               animation->layout.points(), o.live_ms);
+               animation->layout.points(), o.transfer_ms);
   out.animation = std::move(animation);
   out.frame = kNone;
   PENUMBRA_TRY(out.begin_live());
@@ -354,37 +355,38 @@ bool PreparedObject::move_to(double seconds, bool transfer, bool keep_time) {
   return true;
 }
 
-const prt::TransferSequence& PreparedObject::clip_of(Part part) const {
+const prt::TransferSequence& PreparedObject::clip_of(TransferPart part) const {
   const prt::BakedSequence& s = animation->sequence;
   switch (part) {
-    case Part::kSurface:
+    case TransferPart::kSurface:
       return s.surface;
-    case Part::kReflected:
+    case TransferPart::kReflected:
       return s.surface_indirect;
-    case Part::kGround:
+    case TransferPart::kGround:
       return s.ground_deficit;
-    case Part::kGroundReflected:
+    case TransferPart::kGroundReflected:
       break;
   }
   return s.ground_indirect;
 }
 
-std::span<const glm::mat3> PreparedObject::turns_of(Part part) const {
-  const bool on_bones = part == Part::kSurface || part == Part::kReflected;
+std::span<const glm::mat3> PreparedObject::turns_of(TransferPart part) const {
+  const bool on_bones = part == TransferPart::kSurface || part == TransferPart::kReflected;
   return on_bones ? std::span<const glm::mat3>(turns) : std::span<const glm::mat3>();
 }
 
-void PreparedObject::relight(Part part, const RadianceSh& light, std::span<float> out) const {
+void PreparedObject::relight(TransferPart part, const RadianceSh& light,
+                             std::span<float> out) const {
   if (animation && !animation->live)
     return clip_of(part).relight(frame, light, turns_of(part), out);
   switch (part) {
-    case Part::kSurface:
+    case TransferPart::kSurface:
       return prt::relight(baked.transfer, light, out);
-    case Part::kReflected:
+    case TransferPart::kReflected:
       return prt::relight(baked.indirect, light, out);
-    case Part::kGround:
+    case TransferPart::kGround:
       return prt::relight(baked.ground_deficit, light, out);
-    case Part::kGroundReflected:
+    case TransferPart::kGroundReflected:
       return prt::relight(baked.ground_indirect, light, out);
   }
 }

@@ -5,11 +5,11 @@
 #include <functional>
 #include <vector>
 
+#include "core/result.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
-#include "core/result.h"
 #include "runtime/scene/scene.h"
 
 namespace penumbra::runtime {

@@ -12,10 +12,10 @@
 #include <optional>
 #include <vector>
 
-#include "prt/bake/baked_file.h"
-#include "prt/geometry/receiver.h"
 #include "core/files.h"
 #include "core/hash.h"
+#include "prt/bake/baked_file.h"
+#include "prt/geometry/receiver.h"
 
 namespace penumbra::runtime {
 
@@ -30,7 +30,7 @@ std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
   constexpr std::uint64_t kBakeVersion = 11;
   Fnv1a h;
   h.add(kBakeVersion).add(mesh.positions).add(mesh.normals).add(mesh.albedo).add(mesh.triangles);
-  for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, static_cast<int>(o.sight),
+  for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, static_cast<int>(o.visibility),
                       o.receiver ? o.receiver->grid.size : 0})
     h.add(n);
   if (o.receiver) {
@@ -50,26 +50,26 @@ std::optional<fs::path> cache_folder() {
 
 }  // namespace
 
-void prune_cache(const fs::path& folder, std::uintmax_t most_bytes) {
-  struct Entry {
+void prune_cache(const fs::path& folder, std::uintmax_t max_bytes) {
+  struct CacheEntry {
     fs::file_time_type used;
     std::uintmax_t bytes;
     fs::path path;
   };
-  std::vector<Entry> entries;
+  std::vector<CacheEntry> entries;
   std::error_code error;
   for (fs::directory_iterator file(folder, error), end; !error && file != end;
        file.increment(error)) {
     const fs::path kind = file->path().extension();
     if (kind != ".glb" && kind != kClipKind && kind != kJournalKind) continue;
     std::error_code gone;
-    const Entry e{file->last_write_time(gone), file->file_size(gone), file->path()};
+    const CacheEntry e{file->last_write_time(gone), file->file_size(gone), file->path()};
     if (!gone) entries.push_back(e);
   }
-  std::ranges::sort(entries, std::ranges::greater(), &Entry::used);
+  std::ranges::sort(entries, std::ranges::greater(), &CacheEntry::used);
   std::uintmax_t kept = 0;
-  for (const Entry& e : entries)
-    if ((kept += e.bytes) > most_bytes) fs::remove(e.path, error);
+  for (const CacheEntry& e : entries)
+    if ((kept += e.bytes) > max_bytes) fs::remove(e.path, error);
 }
 
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,

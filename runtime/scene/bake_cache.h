@@ -9,7 +9,6 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::runtime {
 
 /// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and put there. The folder
@@ -26,7 +25,7 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
 
 inline constexpr std::uintmax_t kCacheBytes = std::uintmax_t{1} << 30;
 
-/// Removes the baked files that were used longest ago until the rest is within `most_bytes`.
-void prune_cache(const std::filesystem::path& folder, std::uintmax_t most_bytes);
+/// Removes the baked files that were used longest ago until the rest is within `max_bytes`.
+void prune_cache(const std::filesystem::path& folder, std::uintmax_t max_bytes);
 
 }  // namespace penumbra::runtime

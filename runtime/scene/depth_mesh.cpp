@@ -6,8 +6,8 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 
+#include "calib/camera/camera_model.h"
 #include "calib/camera/drawable.h"
-#include "calib/camera/projection.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
 
@@ -103,7 +103,7 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo) {
   auto camera = capture::read_camera_file(camera_file);
   if (!camera) return std::unexpected(camera.error());
-  const calib::Projection& p = camera->projection;
+  const calib::CameraModel& p = camera->projection;
   PENUMBRA_TRY(calib::check_drawable(p, camera_file.string()));
   auto frame = codec::read_frame(depth_file);
   if (!frame) return std::unexpected(frame.error());

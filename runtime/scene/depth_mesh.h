@@ -3,10 +3,10 @@
 
 #include <filesystem>
 
-#include "prt/geometry/mesh.h"
-#include "prt/geometry/pinhole_view.h"
 #include "core/image.h"
 #include "core/result.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/pinhole_view.h"
 
 namespace penumbra::runtime {
 

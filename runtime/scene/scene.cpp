@@ -8,10 +8,10 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/gtx/quaternion.hpp>
 
+#include "core/conventions.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/receiver.h"
-#include "core/conventions.h"
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"
 #include "runtime/scene/depth_mesh.h"
@@ -67,9 +67,9 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
   const prt::Bounds b = bounds_of(baked->mesh);
   const glm::vec3 size = b.high - b.low;
   const double scale =
-      o.stand ? o.stand_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
+      o.place_on_floor ? o.fit_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
   glm::dvec3 shift(0);
-  if (o.stand) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+  if (o.place_on_floor) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
   if (baked->receiver) shift.y = -double(baked->receiver->grid.height);
   glm::dmat4 place{glm::dmat3(scale)};
   place[3] = glm::dvec4(scale * shift, 1);
@@ -98,9 +98,9 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o,
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
-  constexpr float kEdgeShare =
+  constexpr float kEdgeFraction =
       .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
-  auto mesh = load_asset(o.asset, o.albedo, kEdgeShare);
+  auto mesh = load_asset(o.asset, o.albedo, kEdgeFraction);
   if (!mesh) return std::unexpected(mesh.error());
   prt::transform(*mesh, world_from_mesh(o, *mesh));
   const prt::Plane* plane = plane_under(scene.planes, bounds_of(*mesh));
@@ -114,7 +114,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   options.bounces = settings.bounces;
   options.rays = settings.rays;
   options.ground_rays = settings.ground_rays;
-  options.sight = true;
+  options.visibility = true;
   options.progress = progress;
   if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(*mesh, 0), plane->albedo};
   auto baked = bake_or_recall(o.name, std::move(*mesh), options, settings.use_cache);
@@ -129,10 +129,10 @@ glm::dmat4 world_from_mesh(const Placement& p, const prt::Mesh& mesh) {
   Pose pose{p.rotation, p.position};
   double scale = p.scale;
   glm::dvec3 shift(0);
-  if (p.stand) {
+  if (p.place_on_floor) {
     const prt::Bounds b = bounds_of(mesh);
     const glm::dvec3 size(b.high - b.low);
-    scale = p.stand_size_m / std::max({size.x, size.y, size.z, 1e-9});
+    scale = p.fit_size_m / std::max({size.x, size.y, size.z, 1e-9});
     shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
   }
   return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
@@ -146,7 +146,7 @@ Pose PreparedObject::pose_at(double seconds) const {
   return world_from_bake * Pose{glm::angleAxis(turn, glm::dvec3(0, 1, 0)), {0, 0, 0}};
 }
 
-Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share) {
+Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
   prt::Mesh mesh;
   if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "has no name");
   if (asset == "builtin:knot") {
@@ -169,8 +169,8 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_sh
       spdlog::warn("{}: {} degenerate triangles dropped", asset, imported->degenerate_triangles);
     mesh = std::move(imported->mesh);
   }
-  if (edge_share > 0)
-    prt::subdivide(mesh, edge_share * prt::radius_around(mesh, prt::bounds_of(mesh).centre()));
+  if (edge_fraction > 0)
+    prt::subdivide(mesh, edge_fraction * prt::radius_around(mesh, prt::bounds_of(mesh).centre()));
   return mesh;
 }
 
@@ -181,7 +181,7 @@ Result<void> prepare_receivers(
     PreparedScene& scene,
     const std::function<std::function<void(double)>(const std::string&)>& progress) {
   constexpr float kReceiverEdge = .08f;  // of the smallest object's radius
-  constexpr std::size_t kMostTriangles = 150'000;
+  constexpr std::size_t kMaxTriangles = 150'000;
   float smallest = 1e30f;
   for (PreparedObject& o : scene.objects) {
     shadows::FieldOptions options;
@@ -191,14 +191,14 @@ Result<void> prepare_receivers(
     smallest = std::min(smallest, field->radius);
     o.field = std::make_shared<const shadows::OcclusionField>(std::move(*field));
   }
-  prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMostTriangles);
+  prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMaxTriangles);
   return {};
 }
 
-// What real things hide from and reflect onto each other and the floor: few rays, it is a share of what objects take.
+// What real things hide from and reflect onto each other and the floor: few rays, it is a fraction of what objects take.
 Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
                        const std::function<void(double)>& progress) {
-  constexpr int kMostRays = 1024, kMostBounces = 2;
+  constexpr int kMaxRays = 1024, kMaxBounces = 2;
   prt::Mesh mesh = scene.real_mesh;
   const prt::Bounds bounds = prt::bounds_of(mesh);
   PreparedReal out;
@@ -207,8 +207,8 @@ Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
   prt::transform(mesh, out.world_from_bake.inverse().matrix());
   prt::BakeOptions options;
   options.bands = settings.bands;
-  options.bounces = std::min(settings.bounces, kMostBounces);
-  options.rays = std::min(settings.rays, kMostRays);
+  options.bounces = std::min(settings.bounces, kMaxBounces);
+  options.rays = std::min(settings.rays, kMaxRays);
   options.ground_rays = settings.ground_rays;
   options.progress = progress;
   if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};

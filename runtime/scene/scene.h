@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/result.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/live_bake.h"
@@ -19,7 +20,6 @@
 #include "prt/geometry/plane.h"
 #include "shadows/field/occlusion_field.h"
 #include "shadows/visibility/lamp.h"
-#include "core/result.h"
 
 namespace penumbra::runtime {
 
@@ -28,8 +28,8 @@ struct Placement {
   glm::dvec3 position{0, 0, 0};
   glm::dquat rotation{1, 0, 0, 0};
   double scale = 1;
-  bool stand = false;        // set on the floor at `stand_size_m`, centred on `position`
-  double stand_size_m = .5;  // largest extent
+  bool place_on_floor = false;  // set on the floor at `fit_size_m`, centred on `position`
+  double fit_size_m = .5;       // largest extent
 };
 
 struct SceneObject : Placement {
@@ -38,9 +38,9 @@ struct SceneObject : Placement {
   std::string animation;  // a clip by name or number, which loops; empty: it stands at rest
   std::string transfer;   // of the clip, by `penumbra bake`; empty: baked first, into the cache
   std::string blend;      // a second clip that is mixed in; empty: none
-  double blend_share = .5;
-  bool live = false;   // transfer is traced while it plays: no bake, and always so of a blend
-  double live_ms = 5;  // a frame, for that
+  double blend_weight = .5;
+  bool live = false;       // transfer is traced while it plays: no bake, and always so of a blend
+  double transfer_ms = 5;  // a frame, for that
   std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
   Rgb albedo{.7f, .7f, .7f};
   double spin_rpm = 0;  // turntable about the receiver's normal
@@ -78,7 +78,7 @@ struct Animation {
   prt::BakedSequence sequence{};
   prt::SurfaceLayout layout{};
   std::optional<int> blend{};  // a second clip
-  float blend_share = 0;
+  float blend_weight = 0;
   bool live = false;
   double live_seconds = 0;  // a frame may take for its transfer
   int bands = 5;            // of live transfer
@@ -121,12 +121,12 @@ struct PreparedObject {
   /// errors: kUnavailable (Embree)
   Result<void> begin_live();
   /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and its reflected part.
-  enum class Part { kSurface, kReflected, kGround, kGroundReflected };
+  enum class TransferPart { kSurface, kReflected, kGround, kGroundReflected };
   static constexpr std::size_t kParts = 4;
   /// Of a baked animation.
-  const prt::TransferSequence& clip_of(Part part) const;
-  std::span<const glm::mat3> turns_of(Part part) const;
-  void relight(Part part, const RadianceSh& light, std::span<float> out) const;
+  const prt::TransferSequence& clip_of(TransferPart part) const;
+  std::span<const glm::mat3> turns_of(TransferPart part) const;
+  void relight(TransferPart part, const RadianceSh& light, std::span<float> out) const;
 };
 
 /// The real meshes as one, baked like an object on the plane that they stand on: vertex i is that of real_mesh.
@@ -153,9 +153,9 @@ Result<PreparedScene> prepare(
 /// From the mesh's frame to the world.
 glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh);
 
-/// An asset in its own frame, or a built-in one. `edge_share`: longest edge after subdivision, as a
-/// share of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
-Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_share);
+/// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision, as a
+/// fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
+Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction);
 
 /// All meshes of a scene in the world frame at a time, for the reference.
 prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);

@@ -1,23 +1,23 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "shadows/visibility/lamp.h"
 #include "core/toml_keys.h"
 #include "runtime/scene/scene.h"
+#include "shadows/visibility/lamp.h"
 
 namespace penumbra::runtime {
 namespace fs = std::filesystem;
 namespace {
 
 constexpr std::string_view kObjectKeys[] = {
-    "name",      "asset",    "albedo",    "position",     "rotation", "scale",       "spin_rpm",
-    "animation", "transfer", "light_map", "stand_size_m", "blend",    "blend_share", "live_ms"};
-constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "stand_size_m"};
-constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",      "albedo",
-                                          "position", "rotation", "scale", "stand_size_m"};
+    "name",      "asset",    "albedo",    "position",   "rotation", "scale",        "spin_rpm",
+    "animation", "transfer", "light_map", "fit_size_m", "blend",    "blend_weight", "transfer_ms"};
+constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "fit_size_m"};
+constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",    "albedo",
+                                          "position", "rotation", "scale", "fit_size_m"};
 
 // Beyond these floats have no room for a shadow.
-constexpr double kFarthest = 1e4, kLeastScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
+constexpr double kFarthest = 1e4, kMinScale = 1e-4, kLargestScale = 1e4, kFastest_rpm = 1e4;
 
 Result<glm::dvec3> read_point(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(p, keys.numbers(key, 3));
@@ -30,8 +30,8 @@ Result<glm::dvec3> read_point(const TomlKeys& keys, std::string_view key) {
 Result<double> read_size(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(s, keys.number(key));
   if (s <= 0) return keys.invalid(key, "not positive");
-  if (!(s >= kLeastScale && s <= kLargestScale))
-    return keys.invalid(key, fmt::format("not within {}..{}", kLeastScale, kLargestScale));
+  if (!(s >= kMinScale && s <= kLargestScale))
+    return keys.invalid(key, fmt::format("not within {}..{}", kMinScale, kLargestScale));
   return s;
 }
 
@@ -64,11 +64,11 @@ Result<void> read_placement(const TomlKeys& keys, Placement& o) {
     PENUMBRA_ASSIGN(s, read_size(keys, "scale"));
     o.scale = s;
   }
-  if (keys.has("stand_size_m")) {
-    if (keys.has("scale")) return keys.invalid("stand_size_m", "cannot stand beside scale");
-    PENUMBRA_ASSIGN(s, read_size(keys, "stand_size_m"));
-    o.stand = true;
-    o.stand_size_m = s;
+  if (keys.has("fit_size_m")) {
+    if (keys.has("scale")) return keys.invalid("fit_size_m", "cannot stand beside scale");
+    PENUMBRA_ASSIGN(s, read_size(keys, "fit_size_m"));
+    o.place_on_floor = true;
+    o.fit_size_m = s;
   }
   return {};
 }
@@ -78,23 +78,22 @@ Result<void> read_blend(const TomlKeys& keys, SceneObject& o) {
     PENUMBRA_ASSIGN(blend, keys.text("blend"));
     if (blend.empty()) return keys.invalid("blend", "names no clip");
     if (!o.transfer.empty())
-      return keys.invalid("transfer", "is of one clip; a blend has none but \"live\"");
-    if (keys.has("light_map"))
-      return keys.invalid("light_map", "is of a baked clip, not of a blend");
+      return keys.invalid("transfer", "with blend only \"live\" is possible");
+    if (keys.has("light_map")) return keys.invalid("light_map", "does not go with blend");
     o.blend = blend;
     o.live = true;
   }
-  if (keys.has("blend_share")) {
-    if (o.blend.empty()) return keys.invalid("blend_share", "is of a blend");
-    PENUMBRA_ASSIGN(share, keys.number("blend_share"));
-    if (!(share >= 0 && share <= 1)) return keys.invalid("blend_share", "not within 0..1");
-    o.blend_share = share;
+  if (keys.has("blend_weight")) {
+    if (o.blend.empty()) return keys.invalid("blend_weight", "needs blend");
+    PENUMBRA_ASSIGN(fraction, keys.number("blend_weight"));
+    if (!(fraction >= 0 && fraction <= 1)) return keys.invalid("blend_weight", "not within 0..1");
+    o.blend_weight = fraction;
   }
-  if (keys.has("live_ms")) {
-    if (!o.live) return keys.invalid("live_ms", "is of live transfer");
-    PENUMBRA_ASSIGN(ms, keys.number("live_ms"));
-    if (!(ms > 0 && ms <= 1000)) return keys.invalid("live_ms", "not above 0, or above 1000");
-    o.live_ms = ms;
+  if (keys.has("transfer_ms")) {
+    if (!o.live) return keys.invalid("transfer_ms", "needs transfer = \"live\" or blend");
+    PENUMBRA_ASSIGN(ms, keys.number("transfer_ms"));
+    if (!(ms > 0 && ms <= 1000)) return keys.invalid("transfer_ms", "not above 0, or above 1000");
+    o.transfer_ms = ms;
   }
   return {};
 }
@@ -125,13 +124,15 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     if (animation.empty()) return keys.invalid("animation", "names no clip");
     o.animation = animation;
   }
-  for (const std::string_view key : {"transfer", "light_map", "blend", "blend_share", "live_ms"})
-    if (keys.has(key) && o.animation.empty()) return keys.invalid(key, "is of an animation");
+  for (const std::string_view key :
+       {"transfer", "light_map", "blend", "blend_weight", "transfer_ms"})
+    if (keys.has(key) && o.animation.empty()) return keys.invalid(key, "needs animation");
   if (keys.has("transfer")) {
     PENUMBRA_ASSIGN(transfer, keys.text("transfer"));
     o.live = transfer == "live";
     if (keys.has("light_map"))
-      return keys.invalid("light_map", o.live ? "is of a baked clip" : "is told by the transfer");
+      return keys.invalid("light_map", o.live ? "does not go with transfer = \"live\""
+                                              : "comes from the transfer file: remove it");
     if (!o.live) o.transfer = resolve(transfer, folder);
   }
   PENUMBRA_TRY(read_blend(keys, o));
@@ -156,7 +157,7 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   if (keys.has("depth") != keys.has("camera"))
     return keys.invalid("depth", "goes together with the camera that saw it");
   for (const std::string_view key : kPlacementKeys)
-    if (keys.has(key) && !keys.has("mesh")) return keys.invalid(key, "places a mesh alone");
+    if (keys.has(key) && !keys.has("mesh")) return keys.invalid(key, "applies to mesh only");
   if (keys.has("albedo")) {
     PENUMBRA_ASSIGN(albedo, read_albedo(keys));
     real.albedo = albedo;
@@ -247,8 +248,8 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     const glm::dquat& r = p.rotation;
     return fmt::format("position = {}\nrotation = {}\n{}\n",
                        list(p.position.x, p.position.y, p.position.z), list(r.x, r.y, r.z, r.w),
-                       p.stand ? fmt::format("stand_size_m = {}", p.stand_size_m)
-                               : fmt::format("scale = {}", p.scale));
+                       p.place_on_floor ? fmt::format("fit_size_m = {}", p.fit_size_m)
+                                        : fmt::format("scale = {}", p.scale));
   };
   for (const SceneObject& o : scene.objects) {
     text += fmt::format("\n[[object]]\nname = {}\nasset = {}\nalbedo = {}\n", toml_quoted(o.name),
@@ -257,9 +258,9 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     if (!o.animation.empty()) text += fmt::format("animation = {}\n", toml_quoted(o.animation));
     if (!o.transfer.empty())
       text += fmt::format("transfer = {}\n", toml_quoted(absolute(o.transfer)));
-    if (o.live) text += fmt::format("transfer = \"live\"\nlive_ms = {}\n", o.live_ms);
+    if (o.live) text += fmt::format("transfer = \"live\"\nlive_ms = {}\n", o.transfer_ms);
     if (!o.blend.empty())
-      text += fmt::format("blend = {}\nblend_share = {}\n", toml_quoted(o.blend), o.blend_share);
+      text += fmt::format("blend = {}\nblend_share = {}\n", toml_quoted(o.blend), o.blend_weight);
     if (o.light_map[0] > 0)
       text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);

@@ -4,14 +4,14 @@
 
 #include "prt/clip/sequence.h"
 #include "runtime/scene/scene.h"
+#include "runtime/shading/composite_stage.h"
 #include "runtime/shading/median_time.h"
-#include "runtime/shading/compose_stage.h"
 
 namespace penumbra::runtime {
 
 namespace {
 
-using Part = PreparedObject::Part;
+using TransferPart = PreparedObject::TransferPart;
 constexpr int kTimings = 5;
 
 // Every band lit, and a time between frames: about what a moment costs at most.
@@ -23,22 +23,22 @@ RadianceSh some_light(int bands) {
 
 }  // namespace
 
-void ComposeStage::keep_time() {
+void CompositeStage::keep_time() {
   keeps_time_ = true;
-  for (Object& o : objects_) choose_device(o);
+  for (StageObject& o : objects_) choose_device(o);
 }
 
 // Both are timed before the first frame, with the transfer that they will have to sum. The CPU does what the device does not
 // do faster, or at all.
-void ComposeStage::choose_device(Object& o) {
+void CompositeStage::choose_device(StageObject& o) {
   if (!o.prepared->animation || o.prepared->animation->live) return;
   for (std::size_t i = 0; i < PreparedObject::kParts; ++i) {
-    const auto part = static_cast<Part>(i);
+    const auto part = static_cast<TransferPart>(i);
     const prt::TransferSequence& clip = o.prepared->clip_of(part);
     if (clip.points() == 0) continue;
     const auto on_gpu = compositor_->add_clip(clip);
     if (!on_gpu) {
-      if (part == Part::kSurface)
+      if (part == TransferPart::kSurface)
         spdlog::info("{}: relit on the CPU: {}", o.prepared->name, on_gpu.error().detail);
       continue;
     }
@@ -55,7 +55,7 @@ void ComposeStage::choose_device(Object& o) {
       o.on_gpu[i] = *on_gpu;
     else
       compositor_->remove_clip(*on_gpu);
-    if (part != Part::kSurface) continue;
+    if (part != TransferPart::kSurface) continue;
     if (works)
       spdlog::info("{}: relit on the {}: CPU {:.2f} ms, {} {:.2f} ms", o.prepared->name,
                    gpu ? "GPU" : "CPU", cpu_ms, compositor_->renderer(), gpu_ms);
@@ -64,8 +64,8 @@ void ComposeStage::choose_device(Object& o) {
   }
 }
 
-void ComposeStage::relight_part(Object& o, Part part, const RadianceSh& light,
-                                std::span<float> out) const {
+void CompositeStage::relight_part(StageObject& o, TransferPart part, const RadianceSh& light,
+                                  std::span<float> out) const {
   const PreparedObject& p = *o.prepared;
   std::optional<int>& clip = o.on_gpu[static_cast<std::size_t>(part)];
   if (clip) {
@@ -78,15 +78,16 @@ void ComposeStage::relight_part(Object& o, Part part, const RadianceSh& light,
 }
 
 // A surface or the ground, and what of `reflected` comes to it by reflection.
-void ComposeStage::relight_parts(Object& o, Part own, const RadianceSh& light,
-                                 const RadianceSh* reflected, std::span<float> out) const {
-  const bool surface = own == Part::kSurface;
+void CompositeStage::relight_parts(StageObject& o, TransferPart own, const RadianceSh& light,
+                                   const RadianceSh* reflected, std::span<float> out) const {
+  const bool surface = own == TransferPart::kSurface;
   if (o.patterns)
     return (surface ? o.patterns->surface : o.patterns->ground).relight(light, reflected, out);
   relight_part(o, own, light, out);
   if (!reflected) return;
   o.more.resize(out.size());
-  relight_part(o, surface ? Part::kReflected : Part::kGroundReflected, *reflected, o.more);
+  relight_part(o, surface ? TransferPart::kReflected : TransferPart::kGroundReflected, *reflected,
+               o.more);
   for (std::size_t i = 0; i < out.size(); ++i) out[i] += o.more[i];
 }
 

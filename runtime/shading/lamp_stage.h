@@ -5,10 +5,10 @@
 #include <span>
 #include <vector>
 
-#include "shadows/silhouette/casters.h"
-#include "shadows/silhouette/disc_shadow.h"
 #include "compositor/compositor.h"
 #include "runtime/scene/scene.h"
+#include "shadows/silhouette/occluders.h"
+#include "shadows/silhouette/shadow_map.h"
 
 namespace penumbra::runtime {
 
@@ -19,26 +19,26 @@ class LampStage {
 
   bool any() const { return !traced_.empty(); }
   /// True when anything was traced: at first, and when an object has moved or taken another form.
-  bool update(const shadows::Blockers& blockers, std::span<const Pose> poses, bool other_form);
+  bool update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
 
   /// Adds to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
   /// At the vertices of the real mesh, beside everything else; empty without lamps or mesh.
   std::span<const Rgb> on_real_mesh() const { return on_real_mesh_; }
-  /// Appends what lamps add to every plane, as shadows of negative share; `open_irradiance[p]` as DiscStage::shadows.
+  /// Appends what lamps add to every plane, as shadows of negative share; `open_irradiance[p]` as DirectLightStage::shadows.
   void append(std::span<const Rgb> open_irradiance,
-              std::vector<compositor::DiscShadowOnPlane>& out) const;
+              std::vector<compositor::ShadowMapOnPlane>& out) const;
 
  private:
-  struct Traced {
+  struct TracedLamp {
     std::vector<std::vector<float>> on_object;  // by vertex
-    std::vector<shadows::DiscShadow> on_plane;
+    std::vector<shadows::ShadowMap> on_plane;
     std::vector<float> brightest;  // by plane
   };
   const PreparedScene* scene_;
   std::vector<Pose> poses_;
   bool known_ = false;
-  std::vector<Traced> traced_;
+  std::vector<TracedLamp> traced_;
   std::vector<Rgb> on_real_mesh_;
 };
 

@@ -1,34 +1,34 @@
 #include "runtime/shading/scene_light.h"
 
 #include "lighting/basis.h"
-#include "lighting/disc.h"
-#include "prt/transfer/transfer.h"
+#include "lighting/distant_light.h"
 #include "lighting/irradiance.h"
 #include "lighting/projection.h"
 #include "lighting/rotation.h"
+#include "prt/transfer/transfer.h"
 
 namespace penumbra::runtime {
 
 const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level) {
-  return level ? light.floor_light : light.light;
+  return level ? light.upper_hemisphere_light : light.light;
 }
 
-RadianceSh reflected_for(const lighting::Disc& disc, bool level) {
-  return level ? lighting::project_disc_above(disc, prt::kIndirectBands)
-               : lighting::project_disc(disc, prt::kIndirectBands);
+RadianceSh reflected_for(const lighting::DistantLight& source, bool level) {
+  return level ? lighting::project_upper_distant_light(source, prt::kIndirectBands)
+               : lighting::project_distant_light(source, prt::kIndirectBands);
 }
 
 RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
                                    int bands) {
   const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()), bands);
-  return (turn * (level ? lighting::floor_light(sum, bands) : sum.with_bands(bands)))
+  return (turn * (level ? lighting::upper_hemisphere_light(sum, bands) : sum.with_bands(bands)))
       .with_bands(prt::kIndirectBands);
 }
 
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal) {
   Rgb sum = lighting::evaluate(
-      lighting::irradiance(normal.y > kLevel ? light.floor_light : light.light), normal);
-  for (const lighting::Disc& d : light.discs) sum += lighting::irradiance(d, normal);
+      lighting::irradiance(normal.y > kLevel ? light.upper_hemisphere_light : light.light), normal);
+  for (const lighting::DistantLight& d : light.lights) sum += lighting::irradiance(d, normal);
   return sum;
 }
 

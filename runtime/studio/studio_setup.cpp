@@ -7,20 +7,20 @@
 #include "capture/studio/environments.h"
 #include "prt/geometry/mesh.h"
 #include "runtime/pipeline/light_file.h"
-#include "runtime/studio/prop_world.h"
+#include "runtime/studio/real_mesh_world.h"
 
 namespace penumbra::runtime {
 
 namespace {
 
 // A real thing as a rig's owner would describe it: about as large as the objects, where they leave room.
-RealGeometry place_prop(const std::string& asset, bool behind) {
+RealGeometry place_real_mesh(const std::string& asset, bool behind) {
   RealGeometry prop;
   prop.mesh = asset;
   prop.albedo = Rgb{.55f, .42f, .3f};
   prop.position = behind ? glm::dvec3(.12, 0, -.42) : glm::dvec3(.45, 0, -.15);
-  prop.stand = true;
-  prop.stand_size_m = .42;
+  prop.place_on_floor = true;
+  prop.fit_size_m = .42;
   return prop;
 }
 
@@ -30,13 +30,13 @@ std::string name_of(const std::string& asset) {
                                      : std::filesystem::path(asset).stem().string();
 }
 
-Result<std::shared_ptr<const capture::World>> with_prop(
+Result<std::shared_ptr<const capture::RadianceWorld>> with_real_mesh(
     std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& prop,
     const std::function<void(double)>& progress) {
   auto mesh = load_asset(prop.mesh, *prop.albedo, 0);
   if (!mesh) return std::unexpected(mesh.error());
   prt::transform(*mesh, world_from_mesh(prop, *mesh));
-  auto world = PropWorld::make(std::move(floor), std::move(*mesh), progress);
+  auto world = RealMeshWorld::make(std::move(floor), std::move(*mesh), progress);
   if (!world) return fail(world.error().code, prop.mesh, world.error().detail);
   return std::move(*world);
 }
@@ -78,9 +78,10 @@ Result<StudioSetup> set_up_studio(
   floor.plane = RealPlane{};
   floor.albedo = floor_world->mean_floor_albedo();
   out.scene.real.push_back(floor);
-  if (r.prop) {
-    out.scene.real.push_back(place_prop(*r.prop, r.animated));
-    auto furnished = with_prop(floor_world, out.scene.real.back(), progress("light on the prop"));
+  if (r.real_mesh) {
+    out.scene.real.push_back(place_real_mesh(*r.real_mesh, r.animated));
+    auto furnished =
+        with_real_mesh(floor_world, out.scene.real.back(), progress("light on the real mesh"));
     if (!furnished) return std::unexpected(furnished.error());
     out.world = std::move(*furnished);
   }
@@ -89,8 +90,8 @@ Result<StudioSetup> set_up_studio(
   still.animation = r.animation.value_or("");
   still.name = name_of(still.asset);
   still.albedo = {.62f, .60f, .57f};
-  still.stand = true;
-  still.stand_size_m = r.animation ? .8 : .5;
+  still.place_on_floor = true;
+  still.fit_size_m = r.animation ? .8 : .5;
   if (r.animated) still.position = {-.22, 0, .05};
   out.scene.objects.push_back(still);
   if (r.animated) {
@@ -99,8 +100,8 @@ Result<StudioSetup> set_up_studio(
     turning.name = "twist";
     turning.albedo = {.66f, .32f, .18f};
     turning.position = {.42, 0, -.12};
-    turning.stand = true;
-    turning.stand_size_m = .5;
+    turning.place_on_floor = true;
+    turning.fit_size_m = .5;
     turning.spin_rpm = 10;
     out.scene.objects.push_back(turning);
   }

@@ -13,13 +13,13 @@
 namespace penumbra::runtime {
 
 struct StudioSetup {
-  std::shared_ptr<const capture::World> world;
+  std::shared_ptr<const capture::RadianceWorld> world;
   capture::StudioOptions options;
   Scene scene;
 };
 
 struct StudioRequest {
-  std::optional<std::string> environment{}, asset{}, animation{}, prop{};
+  std::optional<std::string> environment{}, asset{}, animation{}, real_mesh{};
   bool animated = true;
   int width = 1280, height = 720;
   double fps = 30;

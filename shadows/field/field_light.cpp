@@ -3,13 +3,13 @@
 #include <cassert>
 #include <cmath>
 
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
-#include "shadows/field/planar_shadow.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
+#include "lighting/basis.h"
+#include "lighting/irradiance.h"
 #include "shadows/field/internal/field_kernel.h"
 #include "shadows/field/occlusion_field.h"
+#include "shadows/field/planar_shadow.h"
 
 namespace penumbra::shadows {
 
@@ -170,13 +170,13 @@ class RatioBlock {
         rotation_(bake_from_world.rotation_matrix()),
         translation_(bake_from_world.translation) {
     // The irradiance of a surface under the mean radiance alone is A_0 l_0 Y_0.
-    const float of_mean = kLeastIrradiance * static_cast<float>(std::sqrt(kPi) / 2);
-    for (int c = 0; c < 3; ++c) least_[c] = of_mean * light.light_[0][c];
+    const float of_mean = kMinIrradiance * static_cast<float>(std::sqrt(kPi) / 2);
+    for (int c = 0; c < 3; ++c) min_[c] = of_mean * light.light_[0][c];
     std::fill_n(one_, kFieldLanes, 1.f);
   }
 
   void run(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
-           std::span<const Rgb> discs, std::span<Rgb> ratios) {
+           std::span<const Rgb> lights, std::span<Rgb> ratios) {
     const int values = coefficient_count(field_.bands);
     look_up(positions, normals, static_cast<std::size_t>(values));
     const float* const matrix = light_.matrix_.data();
@@ -186,7 +186,7 @@ class RatioBlock {
     for (std::size_t p = 0; p < ratios.size(); ++p)
       for (int c = 0; c < 3; ++c) {
         const std::size_t at = static_cast<std::size_t>(c * kFieldLanes) + p;
-        ratios[p][c] = ratio(deficit[at], open[at] + (discs.empty() ? 0 : discs[p][c]), least_[c]);
+        ratios[p][c] = ratio(deficit[at], open[at] + (lights.empty() ? 0 : lights[p][c]), min_[c]);
       }
   }
 
@@ -204,11 +204,11 @@ class RatioBlock {
     close_ranks(lobe_, kFieldLanes);
   }
 
-  static float ratio(float deficit, float open, float least) {
-    if (!(least > 0 && open > least)) return 1;
+  static float ratio(float deficit, float open, float smallest) {
+    if (!(smallest > 0 && open > smallest)) return 1;
     const float s = std::clamp(1 - deficit / open, 0.f, 1.5f);
     if (!std::isfinite(s)) return 1;
-    const float t = std::min(1.f, open / least - 1);
+    const float t = std::min(1.f, open / smallest - 1);
     return 1 + (s - 1) * t * t * (3 - 2 * t);
   }
 
@@ -216,7 +216,7 @@ class RatioBlock {
   const FieldLight& light_;
   glm::mat3 rotation_;
   glm::vec3 translation_;
-  float least_[3];
+  float min_[3];
   alignas(64) float x_[kFieldLanes] = {}, y_[kFieldLanes] = {}, z_[kFieldLanes] = {};
   alignas(64) float one_[kFieldLanes];
   alignas(64) float blocked_[kMaxValues * kFieldLanes] = {};
@@ -227,9 +227,9 @@ Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
                           const Pose& bake_from_world, const FieldReceiver& receiver,
                           std::span<Rgb> ratios) {
   const std::size_t points = receiver.positions.size();
-  const bool discs = !receiver.disc_irradiance.empty();
+  const bool lights = !receiver.distant_irradiance.empty();
   if (receiver.normals.size() != points || ratios.size() != points ||
-      (discs && receiver.disc_irradiance.size() != points))
+      (lights && receiver.distant_irradiance.size() != points))
     return fail(ErrorCode::kInvalid, "receiver", "its lists differ in length");
   if (field.bands != light.field_bands())
     return fail(ErrorCode::kInvalid, "light", "was made for a field of other bands");
@@ -241,7 +241,8 @@ Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
       const std::size_t first = b * kLanes, count = std::min(kLanes, points - first);
       const auto part = [&](auto span) { return span.subspan(first, count); };
       block.run(part(receiver.positions), part(receiver.normals),
-                discs ? part(receiver.disc_irradiance) : receiver.disc_irradiance, part(ratios));
+                lights ? part(receiver.distant_irradiance) : receiver.distant_irradiance,
+                part(ratios));
     }
   });
   return {};

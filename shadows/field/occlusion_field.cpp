@@ -10,11 +10,11 @@
 #include <limits>
 #include <mutex>
 
-#include "prt/geometry/rays.h"
-#include "lighting/basis.h"
 #include "core/conventions.h"
 #include "core/half.h"
 #include "core/parallel.h"
+#include "lighting/basis.h"
+#include "prt/geometry/rays.h"
 
 namespace penumbra::shadows {
 
@@ -34,7 +34,7 @@ bool is_finite(const glm::vec3& v) {
 constexpr float kClear = 1e-4f;     // points are put this far outside of a surface
 constexpr float kConeFrom = 1.02f;  // from here on rays are aimed at the bounding sphere
 
-// Blocked share of the sphere from which on a point counts as inside: a hole between two triangles
+// Blocked fraction of the sphere from which on a point counts as inside: a hole between two triangles
 // or the mouth of a bottle does not make it a place for a receiver.
 constexpr float kEnclosed = .98f;
 
@@ -42,17 +42,17 @@ constexpr float kEnclosed = .98f;
 class ConePattern {
  public:
   explicit ConePattern(int rays) {
-    struct Sample {
+    struct FieldSample {
       double height, turn;
     };
-    std::vector<Sample> samples;  // Fibonacci lattice (Gonzalez 2010)
+    std::vector<FieldSample> samples;  // Fibonacci lattice (Gonzalez 2010)
     for (int i = 0; i < rays; ++i)
       samples.push_back({(i + .5) / rays, std::fmod(i * std::numbers::phi, 1.)});
     const double rows = std::max(1., std::floor(std::sqrt(rays / kLanes)));
-    std::ranges::sort(samples, {}, [&](const Sample& s) {
+    std::ranges::sort(samples, {}, [&](const FieldSample& s) {
       return std::pair(std::floor(s.height * rows), s.turn);
     });
-    for (const Sample& s : samples) {
+    for (const FieldSample& s : samples) {
       height_.push_back(static_cast<float>(s.height));
       cosine_.push_back(static_cast<float>(std::cos(2 * kPi * s.turn)));
       sine_.push_back(static_cast<float>(std::sin(2 * kPi * s.turn)));
@@ -63,7 +63,8 @@ class ConePattern {
   int packets() const { return rays() / kLanes; }
 
   // Even in solid angle within a cone about the frame's third column.
-  void fill(int packet, const glm::mat3& frame, float cos_half, prt::RayScene::Packet& out) const {
+  void fill(int packet, const glm::mat3& frame, float cos_half,
+            prt::RayScene::RayPacket& out) const {
     for (int i = 0; i < kLanes; ++i) {
       const auto k = static_cast<std::size_t>(packet * kLanes + i);
       const float z = 1 - height_[k] * (1 - cos_half), r = std::sqrt(std::max(0.f, 1 - z * z));
@@ -86,12 +87,12 @@ glm::mat3 frame_about(const glm::vec3& axis, std::size_t point) {
   return {c * u + s * v, c * v - s * u, axis};
 }
 
-// The k of one axis of which the object fills the share e. Steps at its faces are
+// The k of one axis of which the object fills the fraction e. Steps at its faces are
 // (1 + k e)^2/(1 + k) of even ones, least for k = (1 - 2 e)/e. Near that k, one is taken that lays
 // grid points just outside the faces: on one of them the object may lie, and the floor then gets
 // values of its own side alone.
 float best_stretch(float e, int size) {
-  constexpr float kOutside = 5e-4f, kLeast = -.5f, kMost = 8;
+  constexpr float kOutside = 5e-4f, kMin = -.5f, kMax = 8;
   constexpr float kThinnest = .15f;  // beyond, the outermost cells would grow too large
   e += kOutside;
   const float counted = std::clamp(e, kThinnest, .5f);
@@ -100,7 +101,7 @@ float best_stretch(float e, int size) {
   const float wanted = std::floor((1 + k) * e / (1 + k * e) * steps) + .5f;
   const float w = std::min(wanted, steps - 1) / steps;
   const float aligned = (w - e) / (e * (1 - w));
-  return aligned > kLeast && aligned < kMost ? aligned : k;
+  return aligned > kMin && aligned < kMax ? aligned : k;
 }
 
 // Works on a mesh moved to the origin and scaled to radius one, so that neither the size nor the
@@ -131,18 +132,18 @@ glm::vec3 FieldBaker::grid_point(std::size_t index) const {
   return options_.extent * w / (1.f + stretch_ * (1.f - glm::abs(w)));
 }
 
-// Fills b_n and returns the blocked share of the sphere.
+// Fills b_n and returns the blocked fraction of the sphere.
 float FieldBaker::trace(const glm::vec3& origin, std::size_t index, std::span<float> out) const {
   const float distance = glm::length(origin);
   const bool cone = distance > kConeFrom;
   const float cos_half = cone ? std::sqrt(1 - 1 / (distance * distance)) : -1;
   const glm::mat3 frame = frame_about(cone ? -origin / distance : glm::vec3(0, 0, 1), index);
-  const float share = .5f * (1 - cos_half) / static_cast<float>(pattern_.rays());
-  const auto solid_angle = static_cast<float>(4 * kPi) * share;
+  const float fraction = .5f * (1 - cos_half) / static_cast<float>(pattern_.rays());
+  const auto solid_angle = static_cast<float>(4 * kPi) * fraction;
 
   alignas(64) float sum[kMaxValues * kLanes] = {}, basis[kMaxValues * kLanes], weight[kLanes];
   int hits = 0;
-  prt::RayScene::Packet packet;
+  prt::RayScene::RayPacket packet;
   for (int p = 0; p < pattern_.packets(); ++p) {
     pattern_.fill(p, frame, cos_half, packet);
     const std::uint32_t blocked = scene_.occluded(origin, 0, packet);
@@ -157,14 +158,14 @@ float FieldBaker::trace(const glm::vec3& origin, std::size_t index, std::span<fl
     out[n] = 0;
     for (int i = 0; i < kLanes; ++i) out[n] += sum[n * kLanes + i];
   }
-  return static_cast<float>(hits) * share;
+  return static_cast<float>(hits) * fraction;
 }
 
 glm::vec3 FieldBaker::nearest_outside(const glm::vec3& origin, std::size_t index) const {
   constexpr float kNowhere = std::numeric_limits<float>::max();
   float nearest = kNowhere;
   glm::vec3 way{};
-  prt::RayScene::Packet packet;
+  prt::RayScene::RayPacket packet;
   for (int p = 0; p < pattern_.packets(); ++p) {
     pattern_.fill(p, frame_about({0, 0, 1}, index), -1, packet);
     scene_.intersect(origin, 0, packet);
@@ -176,9 +177,9 @@ glm::vec3 FieldBaker::nearest_outside(const glm::vec3& origin, std::size_t index
 }
 
 void FieldBaker::bake_point(std::size_t index, std::span<float> out) const {
-  constexpr int kMostMoves = 4;  // of two bodies that overlap, the way out of one ends in the other
+  constexpr int kMaxMoves = 4;  // of two bodies that overlap, the way out of one ends in the other
   glm::vec3 at = grid_point(index);
-  for (int move = 0; trace(at, index, out) > kEnclosed && move < kMostMoves; ++move)
+  for (int move = 0; trace(at, index, out) > kEnclosed && move < kMaxMoves; ++move)
     at = nearest_outside(at, index);
 }
 

@@ -13,11 +13,11 @@
 #include <span>
 #include <vector>
 
-#include "prt/geometry/mesh.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
 #include "core/sh.h"
+#include "prt/geometry/mesh.h"
 
 namespace penumbra::shadows {
 
@@ -103,14 +103,14 @@ class FieldLight {
 struct FieldReceiver {
   std::span<const glm::vec3> positions;
   std::span<const glm::vec3> normals;  // unit
-  /// E of the light's discs, which are not in FieldLight, on the open points; empty: none.
-  std::span<const Rgb> disc_irradiance;
+  /// E of the light's lights, which are not in FieldLight, on the open points; empty: none.
+  std::span<const Rgb> distant_irradiance;
 };
 
-/// s = 1 - deficit/E0 of every point, clamped to 0..1.5, where E0 counts the discs; what the object
+/// s = 1 - deficit/E0 of every point, clamped to 0..1.5, where E0 counts the lights; what the object
 /// blocks of them is not in it. It is 1 exactly beyond the object's reach, where E0 has no footing
-/// (below kLeastIrradiance of the mean; faded in up to twice that, since normals vary), and where a
-/// point or normal is not finite. Several objects: share_ratios, then multiply.
+/// (below kMinIrradiance of the mean; faded in up to twice that, since normals vary), and where a
+/// point or normal is not finite. Several objects: smooth_ratios, then multiply.
 /// errors: kInvalid (lengths, light made for other bands)
 Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
                           const Pose& bake_from_world, const FieldReceiver& receiver,
@@ -121,10 +121,10 @@ struct PlacedField {
   Pose world_from_bake;
 };
 
-/// As share_shadow, for ratios at points: changes the second's so that the product with the first's counts once what both
+/// As combine_shadows, for ratios at points: changes the second's so that the product with the first's counts once what both
 /// block. threads: reentrant, parallel inside; no allocation
-void share_ratios(const PlacedField& first, const PlacedField& second,
-                  std::span<const glm::vec3> positions, std::span<const Rgb> first_ratios,
-                  std::span<Rgb> ratios);
+void smooth_ratios(const PlacedField& first, const PlacedField& second,
+                   std::span<const glm::vec3> positions, std::span<const Rgb> first_ratios,
+                   std::span<Rgb> ratios);
 
 }  // namespace penumbra::shadows

@@ -1,12 +1,11 @@
 #include <algorithm>
 #include <cmath>
 
-#include "prt/transfer/relight.h"
 #include "lighting/basis.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 #include "lighting/irradiance.h"
+#include "prt/transfer/relight.h"
 #include "shadows/field/planar_shadow.h"
-
 
 namespace penumbra::shadows {
 
@@ -34,10 +33,10 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
   thread_local std::vector<float> deficit, reflected;  // grow once per thread
   const std::size_t stride = object.ground_deficit.stride;
   deficit.resize(3 * stride);
-  prt::relight(object.ground_deficit, light.rest, deficit);
-  if (luminance(light.disc_irradiance) > 0) {
+  prt::relight(object.ground_deficit, light.residual, deficit);
+  if (luminance(light.distant_irradiance) > 0) {
     reflected.resize(3 * stride);
-    prt::relight(object.ground_indirect, light.discs, reflected);
+    prt::relight(object.ground_indirect, light.lights, reflected);
     for (std::size_t i = 0; i < deficit.size(); ++i) deficit[i] -= reflected[i];
   }
   compose_planar_shadow({object.receiver->grid, object.ground_deficit.bands, stride, deficit},
@@ -50,13 +49,13 @@ void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& li
   const int size = change.grid.size;
   if (out.ratio.width() != size || out.ratio.height() != size) out.ratio = Image<Rgb>(size, size);
   // All in units of irradiance/pi, like the deficit.
-  const RadianceSh used = light.rest.with_bands(change.bands);
+  const RadianceSh used = light.residual.with_bands(change.bands);
   const Rgb open =
-      (lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) + light.disc_irradiance) *
+      (lighting::evaluate(lighting::irradiance(used), {0, 1, 0}) + light.distant_irradiance) *
       static_cast<float>(1 / kPi);
-  const Rgb mean = (used[0] + light.discs[0]) * static_cast<float>(1 / std::sqrt(4 * kPi));
+  const Rgb mean = (used[0] + light.lights[0]) * static_cast<float>(1 / std::sqrt(4 * kPi));
   Rgb inverse;
-  for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kLeastIrradiance * mean[c] ? 1 / open[c] : 0;
+  for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kMinIrradiance * mean[c] ? 1 / open[c] : 0;
 
   thread_local std::vector<float> fades, taken;  // grow once per thread
   rim_fades(size, fades);

@@ -26,19 +26,21 @@ struct PlanarShadow {
 /// Ratios closer to 1 than this are 1 (a third of an 8-bit sRGB code at most); up to twice as far
 /// they are faded in, so that the border cannot be seen. This is what keeps the touched area small.
 inline constexpr float kInvisibleRatio = .003f;
-/// Where E0 is below this share of the mean over all directions, the ratio form has no footing: s
+/// Where E0 is below this fraction of the mean over all directions, the ratio form has no footing: s
 /// = 1.
-inline constexpr float kLeastIrradiance = .05f;
+inline constexpr float kMinIrradiance = .05f;
 
 /// Light on a receiver, in its bake frame.
 struct ReceiverLight {
-  ReceiverLight(const RadianceSh& rest_) : rest(rest_) {}  // NOLINT: light without discs is light
-  RadianceSh rest;                                         // without the discs
-  RadianceSh discs{1};  // the discs in spherical harmonics, for the light that the object reflects
-  Rgb disc_irradiance;  // E of all discs on the open receiver, W/m^2 relative
+  ReceiverLight(const RadianceSh& rest_)
+      : residual(rest_) {}  // NOLINT: light without lights is light
+  RadianceSh residual;      // without the lights
+  RadianceSh lights{
+      1};  // the lights in spherical harmonics, for the light that the object reflects
+  Rgb distant_irradiance;  // E of all lights on the open receiver, W/m^2 relative
 };
 
-/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, less what it reflects of `discs`, in
+/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, less what it reflects of `lights`, in
 /// prt::relight's layout.
 struct ReceiverChange {
   const prt::GroundGrid& grid;
@@ -49,9 +51,9 @@ struct ReceiverChange {
 void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
                            PlanarShadow& out);
 
-/// s = 1 - (sum l_n S_n - light reflected from discs)/E0 from the baked deficit basis S_n, clamped to 0..1.5,
-/// faded to 1 over the outer tenth of the grid. E0 counts the discs; what of them the object blocks is
-/// DiscShadow's. `light` in the bake frame: a yaw of the object is a rotation of the light.
+/// s = 1 - (sum l_n S_n - light reflected from lights)/E0 from the baked deficit basis S_n, clamped to 0..1.5,
+/// faded to 1 over the outer tenth of the grid. E0 counts the lights; what of them the object blocks is
+/// ShadowMap's. `light` in the bake frame: a yaw of the object is a rotation of the light.
 /// in:     object with a receiver
 /// errors: kInvalid (no receiver)
 Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
@@ -69,6 +71,6 @@ struct PlacedShadow {
 /// lies within max(d) .. min(1, sum d); equal objects in one place darken once, separate directions add up. So with
 /// what both brighten by reflected light.
 /// threads: reentrant, parallel inside; no allocation
-void share_shadow(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
+void combine_shadows(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
 
 }  // namespace penumbra::shadows

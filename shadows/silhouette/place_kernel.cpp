@@ -15,7 +15,7 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 constexpr hn::ScalableTag<float> kFloats;
 using Floats = hn::Vec<decltype(kFloats)>;
-static_assert(HWY_MAX_BYTES <= 64);  // kMostLanes, below
+static_assert(HWY_MAX_BYTES <= 64);  // kMaxLanes, below
 
 struct Points {
   Floats x, y, z;
@@ -33,7 +33,7 @@ HWY_INLINE Floats Along(const Points& p, float x, float y, float z, Floats first
                     hn::MulAdd(p.y, hn::Set(d, y), hn::MulAdd(p.z, hn::Set(d, z), first)));
 }
 
-HWY_INLINE Points Place(const Points& p, const Placing& placing) {
+HWY_INLINE Points Place(const Points& p, const AffineTransform& placing) {
   const auto d = kFloats;
   const glm::mat3& t = placing.turn;
   return {Along(p, t[0].x, t[1].x, t[2].x, hn::Set(d, placing.shift.x)),
@@ -50,8 +50,8 @@ HWY_INLINE void EachVector(std::size_t count, F f) {
 }
 
 HWY_ATTR void PlaceVertices(std::span<const glm::vec3> positions,
-                            std::span<const glm::vec3> normals, const Placing& placing,
-                            const Facing& facing, std::span<glm::vec3> places,
+                            std::span<const glm::vec3> normals, const AffineTransform& placing,
+                            const Orientation& facing, std::span<glm::vec3> places,
                             std::span<std::uint8_t> sides) {
   const auto d = kFloats;
   const hn::Rebind<std::int32_t, decltype(kFloats)> whole;
@@ -61,20 +61,20 @@ HWY_ATTR void PlaceVertices(std::span<const glm::vec3> positions,
     hn::StoreInterleaved3(p.x, p.y, p.z, d, &places[i].x);
     const auto cosine =
         Along(Load(&normals[i]), facing.towards.x, facing.towards.y, facing.towards.z, hn::Zero(d));
-    const auto side = hn::IfThenElse(hn::Gt(cosine, hn::Zero(d)), hn::Set(d, kBefore),
-                                     hn::IfThenElse(hn::Lt(cosine, hn::Set(d, facing.least)),
-                                                    hn::Set(d, kBehind), hn::Set(d, kAslant)));
+    const auto side = hn::IfThenElse(hn::Gt(cosine, hn::Zero(d)), hn::Set(d, kFront),
+                                     hn::IfThenElse(hn::Lt(cosine, hn::Set(d, facing.smallest)),
+                                                    hn::Set(d, kBack), hn::Set(d, kGrazing)));
     hn::StoreU(hn::DemoteTo(bytes, hn::ConvertTo(whole, side)), bytes, &sides[i]);
   });
 }
 
-HWY_ATTR void MeanCosines(std::span<const glm::vec3> normals, const Spread& light,
+HWY_ATTR void MeanCosines(std::span<const glm::vec3> normals, const DirectionSet& light,
                           std::span<float> out) {
   const auto d = kFloats;
   const auto none = hn::Zero(d), reach = hn::Set(d, light.reach);
   const auto along = [&](const Points& n, const glm::vec3& w)
                          HWY_ATTR { return Along(n, w.x, w.y, w.z, hn::Zero(d)); };
-  const float share = 1 / static_cast<float>(light.directions.size());
+  const float fraction = 1 / static_cast<float>(light.directions.size());
   EachVector(normals.size(), [&](std::size_t i) HWY_ATTR {
     const Points n = Load(&normals[i]);
     const auto middle = along(n, light.middle);
@@ -83,14 +83,15 @@ HWY_ATTR void MeanCosines(std::span<const glm::vec3> normals, const Spread& ligh
     if (!hn::AllFalse(d, grazes)) {
       auto sum = none;
       for (const glm::vec3& w : light.directions) sum = hn::Add(sum, hn::Max(along(n, w), none));
-      cosine = hn::IfThenElse(grazes, hn::Mul(sum, hn::Set(d, share)), cosine);
+      cosine = hn::IfThenElse(grazes, hn::Mul(sum, hn::Set(d, fraction)), cosine);
     }
     hn::StoreU(cosine, d, &out[i]);
   });
 }
 
-HWY_ATTR void FindFootprint(std::span<const glm::vec3> positions, const Placing& plane_from_mesh,
-                            const Reach& reach, float near_m, Footprint& out) {
+HWY_ATTR void FindFootprint(std::span<const glm::vec3> positions,
+                            const AffineTransform& plane_from_mesh, const Reach& reach,
+                            float near_m, Footprint& out) {
   const auto d = kFloats;
   const auto far = hn::Set(d, 1e30f), none = hn::Set(d, -1e30f);
   auto low_x = far, low_z = far, shadow_low_x = far, shadow_low_z = far, lowest = far;
@@ -100,24 +101,24 @@ HWY_ATTR void FindFootprint(std::span<const glm::vec3> positions, const Placing&
     lowest = hn::Min(lowest, p.y);
     const auto counts = hn::Ge(p.y, hn::Set(d, -near_m));
     const auto y = hn::Max(p.y, hn::Zero(d));
-    const auto least = [&](auto& so_far, auto value) HWY_ATTR {
+    const auto smallest = [&](auto& so_far, auto value) HWY_ATTR {
       so_far = hn::Min(so_far, hn::IfThenElse(counts, value, far));
     };
-    const auto most = [&](auto& so_far, auto value) HWY_ATTR {
+    const auto largest = [&](auto& so_far, auto value) HWY_ATTR {
       so_far = hn::Max(so_far, hn::IfThenElse(counts, value, none));
     };
-    least(low_x, p.x), least(low_z, p.z), most(high_x, p.x), most(high_z, p.z);
-    least(shadow_low_x, hn::MulAdd(y, hn::Set(d, reach.low.x), p.x));
-    least(shadow_low_z, hn::MulAdd(y, hn::Set(d, reach.low.y), p.z));
-    most(shadow_high_x, hn::MulAdd(y, hn::Set(d, reach.high.x), p.x));
-    most(shadow_high_z, hn::MulAdd(y, hn::Set(d, reach.high.y), p.z));
+    smallest(low_x, p.x), smallest(low_z, p.z), largest(high_x, p.x), largest(high_z, p.z);
+    smallest(shadow_low_x, hn::MulAdd(y, hn::Set(d, reach.low.x), p.x));
+    smallest(shadow_low_z, hn::MulAdd(y, hn::Set(d, reach.low.y), p.z));
+    largest(shadow_high_x, hn::MulAdd(y, hn::Set(d, reach.high.x), p.x));
+    largest(shadow_high_z, hn::MulAdd(y, hn::Set(d, reach.high.y), p.z));
   });
-  const auto least = [&](auto v) HWY_ATTR { return hn::GetLane(hn::MinOfLanes(d, v)); };
-  const auto most = [&](auto v) HWY_ATTR { return hn::GetLane(hn::MaxOfLanes(d, v)); };
-  out.low = {least(low_x), least(low_z)}, out.high = {most(high_x), most(high_z)};
-  out.shadow_low = {least(shadow_low_x), least(shadow_low_z)};
-  out.shadow_high = {most(shadow_high_x), most(shadow_high_z)};
-  out.below = least(lowest) < -near_m;
+  const auto smallest = [&](auto v) HWY_ATTR { return hn::GetLane(hn::MinOfLanes(d, v)); };
+  const auto largest = [&](auto v) HWY_ATTR { return hn::GetLane(hn::MaxOfLanes(d, v)); };
+  out.low = {smallest(low_x), smallest(low_z)}, out.high = {largest(high_x), largest(high_z)};
+  out.shadow_low = {smallest(shadow_low_x), smallest(shadow_low_z)};
+  out.shadow_high = {largest(shadow_high_x), largest(shadow_high_z)};
+  out.below = smallest(lowest) < -near_m;
 }
 
 }  // namespace HWY_NAMESPACE
@@ -132,7 +133,7 @@ HWY_EXPORT(FindFootprint);
 
 namespace {
 
-constexpr std::size_t kMostLanes = 16;
+constexpr std::size_t kMaxLanes = 16;
 
 // A vector's worth of points at least: the first one again.
 class Padded {
@@ -148,36 +149,37 @@ class Padded {
   std::span<const glm::vec3> points() const { return points_; }
 
  private:
-  std::array<glm::vec3, kMostLanes> few_;
+  std::array<glm::vec3, kMaxLanes> few_;
   std::span<const glm::vec3> points_;
 };
 
 }  // namespace
 
 void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
-                    const Placing& placing, const Facing& facing, std::span<glm::vec3> places,
-                    std::span<std::uint8_t> sides) {
+                    const AffineTransform& placing, const Orientation& facing,
+                    std::span<glm::vec3> places, std::span<std::uint8_t> sides) {
   const Padded all_positions(positions), all_normals(normals);
   if (all_positions.points().size() == positions.size())
     return HWY_DYNAMIC_DISPATCH(PlaceVertices)(positions, normals, placing, facing, places, sides);
-  std::array<glm::vec3, kMostLanes> few_places;
-  std::array<std::uint8_t, kMostLanes> few_sides;
+  std::array<glm::vec3, kMaxLanes> few_places;
+  std::array<std::uint8_t, kMaxLanes> few_sides;
   HWY_DYNAMIC_DISPATCH(PlaceVertices)
   (all_positions.points(), all_normals.points(), placing, facing, few_places, few_sides);
   std::copy_n(few_places.begin(), positions.size(), places.begin());
   std::copy_n(few_sides.begin(), positions.size(), sides.begin());
 }
 
-void mean_cosines(std::span<const glm::vec3> normals, const Spread& light, std::span<float> out) {
+void mean_cosines(std::span<const glm::vec3> normals, const DirectionSet& light,
+                  std::span<float> out) {
   const Padded all(normals);
   if (all.points().size() == normals.size())
     return HWY_DYNAMIC_DISPATCH(MeanCosines)(normals, light, out);
-  std::array<float, kMostLanes> few;
+  std::array<float, kMaxLanes> few;
   HWY_DYNAMIC_DISPATCH(MeanCosines)(all.points(), light, few);
   std::copy_n(few.begin(), normals.size(), out.begin());
 }
 
-Footprint footprint_of(std::span<const glm::vec3> positions, const Placing& plane_from_mesh,
+Footprint footprint_of(std::span<const glm::vec3> positions, const AffineTransform& plane_from_mesh,
                        const Reach& reach, float near_m) {
   Footprint out;
   HWY_DYNAMIC_DISPATCH(FindFootprint)

@@ -10,27 +10,27 @@
 namespace penumbra::shadows {
 
 /// out = turn * p + shift.
-struct Placing {
+struct AffineTransform {
   glm::mat3 turn;
   glm::vec3 shift;
 };
 
 /// How surfaces lie to a direction, by the cosine with their normal.
-inline constexpr std::uint8_t kBehind = 0, kAslant = 1, kBefore = 2;
-/// kBefore: cosine > 0; kBehind: cosine < `least`, which is negative.
-struct Facing {
+inline constexpr std::uint8_t kBack = 0, kGrazing = 1, kFront = 2;
+/// kFront: cosine > 0; kBack: cosine < `least`, which is negative.
+struct Orientation {
   glm::vec3 towards;
-  float least;
+  float smallest;
 };
 
 /// Positions that are equal come out equal, bit for bit.
 /// in: as many positions, normals, places and sides. threads: reentrant
 void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
-                    const Placing& placing, const Facing& facing, std::span<glm::vec3> places,
-                    std::span<std::uint8_t> sides);
+                    const AffineTransform& placing, const Orientation& facing,
+                    std::span<glm::vec3> places, std::span<std::uint8_t> sides);
 
 /// Directions of a light and their mean; all of them lie within `reach` of `middle`.
-struct Spread {
+struct DirectionSet {
   std::span<const glm::vec3> directions;
   glm::vec3 middle, mean;
   float reach;
@@ -38,7 +38,8 @@ struct Spread {
 /// out = the mean over the directions of max(n.w, 0), in the normals' frame. Where no direction is behind the surface it is a product with
 /// their mean.
 /// in: unit normals; at least one direction. threads: reentrant
-void mean_cosines(std::span<const glm::vec3> normals, const Spread& light, std::span<float> out);
+void mean_cosines(std::span<const glm::vec3> normals, const DirectionSet& light,
+                  std::span<float> out);
 
 /// Bounds over x and z of what is on or above a plane, y up: of its feet, and of its shadows, which go from p.y * reach_low to
 /// p.y * reach_high beyond them.
@@ -51,7 +52,7 @@ struct Reach {
   glm::vec2 low, high;  // metres for each metre of height
 };
 /// threads: reentrant
-Footprint footprint_of(std::span<const glm::vec3> positions, const Placing& plane_from_mesh,
+Footprint footprint_of(std::span<const glm::vec3> positions, const AffineTransform& plane_from_mesh,
                        const Reach& reach, float near_m);
 
 }  // namespace penumbra::shadows

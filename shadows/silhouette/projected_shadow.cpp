@@ -5,7 +5,7 @@
 #include <bit>
 
 #include "core/scratch.h"
-#include "shadows/silhouette/internal/outline_sides.h"
+#include "shadows/silhouette/internal/silhouette_segments.h"
 #include "shadows/silhouette/projection_kernel.h"
 
 namespace penumbra::shadows {
@@ -20,25 +20,25 @@ int ceil_within(float x, float limit) {
 }
 
 // Sixteen directions' layers over a grid: first as steps between neighbours in a row.
-class Layers {
+class DirectionLayers {
  public:
   /// `steps`: zeros, which it grows where it must and leaves as zeros where each row was asked for.
-  Layers(int width, int height, std::vector<Counts>& steps)
+  DirectionLayers(int width, int height, std::vector<Counts>& steps)
       : width_(width), height_(height), steps_(steps) {
     const auto size = static_cast<std::size_t>(width * height);
     if (steps.size() < size) steps.resize(size);
   }
 
   /// The directions of group `group` alone.
-  void draw(std::span<const Side> sides, std::span<const PlaneTap> taps, std::size_t group,
-            float cell_m) {
+  void draw(std::span<const SilhouetteSegment> sides, std::span<const PlaneSample> samples,
+            std::size_t group, float cell_m) {
     const std::size_t first = kGroup * group;
-    for (std::size_t k = first; k < std::min(first + kGroup, taps.size()); ++k) {
-      shifts_.x[k - first] = static_cast<float>(taps[k].shift.x / double(cell_m));
-      shifts_.z[k - first] = static_cast<float>(taps[k].shift.y / double(cell_m));
+    for (std::size_t k = first; k < std::min(first + kGroup, samples.size()); ++k) {
+      shifts_.x[k - first] = static_cast<float>(samples[k].shift.x / double(cell_m));
+      shifts_.z[k - first] = static_cast<float>(samples[k].shift.y / double(cell_m));
     }
-    Fallen fallen;
-    for (const Side& s : sides) {
+    ProjectedEdge fallen;
+    for (const SilhouetteSegment& s : sides) {
       const auto more = static_cast<std::uint16_t>(s.more >> first),
                  fewer = static_cast<std::uint16_t>(s.fewer >> first);
       if ((more | fewer) == 0) continue;
@@ -57,7 +57,7 @@ class Layers {
   std::size_t index(int x, int y) const { return static_cast<std::size_t>(y * width_ + x); }
 
   // in: directions that cross a row
-  void draw(const Fallen& side, int directions, std::int16_t layers) {
+  void draw(const ProjectedEdge& side, int directions, std::int16_t layers) {
     const auto right = static_cast<float>(width_);
     for (auto left = static_cast<unsigned>(directions); left != 0; left &= left - 1) {
       const auto k = static_cast<std::size_t>(std::countr_zero(left));
@@ -82,13 +82,13 @@ class Layers {
 // The sum of weights for each set of sixteen directions.
 class WeightSums {
  public:
-  WeightSums(std::span<const PlaneTap> taps, std::size_t group) {
+  WeightSums(std::span<const PlaneSample> samples, std::size_t group) {
     for (std::size_t half = 0; half < 2; ++half)
       for (std::size_t bits = 1; bits < 256; ++bits) {
-        const std::size_t tap =
+        const std::size_t sample =
             kGroup * group + 8 * half + static_cast<std::size_t>(std::countr_zero(bits));
         sums_[half][bits] =
-            sums_[half][bits & (bits - 1)] + (tap < taps.size() ? taps[tap].weight : 0);
+            sums_[half][bits & (bits - 1)] + (sample < samples.size() ? samples[sample].weight : 0);
       }
   }
   float operator()(unsigned directions) const {
@@ -101,25 +101,26 @@ class WeightSums {
 
 }  // namespace
 
-void add_projected_shadows(const Casters& casters, const NodeGrid& grid, const TapBeam& light,
-                           OutlineMemo& memo, Image<float>& taken, Image<float>& missing) {
+void add_projected_shadows(const ShadowCasters& casters, const NodeGrid& grid,
+                           const SampleCone& light, SilhouetteCache& memo, Image<float>& taken,
+                           Image<float>& missing) {
   const int width = taken.width(), height = taken.height();
-  const std::span<const PlaneTap> taps = light.taps;
+  const std::span<const PlaneSample> samples = light.samples;
   const Scratch::Scope scope;
   const auto sides_of = [&](std::span<const Caster> things) {
     return find_sides(things, grid, casters.near_m, light, memo, scope.memory());
   };
-  const std::pmr::vector<Side> of_virtual = sides_of(casters.virtual_things),
-                               of_real = sides_of(casters.real_things);
+  const std::pmr::vector<SilhouetteSegment> of_virtual = sides_of(casters.virtual_things),
+                                            of_real = sides_of(casters.real_things);
   thread_local std::vector<Counts> virtual_steps, real_steps;  // grow once per thread
-  Layers virtual_layers(width, height, virtual_steps),
+  DirectionLayers virtual_layers(width, height, virtual_steps),
       real_layers(width, of_real.empty() ? 0 : height, real_steps);
   std::pmr::vector<std::uint16_t> blocked(static_cast<std::size_t>(width), scope.memory()),
       by_real(static_cast<std::size_t>(width), scope.memory());
-  for (std::size_t group = 0; kGroup * group < taps.size(); ++group) {
-    const WeightSums weight(taps, group);
-    virtual_layers.draw(of_virtual, taps, group, grid.cell_m);
-    if (!of_real.empty()) real_layers.draw(of_real, taps, group, grid.cell_m);
+  for (std::size_t group = 0; kGroup * group < samples.size(); ++group) {
+    const WeightSums weight(samples, group);
+    virtual_layers.draw(of_virtual, samples, group, grid.cell_m);
+    if (!of_real.empty()) real_layers.draw(of_real, samples, group, grid.cell_m);
     for (int y = 0; y < height; ++y) {
       virtual_layers.blocked(y, blocked);
       if (!of_real.empty()) real_layers.blocked(y, by_real);

@@ -73,7 +73,8 @@ HWY_INLINE hn::Vec<hn::Rebind<std::int32_t, D>> CeilWithin(D d, hn::Vec<D> x, fl
                        hn::Ceil(hn::Min(hn::Max(hn::Zero(d), x), hn::Set(d, limit))));
 }
 
-HWY_ATTR std::uint16_t Fall(const Stretch& s, const Shifts& shifts, int height, Fallen& out) {
+HWY_ATTR std::uint16_t Fall(const SegmentSpan& s, const Shifts& shifts, int height,
+                            ProjectedEdge& out) {
   const hn::CappedTag<float, kGroup> d;
   const hn::Rebind<std::int32_t, decltype(d)> di;
   const std::size_t lanes = hn::Lanes(d);
@@ -154,8 +155,9 @@ void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std
   HWY_DYNAMIC_DISPATCH(FindFacingAll)(normals, cone, out);
 }
 
-std::uint16_t fall(const Stretch& stretch, const Shifts& shifts, int height, Fallen& out) {
-  return HWY_DYNAMIC_DISPATCH(Fall)(stretch, shifts, height, out);
+std::uint16_t fall(const SegmentSpan& span_along, const Shifts& shifts, int height,
+                   ProjectedEdge& out) {
+  return HWY_DYNAMIC_DISPATCH(Fall)(span_along, shifts, height, out);
 }
 
 void sum_steps(Counts* steps, std::size_t nodes, std::uint16_t* blocked) {

@@ -7,7 +7,7 @@
 
 namespace penumbra::shadows {
 
-inline constexpr std::size_t kMostDirections = 64;
+inline constexpr std::size_t kMaxDirections = 64;
 inline constexpr std::size_t kGroup = 16;  // directions that are counted side by side
 
 /// Bits for the first `count` directions.
@@ -17,7 +17,7 @@ inline std::uint64_t bits_of(std::size_t count) {
 
 /// Directions in the frame of the normals, not necessarily unit.
 struct Directions {
-  alignas(64) float x[kMostDirections], y[kMostDirections], z[kMostDirections];
+  alignas(64) float x[kMaxDirections], y[kMaxDirections], z[kMaxDirections];
   std::size_t count = 0;
 };
 /// Bit k: a triangle with this normal faces direction k.
@@ -34,8 +34,8 @@ inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
 /// Whether triangles face all directions of a cone, or none: one of the three for each.
 void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out);
 
-/// A stretch of an outline: x and z in cells, y in metres.
-struct Stretch {
+/// A stretch of an silhouette: x and z in cells, y in metres.
+struct SegmentSpan {
   float from_x, from_y, from_z, to_x, to_y, to_z;
 };
 /// So many directions' shifts of a shadow: cells for each metre of height.
@@ -43,12 +43,13 @@ struct Shifts {
   alignas(64) float x[kGroup], z[kGroup];
 };
 /// A stretch on the plane, by direction: its lower end, and the rows before which its two ends lie, 0..height.
-struct Fallen {
+struct ProjectedEdge {
   alignas(64) float x[kGroup], z[kGroup], slope[kGroup];
   alignas(64) int row[kGroup], last[kGroup];
 };
 /// Bit by direction: whether the stretch crosses a row. Those alone are set in `out`, or more.
-std::uint16_t fall(const Stretch& stretch, const Shifts& shifts, int height, Fallen& out);
+std::uint16_t fall(const SegmentSpan& span_along, const Shifts& shifts, int height,
+                   ProjectedEdge& out);
 
 struct alignas(32) Counts {
   std::int16_t of[kGroup];

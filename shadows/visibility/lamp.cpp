@@ -5,13 +5,13 @@
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 
-#include "core/aside.h"
-#include "shadows/silhouette/casters.h"
-#include "shadows/silhouette/disc_shadow.h"
+#include "core/background_task.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
 #include "core/scratch.h"
-#include "shadows/silhouette/disc_rays.h"
+#include "shadows/silhouette/light_rays.h"
+#include "shadows/silhouette/occluders.h"
+#include "shadows/silhouette/shadow_map.h"
 
 namespace penumbra::shadows {
 
@@ -21,13 +21,13 @@ constexpr int kMapNodes = 129;
 constexpr double kReach = 5;  // lamp heights
 constexpr float kFade = .2f;  // of the half extent
 
-// Points of the lamp's face as a surface point sees it: a disc across the line of sight.
-class Face {
+// Points of the lamp's face as a surface point sees it: a light across the line of visibility.
+class LampFace {
  public:
-  Face(const Lamp& lamp, int taps)
-      : centre_(lamp.position), radius_(static_cast<float>(lamp.radius_m)), taps_(taps) {
-    for (int k = 0; k < taps; ++k) {
-      const double r = std::sqrt((k + .5) / taps), a = k * 2.399963229728653;  // Vogel spiral
+  LampFace(const Lamp& lamp, int samples)
+      : centre_(lamp.position), radius_(static_cast<float>(lamp.radius_m)), samples_(samples) {
+    for (int k = 0; k < samples; ++k) {
+      const double r = std::sqrt((k + .5) / samples), a = k * 2.399963229728653;  // Vogel spiral
       offsets_[static_cast<std::size_t>(k)] = {r * std::cos(a), r * std::sin(a)};
     }
   }
@@ -41,14 +41,14 @@ class Face {
     const glm::vec3 side = glm::normalize(
         glm::cross(axis, std::abs(axis.y) < .9f ? glm::vec3(0, 1, 0) : glm::vec3(1, 0, 0)));
     const glm::vec3 up = glm::cross(side, axis);
-    for (int k = 0; k < taps_; ++k) {
+    for (int k = 0; k < samples_; ++k) {
       const glm::vec2& o = offsets_[static_cast<std::size_t>(k)];
       const glm::vec3 way = to + radius_ * (o.x * side + o.y * up);
       const float length = std::max(glm::length(way), 1e-6f);
       const glm::vec3 d = way / length;
       const float cosine = glm::dot(normal, d);
       if (cosine <= 0) continue;
-      packets.add(index, cosine / (distance * distance * static_cast<float>(taps_)), from, d,
+      packets.add(index, cosine / (distance * distance * static_cast<float>(samples_)), from, d,
                   length);
     }
   }
@@ -56,23 +56,23 @@ class Face {
  private:
   glm::vec3 centre_;
   float radius_;
-  int taps_;
-  std::array<glm::vec2, kMostTaps> offsets_{};
+  int samples_;
+  std::array<glm::vec2, kMaxSamples> offsets_{};
 };
 
 // at(i) gives position and normal of point i.
 template <class At>
-void trace(const Blockers& blockers, std::size_t count, const Lamp& lamp, int taps, At at,
+void trace(const RayOccluders& occluders, std::size_t count, const Lamp& lamp, int samples, At at,
            std::span<float> out) {
-  const Face face(lamp, taps);
+  const LampFace face(lamp, samples);
   std::ranges::fill(out.first(count), 0.f);
   parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
-    Packets packets(blockers, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
+    Packets packets(occluders, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (!by_virtual && !by_real) out[i] += weight;
     });
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       const auto [position, normal] = at(i);
-      face.add(packets, i, position + blockers.near_m * normal, normal);
+      face.add(packets, i, position + occluders.near_m * normal, normal);
     }
   });
 }
@@ -81,28 +81,29 @@ using Point = std::pair<glm::vec3, glm::vec3>;
 
 }  // namespace
 
-void trace_lamp_points(const Blockers& blockers, std::span<const glm::vec3> positions,
-                       std::span<const glm::vec3> normals, const Lamp& lamp, int taps,
+void trace_lamp_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
+                       std::span<const glm::vec3> normals, const Lamp& lamp, int samples,
                        std::span<float> out) {
   trace(
-      blockers, positions.size(), lamp, taps,
+      occluders, positions.size(), lamp, samples,
       [&](std::size_t i) { return Point(positions[i], normals[i]); }, out);
 }
 
-void trace_lamp_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
-                      const Lamp& lamp, int taps, std::span<float> out) {
+void trace_lamp_light(const RayOccluders& occluders, const prt::Mesh& mesh,
+                      const Pose& world_from_mesh, const Lamp& lamp, int samples,
+                      std::span<float> out) {
   const glm::mat3 turn(world_from_mesh.rotation_matrix());
   const glm::vec3 shift(world_from_mesh.translation);
   trace(
-      blockers, mesh.positions.size(), lamp, taps,
+      occluders, mesh.positions.size(), lamp, samples,
       [&](std::size_t i) {
         return Point(turn * mesh.positions[i] + shift, turn * mesh.normals[i]);
       },
       out);
 }
 
-float trace_lamp_map(const Blockers& blockers, const prt::Plane& plane, const Lamp& lamp, int taps,
-                     DiscShadow& out) {
+float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, const Lamp& lamp,
+                     int samples, ShadowMap& out) {
   out.taken.reset(0, 0);
   out.missing.reset(0, 0);
   const double height = glm::dot(lamp.position - plane.point, plane.normal);
@@ -116,15 +117,15 @@ float trace_lamp_map(const Blockers& blockers, const prt::Plane& plane, const La
   const glm::vec3 normal(plane.normal), origin(out.world_from_map.translation),
       x = glm::vec3(frame * glm::dvec3(cell, 0, 0)), z = glm::vec3(frame * glm::dvec3(0, 0, cell));
   trace(
-      blockers, out.taken.area(), lamp, taps,
+      occluders, out.taken.area(), lamp, samples,
       [&](std::size_t i) {
         return Point(
             origin + static_cast<float>(i % kMapNodes) * x + static_cast<float>(i / kMapNodes) * z,
             normal);
       },
       out.taken.pixels());
-  const float most = std::ranges::max(out.taken.pixels());
-  if (!(most > 0)) {
+  const float largest = std::ranges::max(out.taken.pixels());
+  if (!(largest > 0)) {
     out.taken.reset(0, 0);
     return 0;
   }
@@ -134,9 +135,9 @@ float trace_lamp_map(const Blockers& blockers, const prt::Plane& plane, const La
       const float r = std::hypot(static_cast<float>(i) - kMiddle, static_cast<float>(j) - kMiddle) /
                       kMiddle,
                   t = std::clamp((1 - r) / kFade, 0.f, 1.f);
-      out.taken.at(i, j) *= t * t * (3 - 2 * t) / most;
+      out.taken.at(i, j) *= t * t * (3 - 2 * t) / largest;
     }
-  return most;
+  return largest;
 }
 
 }  // namespace penumbra::shadows

@@ -5,16 +5,16 @@
 #include <glm/vec3.hpp>
 #include <span>
 
-#include "shadows/silhouette/casters.h"
-#include "shadows/silhouette/disc_shadow.h"
+#include "core/image.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
-#include "core/image.h"
+#include "shadows/silhouette/occluders.h"
+#include "shadows/silhouette/shadow_map.h"
 
 namespace penumbra::shadows {
 
-struct Blockers;
-struct DiscShadow;
+struct RayOccluders;
+struct ShadowMap;
 
 struct Lamp {
   glm::dvec3 position{0, 1, 0};  // world, metres
@@ -24,19 +24,20 @@ struct Lamp {
 
 /// out[i] = mean over the lamp's face of V max(n.w, 0)/d^2: times irradiance_at_1m it is an irradiance. Points inside the
 /// lamp count as on its surface.
-/// in: unit normals; taps 1..64 rays a point
-void trace_lamp_points(const Blockers& blockers, std::span<const glm::vec3> positions,
-                       std::span<const glm::vec3> normals, const Lamp& lamp, int taps,
+/// in: unit normals; samples 1..64 rays a point
+void trace_lamp_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
+                       std::span<const glm::vec3> normals, const Lamp& lamp, int samples,
                        std::span<float> out);
 
 /// The same at the vertices of a mesh.
-void trace_lamp_light(const Blockers& blockers, const prt::Mesh& mesh, const Pose& world_from_mesh,
-                      const Lamp& lamp, int taps, std::span<float> out);
+void trace_lamp_light(const RayOccluders& occluders, const prt::Mesh& mesh,
+                      const Pose& world_from_mesh, const Lamp& lamp, int samples,
+                      std::span<float> out);
 
 /// What the lamp sends to a real plane, as a map of its own brightest value: `out.taken` 0..1, which fades to 0 at the rim,
 /// five lamp heights out (1 % of the middle). Returns that value, as trace_lamp_points; 0 and an empty map for a lamp
 /// behind the plane.
-float trace_lamp_map(const Blockers& blockers, const prt::Plane& plane, const Lamp& lamp, int taps,
-                     DiscShadow& out);
+float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, const Lamp& lamp,
+                     int samples, ShadowMap& out);
 
 }  // namespace penumbra::shadows

@@ -1,8 +1,8 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include "bench/harness.h"
-#include "prt/prt.h"
 #include "prt/geometry/ray_pattern.h"
+#include "prt/prt.h"
 
 namespace penumbra::bench {
 namespace {
@@ -22,7 +22,7 @@ void bake(benchmark::State& state) {
         tbb::parallel_for(std::size_t{0}, mesh.positions.size(), [&](std::size_t i) {
           const auto turn = prt::RayPatterns::turn_of(i);
           const glm::mat3 frame = prt::frame_around(mesh.normals[i]);
-          prt::RayScene::Packet packet;
+          prt::RayScene::RayPacket packet;
           std::uint32_t blocked = 0;
           for (int b = 0; b < options.rays / 16; ++b) {
             patterns.cosine_block(turn, b, frame, packet);

@@ -4,8 +4,8 @@
 #include <opencv2/photo.hpp>
 #include <random>
 
-#include "calib/calib.h"
 #include "bench/harness.h"
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "capture/device/internal/exposure_schedule.h"
 #include "capture/hdr/internal/table_merger.h"
@@ -62,7 +62,7 @@ void merge_against(benchmark::State& state, bool robertson) {
   const Threads threads(static_cast<int>(state.range(0)));
   const Bracket& b = bracket();
   auto merger = TableMerger::make(b.exposures, b.camera());
-  std::vector<TableMerger::Slot> frames;
+  std::vector<TableMerger::MergeSlot> frames;
   std::vector<cv::Mat> mats;
   std::vector<float> times;
   for (std::size_t k = 0; k < b.frames.size(); ++k) {
@@ -129,7 +129,7 @@ BENCHMARK(merge_robertson)
     ->Apply(one_and_two_threads);
 
 // What a ring of four exposures does with each new 1920x1080 frame, beside streaming once what it may have to touch: all
-// frames and the one that was replaced in, half floats out. Over the given share of the columns something moves.
+// frames and the one that was replaced in, half floats out. Over the given fraction of the columns something moves.
 void ring(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   constexpr int kWidth = 1920, kHeight = 1080, kRounds = 3;

@@ -37,7 +37,7 @@ void relight_clip(benchmark::State& state) {
       state, [&] { sequence->surface.relight(36.4, light, turns, out); },
       [&] { prt::relight(frame, light, out); });
   state.counters["points"] = static_cast<double>(sequence->surface.points());
-  state.counters["components"] = sequence->surface.most_components();
+  state.counters["components"] = sequence->surface.max_components();
 }
 BENCHMARK(relight_clip)
     ->Name("prt/relight_compressed_clip_vs_one_frame_uncompressed")

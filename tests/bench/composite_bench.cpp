@@ -1,10 +1,10 @@
 #include <cmath>
 #include <cstring>
 
-#include "prt/prt.h"
 #include "bench/harness.h"
 #include "compositor/compositor.h"
 #include "core/conventions.h"
+#include "prt/prt.h"
 #include "shadows/shadows.h"
 
 namespace penumbra::bench {
@@ -43,7 +43,7 @@ void composite(benchmark::State& state) {
   std::vector<float> decode(256);
   for (std::size_t z = 0; z < 256; ++z)
     decode[z] = static_cast<float>(std::pow(static_cast<double>(z) / 255, 2.2));
-  const CodeCurve curve({decode, decode, decode}, 0);
+  const ResponseTable curve({decode, decode, decode}, 0);
   const glm::dvec3 eye(.25, .62, 1.8);
   const glm::dvec3 back = glm::normalize(eye - glm::dvec3(0, .2, 0)),
                    right = glm::normalize(glm::cross(glm::dvec3(0, 1, 0), back));

@@ -91,7 +91,10 @@ void relight(benchmark::State& state) {
         benchmark::DoNotOptimize(product.data());
       });
 }
-BENCHMARK(relight)->Name("prt/relight_100k_25_rgb_vs_eigen")->Apply(one_and_two_threads)->Iterations(101);
+BENCHMARK(relight)
+    ->Name("prt/relight_100k_25_rgb_vs_eigen")
+    ->Apply(one_and_two_threads)
+    ->Iterations(101);
 
 }  // namespace
 }  // namespace penumbra::bench

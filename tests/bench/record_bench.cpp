@@ -2,8 +2,8 @@
 #include <filesystem>
 #include <thread>
 
-#include "calib/calib.h"
 #include "bench/harness.h"
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "support/temp_folder.h"
 

@@ -1,17 +1,17 @@
 // What a frame costs as a whole: a light update of one object with default settings, and compositing it.
 #include <cmath>
 
-#include "calib/calib.h"
-#include "lighting/lighting.h"
 #include "bench/harness.h"
+#include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
-#include "runtime/shading/compose_stage.h"
+#include "lighting/lighting.h"
+#include "runtime/shading/composite_stage.h"
 
 namespace penumbra::bench {
 namespace {
 
-using runtime::ComposeStage;
+using runtime::CompositeStage;
 
 struct Setup {
   runtime::PreparedScene scene;
@@ -20,7 +20,7 @@ struct Setup {
 
   Setup() {
     runtime::SceneObject object;
-    object.name = "knot", object.asset = "builtin:knot", object.stand = true;
+    object.name = "knot", object.asset = "builtin:knot", object.place_on_floor = true;
     runtime::RealGeometry floor;
     floor.plane = runtime::RealPlane{};
     floor.albedo = Rgb{.4f, .4f, .4f};
@@ -34,14 +34,14 @@ struct Setup {
     c.response = calib::Response::srgb();
     c.world_from_camera = capture::look_at({.25, .8, 1.75}, {.02, .25, 0});
     light = *lighting::estimate_map(capture::make_sky_environment(1024, 512, .7), {});
-    for (lighting::Disc& d : light.discs) d.id = 1;
+    for (lighting::DistantLight& d : light.lights) d.id = 1;
   }
-  std::unique_ptr<ComposeStage> stage(StageTimes& times, bool with_look = false) const {
+  std::unique_ptr<CompositeStage> stage(StageTimes& times, bool with_effects = false) const {
     std::vector<capture::CameraInfo> seen_by = cameras;
-    seen_by[0].noise_known = with_look;
-    if (with_look) seen_by[0].psf_sigma_px = .7;
+    seen_by[0].noise_known = with_effects;
+    if (with_effects) seen_by[0].psf_sigma_px = .7;
     auto made =
-        ComposeStage::create(seen_by, scene, compositor::Compositor::Surface::kOffscreen, times);
+        CompositeStage::create(seen_by, scene, compositor::Compositor::Surface::kOffscreen, times);
     return made ? std::move(*made) : nullptr;
   }
 };
@@ -55,8 +55,8 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
   lighting::LightEstimate out = light;
   const lighting::ShRotation rotation(turn, light.light.bands());
   out.light = rotation * light.light;
-  out.floor_light = rotation * light.floor_light;
-  for (lighting::Disc& d : out.discs) d.direction = turn * d.direction;
+  out.upper_hemisphere_light = rotation * light.upper_hemisphere_light;
+  for (lighting::DistantLight& d : out.lights) d.direction = turn * d.direction;
   return out;
 }
 
@@ -76,17 +76,17 @@ double radius_of(Source source) {
 lighting::LightEstimate light_of(Source source) {
   lighting::LightEstimate out = setup().light;
   if (source == kStands || source == kSun) return out;
-  lighting::Disc& lamp = out.discs[0];
+  lighting::DistantLight& lamp = out.lights[0];
   const double before = lamp.solid_angle_sr();
   lamp.radius = Radians{radius_of(source)};
   lamp.radiance = lamp.radiance * static_cast<float>(before / lamp.solid_angle_sr());
-  out.discs.resize(1);
+  out.lights.resize(1);
   if (source != kThreeLamps) return out;
   for (const int id : {2, 3}) {
-    out.discs.push_back(out.discs[0]);
-    out.discs.back().id = id;
-    out.discs.back().direction =
-        glm::angleAxis(id * 1., glm::dvec3(0, 1, 0)) * out.discs[0].direction;
+    out.lights.push_back(out.lights[0]);
+    out.lights.back().id = id;
+    out.lights.back().direction =
+        glm::angleAxis(id * 1., glm::dvec3(0, 1, 0)) * out.lights[0].direction;
   }
   return out;
 }
@@ -108,10 +108,10 @@ void light_update(benchmark::State& state) {
         angle += step;
         if (source != kStands) light = turned(start, angle);
         if (source == kStands)
-          light.light[0] += Rgb{.1f, .1f, .1f}, light.floor_light = light.light;
-        stage->update_light(light, 0);
+          light.light[0] += Rgb{.1f, .1f, .1f}, light.upper_hemisphere_light = light.light;
+        stage->shade(light, 0);
       },
-      [&] { stage->update_light(light, 0); });
+      [&] { stage->shade(light, 0); });
   report(state, times);
 }
 BENCHMARK(light_update)

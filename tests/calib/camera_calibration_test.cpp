@@ -24,8 +24,8 @@ constexpr double kNoisePx = .2;
 constexpr int kColumns = 9, kRows = 6;
 constexpr double kSquare = .03;
 
-Projection truth(ProjectionKind kind) {
-  Projection p = projection(kind, kWidth, kHeight);
+CameraModel truth(ProjectionKind kind) {
+  CameraModel p = projection(kind, kWidth, kHeight);
   p.principal_px = {493.9, 377.9};
   switch (kind) {
     case kKannalaBrandt:
@@ -44,8 +44,8 @@ Projection truth(ProjectionKind kind) {
 }
 
 // How a hand holds a board: somewhere in view, tilted by up to 45 degrees.
-std::vector<BoardView> simulate(const Projection& camera, int count, std::uint32_t seed,
-                                double most_tilt = .8, double spread = 1, bool flat = false) {
+std::vector<BoardView> simulate(const CameraModel& camera, int count, std::uint32_t seed,
+                                double max_tilt = .8, double spread = 1, bool flat = false) {
   std::mt19937 random(seed);
   std::normal_distribution<double> noise(0, kNoisePx);
   std::uniform_real_distribution<double> unit(-1, 1);
@@ -59,7 +59,7 @@ std::vector<BoardView> simulate(const Projection& camera, int count, std::uint32
     // Turned first as it is held, then towards the camera.
     const glm::dquat face =
         flat ? glm::dquat(1, 0, 0, 0) : glm::rotation(glm::dvec3(0, 0, -1), *towards);
-    const glm::dquat tilt = glm::angleAxis(most_tilt * unit(random), glm::normalize(axis));
+    const glm::dquat tilt = glm::angleAxis(max_tilt * unit(random), glm::normalize(axis));
     const glm::dvec3 centre = *towards * (.25 + .25 * std::abs(unit(random)));
     BoardView view{.name = "board " + std::to_string(out.size()), .pixels = {}, .on_board_m = {}};
     for (int i = 0; i < kColumns * kRows; ++i) {
@@ -80,7 +80,7 @@ struct Parameter {
   double found, sigma, truth;
 };
 
-std::vector<Parameter> parameters(const CameraCalibration& c, const Projection& truth) {
+std::vector<Parameter> parameters(const CameraCalibration& c, const CameraModel& truth) {
   std::vector<Parameter> out;
   for (int i = 0; i < 2; ++i) {
     out.push_back({c.projection.focal_px[i], c.focal_sigma_px[i], truth.focal_px[i]});
@@ -96,15 +96,15 @@ class CameraCalibrationOf : public testing::TestWithParam<ProjectionKind> {};
 // Two standard deviations hold the truth in 95.4 % of all cases, for each parameter of each lens.
 TEST_P(CameraCalibrationOf, UncertaintyCoversTheTruth) {
   constexpr int kRuns = 200;
-  const Projection camera = truth(GetParam());
+  const CameraModel camera = truth(GetParam());
   std::vector<int> covered;
-  double worst_rms = 0, least_rms = 1;
+  double worst_rms = 0, min_rms = 1;
   for (std::uint32_t run = 0; run < kRuns; ++run) {
     const auto result =
         calibrate_camera(simulate(camera, 12, run + 1), camera.kind, kWidth, kHeight);
     ASSERT_TRUE(result) << "run " << run << ": " << result.error().detail;
     worst_rms = std::max(worst_rms, result->rms_px);
-    least_rms = std::min(least_rms, result->rms_px);
+    min_rms = std::min(min_rms, result->rms_px);
     const auto list = parameters(*result, camera);
     covered.resize(list.size());
     for (std::size_t i = 0; i < list.size(); ++i)
@@ -112,17 +112,17 @@ TEST_P(CameraCalibrationOf, UncertaintyCoversTheTruth) {
   }
   // RMS of two-dimensional errors.
   EXPECT_NEAR(worst_rms, kNoisePx * std::sqrt(2), .04);
-  EXPECT_NEAR(least_rms, kNoisePx * std::sqrt(2), .04);
+  EXPECT_NEAR(min_rms, kNoisePx * std::sqrt(2), .04);
   int all = 0;
   for (const int n : covered) {
     EXPECT_GE(n, 180) << "90 %: four standard deviations below 95 % of 200";
     all += n;
   }
-  const double share = static_cast<double>(all) / static_cast<double>(kRuns * covered.size());
+  const double fraction = static_cast<double>(all) / static_cast<double>(kRuns * covered.size());
   std::printf("%s: truth within 1.96 sigma in %.1f %% of %d runs\n",
-              std::string(projection_name(camera.kind)).c_str(), 100 * share, kRuns);
-  EXPECT_GE(share, .93);
-  EXPECT_LE(share, .99) << "the uncertainty is overstated";
+              std::string(projection_name(camera.kind)).c_str(), 100 * fraction, kRuns);
+  EXPECT_GE(fraction, .93);
+  EXPECT_LE(fraction, .99) << "the uncertainty is overstated";
 }
 
 INSTANTIATE_TEST_SUITE_P(All, CameraCalibrationOf,
@@ -134,7 +134,7 @@ INSTANTIATE_TEST_SUITE_P(All, CameraCalibrationOf,
                          });
 
 TEST(CameraCalibration, PosesOfTheBoardsAreInOurAxes) {
-  const Projection camera = truth(kPinhole);
+  const CameraModel camera = truth(kPinhole);
   // A board one metre ahead, facing the camera, its first corner above and left of the axis.
   std::vector<BoardView> views = simulate(camera, 10, 3);
   BoardView facing{.name = "facing", .pixels = {}, .on_board_m = {}};
@@ -152,7 +152,7 @@ TEST(CameraCalibration, PosesOfTheBoardsAreInOurAxes) {
 }
 
 TEST(CameraCalibration, ABoardThatContradictsTheOthersIsNamed) {
-  const Projection camera = truth(kKannalaBrandt);
+  const CameraModel camera = truth(kKannalaBrandt);
   std::vector<BoardView> views = simulate(camera, 12, 5);
   std::mt19937 random(1);
   std::normal_distribution<double> bent(0, 3);  // a board that moved while the shutter was open
@@ -173,7 +173,7 @@ TEST(CameraCalibration, RefusesWhatCannotBeKnownAndSaysWhatToCapture) {
     EXPECT_EQ(result.error().code, ErrorCode::kUndetermined);
     return result.error().detail;
   };
-  const Projection pinhole = truth(kPinhole), fisheye = truth(kKannalaBrandt);
+  const CameraModel pinhole = truth(kPinhole), fisheye = truth(kKannalaBrandt);
   EXPECT_THAT(reason(simulate(pinhole, 2, 1), kPinhole), HasSubstr("found in 2 pictures"));
   // Boards held flat before a pinhole: a longer lens from farther away looks the same.
   EXPECT_THAT(reason(simulate(pinhole, 12, 1, .01, .3, true), kPinhole), HasSubstr("tilted by"));
@@ -188,7 +188,7 @@ TEST(CameraCalibration, RefusesWhatCannotBeKnownAndSaysWhatToCapture) {
 }
 
 TEST(CameraCalibration, UndistortedKeepsTheDistortionAtZero) {
-  Projection camera = projection(kPinhole, kWidth, kHeight);
+  CameraModel camera = projection(kPinhole, kWidth, kHeight);
   camera.focal_px = {900, 905};
   const auto result =
       calibrate_camera(simulate(camera, 12, 2), kPinhole, kWidth, kHeight, {.undistorted = true});
@@ -249,7 +249,7 @@ TEST(RealBoards, UnequalStereoPair) {
     EXPECT_EQ(views.size(), 8u);
     const auto result = calibrate_camera(views, kPinhole, c.width, c.height);
     ASSERT_TRUE(result) << result.error().detail;
-    const Projection& p = result->projection;
+    const CameraModel& p = result->projection;
     std::printf("%s: %.3f px RMS, focal %.1f %.1f, principal %.1f %.1f\n", c.name, result->rms_px,
                 p.focal_px.x, p.focal_px.y, p.principal_px.x, p.principal_px.y);
     EXPECT_NEAR(p.focal_px.x, c.fx, .02 * c.fx);

@@ -23,7 +23,7 @@ Rgb carried(const glm::dmat3& m, const Rgb& c) {
 struct Scene {
   double noise = .01;     // of each measurement
   double saturation = 1;  // 0: grey things alone
-  double strangers = 0;   // share of the pairs that show two surfaces
+  double strangers = 0;   // fraction of the pairs that show two surfaces
 };
 
 std::vector<ColourPair> surfaces(const Scene& scene, int count, unsigned seed) {

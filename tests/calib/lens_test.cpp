@@ -13,8 +13,8 @@
 namespace penumbra::calib {
 namespace {
 
-Projection lens(ProjectionKind kind, std::vector<double> distortion, double focal = 240) {
-  Projection p = projection(kind, 1000, 760);
+CameraModel lens(ProjectionKind kind, std::vector<double> distortion, double focal = 240) {
+  CameraModel p = projection(kind, 1000, 760);
   p.focal_px = {focal, focal * 1.01};
   p.principal_px = {494, 379};
   const auto out = with_distortion(p, distortion);
@@ -22,7 +22,7 @@ Projection lens(ProjectionKind kind, std::vector<double> distortion, double foca
   return out.value_or(p);
 }
 
-std::vector<Projection> lenses() {
+std::vector<CameraModel> lenses() {
   return {lens(kKannalaBrandt, {.03987, .03812, -.02952, .00739}),
           lens(kKannalaBrandt, {-.05, .01, 0, 0}),
           lens(kDoubleSphere, {-.18, .59}, 300),
@@ -31,7 +31,7 @@ std::vector<Projection> lenses() {
           lens(kPinhole, {.1, -.02, 0, 0, 0}, 700)};
 }
 
-void expect_pixel(const Projection& p, const glm::dvec3& d, double x, double y) {
+void expect_pixel(const CameraModel& p, const glm::dvec3& d, double x, double y) {
   const auto pixel = pixel_from_direction(p, d);
   ASSERT_TRUE(pixel);
   EXPECT_NEAR(pixel->x, x, 1e-7);
@@ -40,7 +40,7 @@ void expect_pixel(const Projection& p, const glm::dvec3& d, double x, double y) 
 
 // OpenCV's camera looks along +z with y down.
 TEST(Lens, AgreesWithOpenCv) {
-  Projection p = lens(kKannalaBrandt, {.03987, .03812, -.02952, .00739});
+  CameraModel p = lens(kKannalaBrandt, {.03987, .03812, -.02952, .00739});
   p.focal_px = {437, 436};
   expect_pixel(p, {.3, .2, -1}, 620.4880595874, 294.8675911821);
   expect_pixel(p, {1.5, -1, -1}, 905.5180873503, 652.7175989088);
@@ -54,7 +54,7 @@ TEST(Lens, AgreesWithOpenCv) {
 // Usenko et al. 2018, eq. 40-42.
 TEST(Lens, DoubleSphereIsThePapersFormula) {
   const double xi = -.18, alpha = .59;
-  const Projection p = lens(kDoubleSphere, {xi, alpha});
+  const CameraModel p = lens(kDoubleSphere, {xi, alpha});
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
   for (int i = 0; i < 200; ++i) {
@@ -71,7 +71,7 @@ TEST(Lens, DoubleSphereIsThePapersFormula) {
 }
 
 TEST(Lens, UndistortedKb4IsEquidistantAndSolidAngleToo) {
-  const Projection a = lens(kEquidistant, {}), b = lens(kKannalaBrandt, {});
+  const CameraModel a = lens(kEquidistant, {}), b = lens(kKannalaBrandt, {});
   const auto ta = make_projection_table(a), tb = make_projection_table(b);
   for (std::size_t i = 0; i < ta.direction.size(); i += 97) {
     EXPECT_LT(glm::length(ta.direction[i] - tb.direction[i]), 1e-6f);
@@ -81,7 +81,7 @@ TEST(Lens, UndistortedKb4IsEquidistantAndSolidAngleToo) {
 
 TEST(Lens, RoundTrips) {
   std::mt19937 random(7);
-  for (const Projection& p : lenses()) {
+  for (const CameraModel& p : lenses()) {
     std::uniform_real_distribution<double> x(0, p.width), y(0, p.height);
     int seen = 0;
     for (int i = 0; i < 2000; ++i) {
@@ -100,7 +100,7 @@ TEST(Lens, RoundTrips) {
 
 // A picture that a pixel would fold back into sees nothing there, rather than two directions.
 TEST(Lens, NothingBeyondTheFold) {
-  const Projection barrel = lens(kPinhole, {-.5, 0, 0, 0, 0}, 300);
+  const CameraModel barrel = lens(kPinhole, {-.5, 0, 0, 0, 0}, 300);
   // r (1 - r^2 / 2) turns back at r^2 = 2/3, which is at radius .544.
   EXPECT_TRUE(pixel_from_direction(barrel, {.8, 0, -1}));
   EXPECT_FALSE(pixel_from_direction(barrel, {.83, 0, -1}));
@@ -112,7 +112,7 @@ TEST(Lens, NothingBeyondTheFold) {
 TEST(Lens, StrongLensesInvertUpToTheirFold) {
   for (const std::vector<double>& k :
        {std::vector<double>{-.5, .1}, {.3, .2}, {-.3, .1}, {-.5, 0}, {.1, -.05, 0, 0, .01}}) {
-    const Projection p = lens(kPinhole, k, 150);
+    const CameraModel p = lens(kPinhole, k, 150);
     double last = -1;
     for (double angle = .01; angle < 1.4; angle += .01) {
       const glm::dvec3 d(std::sin(angle), 0, -std::cos(angle));
@@ -128,7 +128,7 @@ TEST(Lens, StrongLensesInvertUpToTheirFold) {
   }
 }
 
-double brute_force(const Projection& p, int px, int py) {
+double brute_force(const CameraModel& p, int px, int py) {
   constexpr int kN = 8;
   double sum = 0;
   for (int v = 0; v < kN; ++v) {
@@ -147,7 +147,7 @@ double brute_force(const Projection& p, int px, int py) {
 
 TEST(Lens, SolidAnglesAgreeWithBruteForce) {
   std::mt19937 random(11);
-  for (const Projection& p : lenses()) {
+  for (const CameraModel& p : lenses()) {
     const ProjectionTable table = make_projection_table(p);
     std::uniform_int_distribution<int> x(0, p.width - 1), y(0, p.height - 1);
     int tried = 0;

@@ -50,7 +50,7 @@ TEST(NoiseCalibration, FindsFullWellReadNoiseAndBlackOfARawCamera) {
   const auto found = calibrate_noise(still, capped, raw.response, 0);
   ASSERT_TRUE(found) << found.error().detail;
   EXPECT_NEAR(found->model.full_well_electrons / 8000, 1, .02);
-  EXPECT_NEAR(found->model.read_fraction / 2e-3, 1, .03);
+  EXPECT_NEAR(found->model.read_noise / 2e-3, 1, .03);
   EXPECT_NEAR(found->black_level, .02, 2e-5);
   EXPECT_LT(found->error, .03);
 }
@@ -61,7 +61,7 @@ TEST(NoiseCalibration, SeesNoiseThroughTheCodesOfAnEightBitCamera) {
   const auto found = calibrate_noise(still, {}, eight.response, 0);
   ASSERT_TRUE(found) << found.error().detail;
   EXPECT_NEAR(found->model.full_well_electrons / 3000, 1, .05);
-  EXPECT_NEAR(found->model.read_fraction / 4e-3, 1, .15);
+  EXPECT_NEAR(found->model.read_noise / 4e-3, 1, .15);
 }
 
 TEST(NoiseCalibration, LampsThatFlickerAreNoNoiseOfTheCamera) {
@@ -106,7 +106,7 @@ TEST(NoiseCalibration, TheStatedUncertaintyCoversTheTruth) {
     const auto found = calibrate_noise(still, capped, raw.response, 0);
     ASSERT_TRUE(found) << found.error().detail;
     well += std::abs(found->model.full_well_electrons - 8000) < 1.96 * found->full_well_sigma;
-    read += std::abs(found->model.read_fraction - 2e-3) < 1.96 * found->read_sigma;
+    read += std::abs(found->model.read_noise - 2e-3) < 1.96 * found->read_sigma;
   }
   // No less often than stated; the sigmas hold 2 % for what a real camera does between the points.
   EXPECT_GE(well, .93 * kRuns);
@@ -139,7 +139,7 @@ TEST(NoiseFile, ComesBackAndDamagedOnesAreRefused) {
   const auto back = parse_noise_file(print_noise_file(c), "noise.toml");
   ASSERT_TRUE(back) << back.error().detail;
   EXPECT_NEAR(back->model.full_well_electrons, 12345, .1);
-  EXPECT_NEAR(back->model.read_fraction, .00123, 1e-8);
+  EXPECT_NEAR(back->model.read_noise, .00123, 1e-8);
   EXPECT_EQ(back->black_level, .0625);
   for (const char* const text :
        {"", "version = 1", "version = 1\n[noise]\nfull_well_electrons = 5\n",

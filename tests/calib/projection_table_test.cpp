@@ -20,12 +20,12 @@ double sum_of(const ProjectionTable& table) {
 
 TEST(ProjectionTable, WholeSphereSolidAnglesSumToFourPi) {
   for (const int scale : {1, 2, 7, 64, 200})
-    for (const Projection& p : whole_spheres(scale))
+    for (const CameraModel& p : whole_spheres(scale))
       EXPECT_NEAR(sum_of(make_projection_table(p)) / (4 * kPi), 1, 2.5e-7) << name_of(p);
 }
 
 TEST(ProjectionTable, FirstMomentIsZeroAndSecondIsIsotropic) {
-  for (const Projection& p : whole_spheres(128)) {
+  for (const CameraModel& p : whole_spheres(128)) {
     const ProjectionTable table = make_projection_table(p);
     glm::dvec3 first(0);
     glm::dmat3 second(0);
@@ -44,7 +44,7 @@ TEST(ProjectionTable, FirstMomentIsZeroAndSecondIsIsotropic) {
 }
 
 TEST(ProjectionTable, DirectionsAreThoseOfPixelCentres) {
-  for (const Projection& p : all_kinds()) {
+  for (const CameraModel& p : all_kinds()) {
     const ProjectionTable table = make_projection_table(p);
     for (int y = 0; y < p.height; y += 7) {
       for (int x = 0; x < p.width; x += 5) {
@@ -63,7 +63,7 @@ TEST(ProjectionTable, DirectionsAreThoseOfPixelCentres) {
 }
 
 /// Solid angle of a pixel by brute force: sub-pixels as spherical triangles' flat limit.
-double brute_force(const Projection& p, int x, int y, int parts) {
+double brute_force(const CameraModel& p, int x, int y, int parts) {
   double sum = 0;
   const double h = 1. / parts;
   for (int j = 0; j < parts; ++j) {
@@ -84,7 +84,7 @@ double brute_force(const Projection& p, int x, int y, int parts) {
 
 TEST(ProjectionTable, SolidAnglesAgreeWithBruteForce) {
   std::mt19937 random(11);
-  for (const Projection& p : all_kinds()) {
+  for (const CameraModel& p : all_kinds()) {
     if (p.kind == kExrCube || p.kind == kExrLatLong)
       continue;  // their pixels reach outside at edges
     const ProjectionTable table = make_projection_table(p);
@@ -101,7 +101,7 @@ TEST(ProjectionTable, SolidAnglesAgreeWithBruteForce) {
 }
 
 TEST(ProjectionTable, ConfidenceIsTheCoveredPartOfAPixel) {
-  for (const Projection& p : whole_spheres(7)) {
+  for (const CameraModel& p : whole_spheres(7)) {
     if (p.kind == kExrCube || p.kind == kExrLatLong) continue;
     const ProjectionTable table = make_projection_table(p);
     constexpr int parts = 64;
@@ -121,7 +121,7 @@ TEST(ProjectionTable, ConfidenceIsTheCoveredPartOfAPixel) {
 }
 
 TEST(ProjectionTable, MirrorBallIsEqualAreaAndRimPixelsCountTheirPart) {
-  const Projection p = projection(kMirrorBall, 64, 64);
+  const CameraModel p = projection(kMirrorBall, 64, 64);
   const ProjectionTable table = make_projection_table(p);
   for (std::size_t i = 0; i < table.solid_angle_sr.size(); ++i)
     ASSERT_NEAR(table.solid_angle_sr[i], 4. / (32 * 32) * table.confidence[i], 1e-9);
@@ -147,14 +147,14 @@ TEST(ProjectionTable, ExrEdgePixelsAreHalvesAndQuarters) {
 }
 
 TEST(ProjectionTable, PinholeSolidAngleIsThatOfItsFrustum) {
-  const Projection p = projection(kPinhole, 200, 100);
+  const CameraModel p = projection(kPinhole, 200, 100);
   const double x = 100 / p.focal_px.x, y = 50 / p.focal_px.y;
   EXPECT_NEAR(sum_of(make_projection_table(p)), 4 * std::atan2(x * y, std::sqrt(1 + x * x + y * y)),
               1e-6);
 }
 
 TEST(ProjectionTable, HemisphereFisheyeSumsToTwoPiWithinItsCircle) {
-  Projection p = projection(kEquidistant, 300, 300);
+  CameraModel p = projection(kEquidistant, 300, 300);
   const ProjectionTable table = make_projection_table(p);
   double front = 0;
   for (std::size_t i = 0; i < table.direction.size(); ++i)

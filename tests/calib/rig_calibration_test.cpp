@@ -21,10 +21,10 @@ glm::dquat turn(double degrees, const glm::dvec3& axis) {
 
 // A fisheye that looks up and forward, and a pair of view cameras.
 std::vector<RigCameraInput> lenses() {
-  Projection fisheye = *make_projection(ProjectionKind::kKannalaBrandt, 1000, 1000);
+  CameraModel fisheye = *make_projection(ProjectionKind::kKannalaBrandt, 1000, 1000);
   fisheye.focal_px = {320, 320};
   fisheye = *with_distortion(fisheye, std::vector{.03, -.01, .002, 0.});
-  Projection view = *make_projection(ProjectionKind::kPinhole, 1280, 720);
+  CameraModel view = *make_projection(ProjectionKind::kPinhole, 1280, 720);
   view.focal_px = {900, 900};
   return {{"left", view}, {"right", view}, {"fisheye", fisheye}};
 }
@@ -43,7 +43,7 @@ void add_view(Scene& scene, std::size_t camera, double time_s, const Pose& camer
   std::normal_distribution<double> noise(0, kNoise_px);
   RigObservation out{camera, time_s, {}};
   out.view.name = cameras[camera].name + " at " + std::to_string(time_s);
-  const Projection& lens = cameras[camera].projection;
+  const CameraModel& lens = cameras[camera].projection;
   for (int i = 0; i < kColumns * kRows; ++i) {
     const glm::dvec2 at = kSquare_m * glm::dvec2(i % kColumns, i / kColumns);
     const auto pixel =

@@ -11,8 +11,8 @@ namespace {
 
 constexpr int kWidth = 640, kHeight = 480;
 
-Projection lens() {
-  Projection p = *make_projection(ProjectionKind::kPinhole, kWidth, kHeight);
+CameraModel lens() {
+  CameraModel p = *make_projection(ProjectionKind::kPinhole, kWidth, kHeight);
   p.principal_px += glm::dvec2(14, -9);
   return p;
 }

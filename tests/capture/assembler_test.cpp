@@ -18,10 +18,10 @@ using glm::dvec3;
 
 constexpr HalfRgba kOne{kHalfOne, kHalfOne, kHalfOne, kHalfOne};
 
-calib::Projection projection(ProjectionKind kind, int width, int height) {
+calib::CameraModel projection(ProjectionKind kind, int width, int height) {
   const auto p = calib::make_projection(kind, width, height);
   EXPECT_TRUE(p);
-  return p ? *p : calib::Projection{};
+  return p ? *p : calib::CameraModel{};
 }
 
 MergedImage constant(int width, int height, float scale) {
@@ -102,7 +102,7 @@ dvec3 centroid(const Image<Rgb>& map) {
 }
 
 /// A picture that is bright within 20 degrees of `axis` of the camera.
-MergedImage patch(const calib::Projection& p, const dvec3& axis) {
+MergedImage patch(const calib::CameraModel& p, const dvec3& axis) {
   MergedImage merged = constant(p.width, p.height, 1);
   for (int y = 0; y < p.height; ++y)
     for (int x = 0; x < p.width; ++x) {

@@ -1,7 +1,7 @@
 // Exposure labels: right for every delay, and refused where the picture says otherwise.
+#include "capture/device/internal/bracketed_camera.h"
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "capture/device/internal/bracketed_camera.h"
 
 #include <gtest/gtest.h>
 
@@ -96,7 +96,7 @@ TEST_P(Delay, IsMeasuredAndEveryLabelIsRight) {
   const Outcome r = run_camera(b, 100);
   EXPECT_GT(r.good, 75);
   EXPECT_EQ(r.wrong, 0);
-  EXPECT_EQ(r.counts.refused, 0u);
+  EXPECT_EQ(r.counts.rejected, 0u);
   ASSERT_TRUE(r.counts.delay_frames);
   // Delays that differ by a whole turn of the schedule are the same.
   EXPECT_EQ(*r.counts.delay_frames % 3, GetParam() % 3);
@@ -116,7 +116,7 @@ TEST(ExposureLabels, FramesThatTellTheirExposureNeedNoDelayAndAreCheckedAllTheSa
   };
   const Outcome lying = run_camera(b, 170);
   EXPECT_EQ(lying.wrong, 0);
-  EXPECT_GE(lying.counts.refused, 9u);
+  EXPECT_GE(lying.counts.rejected, 9u);
 }
 
 TEST(ExposureLabels, ASlipOfOneFrameIsRefused) {
@@ -124,12 +124,12 @@ TEST(ExposureLabels, ASlipOfOneFrameIsRefused) {
   b.slips = [](std::uint64_t frame) { return frame > 40 && frame % 17 == 0; };
   const Outcome r = run_camera(b, 200);
   EXPECT_EQ(r.wrong, 0);
-  EXPECT_GE(r.counts.refused, 9u);
-  EXPECT_LE(r.counts.refused, 10u);
+  EXPECT_GE(r.counts.rejected, 9u);
+  EXPECT_LE(r.counts.rejected, 10u);
   // Without the check as many labels are wrong.
   int naive = 0;
   for (std::uint64_t frame = 41; frame <= 200; ++frame) naive += frame % 17 == 0;
-  EXPECT_EQ(static_cast<int>(r.counts.refused), naive);
+  EXPECT_EQ(static_cast<int>(r.counts.rejected), naive);
 }
 
 TEST(ExposureLabels, AnotherDelayFromNowOnIsFoundWithinThirtyFrames) {
@@ -139,7 +139,7 @@ TEST(ExposureLabels, AnotherDelayFromNowOnIsFoundWithinThirtyFrames) {
   EXPECT_EQ(r.wrong, 0);
   ASSERT_TRUE(r.counts.delay_frames);
   EXPECT_EQ(*r.counts.delay_frames, 3);
-  EXPECT_LE(r.counts.refused, 30u);
+  EXPECT_LE(r.counts.rejected, 30u);
   EXPECT_GT(r.good, 110);
 }
 
@@ -155,18 +155,18 @@ TEST(ExposureLabels, FramesThatNeverCameAndWereNotCountedAreFoundByTheirTime) {
 
 TEST(ExposureLabels, ACameraThatIgnoresExposureIsNamed) {
   FakeCameraBehaviour b;
-  b.deaf = [](std::uint64_t) { return true; };
+  b.ignores_controls = [](std::uint64_t) { return true; };
   const Outcome r = run_camera(b, 100);
   EXPECT_EQ(r.good, 0);
-  EXPECT_TRUE(r.counts.deaf);
+  EXPECT_TRUE(r.counts.ignores_controls);
 }
 
 TEST(ExposureLabels, ACameraThatFollowsAgainIsBelievedAgain) {
   FakeCameraBehaviour b;
-  b.deaf = [](std::uint64_t frame) { return frame > 60 && frame <= 100; };
-  EXPECT_TRUE(run_camera(b, 100).counts.deaf);
+  b.ignores_controls = [](std::uint64_t frame) { return frame > 60 && frame <= 100; };
+  EXPECT_TRUE(run_camera(b, 100).counts.ignores_controls);
   const Outcome r = run_camera(b, 200);
-  EXPECT_FALSE(r.counts.deaf);
+  EXPECT_FALSE(r.counts.ignores_controls);
   EXPECT_EQ(r.wrong, 0);
   EXPECT_GT(r.good, 110);
 }
@@ -176,12 +176,12 @@ TEST(ExposureLabels, AChangeOfLightIsNoSlip) {
   b.light = [](double t) { return t < 2 ? 1. : 1.8; };
   const Outcome r = run_camera(b, 150);
   EXPECT_EQ(r.wrong, 0);
-  EXPECT_LE(r.counts.refused, 2u);
+  EXPECT_LE(r.counts.rejected, 2u);
   // Even one that looks like a slip is believed when it stays.
   b.light = [](double t) { return t < 2 ? 1. : .25; };
   const Outcome quarter = run_camera(b, 200);
   EXPECT_EQ(quarter.wrong, 0);
-  EXPECT_LE(quarter.counts.refused, 25u);
+  EXPECT_LE(quarter.counts.rejected, 25u);
   EXPECT_GT(quarter.good, 140);
 }
 
@@ -191,7 +191,7 @@ TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
   b.light = [](double t) { return 1 + .1 * std::sin(2 * kPi * 100 * t + .3); };
   b.fps = 29.3;
   const Outcome r = run_camera(b, 300);
-  EXPECT_EQ(r.counts.refused, 0u);
+  EXPECT_EQ(r.counts.rejected, 0u);
   // RMS of the change from frame to frame, of the radiance that the frames of one exposure give.
   const auto flicker = [&](bool with_gain) {
     BrightnessMeter meter(info());
@@ -228,7 +228,7 @@ TEST(ExposureLabels, RatiosThatTheCameraGetsWrongAreFoundFromOverlaps) {
     return Exposure{asked.time * factor, asked.gain};
   };
   const Outcome r = run_camera(b, 150);
-  EXPECT_EQ(r.counts.refused, 0u);
+  EXPECT_EQ(r.counts.rejected, 0u);
   std::map<double, double> told_over_asked;
   for (std::size_t i = 100; i < r.frames.size(); ++i) {
     const Exposure& told = r.frames[i].exposure;

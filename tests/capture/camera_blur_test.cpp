@@ -54,7 +54,7 @@ TEST(Sensor, BlursLightAndNotItsOwnNoise) {
 }
 
 /// Dark to the left, bright to the right.
-class EdgeWorld : public World {
+class EdgeWorld : public RadianceWorld {
  public:
   Rgb radiance(const glm::dvec3&, const glm::dvec3& d) const override { return far_radiance(d); }
   Rgb far_radiance(const glm::dvec3& d) const override {
@@ -121,7 +121,7 @@ TEST(CaptureFolder, KeepsBlurAndWhetherTheNoiseIsKnown) {
   EXPECT_TRUE(known->noise_known);
   EXPECT_EQ(known->psf_sigma_px, .65);
   EXPECT_EQ(known->noise.full_well_electrons, info.noise.full_well_electrons);
-  EXPECT_EQ(known->noise.read_fraction, info.noise.read_fraction);
+  EXPECT_EQ(known->noise.read_noise, info.noise.read_noise);
 }
 
 TEST(CaptureFolder, RefusesAnImpossibleBlur) {

@@ -16,7 +16,7 @@ namespace {
 constexpr HalfRgba kOne{kHalfOne, kHalfOne, kHalfOne, kHalfOne};
 constexpr HalfRgba kClipped{kHalfOne, kHalfOne, kHalfOne, 0};
 
-calib::Projection latlong(int width, int height) {
+calib::CameraModel latlong(int width, int height) {
   const auto p = calib::make_projection(calib::ProjectionKind::kLatLong, width, height);
   EXPECT_TRUE(p);
   return *p;

@@ -80,7 +80,7 @@ TEST(FloorWorld, RefusesMapsThatCannotLight) {
 }
 
 TEST(SkyEnvironment, SunHasItsPowerOnAnyGrid) {
-  const double disc = 2 * kPi * (1 - std::cos(.2666 * kPi / 180));
+  const double source = 2 * kPi * (1 - std::cos(.2666 * kPi / 180));
   for (const int height : {64, 128, 512})
     for (const double elevation : {.3, .8, 1.4}) {
       const Image<Rgb> map = make_sky_environment(2 * height, height, elevation);
@@ -88,7 +88,7 @@ TEST(SkyEnvironment, SunHasItsPowerOnAnyGrid) {
       for (int y = 0; y < height; ++y)
         for (const Rgb& p : map.row(y))
           if (p.r > 2) power += latlong_solid_angle(y, 2 * height, height) * double(p.r);
-      EXPECT_NEAR(power / (46000 * disc), 1, .03) << height << " rows, elevation " << elevation;
+      EXPECT_NEAR(power / (46000 * source), 1, .03) << height << " rows, elevation " << elevation;
     }
 }
 

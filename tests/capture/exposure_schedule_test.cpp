@@ -1,7 +1,7 @@
 // The schedule that follows the light: as few exposures as its error allows, within the sensor's limits.
+#include "capture/device/internal/exposure_schedule.h"
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "capture/device/internal/exposure_schedule.h"
 
 #include <gtest/gtest.h>
 
@@ -108,7 +108,7 @@ TEST(ExposureSchedule, FewestThatKeepTheIrradianceWithinItsBudget) {
   struct Case {
     const char* name;
     Image<Rgb> scene;
-    std::size_t most_at_five, most_at_one;  // exposures, at a budget of so many per cent
+    std::size_t max_at_five, max_at_one;  // exposures, at a budget of so many per cent
   };
   const Case cases[] = {
       {"overcast", scaled(Image<Rgb>(kWidth, kHeight, {1, 1, 1}), 20), 1, 1},
@@ -128,7 +128,7 @@ TEST(ExposureSchedule, FewestThatKeepTheIrradianceWithinItsBudget) {
       for (const Exposure& e : r.exposures)
         std::printf(" %.3g ms x %.2g", 1e3 * e.time.count(), e.gain.value());
       std::printf(", promised %.4f, irradiance off by %.4f\n", r.promised, error);
-      EXPECT_LE(r.exposures.size(), budget > .02 ? c.most_at_five : c.most_at_one) << c.name;
+      EXPECT_LE(r.exposures.size(), budget > .02 ? c.max_at_five : c.max_at_one) << c.name;
       EXPECT_LE(error, budget) << c.name;
       EXPECT_LE(r.promised, budget) << c.name;
       for (const Exposure& e : r.exposures) {

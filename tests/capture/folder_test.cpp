@@ -111,7 +111,7 @@ TEST(CaptureFolder, ReadsIntrinsicsAndNoise) {
   EXPECT_EQ(camera.projection.focal_px, glm::dvec2(4, 5.5));
   EXPECT_EQ(camera.projection.principal_px, glm::dvec2(8, 4));
   EXPECT_EQ(camera.noise.full_well_electrons, 9000);
-  EXPECT_EQ(camera.noise.read_fraction, 1e-3);
+  EXPECT_EQ(camera.noise.read_noise, 1e-3);
 }
 
 // The hand-made camera, 16 x 8, with two lenses side by side; `change` replaces a part of the text.
@@ -152,10 +152,10 @@ TEST(CaptureFolder, RefusesBadLensesAndBalls) {
   };
   expect_refused(with_lenses("[8, 0, 8, 8]", "[9, 0, 8, 8]"), "crop_px: x, y, width, height");
   expect_refused(with_lenses("[8, 0, 8, 8]", "[8, 0, 7.5, 8]"), "crop_px: x, y, width, height");
-  expect_refused(with_lenses("field_deg = 190", "field_deg = 0"), "field_deg: not within");
-  expect_refused(with_lenses("field_deg = 190", ""), "field_deg: missing");
+  expect_refused(with_lenses("fov_deg = 190", "fov_deg = 0"), "fov_deg: not within");
+  expect_refused(with_lenses("fov_deg = 190", ""), "fov_deg: missing");
   expect_refused(with_lenses("\"kb4\"", "\"latlong\""), "projection");
-  expect_refused(with_lenses("field_deg = 190", "field_deg = 190\nname = \"x\""), "unknown key");
+  expect_refused(with_lenses("fov_deg = 190", "fov_deg = 190\nname = \"x\""), "unknown key");
   expect_refused(with_lenses("height = 8", "height = 8\nprojection = \"latlong\""),
                  "projection: each [[camera.lens]] has its own");
   expect_refused(with_lenses("height = 8", "height = 8\nfocal_px = [3, 3]"),
@@ -246,7 +246,7 @@ TEST(CaptureFolder, RefusesABadManifestNamingFileLineAndKey) {
             "vignetting: leaves less"},
            {"black_level = 0.0", "full_well_electrons = 0", ":9",
             "full_well_electrons: not positive"},
-           {"black_level = 0.0", "read_fraction = -1", ":9", "read_fraction: not within"},
+           {"black_level = 0.0", "read_noise = -1", ":9", "read_noise: not within"},
            {"0,1.5,0,1]", "0,1.5,0]", ":10", "world_from_camera: 15 numbers"},
            {"0,1.5,0,1]", "0,1.5,0,2]", ":10", "last row"},
            {"0,1.5,0,1]", "0,inf,0,1]", ":10", "not a finite number"},

@@ -25,7 +25,7 @@ CameraInfo camera(const std::string& name, Role role, calib::ProjectionKind kind
   CameraInfo info;
   info.name = name;
   info.role = role;
-  info.projection = calib::make_projection(kind, kWidth, kHeight).value_or(calib::Projection{});
+  info.projection = calib::make_projection(kind, kWidth, kHeight).value_or(calib::CameraModel{});
   info.world_from_camera = {glm::normalize(glm::dquat(.9, .1, -.3, .2)), {.1, 1.6, -2.5}};
   return info;
 }
@@ -150,7 +150,7 @@ TEST(CaptureFolderWriter, CamerasReadBackIdentically) {
     EXPECT_EQ(found[i].eye, expected[i].eye);
     EXPECT_EQ(found[i].black_level, expected[i].black_level);
     EXPECT_EQ(found[i].noise.full_well_electrons, expected[i].noise.full_well_electrons);
-    EXPECT_EQ(found[i].noise.read_fraction, expected[i].noise.read_fraction);
+    EXPECT_EQ(found[i].noise.read_noise, expected[i].noise.read_noise);
     EXPECT_EQ(found[i].response.describe(), expected[i].response.describe());
     for (int c = 0; c < 3; ++c)
       EXPECT_EQ(found[i].response.decode_table(8, c), expected[i].response.decode_table(8, c));

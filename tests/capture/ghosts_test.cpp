@@ -41,7 +41,7 @@ Image<Rgb> wall() {
   return out;
 }
 
-void add_disc(Image<Rgb>& to, double x, double y, double radius, Rgb radiance) {
+void add_distant_light(Image<Rgb>& to, double x, double y, double radius, Rgb radiance) {
   for (int row = 0; row < kHeight; ++row)
     for (int column = 0; column < kWidth; ++column)
       if (std::hypot(column + .5 - x, row + .5 - y) < radius) to.at(column, row) = radiance;
@@ -96,7 +96,7 @@ struct Rings {
 
 TEST(Ghosts, StillSceneIsMergedAsIfNothingCouldMove) {
   Image<Rgb> truth = wall();
-  add_disc(truth, 60, 50, 9, {30, 25, 20});
+  add_distant_light(truth, 60, 50, 9, {30, 25, 20});
   Rings rings(sensor_of(8));
   double ours = 0, full = 0;
   for (int n = 0; n < 24; ++n) {
@@ -121,7 +121,7 @@ TEST(Ghosts, MovingLampKeepsItsLight) {
     for (int n = 0; n < 40; ++n) {
       Image<Rgb> truth = wall();
       const double moved = n < 12 ? 0 : (n - 12) * step_px;
-      add_disc(truth, 40 + std::fmod(moved, 170), 64, 5.5, {40, 36, 30});
+      add_distant_light(truth, 40 + std::fmod(moved, 170), 64, 5.5, {40, 36, 30});
       const MergedImage* merged = rings.add(truth);
       if (n < 4) continue;
       const double right = energy(truth);
@@ -144,7 +144,7 @@ TEST(Ghosts, LampSwitchedOffIsGoneInTheNextFrameWhicheverExposureThatIs) {
       Rings rings(sensor_of(bits));
       const Image<Rgb> dark = wall();
       Image<Rgb> lit = wall();
-      add_disc(lit, 100, 60, 12, {50, 50, 50});
+      add_distant_light(lit, 100, 60, 12, {50, 50, 50});
       for (int n = 0; n < 8 + phase; ++n) rings.add(lit);
       for (int n = 0; n < 4; ++n) {
         const MergedImage* merged = rings.add(dark);
@@ -162,7 +162,7 @@ TEST(Ghosts, LampSwitchedOnIsWholeOnceAnExposureHasSeenIt) {
     Rings rings(sensor_of(8));
     const Image<Rgb> dark = wall();
     Image<Rgb> lit = wall();
-    add_disc(lit, 100, 60, 12, {50, 50, 50});
+    add_distant_light(lit, 100, 60, 12, {50, 50, 50});
     for (int n = 0; n < 8 + phase; ++n) rings.add(dark);
     double before = 0;
     bool seen = false;
@@ -216,7 +216,7 @@ TEST(Ghosts, PersonWhoWalksByLeavesNone) {
 TEST(Ghosts, FlickerThatTheLabelsTellIsNoChangeAndNoError) {
   // Lamps on mains: every frame 15 % brighter or darker, and its gain says so.
   Image<Rgb> truth = wall();
-  add_disc(truth, 60, 50, 9, {30, 25, 20});
+  add_distant_light(truth, 60, 50, 9, {30, 25, 20});
   Rings rings(sensor_of(8));
   double worst = 0;
   for (int n = 0; n < 40; ++n) {
@@ -255,7 +255,7 @@ TEST(Ghosts, WrongNoiseModelDoesNotTearAStillSceneApart) {
   // A camera twice as noisy as the guess.
   Sensor sensor = sensor_of(8);
   sensor.noise.full_well_electrons /= 4;
-  sensor.noise.read_fraction *= 2;
+  sensor.noise.read_noise *= 2;
   CameraInfo camera = camera_of(sensor);
   camera.noise = calib::NoiseModel{};
   camera.noise_known = false;

@@ -1,6 +1,6 @@
 // Camera formats in RGB codes: known colours, any stride, and nothing read beyond what came.
-#include "capture/capture.h"
 #include "capture/raw_formats.h"
+#include "capture/capture.h"
 
 #include <gtest/gtest.h>
 #include <linux/videodev2.h>

@@ -186,7 +186,7 @@ TEST_F(RecordingTest, CutAnywhereItEndsEarlier) {
   std::ifstream file(path_, std::ios::binary);
   const std::string bytes((std::istreambuf_iterator<char>(file)), {});
   const fs::path cut = folder_.path() / "cut.mkv";
-  std::size_t most = 0, refused = 0;
+  std::size_t largest = 0, refused = 0;
   for (std::uintmax_t end = 0; end < size; end += 701) {
     std::ofstream(cut, std::ios::binary | std::ios::trunc) << bytes.substr(0, end);
     const auto read = frames_of(cut);
@@ -195,8 +195,8 @@ TEST_F(RecordingTest, CutAnywhereItEndsEarlier) {
       EXPECT_THAT(read.error().where, HasSubstr("cut.mkv"));
       continue;
     }
-    EXPECT_GE(read->size(), most) << "at byte " << end;
-    most = std::max(most, read->size());
+    EXPECT_GE(read->size(), largest) << "at byte " << end;
+    largest = std::max(largest, read->size());
     std::vector<Frame> kept(written.begin(),
                             written.begin() + static_cast<std::ptrdiff_t>(read->size()));
     std::ranges::sort(kept, {}, &Frame::time);
@@ -205,7 +205,7 @@ TEST_F(RecordingTest, CutAnywhereItEndsEarlier) {
       EXPECT_TRUE(*kept[i].pixels == *(*read)[i].pixels);
     }
   }
-  EXPECT_EQ(most, written.size());
+  EXPECT_EQ(largest, written.size());
   EXPECT_LT(refused, 20u);  // only a cut within the head, which holds cameras.toml
 }
 

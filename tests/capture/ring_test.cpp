@@ -49,18 +49,18 @@ double farthest(const MergedImage& image, double expected) {
 TEST(HdrRing, KnowsTheBracketWhenAnExposureComesBackOrFourAreThere) {
   const Sensor sensor = sensor_of(8);
   HdrRing two(camera(sensor), 8);
-  EXPECT_FALSE(two.knows_bracket());
+  EXPECT_FALSE(two.bracket_complete());
   for (std::uint64_t i = 0; i < 3; ++i) {
-    EXPECT_FALSE(two.knows_bracket()) << i;
+    EXPECT_FALSE(two.bracket_complete()) << i;
     (void)two.add(frame(sensor, .4f, i % 2 == 0 ? 1 : 1. / 4, i));
   }
-  EXPECT_TRUE(two.knows_bracket());
+  EXPECT_TRUE(two.bracket_complete());
   HdrRing four(camera(sensor), 8);
   for (std::uint64_t i = 0; i < 4; ++i) {
-    EXPECT_FALSE(four.knows_bracket()) << i;
+    EXPECT_FALSE(four.bracket_complete()) << i;
     (void)four.add(frame(sensor, .4f, kTimes[i], i));
   }
-  EXPECT_TRUE(four.knows_bracket());
+  EXPECT_TRUE(four.bracket_complete());
 }
 
 TEST(HdrRing, FirstFrameAloneIsAnImage) {

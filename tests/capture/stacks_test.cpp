@@ -16,8 +16,8 @@
 namespace penumbra::capture {
 namespace {
 
-CodeCurve srgb() {
-  return make_code_curve(calib::Response::srgb(), 8, 0);
+ResponseTable srgb() {
+  return make_response_table(calib::Response::srgb(), 8, 0);
 }
 
 Image<Rgb> room() {
@@ -55,7 +55,7 @@ TEST(ExposureRatio, AWrongCurveWidensTheInterval) {
   const auto scene = room();
   const auto a = test::shot(sensor, scene, {Seconds(.1), Gain(1)}, 1),
              b = test::shot(sensor, scene, {Seconds(.4), Gain(1)}, 2);
-  const CodeCurve right = make_code_curve(sensor.response, 8, 0);
+  const ResponseTable right = make_response_table(sensor.response, 8, 0);
   const auto good = estimate_exposure_ratio(bytes(a), bytes(b), right),
              bad = estimate_exposure_ratio(bytes(a), bytes(b), srgb());
   ASSERT_TRUE(good && bad);
@@ -121,7 +121,7 @@ TEST(AlignStack, BringsAHandHeldStackBackToAFractionOfAPixel) {
   // What is left, by the brightness of the two pictures in the middle.
   const auto off = [&](const std::shared_ptr<const FramePixels>& f) {
     double sum = 0, n = 0;
-    const CodeCurve curve = srgb();
+    const ResponseTable curve = srgb();
     for (int y = 60; y < 420; ++y)
       for (int x = 60; x < 580; ++x) {
         const double truth = double(scene.at(x, y).g);
@@ -167,9 +167,9 @@ Result<calib::Response> response_of(const ExposureStack& stack) {
   return calib::estimate_response(pictures, times);
 }
 
-/// Contrast against the reference picture where that one is well exposed, by blocks of 16 pixels: the share of blocks
+/// Contrast against the reference picture where that one is well exposed, by blocks of 16 pixels: the fraction of blocks
 /// beyond 5 %.
-double ghosts(const Image<Rgb>& merged, const Image<Rgb8>& reference, const CodeCurve& curve,
+double ghosts(const Image<Rgb>& merged, const Image<Rgb8>& reference, const ResponseTable& curve,
               double time) {
   constexpr int kBlock = 16;
   int all = 0, off = 0;
@@ -204,10 +204,10 @@ TEST(RealStack, PersonInPingpongLeavesNoGhost) {
   const auto response = response_of(stack);
   ASSERT_TRUE(response) << response.error().detail;
   stack.response = naive.response = *response;
-  stack.trust = {1, 0, 2};
+  stack.priority = {1, 0, 2};
   const auto merged = merge(stack), plain = merge(naive);
   ASSERT_TRUE(merged && plain);
-  const CodeCurve curve = make_code_curve(*response, 8, 0);
+  const ResponseTable curve = make_response_table(*response, 8, 0);
   const double ours = ghosts(merged->radiance, reference, curve, 1. / 250),
                without = ghosts(plain->radiance, reference, curve, 1. / 250);
   std::printf(
@@ -235,7 +235,7 @@ TEST(RealStack, TaipeiMergesOverItsWholeRange) {
   ASSERT_TRUE(merged);
   EXPECT_LT(merged->clipped_fraction, .001);
   // Each picture is what the merge predicts for its exposure, where it is well exposed.
-  const CodeCurve curve = make_code_curve(*response, 8, 0);
+  const ResponseTable curve = make_response_table(*response, 8, 0);
   for (std::size_t k = 0; k < paths.size(); ++k) {
     double square = 0, n = 0;
     for (std::size_t i = 0; i < merged->radiance.area(); ++i) {

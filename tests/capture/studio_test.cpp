@@ -12,7 +12,7 @@ namespace penumbra::capture {
 namespace {
 
 /// The same radiance everywhere.
-class EvenWorld : public World {
+class EvenWorld : public RadianceWorld {
  public:
   explicit EvenWorld(float radiance) : radiance_(radiance) {}
   Rgb radiance(const glm::dvec3&, const glm::dvec3&) const override {

@@ -52,7 +52,7 @@ MergedImage by_table(const ExposureStack& stack) {
   std::ranges::sort(order, std::greater{},
                     [&](std::size_t k) { return stack.exposures[k].product(); });
   std::vector<Exposure> exposures;
-  std::vector<TableMerger::Slot> slots;
+  std::vector<TableMerger::MergeSlot> slots;
   for (const std::size_t k : order) {
     exposures.push_back(stack.exposures[k]);
     slots.push_back({&std::get<Image<Rgb8>>(*stack.frames[k]), stack.exposures[k], 0});

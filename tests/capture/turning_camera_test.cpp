@@ -19,8 +19,8 @@ constexpr int kSide = 240;
 const std::vector<Exposure> kSchedule = {
     {Seconds(.02), Gain(1)}, {Seconds(.005), Gain(1)}, {Seconds(.00125), Gain(1)}};
 
-calib::Projection fisheye() {
-  calib::Projection p = *calib::make_projection(calib::ProjectionKind::kEquidistant, kSide, kSide);
+calib::CameraModel fisheye() {
+  calib::CameraModel p = *calib::make_projection(calib::ProjectionKind::kEquidistant, kSide, kSide);
   p.focal_px = glm::dvec2(82);
   return p;
 }

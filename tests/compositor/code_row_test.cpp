@@ -8,7 +8,7 @@
 #include <random>
 #include <vector>
 
-#include "compositor/internal/camera_look.h"
+#include "compositor/internal/sensor_effects.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {
@@ -36,8 +36,8 @@ Row random_row(std::size_t count, std::mt19937& random) {
 }
 
 // One pixel at a time, as the formula says.
-std::size_t plainly(const CodeCurve& curve, const Rgb& clipped, const Row& row, bool with_object,
-                    std::vector<Rgb8>& pixels) {
+std::size_t plainly(const ResponseTable& curve, const Rgb& clipped, const Row& row,
+                    bool with_object, std::vector<Rgb8>& pixels) {
   const auto decode = [&](int c, std::uint8_t code) {
     return decode_clipped(curve, c, code, clipped[c]);
   };
@@ -57,7 +57,7 @@ std::size_t plainly(const CodeCurve& curve, const Rgb& clipped, const Row& row, 
 }
 
 TEST(CodeRow, EqualsTheFormulaPixelByPixelForEveryLength) {
-  const CodeCurve curve = test::srgb_curve(8);
+  const ResponseTable curve = test::srgb_curve(8);
   std::mt19937 random(5);
   for (std::size_t count = 0; count < 200; count += count < 70 ? 1 : 13)
     for (const bool with_object : {false, true}) {
@@ -78,7 +78,7 @@ TEST(CodeRow, EqualsTheFormulaPixelByPixelForEveryLength) {
 
 TEST(CodeRow, CodesNearTheLargestRiseToWhatItStandsFor) {
   for (const int bits : {8, 16}) {
-    const CodeCurve curve = test::srgb_curve(bits);
+    const ResponseTable curve = test::srgb_curve(bits);
     const unsigned last = curve.largest_code();
     EXPECT_FLOAT_EQ(decode_clipped(curve, 1, last, 2.5f), 2.5f);
     EXPECT_EQ(decode_clipped(curve, 1, last, .5f), curve.decode(1, last)) << "never less";
@@ -96,7 +96,7 @@ TEST(CodeRow, CodesNearTheLargestRiseToWhatItStandsFor) {
 }
 
 TEST(CodeRow, NotANumberIsBlackAndInfinityWhite) {
-  const CodeCurve curve = test::srgb_curve(8);
+  const ResponseTable curve = test::srgb_curve(8);
   constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                   kInf = std::numeric_limits<float>::infinity();
   std::vector<float> object(64, 0.f), ratio(16, .5f);
@@ -113,7 +113,7 @@ TEST(CodeRow, NotANumberIsBlackAndInfinityWhite) {
 TEST(MarkTouched, FindsTheSameAsALook) {
   std::mt19937 rng(5);
   for (const std::size_t width : {1u, 7u, 16u, 33u, 100u}) {
-    const std::size_t stride = padded_row(static_cast<int>(width)) + 2 * kLookLanes;
+    const std::size_t stride = padded_row(static_cast<int>(width)) + 2 * kSensorLanes;
     for (int round = 0; round < 40; ++round) {
       std::vector<float> planes(6 * stride, 0.f);
       // Dirt past the width, and zeros with a sign, are nothing.

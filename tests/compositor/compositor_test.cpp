@@ -1,6 +1,6 @@
-#include "shadows/shadows.h"
-#include "prt/prt.h"
 #include "compositor/compositor.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
 
 #include <gtest/gtest.h>
 
@@ -25,10 +25,10 @@ class CompositorTest : public testing::Test {
     ASSERT_TRUE(made) << made.error().detail;
     compositor_ = std::move(*made);
   }
-  View view(const CodeCurve* curve = nullptr, float signal = .5f) const {
+  View view(const ResponseTable* curve = nullptr, float signal = .5f) const {
     return {test::scene_camera(), curve, signal};
   }
-  FramePixels composited(FramePixels frame, const View& v, Touched* touched = nullptr) {
+  FramePixels composited(FramePixels frame, const View& v, CompositeStats* touched = nullptr) {
     const auto done = compositor_->composite(v, frame);
     EXPECT_TRUE(done) << done.error().detail;
     if (done && touched) *touched = *done;
@@ -39,7 +39,7 @@ class CompositorTest : public testing::Test {
   }
 
   std::unique_ptr<Compositor> compositor_;
-  const CodeCurve curve8_ = test::srgb_curve(8), curve16_ = test::srgb_curve(16);
+  const ResponseTable curve8_ = test::srgb_curve(8), curve16_ = test::srgb_curve(16);
 };
 
 RadianceSh side_light() {
@@ -67,7 +67,7 @@ bool can_reach(const View& v, int x, int y, const dvec3& at, const prt::BakedObj
 
 template <class Pixel>
 void expect_rest_untouched(const Image<Pixel>& before, const Image<Pixel>& after,
-                           const Touched& touched, const View& v, const dvec3& at,
+                           const CompositeStats& touched, const View& v, const dvec3& at,
                            const prt::BakedObject& object, const shadows::PlanarShadow& shadow) {
   std::size_t changed = 0, outside = 0;
   for (int y = 0; y < kSceneHeight; ++y)
@@ -88,7 +88,7 @@ TEST_F(CompositorTest, EveryPixelOutsideObjectAndShadowComesOutBitForBit) {
   const int handle = test::add_lit(*compositor_, object, side_light());
   for (const dvec3& at : {dvec3(0), dvec3(.5, 0, -.4), dvec3(-.8, 0, .3)}) {
     compositor_->set_pose(handle, {{1, 0, 0, 0}, at});
-    Touched touched;
+    CompositeStats touched;
     const auto f8 = test::noise_frame<Rgb8>(1);
     const auto out8 = composited(f8, view(&curve8_), &touched);
     expect_rest_untouched(f8, std::get<Image<Rgb8>>(out8), touched, view(), at, object, shadow);
@@ -104,11 +104,11 @@ TEST_F(CompositorTest, EveryPixelOutsideObjectAndShadowComesOutBitForBit) {
 TEST_F(CompositorTest, TheCamerasFrameStaysWhereItIsNotTheResult) {
   const auto object = test::baked_sphere(true);
   test::add_lit(*compositor_, object, side_light());
-  View with_look = view(&curve8_);
-  with_look.look.read_noise = .01f;
+  View with_effects = view(&curve8_);
+  with_effects.look.read_noise = .01f;
   const FramePixels f8 = test::noise_frame<Rgb8>(1), f16 = test::noise_frame<Rgb16>(2),
                     f32 = test::noise_frame<Rgb>(3);
-  for (const auto& [given, v] : {std::pair{f8, view(&curve8_)}, std::pair{f8, with_look},
+  for (const auto& [given, v] : {std::pair{f8, view(&curve8_)}, std::pair{f8, with_effects},
                                  std::pair{f16, view(&curve16_)}, std::pair{f32, view()}}) {
     const FramePixels camera = given;
     FramePixels out = Image<Rgb8>(3, 3);  // whatever it was before
@@ -126,37 +126,37 @@ TEST_F(CompositorTest, TheCamerasFrameStaysWhereItIsNotTheResult) {
 TEST_F(CompositorTest, WhatIsDrawnStaysWhateverIsDrawnNext) {
   const auto object = test::baked_sphere(true);
   const int handle = test::add_lit(*compositor_, object, side_light());
-  shadows::DiscShadow disc;
-  disc.cell_m = .1f;
-  disc.taken = Image<float>(12, 12, .5f);
-  const DiscShadowOnPlane on_floor{&disc, {.5f, .5f, .5f}, nullptr};
-  compositor_->set_disc_shadows({&on_floor, 1});
-  View with_look = view(&curve8_);
-  with_look.look.read_noise = .01f;
-  for (const View& v : {view(&curve8_), with_look}) {
+  shadows::ShadowMap source;
+  source.cell_m = .1f;
+  source.taken = Image<float>(12, 12, .5f);
+  const ShadowMapOnPlane on_floor{&source, {.5f, .5f, .5f}, nullptr};
+  compositor_->set_shadow_maps({&on_floor, 1});
+  View with_effects = view(&curve8_);
+  with_effects.look.read_noise = .01f;
+  for (const View& v : {view(&curve8_), with_effects}) {
     compositor_->set_pose(handle, {});
     const FramePixels frame = test::noise_frame<Rgb8>(1);
-    Touched touched;
+    CompositeStats touched;
     const FramePixels expected = composited(frame, v, &touched);
     FramePixels first = frame, second = frame;
     Drawn drawn, next;
     ASSERT_TRUE(compositor_->draw(v, first, drawn));
-    // Elsewhere, in another light, without the disc, and seen from the other side.
+    // Elsewhere, in another light, without the light, and seen from the other side.
     compositor_->set_pose(handle, {{1, 0, 0, 0}, {.6, 0, .2}});
     const auto dim = test::lit(object, test::sloped_light(.3, {-.5, .6, .1}, 3));
     compositor_->set_light(handle, dim.relit, dim.shadow);
-    compositor_->set_disc_shadows({});
+    compositor_->set_shadow_maps({});
     View other = v;
     other.camera = test::scene_camera({-1, 1.5, 2});
     ASSERT_TRUE(compositor_->draw(other, second, next));
-    EXPECT_EQ(drawn.put_into(first).pixels, touched.pixels);
+    EXPECT_EQ(drawn.composite_into(first).pixels, touched.pixels);
     EXPECT_EQ(first, expected);
-    next.put_into(second);
+    next.composite_into(second);
     EXPECT_EQ(second, composited(frame, other));
     EXPECT_NE(second, expected);
     const auto bright = test::lit(object, side_light());
     compositor_->set_light(handle, bright.relit, bright.shadow);
-    compositor_->set_disc_shadows({&on_floor, 1});
+    compositor_->set_shadow_maps({&on_floor, 1});
   }
   FramePixels wrong = Image<Rgb8>(3, 3);
   Drawn none;
@@ -164,7 +164,7 @@ TEST_F(CompositorTest, WhatIsDrawnStaysWhateverIsDrawnNext) {
 }
 
 TEST_F(CompositorTest, NoVirtualObjectLeavesTheFrameBitForBit) {
-  Touched touched;
+  CompositeStats touched;
   const FramePixels f8 = test::noise_frame<Rgb8>(1), f32 = test::noise_frame<Rgb>(2);
   EXPECT_EQ(composited(f8, view(&curve8_), &touched), f8);
   EXPECT_EQ(touched.pixels, 0U);
@@ -173,7 +173,7 @@ TEST_F(CompositorTest, NoVirtualObjectLeavesTheFrameBitForBit) {
 
 TEST_F(CompositorTest, ObjectBehindTheCameraLeavesTheFrameBitForBit) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light(), {{1, 0, 0, 0}, {.6, 0, 9}});
-  Touched touched;
+  CompositeStats touched;
   const FramePixels frame = test::noise_frame<Rgb8>(1);
   EXPECT_EQ(composited(frame, view(&curve8_), &touched), frame);
   EXPECT_EQ(touched.pixels, 0U);
@@ -211,15 +211,15 @@ TEST_F(CompositorTest, WhiteObjectUnderWhiteSkyShowsTheRadianceOfTheSky) {
   EXPECT_GT(inside, 1000);
 }
 
-// What real things leave of a disc counts for every shadow, also in rows that the disc's own does not reach.
+// What real things leave of a light counts for every shadow, also in rows that the light's own does not reach.
 TEST_F(CompositorTest, LightThatRealThingsTakeCountsEverywhereOnThePlane) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   compositor_->add_plane({0, 0, 0}, {0, 1, 0});
   const Image<Rgb> white(kSceneWidth, kSceneHeight, {1, 1, 1});
   const auto open = composited_floats(white, view(nullptr, 1));
   // A map with nothing in it beside the object, and half of the light lacking for ten metres around.
-  constexpr float kShare = .5f;
-  shadows::DiscShadow own, real;
+  constexpr float kFraction = .5f;
+  shadows::ShadowMap own, real;
   own.world_from_map = {{1, 0, 0, 0}, {.5, 0, -.5}};
   own.cell_m = .01f;
   own.taken = own.missing = Image<float>(9, 9);
@@ -227,8 +227,8 @@ TEST_F(CompositorTest, LightThatRealThingsTakeCountsEverywhereOnThePlane) {
   real.world_from_map = {{1, 0, 0, 0}, {-10, 0, -10}};
   real.cell_m = 2.5f;
   real.taken = Image<float>(9, 9, 1.f);
-  const DiscShadowOnPlane disc{&own, {kShare, kShare, kShare}, &real};
-  compositor_->set_disc_shadows({&disc, 1});
+  const ShadowMapOnPlane source{&own, {kFraction, kFraction, kFraction}, &real};
+  compositor_->set_shadow_maps({&source, 1});
   const auto dim = composited_floats(white, view(nullptr, 1));
   int judged = 0;
   for (int y = 0; y < kSceneHeight; ++y)
@@ -237,7 +237,7 @@ TEST_F(CompositorTest, LightThatRealThingsTakeCountsEverywhereOnThePlane) {
       const float p = open.at(x, y).g;
       if (!floor || p == 1 || p < .6f) continue;
       ++judged;
-      ASSERT_NEAR(dim.at(x, y).g, 1 - (1 - p) / (1 - kShare), 2e-3) << x << ' ' << y;
+      ASSERT_NEAR(dim.at(x, y).g, 1 - (1 - p) / (1 - kFraction), 2e-3) << x << ' ' << y;
     }
   EXPECT_GT(judged, 500);
 }
@@ -381,14 +381,14 @@ TEST_F(CompositorTest, RealGeometryInFrontHidesObjectAndShadow) {
 }
 
 // Behind the camera: real geometry that hides nothing, with which edges are drawn as they are with other real geometry.
-prt::Mesh wall_out_of_sight() {
+prt::Mesh wall_out_of_visibility() {
   return wall(30, -9);
 }
 
 TEST_F(CompositorTest, RealGeometryBehindHidesNothing) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   const Image<Rgb> frame = test::noise_frame<Rgb>(7);
-  compositor_->add_occluder(wall_out_of_sight());
+  compositor_->add_occluder(wall_out_of_visibility());
   const auto without = composited_floats(frame, view());
   compositor_->add_occluder(wall(-30, -90));
   const auto with = composited_floats(frame, view());
@@ -419,7 +419,7 @@ TEST_F(CompositorTest, EdgesOfOneSampleAreNoWorseThanOfFour) {
   for (Compositor* c : {compositor_.get(), still->get()})
     test::add_lit(*c, test::baked_sphere(false), test::sloped_light(1, {0, .3, 0}, 3));
   const double one = error_to_still(*compositor_, **still, view());
-  compositor_->add_occluder(wall_out_of_sight());
+  compositor_->add_occluder(wall_out_of_visibility());
   const double four = error_to_still(*compositor_, **still, view());
   EXPECT_GT(one, 0);
   EXPECT_LT(one, .7 * four);
@@ -484,7 +484,7 @@ TEST_F(CompositorTest, FloorHidesWhatIsBuried) {
 TEST_F(CompositorTest, WallThatEndsHalfWayHidesItsSideOnly) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   const Image<Rgb> frame = test::noise_frame<Rgb>(8);
-  compositor_->add_occluder(wall_out_of_sight());
+  compositor_->add_occluder(wall_out_of_visibility());
   const auto without = composited_floats(frame, view());
   const double edge = .2, z = 1.8;
   compositor_->add_occluder(wall(float(z), float(edge)));
@@ -540,7 +540,7 @@ TEST_F(CompositorTest, FloatEightAndSixteenBitFramesAgree) {
 
 TEST_F(CompositorTest, WrongSizeAndMissingCurveAreRefusedAndTheFrameIsLeftAlone) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
-  const auto refused = [&](FramePixels frame, const CodeCurve* curve) {
+  const auto refused = [&](FramePixels frame, const ResponseTable* curve) {
     const FramePixels before = frame;
     const auto done = compositor_->composite(view(curve), frame);
     EXPECT_EQ(frame, before);
@@ -606,7 +606,7 @@ TEST_F(CompositorTest, HowManySamplesIsDecidedByTheViewAlone) {
     compositor_->set_pose(handle, {{1, 0, 0, 0}, {0, -.3, 0}});
     EXPECT_EQ(composited(frame, view(&curve8_)), buried) << i;
   }
-  // Another object, out of sight, moves what is kept of the first.
+  // Another object, out of visibility, moves what is kept of the first.
   const int other = compositor_->add_object(test::baked_sphere(false));
   compositor_->set_pose(other, {{1, 0, 0, 0}, {0, 0, 40}});
   compositor_->set_pose(handle, {});
@@ -621,7 +621,7 @@ prt::BakedObject baked(const prt::Mesh& mesh) {
   return object ? std::move(*object) : prt::BakedObject{};
 }
 
-// Whether edges of the object are those of four samples, which real geometry out of sight brings.
+// Whether edges of the object are those of four samples, which real geometry out of visibility brings.
 bool has_four_samples(const prt::BakedObject& object, const Pose& pose, const View& v,
                       bool with_floor = false) {
   auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);
@@ -632,7 +632,7 @@ bool has_four_samples(const prt::BakedObject& object, const Pose& pose, const Vi
   FramePixels plain = Image<Rgb>(kSceneWidth, kSceneHeight), four = plain;
   EXPECT_TRUE(c.composite(v, plain));
   EXPECT_NE(plain, (FramePixels(Image<Rgb>(kSceneWidth, kSceneHeight)))) << "in view";
-  c.add_occluder(wall_out_of_sight());
+  c.add_occluder(wall_out_of_visibility());
   EXPECT_TRUE(c.composite(v, four));
   return std::ranges::equal(std::get<Image<Rgb>>(plain).pixels(),
                             std::get<Image<Rgb>>(four).pixels(), same);
@@ -687,9 +687,9 @@ TEST_F(CompositorTest, AnotherFormHasItsOwnContour) {
   const int video_handle = test::add_lit(*compositor_, sphere, light),
             still_handle = test::add_lit(**still, sphere, light);
   const double before = error_to_still(*compositor_, **still, view());
-  compositor_->set_form(video_handle, tall);
+  compositor_->update_vertices(video_handle, tall);
   EXPECT_GT(error_to_still(*compositor_, **still, view()), 100 * before) << "of the other form";
-  (*still)->set_form(still_handle, tall);
+  (*still)->update_vertices(still_handle, tall);
   EXPECT_LT(error_to_still(*compositor_, **still, view()), 1.5 * before);
 }
 
@@ -704,7 +704,7 @@ TEST_F(CompositorTest, WhereAPlaneCutsIsNoStaircase) {
     c->add_plane({0, 0, 0}, {0, 1, 0});
   }
   const double sunk_error = error_to_still(*compositor_, **still, view());
-  for (Compositor* c : {compositor_.get(), still->get()}) c->add_occluder(wall_out_of_sight());
+  for (Compositor* c : {compositor_.get(), still->get()}) c->add_occluder(wall_out_of_visibility());
   EXPECT_NEAR(sunk_error, error_to_still(*compositor_, **still, view()), 1e-9 + .02 * sunk_error)
       << "of four samples";
 }

@@ -1,6 +1,6 @@
 // One sample a pixel and contours, against 256 samples and against four.
-#include "prt/prt.h"
 #include "compositor/internal/contour.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 
@@ -85,8 +85,8 @@ Picture drawn(const Things& things, const prt::PinholeView& view, int n) {
   return out;
 }
 
-std::vector<Line> lines_of(const Things& things, const prt::PinholeView& view) {
-  std::vector<Line> lines;
+std::vector<ContourLine> lines_of(const Things& things, const prt::PinholeView& view) {
+  std::vector<ContourLine> lines;
   for (const Thing& t : things)
     EXPECT_TRUE(Contour(t.mesh).find(t.mesh.positions, t.mesh.triangles, t.fronts_only,
                                      clip_from_world_of(view), kWidth, kHeight, lines));
@@ -189,7 +189,7 @@ TEST(Contour, ASheetHasItsRimFromBothSides) {
   for (const double z : {3., -3.}) {
     const auto lines = lines_of({{sheet, false}}, view_from({.4, .3, z}));
     EXPECT_EQ(lines.size(), 4u) << z;
-    for (const Line& l : lines) {
+    for (const ContourLine& l : lines) {
       // The left hand, y down: towards the middle.
       const glm::vec2 d = glm::vec2(l.to - l.from),
                       in = glm::vec2(kWidth / 2, kHeight / 2) - glm::vec2(l.from);
@@ -205,7 +205,7 @@ TEST(Contour, ASheetHasItsRimFromBothSides) {
 TEST(Contour, SeesTheFrontsAloneAndNothingThatReachesBehindTheCamera) {
   const prt::Mesh box = prt::make_box({-1, -1, -1}, {1, 1, 1}, 1, {1, 1, 1});
   Contour contour(box);
-  std::vector<Line> lines;
+  std::vector<ContourLine> lines;
   const auto find = [&](const glm::dvec3& eye, bool fronts_only) {
     lines.clear();
     return contour.find(box.positions, box.triangles, fronts_only,
@@ -303,7 +303,7 @@ TEST(Contour, TrianglesWithoutAreaAndFarAsideGiveNoNan) {
   std::uniform_real_distribution<float> unit(0, 1);
   for (const glm::dvec3& eye : {glm::dvec3(0, .1, .5), glm::dvec3(.9, 0, 0), glm::dvec3(0, 0, 2)})
     for (const glm::dvec3& at : {glm::dvec3(3, 0, .1), glm::dvec3(0, 0, -3)}) {
-      std::vector<Line> lines;
+      std::vector<ContourLine> lines;
       Contour(mesh).find(mesh.positions, mesh.triangles, false,
                          clip_from_world_of(view_from(eye, at)), kWidth, kHeight, lines);
       Layer layer{{0, 0, kWidth, kHeight}, std::vector<std::uint16_t>(4 * kWidth * kHeight)};

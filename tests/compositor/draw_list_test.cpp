@@ -1,5 +1,5 @@
-#include "prt/prt.h"
 #include "compositor/internal/draw_list.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 
@@ -11,19 +11,19 @@
 namespace penumbra::compositor {
 namespace {
 
-using Triangle = DrawList::Triangle;
+using DrawTriangle = DrawList::DrawTriangle;
 constexpr float kTolerance = 1.5e-3f;
 
 struct Hit {
   float distance;
   glm::vec3 weights;
-  Triangle triangle;
+  DrawTriangle triangle;
 };
 
 // Brute force: the nearest of all triangles that have the point's projection, or nearly, inside.
-Hit nearest(const prt::Mesh& mesh, std::span<const Triangle> triangles, const glm::vec3& p) {
+Hit nearest(const prt::Mesh& mesh, std::span<const DrawTriangle> triangles, const glm::vec3& p) {
   Hit best{HUGE_VALF, {}, {}};
-  for (const Triangle& t : triangles) {
+  for (const DrawTriangle& t : triangles) {
     const glm::vec3 &a = mesh.positions[t[0]], &b = mesh.positions[t[1]], &c = mesh.positions[t[2]];
     const glm::vec3 n = glm::cross(b - a, c - a), m = n / glm::dot(n, n);
     glm::vec3 w(glm::dot(glm::cross(b - p, c - p), m), glm::dot(glm::cross(c - p, a - p), m), 0);
@@ -39,7 +39,7 @@ Hit nearest(const prt::Mesh& mesh, std::span<const Triangle> triangles, const gl
 struct Worst {
   float moved = 0, colour = 0;
 };
-Worst worst_of(const prt::Mesh& mesh, std::span<const Triangle> triangles,
+Worst worst_of(const prt::Mesh& mesh, std::span<const DrawTriangle> triangles,
                const std::vector<Rgb>& colours) {
   Worst worst;  // of every thirteenth vertex, they have no order that 13 could follow
   for (std::size_t i = 0; i < mesh.positions.size(); i += 13) {
@@ -53,9 +53,9 @@ Worst worst_of(const prt::Mesh& mesh, std::span<const Triangle> triangles,
   return worst;
 }
 
-bool closed(std::span<const Triangle> triangles) {
+bool closed(std::span<const DrawTriangle> triangles) {
   std::map<std::pair<std::uint32_t, std::uint32_t>, int> edges;
-  for (const Triangle& t : triangles)
+  for (const DrawTriangle& t : triangles)
     for (std::size_t i = 0; i < 3; ++i) ++edges[{t[i], t[(i + 1) % 3]}];
   return std::ranges::all_of(edges, [&](const auto& e) {
     return e.second == 1 && edges.contains({e.first.second, e.first.first});
@@ -91,7 +91,7 @@ TEST(DrawList, ShadowEdgeKeepsTheTrianglesThatItNeeds) {
   const auto colours = coloured(ball(), [&](const glm::vec3& p) { return edge(p) * smooth(p); });
   DrawList list(ball(), kTolerance);
   const auto by_form = list.select(coloured(ball(), smooth));
-  const std::vector<Triangle> blind(by_form.begin(), by_form.end());
+  const std::vector<DrawTriangle> blind(by_form.begin(), by_form.end());
   const auto chosen = list.select(colours);
   EXPECT_LT(chosen.size(), list.all().size() / 2);
   EXPECT_TRUE(closed(chosen));
@@ -104,7 +104,7 @@ TEST(DrawList, LightThatReturnsBringsTheSameTriangles) {
   const auto even = coloured(ball(), [](const glm::vec3&) { return 1.f; });
   const auto busy = coloured(ball(), [](const glm::vec3& p) { return p.x < 0 ? 0.f : 1.f; });
   const auto first = list.select(even);
-  const std::vector<Triangle> before(first.begin(), first.end());
+  const std::vector<DrawTriangle> before(first.begin(), first.end());
   list.select(busy);
   EXPECT_TRUE(std::ranges::equal(before, list.select(even)));
 }
@@ -121,7 +121,7 @@ TEST(DrawList, CreasesAndBordersStay) {
   open.triangles.pop_back();
   EXPECT_FALSE(DrawList(open, kTolerance).closed());
   prt::Mesh inside_out = box;
-  for (Triangle& t : inside_out.triangles) std::swap(t[1], t[2]);
+  for (DrawTriangle& t : inside_out.triangles) std::swap(t[1], t[2]);
   EXPECT_FALSE(DrawList(inside_out, kTolerance).closed()) << "its backs are what is seen";
 }
 

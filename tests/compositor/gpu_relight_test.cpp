@@ -2,8 +2,8 @@
 
 #include <cmath>
 
-#include "prt/prt.h"
 #include "compositor/compositor.h"
+#include "prt/prt.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::compositor {

@@ -1,7 +1,7 @@
-// The two shares of a frame against what each pixel is to become, looked up one by one.
-#include "shadows/shadows.h"
-#include "prt/prt.h"
+// The two fractions of a frame against what each pixel is to become, looked up one by one.
 #include "compositor/internal/pixel_pass.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
 
 #include <gtest/gtest.h>
 
@@ -112,10 +112,10 @@ TEST(PixelPass, TwoSharesAreTheWholeFrameAndMeetNowhere) {
       ASSERT_GT(wanted.written, 100u);
       for (const bool objects_first : {false, true}) {
         FramePixels frame = picture;
-        const Share first = objects_first ? Share::kObjects : Share::kBeside,
-                    second = objects_first ? Share::kBeside : Share::kObjects;
-        std::size_t written = composite_share(first, view, frame, in);
-        written += composite_share(second, view, frame, in);
+        const FrameRegion first = objects_first ? FrameRegion::kObjects : FrameRegion::kBeside,
+                          second = objects_first ? FrameRegion::kBeside : FrameRegion::kObjects;
+        std::size_t written = composite_fraction(first, view, frame, in);
+        written += composite_fraction(second, view, frame, in);
         EXPECT_EQ(written, wanted.written) << rect.x0 << ' ' << rect.x1 << ' ' << objects_first;
         const auto& is = std::get<Image<Rgb>>(frame);
         for (int y = 0; y < kHeight; ++y)

@@ -1,7 +1,7 @@
 // Rows of shadow ratios against what each pixel's ray meets, looked up one by one.
-#include "shadows/shadows.h"
-#include "prt/prt.h"
 #include "compositor/internal/receivers.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
 
 #include <gtest/gtest.h>
 
@@ -20,7 +20,7 @@ prt::PinholeView view_from(const glm::dvec3& eye, const glm::dvec3& at) {
   return view;
 }
 
-// From high up, slantwise, along the ground with the horizon in sight, from within the shadow, and past it.
+// From high up, slantwise, along the ground with the horizon in visibility, from within the shadow, and past it.
 std::vector<prt::PinholeView> views() {
   return {view_from({.1, 3, .2}, {0, 0, .01}), view_from({1.5, 1.2, 2}, {0, 0, 0}),
           view_from({-2, .25, .4}, {3, .3, 0}), view_from({.2, .4, .1}, {.9, .1, -.6}),
@@ -56,10 +56,10 @@ void expect_rows(Receivers& receivers, const Expected& expected) {
     const Rect area = receivers.prepare(view);
     for (int y = 0; y < kHeight; ++y) {
       const Rect narrow = receivers.reach_in_row(y);
-      std::vector<float> r(kWidth, 1), g(kWidth, 1), b(kWidth, 1), rest[3];
+      std::vector<float> r(kWidth, 1), g(kWidth, 1), b(kWidth, 1), residual[3];
       const bool any = receivers.load_row(y, area, r.data(), g.data(), b.data());
-      for (auto& v : rest) v.assign(kWidth, 1);
-      receivers.load_row(y, narrow, rest[0].data(), rest[1].data(), rest[2].data());
+      for (auto& v : residual) v.assign(kWidth, 1);
+      receivers.load_row(y, narrow, residual[0].data(), residual[1].data(), residual[2].data());
       // In two pieces, cut within a shadow or beside it.
       std::vector<float> left[3], right[3];
       for (auto* piece : {left, right})
@@ -73,7 +73,7 @@ void expect_rows(Receivers& receivers, const Expected& expected) {
         const bool inside = any && x >= area.x0 && x < area.x1;
         const float whole = inside ? r[static_cast<std::size_t>(x - area.x0)] : 1;
         const bool reached = x >= narrow.x0 && x < narrow.x1;
-        const float part = reached ? rest[0][static_cast<std::size_t>(x - narrow.x0)] : 1;
+        const float part = reached ? residual[0][static_cast<std::size_t>(x - narrow.x0)] : 1;
         ASSERT_NEAR(whole, wanted, 4e-3) << x << ' ' << y;
         ASSERT_EQ(part, whole) << x << ' ' << y;
         ASSERT_EQ(x < cut ? left[0][static_cast<std::size_t>(x)]
@@ -116,30 +116,30 @@ TEST(Receivers, RowsHoldWhatTheirPixelsMeet) {
   });
 }
 
-TEST(Receivers, DiscsToo) {
-  shadows::DiscShadow disc;
-  disc.world_from_map = kAskew;
-  disc.cell_m = .05f;
-  disc.taken = Image<float>(30, 18);
+TEST(Receivers, LightsToo) {
+  shadows::ShadowMap source;
+  source.world_from_map = kAskew;
+  source.cell_m = .05f;
+  source.taken = Image<float>(30, 18);
   for (int y = 1; y < 17; ++y)
-    for (int x = 1; x < 29; ++x) disc.taken.at(x, y) = .5f + .01f * static_cast<float>(x + y);
-  const DiscShadowOnPlane on_plane_of_all{&disc, {.6f, .6f, .6f}, nullptr};
+    for (int x = 1; x < 29; ++x) source.taken.at(x, y) = .5f + .01f * static_cast<float>(x + y);
+  const ShadowMapOnPlane on_plane_of_all{&source, {.6f, .6f, .6f}, nullptr};
   Receivers receivers(2);
-  receivers.set_disc_shadows({&on_plane_of_all, 1});
+  receivers.set_shadow_maps({&on_plane_of_all, 1});
   const auto expected = [&](const prt::PinholeView& view, int x, int y) {
     double sum = 0;
     for (const double dx : {.25, .75})
       for (const double dy : {.25, .75})
         if (const auto p = on_plane(view, kAskew, 0, x + dx, y + dy))
-          sum += between_nodes(disc.taken, p->x / .05, p->y / .05);
+          sum += between_nodes(source.taken, p->x / .05, p->y / .05);
     return 1 - .6 * sum / 4;
   };
   expect_rows(receivers, expected);
-  // Beside a real shadow of the same disc that nothing virtual meets, elsewhere.
-  shadows::DiscShadow real = disc;
+  // Beside a real shadow of the same light that nothing virtual meets, elsewhere.
+  shadows::ShadowMap real = source;
   real.world_from_map.translation += glm::dvec3(0, 0, 5);
-  const DiscShadowOnPlane beside{&disc, {.6f, .6f, .6f}, &real};
-  receivers.set_disc_shadows({&beside, 1});
+  const ShadowMapOnPlane beside{&source, {.6f, .6f, .6f}, &real};
+  receivers.set_shadow_maps({&beside, 1});
   expect_rows(receivers, expected);
 }
 

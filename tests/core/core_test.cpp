@@ -186,7 +186,7 @@ Result<void> put(const fs::path& path, std::string_view text) {
 
 class Files : public testing::Test {
  protected:
-  // Hidden files count: a temporary one is.
+  // BlockedSh files count: a temporary one is.
   std::size_t entries() const {
     return static_cast<std::size_t>(
         std::distance(fs::directory_iterator(folder_.path()), fs::directory_iterator()));

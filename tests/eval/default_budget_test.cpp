@@ -3,10 +3,10 @@
 #include <gtest/gtest.h>
 
 #include "lighting/lighting.h"
+#include "tests/support/environment_maps.h"
 #include "tools/chart/baselines.h"
 #include "tools/chart/chart_bench.h"
 #include "tools/chart/governor_bench.h"
-#include "tests/support/environment_maps.h"
 
 namespace penumbra::tools {
 
@@ -30,12 +30,13 @@ TEST_P(DefaultBudget, IsKeptWhereNineCoefficientsAndOneHardLightMissIt) {
   const auto truth = trace_truth(scene, map, .012);
   const auto plan = default_plan(scene, map, {});
   ASSERT_TRUE(truth && plan);
-  const auto measured = [&](const lighting::LightEstimate& light, int bands, const DiscTaps& taps) {
-    const auto m = measure(scene, scene.prepared_with(bands), light, taps, *truth);
+  const auto measured = [&](const lighting::LightEstimate& light, int bands,
+                            const ShadowSampling& sampling) {
+    const auto m = measure(scene, scene.prepared_with(bands), light, sampling, *truth);
     EXPECT_TRUE(m);
     return m ? m->accuracy : Accuracy{};
   };
-  const auto light = lighting::estimate_map(map, {plan->bands, {plan->discs, .02}});
+  const auto light = lighting::estimate_map(map, {plan->bands, {plan->lights, .02}});
   ASSERT_TRUE(light);
   const Accuracy ours = measured(*light, plan->bands, {}),
                  nine = measured(dissertation_light(map), 3, {}),
@@ -43,8 +44,8 @@ TEST_P(DefaultBudget, IsKeptWhereNineCoefficientsAndOneHardLightMissIt) {
   std::printf(
       "%s, %d bands and %d discs: object %.2f %%, bias %.2f %%, shadow %.4f; nine "
       "coefficients %.1f %%, %.4f; ambient and one hard light %.1f %%, %.4f\n",
-      GetParam(), plan->bands, plan->discs, 100 * ours.object_without_noise, 100 * ours.object_bias,
-      ours.shadow_rmse, 100 * nine.object_without_noise, nine.shadow_rmse,
+      GetParam(), plan->bands, plan->lights, 100 * ours.object_without_noise,
+      100 * ours.object_bias, ours.shadow_rmse, 100 * nine.object_without_noise, nine.shadow_rmse,
       100 * hard.object_without_noise, hard.shadow_rmse);
   EXPECT_LE(ours.object_without_noise, .03);
   EXPECT_LE(std::abs(ours.object_bias), .01);

@@ -3,8 +3,8 @@
 #include <gtest/gtest.h>
 
 #include "capture/capture.h"
-#include "prt/prt.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
 #include "tools/chart/accuracy.h"
 
 namespace penumbra::tools {
@@ -25,7 +25,7 @@ class GroundTruth : public testing::TestWithParam<Case> {
       object.asset = "builtin:twist";
       object.name = "twist";
       object.albedo = {.6f, .6f, .6f};
-      object.stand = true;
+      object.place_on_floor = true;
       RealGeometry floor;
       floor.plane = RealPlane{};
       floor.albedo = Rgb{.4f, .4f, .4f};

@@ -1,12 +1,12 @@
 // Suns and lamps as maps really hold them: what is left of a map without its sources, and the edge of a shadow under the pixels
-// that a disc stands for.
+// that a light stands for.
 #include <gtest/gtest.h>
 
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 #include "tests/stability/maps.h"
-#include "tests/stability/taken.h"
+#include "tests/stability/occlusion.h"
 #include "tests/support/environment_maps.h"
 
 namespace penumbra {
@@ -26,41 +26,41 @@ class MapSources : public Map {};
 
 TEST_P(MapSources, LeaveNoNegativeRadianceAndNoNegativeIrradiance) {
   PENUMBRA_NEED_ENVIRONMENT(map, GetParam());
-  lighting::DiscSplit split;
-  ASSERT_TRUE(lighting::split_discs(map, {}, split));
-  for (int y = 0; y < split.rest.height(); ++y)
-    for (const Rgb& c : split.rest.row(y))
+  lighting::LightExtraction split;
+  ASSERT_TRUE(lighting::extract_lights(map, {}, split));
+  for (int y = 0; y < split.residual.height(); ++y)
+    for (const Rgb& c : split.residual.row(y))
       for (int i = 0; i < 3; ++i) ASSERT_GE(c[i], 0) << "row " << y;
-  for (const lighting::Disc& d : split.discs)
+  for (const lighting::DistantLight& d : split.lights)
     for (int i = 0; i < 3; ++i) ASSERT_GE(d.radiance[i], 0);
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
-  for (const auto& [most, bands] : {std::pair(8, 3), {8, 5}, {1, 5}}) {
-    const auto ours = lighting::estimate_map(map, {bands, {most, .02}});
+  for (const auto& [largest, bands] : {std::pair(8, 3), {8, 5}, {1, 5}}) {
+    const auto ours = lighting::estimate_map(map, {bands, {largest, .02}});
     const auto naive = lighting::project_latlong(map, bands);
     ASSERT_TRUE(ours && naive);
-    const IrradianceSh rest = lighting::irradiance(ours->light),
+    const IrradianceSh residual = lighting::irradiance(ours->light),
                        whole = lighting::irradiance(naive->light);
-    double mean = 0, least = HUGE_VAL, least_naive = HUGE_VAL;
+    double mean = 0, smallest = HUGE_VAL, min_naive = HUGE_VAL;
     constexpr int kNormals = 4000;
     for (int k = 0; k < kNormals; ++k) {
       const dvec3 n = glm::normalize(dvec3(normal(random), normal(random), normal(random)));
-      Rgb all = lighting::evaluate(rest, n);
-      for (const lighting::Disc& d : ours->discs) all += lighting::irradiance(d, n);
+      Rgb all = lighting::evaluate(residual, n);
+      for (const lighting::DistantLight& d : ours->lights) all += lighting::irradiance(d, n);
       const Rgb theirs = lighting::evaluate(whole, n);
       mean += double(luminance(theirs)) / kNormals;
       for (int i = 0; i < 3; ++i) {
-        least = std::min(least, double(all[i]));
-        least_naive = std::min(least_naive, double(theirs[i]));
+        smallest = std::min(smallest, double(all[i]));
+        min_naive = std::min(min_naive, double(theirs[i]));
       }
     }
     std::printf(
         "%s, %d discs at most, %d bands: least irradiance %.3f of the mean, all in harmonics "
         "%.3f\n",
-        GetParam(), most, bands, least / mean, least_naive / mean);
-    EXPECT_GE(least, 0) << most << " discs, " << bands << " bands";
+        GetParam(), largest, bands, smallest / mean, min_naive / mean);
+    EXPECT_GE(smallest, 0) << largest << " discs, " << bands << " bands";
     if (std::string_view(GetParam()) == "rustig_koppie_puresky") {
-      EXPECT_LT(least_naive / mean, -.05) << "nothing rings";
+      EXPECT_LT(min_naive / mean, -.05) << "nothing rings";
     }
   }
 }
@@ -75,7 +75,7 @@ INSTANTIATE_TEST_SUITE_P(Light, MapSources,
 
 // ---------------------------------------------------------------------------------- the sun's edge
 
-// An edge at a height of one, along `aside`, which hides what crosses it at x > 0: the share of light
+// An edge at a height of one, along `aside`, which hides what crosses it at x > 0: the fraction of light
 // that it takes at x, from directions and how much each brings.
 class Edge {
  public:
@@ -87,10 +87,10 @@ class Edge {
     std::ranges::sort(from_);
   }
   /// Where it has taken so much.
-  double at(double share) const {
+  double at(double fraction) const {
     double sum = 0;
     for (const auto& [x, power] : from_)
-      if ((sum += power) >= share * all_) return x;
+      if ((sum += power) >= fraction * all_) return x;
     return NAN;
   }
   double width() const { return at(.9) - at(.1); }
@@ -101,17 +101,17 @@ class Edge {
   double all_ = 0;
 };
 
-// What the first disc was cut out of the map, by places within its pixels.
+// What the first light was cut out of the map, by places within its pixels.
 std::vector<std::pair<dvec3, double>> pixels_of_sun(const Image<Rgb>& map,
-                                                    const lighting::DiscSplit& split) {
+                                                    const lighting::LightExtraction& split) {
   constexpr int kParts = 8;
   std::vector<std::pair<dvec3, double>> out;
-  const lighting::Disc& sun = split.discs[0];
+  const lighting::DistantLight& sun = split.lights[0];
   const double reach = 6 * sun.radius.value() + .02;
   for (int y = 0; y < map.height(); ++y) {
     const double weight = latlong_solid_angle(y, map.width(), map.height()) / (kParts * kParts);
     for (int x = 0; x < map.width(); ++x) {
-      const double power = weight * double(luminance(map.at(x, y) - split.rest.at(x, y)));
+      const double power = weight * double(luminance(map.at(x, y) - split.residual.at(x, y)));
       const dvec3 centre = latlong_direction(x + .5, y + .5, map.width(), map.height());
       if (power <= 0 || std::acos(std::min(1., glm::dot(centre, sun.direction))) > reach) continue;
       for (int j = 0; j < kParts; ++j)
@@ -128,10 +128,10 @@ class MapSun : public Map {};
 
 TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
   PENUMBRA_NEED_ENVIRONMENT(map, GetParam());
-  lighting::DiscSplit split;
-  ASSERT_TRUE(lighting::split_discs(map, {}, split));
-  ASSERT_FALSE(split.discs.empty());
-  const lighting::Disc& sun = split.discs[0];
+  lighting::LightExtraction split;
+  ASSERT_TRUE(lighting::extract_lights(map, {}, split));
+  ASSERT_FALSE(split.lights.empty());
+  const lighting::DistantLight& sun = split.lights[0];
   const auto pixels = pixels_of_sun(map, split);
   // What all of the map throws beside it, in harmonics.
   const auto naive_light = lighting::project_latlong(map, 3);
@@ -162,21 +162,21 @@ TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
       prt::Mesh mesh =
           prt::make_box({0, h, -.5f * s}, {s, h + .001f * s, .5f * s}, 1, {.5f, .5f, .5f});
       prt::transform(mesh, glm::mat4_cast(glm::angleAxis(yaw, dvec3(0, 1, 0))));
-      const shadows::Outline outline(mesh);
+      const shadows::SilhouetteMesh outline(mesh);
       const shadows::Caster caster{&mesh, &outline, {}};
-      shadows::DiscShadow shadow;
-      shadows::draw_disc_shadow({{&caster, 1}, {}, 1e-6f}, prt::Plane{}, sun, {}, shadow);
+      shadows::ShadowMap shadow;
+      shadows::render_shadow_map({{&caster, 1}, {}, 1e-6f}, prt::Plane{}, sun, {}, shadow);
       ASSERT_FALSE(shadow.empty()) << height;
       // The plate's middle in the line of the sun, and there across its edge.
       const dvec3 below = -sun.direction * (height / sun.direction.y);
       const dvec3 start = glm::dot(below, aside) * aside;
       const double middle = height * truth.middle(), reach = .4 * size;
-      const auto crossing = [&](double share) {
+      const auto crossing = [&](double fraction) {
         constexpr int kSteps = 4000;
         double last = middle - reach;
         for (int i = 0; i <= kSteps; ++i) {
           const double x = middle + reach * (2. * i / kSteps - 1);
-          if (test::taken_at(shadow, start + x * along) >= share) return .5 * (x + last);
+          if (test::taken_at(shadow, start + x * along) >= fraction) return .5 * (x + last);
           last = x;
         }
         return double{NAN};
@@ -199,7 +199,7 @@ TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
       GetParam(), mean, narrowest, widest, naive_ratio);
   EXPECT_EQ(compared, kEdges * kHeights);
   EXPECT_NEAR(mean, 1, .15);
-  // A sun of two pixels in one row is not round: no disc has its edge in each direction.
+  // A sun of two pixels in one row is not round: no light has its edge in each direction.
   EXPECT_GT(narrowest, .8);
   EXPECT_LT(widest, 1.35);
   EXPECT_GT(naive_ratio, 1.15) << "harmonics would do";

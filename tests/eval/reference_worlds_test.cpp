@@ -4,13 +4,13 @@
 #include <cmath>
 
 #include "capture/capture.h"
-#include "prt/prt.h"
-#include "lighting/lighting.h"
 #include "core/conventions.h"
-#include "tools/chart/accuracy.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"
+#include "tools/chart/accuracy.h"
 
 namespace penumbra::tools {
 
@@ -22,7 +22,7 @@ using test::twist, test::grey_plane;
 
 constexpr int kRows = 256;
 
-// A disc of light on top of what is there.
+// A light of light on top of what is there.
 void add_lamp(Image<Rgb>& map, const dvec3& towards, double radius_rad, Rgb radiance) {
   const dvec3 centre = glm::normalize(towards);
   for (int y = 0; y < map.height(); ++y)
@@ -92,7 +92,7 @@ Scene on_floor(const std::filesystem::path&) {
   return {{twist({0, 0, 0})}, {grey_plane()}};
 }
 
-Scene beside_prop(const std::filesystem::path& folder) {
+Scene beside_real_mesh(const std::filesystem::path& folder) {
   test::write_obj(prt::make_box({.2f, 0, -.2f}, {.5f, .5f, .2f}, 8, {.4f, .4f, .4f}),
                   folder / "prop.obj");
   RealGeometry prop;
@@ -114,8 +114,8 @@ TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
   if (!masks && masks.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << masks.error().detail;
   ASSERT_TRUE(masks) << masks.error().detail;
-  auto stage = make_still_stage(*scene, view, {});
-  ASSERT_TRUE(stage);
+  auto pipeline = make_still_pipeline(*scene, view, {});
+  ASSERT_TRUE(pipeline);
   lighting::LightEstimator estimator({5, {}});
   int map_index = 0;
   for (const Image<Rgb>& map : world.maps()) {
@@ -128,12 +128,12 @@ TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
     const auto empty = render_real(in, .008, {});
     const auto truth = render_reference(in, true, .008, std::nullopt, {});
     ASSERT_TRUE(empty && truth);
-    const auto ours = composite_still(**stage, view, *light, *empty);
+    const auto ours = composite_still(*pipeline, view, *light, *empty);
     ASSERT_TRUE(ours);
     const Accuracy a = compare_pictures(*ours, *truth, *empty, *masks),
                    naive = compare_pictures(*empty, *truth, *empty, *masks);
     std::printf("%s %d: %zu discs, shadow %.4f (none %.2f), object %.2f %%, bias %.2f %%\n",
-                world.name, map_index, light->discs.size(), a.shadow_rmse, naive.shadow_rmse,
+                world.name, map_index, light->lights.size(), a.shadow_rmse, naive.shadow_rmse,
                 100 * a.object_without_noise, 100 * a.object_bias);
     EXPECT_LT(a.shadow_rmse, world.shadow_bar);
     EXPECT_LT(a.object_without_noise, world.object_bar);
@@ -169,12 +169,12 @@ const World kWorlds[] = {
        return Scene{{twist({-.2, 0, 0}), twist({.2, 0, .05})}, {grey_plane()}};
      },
      [] { return std::vector{capture::make_room_environment(2 * kRows, kRows)}; }, .05, .05},
-    {"real_prop_room", beside_prop,
+    {"real_prop_room", beside_real_mesh,
      [] { return std::vector{capture::make_room_environment(2 * kRows, kRows)}; }, .05, .05},
-    {"real_prop_sky", beside_prop,
+    {"real_prop_sky", beside_real_mesh,
      [] {
        return std::vector{capture::make_sky_environment(2 * kRows, kRows, .8)};
-     },  // 19 % as long as the prop hid its discs alone, 9 % with six sides that see the whole floor.
+     },  // 19 % as long as the prop hid its lights alone, 9 % with six sides that see the whole floor.
      .05, .08},
 };
 

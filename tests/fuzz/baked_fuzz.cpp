@@ -21,7 +21,7 @@ const std::vector<unsigned char>& whole_file() {
     o.bands = 2;
     o.bounces = 1;
     o.rays = o.ground_rays = 64;
-    o.sight = true;
+    o.visibility = true;
     o.receiver = prt::Receiver{prt::fit_ground_grid(mesh, -.01f, 8), {.4f, .4f, .4f}};
     const auto path = test::as_file({}, ".glb");
     (void)prt::write_baked(path, *prt::bake(std::move(mesh), o));
@@ -37,15 +37,15 @@ void use(const prt::BakedObject& o) {
   light[0] = {1, 1, 1};
   std::vector<float> relit(3 * o.transfer.stride);
   prt::relight(o.transfer, light, relit);
-  if (o.sight.empty()) return;
+  if (o.visibility.empty()) return;
   std::vector<prt::CosineSums> sums(count);
-  const prt::SightLookup lookup(o.sight, o.mesh);
-  for (const int cells : {prt::VertexSight::kCells, prt::VertexSight::kFineCells}) {
-    prt::SightTaps taps;
-    taps.clear(cells);
-    for (std::size_t k = 0; k < prt::SightTaps::kMost; ++k)
-      taps.add({.6f, k % 2 == 0 ? .8f : -.8f, 0}, true);
-    lookup.look(taps, 0, count, sums);
+  const prt::VisibilityLookup lookup(o.visibility, o.mesh);
+  for (const int cells : {prt::VisibilityMap::kCells, prt::VisibilityMap::kFineCells}) {
+    prt::VisibilitySamples samples;
+    samples.clear(cells);
+    for (std::size_t k = 0; k < prt::VisibilitySamples::kMax; ++k)
+      samples.add({.6f, k % 2 == 0 ? .8f : -.8f, 0}, true);
+    lookup.look(samples, 0, count, sums);
   }
   for (const prt::CosineSums& s : sums)
     if (std::isnan(s.seen + s.open)) __builtin_trap();

@@ -6,8 +6,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   using namespace penumbra;
   auto source = capture::open_capture(test::as_file({data, size}, ".mkv"));
   if (!source) return 0;
-  constexpr int kMostFrames = 64;
-  for (int n = 0; n < kMostFrames; ++n) {
+  constexpr int kMaxFrames = 64;
+  for (int n = 0; n < kMaxFrames; ++n) {
     const auto frame = (*source)->next();
     if (!frame || !*frame) break;
     if (!((*frame)->exposure.product() > 0)) __builtin_trap();

@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <string_view>
 
-#include "capture/capture.h"
 #include "calib/calib.h"
+#include "capture/capture.h"
 #include "capture/recording/folder_format.h"
 #include "core/toml_keys.h"
 

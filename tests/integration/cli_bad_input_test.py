@@ -102,7 +102,7 @@ class BadMeshes(CliTest):
             self.expect_refusal([name], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
                                 self.root / "even.hdr", "--asset", self.root / name, "--out", self.root / "out" / "demo")
             self.expect_refusal([name], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
-                                self.root / "even.hdr", "--prop", self.root / name, "--out", self.root / "out" / "demo")
+                                self.root / "even.hdr", "--real-mesh", self.root / name, "--out", self.root / "out" / "demo")
 
 
 class BadConfiguration(CliTest):
@@ -228,7 +228,7 @@ class BadOutputs(CliTest):
                             self.root / "scene.toml", "--out", self.below)
         self.expect_refusal(["plain"], "demo", "--headless", "--out", self.below)
         self.expect_refusal(["plain"], "demo", "--headless", "--frames", 1, "--width", 64, "--height", 64, "--environment",
-                            self.root / "even.hdr", "--asset", self.root / "cube.obj", "--still-only", "--bands", 1,
+                            self.root / "even.hdr", "--asset", self.root / "cube.obj", "--no-turntable", "--bands", 1,
                             "--out", self.root / "out" / "demo", "--record", self.below)
         self.assertEqual((self.root / "plain").read_text(), "a file")
 

@@ -33,12 +33,12 @@ class DemoAndComposite(CliTest):
         for stage in summary["stages"].values():
             self.assertLessEqual({"p50_ms", "p99_ms"}, set(stage))
             self.assertLessEqual(stage["p50_ms"], stage["p99_ms"])
-        self.assertLessEqual({"bands", "discs", "exposures"}, set(summary["configuration"]))
+        self.assertLessEqual({"bands", "lights", "exposures"}, set(summary["configuration"]))
 
     def test_recorded_demo_replays_to_the_same_pictures_and_bytes(self):
         demo, record = self.root / "demo", self.root / "record"
         printed = self.run_json("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out", demo,
-                                "--prop", "builtin:box", "--record", record)
+                                "--real-mesh", "builtin:box", "--record", record)
         self.check_summary(printed)
         self.check_summary(json.loads((demo / "summary.json").read_text()))
         runs = [self.root / "first", self.root / "second"]
@@ -71,14 +71,14 @@ class DemoAndComposite(CliTest):
         out.mkdir()
         script = f'mkdir "{out}"/.partial-$$ && echo stale > "{out}"/.partial-$$/frame_000099.png && exec "$@"'
         done = subprocess.run(["sh", "-c", script, "sh", program(), "demo", "--headless", "--frames", "1", "--width", "64",
-                               "--height", "64", "--still-only", "--bands", "1", "--out", str(out)],
+                               "--height", "64", "--no-turntable", "--bands", "1", "--out", str(out)],
                               env=self.environment, capture_output=True, text=True, timeout=300 * PATIENCE, check=False)
         if done.returncode == 2 and re.search(r"EGL|OpenGL ES", done.stderr):
             self.skipTest("no OpenGL ES 3.1: " + done.stderr.strip())
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(sorted(p.name for p in out.iterdir()), ["camera.png", "still.png", "summary.json", "video.mp4"])
         silent = self.root / "silent"
-        self.run_well("demo", "--headless", "--frames", 2, "--width", 64, "--height", 64, "--still-only", "--bands", 1,
+        self.run_well("demo", "--headless", "--frames", 2, "--width", 64, "--height", 64, "--no-turntable", "--bands", 1,
                       "--no-video", "--out", silent)
         self.assertEqual(sorted(p.name for p in silent.iterdir()), ["camera.png", "still.png", "summary.json"])
 
@@ -117,7 +117,7 @@ class LightEstimate(CliTest):
             for n, triple in enumerate(light["coefficients"]):
                 for value, radiance in zip(triple, (1.0, 0.5, 0.25)):
                     self.assert_close(value, radiance * math.sqrt(4 * math.pi) if n == 0 else 0, 0.01 * radiance)
-            self.assertEqual(light["discs"], [])
+            self.assertEqual(light["lights"], [])
             for value, radiance in zip(light["mean_radiance"], (1.0, 0.5, 0.25)):
                 self.assert_close(value, radiance, 0.01 * radiance)
             self.assert_close(light["coverage"], 1, 1e-6)
@@ -234,14 +234,14 @@ class Bake(CliTest):
 
     def test_lights_are_charted(self):
         out = self.root / "lights"
-        with_sun = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--discs", 2, "--error", 0.03,
+        with_sun = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--max-lights", 2, "--error", 0.03,
                                  "--out", out)["rows"]
         self.assertEqual([row["environment"] for row in with_sun], ["room", "clear-sky"])
-        without = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--discs", 0, "--error", 0.03,
+        without = self.run_json("chart", "--asset", "builtin:box", "--bands", 5, "--max-lights", 0, "--error", 0.03,
                                 "--out", self.root / "harmonics")["rows"]
         for disc, harmonics in zip(with_sun, without):
-            self.assertEqual((disc["coefficients"], disc["discs_allowed"], harmonics["discs"]), (25, 2, 0))
-            self.assertGreater(disc["discs"], 0)
+            self.assertEqual((disc["coefficients"], disc["lights_allowed"], harmonics["lights"]), (25, 2, 0))
+            self.assertGreater(disc["lights"], 0)
             self.assertGreater(disc["light_update_p50_ms"], 0)
             self.assertGreater(disc["memory_bytes"], harmonics["memory_bytes"])
         self.assertLess(2 * with_sun[1]["shadow_rmse"], without[1]["shadow_rmse"])  # the reference's noise, .03, on both
@@ -320,7 +320,7 @@ class Window(CliTest):
         xvfb = shutil.which("xvfb-run")
         if not xvfb:
             self.skipTest("xvfb-run is not installed")
-        done = subprocess.run([xvfb, "-a", program(), "demo", "--live", "--still-only", "--frames", "12", "--width", "320",
+        done = subprocess.run([xvfb, "-a", program(), "demo", "--live", "--no-turntable", "--frames", "12", "--width", "320",
                                "--height", "180", "--out", str(self.root / "out")],
                               env=self.environment, capture_output=True, text=True, timeout=300 * PATIENCE, check=False)
         self.assertEqual(done.returncode, 0, done.stderr)
@@ -395,7 +395,7 @@ class Serve(CliTest):
         status, kind, body = self.get("/v1/light")
         self.assertEqual((status, kind), (200, "application/json"))
         light = json.loads(body)
-        self.assertLessEqual({"bands", "coefficients", "discs", "mean_radiance", "coverage", "clipped_fraction",
+        self.assertLessEqual({"bands", "coefficients", "lights", "mean_radiance", "coverage", "clipped_fraction",
                               "truncation_error", "time_ns", "age_s", "valid"}, set(light))
         self.assertEqual((light["bands"], len(light["coefficients"]), light["valid"]), (2, 4, True))
         red, green, blue = light["coefficients"][0]
@@ -637,13 +637,13 @@ class Calibrate(CliTest):
         (folder / "capture.toml").write_text(manifest)
         printed = self.run_json("calibrate", "noise", folder, "-o", out, "--report", report)
         self.assertAlmostEqual(printed["full_well_electrons"], full_well, delta=.1 * full_well)
-        self.assertAlmostEqual(printed["read_fraction"], read, delta=.25 * read)
+        self.assertAlmostEqual(printed["read_noise"], read, delta=.25 * read)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["noise.csv", "noise.svg"])
         (folder / "noise.toml").write_text(out.read_text())
         (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\n')
         self.run_json("inspect", folder)
         (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\nread_fraction = 0.1\n')
-        self.expect_refusal(["capture.toml", "read_fraction", "noise has it"], "inspect", folder)
+        self.expect_refusal(["capture.toml", "read_noise", "noise has it"], "inspect", folder)
         (folder / "capture.toml").write_text(manifest)
         (folder / "camera.csv").write_text("\n".join(rows[:5]) + "\n")
         self.expect_refusal(["8 are needed"], "calibrate", "noise", folder, "-o", self.root / "no.toml")
@@ -771,9 +771,9 @@ class Calibrate(CliTest):
         self.expect_refusal(["capture.toml", "pose", '"right"'], "inspect", capture)
         (capture / "capture.toml").write_text(manifest)
         # On the floor: the cameras look at the board from above its plane. A hand that moves it is found out.
-        self.expect_refusal(["--board-lies", "moved"], "calibrate", "rig", capture, *board, "--board-lies", "floor",
+        self.expect_refusal(["--board-plane", "moved"], "calibrate", "rig", capture, *board, "--board-plane", "floor",
                             "-o", self.root / "no.toml")
-        floor = self.run_json("calibrate", "rig", capture, *board, "--board-lies", "floor", "--every", 100, "-o", out)
+        floor = self.run_json("calibrate", "rig", capture, *board, "--board-plane", "floor", "--min-interval", 100, "-o", out)
         self.assertGreater(floor["cameras"][0]["position_m"][1], .6)
         self.expect_refusal(["left", "one camera alone"], "calibrate", "rig", capture, *board, "--cameras", "left", "-o",
                             self.root / "no.toml")
@@ -783,7 +783,7 @@ class Calibrate(CliTest):
         self.expect_refusal(["tracker.csv:3", "later"], *refused, "--tracker", tracker)
         tracker.write_text("time_s,tx,ty,tz,qx,qy,qz,qw\n0,0,0,0,0,0,0,2\n")
         self.expect_refusal(["tracker.csv:2", "quaternion"], *refused, "--tracker", tracker)
-        self.expect_refusal(["--board-lies", "floor or wall"], *refused, "--board-lies", "table")
+        self.expect_refusal(["--board-plane", "floor or wall"], *refused, "--board-plane", "table")
         self.expect_refusal(["none of 8 pictures"], *refused[:3], "--board", "chessboard:11x8:0.04", *refused[5:])
         self.expect_refusal(["middle", "no camera"], *refused, "--cameras", "left,middle")
         self.assertFalse((self.root / "no.toml").exists())

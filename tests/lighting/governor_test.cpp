@@ -28,7 +28,7 @@ RadianceSh moments_above(const RadianceSh& light) {
       map.at(x, y) = evaluate(light, latlong_direction(x + .5, y + .5, kWidth, kHeight));
   const auto p = project_latlong(map, kMaxBands);
   EXPECT_TRUE(p);
-  return p ? p->above : RadianceSh(kMaxBands);
+  return p ? p->upper_moments : RadianceSh(kMaxBands);
 }
 
 // What a point of the floor loses to a round object that hides a cap of the sky: pi S_n with the
@@ -58,9 +58,9 @@ ShadowProbes some_probes() {
   return probes_under_caps(towards, .5);
 }
 
-Disc sun(double irradiance_up, const dvec3& direction = glm::normalize(dvec3(.5, .8, .3)),
-         double radius = .005) {
-  Disc d;
+DistantLight sun(double irradiance_up, const dvec3& direction = glm::normalize(dvec3(.5, .8, .3)),
+                 double radius = .005) {
+  DistantLight d;
   d.id = 1;
   d.direction = direction;
   d.radius = Radians(radius);
@@ -71,10 +71,10 @@ Disc sun(double irradiance_up, const dvec3& direction = glm::normalize(dvec3(.5,
 }
 
 struct Light {
-  RadianceSh above{kMaxBands};
-  std::vector<Disc> discs;
-  ErrorTable table(const ShadowProbes& probes, int bands = 9, int most_discs = 8) const {
-    return {{&above, discs}, probes, bands, most_discs};
+  RadianceSh upper_moments{kMaxBands};
+  std::vector<DistantLight> lights;
+  ErrorTable table(const ShadowProbes& probes, int bands = 9, int max_lights = 8) const {
+    return {{&upper_moments, lights}, probes, bands, max_lights};
   }
 };
 
@@ -83,10 +83,10 @@ Light uniform() {
 }
 Light sunny() {
   Light l = uniform();
-  l.discs.push_back(sun(5 * kPi));
+  l.lights.push_back(sun(5 * kPi));
   return l;
 }
-// Needs several bands, no disc.
+// Needs several bands, no light.
 Light directional() {
   RadianceSh light = test::constant_light({1, 1, 1}, kMaxBands);
   std::mt19937 rng(3);
@@ -104,12 +104,12 @@ Governor::Limits limits(double budget = .05) {
 
 TEST(ErrorTable, UniformLightNeedsOneBand) {
   const ErrorTable table = uniform().table(some_probes());
-  EXPECT_EQ(table.most_discs(), 0) << "there are no discs to trace";
+  EXPECT_EQ(table.max_lights(), 0) << "there are no discs to trace";
   EXPECT_NEAR(table.error(1, 0), .008, .001) << "our own steps";
   for (int bands = 2; bands <= 9; ++bands) EXPECT_NEAR(table.error(bands, 0), .008, .001);
 }
 
-TEST(ErrorTable, StrongSunIsWrongInAnyNumberOfBandsAndRightAsADisc) {
+TEST(ErrorTable, StrongSunIsWrongInAnyNumberOfBandsAndRightAsALight) {
   const ErrorTable table = sunny().table(some_probes());
   for (int bands = 1; bands <= 9; ++bands) {
     EXPECT_GT(table.error(bands, 0), .15) << bands;
@@ -117,21 +117,22 @@ TEST(ErrorTable, StrongSunIsWrongInAnyNumberOfBandsAndRightAsADisc) {
   }
 }
 
-TEST(ErrorTable, FallsWithBandsAndWithDiscsUpToTheCostOfTracing) {
+TEST(ErrorTable, FallsWithBandsAndWithLightsUpToTheCostOfTracing) {
   const ShadowProbes probes = some_probes();
   std::mt19937 rng(5);
   std::uniform_real_distribution<double> uniformly(.05, 1);
   for (int scene = 0; scene < 20; ++scene) {
     Light light = directional();
     const dvec3 up(0, 1, 0);
-    double all = luminance(evaluate(irradiance(floor_light(light.above, kMaxBands)), up));
+    double all =
+        luminance(evaluate(irradiance(upper_hemisphere_light(light.upper_moments, kMaxBands)), up));
     double traced_square = 0;
     std::vector<double> own;
     for (int k = 0; k < 4; ++k) own.push_back(2 * kPi * uniformly(rng));
     std::ranges::sort(own, std::greater{});
     for (const double e : own) {
       const double azimuth = 6 * uniformly(rng);
-      light.discs.push_back(
+      light.lights.push_back(
           sun(e, glm::normalize(dvec3(std::cos(azimuth), .3 + uniformly(rng), std::sin(azimuth))),
               .02 * uniformly(rng)));
       all += e;
@@ -139,16 +140,16 @@ TEST(ErrorTable, FallsWithBandsAndWithDiscsUpToTheCostOfTracing) {
     }
     const ErrorTable table = light.table(probes);
     const double tracing = .035 * std::sqrt(traced_square) / all;
-    for (int discs = 0; discs < table.most_discs(); ++discs)
-      EXPECT_LE(table.error(9, discs + 1), table.error(9, discs) + tracing)
-          << scene << ' ' << discs;
+    for (int lights = 0; lights < table.max_lights(); ++lights)
+      EXPECT_LE(table.error(9, lights + 1), table.error(9, lights) + tracing)
+          << scene << ' ' << lights;
     // Fits of the upper hemisphere need not be nested where the probes look: a band more may be
     // worse by a few percent.
-    for (int discs = 0; discs <= table.most_discs(); ++discs) {
+    for (int lights = 0; lights <= table.max_lights(); ++lights) {
       for (int bands = 1; bands < 9; ++bands)
-        EXPECT_LE(table.error(bands + 1, discs), 1.1 * table.error(bands, discs))
-            << scene << ' ' << bands << ' ' << discs;
-      EXPECT_LE(table.error(9, discs), table.error(1, discs)) << scene << ' ' << discs;
+        EXPECT_LE(table.error(bands + 1, lights), 1.1 * table.error(bands, lights))
+            << scene << ' ' << bands << ' ' << lights;
+      EXPECT_LE(table.error(9, lights), table.error(1, lights)) << scene << ' ' << lights;
     }
   }
 }
@@ -158,10 +159,10 @@ TEST(ErrorTable, NoProbesOrNoLightGiveNumbers) {
   for (const Light& light : {dark, uniform(), sunny()})
     for (const ShadowProbes& probes : {ShadowProbes{}, some_probes()}) {
       const ErrorTable table = light.table(probes);
-      for (int discs = 0; discs <= table.most_discs(); ++discs)
+      for (int lights = 0; lights <= table.max_lights(); ++lights)
         for (int bands = 1; bands <= 9; ++bands) {
-          ASSERT_TRUE(std::isfinite(table.error(bands, discs)));
-          ASSERT_GE(table.error(bands, discs), 0);
+          ASSERT_TRUE(std::isfinite(table.error(bands, lights)));
+          ASSERT_GE(table.error(bands, lights), 0);
         }
       const Plan plan = Governor(limits(), {}).update(table, {});
       EXPECT_TRUE(std::isfinite(plan.error) && std::isfinite(plan.ms));
@@ -175,19 +176,20 @@ TEST(ErrorTable, NoProbesOrNoLightGiveNumbers) {
 TEST(Governor, TakesTheCheapestPlanWithinTheBudget) {
   const ShadowProbes probes = some_probes();
   Light mixed = directional();
-  mixed.discs = {sun(2 * kPi), sun(.4 * kPi, glm::normalize(dvec3(-.6, .7, .1)))};
+  mixed.lights = {sun(2 * kPi), sun(.4 * kPi, glm::normalize(dvec3(-.6, .7, .1)))};
   for (const Light& light : {uniform(), sunny(), directional(), mixed})
     for (const double budget : {.02, .05, .1, .3}) {
       const ErrorTable table = light.table(probes);
       const Plan plan = Governor(limits(budget), kBandsCost).update(table, {});
       double cheapest = HUGE_VAL;
-      for (int discs = 0; discs <= table.most_discs(); ++discs)
+      for (int lights = 0; lights <= table.max_lights(); ++lights)
         for (int bands = 1; bands <= 9; ++bands)
-          if (Governor::kCalibrated * table.error(bands, discs) <= budget)
-            cheapest = std::min(cheapest, kBandsCost.ms(bands, discs));
+          if (Governor::kConformalFactor * table.error(bands, lights) <= budget)
+            cheapest = std::min(cheapest, kBandsCost.ms(bands, lights));
       ASSERT_EQ(plan.within_budget, std::isfinite(cheapest));
-      EXPECT_DOUBLE_EQ(plan.error, Governor::kCalibrated * table.error(plan.bands, plan.discs));
-      EXPECT_DOUBLE_EQ(plan.ms, kBandsCost.ms(plan.bands, plan.discs));
+      EXPECT_DOUBLE_EQ(plan.error,
+                       Governor::kConformalFactor * table.error(plan.bands, plan.lights));
+      EXPECT_DOUBLE_EQ(plan.ms, kBandsCost.ms(plan.bands, plan.lights));
       if (plan.within_budget) {
         EXPECT_DOUBLE_EQ(plan.ms, cheapest);
         EXPECT_LE(plan.error, budget);
@@ -195,13 +197,13 @@ TEST(Governor, TakesTheCheapestPlanWithinTheBudget) {
     }
 }
 
-TEST(Governor, UniformLightTakesOneBandAndAStrongSunOneDisc) {
+TEST(Governor, UniformLightTakesOneBandAndAStrongSunOneLight) {
   const Plan even = Governor(limits(), kBandsCost).update(uniform().table(some_probes()), {});
   EXPECT_EQ(even.bands, 1);
-  EXPECT_EQ(even.discs, 0);
+  EXPECT_EQ(even.lights, 0);
   const Plan sharp = Governor(limits(.1), kBandsCost).update(sunny().table(some_probes()), {});
   EXPECT_EQ(sharp.bands, 1);
-  EXPECT_EQ(sharp.discs, 1);
+  EXPECT_EQ(sharp.lights, 1);
   EXPECT_TRUE(sharp.within_budget);
 }
 
@@ -215,66 +217,67 @@ TEST(Governor, NothingThatSufficesIsSaidSoWithTheMostAccurate) {
   const ErrorTable table = sunny().table(some_probes());
   const Plan plan = Governor(limits(.001), kBandsCost).update(table, {});
   EXPECT_FALSE(plan.within_budget);
-  for (int discs = 0; discs <= table.most_discs(); ++discs)
+  for (int lights = 0; lights <= table.max_lights(); ++lights)
     for (int bands = 1; bands <= 9; ++bands)
-      EXPECT_LE(plan.error, Governor::kCalibrated * table.error(bands, discs));
+      EXPECT_LE(plan.error, Governor::kConformalFactor * table.error(bands, lights));
 }
 
-TEST(Governor, DiscsThatThereIsNoTimeForGoAtOnceAndComeBackAtOnce) {
+TEST(Governor, LightsThatThereIsNoTimeForGoAtOnceAndComeBackAtOnce) {
   const ErrorTable table = sunny().table(some_probes());
   Governor governor(limits(.1), kBandsCost);
-  ASSERT_EQ(governor.update(table, {}).discs, 1);
-  governor.allow_discs(0);
+  ASSERT_EQ(governor.update(table, {}).lights, 1);
+  governor.allow_lights(0);
   const Plan hurried = governor.update(table, TimestampNs{1'000'000});
-  EXPECT_EQ(hurried.discs, 0);
+  EXPECT_EQ(hurried.lights, 0);
   EXPECT_FALSE(hurried.within_budget);
-  EXPECT_TRUE(hurried.short_of_time);
-  EXPECT_DOUBLE_EQ(hurried.error, Governor::kCalibrated * table.error(hurried.bands, 0));
+  EXPECT_TRUE(hurried.time_limited);
+  EXPECT_DOUBLE_EQ(hurried.error, Governor::kConformalFactor * table.error(hurried.bands, 0));
   for (int bands = 1; bands <= 9; ++bands)
-    EXPECT_LE(hurried.error, Governor::kCalibrated * table.error(bands, 0)) << "the most accurate";
-  governor.allow_discs(1);
+    EXPECT_LE(hurried.error, Governor::kConformalFactor * table.error(bands, 0))
+        << "the most accurate";
+  governor.allow_lights(1);
   const Plan again = governor.update(table, TimestampNs{2'000'000});
-  EXPECT_EQ(again.discs, 1);
-  EXPECT_FALSE(again.short_of_time);
+  EXPECT_EQ(again.lights, 1);
+  EXPECT_FALSE(again.time_limited);
 }
 
-TEST(Governor, FewerThanNoDiscsAreNone) {
+TEST(Governor, FewerThanNoLightsAreNone) {
   const ErrorTable table = sunny().table(some_probes());
   Governor governor(limits(.1), kBandsCost);
-  governor.allow_discs(-3);
+  governor.allow_lights(-3);
   const Plan plan = governor.update(table, {});
-  EXPECT_EQ(plan.discs, 0);
+  EXPECT_EQ(plan.lights, 0);
   EXPECT_GT(plan.error, .1);
-  EXPECT_TRUE(plan.short_of_time);
+  EXPECT_TRUE(plan.time_limited);
 }
 
-TEST(Governor, TimeIsNoReasonWhereNoDiscWouldHelp) {
+TEST(Governor, TimeIsNoReasonWhereNoLightWouldHelp) {
   Governor governor(limits(), kBandsCost);
-  governor.allow_discs(0);
+  governor.allow_lights(0);
   const Plan plan = governor.update(uniform().table(some_probes()), {});
   EXPECT_TRUE(plan.within_budget);
-  EXPECT_FALSE(plan.short_of_time);
+  EXPECT_FALSE(plan.time_limited);
 }
 
 TEST(Governor, NeverLeavesItsLimitsNorTheTables) {
   const ShadowProbes probes = some_probes();
   Light light = directional();
   for (int k = 0; k < 6; ++k)
-    light.discs.push_back(sun(kPi, glm::normalize(dvec3(std::cos(k), .5, std::sin(k)))));
+    light.lights.push_back(sun(kPi, glm::normalize(dvec3(std::cos(k), .5, std::sin(k)))));
   for (const int bands : {1, 3, 9})
-    for (const int discs : {0, 2, 8}) {
-      Governor governor({.001, bands, discs}, kBandsCost);
+    for (const int lights : {0, 2, 8}) {
+      Governor governor({.001, bands, lights}, kBandsCost);
       for (int i = 0; i < 5; ++i) {
         const Plan plan = governor.update(light.table(probes), {i * kMapNs});
         EXPECT_LE(plan.bands, bands);
-        EXPECT_LE(plan.discs, discs);
+        EXPECT_LE(plan.lights, lights);
         EXPECT_GE(plan.bands, 1);
-        EXPECT_GE(plan.discs, 0);
+        EXPECT_GE(plan.lights, 0);
       }
       Governor wide(limits(.001), kBandsCost);
-      const Plan plan = wide.update(light.table(probes, bands, discs), {});
+      const Plan plan = wide.update(light.table(probes, bands, lights), {});
       EXPECT_LE(plan.bands, bands);
-      EXPECT_LE(plan.discs, discs);
+      EXPECT_LE(plan.lights, lights);
     }
 }
 
@@ -285,22 +288,22 @@ TEST(Governor, MovesUpAtOnceAndDownAfterTwoSeconds) {
   const ErrorTable even = uniform().table(probes), sharp = sunny().table(probes);
   Governor governor(limits(.1), kBandsCost);
   std::int64_t now = 0;
-  EXPECT_EQ(governor.update(even, {now}).discs, 0);
-  EXPECT_EQ(governor.update(sharp, {now += kMapNs}).discs, 1) << "the sun comes out";
+  EXPECT_EQ(governor.update(even, {now}).lights, 0);
+  EXPECT_EQ(governor.update(sharp, {now += kMapNs}).lights, 1) << "the sun comes out";
   // The sun is dim but still there: one band would do without it.
   Light dim = uniform();
-  dim.discs.push_back(sun(.01 * kPi));
+  dim.lights.push_back(sun(.01 * kPi));
   const ErrorTable little = dim.table(probes);
   const std::int64_t since = now += kMapNs;
   for (; now < since + 2'000'000'000; now += kMapNs)
-    ASSERT_EQ(governor.update(little, {now}).discs, 1) << (now - since) * 1e-9;
-  EXPECT_EQ(governor.update(little, {now}).discs, 0);
+    ASSERT_EQ(governor.update(little, {now}).lights, 1) << (now - since) * 1e-9;
+  EXPECT_EQ(governor.update(little, {now}).lights, 0);
 }
 
-TEST(Governor, DiscThatIsGoneIsNotCountedOn) {
+TEST(Governor, LightThatIsGoneIsNotCountedOn) {
   const ShadowProbes probes = some_probes();
   Governor governor(limits(.1), kBandsCost);
-  EXPECT_EQ(governor.update(sunny().table(probes), {}).discs, 1);
+  EXPECT_EQ(governor.update(sunny().table(probes), {}).lights, 1);
   const Plan plan = governor.update(uniform().table(probes), {kMapNs});
   EXPECT_TRUE(std::isfinite(plan.error));
   EXPECT_LE(plan.error, .1);
@@ -311,40 +314,40 @@ TEST(Governor, DownIsPutOffWheneverTheMarginIsLost) {
   Governor governor(limits(.1), kBandsCost);
   const ErrorTable sharp = sunny().table(probes);
   Light dim = uniform();
-  dim.discs.push_back(sun(.01 * kPi));
+  dim.lights.push_back(sun(.01 * kPi));
   const ErrorTable little = dim.table(probes);
   std::int64_t now = 0;
   governor.update(sharp, {now});
   // A cloud of one second and a half every other moment.
   for (int moment = 0; moment < 10; ++moment) {
-    for (int i = 0; i < 45; ++i) ASSERT_EQ(governor.update(little, {now += kMapNs}).discs, 1);
-    ASSERT_EQ(governor.update(sharp, {now += kMapNs}).discs, 1);
+    for (int i = 0; i < 45; ++i) ASSERT_EQ(governor.update(little, {now += kMapNs}).lights, 1);
+    ASSERT_EQ(governor.update(sharp, {now += kMapNs}).lights, 1);
   }
 }
 
 TEST(Governor, DoesNotFlapWhenTheErrorSwingsAroundTheBudget) {
   const ShadowProbes probes = some_probes();
-  // Suns of which one band without a disc just keeps the budget, and just does not.
+  // Suns of which one band without a light just keeps the budget, and just does not.
   double low = 0, high = kPi;
   const auto alone = [&](double irradiance) {
     Light l = uniform();
-    l.discs.push_back(sun(irradiance));
+    l.lights.push_back(sun(irradiance));
     return l.table(probes);
   };
   for (int i = 0; i < 40; ++i) {
     const double middle = .5 * (low + high);
-    (Governor::kCalibrated * alone(middle).error(9, 0) > .1 ? high : low) = middle;
+    (Governor::kConformalFactor * alone(middle).error(9, 0) > .1 ? high : low) = middle;
   }
-  const ErrorTable below = alone(.97 * low), above = alone(1.03 * low);
+  const ErrorTable below = alone(.97 * low), upper_moments = alone(1.03 * low);
   Governor governor(limits(.1), kBandsCost);
   int changes = 0, naive_changes = 0;
   std::optional<Plan> last, naive_last;
   for (int i = 0; i < 300; ++i) {  // ten seconds
-    const ErrorTable& table = i % 2 ? above : below;
+    const ErrorTable& table = i % 2 ? upper_moments : below;
     const Plan plan = governor.update(table, {i * kMapNs}), naive = governor.cheapest(table, .1);
-    if (last) changes += plan.discs != last->discs || plan.bands != last->bands;
+    if (last) changes += plan.lights != last->lights || plan.bands != last->bands;
     if (naive_last)
-      naive_changes += naive.discs != naive_last->discs || naive.bands != naive_last->bands;
+      naive_changes += naive.lights != naive_last->lights || naive.bands != naive_last->bands;
     last = plan, naive_last = naive;
     EXPECT_TRUE(plan.within_budget);
   }
@@ -367,46 +370,46 @@ Environment even_map(float sun_radiance, std::int64_t number) {
 
 LightEstimator governed_estimator(bool filter) {
   LightEstimator estimator({.filter = filter});
-  estimator.govern({{}, kBandsCost, some_probes()});
+  estimator.set_governor({{}, kBandsCost, some_probes()});
   return estimator;
 }
 
-TEST(GovernedEstimator, WithoutTimeForDiscsAllLightIsInHarmonics) {
+TEST(GovernedEstimator, WithoutTimeForLightsAllLightIsInHarmonics) {
   for (const bool filter : {false, true}) {
     LightEstimator estimator = governed_estimator(filter);
     const auto before = estimator.estimate(even_map(3000, 0));
     ASSERT_TRUE(before);
-    ASSERT_EQ(before->discs.size(), 1u);
-    estimator.allow_discs(0);
+    ASSERT_EQ(before->lights.size(), 1u);
+    estimator.allow_lights(0);
     const double all = double(whole_light(*before)[0].g);
     float last = 0;
     for (int i = 1; i < 30; ++i) {
       const auto e = estimator.estimate(even_map(3000, i));
       ASSERT_TRUE(e);
-      EXPECT_TRUE(e->discs.empty());
+      EXPECT_TRUE(e->lights.empty());
       ASSERT_TRUE(e->plan);
-      EXPECT_EQ(e->plan->discs, 0);
-      EXPECT_TRUE(e->plan->short_of_time);
+      EXPECT_EQ(e->plan->lights, 0);
+      EXPECT_TRUE(e->plan->time_limited);
       if (i > 9) {  // calm for eight maps
         EXPECT_EQ(e->light[7].g, last) << "map " << i << ": a glance at discs changes nothing";
       }
       last = e->light[7].g;
-      // A disc is not quite the pixels that it was cut from.
+      // A light is not quite the pixels that it was cut from.
       EXPECT_NEAR(e->light[0].g, all, .002 * all) << "map " << i;
       for (int n = 0; n < 25; ++n)
         EXPECT_NEAR(e->light[n].g, whole_light(*before)[n].g, .005 * all) << "map " << i;
     }
-    estimator.allow_discs(8);
+    estimator.allow_lights(8);
     const auto after = estimator.estimate(even_map(3000, 30));
     ASSERT_TRUE(after);
-    EXPECT_EQ(after->discs.size(), 1u);
-    EXPECT_FALSE(after->plan->short_of_time);
+    EXPECT_EQ(after->lights.size(), 1u);
+    EXPECT_FALSE(after->plan->time_limited);
   }
 }
 
-TEST(GovernedEstimator, WithoutTimeForDiscsASwitchedLampIsStillFollowedAtOnce) {
+TEST(GovernedEstimator, WithoutTimeForLightsASwitchedLampIsStillFollowedAtOnce) {
   LightEstimator estimator = governed_estimator(false);
-  estimator.allow_discs(0);
+  estimator.allow_lights(0);
   for (int i = 0; i < 20; ++i) {
     const float radiance = i % 3 == 0 ? 3000.f : 1.f;
     const auto e = estimator.estimate(even_map(radiance, i));
@@ -419,7 +422,7 @@ TEST(GovernedEstimator, WithoutTimeForDiscsASwitchedLampIsStillFollowedAtOnce) {
 
 TEST(GovernedEstimator, ThePlanIsThatOfTheLightAlsoWhenClippingEnds) {
   LightEstimator estimator = governed_estimator(true);
-  estimator.allow_discs(0);
+  estimator.allow_lights(0);
   for (int i = 0; i < 40; ++i) {
     Environment map = even_map(50, i);
     if (i / 12 % 2 == 0)
@@ -427,24 +430,24 @@ TEST(GovernedEstimator, ThePlanIsThatOfTheLightAlsoWhenClippingEnds) {
         for (const std::uint32_t x : {40u, 41u}) map.clipped.push_back(y * kMapWidth + x);
     const auto e = estimator.estimate(map);
     ASSERT_TRUE(e);
-    EXPECT_EQ(e->plan->discs, static_cast<int>(e->discs.size())) << "map " << i;
+    EXPECT_EQ(e->plan->lights, static_cast<int>(e->lights.size())) << "map " << i;
     const auto whole = project_latlong(map.radiance, kMaxBands);
     ASSERT_TRUE(whole);
     EXPECT_NEAR(whole_light(*e)[0].g, whole->light[0].g, .002f * whole->light[0].g) << "map " << i;
   }
 }
 
-TEST(GovernedEstimator, WhatIsClippedStaysADiscWhateverTheTime) {
+TEST(GovernedEstimator, WhatIsClippedStaysALightWhateverTheTime) {
   LightEstimator estimator = governed_estimator(false);
-  estimator.allow_discs(0);
+  estimator.allow_lights(0);
   for (int i = 0; i < 12; ++i) {
     Environment map = even_map(50, i);
     for (const std::uint32_t y : {18u, 19u})
       for (const std::uint32_t x : {40u, 41u}) map.clipped.push_back(y * kMapWidth + x);
     const auto e = estimator.estimate(map);
     ASSERT_TRUE(e);
-    ASSERT_EQ(e->discs.size(), 1u) << "map " << i;
-    EXPECT_TRUE(e->discs[0].clipped);
+    ASSERT_EQ(e->lights.size(), 1u) << "map " << i;
+    EXPECT_TRUE(e->lights[0].clipped);
   }
 }
 

@@ -19,19 +19,19 @@ constexpr std::int64_t kMapNs = 33'333'333;
 constexpr double kNoise = .01;
 
 // A light with structure in all nine bands, turned about the vertical.
-Projection turned(double angle_rad) {
+ShProjection turned(double angle_rad) {
   const double c = std::cos(angle_rad), s = std::sin(angle_rad);
   const ShRotation turn(glm::dmat3(dvec3(c, 0, -s), dvec3(0, 1, 0), dvec3(s, 0, c)), kMaxBands);
   return {turn * test::random_light(kMaxBands, 5), turn * test::random_light(kMaxBands, 6), 1};
 }
 
-void each_value(Projection& p, auto change) {
-  for (RadianceSh* part : {&p.light, &p.above})
+void each_value(ShProjection& p, auto change) {
+  for (RadianceSh* part : {&p.light, &p.upper_moments})
     for (Rgb& term : part->terms())
       for (int c = 0; c < 3; ++c) term[c] = static_cast<float>(change(double(term[c])));
 }
 
-Projection with_noise(Projection p, double sigma, std::mt19937& rng) {
+ShProjection with_noise(ShProjection p, double sigma, std::mt19937& rng) {
   std::normal_distribution<double> gauss(0, sigma);
   each_value(p, [&](double v) { return v + gauss(rng); });
   return p;
@@ -39,7 +39,7 @@ Projection with_noise(Projection p, double sigma, std::mt19937& rng) {
 
 struct Values {
   std::vector<double> v;
-  explicit Values(Projection p) {
+  explicit Values(ShProjection p) {
     each_value(p, [&](double x) { return v.push_back(x), x; });
   }
   double dot(const Values& o) const {
@@ -54,7 +54,7 @@ struct Values {
   double rms() const { return std::sqrt(dot(*this) / static_cast<double>(v.size())); }
 };
 
-Projection filtered(LightFilter& filter, std::int64_t time_ns, Projection p) {
+ShProjection filtered(LightFilter& filter, std::int64_t time_ns, ShProjection p) {
   filter.update(TimestampNs{time_ns}, p);
   return p;
 }
@@ -63,7 +63,7 @@ Projection filtered(LightFilter& filter, std::int64_t time_ns, Projection p) {
 struct Smoothing {
   double gain;
   std::optional<Values> state;
-  const Values& update(const Projection& p) {
+  const Values& update(const ShProjection& p) {
     const Values z(p);
     if (!state) state = z;
     for (std::size_t i = 0; i < z.v.size(); ++i) state->v[i] += gain * (z.v[i] - state->v[i]);
@@ -77,16 +77,16 @@ TEST(LightFilter, NoiseOfAStaticLightFallsByTheGainsFactor) {
   for (const double noise : {.0005, .01, .2}) {
     std::mt19937 rng(1);
     LightFilter filter;
-    const Projection truth = turned(0);
+    const ShProjection truth = turned(0);
     double square_in = 0, square_out = 0, gain = 0, drift = 0;
-    constexpr int kMaps = 400, kSettled = 60;
+    constexpr int kMaps = 400, kReady = 60;
     for (int i = 0; i < kMaps; ++i) {
-      const Projection measured = with_noise(truth, noise, rng),
-                       out = filtered(filter, i * kMapNs, measured);
-      if (i < kSettled) continue;
+      const ShProjection measured = with_noise(truth, noise, rng),
+                         out = filtered(filter, i * kMapNs, measured);
+      if (i < kReady) continue;
       square_in += std::pow((Values(measured) - Values(truth)).rms(), 2);
       square_out += std::pow((Values(out) - Values(truth)).rms(), 2);
-      gain += filter.gain() / (kMaps - kSettled);
+      gain += filter.gain() / (kMaps - kReady);
       drift += out.light[0].g - truth.light[0].g;
     }
     // A constant gain k leaves k/(2 - k) of the variance.
@@ -96,7 +96,7 @@ TEST(LightFilter, NoiseOfAStaticLightFallsByTheGainsFactor) {
     if (noise > .005) {
       EXPECT_LT(factor, .33);
     }
-    EXPECT_LT(std::abs(drift / (kMaps - kSettled)), 3 * noise / std::sqrt(kMaps - kSettled))
+    EXPECT_LT(std::abs(drift / (kMaps - kReady)), 3 * noise / std::sqrt(kMaps - kReady))
         << "energy";
   }
 }
@@ -106,10 +106,10 @@ TEST(LightFilter, EachCoefficientHasItsOwnNoise) {
   std::mt19937 rng(2);
   std::normal_distribution<float> gauss(0, .1f);
   LightFilter filter;
-  const Projection truth = turned(0);
+  const ShProjection truth = turned(0);
   double mean_in = 0, mean_out = 0, rest_out = 0;
   for (int i = 0; i < 400; ++i) {
-    Projection p = with_noise(truth, .001, rng);
+    ShProjection p = with_noise(truth, .001, rng);
     for (int c = 0; c < 3; ++c) p.light[0][c] += gauss(rng);
     const double in = p.light[0].g - truth.light[0].g;
     filter.update(TimestampNs{i * kMapNs}, p);
@@ -127,12 +127,12 @@ TEST(LightFilter, EachCoefficientHasItsOwnNoise) {
 TEST(LightFilter, NoiselessLightPassesBitForBitWhetherItStandsOrChanges) {
   LightFilter filter;
   for (int i = 0; i < 60; ++i) {
-    const Projection in = turned(i < 20 ? 0 : i < 40 ? .01 * i : 1.5 + .3 * (i % 2));
-    const Projection out = filtered(filter, i * kMapNs, in);
+    const ShProjection in = turned(i < 20 ? 0 : i < 40 ? .01 * i : 1.5 + .3 * (i % 2));
+    const ShProjection out = filtered(filter, i * kMapNs, in);
     ASSERT_LT((Values(out) - Values(in)).rms(), 1e-6 * Values(in).rms()) << i;
     if (i < 20) {
       ASSERT_EQ(out.light, in.light) << i;
-      ASSERT_EQ(out.above, in.above) << i;
+      ASSERT_EQ(out.upper_moments, in.upper_moments) << i;
     }
   }
 }
@@ -145,19 +145,19 @@ TEST(LightFilter, SwitchedLampIsFollowedInTheNextMapWhereSmoothingLags) {
     std::mt19937 rng(3);
     LightFilter filter;
     Smoothing naive{.12, {}};
-    const Projection off = turned(0);
-    Projection on = off;
+    const ShProjection off = turned(0);
+    ShProjection on = off;
     double sign = 1;
     each_value(on, [&](double v) { return v + lamp * (sign = -sign); });
     for (int i = 0; i < kEnd; ++i) {
       const bool is_on = i >= kOn && i < kOff;
-      const Projection measured = with_noise(is_on ? on : off, kNoise, rng),
-                       out = filtered(filter, i * kMapNs, measured);
+      const ShProjection measured = with_noise(is_on ? on : off, kNoise, rng),
+                         out = filtered(filter, i * kMapNs, measured);
       const Values& smooth = naive.update(measured);
       const Values truth(is_on ? on : off);
       if (i == kOn || i == kOff) {
         EXPECT_EQ(out.light, measured.light);
-        EXPECT_EQ(out.above, measured.above);
+        EXPECT_EQ(out.upper_moments, measured.upper_moments);
         EXPECT_GT((smooth - truth).rms(), .5 * lamp) << "smoothing would do";
       }
       if (i == kOn - 1 || i == kOff - 1 || i == kEnd - 1) {
@@ -170,20 +170,20 @@ TEST(LightFilter, SwitchedLampIsFollowedInTheNextMapWhereSmoothingLags) {
 TEST(LightFilter, EvenLightThatIsDimmedIsFollowedThoughOnlyItsMeanChanges) {
   std::mt19937 rng(4);
   LightFilter filter;
-  const Projection bright{test::constant_light({1, 1, 1}, 9), test::constant_light({1, 1, 1}, 9),
-                          1};
-  Projection dim = bright;
+  const ShProjection bright{test::constant_light({1, 1, 1}, 9), test::constant_light({1, 1, 1}, 9),
+                            1};
+  ShProjection dim = bright;
   dim.light[0] = dim.light[0] * .97f;
   for (int i = 0; i < 80; ++i) filtered(filter, i * kMapNs, with_noise(bright, kNoise, rng));
-  const Projection measured = with_noise(dim, kNoise, rng),
-                   out = filtered(filter, 80 * kMapNs, measured);
+  const ShProjection measured = with_noise(dim, kNoise, rng),
+                     out = filtered(filter, 80 * kMapNs, measured);
   EXPECT_EQ(out.light, measured.light);
 }
 
 TEST(LightFilter, GrownNoiseIsLearnedAndDoesNotSwitchTheFilterOff) {
   std::mt19937 rng(5);
   LightFilter filter;
-  const Projection truth = turned(0);
+  const ShProjection truth = turned(0);
   int i = 0;
   for (; i < 100; ++i) filtered(filter, i * kMapNs, with_noise(truth, .001, rng));
   for (; i < 200; ++i) filtered(filter, i * kMapNs, with_noise(truth, .02, rng));
@@ -209,9 +209,9 @@ Lag lag_of_turn(double rad_per_map, double noise) {
   double along = 0, naive_along = 0, way = 0;
   double angle = 0, change = 0;
   for (int i = 0; i < 160; ++i) {
-    const Projection before = turned(angle);
+    const ShProjection before = turned(angle);
     if (i >= 60) angle += rad_per_map;  // from rest
-    const Projection now = turned(angle), measured = with_noise(now, noise, rng);
+    const ShProjection now = turned(angle), measured = with_noise(now, noise, rng);
     const Values out(filtered(filter, i * kMapNs, measured)), smooth = naive.update(measured);
     if (i < 61) continue;
     const Values step = Values(now) - Values(before);
@@ -259,7 +259,7 @@ TEST(LightFilter, IrregularStepsMeasureTheSameNoise) {
   std::mt19937 rng(8);
   std::uniform_real_distribution<double> step(.2, 2.5);
   LightFilter filter;
-  const Projection truth = turned(0);
+  const ShProjection truth = turned(0);
   double square = 0, time = 0;
   for (int i = 0; i < 300; ++i) {
     time += step(rng) * kMapNs;
@@ -269,7 +269,7 @@ TEST(LightFilter, IrregularStepsMeasureTheSameNoise) {
   }
   EXPECT_LT(std::sqrt(square), .35 * kNoise);
   // After a long gap, the newest map counts.
-  Projection later = with_noise(truth, kNoise, rng);
+  ShProjection later = with_noise(truth, kNoise, rng);
   filter.update(TimestampNs{static_cast<std::int64_t>(time) + 60'000'000'000}, later);
   EXPECT_GT(filter.gain(), .9);
 }
@@ -277,10 +277,10 @@ TEST(LightFilter, IrregularStepsMeasureTheSameNoise) {
 TEST(LightFilter, RepeatedTimestampsNeitherDivideByZeroNorMoveAKnownLight) {
   std::mt19937 rng(9);
   LightFilter filter;
-  const Projection truth = turned(0);
-  Projection last;
+  const ShProjection truth = turned(0);
+  ShProjection last;
   for (int i = 0; i < 100; ++i) {
-    const Projection measured = with_noise(truth, kNoise, rng);
+    const ShProjection measured = with_noise(truth, kNoise, rng);
     for (int again = 0; again < 3; ++again) {
       last = filtered(filter, i / 2 * kMapNs, measured);
       for (const double v : Values(last).v) ASSERT_TRUE(std::isfinite(v)) << i;
@@ -289,7 +289,7 @@ TEST(LightFilter, RepeatedTimestampsNeitherDivideByZeroNorMoveAKnownLight) {
   EXPECT_LT((Values(last) - Values(truth)).rms(), .6 * kNoise);
   LightFilter still;  // maps without time pass as they are
   for (int i = 0; i < 10; ++i) {
-    const Projection p = turned(.3 * i);
+    const ShProjection p = turned(.3 * i);
     EXPECT_EQ(filtered(still, 0, p).light, p.light);
   }
 }
@@ -298,9 +298,9 @@ TEST(LightFilter, TimeThatGoesBackOrOtherBandsStartAgain) {
   std::mt19937 rng(10);
   LightFilter filter;
   for (int i = 0; i < 50; ++i) filtered(filter, i * kMapNs, with_noise(turned(0), kNoise, rng));
-  const Projection first = with_noise(turned(0), kNoise, rng);
+  const ShProjection first = with_noise(turned(0), kNoise, rng);
   EXPECT_EQ(filtered(filter, 0, first).light, first.light);
-  const Projection fewer{first.light.with_bands(3), first.above.with_bands(3), 1};
+  const ShProjection fewer{first.light.with_bands(3), first.upper_moments.with_bands(3), 1};
   EXPECT_EQ(filtered(filter, kMapNs, fewer).light, fewer.light);
 }
 
@@ -311,10 +311,10 @@ TEST(LightFilter, NanNeverSticks) {
        {std::numeric_limits<float>::quiet_NaN(), -std::numeric_limits<float>::infinity()}) {
     std::mt19937 rng(11);
     LightFilter filter;
-    const Projection truth = turned(0);
+    const ShProjection truth = turned(0);
     for (int i = 0; i < 90; ++i) {
-      Projection p = with_noise(truth, kNoise, rng);
-      if (i == 0 || i == 2 || i == 40) p.above[7].g = bad;
+      ShProjection p = with_noise(truth, kNoise, rng);
+      if (i == 0 || i == 2 || i == 40) p.upper_moments[7].g = bad;
       filter.update(TimestampNs{i * kMapNs}, p);
       if (i == 0) continue;  // nothing is known yet
       for (const double v : Values(p).v) ASSERT_TRUE(std::isfinite(v)) << bad << ' ' << i;
@@ -330,9 +330,9 @@ TEST(LightFilter, NanNeverSticks) {
 
 TEST(LightFilter, NoLightStaysNoLight) {
   LightFilter filter;
-  const Projection none{RadianceSh(9), RadianceSh(9), 1};
+  const ShProjection none{RadianceSh(9), RadianceSh(9), 1};
   for (int i = 0; i < 20; ++i) EXPECT_EQ(filtered(filter, i * kMapNs, none).light, none.light);
-  const Projection lamp = turned(0);
+  const ShProjection lamp = turned(0);
   EXPECT_EQ(filtered(filter, 20 * kMapNs, lamp).light, lamp.light);
   EXPECT_EQ(filtered(filter, 21 * kMapNs, none).light, none.light);
 }
@@ -362,17 +362,17 @@ TEST(EstimateStream, FilteredLightHasLessNoiseTheSameEnergyAndIsRepeatable) {
     const auto x = with.estimate(e), y = without.estimate(e), z = again.estimate(e);
     ASSERT_TRUE(x && y && z);
     EXPECT_EQ(x->light, z->light);
-    EXPECT_EQ(x->floor_light, z->floor_light);
+    EXPECT_EQ(x->upper_hemisphere_light, z->upper_hemisphere_light);
     if (i == 0) {
       EXPECT_EQ(x->light, y->light);
-      EXPECT_EQ(x->floor_light, y->floor_light);
+      EXPECT_EQ(x->upper_hemisphere_light, y->upper_hemisphere_light);
       const auto still = estimate_map(e.radiance, {});
       ASSERT_TRUE(still);
       EXPECT_EQ(still->light, y->light);
     }
     if (i < 50) continue;
-    a.push_back(luminance(evaluate(irradiance(whole_floor_light(*x)), {0, 1, 0})));
-    b.push_back(luminance(evaluate(irradiance(whole_floor_light(*y)), {0, 1, 0})));
+    a.push_back(luminance(evaluate(irradiance(whole_upper_hemisphere_light(*x)), {0, 1, 0})));
+    b.push_back(luminance(evaluate(irradiance(whole_upper_hemisphere_light(*y)), {0, 1, 0})));
   }
   const auto mean = [](const std::vector<double>& v) {
     double sum = 0;

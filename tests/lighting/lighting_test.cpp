@@ -88,7 +88,7 @@ TEST(Basis, BlockEqualsScalar) {
   }
 }
 
-TEST(Projection, ConstantRadianceGivesOnlyTermZero) {
+TEST(ShProjection, ConstantRadianceGivesOnlyTermZero) {
   const auto map = make_map(128, 64, [](const dvec3&) { return Rgb{2, 1, .5f}; });
   const auto light = project_latlong(map, 9);
   ASSERT_TRUE(light);
@@ -98,7 +98,7 @@ TEST(Projection, ConstantRadianceGivesOnlyTermZero) {
   EXPECT_NEAR(evaluate(irradiance(light->light.with_bands(1)), {0, 1, 0}).r, 2 * kPi, 1e-5);
 }
 
-TEST(Projection, BasisImageGivesUnitVector) {
+TEST(ShProjection, BasisImageGivesUnitVector) {
   for (int target : {0, 1, 2, 3, 5, 12, 31, 47, 80}) {
     const auto map = make_map(512, 256, [&](const dvec3& d) {
       double y[81];
@@ -113,7 +113,7 @@ TEST(Projection, BasisImageGivesUnitVector) {
   }
 }
 
-TEST(Projection, FoldedRowsEqualBruteForce) {
+TEST(ShProjection, FoldedRowsEqualBruteForce) {
   std::mt19937 rng(7);
   std::lognormal_distribution<float> heavy(0, 2);
   for (const int width : {4, 20, 128, 256, 1024}) {  // tails of every vector length
@@ -129,14 +129,14 @@ TEST(Projection, FoldedRowsEqualBruteForce) {
   }
 }
 
-TEST(Projection, WidthNotDivisibleByFourWorks) {
+TEST(ShProjection, WidthNotDivisibleByFourWorks) {
   const auto map = make_map(30, 15, [](const dvec3& d) { return Rgb{float(1 + d.x), 1, 1}; });
   const auto light = project_latlong(map, 2);
   ASSERT_TRUE(light);
   EXPECT_NEAR(light->light[3].r, 4 * kPi / 3 * .4886025, 2e-2);
 }
 
-TEST(Projection, NonFinitePixelIsNamedAndNeverReachesTheLight) {
+TEST(ShProjection, NonFinitePixelIsNamedAndNeverReachesTheLight) {
   auto map = make_map(64, 32, [](const dvec3&) { return Rgb{1, 1, 1}; });
   map.at(5, 3).g = NAN;
   auto light = project_latlong(map, 3);
@@ -147,7 +147,7 @@ TEST(Projection, NonFinitePixelIsNamedAndNeverReachesTheLight) {
   EXPECT_FALSE(project_latlong(map, 3));
 }
 
-TEST(Projection, AxisPatchesLandOnTheirAxis) {
+TEST(ShProjection, AxisPatchesLandOnTheirAxis) {
   for (int axis = 0; axis < 3; ++axis)
     for (int sign : {-1, 1}) {
       dvec3 a(0);
@@ -220,7 +220,7 @@ TEST(FloorLight, ConstantSkyOverAnyGroundIsConstant) {
     const auto p = project_latlong(map, 9);
     ASSERT_TRUE(p);
     for (const int bands : {1, 3, 5, 9}) {
-      const RadianceSh light = floor_light(p->above, bands);
+      const RadianceSh light = upper_hemisphere_light(p->upper_moments, bands);
       EXPECT_NEAR(light[0].r, std::sqrt(4 * kPi), .02) << bands;
       EXPECT_NEAR(evaluate(light, glm::normalize(dvec3(.3, .4, -.2))).r, 1, .02) << bands;
     }
@@ -235,7 +235,7 @@ TEST(FloorLight, DarkGroundCostsTheWholeSphereProjectionPercentsAndThisNone) {
   const auto p = project_latlong(map, 9);
   ASSERT_TRUE(p);
   EXPECT_GT(error_above_horizon(map, p->light.with_bands(5)), .03);
-  EXPECT_LT(error_above_horizon(map, floor_light(p->above, 5)), .005);
+  EXPECT_LT(error_above_horizon(map, upper_hemisphere_light(p->upper_moments, 5)), .005);
 }
 
 TEST(FloorLight, OddRowsShareTheHorizonRow) {
@@ -247,7 +247,7 @@ TEST(FloorLight, OddRowsShareTheHorizonRow) {
   });
   const auto a = project_latlong(even, 4), b = project_latlong(odd, 4);
   ASSERT_TRUE(a && b);
-  for (int n = 0; n < 16; ++n) EXPECT_NEAR(a->above[n].b, b->above[n].b, 2e-3);
+  for (int n = 0; n < 16; ++n) EXPECT_NEAR(a->upper_moments[n].b, b->upper_moments[n].b, 2e-3);
 }
 
 TEST(FloorLight, HolesAreFilledLikeTheWholeSphere) {
@@ -259,8 +259,8 @@ TEST(FloorLight, HolesAreFilledLikeTheWholeSphere) {
       environment.radiance.at(x, y) = {}, environment.confidence.at(x, y) = 0;
   const auto estimate = LightEstimator({.bands = 5}).estimate(environment);
   ASSERT_TRUE(estimate);
-  EXPECT_NEAR(estimate->floor_light[0].r, std::sqrt(4 * kPi), .02);
-  EXPECT_NEAR(evaluate(estimate->floor_light, {0, 1, 0}).r, 1, .02);
+  EXPECT_NEAR(estimate->upper_hemisphere_light[0].r, std::sqrt(4 * kPi), .02);
+  EXPECT_NEAR(evaluate(estimate->upper_hemisphere_light, {0, 1, 0}).r, 1, .02);
 }
 
 TEST(Rotation, ComposesAndIsOrthogonal) {
@@ -306,11 +306,11 @@ TEST(Irradiance, DeltaLightWithThreeBandsRingsByTheClosedForm) {
   for (int n = 0; n < 9; ++n) light[n] = Rgb{1, 1, 1} * static_cast<float>(y[n]);
   const auto e = irradiance(light);
   EXPECT_NEAR(evaluate(e, {0, 0, 1}).r, 1.0625, 1e-5);
-  double least = 1, where = 0;
+  double smallest = 1, where = 0;
   for (double c = -1; c <= 1; c += 1e-4)
-    if (const double v = evaluate(e, {std::sqrt(1 - c * c), 0, c}).r; v < least)
-      least = v, where = c;
-  EXPECT_NEAR(least, -.0396, 1e-4);
+    if (const double v = evaluate(e, {std::sqrt(1 - c * c), 0, c}).r; v < smallest)
+      smallest = v, where = c;
+  EXPECT_NEAR(smallest, -.0396, 1e-4);
   EXPECT_NEAR(where, -8. / 15, 2e-3);
 }
 
@@ -326,7 +326,7 @@ TEST(Estimate, TruncationErrorFallsWithBandsAndIsZeroForConstantLight) {
     EXPECT_LE(e, last);
     last = e;
   }
-  Projection constant{RadianceSh(9), RadianceSh(9), 1};
+  ShProjection constant{RadianceSh(9), RadianceSh(9), 1};
   constant.light[0] = {1, 1, 1};
   EXPECT_EQ(make_estimate(constant, 1).truncation_error, 0);
   EXPECT_FALSE(make_estimate(*nine, 9).truncation_error) << "nobody measured the bands beyond";

@@ -149,7 +149,7 @@ TEST(Bake, BowlUnderConstantLightGlowsByTheClosedForm) {
     for (std::size_t i = 0; i < e.size(); ++i) {
       // A vertex has the noise of its own 1024 rays; over the bowl it averages out.
       ASSERT_NEAR(e[i], expected, .012) << "f " << f << " rho " << rho << " vertex " << i;
-      mean += bowl.vertex_share[i] * e[i];
+      mean += bowl.vertex_fraction[i] * e[i];
     }
     EXPECT_NEAR(mean, expected, .002 * expected) << "f " << f << " rho " << rho;
   }
@@ -162,7 +162,8 @@ TEST(Bake, BowlSpreadsWhatItReflectsEvenlyUnderAnyLight) {
   const auto direct = relit(baked(bowl.mesh, settings(2, 0, 1024)).transfer, light);
   const auto all = relit(baked(bowl.mesh, settings(2, 20, 1024)).transfer, light);
   double mean_direct = 0;
-  for (std::size_t i = 0; i < direct.size(); ++i) mean_direct += bowl.vertex_share[i] * direct[i];
+  for (std::size_t i = 0; i < direct.size(); ++i)
+    mean_direct += bowl.vertex_fraction[i] * direct[i];
   const double f = bowl.fraction, indirect = kRho * f * mean_direct / (1 - kRho * f);
   for (std::size_t i = 0; i < direct.size(); ++i)
     EXPECT_NEAR(all[i] - direct[i], indirect, .02 * indirect) << "vertex " << i;
@@ -221,10 +222,10 @@ TEST(Bake, IsBitIdenticalEveryTime) {
 TEST(Bake, SizeAndPlaceLeaveTheTransferUnchanged) {
   const BakeOptions options = settings(4, 4, 256);
   const Transfer plain = baked(make_knot(1, 60, 12, {.7f, .7f, .7f}), options).transfer;
-  struct Placing {
+  struct AffineTransform {
     double scale, offset;
   };
-  for (const Placing placing : {Placing{1e-3, 0}, {1e3, 0}, {1, 10}, {1e3, 1e4}}) {
+  for (const AffineTransform placing : {AffineTransform{1e-3, 0}, {1e3, 0}, {1, 10}, {1e3, 1e4}}) {
     Mesh mesh = make_knot(1, 60, 12, {.7f, .7f, .7f});
     glm::dmat4 m = glm::translate(glm::dmat4(1), glm::dvec3(placing.offset));
     transform(mesh, glm::scale(m, glm::dvec3(placing.scale)));
@@ -298,11 +299,11 @@ TEST(GroundGrid, PositionAndTextureCoordinateInvertEachOther) {
 
 TEST(Bake, ProgressRisesToOne) {
   for (const int bounces : {0, 4})
-    for (const bool sight : {false, true}) {
-      SCOPED_TRACE(testing::Message() << bounces << ' ' << sight);
+    for (const bool visibility : {false, true}) {
+      SCOPED_TRACE(testing::Message() << bounces << ' ' << visibility);
       double last = 0;
       BakeOptions options = settings(2, bounces, 64);
-      options.sight = sight;
+      options.visibility = visibility;
       options.progress = [&](double done) {
         EXPECT_GE(done, last);
         EXPECT_LE(done, 1);

@@ -27,7 +27,7 @@ class BakedFile : public testing::Test {
     options.bands = bands;
     options.rays = options.ground_rays = 64;
     options.bounces = 1;
-    options.sight = with_receiver;
+    options.visibility = with_receiver;
     const Mesh mesh = make_knot(.37f, 12, 5, albedo);
     if (with_receiver)
       options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 9), {.2f, .3f, .7f}};
@@ -75,9 +75,9 @@ void expect_same(const BakedObject& a, const BakedObject& b) {
   EXPECT_EQ(a.mesh.triangles, b.mesh.triangles);
   expect_same(a.transfer, b.transfer);
   expect_same(a.ground_deficit, b.ground_deficit);
-  EXPECT_EQ(a.sight.refined, b.sight.refined);
-  EXPECT_EQ(a.sight.fine, b.sight.fine);
-  EXPECT_EQ(a.sight.open, b.sight.open);
+  EXPECT_EQ(a.visibility.refined, b.visibility.refined);
+  EXPECT_EQ(a.visibility.fine, b.visibility.fine);
+  EXPECT_EQ(a.visibility.open, b.visibility.open);
   EXPECT_EQ(a.report.rays, b.report.rays);
   EXPECT_EQ(a.report.seconds, b.report.seconds);
   EXPECT_EQ(a.report.standard_error, b.report.standard_error);
@@ -104,30 +104,30 @@ TEST_F(BakedFile, RoundTripIsExact) {
       }
 }
 
-TEST_F(BakedFile, SightWithoutFinerCellsComesBack) {
+TEST_F(BakedFile, VisibilityWithoutFinerCellsComesBack) {
   BakeOptions options;
   options.rays = options.ground_rays = 64;
-  options.sight = true;
+  options.visibility = true;
   const auto ball = bake(make_sphere({0, 0, 0}, .3f, 2, {.5f, .5f, .5f}), options);
   ASSERT_TRUE(ball);
-  ASSERT_TRUE(ball->sight.fine.empty());
+  ASSERT_TRUE(ball->visibility.fine.empty());
   ASSERT_TRUE(write_baked(file("ball.glb"), *ball));
   const auto back = read_baked(file("ball.glb"));
   ASSERT_TRUE(back) << back.error().detail;
   expect_same(*ball, *back);
 }
 
-TEST_F(BakedFile, SightWhosePartsDoNotAgreeIsAnError) {
+TEST_F(BakedFile, VisibilityWhosePartsDoNotAgreeIsAnError) {
   const BakedObject whole = object(true, {.5f, .5f, .5f});
   ASSERT_EQ(error_of(written(whole)), std::nullopt);
   BakedObject fewer = whole;
-  fewer.sight.fine.pop_back();
+  fewer.visibility.fine.pop_back();
   EXPECT_EQ(error_of(written(fewer)), ErrorCode::kUnreadable);
   BakedObject more = whole;
-  more.sight.refined[0] ^= 1;
+  more.visibility.refined[0] ^= 1;
   EXPECT_EQ(error_of(written(more)), ErrorCode::kUnreadable);
   BakedObject short_ = whole;
-  short_.sight.refined.pop_back();
+  short_.visibility.refined.pop_back();
   EXPECT_EQ(error_of(written(short_)), ErrorCode::kUnreadable);
 }
 
@@ -255,16 +255,16 @@ TEST_F(BakedFile, DamageAnywhereIsAnErrorOrAnObject) {
     ASSERT_EQ(o->transfer.points, count);
     for (const auto& t : o->mesh.triangles)
       for (const std::uint32_t v : t) ASSERT_LT(v, count);
-    if (o->sight.empty()) return;
-    ASSERT_EQ(o->sight.refined.size(), count);
-    const SightLookup lookup(o->sight, o->mesh);
+    if (o->visibility.empty()) return;
+    ASSERT_EQ(o->visibility.refined.size(), count);
+    const VisibilityLookup lookup(o->visibility, o->mesh);
     std::vector<CosineSums> sums(count);
-    for (const int cells : {VertexSight::kCells, VertexSight::kFineCells}) {
-      SightTaps taps;
-      taps.clear(cells);
-      for (std::size_t k = 0; k < SightTaps::kMost; ++k)
-        taps.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
-      lookup.look(taps, 0, count, sums);
+    for (const int cells : {VisibilityMap::kCells, VisibilityMap::kFineCells}) {
+      VisibilitySamples directions_used;
+      directions_used.clear(cells);
+      for (std::size_t k = 0; k < VisibilitySamples::kMax; ++k)
+        directions_used.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
+      lookup.look(directions_used, 0, count, sums);
     }
   };
   const auto as_bytes = [](const std::string& s) {

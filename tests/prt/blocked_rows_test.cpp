@@ -1,5 +1,5 @@
-#include "prt/prt.h"
 #include "prt/transfer/internal/blocked_rows.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 

@@ -10,8 +10,8 @@ namespace penumbra::test {
 
 struct Bowl {
   prt::Mesh mesh;
-  double fraction = 0;               // of the sphere's area
-  std::vector<double> vertex_share;  // of the bowl's area
+  double fraction = 0;                  // of the sphere's area
+  std::vector<double> vertex_fraction;  // of the bowl's area
 };
 
 /// The inside of a unit sphere below `cut`. Between any two patches of a sphere's inside
@@ -34,16 +34,16 @@ inline Bowl make_bowl(float cut, float albedo) {
         bowl.mesh.positions.push_back(sphere.positions[i]);
         bowl.mesh.normals.push_back(-sphere.normals[i]);
         bowl.mesh.albedo.push_back(sphere.albedo[i]);
-        bowl.vertex_share.push_back(0);
+        bowl.vertex_fraction.push_back(0);
       }
     const auto at = [&](int i) {
       return static_cast<std::uint32_t>(place[t[static_cast<std::size_t>(i)]]);
     };
     bowl.mesh.triangles.push_back({at(0), at(2), at(1)});
-    for (int i = 0; i < 3; ++i) bowl.vertex_share[at(i)] += area / 3;
+    for (int i = 0; i < 3; ++i) bowl.vertex_fraction[at(i)] += area / 3;
   }
   bowl.fraction = kept / whole;
-  for (double& share : bowl.vertex_share) share /= kept;
+  for (double& part : bowl.vertex_fraction) part /= kept;
   return bowl;
 }
 

@@ -37,7 +37,7 @@ const std::vector<IrradiancePoint>& points_around() {
 
 std::vector<Rgb> irradiance_under(const EnvironmentLight& light,
                                   const std::vector<IrradiancePoint>& points, int samples) {
-  World world;
+  ReferenceWorld world;
   world.light = &light;
   const auto e = reference_irradiance(world, points, samples, 3);
   EXPECT_TRUE(e);
@@ -92,11 +92,11 @@ TEST(EnvironmentLight, SamplesFallByTheirDensity) {
   double whole = 0, square = 0;
   for (int y = 0; y < 8; ++y)
     for (int x = 0; x < 16; ++x) {
-      const double share = light->density(glm::vec3(latlong_direction(x + .5, y + .5, 16, 8))) *
-                           latlong_solid_angle(y, 16, 8);
-      whole += share;
-      const double expected = kCount * share, off = counts.at(x, y) - expected;
-      if (share > 0) square += off * off / expected;
+      const double fraction = light->density(glm::vec3(latlong_direction(x + .5, y + .5, 16, 8))) *
+                              latlong_solid_angle(y, 16, 8);
+      whole += fraction;
+      const double expected = kCount * fraction, off = counts.at(x, y) - expected;
+      if (fraction > 0) square += off * off / expected;
       EXPECT_LE(std::abs(off), 5 * std::sqrt(expected) + 3) << x << ' ' << y;
     }
   EXPECT_NEAR(whole, 1, 1e-5) << "a density integrates to one";
@@ -168,7 +168,7 @@ TEST(EnvironmentLight, SunBehindASphereLeavesTheSky) {
   const auto light = EnvironmentLight::from_map(map);
   ASSERT_TRUE(light);
   const dvec3 sun = latlong_direction(128.5, 20.5, 256, 128);
-  World world;
+  ReferenceWorld world;
   world.light = &*light;
   world.mesh = make_sphere(glm::vec3(5. * sun), 1, 4, {0, 0, 0});
   const std::vector<IrradiancePoint> points{{{0, 0, 0}, {0, 1, 0}}, {{3, 0, 0}, {0, 1, 0}}};

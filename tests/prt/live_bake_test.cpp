@@ -60,7 +60,7 @@ double rendered_error(const Transfer& is, const BakedObject& should) {
   return std::sqrt(wrong / all);
 }
 
-// RMS error of the share that the character takes of an even sky's light on the floor, where that is more than 5 %.
+// RMS error of the fraction that the character takes of an even sky's light on the floor, where that is more than 5 %.
 double shadow_error(const BakedObject& is, const BakedObject& should) {
   constexpr double kOpen = .28209;
   double wrong = 0, count = 0;

@@ -36,26 +36,26 @@ PinholeView view_of(int size, const Pose& world_from_camera) {
   return {size, size, {double(size), double(size)}, {size / 2., size / 2.}, world_from_camera};
 }
 
-Reference rendered(const World& world, const PinholeView& view, int samples,
+Reference rendered(const ReferenceWorld& world, const PinholeView& view, int samples,
                    std::uint64_t seed = 1) {
   ReferenceOptions options;
   options.error = 0;  // as many samples as asked for
-  options.most_samples = samples;
+  options.max_samples = samples;
   options.seed = seed;
   auto picture = render_reference(world, view, options);
   EXPECT_TRUE(picture);
   return picture ? *picture : Reference{};
 }
 
-std::vector<Rgb> irradiance_at(const World& world, const std::vector<IrradiancePoint>& points,
-                               int samples) {
+std::vector<Rgb> irradiance_at(const ReferenceWorld& world,
+                               const std::vector<IrradiancePoint>& points, int samples) {
   auto result = reference_irradiance(world, points, samples, 7);
   EXPECT_TRUE(result);
   return result ? *result : std::vector<Rgb>(points.size(), Rgb{NAN, NAN, NAN});
 }
 
-World world_of(Mesh mesh, const EnvironmentLight& light) {
-  World world;
+ReferenceWorld world_of(Mesh mesh, const EnvironmentLight& light) {
+  ReferenceWorld world;
   world.mesh = std::move(mesh);
   world.light = &light;
   return world;
@@ -86,7 +86,7 @@ TEST(Reference, EmptyWorldShowsTheEnvironment) {
 
 TEST(Reference, BackgroundReplacesTheEnvironmentForTheCameraOnly) {
   const auto light = EnvironmentLight::from_sh(test::constant_light({2, 2, 2}));
-  World world = world_of(make_sphere({0, 0, -3}, 1, 4, {.5f, .5f, .5f}), light);
+  ReferenceWorld world = world_of(make_sphere({0, 0, -3}, 1, 4, {.5f, .5f, .5f}), light);
   world.background = [](const glm::vec3&) { return Rgb{0, 7, 0}; };
   const Reference picture = rendered(world, view_of(31, {}), 1024);
   EXPECT_EQ(picture.radiance.at(0, 0), (Rgb{0, 7, 0}));
@@ -99,7 +99,7 @@ TEST(Reference, FurnaceMakesAConvexObjectGlowByItsAlbedo) {
   const auto smooth = EnvironmentLight::from_sh(test::constant_light(radiance));
   const auto sampled = light_of(Image<Rgb>(32, 16, radiance));
   for (const EnvironmentLight* light : {&smooth, &sampled}) {
-    const World world = world_of(make_sphere({0, 0, -2}, 1.9f, 5, albedo), *light);
+    const ReferenceWorld world = world_of(make_sphere({0, 0, -2}, 1.9f, 5, albedo), *light);
     const Reference picture = rendered(world, view_of(16, {}), 1024);
     for (const Rgb& p : picture.radiance.pixels())
       for (int c = 0; c < 3; ++c)
@@ -109,7 +109,7 @@ TEST(Reference, FurnaceMakesAConvexObjectGlowByItsAlbedo) {
 
 TEST(Reference, SameSeedGivesTheSamePictureAndAnotherSeedAnother) {
   const auto light = EnvironmentLight::from_sh(test::random_light(3, 1));
-  const World world = world_of(make_knot(1, 60, 12, {.5f, .6f, .7f}), light);
+  const ReferenceWorld world = world_of(make_knot(1, 60, 12, {.5f, .6f, .7f}), light);
   const PinholeView view = view_of(16, {{1, 0, 0, 0}, {0, .5, 1.5}});
   const Reference a = rendered(world, view, 16, 5), b = rendered(world, view, 16, 5),
                   c = rendered(world, view, 16, 6);
@@ -143,7 +143,7 @@ TEST(Reference, HalvesAreIndependentAndTheErrorShrinksAsItShould) {
     const auto v = static_cast<float>(1 + 4 * std::pow(std::max(0., d.x), 8.));
     return Rgb{v, v, v};
   }));
-  World world = world_of(make_knot(1, 60, 12, {.7f, .7f, .7f}), light);
+  ReferenceWorld world = world_of(make_knot(1, 60, 12, {.7f, .7f, .7f}), light);
   world.planes = {floor_of({.5f, .5f, .5f})};
   // From above, so that every pixel has noise.
   const PinholeView view = view_of(24, {glm::angleAxis(-kPi / 2, dvec3(1, 0, 0)), {0, 2, 0}});
@@ -171,7 +171,7 @@ TEST(Reference, HalvesAreIndependentAndTheErrorShrinksAsItShould) {
 
 TEST(Reference, StopsAtTheErrorAskedFor) {
   const auto light = EnvironmentLight::from_sh(test::random_light(3, 2));
-  World world = world_of(make_sphere({0, 1, 0}, 1, 3, kWhite), light);
+  ReferenceWorld world = world_of(make_sphere({0, 1, 0}, 1, 3, kWhite), light);
   world.planes = {floor_of({.5f, .5f, .5f})};
   const PinholeView view = view_of(16, {glm::angleAxis(-.3, dvec3(1, 0, 0)), {0, 2, 4}});
   ReferenceOptions options;
@@ -179,7 +179,7 @@ TEST(Reference, StopsAtTheErrorAskedFor) {
   const auto picture = render_reference(world, view, options);
   ASSERT_TRUE(picture);
   EXPECT_LT(picture->error, .02);
-  EXPECT_LT(picture->samples, options.most_samples);
+  EXPECT_LT(picture->samples, options.max_samples);
   for (std::size_t i = 0; i < picture->radiance.area(); ++i)
     EXPECT_NEAR(picture->radiance.pixels()[i].r,
                 (picture->half_a.pixels()[i].r + picture->half_b.pixels()[i].r) / 2, 1e-5);
@@ -187,7 +187,7 @@ TEST(Reference, StopsAtTheErrorAskedFor) {
 
 TEST(Reference, RefusesImpossibleViews) {
   const auto light = EnvironmentLight::from_sh(RadianceSh(1));
-  const World world = world_of({}, light);
+  const ReferenceWorld world = world_of({}, light);
   for (const PinholeView& view :
        {PinholeView{0, 4, {4, 4}, {2, 2}, {}}, PinholeView{4, -1, {4, 4}, {2, 2}, {}},
         PinholeView{4, 4, {0, 4}, {2, 2}, {}}, PinholeView{4, 4, {4, -4}, {2, 2}, {}},
@@ -202,7 +202,7 @@ TEST(Reference, TooFewSamplesNeverGiveNan) {
   const auto light = EnvironmentLight::from_sh(test::constant_light(kWhite));
   for (const int samples : {-1, 0, 1, 2, 3}) {
     ReferenceOptions options;
-    options.most_samples = samples;
+    options.max_samples = samples;
     const auto picture = render_reference(world_of({}, light), view_of(2, {}), options);
     if (!picture) continue;  // an error is as good
     for (const Rgb& p : picture->radiance.pixels()) EXPECT_TRUE(is_finite(p)) << samples;
@@ -214,7 +214,7 @@ TEST(Reference, TooFewSamplesNeverGiveNan) {
 TEST(ReferenceIrradiance, SphereTakesItsClosedFormFromTheFloor) {
   const auto light = EnvironmentLight::from_sh(test::constant_light(kWhite));
   for (const double height : {1., 2.}) {
-    World world = world_of(make_sphere({0, float(height), 0}, 1, 5, kBlack), light);
+    ReferenceWorld world = world_of(make_sphere({0, float(height), 0}, 1, 5, kBlack), light);
     world.planes = {floor_of({.5f, .5f, .5f})};
     std::vector<IrradiancePoint> points;
     for (const double r : {.3, .8, 1.5, 2.5, 4.})
@@ -232,7 +232,7 @@ TEST(ReferenceIrradiance, FloorAddsWhatItReflects) {
   // rest of floor. The points float alone, so nothing shades the floor.
   constexpr float kRho = .6f;
   const auto light = EnvironmentLight::from_sh(test::constant_light(kWhite));
-  World world = world_of({}, light);
+  ReferenceWorld world = world_of({}, light);
   world.planes = {floor_of({kRho, kRho, kRho})};
   std::vector<IrradiancePoint> points;
   for (const double y : {-1., -.5, 0., .5, 1.})
@@ -246,7 +246,7 @@ TEST(ReferenceIrradiance, FloorAddsWhatItReflects) {
 
 TEST(ReferenceIrradiance, TextureScalesTheFloorAndItsBackIsBlack) {
   const auto light = EnvironmentLight::from_sh(test::constant_light(kWhite));
-  World world = world_of({}, light);
+  ReferenceWorld world = world_of({}, light);
   world.planes = {floor_of({.8f, .8f, .8f})};
   world.planes[0].texture = [](const dvec3& p) { return p.x < 0 ? Rgb{1, .5f, 0} : Rgb{0, 0, 0}; };
   const auto e = irradiance_at(world, {{{0, 1, 0}, {0, -1, 0}}, {{0, -1, 0}, {0, 1, 0}}}, 16384);
@@ -286,7 +286,7 @@ TEST(ReferenceIrradiance, AgreesWithTheBakeOnAnyShape) {
   relight(object->transfer, sh, relit);
 
   const auto light = EnvironmentLight::from_sh(sh);
-  World world = world_of(knot, light);
+  ReferenceWorld world = world_of(knot, light);
   world.planes = {floor_of({.5f, .5f, .5f})};
   std::vector<IrradiancePoint> points;
   for (std::size_t i = 0; i < knot.positions.size(); i += 59)

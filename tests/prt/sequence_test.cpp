@@ -10,8 +10,8 @@
 
 #include "core/files.h"
 #include "prt/clip/internal/frame_bake.h"
-#include "prt/prt.h"
 #include "prt/clip/internal/sequence_codec.h"
+#include "prt/prt.h"
 #include "tests/support/characters.h"
 #include "tests/support/temp_folder.h"
 
@@ -118,7 +118,7 @@ TEST(Sequence, ARigidSpinLeavesTransferAsItIsInTheMaterial) {
       }
   EXPECT_LT(std::sqrt(sum / values), 1e-3);
   EXPECT_LT(away / values, 2e-3);
-  EXPECT_EQ(b.sequence.surface.most_components(), 0);
+  EXPECT_EQ(b.sequence.surface.max_components(), 0);
   // Without the material's frame the same light map would turn with the knot: two frames differ by all there is.
   const CharacterPose pose = sample(spinning_knot(), spinning_knot().clips[0], .5);
   const auto turns = bone_turns(spinning_knot(), pose);
@@ -146,7 +146,7 @@ TEST(Sequence, AClipAtRestGivesTheSameBitsInEveryFrame) {
   const Baked b = bake_clip(still, 2, quick(4));
   ASSERT_EQ(b.frames.size(), 4u);
   for (const Transfer& t : b.frames) EXPECT_EQ(t.values, b.frames[0].values);
-  EXPECT_EQ(b.sequence.surface.most_components(), 0);
+  EXPECT_EQ(b.sequence.surface.max_components(), 0);
   EXPECT_EQ(b.sequence.report.interpolation_error, 0);
 }
 
@@ -224,7 +224,7 @@ TEST(Sequence, ALongClipOfManyMovesKeepsItsErrorToo) {
   }
   const CompressedSurface c = compress_surface(layout, frames, .01);
   const TransferSequence& s = c.sequence;
-  EXPECT_GT(s.most_components(), 32);
+  EXPECT_GT(s.max_components(), 32);
   Transfer ours, next;
   const std::vector<char> all(kPoints, 0);
   for (const int f : {0, 99, 100, 101, 199, 200, 299}) {
@@ -289,7 +289,7 @@ TEST(Sequence, WhatNobodySeesIsLeftOut) {
   Moment m(s, frame, turns);
   m.relight_both(light);
   // In each part by itself: what is dark beside the rest is not lost.
-  for (const RelightPlan::Part& part : plan.parts) {
+  for (const RelightPlan::RelightPart& part : plan.parts) {
     double error = 0, all = 0;
     for (std::uint32_t i = 0; i < part.point_count; ++i)
       for (std::size_t k = 0; k < 3; ++k) {
@@ -313,7 +313,7 @@ TEST(Sequence, MapsThatDoNotFitEightBitsAreRelitToo) {
   RelightPlan plan;
   s.plan(frame, light, turns, plan);
   std::size_t wide = 0;
-  for (const RelightPlan::Part& part : plan.parts) {
+  for (const RelightPlan::RelightPart& part : plan.parts) {
     EXPECT_LE(part.wide_count, part.term_count);
     wide += part.wide_count;
   }

@@ -14,7 +14,7 @@ namespace {
 
 using Around = std::set<std::uint32_t>;
 
-// By vertex itself and those that share a triangle with it.
+// By vertex itself and those that fraction a triangle with it.
 std::vector<Around> neighbours_of(const Mesh& mesh) {
   std::vector<Around> out(mesh.positions.size());
   for (std::uint32_t i = 0; i < out.size(); ++i) out[i].insert(i);

@@ -1,9 +1,9 @@
 // After warm-up nothing is taken from the heap.
-#include "runtime/pipeline/governance.h"
-#include "runtime/pipeline/light_stage.h"
 #include "calib/calib.h"
-#include "prt/prt.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/pipeline/light_estimation_stage.h"
 #include "tests/support/allocations.h"
 
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 
 #include "capture/capture.h"
 #include "runtime/pipeline/light_file.h"
-#include "runtime/shading/compose_stage.h"
+#include "runtime/shading/composite_stage.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -39,7 +39,7 @@ PreparedScene scene_on(const Rgb& floor_albedo) {
   prt::BakeOptions bake;
   bake.rays = bake.ground_rays = 64;
   bake.bounces = 1;
-  bake.sight = true;
+  bake.visibility = true;
   bake.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 32), {.4f, .4f, .4f}};
   scene.objects.push_back({"knot", *prt::bake(std::move(mesh), bake), {}, 0, nullptr});
   return scene;
@@ -49,7 +49,7 @@ PreparedScene scene_on(const Rgb& floor_albedo) {
 lighting::LightEstimate turned(lighting::LightEstimate light, std::size_t step) {
   const glm::dmat3 turn =
       glm::mat3_cast(glm::angleAxis(.04 * double(step % 7), glm::dvec3(0, 1, 0)));
-  for (lighting::Disc& d : light.discs) {
+  for (lighting::DistantLight& d : light.lights) {
     d.direction = turn * d.direction;
     for (glm::dvec3& s : d.shape) s = turn * s;
   }
@@ -69,12 +69,12 @@ void expect_none_after_warm_up(Image<Rgb> environment) {
   options.view_frames = 80;
   capture::Studio studio(world, options);
   StageTimes times;
-  auto light = *LightStage::create(studio.cameras(), {}, times);
-  const auto governance = make_governance(scene, .02, false);
-  ASSERT_TRUE(governance);
-  light.govern(*governance);
-  auto compose = ComposeStage::create(studio.cameras(), scene,
-                                      compositor::Compositor::Surface::kOffscreen, times);
+  auto light = *LightEstimationStage::create(studio.cameras(), {}, times);
+  const auto governor_config = make_governor_config(scene, .02, false);
+  ASSERT_TRUE(governor_config);
+  light.set_governor(*governor_config);
+  auto compose = CompositeStage::create(studio.cameras(), scene,
+                                        compositor::Compositor::Surface::kOffscreen, times);
   if (!compose && compose.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << compose.error().detail;
   constexpr std::size_t kWarm = 90;
@@ -92,12 +92,12 @@ void expect_none_after_warm_up(Image<Rgb> environment) {
         count([&] { ASSERT_TRUE((*compose)->process(*frame, estimate, composited)); });
     if (seen > kWarm) expect_none(c, "frame " + std::to_string(seen));
     const lighting::LightEstimate other = turned(estimate, ++moved);
-    const Counted m = count([&] { traced += (*compose)->update_light(other, 0); });
+    const Counted m = count([&] { traced += (*compose)->shade(other, 0); });
     if (seen > kWarm) expect_none(m, "turned light " + std::to_string(seen));
   }
   EXPECT_GT(seen, kWarm + 20);
   EXPECT_GT(traced, moved / 2);
-  EXPECT_FALSE(estimate.discs.empty());
+  EXPECT_FALSE(estimate.lights.empty());
 }
 
 TEST(Allocations, OfALightUpdateAndAFrameInARoom) {

@@ -1,8 +1,8 @@
 // Characters in scenes: against the path tracer, through files, and with everything else that a scene has.
-#include "capture/capture.h"
-#include "prt/prt.h"
-#include "lighting/lighting.h"
 #include "runtime/scene/animated.h"
+#include "capture/capture.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,12 +11,12 @@
 #include <cstring>
 #include <fstream>
 
-#include "tools/chart/accuracy.h"
 #include "runtime/pipeline/light_file.h"
-#include "tools/common/still.h"
 #include "tests/stability/maps.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"
+#include "tools/chart/accuracy.h"
+#include "tools/common/still.h"
 
 namespace penumbra::runtime {
 
@@ -282,11 +282,11 @@ TEST(Animated, StaticLightDoesNotFlickerOnAThingThatRests) {
   walker.move_to(0, true);
   const prt::PinholeView view = view_of(64, 96);
   const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
-  auto stage = make_still_stage(*prepared, view, {});
-  ASSERT_TRUE(stage);
+  auto pipeline = make_still_pipeline(*prepared, view, {});
+  ASSERT_TRUE(pipeline);
   const Still backdrop{Image<Rgb>(64, 96, {.5f, .5f, .5f}), 0, 0, {}, {}};
-  const auto first = composite_still(**stage, view, *estimate, backdrop, 0);
-  const auto later = composite_still(**stage, view, *estimate, backdrop, 12.34);
+  const auto first = composite_still(*pipeline, view, *estimate, backdrop, 0);
+  const auto later = composite_still(*pipeline, view, *estimate, backdrop, 12.34);
   ASSERT_TRUE(first && later);
   EXPECT_EQ(std::memcmp(first->radiance.pixels().data(), later->radiance.pixels().data(),
                         first->radiance.area() * sizeof(Rgb)),
@@ -314,12 +314,12 @@ TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
   ASSERT_TRUE(prepared) << prepared.error().detail;
   const prt::PinholeView view = view_of(80, 120);
   const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
-  auto stage = make_still_stage(*prepared, view, {});
-  ASSERT_TRUE(stage);
+  auto pipeline = make_still_pipeline(*prepared, view, {});
+  ASSERT_TRUE(pipeline);
   const Still backdrop{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
   std::optional<Image<Rgb>> before;
   for (const double t : {0., .2, .4}) {
-    const auto still = composite_still(**stage, view, *estimate, backdrop, t);
+    const auto still = composite_still(*pipeline, view, *estimate, backdrop, t);
     ASSERT_TRUE(still);
     for (const Rgb& c : still->radiance.pixels()) EXPECT_TRUE(is_finite(c));
     if (before) {
@@ -361,7 +361,7 @@ TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
 TEST(AnimatedGroundTruth, ABlendOfClipsIsLitByLiveTransfer) {
   Scene scene = walker_scene();
   scene.objects[0].blend = "Wave";
-  scene.objects[0].blend_share = .4;
+  scene.objects[0].blend_weight = .4;
   scene.objects[0].live = true;
   const auto prepared = prepare_quickly(scene);
   ASSERT_TRUE(prepared) << prepared.error().detail;

@@ -7,8 +7,8 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "prt/prt.h"
-#include "service/rig_config.h"
 #include "runtime/scene/scene.h"
+#include "service/rig_config.h"
 #include "tests/fuzz/mutate.h"
 #include "tests/support/temp_folder.h"
 
@@ -101,7 +101,7 @@ TEST_F(DamagedInput, BakedObject) {
   prt::BakeOptions options;
   options.bands = 2;
   options.rays = options.ground_rays = 64;
-  options.sight = true;
+  options.visibility = true;
   options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0, 4), {}};
   const auto baked = prt::bake(std::move(mesh), options);
   ASSERT_TRUE(baked);

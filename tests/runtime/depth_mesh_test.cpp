@@ -1,5 +1,5 @@
-#include "prt/prt.h"
 #include "runtime/scene/depth_mesh.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 

@@ -6,12 +6,12 @@
 #include <iomanip>
 
 #include "capture/capture.h"
-#include "prt/prt.h"
-#include "lighting/lighting.h"
 #include "codec/codec.h"
-#include "tools/chart/accuracy.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
+#include "tools/chart/accuracy.h"
 
 namespace penumbra::runtime {
 

@@ -4,12 +4,12 @@
 #include <cmath>
 
 #include "calib/calib.h"
-#include "shadows/shadows.h"
-#include "prt/prt.h"
-#include "lighting/lighting.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
-#include "runtime/shading/compose_stage.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "runtime/shading/composite_stage.h"
+#include "shadows/shadows.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -44,9 +44,9 @@ lighting::LightEstimate sunny() {
   lighting::LightEstimate out;
   out.light = RadianceSh(3);
   out.light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi) / kPi);
-  out.floor_light = out.light;
+  out.upper_hemisphere_light = out.light;
   out.valid = true;
-  lighting::Disc& sun = out.discs.emplace_back();
+  lighting::DistantLight& sun = out.lights.emplace_back();
   sun.id = 1;
   sun.direction = glm::normalize(dvec3(0, 1, 1.5));
   sun.radius = Radians(.01);
@@ -56,11 +56,12 @@ lighting::LightEstimate sunny() {
 }
 
 // The pixel that shows a place, and what of the floor is in its middle.
-glm::ivec2 pixel_of(const calib::Projection& p, const Pose& world_from_camera, const dvec3& place) {
+glm::ivec2 pixel_of(const calib::CameraModel& p, const Pose& world_from_camera,
+                    const dvec3& place) {
   const dvec3 seen = world_from_camera.inverse() * place;
   return {p.principal_px + p.focal_px * glm::dvec2(seen.x, -seen.y) / -seen.z};
 }
-dvec3 floor_under(const calib::Projection& p, const Pose& world_from_camera, glm::ivec2 pixel) {
+dvec3 floor_under(const calib::CameraModel& p, const Pose& world_from_camera, glm::ivec2 pixel) {
   const glm::dvec2 off = (glm::dvec2(pixel) + .5 - p.principal_px) / p.focal_px;
   const dvec3 way = world_from_camera.rotation * dvec3(off.x, -off.y, -1),
               eye = world_from_camera.translation;
@@ -83,7 +84,7 @@ TEST(ReflectedLight, OnTheFloorIsThatOfTheBake) {
   const capture::CameraInfo view = camera();
   StageTimes times;
   auto stage =
-      ComposeStage::create({view}, scene, compositor::Compositor::Surface::kOffscreen, times);
+      CompositeStage::create({view}, scene, compositor::Compositor::Surface::kOffscreen, times);
   if (!stage && stage.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << stage.error().detail;
   ASSERT_TRUE(stage) << stage.error().detail;
@@ -96,14 +97,14 @@ TEST(ReflectedLight, OnTheFloorIsThatOfTheBake) {
   ASSERT_TRUE(out) << out.error().detail;
   const auto& picture = std::get<Image<Rgb>>(out->pixels);
 
-  shadows::ReceiverLight on_floor(light.floor_light), no_reflection = on_floor;
-  on_floor.discs = reflected_in_bake_frame(reflected_for(light.discs[0], true), true, {});
-  on_floor.disc_irradiance = lighting::irradiance(light.discs[0], {0, 1, 0});
-  no_reflection.disc_irradiance = on_floor.disc_irradiance;
+  shadows::ReceiverLight on_floor(light.upper_hemisphere_light), no_reflection = on_floor;
+  on_floor.lights = reflected_in_bake_frame(reflected_for(light.lights[0], true), true, {});
+  on_floor.distant_irradiance = lighting::irradiance(light.lights[0], {0, 1, 0});
+  no_reflection.distant_irradiance = on_floor.distant_irradiance;
   shadows::PlanarShadow expected, without;
   ASSERT_TRUE(shadows::compose_planar_shadow(baked, on_floor, expected));
   ASSERT_TRUE(shadows::compose_planar_shadow(baked, no_reflection, without));
-  float most = 0;
+  float largest = 0;
   for (const double z : {.12, .16, .2, .25, .3, .4}) {
     const glm::ivec2 pixel = pixel_of(view.projection, view.world_from_camera, {.02, 0, z});
     const dvec3 place = floor_under(view.projection, view.world_from_camera, pixel);
@@ -111,9 +112,9 @@ TEST(ReflectedLight, OnTheFloorIsThatOfTheBake) {
               wanted = ratio_at(expected, baked.receiver->grid, place),
               dark = ratio_at(without, baked.receiver->grid, place);
     for (int c = 0; c < 3; ++c) EXPECT_NEAR(shown[c], wanted[c], .005) << z << " m, colour " << c;
-    most = std::max(most, wanted.r - dark.r);
+    largest = std::max(largest, wanted.r - dark.r);
   }
-  EXPECT_GT(most, .05) << "nothing is reflected";
+  EXPECT_GT(largest, .05) << "nothing is reflected";
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
-#include "lighting/lighting.h"
 #include "runtime/pipeline/report.h"
+#include "lighting/lighting.h"
 
 #include <gtest/gtest.h>
 
@@ -9,13 +9,13 @@ namespace penumbra::runtime {
 namespace {
 
 TEST(Report, APlanSaysWhyItWasTaken) {
-  const auto why = [](bool within_budget, bool short_of_time) {
+  const auto why = [](bool within_budget, bool time_limited) {
     lighting::Plan plan;
-    plan.bands = 5, plan.discs = 1, plan.error = .03;
-    plan.within_budget = within_budget, plan.short_of_time = short_of_time;
+    plan.bands = 5, plan.lights = 1, plan.error = .03;
+    plan.within_budget = within_budget, plan.time_limited = time_limited;
     const nlohmann::json said = to_json(plan);
     EXPECT_EQ(said["bands"], 5);
-    EXPECT_EQ(said["discs"], 1);
+    EXPECT_EQ(said["lights"], 1);
     EXPECT_EQ(said["predicted_error"], .03);
     return said["why"].get<std::string>();
   };

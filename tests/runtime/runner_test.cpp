@@ -1,10 +1,10 @@
-#include "runtime/pipeline/governance.h"
-#include "runtime/pipeline/light_stage.h"
+#include "runtime/pipeline/runner.h"
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "prt/prt.h"
 #include "lighting/lighting.h"
-#include "runtime/pipeline/runner.h"
+#include "prt/prt.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/pipeline/light_estimation_stage.h"
 
 #include <gtest/gtest.h>
 
@@ -53,13 +53,13 @@ Bench& bench() {
 struct Stages {
   StageTimes times;
   capture::Studio studio;
-  Result<LightStage> light;
-  Result<std::unique_ptr<ComposeStage>> compose;
+  Result<LightEstimationStage> light;
+  Result<std::unique_ptr<CompositeStage>> compose;
   Stages()
       : studio(bench().world, bench().options),
-        light(LightStage::create(studio.cameras(), {.bands = 4}, times)),
-        compose(ComposeStage::create(studio.cameras(), bench().scene,
-                                     compositor::Compositor::Surface::kOffscreen, times)) {}
+        light(LightEstimationStage::create(studio.cameras(), {.bands = 4}, times)),
+        compose(CompositeStage::create(studio.cameras(), bench().scene,
+                                       compositor::Compositor::Surface::kOffscreen, times)) {}
 };
 
 #define NEED_GL(stages)                                                              \
@@ -96,7 +96,7 @@ class BallInView : public capture::FrameSource {
  public:
   BallInView() : studio_(bench().world, bench().options) {
     capture::CameraInfo view = studio_.cameras()[1];
-    view.ball = {capture::Ball::Outline{{48, 32}, 16}, {}, 0};
+    view.ball = {capture::Ball::OutlinePixels{{48, 32}, 16}, {}, 0};
     cameras_ = {view};
     const auto ball = *calib::MirrorBall::from_outline(view.projection, {48, 32}, 16);
     Image<Rgb> light(96, 64, {.3f, .3f, .3f});
@@ -134,9 +134,9 @@ TEST(Replay, MirrorBallInTheViewCamerasPictureIsAllTheLightThatItNeeds) {
   for (const bool live : {false, true}) {
     StageTimes times;
     BallInView source;
-    auto light = *LightStage::create(source.cameras(), {.bands = 4}, times);
-    auto compose = ComposeStage::create(source.cameras(), bench().scene,
-                                        compositor::Compositor::Surface::kOffscreen, times);
+    auto light = *LightEstimationStage::create(source.cameras(), {.bands = 4}, times);
+    auto compose = CompositeStage::create(source.cameras(), bench().scene,
+                                          compositor::Compositor::Surface::kOffscreen, times);
     if (!compose && compose.error().code == ErrorCode::kUnavailable)
       GTEST_SKIP() << "no OpenGL ES 3.1 here: " << compose.error().detail;
     double touched = 0, mean = 0;
@@ -182,7 +182,7 @@ TEST(Replay, FirstFramesAreLitByAWholeBracket) {
   ASSERT_TRUE(frame && *frame);
   const auto alone = naive.light->process(**frame);
   ASSERT_TRUE(alone);
-  EXPECT_FALSE(naive.light->settled());
+  EXPECT_FALSE(naive.light->ready());
   EXPECT_LT(luminance(alone->mean_radiance), .9 * brightness.back());
 }
 
@@ -268,7 +268,7 @@ TEST(Live, FramesThatComeLateAreTheSameAndInOrder) {
   }
 }
 
-TEST(Live, DiscsThatAFrameHasNoTimeForAreGivenUp) {
+TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   Stages s;
   NEED_GL(s);
   // Nobody has the twenty microseconds that a frame may take here.
@@ -277,17 +277,17 @@ TEST(Live, DiscsThatAFrameHasNoTimeForAreGivenUp) {
   hurried.view_frames = 1 << 30;
   hurried.clip = 2;
   capture::Studio studio(bench().world, hurried);
-  const auto governance = make_governance(bench().scene, .001, false);
-  ASSERT_TRUE(governance);
-  s.light->govern(*governance);
+  const auto governor_config = make_governor_config(bench().scene, .001, false);
+  ASSERT_TRUE(governor_config);
+  s.light->set_governor(*governor_config);
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);
   bool traced = false, given_up = false;
   std::atomic<bool> stop = false;
   const auto counts = run_live(
       studio, *s.light, **s.compose,
       [&](const Output& out) {
-        traced |= out.light.plan && out.light.plan->discs > 0;
-        given_up = out.light.plan && out.light.plan->short_of_time && out.light.discs.empty();
+        traced |= out.light.plan && out.light.plan->lights > 0;
+        given_up = out.light.plan && out.light.plan->time_limited && out.light.lights.empty();
         return !given_up && std::chrono::steady_clock::now() < end;
       },
       s.times, stop);

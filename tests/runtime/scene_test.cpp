@@ -1,6 +1,6 @@
-#include "shadows/shadows.h"
-#include "prt/prt.h"
 #include "runtime/scene/scene.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
 
 #include <gtest/gtest.h>
 
@@ -54,9 +54,9 @@ SceneObject placed_object() {
 void expect_same_placement(const Placement& a, const Placement& b) {
   EXPECT_EQ(a.position, b.position);
   EXPECT_LT(glm::length(a.rotation - b.rotation), 1e-15);
-  EXPECT_EQ(a.stand, b.stand);
-  if (a.stand) {
-    EXPECT_EQ(a.stand_size_m, b.stand_size_m);
+  EXPECT_EQ(a.place_on_floor, b.place_on_floor);
+  if (a.place_on_floor) {
+    EXPECT_EQ(a.fit_size_m, b.fit_size_m);
   } else {
     EXPECT_EQ(a.scale, b.scale);
   }
@@ -74,8 +74,8 @@ TEST_F(SceneFile, WhatIsWrittenIsRead) {
   SceneObject standing;
   standing.name = "knot";
   standing.asset = "builtin:knot";
-  standing.stand = true;
-  standing.stand_size_m = .35;
+  standing.place_on_floor = true;
+  standing.fit_size_m = .35;
   RealGeometry floor, table;
   floor.plane = RealPlane{{.1, .2, .3}, glm::normalize(glm::dvec3(.1, 1, -.2))};
   floor.albedo = Rgb{.4f, .5f, .6f};
@@ -118,15 +118,15 @@ TEST_F(SceneFile, NamesAndPathsMayHoldAnyCharacter) {
 TEST_F(SceneFile, BlendsOfClipsComeBackLive) {
   const auto scene = read(
       "version = 1\n[[object]]\nasset = \"a.glb\"\nanimation = \"Walk\"\nblend = \"Wave\"\n"
-      "blend_share = 0.25\nlive_ms = 3\n[[object]]\nasset = \"b.glb\"\nanimation = \"0\"\n"
+      "blend_weight = 0.25\nlive_ms = 3\n[[object]]\nasset = \"b.glb\"\nanimation = \"0\"\n"
       "transfer = \"live\"\n");
   ASSERT_TRUE(scene) << scene.error().detail;
   const Scene back = round_trip(*scene);
   ASSERT_EQ(back.objects.size(), 2u);
   EXPECT_TRUE(back.objects[0].live);
   EXPECT_EQ(back.objects[0].blend, "Wave");
-  EXPECT_EQ(back.objects[0].blend_share, .25);
-  EXPECT_EQ(back.objects[0].live_ms, 3);
+  EXPECT_EQ(back.objects[0].blend_weight, .25);
+  EXPECT_EQ(back.objects[0].transfer_ms, 3);
   EXPECT_TRUE(back.objects[1].live);
   EXPECT_EQ(back.objects[1].transfer, "");
   EXPECT_EQ(back.objects[1].blend, "");
@@ -168,20 +168,21 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
                                    {"scale = 1e-30", "scale"},
                                    {"position = [0, 1e20, 0]", "position"},
                                    {"spin_rpm = 1e308", "spin_rpm"},
-                                   {"stand_size_m = 0", "stand_size_m"},
+                                   {"fit_size_m = 0", "fit_size_m"},
                                    {"spin_rpm = inf", "spin_rpm"},
                                    {"name = 3", "name"},
                                    {"animation = 1", "animation"}})
     expect_invalid(head + line + "\n", 4, word);
-  expect_invalid(head + "scale = 2\nstand_size_m = 1\n", 5, "stand_size_m");
+  expect_invalid(head + "scale = 2\nstand_size_m = 1\n", 5, "fit_size_m");
   const std::string walks = head + "animation = \"Walk\"\n";
-  for (const std::string line :
-       {"blend_share = 0.5", "live_ms = 3", "blend = \"\"", "blend = 3", "light_map = [7, 64]"})
+  for (const std::string line : {"blend_weight = 0.5", "transfer_ms = 3", "blend = \"\"",
+                                 "blend = 3", "light_map = [7, 64]"})
     expect_invalid(walks + line + "\n", 5, line.substr(0, line.find(' ')));
   expect_invalid(head + "blend = \"Wave\"\n", 4, "blend");
   const std::string blends = walks + "blend = \"Wave\"\n";
-  for (const std::string line : {"blend_share = 1.5", "blend_share = nan", "live_ms = 0",
-                                 "live_ms = 1e9", "light_map = [64, 64]", "transfer = \"a.shlm\""})
+  for (const std::string line :
+       {"blend_weight = 1.5", "blend_weight = nan", "transfer_ms = 0", "transfer_ms = 1e9",
+        "light_map = [64, 64]", "transfer = \"a.shlm\""})
     expect_invalid(blends + line + "\n", 6, line.substr(0, line.find(' ')));
   expect_invalid("version = 2\n", 1, "version");
   expect_invalid("version = 1\nobject = 3\n", 2, "object");
@@ -190,8 +191,8 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
   expect_invalid("version = 1\n[[real]]\nplane = 3\n", 3, "plane");
   const std::string mesh = "version = 1\n[[real]]\nmesh = \"a.obj\"\n";
   expect_invalid(mesh + "position = [0, 1e5, 0]\n", 4, "position");
-  expect_invalid(mesh + "scale = 1\nstand_size_m = 1\n", 5, "stand_size_m");
-  for (const std::string key : {"position = [0, 0, 0]", "scale = 2", "stand_size_m = 1"})
+  expect_invalid(mesh + "scale = 1\nstand_size_m = 1\n", 5, "fit_size_m");
+  for (const std::string key : {"position = [0, 0, 0]", "scale = 2", "fit_size_m = 1"})
     expect_invalid(
         "version = 1\n[[real]]\nplane = { point = [0, 0, 0], normal = [0, 1, 0] }\n" + key + "\n",
         4, key.substr(0, key.find(' ')));
@@ -242,8 +243,8 @@ TEST_F(SceneFile, RealMeshesStandWhereTheyArePlaced) {
   RealGeometry box;
   box.mesh = "builtin:box";
   box.position = {1, .25, -2};
-  box.stand = true;
-  box.stand_size_m = .8;
+  box.place_on_floor = true;
+  box.fit_size_m = .8;
   const auto scene = prepare({{}, {box}}, quick(), kNoProgress);
   ASSERT_TRUE(scene) << scene.error().detail;
   const prt::Bounds b = prt::bounds_of(scene->real_mesh);
@@ -280,8 +281,8 @@ TEST_F(SceneFile, StandingObjectRestsOnItsPlaneAtItsSize) {
   for (const double height : {0., .75}) {
     SceneObject o;
     o.asset = o.name = "builtin:twist";
-    o.stand = true;
-    o.stand_size_m = .4;
+    o.place_on_floor = true;
+    o.fit_size_m = .4;
     o.position = {.3, height, -.2};
     RealGeometry plane;
     plane.plane = RealPlane{{0, height, 0}, {0, 1, 0}};
@@ -310,8 +311,8 @@ TEST_F(SceneFile, BakedFileStandsWhereItsAssetWould) {
   SceneObject o;
   o.name = "box";
   o.asset = file.string();
-  o.stand = true;
-  o.stand_size_m = .8;
+  o.place_on_floor = true;
+  o.fit_size_m = .8;
   o.position = {1, 0, 2};
   RealGeometry floor;
   floor.plane = RealPlane{};

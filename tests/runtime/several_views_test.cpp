@@ -7,11 +7,11 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "lighting/lighting.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
+#include "lighting/lighting.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"
-#include "runtime/pipeline/light_stage.h"
+#include "runtime/pipeline/light_estimation_stage.h"
 #include "tests/support/shared_data.h"
 
 namespace penumbra::runtime {
@@ -38,9 +38,9 @@ Sky grey(float value) {
   return [value](const dvec3&) { return Rgb{value, value, value}; };
 }
 
-calib::Projection fisheye(int side, double field_deg) {
-  calib::Projection p = *calib::make_projection(calib::ProjectionKind::kEquidistant, side, side);
-  p.focal_px = glm::dvec2(side / (field_deg / 180 * kPi));
+calib::CameraModel fisheye(int side, double fov_deg) {
+  calib::CameraModel p = *calib::make_projection(calib::ProjectionKind::kEquidistant, side, side);
+  p.focal_px = glm::dvec2(side / (fov_deg / 180 * kPi));
   return p;
 }
 
@@ -77,7 +77,7 @@ RadianceSh truth_of(const Sky& sky) {
   StageTimes times;
   CameraInfo camera;
   camera.projection = *calib::make_projection(calib::ProjectionKind::kLatLong, kWidth, kHeight);
-  auto stage = *LightStage::create({camera}, {3, {0, .02}}, times);
+  auto stage = *LightEstimationStage::create({camera}, {3, {0, .02}}, times);
   return stage.process(frame_of(0, map))->light;
 }
 
@@ -92,12 +92,12 @@ double difference(const RadianceSh& a, const RadianceSh& truth) {
   return worst / largest;
 }
 
-CameraInfo two_lenses(double field_deg) {
+CameraInfo two_lenses(double fov_deg) {
   CameraInfo camera;
   camera.name = "dual";
   for (const int i : {0, 1})
-    camera.lenses.push_back({240 * i, 0, fisheye(240, field_deg),
-                             i == 0 ? glm::dquat(1, 0, 0, 0) : kBack, field_deg / 360 * kPi});
+    camera.lenses.push_back({240 * i, 0, fisheye(240, fov_deg),
+                             i == 0 ? glm::dquat(1, 0, 0, 0) : kBack, fov_deg / 360 * kPi});
   camera.projection = camera.lenses[0].projection;
   camera.projection.width = 480;
   return camera;
@@ -116,18 +116,18 @@ TEST(SeveralViews, ConstantRadianceThroughTwoUnequalLensesHasNoSeam) {
   const CameraInfo camera = two_lenses(200);
   for (const Rgb& gain : {kOne, kOther}) {
     StageTimes times;
-    auto stage = *LightStage::create({camera}, {3, {0, .02}}, times);
+    auto stage = *LightEstimationStage::create({camera}, {3, {0, .02}}, times);
     const auto estimate = stage.process(frame_of(0, picture_of(camera, grey(2), {kOne, gain})));
     ASSERT_TRUE(estimate) << estimate.error().detail;
     EXPECT_EQ(estimate->coverage, 1);
     EXPECT_LT(difference(estimate->light, truth_of(grey(2))), .002);
-    EXPECT_TRUE(stage.settled());
+    EXPECT_TRUE(stage.ready());
   }
 }
 
 TEST(SeveralViews, APictureOfAnotherSizeIsRefusedByName) {
   StageTimes times;
-  auto stage = *LightStage::create({two_lenses(200)}, {3, {0, .02}}, times);
+  auto stage = *LightEstimationStage::create({two_lenses(200)}, {3, {0, .02}}, times);
   const auto small = stage.process(frame_of(0, Image<Rgb>(240, 120, {1, 1, 1})));
   ASSERT_FALSE(small);
   EXPECT_EQ(small.error().code, ErrorCode::kInvalid);
@@ -141,7 +141,7 @@ TEST(SeveralViews, TwoLensesOfOnePictureShowTheWholeRoom) {
   const RadianceSh truth = truth_of(room());
   const auto estimate_with = [&](const CameraInfo& info, const Rgb& gain) {
     StageTimes times;
-    auto stage = *LightStage::create({info}, {3, {0, .02}}, times);
+    auto stage = *LightEstimationStage::create({info}, {3, {0, .02}}, times);
     capture::Frame frame = frame_of(0, picture_of(camera, room(), {kOne, gain}));
     frame.world_from_camera = camera.world_from_camera;
     const auto estimate = stage.process(frame);
@@ -169,7 +169,7 @@ TEST(SeveralViews, VignettedLensesMakeAConstantMapOnceTheirVignettingIsKnown) {
   }
   const auto estimate = [&] {
     StageTimes times;
-    auto stage = *LightStage::create({camera}, {3, {0, .02}}, times);
+    auto stage = *LightEstimationStage::create({camera}, {3, {0, .02}}, times);
     return stage.process(frame_of(0, picture))->light;
   };
   EXPECT_GT(difference(estimate(), truth_of(grey(2))), .05);
@@ -187,14 +187,14 @@ TEST(SeveralViews, TwoCamerasAreBlendedAndTheStalestTellsTheTime) {
     c.world_from_camera.rotation = i == 0 ? glm::dquat(1, 0, 0, 0) : kBack;
   }
   StageTimes times;
-  auto stage = *LightStage::create(cameras, {3, {0, .02}}, times);
+  auto stage = *LightEstimationStage::create(cameras, {3, {0, .02}}, times);
   ASSERT_TRUE(stage.process(frame_of(0, picture_of(cameras[0], room(), {kOne}), 1)));
-  EXPECT_FALSE(stage.settled()) << "half the room is still missing";
+  EXPECT_FALSE(stage.ready()) << "half the room is still missing";
   capture::Frame back = frame_of(1, picture_of(cameras[1], room(), {kOther}), 2);
   back.world_from_camera = cameras[1].world_from_camera;
   const auto both = stage.process(back);
   ASSERT_TRUE(both);
-  EXPECT_TRUE(stage.settled());
+  EXPECT_TRUE(stage.ready());
   EXPECT_EQ(both->time.value, 1'000'000'000);
   EXPECT_LT(difference(both->light, truth_of(room())), .015);
   // One camera alone goes on; its light is as old as the silent one's last picture.
@@ -209,9 +209,9 @@ TEST(SeveralViews, CameraThatNeverShowsAnythingIsNotWaitedForForEver) {
   std::vector<CameraInfo> cameras(2);
   for (CameraInfo& c : cameras) c.projection = fisheye(64, 180);
   StageTimes times;
-  auto stage = *LightStage::create(cameras, {3, {0, .02}}, times);
+  auto stage = *LightEstimationStage::create(cameras, {3, {0, .02}}, times);
   int frames = 0;
-  while (!stage.settled() && frames < 100)
+  while (!stage.ready() && frames < 100)
     ASSERT_TRUE(stage.process(frame_of(0, Image<Rgb>(64, 64, {1, 1, 1}), .03 * frames++)));
   EXPECT_LT(frames, 40);
 }
@@ -225,7 +225,7 @@ TEST(SeveralViews, RealDualFisheyeHasGainsNearOne) {
   camera.name = "street";
   camera.response = calib::Response::srgb();
   for (const int i : {0, 1}) {
-    calib::Projection p = *calib::make_projection(calib::ProjectionKind::kEquidistant, 1280, 1280);
+    calib::CameraModel p = *calib::make_projection(calib::ProjectionKind::kEquidistant, 1280, 1280);
     p.focal_px = {375, 375};
     p.principal_px = {640, 625};
     camera.lenses.push_back(
@@ -234,7 +234,7 @@ TEST(SeveralViews, RealDualFisheyeHasGainsNearOne) {
   camera.projection = camera.lenses[0].projection;
   camera.projection.width = 2560;
   StageTimes times;
-  auto stage = *LightStage::create({camera}, {3, {0, .02}}, times);
+  auto stage = *LightEstimationStage::create({camera}, {3, {0, .02}}, times);
   capture::Frame frame = frame_of(0, {});
   frame.pixels = std::make_shared<const FramePixels>(std::move(*pixels));
   const auto estimate = stage.process(frame);
@@ -288,7 +288,7 @@ TEST(SeveralViews, MirrorBallInTheViewPictureShowsTheRoom) {
     const BallScene scene = ball_scene(distance);
     const Image<Rgb> picture = picture_with_ball(scene.view, scene.ball, room());
     StageTimes times;
-    auto stage = *LightStage::create({scene.view}, {3, {0, .02}}, times);
+    auto stage = *LightEstimationStage::create({scene.view}, {3, {0, .02}}, times);
     EXPECT_TRUE(stage.takes(0));
     capture::Frame frame = frame_of(0, picture);
     frame.world_from_camera = scene.view.world_from_camera;
@@ -297,18 +297,19 @@ TEST(SeveralViews, MirrorBallInTheViewPictureShowsTheRoom) {
     EXPECT_LT(difference(estimate->light, truth), .015) << distance;
     EXPECT_GT(estimate->coverage, .9);
     // The textbook's ball, far away and straight ahead, laid over the same pixels.
-    const auto sight = capture::sights_of(scene.view, scene.view.world_from_camera)->front();
+    const auto visibility =
+        capture::camera_regions(scene.view, scene.view.world_from_camera)->front();
     CameraInfo naive;
-    naive.projection =
-        *calib::make_projection(calib::ProjectionKind::kMirrorBall, sight.width, sight.height);
+    naive.projection = *calib::make_projection(calib::ProjectionKind::kMirrorBall, visibility.width,
+                                               visibility.height);
     naive.colour = glm::dmat3(1 / .6, 0, 0, 0, 1 / .58, 0, 0, 0, 1 / .55);
-    Image<Rgb> mirrored(sight.width, sight.height);
-    const FramePixels cut = capture::cut_out(FramePixels(picture), sight);
-    for (int y = 0; y < sight.height; ++y)
-      for (int x = 0; x < sight.width; ++x)
-        mirrored.at(x, y) = std::get<Image<Rgb>>(cut).at(sight.width - 1 - x, y);
+    Image<Rgb> mirrored(visibility.width, visibility.height);
+    const FramePixels cut = capture::cut_out(FramePixels(picture), visibility);
+    for (int y = 0; y < visibility.height; ++y)
+      for (int x = 0; x < visibility.width; ++x)
+        mirrored.at(x, y) = std::get<Image<Rgb>>(cut).at(visibility.width - 1 - x, y);
     naive.world_from_camera.rotation = scene.view.world_from_camera.rotation * kBack;
-    auto textbook = *LightStage::create({naive}, {3, {0, .02}}, times);
+    auto textbook = *LightEstimationStage::create({naive}, {3, {0, .02}}, times);
     capture::Frame other = frame_of(0, mirrored);
     other.world_from_camera = naive.world_from_camera;
     EXPECT_GT(difference(textbook.process(other)->light, truth), distance < 5 ? .08 : .04);
@@ -319,7 +320,7 @@ TEST(SeveralViews, BallIsFollowedWhenTheCameraMovesAndMissedWhenItLeaves) {
   const RadianceSh truth = truth_of(room());
   const BallScene scene = ball_scene(6);
   StageTimes times;
-  auto stage = *LightStage::create({scene.view}, {3, {0, .02}}, times);
+  auto stage = *LightEstimationStage::create({scene.view}, {3, {0, .02}}, times);
   const auto look = [&](const Pose& pose) {
     CameraInfo moved = scene.view;
     moved.world_from_camera = pose;
@@ -378,7 +379,7 @@ TEST(SeveralViews, ACameraThatIsSilentDoesNotHideWhatSaturatesTheOther) {
     c.response = calib::Response::srgb();
   }
   StageTimes times;
-  auto stage = *LightStage::create(cameras, {3, {4, .02}}, times);
+  auto stage = *LightEstimationStage::create(cameras, {3, {4, .02}}, times);
   Image<Rgb8> picture(64, 64, {90, 90, 90});
   for (int y = 20; y < 28; ++y)
     for (int x = 30; x < 38; ++x) picture.at(x, y) = {255, 255, 255};

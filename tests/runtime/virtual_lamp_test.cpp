@@ -4,12 +4,12 @@
 #include <cmath>
 
 #include "capture/capture.h"
-#include "prt/prt.h"
 #include "core/conventions.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "tests/support/worlds.h"
 #include "tools/chart/accuracy.h"
 #include "tools/common/still.h"
-#include "tests/support/worlds.h"
 
 namespace penumbra::runtime {
 
@@ -38,7 +38,7 @@ TEST(VirtualLamp, LightsTheFloorByItsShareOfTheRealLightAndCastsShadows) {
   light.valid = true;
   light.light = RadianceSh(5);
   light.light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));  // radiance 1, E = pi
-  light.floor_light = light.light;
+  light.upper_hemisphere_light = light.light;
   light.mean_radiance = {1, 1, 1};
   Still real;
   real.radiance = Image<Rgb>(160, 120, {.4f, .4f, .4f});

@@ -1,6 +1,6 @@
+#include "service/http_api.h"
 #include "capture/capture.h"
 #include "lighting/lighting.h"
-#include "service/http_api.h"
 
 #include <gtest/gtest.h>
 #include <httplib.h>
@@ -43,8 +43,8 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   PublishedState state;
   const StageTimes times;
   capture::CameraCounts sky, view;
-  sky.frames = 70, sky.lost = 3, sky.refused = 2, sky.reconnected = 1, sky.delay_frames = 2;
-  view.deaf = true;
+  sky.frames = 70, sky.lost = 3, sky.rejected = 2, sky.reconnected = 1, sky.delay_frames = 2;
+  view.ignores_controls = true;
   std::vector<capture::CameraInfo> cameras(2);
   cameras[0].name = "sky", cameras[1].name = "view";
   state.publish_cameras(cameras, {sky, view});

@@ -8,10 +8,10 @@
 #include <thread>
 
 #include "calib/calib.h"
-#include "prt/prt.h"
 #include "capture/capture.h"
-#include "service/http_api.h"
+#include "prt/prt.h"
 #include "runtime/pipeline/runner.h"
+#include "service/http_api.h"
 #include "tests/support/fake_camera.h"
 
 namespace penumbra::service {
@@ -102,9 +102,9 @@ TEST(UnpluggedCamera, ItsLightIsToldStaleAndFreshAgainWhenItIsBack) {
   auto rig = capture::Rig::open(cameras(), open_fake);
   ASSERT_TRUE(rig) << rig.error().detail;
   plugged_in = false;  // what opens it again waits until somebody has heard
-  auto light = *LightStage::create((*rig)->cameras(), {.bands = 3}, times);
-  auto compose = ComposeStage::create((*rig)->cameras(), scene,
-                                      compositor::Compositor::Surface::kOffscreen, times);
+  auto light = *LightEstimationStage::create((*rig)->cameras(), {.bands = 3}, times);
+  auto compose = CompositeStage::create((*rig)->cameras(), scene,
+                                        compositor::Compositor::Surface::kOffscreen, times);
   if (!compose && compose.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no OpenGL ES 3.1 here: " << compose.error().detail;
   constexpr double kStaleAfter_s = .4;

@@ -6,11 +6,11 @@
 #include <cstdint>
 #include <vector>
 
-#include "shadows/shadows.h"
-#include "prt/prt.h"
 #include "lighting/lighting.h"
-#include "shadows/silhouette/disc_rays.h"
-#include "shadows/visibility/internal/shared_sight.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
+#include "shadows/silhouette/light_rays.h"
+#include "shadows/visibility/internal/visibility_groups.h"
 
 namespace penumbra::shadows::test {
 
@@ -33,36 +33,36 @@ inline prt::Mesh sheet(std::uint32_t n, float half_m = 1) {
 struct CasterWorld {
   std::vector<prt::Mesh> meshes;  // the first is the one that is lit
   prt::Mesh points;               // its vertices alone: nobody shares
-  std::vector<Outline> outlines;
+  std::vector<SilhouetteMesh> silhouettes;
   std::vector<Caster> casters;
   prt::RayWorld rays = *prt::RayWorld::create();
-  Outline none;
+  SilhouetteMesh none;
   float near_m;
 
   CasterWorld(std::vector<prt::Mesh> all, float near)
       : meshes(std::move(all)), points(meshes[0]), near_m(near) {
     points.triangles.clear();
-    outlines.reserve(meshes.size());
+    silhouettes.reserve(meshes.size());
     for (const prt::Mesh& m : meshes) {
-      outlines.emplace_back(m);
-      casters.push_back({&m, &outlines.back(), {}});
+      silhouettes.emplace_back(m);
+      casters.push_back({&m, &silhouettes.back(), {}});
       const auto index = rays.add(m);
       EXPECT_TRUE(index);
-      outlines.back().find_cuts(m, rays, *index);
+      silhouettes.back().find_cuts(m, rays, *index);
     }
   }
-  std::vector<float> light(const lighting::Disc& disc, const Caster& object,
-                           const prt::RayWorld* blockers, int taps = 4) const {
+  std::vector<float> light(const lighting::DistantLight& source, const Caster& object,
+                           const prt::RayWorld* occluders, int samples = 4) const {
     std::vector<float> out(meshes[0].positions.size());
-    trace_disc_light({blockers, nullptr, near_m}, {casters, {}, near_m}, object, nullptr, disc,
-                     taps, out);
+    trace_direct_light({occluders, nullptr, near_m}, {casters, {}, near_m}, object, nullptr, source,
+                       samples, out);
     return out;
   }
-  SharedSight sight(const lighting::Disc& disc) const {
-    SharedSight out;
-    TapPattern taps;
-    taps.make(disc, 16, 1);
-    out.find({casters, {}, near_m}, casters[0], disc, {taps.at(0)});
+  VisibilityGroups visibility(const lighting::DistantLight& source) const {
+    VisibilityGroups out;
+    SamplePattern samples;
+    samples.make(source, 16, 1);
+    out.find({casters, {}, near_m}, casters[0], source, {samples.at(0)});
     return out;
   }
 };

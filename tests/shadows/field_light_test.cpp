@@ -45,12 +45,12 @@ std::vector<float> cap(int bands, const dvec3& axis, double cos_half) {
   std::vector<float> blocked;
   for (int l = 0; l < bands; ++l) {
     const auto n = static_cast<unsigned>(l);
-    const double share =
+    const double fraction =
         l == 0 ? 1 - cos_half
                : (std::legendre(n - 1, cos_half) - std::legendre(n + 1, cos_half)) / (2. * l + 1);
     for (int m = -l; m <= l; ++m)
       blocked.push_back(
-          static_cast<float>(2 * kPi * share * basis[static_cast<std::size_t>(sh_index(l, m))]));
+          static_cast<float>(2 * kPi * fraction * basis[static_cast<std::size_t>(sh_index(l, m))]));
   }
   return blocked;
 }

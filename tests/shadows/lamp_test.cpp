@@ -11,7 +11,7 @@ namespace {
 
 struct World {
   prt::RayWorld rays = *prt::RayWorld::create();
-  Blockers blockers() const { return {&rays, nullptr, 1e-4f}; }
+  RayOccluders occluders() const { return {&rays, nullptr, 1e-4f}; }
 };
 
 const prt::Plane kFloor;
@@ -19,25 +19,25 @@ const prt::Plane kFloor;
 TEST(Lamp, OpenFloorFollowsTheClosedForm) {
   const World world;
   const Lamp lamp{{.3, .8, -.2}, .01, {1, 1, 1}};
-  DiscShadow map;
-  const float most = trace_lamp_map(world.blockers(), kFloor, lamp, 8, map);
-  EXPECT_NEAR(most, 1 / (.8 * .8), 1e-3);
+  ShadowMap map;
+  const float largest = trace_lamp_map(world.occluders(), kFloor, lamp, 8, map);
+  EXPECT_NEAR(largest, 1 / (.8 * .8), 1e-3);
   for (const glm::dvec3 p : {glm::dvec3(.3, 0, -.2), {.8, 0, .1}, {-1, 0, .5}, {1.5, 0, -1.5}}) {
     const glm::dvec3 at = map.world_from_map.inverse() * p / double(map.cell_m);
     const int x = static_cast<int>(std::lround(at.x)), z = static_cast<int>(std::lround(at.z));
     const glm::dvec3 node =
         map.world_from_map * glm::dvec3(x * double(map.cell_m), 0, z * double(map.cell_m));
     const double d2 = glm::dot(lamp.position - node, lamp.position - node);
-    EXPECT_NEAR(map.taken.at(x, z) * most, .8 / std::pow(d2, 1.5), 2e-3 / (.8 * .8));
+    EXPECT_NEAR(map.taken.at(x, z) * largest, .8 / std::pow(d2, 1.5), 2e-3 / (.8 * .8));
   }
   for (int i = 0; i < map.taken.width(); ++i) EXPECT_EQ(map.taken.at(i, 0), 0) << "ends at nothing";
 }
 
 TEST(Lamp, BehindTheFloorOrInItGivesNothing) {
   const World world;
-  DiscShadow map;
+  ShadowMap map;
   for (const double height : {-.5, 0., .01}) {
-    EXPECT_EQ(trace_lamp_map(world.blockers(), kFloor, {{0, height, 0}, .02, {1, 1, 1}}, 8, map),
+    EXPECT_EQ(trace_lamp_map(world.occluders(), kFloor, {{0, height, 0}, .02, {1, 1, 1}}, 8, map),
               0);
     EXPECT_TRUE(map.empty());
   }
@@ -58,12 +58,12 @@ TEST(Lamp, PenumbraFollowsSimilarTriangles) {
   for (int i = -400; i <= 400; ++i) points.emplace_back(i * 5e-4f, 0, 0);
   normals.assign(points.size(), {0, 1, 0});
   std::vector<float> open(points.size()), seen(points.size());
-  trace_lamp_points(World().blockers(), points, normals, lamp, 64, open);
-  trace_lamp_points(world.blockers(), points, normals, lamp, 64, seen);
+  trace_lamp_points(World().occluders(), points, normals, lamp, 64, open);
+  trace_lamp_points(world.occluders(), points, normals, lamp, 64, seen);
   double first = 1, last = -1;
   for (std::size_t i = 0; i < points.size(); ++i) {
-    const float share = seen[i] / open[i];
-    if (share < .98f && share > .02f)
+    const float fraction = seen[i] / open[i];
+    if (fraction < .98f && fraction > .02f)
       first = std::min(first, double(points[i].x)), last = std::max(last, double(points[i].x));
   }
   const double width = 2 * kRadius * kEdge / (kLamp - kEdge);
@@ -77,8 +77,8 @@ TEST(Lamp, BlockersBeyondTheLampDoNotCount) {
   (void)*world.rays.add(lid);
   const std::vector<glm::vec3> point{{0, 0, 0}}, normal{{0, 1, 0}};
   float below = 0, above = 0;
-  trace_lamp_points(world.blockers(), point, normal, {{0, 1, 0}, .05, {1, 1, 1}}, 16, {&below, 1});
-  trace_lamp_points(world.blockers(), point, normal, {{0, 3, 0}, .05, {1, 1, 1}}, 16, {&above, 1});
+  trace_lamp_points(world.occluders(), point, normal, {{0, 1, 0}, .05, {1, 1, 1}}, 16, {&below, 1});
+  trace_lamp_points(world.occluders(), point, normal, {{0, 3, 0}, .05, {1, 1, 1}}, 16, {&above, 1});
   EXPECT_NEAR(below, 1, .01);
   EXPECT_EQ(above, 0);
 }
@@ -87,9 +87,9 @@ TEST(Lamp, PointInsideTheLampStaysFinite) {
   const World world;
   const std::vector<glm::vec3> point{{0, 1, 0}}, normal{{0, 1, 0}};
   float value = 0;
-  trace_lamp_points(world.blockers(), point, normal, {{0, 1, 0}, 0, {1, 1, 1}}, 4, {&value, 1});
+  trace_lamp_points(world.occluders(), point, normal, {{0, 1, 0}, 0, {1, 1, 1}}, 4, {&value, 1});
   EXPECT_TRUE(std::isfinite(value));
-  trace_lamp_points(world.blockers(), point, normal, {{0, 1.001, 0}, .05, {1, 1, 1}}, 4,
+  trace_lamp_points(world.occluders(), point, normal, {{0, 1.001, 0}, .05, {1, 1, 1}}, 4,
                     {&value, 1});
   EXPECT_TRUE(std::isfinite(value));
   EXPECT_LE(value, 1 / (.05f * .05f) * 1.01f);

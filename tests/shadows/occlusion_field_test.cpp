@@ -82,12 +82,12 @@ Points plane_points(const glm::vec2& centre, float half, int n) {
 
 std::vector<Rgb> ratios(const OcclusionField& field, const RadianceSh& world_light,
                         const Pose& world_from_bake, const Points& points,
-                        std::span<const Rgb> discs = {}) {
+                        std::span<const Rgb> lights = {}) {
   const Pose bake_from_world = world_from_bake.inverse();
   const FieldLight light(into_bake_frame(world_light, bake_from_world), field.bands);
   std::vector<Rgb> out(points.positions.size());
   EXPECT_TRUE(
-      field_ratios(field, light, bake_from_world, {points.positions, points.normals, discs}, out));
+      field_ratios(field, light, bake_from_world, {points.positions, points.normals, lights}, out));
   return out;
 }
 
@@ -102,7 +102,7 @@ float ratio_at(const OcclusionField& field, const RadianceSh& light, const glm::
 std::vector<float> reference_ratios(const prt::Mesh& world_mesh, const RadianceSh& light,
                                     const Points& points, int samples) {
   const auto environment = prt::EnvironmentLight::from_sh(light);
-  prt::World world;
+  prt::ReferenceWorld world;
   world.mesh = world_mesh;
   world.light = &environment;
   std::vector<prt::IrradiancePoint> at;
@@ -176,9 +176,9 @@ TEST(OcclusionField, FlatQuadShadesOneSideOnly) {
   const RadianceSh light = test::constant_light(kWhite);
   for (const float height : {.1f, .2f, .5f, 1.f}) {
     const double x = .5 / height, r = std::sqrt(1 + x * x);
-    const double share = 4 / kPi * (x / r) * std::atan(x / r);
+    const double fraction = 4 / kPi * (x / r) * std::atan(x / r);
     for (const float side : {-1.f, 1.f}) {
-      EXPECT_NEAR(ratio_at(field, light, {0, side * height, 0}, {0, -side, 0}), 1 - share, .03);
+      EXPECT_NEAR(ratio_at(field, light, {0, side * height, 0}, {0, -side, 0}), 1 - fraction, .03);
       EXPECT_NEAR(ratio_at(field, light, {0, side * height, 0}, {0, side, 0}), 1, .03);
     }
   }
@@ -406,17 +406,17 @@ TEST(OcclusionField, WithoutLightThereIsNoShadow) {
 // limit makes an edge on every curved receiver.
 TEST(OcclusionField, FootingFadesWithTheNormal) {
   const RadianceSh light = test::sloped_light(1, {0, 1.5, 0});
-  float before = ratio_at(sphere_field(), light, {1.2f, .5f, 0}, {0, 1, 0}), least = 1;
+  float before = ratio_at(sphere_field(), light, {1.2f, .5f, 0}, {0, 1, 0}), smallest = 1;
   for (int i = 1; i <= 600; ++i) {
     const double angle = kPi * i / 600;
     const float s = ratio_at(sphere_field(), light, {1.2f, .5f, 0},
                              glm::vec3(-std::sin(angle), std::cos(angle), 0));
     ASSERT_NEAR(s, before, .1) << i;
     before = s;
-    least = std::min(least, s);
+    smallest = std::min(smallest, s);
   }
   EXPECT_EQ(before, 1);
-  EXPECT_LT(least, .5f);
+  EXPECT_LT(smallest, .5f);
 }
 
 TEST(OcclusionField, StaysInItsRangeAndFinite) {
@@ -445,13 +445,13 @@ TEST(OcclusionField, StaysInItsRangeAndFinite) {
     }
 }
 
-TEST(OcclusionField, DiscsOnTheOpenReceiverMakeTheRestsShadowFainter) {
+TEST(OcclusionField, LightsOnTheOpenReceiverMakeTheRestsShadowFainter) {
   Points point;
   point.add({.9, 0, 0}, {0, 1, 0});
   const RadianceSh light = test::constant_light(kWhite);
-  const std::vector<Rgb> discs = {{static_cast<float>(kPi), 0, 0}};  // as much as the sky, in red
+  const std::vector<Rgb> lights = {{static_cast<float>(kPi), 0, 0}};  // as much as the sky, in red
   const Rgb alone = ratios(sphere_field(), light, {}, point)[0];
-  const Rgb with = ratios(sphere_field(), light, {}, point, discs)[0];
+  const Rgb with = ratios(sphere_field(), light, {}, point, lights)[0];
   EXPECT_LT(alone.r, .7f);
   EXPECT_NEAR(1 - with.r, (1 - alone.r) / 2, 1e-5);
   EXPECT_EQ(with.g, alone.g);

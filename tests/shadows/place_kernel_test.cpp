@@ -1,5 +1,5 @@
-#include "shadows/shadows.h"
 #include "shadows/silhouette/place_kernel.h"
+#include "shadows/shadows.h"
 
 #include <gtest/gtest.h>
 
@@ -23,9 +23,9 @@ std::vector<vec3> random_points(std::size_t count, unsigned seed) {
   return out;
 }
 
-const Placing kPlacing{glm::mat3_cast(glm::angleAxis(.7f, glm::normalize(vec3(1, 2, 3)))) *
-                           glm::mat3(2, 0, 0, 0, 1, 0, 0, 0, 3),
-                       {.3f, .2f, -.1f}};
+const AffineTransform kPlacing{glm::mat3_cast(glm::angleAxis(.7f, glm::normalize(vec3(1, 2, 3)))) *
+                                   glm::mat3(2, 0, 0, 0, 1, 0, 0, 0, 3),
+                               {.3f, .2f, -.1f}};
 vec3 placed(const vec3& p) {
   return kPlacing.turn * p + kPlacing.shift;
 }
@@ -43,14 +43,14 @@ TEST(PlaceKernel, PlacesEveryVertex) {
     for (std::size_t i = 0; i < size; ++i) {
       EXPECT_LT(glm::distance(places[i], placed(positions[i])), 1e-5f) << size;
       const float cosine = glm::dot(normals[i], towards);
-      EXPECT_EQ(sides[i], cosine > 0 ? kBefore : cosine < -.2f ? kBehind : kAslant) << size;
+      EXPECT_EQ(sides[i], cosine > 0 ? kFront : cosine < -.2f ? kBack : kGrazing) << size;
     }
     EXPECT_EQ(places[size], vec3(7));
     EXPECT_EQ(sides[size], 77);
   }
 }
 
-// An outline's own vertices are told from others by that.
+// An silhouette's own vertices are told from others by that.
 TEST(PlaceKernel, EqualPositionsComeOutEqual) {
   for (const std::size_t size : kSizes) {
     const std::vector<vec3> positions(size, vec3(.1234f, -.777f, .31f)), normals(size, vec3(0));

@@ -6,8 +6,8 @@
 #include <glm/gtc/quaternion.hpp>
 #include <limits>
 
-#include "prt/prt.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
 #include "shadows/shadows.h"
 #include "tests/support/lights.h"
 

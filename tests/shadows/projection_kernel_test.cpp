@@ -1,6 +1,6 @@
-// Stretches of outlines on the plane, on every kind of processor that this one can be.
-#include "shadows/shadows.h"
+// Stretches of silhouettes on the plane, on every kind of processor that this one can be.
 #include "shadows/silhouette/projection_kernel.h"
+#include "shadows/shadows.h"
 
 #include <gtest/gtest.h>
 #include <hwy/targets.h>
@@ -33,12 +33,12 @@ TEST_P(ProjectionKernel, StretchesCrossTheRowsBetweenTheirEnds) {
   constexpr int kHeight = 64;
   int crossed = 0, level = 0, outside = 0;
   for (int i = 0; i < 2000; ++i) {
-    Stretch s{place(rng), up(rng), place(rng), place(rng), up(rng), place(rng)};
+    SegmentSpan s{place(rng), up(rng), place(rng), place(rng), up(rng), place(rng)};
     if (i % 5 == 0) s.to_z = s.from_z, s.to_y = s.from_y;        // level
     if (i % 5 == 1) s.to_z = s.from_z + .3f, s.to_y = s.from_y;  // a row at most
     Shifts shifts;
     for (std::size_t k = 0; k < kGroup; ++k) shifts.x[k] = shift(rng), shifts.z[k] = shift(rng);
-    Fallen out{};
+    ProjectedEdge out{};
     const std::uint16_t crosses = fall(s, shifts, kHeight, out);
     for (std::size_t k = 0; k < kGroup; ++k) {
       const double z0 = s.from_z + double(s.from_y) * shifts.z[k],

@@ -48,19 +48,19 @@ Rgb sun_power(const Image<Rgb>& map) {
   return {float(sum[0]), float(sum[1]), float(sum[2])};
 }
 
-Rgb irradiance_of(const Image<Rgb>& map, const dvec3& normal, float most) {
+Rgb irradiance_of(const Image<Rgb>& map, const dvec3& normal, float largest) {
   double sum[3] = {};
   for (int y = 0; y < map.height(); ++y)
     for (int x = 0; x < map.width(); ++x) {
       const dvec3 d = latlong_direction(x + .5, y + .5, map.width(), map.height());
       const double w =
           latlong_solid_angle(y, map.width(), map.height()) * std::max(0., glm::dot(normal, d));
-      for (int c = 0; c < 3; ++c) sum[c] += w * double(std::min(map.at(x, y)[c], most));
+      for (int c = 0; c < 3; ++c) sum[c] += w * double(std::min(map.at(x, y)[c], largest));
     }
   return {float(sum[0]), float(sum[1]), float(sum[2])};
 }
 
-Rgb power(const Disc& d) {
+Rgb power(const DistantLight& d) {
   return d.radiance * static_cast<float>(d.solid_angle_sr());
 }
 
@@ -102,9 +102,9 @@ class ClippedSun : public testing::TestWithParam<Scene> {
     for (int c = 0; c < 3; ++c) EXPECT_NEAR(got[c] / truth_[c], 1, .05) << c;
   }
   // Half a percent of noise, as the mean of some hundred pixels has.
-  Rgb seen(const dvec3& normal, const Rgb& albedo, float most) {
+  Rgb seen(const dvec3& normal, const Rgb& albedo, float largest) {
     std::normal_distribution<float> noise(1, .005f);
-    Rgb out = irradiance_of(map_, normal, most) * albedo * static_cast<float>(1 / kPi);
+    Rgb out = irradiance_of(map_, normal, largest) * albedo * static_cast<float>(1 / kPi);
     for (int c = 0; c < 3; ++c) out[c] *= noise(rng_);
     return out;
   }
@@ -123,7 +123,7 @@ TEST_P(ClippedSun, IsLostWithoutAFlagAndFlaggedWithIt) {
   const auto naive = LightEstimator({}).estimate(silent);
   ASSERT_TRUE(naive);
   Rgb kept;
-  for (const Disc& d : naive->discs) {
+  for (const DistantLight& d : naive->lights) {
     kept += power(d);
     EXPECT_FALSE(d.clipped);
   }
@@ -131,7 +131,7 @@ TEST_P(ClippedSun, IsLostWithoutAFlagAndFlaggedWithIt) {
   EXPECT_LT(luminance(irradiance_of(environment_.radiance, kUp, 1e9f)),
             .8 * luminance(irradiance_of(map_, kUp, 1e9f)));
 
-  ASSERT_EQ(std::ranges::count_if(light_.discs, &Disc::clipped), 1);
+  ASSERT_EQ(std::ranges::count_if(light_.lights, &DistantLight::clipped), 1);
   RecordProperty("kept", std::to_string(luminance(kept) / luminance(truth_)));
 }
 
@@ -139,17 +139,17 @@ TEST_P(ClippedSun, TwoGreyPatchesGiveItsEnergyBack) {
   const Rgb grey{.18f, .18f, .18f};
   const dvec3 tilted = glm::normalize(dvec3(.4, .5, -.7));
   for (int trial = 0; trial < 10; ++trial) {
-    const KnownPatch patches[] = {{kUp, seen(kUp, grey, 1e9f), grey},
-                                  {tilted, seen(tilted, grey, 1e9f), grey}};
-    const auto got = complete_from_patches(light_, patches);
+    const ReflectancePatch patches[] = {{kUp, seen(kUp, grey, 1e9f), grey},
+                                        {tilted, seen(tilted, grey, 1e9f), grey}};
+    const auto got = recover_from_patches(light_, patches);
     ASSERT_TRUE(got) << got.error().detail;
     expect_true_sun(got->front().power);
     ASSERT_TRUE(estimator_.complete(got->front()));
     environment_.time = environment_.time + Seconds(.033);
     const auto later = estimator_.estimate(environment_);
     ASSERT_TRUE(later);
-    const auto sun = std::ranges::find_if(later->discs, &Disc::clipped);
-    ASSERT_NE(sun, later->discs.end());
+    const auto sun = std::ranges::find_if(later->lights, &DistantLight::clipped);
+    ASSERT_NE(sun, later->lights.end());
     EXPECT_EQ(sun->radius, kSunRadius);
     expect_true_sun(power(*sun));
   }
@@ -157,8 +157,8 @@ TEST_P(ClippedSun, TwoGreyPatchesGiveItsEnergyBack) {
 
 TEST_P(ClippedSun, AShadowEdgeGivesItsEnergyBack) {
   const Rgb floor{.4f, .31f, .22f};
-  const auto sun = std::ranges::find_if(light_.discs, &Disc::clipped);
-  ASSERT_NE(sun, light_.discs.end());
+  const auto sun = std::ranges::find_if(light_.lights, &DistantLight::clipped);
+  ASSERT_NE(sun, light_.lights.end());
   for (int trial = 0; trial < 10; ++trial) {
     const auto got =
         complete_from_shadow(light_, sun->id, {kUp, seen(kUp, floor, 1e9f), seen(kUp, floor, 2.f)});

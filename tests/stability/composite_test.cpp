@@ -4,16 +4,16 @@
 #include <random>
 #include <set>
 
-#include "runtime/pipeline/governance.h"
-#include "capture/capture.h"
-#include "shadows/shadows.h"
-#include "prt/prt.h"
-#include "lighting/lighting.h"
 #include "calib/calib.h"
-#include "tools/chart/governor_bench.h"
-#include "runtime/shading/compose_stage.h"
+#include "capture/capture.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/shading/composite_stage.h"
+#include "shadows/shadows.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
+#include "tools/chart/governor_bench.h"
 
 namespace penumbra::runtime {
 
@@ -31,7 +31,7 @@ prt::Mesh slab() {
   return prt::make_box({-.3f, 0, -.1f}, {.3f, .5f, .1f}, 8, {.8f, .7f, .6f});
 }
 
-// An object on the floor y = 0 (with a shadow in harmonics), or one that floats (discs alone).
+// An object on the floor y = 0 (with a shadow in harmonics), or one that floats (lights alone).
 PreparedScene scene_of(prt::Mesh mesh, bool receives, Pose pose = {}, double spin_rpm = 0) {
   prt::BakeOptions options;
   options.bands = 5;
@@ -56,8 +56,8 @@ lighting::LightEstimate estimate_of(const Image<Rgb>& map) {
 
 Image<Rgb> sunny_map() {
   Image<Rgb> map = test::sky_over_ground(512, 256);
-  test::add_disc(map, test::direction_at(-.6, .7), kDegree, Rgb{2900, 2800, 2400});
-  test::add_disc(map, test::direction_at(2, .5), 4 * kDegree, {30, 24, 12});
+  test::add_distant_light(map, test::direction_at(-.6, .7), kDegree, Rgb{2900, 2800, 2400});
+  test::add_distant_light(map, test::direction_at(2, .5), 4 * kDegree, {30, 24, 12});
   return map;
 }
 
@@ -81,10 +81,10 @@ class Composite : public testing::Test {
     camera.projection = {
         calib::ProjectionKind::kPinhole, kWidth, kHeight, {150, 150}, {80.5, 59.25}};
     camera.response = calib::Response::srgb();
-    curve8_ = capture::make_code_curve(camera.response, 8, 0);
-    curve16_ = capture::make_code_curve(camera.response, 16, 0);
-    auto made =
-        ComposeStage::create({camera}, scene_, compositor::Compositor::Surface::kOffscreen, times_);
+    curve8_ = capture::make_response_table(camera.response, 8, 0);
+    curve16_ = capture::make_response_table(camera.response, 16, 0);
+    auto made = CompositeStage::create({camera}, scene_,
+                                       compositor::Compositor::Surface::kOffscreen, times_);
     if (!made && made.error().code == ErrorCode::kUnavailable)
       GTEST_SKIP() << "no OpenGL ES 3.1 here: " << made.error().detail;
     ASSERT_TRUE(made) << made.error().detail;
@@ -121,8 +121,8 @@ class Composite : public testing::Test {
   PreparedScene scene_;
   Pose eye_ = capture::look_at({.5, 1.3, 2.2}, {0, .15, 0});
   StageTimes times_;
-  std::optional<CodeCurve> curve8_, curve16_;
-  std::unique_ptr<ComposeStage> stage_;
+  std::optional<ResponseTable> curve8_, curve16_;
+  std::unique_ptr<CompositeStage> stage_;
 };
 
 // Stands the scene up; leaves the test when that was skipped or failed.
@@ -137,7 +137,7 @@ TEST_F(Composite, ShadowOfAColouredSunHasTheHueOfTheSky) {
   const dvec3 sky = test::exact_irradiance(map, kUp);
   const Rgb radiance{46000, 30000, 14000};
   const dvec3 by_sun =
-      test::add_disc(map, test::direction_at(-.6, .8), kSunRadius, radiance).vector.y *
+      test::add_distant_light(map, test::direction_at(-.6, .8), kSunRadius, radiance).vector.y *
       dvec3(radiance.r, radiance.g, radiance.b);
   const dvec3 lit = sky + by_sun;
   const double naive = test::luminance_of(sky) / test::luminance_of(lit);
@@ -151,14 +151,14 @@ TEST_F(Composite, ShadowOfAColouredSunHasTheHueOfTheSky) {
       {{1, 0, 0, 0}, {std::sin(-.6) * 1.6 / std::tan(.8), 0, -std::cos(.6) * 1.6 / std::tan(.8)}}));
   const Image<Rgb> out = composited_floats(light);
   Rgb darkest = kWhite;
-  double least_colour = 1;
+  double min_colour = 1;
   for (const Rgb& s : out.pixels()) {
     if (luminance(s) < luminance(darkest)) darkest = s;
     // Penumbra: lit and shadowed mixed, so the three ratios lie on one line.
     const double t = (1 - s.g) / (1 - sky.y / lit.y);
     for (int c = 0; c < 3; ++c)
       EXPECT_NEAR(s[c], 1 - t * (1 - sky[c] / lit[c]), .01 * std::max(.1f, s[c]));
-    least_colour = std::min<double>(least_colour, s.r / s.b);
+    min_colour = std::min<double>(min_colour, s.r / s.b);
   }
   for (int c = 0; c < 3; ++c) {
     EXPECT_NEAR(darkest[c] / (sky[c] / lit[c]), 1, .01) << "channel " << c;
@@ -178,15 +178,15 @@ TEST(NoLight, MakesNeitherNanNorShadow) {
   for (const float scale : {0.f, 1e-44f, 1e-41f, 1e-38f, 1e-30f, 1e-12f}) {
     const auto light = lighting::estimate_map(dimmed(bright, scale), {});
     ASSERT_TRUE(light) << scale;
-    for (const RadianceSh* l : {&light->light, &light->floor_light})
+    for (const RadianceSh* l : {&light->light, &light->upper_hemisphere_light})
       for (const Rgb& c : l->terms()) ASSERT_TRUE(is_finite(c)) << scale;
-    for (const lighting::Disc& d : light->discs) {
+    for (const lighting::DistantLight& d : light->lights) {
       ASSERT_TRUE(is_finite(d.radiance)) << scale;
       ASSERT_NEAR(glm::length(d.direction), 1, 1e-6) << scale;
       ASSERT_TRUE(d.radius.value() >= 0 && d.radius.value() <= kPi) << scale;
     }
     if (scale == 0) {
-      EXPECT_TRUE(light->discs.empty());
+      EXPECT_TRUE(light->lights.empty());
     }
     const Rgb open = open_irradiance(*light, kUp);
     ASSERT_TRUE(is_finite(open)) << scale;
@@ -194,17 +194,16 @@ TEST(NoLight, MakesNeitherNanNorShadow) {
     if (scale == 0) {
       EXPECT_TRUE(std::isnan((open.g - 0) / open.g));
     }
-    auto stage = DiscStage::create(scene, {});
+    auto stage = DirectLightStage::create(scene, {});
     ASSERT_TRUE(stage) << stage.error().detail;
-    stage->update(light->discs, kPi * luminance(light->mean_radiance), Surroundings(scene));
-    std::vector<compositor::DiscShadowOnPlane> on_planes;
+    stage->update(light->lights, kPi * luminance(light->mean_radiance), OcclusionProbes(scene));
+    std::vector<compositor::ShadowMapOnPlane> on_planes;
     stage->shadows(std::vector<Rgb>{open}, on_planes);
     for (const auto& shadow : on_planes)
-      for (int c = 0; c < 3; ++c)
-        ASSERT_TRUE(shadow.share[c] >= 0 && shadow.share[c] <= 1) << scale;
-    shadows::ReceiverLight on_floor(light->floor_light);
-    for (const lighting::Disc& d : light->discs)
-      on_floor.disc_irradiance += lighting::irradiance(d, kUp);
+      for (int c = 0; c < 3; ++c) ASSERT_TRUE(shadow.part[c] >= 0 && shadow.part[c] <= 1) << scale;
+    shadows::ReceiverLight on_floor(light->upper_hemisphere_light);
+    for (const lighting::DistantLight& d : light->lights)
+      on_floor.distant_irradiance += lighting::irradiance(d, kUp);
     shadows::PlanarShadow shadow;
     ASSERT_TRUE(shadows::compose_planar_shadow(scene.objects[0].baked, on_floor, shadow));
     for (const Rgb& s : shadow.ratio.pixels())
@@ -245,7 +244,7 @@ TEST_F(Composite, BlackStaysBlackAndBlownOutStaysInRange) {
   const std::vector<bool> open = open_pixels();
   // A low sun that the slab throws back onto the floor before it: ratios above one.
   Image<Rgb> map = test::sky_over_ground(512, 256, {.1f, .12f, .2f}, {.02f, .02f, .02f});
-  test::add_disc(map, test::direction_at(2.3, .35), kDegree, {3000, 3000, 3000});
+  test::add_distant_light(map, test::direction_at(2.3, .35), kDegree, {3000, 3000, 3000});
   const auto light = estimate_of(map);
   const Image<Rgb> ratio = composited_floats(light);
   const auto run = [&](std::uint8_t code) {
@@ -315,7 +314,7 @@ class BlownOutFloor : public Composite {
   }
 
   std::vector<bool> open_;
-  float known_ = 1;  // share of the floor's light that is counted on
+  float known_ = 1;  // fraction of the floor's light that is counted on
 };
 
 TEST_F(BlownOutFloor, ShadowStartsFromWhatTheFloorReallySends) {
@@ -344,8 +343,8 @@ TEST_F(BlownOutFloor, IsAtFullScaleWhereItsLightIsNotKnown) {
 TEST_F(BlownOutFloor, CountsOnTheDarkestCornerOfTheLens) {
   vignetting_ = {-.3, 0, 0};
   PENUMBRA_STAND(scene_of(slab(), true));
-  const calib::Projection& p = camera_.projection;
-  known_ = float(calib::least_share(calib::vignetting_of(p, vignetting_), p));
+  const calib::CameraModel& p = camera_.projection;
+  known_ = float(calib::min_fraction(calib::vignetting_of(p, vignetting_), p));
   EXPECT_NEAR(known_, .7, .02);
   open_ = open_pixels();
   EXPECT_GT(look(2.5).brighter, 300);
@@ -384,7 +383,7 @@ TEST_F(Composite, ShadowRatioDoesNotFollowTheExposureOfTheFeed) {
   // The same floor at two exposures, in 8 and 16 bits; the frame says which was applied.
   constexpr double kExposure = .01;
   const auto radiance = [](int x, int y) { return 30 + .2f * float(x) + .1f * float(y); };
-  const auto shot = [&](auto pixel, const CodeCurve& curve, double exposure) {
+  const auto shot = [&](auto pixel, const ResponseTable& curve, double exposure) {
     Image<decltype(pixel)> frame(kWidth, kHeight);
     using Code = decltype(pixel.r);
     for (int y = 0; y < kHeight; ++y)
@@ -396,7 +395,7 @@ TEST_F(Composite, ShadowRatioDoesNotFollowTheExposureOfTheFeed) {
       }
     return frame;
   };
-  const auto check = [&](auto pixel, const CodeCurve& curve) {
+  const auto check = [&](auto pixel, const ResponseTable& curve) {
     using Frame = Image<decltype(pixel)>;
     const Frame full = shot(pixel, curve, kExposure), half = shot(pixel, curve, kExposure / 2);
     const auto full_out = std::get<Frame>(composited(full, light, 0, kExposure)),
@@ -476,13 +475,13 @@ double rms_difference(const Image<Rgb>& a, const Image<Rgb>& b) {
 
 TEST_F(Composite, YawOfAWholeTurnCloses) {
   constexpr double kRpm = 10;  // a turn in six seconds
-  for (const int most_discs : {8, 0}) {
+  for (const int max_lights : {8, 0}) {
     PENUMBRA_STAND(scene_of(slab(), true, {}, kRpm));
     lighting::EstimateOptions options;
-    options.discs.most = most_discs;
+    options.lights.max_count = max_lights;
     const auto light = lighting::estimate_map(sunny_map(), options);
     ASSERT_TRUE(light);
-    ASSERT_EQ(light->discs.empty(), most_discs == 0);
+    ASSERT_EQ(light->lights.empty(), max_lights == 0);
     const Image<Rgb> first = composited_floats(*light, 0);
     double moved = 0;
     for (int step = 1; step < 48; ++step)
@@ -491,7 +490,7 @@ TEST_F(Composite, YawOfAWholeTurnCloses) {
     // Naive: what is kept from the last pose that was drawn.
     const double naive = largest_difference(composited_floats(*light, 6 * 47. / 48), first);
     std::printf("%d discs at most: a turn closes to %.1e, moved %.2f on the way, naive %.2f\n",
-                most_discs, closed, moved, naive);
+                max_lights, closed, moved, naive);
     EXPECT_LE(closed, 1e-3);
     EXPECT_GT(moved, .1);
     EXPECT_GT(naive, 1e-3);
@@ -546,10 +545,10 @@ TEST_F(Composite, TenMinutesOfOneSceneStandStill) {
   constexpr int kMaps = 1000;
   constexpr float kNoise = .03f;
   Image<Rgb> scene = test::sky_over_ground(128, 64);
-  test::add_disc(scene, test::direction_at(.5, .8), 6 * kDegree, {90, 85, 70});
-  test::add_disc(scene, test::direction_at(-2, .4), 4 * kDegree, {90, 85, 70});
+  test::add_distant_light(scene, test::direction_at(.5, .8), 6 * kDegree, {90, 85, 70});
+  test::add_distant_light(scene, test::direction_at(-2, .4), 4 * kDegree, {90, 85, 70});
   lighting::LightEstimator estimator({});
-  estimator.govern({{}, {}, shadow_probes(scene_)});
+  estimator.set_governor({{}, {}, shadow_probes(scene_)});
   const std::vector<bool> open = open_pixels();
   std::mt19937 random(7);
   std::normal_distribution<float> gauss(1, kNoise);
@@ -567,7 +566,7 @@ TEST_F(Composite, TenMinutesOfOneSceneStandStill) {
     const auto light = estimator.estimate(
         test::environment_at(std::move(map), std::int64_t{600'000'000'000} / kMaps * i));
     ASSERT_TRUE(light && light->plan);
-    plans.emplace(light->plan->bands, light->plan->discs);
+    plans.emplace(light->plan->bands, light->plan->lights);
     const Image<Rgb> picture = composited_floats(*light, .6 * i);
     if (i == 0) {
       before = picture;

@@ -47,10 +47,10 @@ struct Added {
   glm::dvec3 vector{0};  // integral of the direction: irradiance of a surface that faces all of it
 };
 
-/// Adds what `kept` lets through of an even disc, every pixel by the share that is covered.
+/// Adds what `kept` lets through of an even light, every pixel by the fraction that is covered.
 template <class Kept>
-Added add_disc(Image<Rgb>& map, const glm::dvec3& centre, double radius_rad, Rgb radiance,
-               Kept kept) {
+Added add_distant_light(Image<Rgb>& map, const glm::dvec3& centre, double radius_rad, Rgb radiance,
+                        Kept kept) {
   constexpr int kSamples = 16;  // of a pixel, along each axis
   const int w = map.width(), h = map.height();
   const double polar = std::acos(std::clamp(centre.y, -1., 1.)),
@@ -71,17 +71,19 @@ Added add_disc(Image<Rgb>& map, const glm::dvec3& centre, double radius_rad, Rgb
               latlong_direction(x + (i + .5) / across, y + (j + .5) / kSamples, w, h);
           covered += glm::length(d - centre) < chord && kept(d);
         }
-      const double share = double(covered) / (across * kSamples);
-      map.at(x, y) += radiance * static_cast<float>(share);
-      const double part = share * latlong_solid_angle(y, w, h);
+      const double fraction = double(covered) / (across * kSamples);
+      map.at(x, y) += radiance * static_cast<float>(fraction);
+      const double part = fraction * latlong_solid_angle(y, w, h);
       sum.solid_angle += part;
       sum.vector += part * latlong_direction(x + .5, y + .5, w, h);
     }
   }
   return sum;
 }
-inline Added add_disc(Image<Rgb>& map, const glm::dvec3& centre, double radius_rad, Rgb radiance) {
-  return add_disc(map, centre, radius_rad, radiance, [](const glm::dvec3&) { return true; });
+inline Added add_distant_light(Image<Rgb>& map, const glm::dvec3& centre, double radius_rad,
+                               Rgb radiance) {
+  return add_distant_light(map, centre, radius_rad, radiance,
+                           [](const glm::dvec3&) { return true; });
 }
 
 /// Integral over the sphere, channel by channel.
@@ -94,7 +96,7 @@ inline glm::dvec3 energy(const Image<Rgb>& map) {
   }
   return sum;
 }
-inline glm::dvec3 energy(const lighting::Disc& d) {
+inline glm::dvec3 energy(const lighting::DistantLight& d) {
   return d.solid_angle_sr() * glm::dvec3(d.radiance.r, d.radiance.g, d.radiance.b);
 }
 

@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "capture/capture.h"
-#include "prt/prt.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
 #include "tools/common/still.h"
 
 namespace penumbra::runtime {
@@ -39,12 +39,12 @@ struct OddScene {
     RadianceSh sky(5);
     sky[0] = {3, 3, 3};
     sky[1] = {1, 1, 1};
-    light.light = light.floor_light = sky;
+    light.light = light.upper_hemisphere_light = sky;
     light.mean_radiance = {.85f, .85f, .85f};
-    light.discs.push_back(sun({.5, .7, .4}));
+    light.lights.push_back(sun({.5, .7, .4}));
   }
-  static lighting::Disc sun(const dvec3& towards) {
-    lighting::Disc d;
+  static lighting::DistantLight sun(const dvec3& towards) {
+    lighting::DistantLight d;
     d.id = 1;
     d.direction = glm::normalize(towards);
     d.radius = Radians(.01);
@@ -72,12 +72,12 @@ struct Seen {
 std::optional<Seen> look(const OddScene& s) {
   const Still real = picture();
   const Image<Rgb> none;
-  auto stage = make_still_stage(s.scene, s.view, {});
-  if (!stage) {
+  auto pipeline = make_still_pipeline(s.scene, s.view, {});
+  if (!pipeline) {
     EXPECT_EQ(stage.error().code, ErrorCode::kUnavailable) << stage.error().detail;
     return std::nullopt;
   }
-  auto still = composite_still(**stage, s.view, s.light, real);
+  auto still = composite_still(*pipeline, s.view, s.light, real);
   EXPECT_TRUE(still) << still.error().detail;
   if (!still) return std::nullopt;
   Seen out{std::move(still->radiance), 0};
@@ -105,8 +105,8 @@ TEST(OddScene, ReceiverEdgeOn) {
   LOOK(seen, s);
   EXPECT_GT(seen->changed, 100u) << "the object stands up from the edge";
   s.view.world_from_camera = looking({0, 1e-7, 2}, {0, 1e-7, 0});
-  LOOK(above, s);
-  EXPECT_GT(above->changed, 100u);
+  LOOK(upper_moments, s);
+  EXPECT_GT(upper_moments->changed, 100u);
 }
 
 TEST(OddScene, CameraUnderTheFloorSeesNoShadow) {
@@ -114,7 +114,7 @@ TEST(OddScene, CameraUnderTheFloorSeesNoShadow) {
   s.view.world_from_camera = looking({.3, -1, 2}, {0, -.2, 0});
   LOOK(seen, s);
   OddScene without = s;
-  without.light.discs.clear();
+  without.light.lights.clear();
   LOOK(dim, without);
   // The sphere may show; the floor's underside must not darken.
   for (int x = 0; x < kWidth; ++x)
@@ -150,36 +150,36 @@ TEST(OddScene, CameraInsideTheObject) {
   LOOK(seen, s);
 }
 
-TEST(OddScene, DiscAtTheNadirLightsNoFloor) {
+TEST(OddScene, LightAtTheNadirLightsNoFloor) {
   OddScene s;
-  s.light.discs[0] = OddScene::sun({0, -1, 0});
+  s.light.lights[0] = OddScene::sun({0, -1, 0});
   OddScene without = s;
-  without.light.discs.clear();
-  LOOK(with_disc, s);
+  without.light.lights.clear();
+  LOOK(with_distant_light, s);
   LOOK(none, without);
   double worst = 0;
   for (std::size_t i = 0; i < none->pixels.area(); ++i)
-    worst = std::max(worst, double(std::abs(luminance(with_disc->pixels.pixels()[i]) -
+    worst = std::max(worst, double(std::abs(luminance(with_distant_light->pixels.pixels()[i]) -
                                             luminance(none->pixels.pixels()[i]))));
   EXPECT_LT(worst, 2e-3) << "the floor stands between";
 }
 
-TEST(OddScene, DiscOnTheHorizonAndAtTheZenith) {
+TEST(OddScene, LightOnTheHorizonAndAtTheZenith) {
   for (const dvec3 towards :
        {dvec3(1, 0, 0), dvec3(1, 1e-9, 0), dvec3(1, 1e-3, 0), dvec3(0, 1, 0), dvec3(1e-12, 1, 0)}) {
     OddScene s;
-    s.light.discs[0] = OddScene::sun(towards);
+    s.light.lights[0] = OddScene::sun(towards);
     LOOK(seen, s);
     EXPECT_GT(seen->changed, 500u);
   }
 }
 
-TEST(OddScene, DiscsWithoutSizeOrPower) {
+TEST(OddScene, LightsWithoutSizeOrPower) {
   OddScene s;
-  s.light.discs[0].radius = Radians(0);
+  s.light.lights[0].radius = Radians(0);
   LOOK(point, s);
-  s.light.discs[0].radius = Radians(.01);
-  s.light.discs[0].radiance = {};
+  s.light.lights[0].radius = Radians(.01);
+  s.light.lights[0].radiance = {};
   LOOK(dark, s);
 }
 
@@ -209,7 +209,7 @@ TEST(OddScene, EnvironmentsThatAreNoLight) {
   Image<Rgb> map(64, 32);
   const auto black = lighting::estimate_map(map, {});
   ASSERT_TRUE(black) << "darkness is a light";
-  EXPECT_TRUE(black->discs.empty());
+  EXPECT_TRUE(black->lights.empty());
   OddScene s;
   s.light = *black;
   LOOK(dark, s);

@@ -1,14 +1,14 @@
-// Shadows of discs against closed forms: penumbrae of a lifted object, colours of lit and shadowed
+// Shadows of lights against closed forms: penumbrae of a lifted object, colours of lit and shadowed
 // floor.
 #include <gtest/gtest.h>
 
-#include "shadows/shadows.h"
-#include "prt/prt.h"
 #include "lighting/lighting.h"
-#include "runtime/shading/disc_stage.h"
-#include "runtime/shading/compose_stage.h"
+#include "prt/prt.h"
+#include "runtime/shading/composite_stage.h"
+#include "runtime/shading/direct_light_stage.h"
+#include "shadows/shadows.h"
 #include "tests/stability/maps.h"
-#include "tests/stability/taken.h"
+#include "tests/stability/occlusion.h"
 
 namespace penumbra::shadows {
 namespace {
@@ -28,12 +28,12 @@ prt::Mesh plate(double height, double size, double yaw) {
 }
 
 // Where the taken share first reaches a level, going into the shadow.
-template <class Share>
-double crossing(Share share, double level, double from, double to) {
+template <class Fraction>
+double crossing(Fraction fraction, double level, double from, double to) {
   constexpr int kSteps = 4000;
-  double last = share(from);
+  double last = fraction(from);
   for (int i = 1; i <= kSteps; ++i) {
-    const double x = from + (to - from) * i / kSteps, here = share(x);
+    const double x = from + (to - from) * i / kSteps, here = fraction(x);
     if (here >= level)
       return x - (to - from) / kSteps * (here > last ? (here - level) / (here - last) : 0);
     last = here;
@@ -41,8 +41,8 @@ double crossing(Share share, double level, double from, double to) {
   return NAN;
 }
 
-// Share of an even disc on one side of a straight line at distance u radii from its centre.
-double disc_edge(double u) {
+// Share of an even light on one side of a straight line at distance u radii from its centre.
+double source_edge(double u) {
   u = std::clamp(u, -1., 1.);
   return .5 + (u * std::sqrt(1 - u * u) + std::asin(u)) / kPi;
 }
@@ -90,9 +90,9 @@ class LiftedObject : public testing::TestWithParam<Case> {};
 TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
   const auto [name, radius, yaw] = GetParam();
   // Share of the whole penumbra, which is 2 h tan a, between 10 % and 90 % of the light.
-  const double share = crossing(disc_edge, .9, -1, 1), tangent = std::tan(radius);
-  EXPECT_NEAR(2 * share, 1.37, .01) << "of h tan a, methods 6";
-  lighting::Disc light;
+  const double fraction = crossing(source_edge, .9, -1, 1), tangent = std::tan(radius);
+  EXPECT_NEAR(2 * fraction, 1.37, .01) << "of h tan a, methods 6";
+  lighting::DistantLight light;
   light.direction = {0, 1, 0};
   light.radius = Radians(radius);
   light.radiance = {1, 1, 1};
@@ -104,13 +104,13 @@ TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
   int compared = 0;
   for (double height = 0; height <= 2.0001; height += height < .1 ? .02 : .1) {
     const prt::Mesh mesh = plate(height, size, yaw);
-    const Outline outline(mesh);
-    const Caster caster{&mesh, &outline, {}};
-    DiscShadow shadow;
-    draw_disc_shadow({{&caster, 1}, {}, 1e-5f}, kFloor, light, {}, shadow);
+    const SilhouetteMesh silhouette(mesh);
+    const Caster caster{&mesh, &silhouette, {}};
+    ShadowMap shadow;
+    render_shadow_map({{&caster, 1}, {}, 1e-5f}, kFloor, light, {}, shadow);
     ASSERT_FALSE(shadow.empty()) << height;
     for (const float t : shadow.taken.pixels()) ASSERT_TRUE(t >= 0 && t <= 1.0001f) << height;
-    const double expected = 2 * height * tangent * share, cell = shadow.cell_m;
+    const double expected = 2 * height * tangent * fraction, cell = shadow.cell_m;
     for (int line = 0; line < 3; ++line) {
       const dvec3 start = (line - 1) * .1 * size * aside;
       const auto taken = [&](double x) { return test::taken_at(shadow, start + x * along); };
@@ -137,7 +137,7 @@ TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
       "%s: width off by %.1f %% (at %.2f m), near contact by %.1f cells, middle by %.1f %% of it, "
       "falls by %.1f %%; naive %.2f h for %.4f h\n",
       name, 100 * worst, worst_height, finest, 100 * middle_off, 100 * fall, naive_width,
-      2 * tangent * share);
+      2 * tangent * fraction);
   EXPECT_GE(compared, 30);
   EXPECT_LE(worst, .15);
   EXPECT_LE(finest, 2);
@@ -145,7 +145,7 @@ TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
   // One of 16 rays is 6 % of the light, and where the edge is faint that is up to a tenth of its
   // width.
   EXPECT_LE(fall, .1) << "the penumbra narrows while the object is lifted";
-  EXPECT_GT(naive_width / (2 * tangent * share), 1.15) << "harmonics would do";
+  EXPECT_GT(naive_width / (2 * tangent * fraction), 1.15) << "harmonics would do";
 }
 
 INSTANTIATE_TEST_SUITE_P(

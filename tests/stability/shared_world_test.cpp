@@ -5,13 +5,13 @@
 #include <cmath>
 
 #include "capture/capture.h"
-#include "prt/prt.h"
 #include "core/conventions.h"
 #include "lighting/lighting.h"
-#include "tools/chart/accuracy.h"
+#include "prt/prt.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"
+#include "tools/chart/accuracy.h"
 
 namespace penumbra::runtime {
 
@@ -41,12 +41,12 @@ Still grey_picture() {
 
 std::optional<Image<Rgb>> composited(const PreparedScene& scene,
                                      const lighting::LightEstimate& light) {
-  auto stage = make_still_stage(scene, kView, {});
-  if (!stage) {
+  auto pipeline = make_still_pipeline(scene, kView, {});
+  if (!pipeline) {
     EXPECT_EQ(stage.error().code, ErrorCode::kUnavailable) << stage.error().detail;
     return std::nullopt;
   }
-  auto still = composite_still(**stage, kView, light, grey_picture());
+  auto still = composite_still(*pipeline, kView, light, grey_picture());
   EXPECT_TRUE(still) << still.error().detail;
   return still ? std::optional(std::move(still->radiance)) : std::nullopt;
 }

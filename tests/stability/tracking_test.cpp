@@ -4,7 +4,7 @@
 #include <set>
 
 #include "lighting/lighting.h"
-#include "runtime/shading/compose_stage.h"
+#include "runtime/shading/composite_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
 
@@ -21,15 +21,15 @@ double floor_luminance(const RadianceSh& light, const dvec3& normal) {
 }
 
 // The part of the open floor's light that things can take in a sharp shadow.
-double shadow_share(const LightEstimate& e) {
-  Rgb discs;
-  for (const Disc& d : e.discs) discs += irradiance(d, kUp);
-  return luminance(discs) / luminance(runtime::open_irradiance(e, kUp));
+double shadow_fraction(const LightEstimate& e) {
+  Rgb lights;
+  for (const DistantLight& d : e.lights) lights += irradiance(d, kUp);
+  return luminance(lights) / luminance(runtime::open_irradiance(e, kUp));
 }
 
 std::set<int> ids_of(const LightEstimate& e) {
   std::set<int> ids;
-  for (const Disc& d : e.discs) ids.insert(d.id);
+  for (const DistantLight& d : e.lights) ids.insert(d.id);
   return ids;
 }
 
@@ -46,7 +46,7 @@ void PrintTo(const Bar& b, std::ostream* out) {
 
 // What went wrong once in bar_of_one_pixel: where a source parts, its new half starts without sharpness; where
 // halves join, the whole takes the sharpness of the nearest half; and every half gets a new id. The
-// bars that hide a source fail by the second disc of SunCrossing alone.
+// bars that hide a source fail by the second light of SunCrossing alone.
 class WindowFrame : public testing::TestWithParam<Bar> {};
 
 // Naive: whatever is brighter than half of the brightest pixel is the light.
@@ -75,14 +75,14 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
   LightEstimator estimator({});
   LatLongProjector projector(kWidth, kHeight, 5);
   std::set<int> ids;
-  double last_truth = 0, last_share = 0, last_naive = 0;
+  double last_truth = 0, last_fraction = 0, last_naive = 0;
   double jump = 0, naive_jump = 0, naive_error = 0, irradiance_error = 0;
-  DiscSplit split;
+  LightExtraction split;
   for (int step = 0; step <= kSteps; ++step) {
     const double reach = 1.1 * (radius + half_bar),
                  bar = reach * (2. * step / kSteps - 1);  // angle of its middle from the sun's
     Image<Rgb> map = sky;
-    const auto added = test::add_disc(map, sun, radius, radiance, [&](const dvec3& d) {
+    const auto added = test::add_distant_light(map, sun, radius, radiance, [&](const dvec3& d) {
       return std::abs(glm::dot(d, across) - bar) > half_bar;
     });
     const double by_sun = luminance(radiance) * added.vector.y, all = by_sun + sky_on_floor;
@@ -96,7 +96,7 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
       irradiance_error = std::max(irradiance_error, std::abs(floor_luminance(whole_light(*e), n) -
                                                              floor_luminance(projected->light, n)) /
                                                         mean);
-    const double truth = by_sun / all, share = shadow_share(*e),
+    const double truth = by_sun / all, fraction = shadow_fraction(*e),
                  naive = brightest_on_floor(map) / all;
     // Any change between nothing and the energy's own is explained by the energy.
     const auto unexplained = [&](double change) {
@@ -104,14 +104,14 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
       return std::max({0., change - std::max(own, 0.), std::min(own, 0.) - change});
     };
     if (step > 0) {
-      jump = std::max(jump, unexplained(share - last_share));
+      jump = std::max(jump, unexplained(fraction - last_fraction));
       naive_jump = std::max(naive_jump, unexplained(naive - last_naive));
     }
     // Naive: the strongest region of every map is the light, and what is beside it is ambient.
-    ASSERT_TRUE(split_discs(map, {}, split));
-    const double strongest = split.discs.empty() ? 0 : luminance(irradiance(split.discs[0], kUp));
+    ASSERT_TRUE(extract_lights(map, {}, split));
+    const double strongest = split.lights.empty() ? 0 : luminance(irradiance(split.lights[0], kUp));
     naive_error = std::max(naive_error, std::abs(strongest / all - truth));
-    last_truth = truth, last_share = share, last_naive = naive;
+    last_truth = truth, last_fraction = fraction, last_naive = naive;
   }
   std::printf(
       "%s: jump %.1f %%, %zu ids, irradiance off by %.2f %%; naive: jump %.1f %%, share off by "
@@ -139,10 +139,10 @@ constexpr dvec3 kLampPlace = {.6, .64, -.48};
 TEST(Tracking, SwitchedLampIsFollowedAtOnceAndOnlyItsSharpnessFades) {
   constexpr int kWidth = 256, kHeight = 128, kOn = 9, kOff = 24, kEnd = 30;
   Image<Rgb> off = test::sky_over_ground(kWidth, kHeight);
-  test::add_disc(off, test::direction_at(-1.2, .5), 4 * kDegree, {60, 80, 90});
+  test::add_distant_light(off, test::direction_at(-1.2, .5), 4 * kDegree, {60, 80, 90});
   Image<Rgb> on = off;
   const Rgb lamp{90, 70, 40};
-  const double lamp_sr = test::add_disc(on, kLampPlace, 3 * kDegree, lamp).solid_angle;
+  const double lamp_sr = test::add_distant_light(on, kLampPlace, 3 * kDegree, lamp).solid_angle;
   const dvec3 energy_off = test::energy(off), energy_on = test::energy(on);
   LightEstimator estimator({});
   dvec3 naive = energy_off;  // smoothed over the time of the fade
@@ -164,8 +164,8 @@ TEST(Tracking, SwitchedLampIsFollowedAtOnceAndOnlyItsSharpnessFades) {
     if (i == kOn || i == kOff) {
       EXPECT_GT(std::abs(naive.x - all.x) / (energy_on.x - energy_off.x), .5) << "naive lag";
     }
-    double weight = 0;  // of the lamp's energy that is a disc
-    for (const Disc& d : e->discs) {
+    double weight = 0;  // of the lamp's energy that is a light
+    for (const DistantLight& d : e->lights) {
       if (test::angle_between(d.direction, kLampPlace) < 3 * kDegree) {
         weight += test::energy(d).y / (lamp.g * lamp_sr);
         ids.insert(d.id);
@@ -184,7 +184,7 @@ TEST(Tracking, SwitchedLampIsFollowedAtOnceAndOnlyItsSharpnessFades) {
   EXPECT_EQ(ids.size(), 1U);
 }
 
-// The naive form: half of the energy of a source that just reaches the level is a disc, and all of it
+// The naive form: half of the energy of a source that just reaches the level is a light, and all of it
 // is gone in the next map when the source falls below.
 TEST(Tracking, WindowThatDimsSlowlyDoesNotLoseItsShadowAtOnce) {
   constexpr int kWidth = 256, kHeight = 128;
@@ -195,7 +195,7 @@ TEST(Tracking, WindowThatDimsSlowlyDoesNotLoseItsShadowAtOnce) {
   for (int i = 0; i < 300; ++i) {
     const float radiance = 4 - .01f * static_cast<float>(i);
     Image<Rgb> map = room;
-    test::add_disc(map, place, 20 * kDegree, Rgb{1, 1, 1} * (radiance - .3f));
+    test::add_distant_light(map, place, 20 * kDegree, Rgb{1, 1, 1} * (radiance - .3f));
     const double floor = test::exact_irradiance(map, kUp).y;
     // Naive: a source is what is brighter than six times the mean of the rest, and all of it.
     const double above_level =
@@ -203,13 +203,13 @@ TEST(Tracking, WindowThatDimsSlowlyDoesNotLoseItsShadowAtOnce) {
                            : 0;
     const auto e = estimator.estimate(test::environment_at(std::move(map), i * kMapNs));
     ASSERT_TRUE(e);
-    const double share = shadow_share(*e);
-    if (i == 0) first = share;
+    const double fraction = shadow_fraction(*e);
+    if (i == 0) first = fraction;
     if (i > 0) {
-      jump = std::max(jump, std::abs(share - last));
+      jump = std::max(jump, std::abs(fraction - last));
       naive_jump = std::max(naive_jump, std::abs(above_level - last_above_level));
     }
-    last = share, last_above_level = above_level;
+    last = fraction, last_above_level = above_level;
   }
   std::printf("window: share %.2f at first, jump %.1f %%, naive %.1f %%\n", first, 100 * jump,
               100 * naive_jump);
@@ -240,19 +240,20 @@ TEST(Tracking, JitterOfPlaceBrightnessAndPixelsKeepsTheIds) {
     for (const dvec3& place : places) {
       const dvec3 jittered =
           glm::normalize(place + .3 * kDegree * dvec3(gauss(rng), gauss(rng), gauss(rng)));
-      test::add_disc(map, jittered, 1.2 * kDegree,
-                     Rgb{900, 900, 900} * static_cast<float>(1 + .1 * std::sin(1.7 * gauss(rng))));
+      test::add_distant_light(
+          map, jittered, 1.2 * kDegree,
+          Rgb{900, 900, 900} * static_cast<float>(1 + .1 * std::sin(1.7 * gauss(rng))));
     }
     add_noise(map, .05, rng);
     const auto e = estimator.estimate(test::environment_at(std::move(map), i * kMapNs));
     ASSERT_TRUE(e);
-    ASSERT_EQ(e->discs.size(), 2U) << i;
+    ASSERT_EQ(e->lights.size(), 2U) << i;
     for (std::size_t k = 0; k < 2; ++k) {
       const int place =
-          glm::dot(e->discs[k].direction, places[1]) > glm::dot(e->discs[k].direction, places[0]);
-      if (i == 0) id_of[place] = e->discs[k].id;
-      ASSERT_EQ(e->discs[k].id, id_of[place]) << i;
-      naive_swaps += e->discs[k].id != id_of[k];  // naive: the first is the strongest
+          glm::dot(e->lights[k].direction, places[1]) > glm::dot(e->lights[k].direction, places[0]);
+      if (i == 0) id_of[place] = e->lights[k].id;
+      ASSERT_EQ(e->lights[k].id, id_of[place]) << i;
+      naive_swaps += e->lights[k].id != id_of[k];  // naive: the first is the strongest
     }
   }
   EXPECT_NE(id_of[0], id_of[1]);
@@ -282,17 +283,17 @@ TEST_P(TwoSources, ThatApproachAndPartKeepTheirIds) {
     const dvec3 places[] = {test::direction_at(side, lift), test::direction_at(-side, -lift)};
     Image<Rgb> map = sky;
     const auto brighter = static_cast<float>(1 + .2 * std::sin(.9 * i));
-    test::add_disc(map, places[0], 1.2 * kDegree, Rgb{900, 900, 900} * brighter);
-    test::add_disc(map, places[1], 1.2 * kDegree, {900, 900, 900});
+    test::add_distant_light(map, places[0], 1.2 * kDegree, Rgb{900, 900, 900} * brighter);
+    test::add_distant_light(map, places[1], 1.2 * kDegree, {900, 900, 900});
     const auto e = estimator.estimate(test::environment_at(std::move(map), i * kMapNs));
     ASSERT_TRUE(e);
-    ASSERT_EQ(e->discs.size(), 2U) << i;
+    ASSERT_EQ(e->lights.size(), 2U) << i;
     for (std::size_t k = 0; k < 2; ++k) {
       const int place =
-          glm::dot(e->discs[k].direction, places[1]) > glm::dot(e->discs[k].direction, places[0]);
-      if (i == 0) id_of[place] = e->discs[k].id;
-      ASSERT_EQ(e->discs[k].id, id_of[place]) << i;
-      naive_swaps += e->discs[k].id != id_of[k];
+          glm::dot(e->lights[k].direction, places[1]) > glm::dot(e->lights[k].direction, places[0]);
+      if (i == 0) id_of[place] = e->lights[k].id;
+      ASSERT_EQ(e->lights[k].id, id_of[place]) << i;
+      naive_swaps += e->lights[k].id != id_of[k];
     }
   }
   EXPECT_NE(id_of[0], id_of[1]);
@@ -310,8 +311,8 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
   constexpr std::int64_t kStepNs = 600'000'000'000 / kMaps;
   constexpr double kNoise = .03;
   Image<Rgb> scene = test::sky_over_ground(kWidth, kHeight);
-  test::add_disc(scene, test::direction_at(.5, .8), 6 * kDegree, {90, 85, 70});
-  test::add_disc(scene, test::direction_at(-2, .4), 4 * kDegree, {90, 85, 70});
+  test::add_distant_light(scene, test::direction_at(.5, .8), 6 * kDegree, {90, 85, 70});
+  test::add_distant_light(scene, test::direction_at(-2, .4), 4 * kDegree, {90, 85, 70});
   std::mt19937 rng(43);
   std::vector<std::vector<float>> patterns(kPatterns, std::vector<float>(scene.area()));
   std::normal_distribution<float> gauss(1, kNoise);
@@ -323,7 +324,7 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
       directions.push_back(latlong_direction(x + .5, y + .5, kWidth, kHeight));
 
   LightEstimator estimator({});
-  test::Series floor, wall, share, put_in, naive;
+  test::Series floor, wall, fraction, put_in, naive;
   std::set<int> ids;
   const dvec3 wall_normal(0, 0, 1);
   for (int i = 0; i < kMaps; ++i) {
@@ -352,17 +353,17 @@ TEST(Tracking, StaticSceneOfTenMinutesNeitherDriftsNorFlickersMoreThanItsNoise) 
     ids.merge(ids_of(*e));
     floor.values.push_back(luminance(runtime::open_irradiance(*e, kUp)));
     wall.values.push_back(luminance(runtime::open_irradiance(*e, wall_normal)));
-    share.values.push_back(shadow_share(*e));
+    fraction.values.push_back(shadow_fraction(*e));
   }
   std::printf(
       "flicker: put in %.3f %%, floor %.3f %%, wall %.3f %%, share %.3f %%, naive %.1f %%\n",
-      100 * put_in.flicker(), 100 * floor.flicker(), 100 * wall.flicker(), 100 * share.flicker(),
+      100 * put_in.flicker(), 100 * floor.flicker(), 100 * wall.flicker(), 100 * fraction.flicker(),
       100 * naive.flicker());
   test::expect_no_drift(floor, "floor");
   test::expect_no_drift(wall, "wall");
-  test::expect_no_drift(share, "share");
+  test::expect_no_drift(fraction, "share");
   EXPECT_EQ(ids.size(), 2U);
-  for (const test::Series* s : {&floor, &wall, &share}) EXPECT_LT(s->flicker(), kNoise);
+  for (const test::Series* s : {&floor, &wall, &fraction}) EXPECT_LT(s->flicker(), kNoise);
   EXPECT_GT(naive.flicker(), std::sqrt(2.) * kNoise) << "the brightest pixel would do";
   // The estimate adds nothing to what came in.
   double added = 0;

@@ -17,8 +17,8 @@ struct FakeCameraBehaviour {
   std::function<bool(std::uint64_t)> lost;     // never arrives; the driver's count does not tell
   std::function<bool(std::uint64_t)> slips;    // shows the request before
   std::function<bool(std::uint64_t)> damaged;
-  std::function<double(double)> light;           // factor on the scene at a time in seconds
-  std::function<bool(std::uint64_t)> deaf;       // keeps its first exposure
+  std::function<double(double)> light;                  // factor on the scene at a time in seconds
+  std::function<bool(std::uint64_t)> ignores_controls;  // keeps its first exposure
   std::function<Exposure(Exposure)> really;      // applied instead of the one that was asked for
   std::function<Exposure(Exposure)> tells;       // frames say so of the exposure that was applied
   std::uint64_t gone_after = ~std::uint64_t{0};  // frames
@@ -75,7 +75,8 @@ class FakeCamera : public capture::CameraDevice {
   }
   Exposure in_force(int earlier) const {
     if (requests_.empty()) return {Seconds(.01), Gain(1)};
-    if (behaviour_.deaf && behaviour_.deaf(sensor_frame_)) return requests_.front().exposure;
+    if (behaviour_.ignores_controls && behaviour_.ignores_controls(sensor_frame_))
+      return requests_.front().exposure;
     const int delay = behaviour_.delay_at ? behaviour_.delay_at(sensor_frame_) : behaviour_.delay;
     std::size_t newest = 0;
     for (std::size_t i = 0; i < requests_.size(); ++i)

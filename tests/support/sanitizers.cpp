@@ -4,7 +4,9 @@
 extern "C" {
 
 // Window libraries load and unload drivers; what stays loaded can be named in a report.
-int dlclose(void*) { return 0; }
+int dlclose(void*) {
+  return 0;
+}
 
 // The GL stack and the libraries below it keep some memory for the life of the process, OpenCV what its workers last used.
 const char* __lsan_default_suppressions() {
@@ -20,7 +22,11 @@ const char* __tsan_default_suppressions() {
          "race:tbb::\nrace:libtbb.so\nrace:libembree3.so\nrace:swrast_dri.so\nrace:libopencv\n"
          "mutex:swrast_dri.so\ndeadlock:swrast_dri.so\nthread:libtbb.so\n";
 }
-const char* __tsan_default_options() { return "ignore_noninstrumented_modules=1:detect_deadlocks=0"; }
+const char* __tsan_default_options() {
+  return "ignore_noninstrumented_modules=1:detect_deadlocks=0";
+}
 
-const char* __ubsan_default_options() { return "print_stacktrace=1"; }
+const char* __ubsan_default_options() {
+  return "print_stacktrace=1";
+}
 }

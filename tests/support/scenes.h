@@ -9,10 +9,10 @@
 #include <random>
 #include <vector>
 
-#include "shadows/shadows.h"
-#include "prt/prt.h"
 #include "compositor/compositor.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
 #include "tests/support/lights.h"
 
 namespace penumbra::test {
@@ -107,7 +107,7 @@ Image<Pixel> noise_frame(unsigned seed, int width = kSceneWidth, int height = kS
 }
 
 /// The sRGB curve of 8 or 16 bits.
-inline CodeCurve srgb_curve(int bits, float black_level = 0) {
+inline ResponseTable srgb_curve(int bits, float black_level = 0) {
   const int last = (1 << bits) - 1;
   std::vector<float> decode;
   for (int code = 0; code <= last; ++code) {
@@ -115,7 +115,7 @@ inline CodeCurve srgb_curve(int bits, float black_level = 0) {
     decode.push_back(
         static_cast<float>(z <= .04045 ? z / 12.92 : std::pow((z + .055) / 1.055, 2.4)));
   }
-  return CodeCurve({decode, decode, decode}, black_level);
+  return ResponseTable({decode, decode, decode}, black_level);
 }
 
 }  // namespace penumbra::test

@@ -13,7 +13,7 @@ inline runtime::SceneObject twist(const glm::dvec3& position) {
   o.name = "twist";
   o.albedo = {.6f, .6f, .6f};
   o.position = position;
-  o.stand = true;
+  o.place_on_floor = true;
   return o;
 }
 

@@ -1,5 +1,5 @@
-#include "prt/prt.h"
 #include "tools/chart/chart_bench.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 

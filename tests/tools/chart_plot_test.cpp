@@ -11,8 +11,8 @@
 #include <sstream>
 
 #include "core/files.h"
-#include "tools/common/gnuplot.h"
 #include "tests/support/temp_folder.h"
+#include "tools/common/gnuplot.h"
 
 namespace penumbra::tools {
 
@@ -60,8 +60,8 @@ TEST(ChartCsv, HeaderNamesUnitsAndRowsMatchIt) {
   p.mesh = "knot";
   p.method = "SH";
   p.coefficients = 25;
-  p.taps = 16;
-  p.object_taps = 4;
+  p.sampling = 16;
+  p.object_samples = 4;
   p.object_rel_rmse = .0125;
   p.ms_p50 = .25;
   p.bytes = 12345678901;

@@ -16,7 +16,7 @@ Image<Rgb> uniform(float v) {
   return Image<Rgb>(kWidth, kHeight, {v, v, v});
 }
 
-// Coloured waves; `changed` dims the red, inverts the blue and sets a disc on them.
+// Coloured waves; `changed` dims the red, inverts the blue and sets a light on them.
 Rgb wave(int x, int y, bool changed) {
   const auto fx = static_cast<float>(x), fy = static_cast<float>(y);
   Rgb p{.5f + .45f * std::sin(.21f * fx + .05f * fy),

@@ -1,6 +1,6 @@
 // What the proof of the governor rests on.
-#include "lighting/lighting.h"
 #include "tools/chart/governor_bench.h"
+#include "lighting/lighting.h"
 
 #include <gtest/gtest.h>
 
@@ -39,33 +39,33 @@ TEST(ClopperPearson, GrowsWithSuccessesAndStaysBelowTheShare) {
   }
 }
 
-// A sun over a floor: no plan without the disc predicts well.
+// A sun over a floor: no plan without the light predicts well.
 ScenePlans sunny(double measured_without, double measured_with) {
-  static const RadianceSh rest(kMaxBands);
-  lighting::Disc sun;
+  static const RadianceSh residual(kMaxBands);
+  lighting::DistantLight sun;
   sun.direction = glm::normalize(glm::dvec3(1, 2, 0));
   sun.radius = Radians(.005);
   sun.radiance = {1e4f, 1e4f, 1e4f};
   const lighting::ShadowProbes none;
-  ScenePlans out{1, {{&rest, {&sun, 1}}, none, 2, 1}, {}};
+  ScenePlans out{1, {{&residual, {&sun, 1}}, none, 2, 1}, {}};
   out.measured = {measured_without, measured_without, measured_with, measured_with};
   return out;
 }
 
 TEST(ScenePlans, LeastFactorKeepsEveryChoiceFromItOn) {
   const lighting::CostModel costs{.1, .01, 5};
-  const double kBudget = .5;  // above the prediction without the disc
+  const double kBudget = .5;  // above the prediction without the light
   const ScenePlans honest = sunny(.3, .01);
   ASSERT_LT(honest.predicted.error(1, 0), kBudget);
   ASSERT_LT(honest.predicted.error(1, 1), honest.predicted.error(1, 0) / 2);
-  EXPECT_EQ(honest.least_factor(costs, kBudget), 0);
-  EXPECT_EQ(honest.choose(costs, kBudget, 1)->discs, 0) << "the cheapest that is promised to do";
-  // Worse than predicted: the factor must drive the choice to the disc.
+  EXPECT_EQ(honest.min_factor(costs, kBudget), 0);
+  EXPECT_EQ(honest.choose(costs, kBudget, 1)->lights, 0) << "the cheapest that is promised to do";
+  // Worse than predicted: the factor must drive the choice to the light.
   const ScenePlans worse = sunny(.7, .01);
-  const double q = worse.least_factor(costs, kBudget);
+  const double q = worse.min_factor(costs, kBudget);
   EXPECT_NEAR(q, kBudget / worse.predicted.error(1, 0), 1e-6);
-  EXPECT_EQ(worse.choose(costs, kBudget, q)->discs, 1);
-  EXPECT_EQ(worse.least_factor(costs, .8), 0) << "within this budget both are";
+  EXPECT_EQ(worse.choose(costs, kBudget, q)->lights, 1);
+  EXPECT_EQ(worse.min_factor(costs, .8), 0) << "within this budget both are";
   EXPECT_FALSE(worse.choose(costs, 1e-4, 1)) << "no plan is that good";
 }
 

@@ -1,7 +1,7 @@
-#include "capture/capture.h"
-#include "prt/prt.h"
-#include "lighting/lighting.h"
 #include "tools/common/still.h"
+#include "capture/capture.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
 
 #include <gtest/gtest.h>
 
@@ -23,7 +23,7 @@ lighting::LightEstimate even_light() {
   light.valid = true;
   light.light = RadianceSh(2);
   light.light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
-  light.floor_light = light.light;
+  light.upper_hemisphere_light = light.light;
   light.mean_radiance = {1, 1, 1};
   return light;
 }
@@ -46,7 +46,7 @@ TEST(Still, PixelsThatNothingReachesAreTheSameToTheBit) {
   EXPECT_EQ(shown->radiance, real.radiance);
 }
 
-// A pixel at an object's edge shows the share that the object covers: over a black and a white backdrop the pictures
+// A pixel at an object's edge shows the fraction that the object covers: over a black and a white backdrop the pictures
 // differ by what is left of it. Sixteen samples know sixteenths of it alone.
 TEST(Still, EdgesKnowFinerSharesThanOnePassHas) {
   const auto scene = test::prepared({{test::twist({0, 0, 0})}, {}});

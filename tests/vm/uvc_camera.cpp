@@ -147,7 +147,7 @@ class Sensor {
   std::uint64_t frame_ = 0, since_ = 0;
 };
 
-enum Packet : std::uint32_t {
+enum RayPacket : std::uint32_t {
   kHello = 0,
   kConnect = 1,
   kDisconnect = 2,

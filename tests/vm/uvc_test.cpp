@@ -94,7 +94,7 @@ class Uvc : public testing::Test {
     return out;
   }
   // Its labels are known and right.
-  static BracketedCamera settled() {
+  static BracketedCamera ready() {
     BracketedCamera camera = connected();
     EXPECT_EQ(watch(camera, 60).wrong, 0);
     return camera;
@@ -111,7 +111,7 @@ class Uvc : public testing::Test {
 TEST_F(Uvc, SaysWhatItCanDo) {
   const CameraList list = list_cameras();
   ASSERT_EQ(list.cameras.size(), 2u) << "one camera, two ways to it";
-  EXPECT_TRUE(list.refused.empty()) << list.refused[0].detail;
+  EXPECT_TRUE(list.rejected.empty()) << list.rejected[0].detail;
   EXPECT_EQ(list.cameras[0].driver, "uvcvideo");
   EXPECT_EQ(list.cameras[1].driver, "libcamera");
   for (const CameraListing& c : list.cameras) {
@@ -138,7 +138,7 @@ void becomes_the_scenes_radiance(BracketedCamera& camera) {
     merged = *now;
   }
   EXPECT_GT(frames, 50);
-  EXPECT_LE(camera.counts().refused, 18u);  // a guest that shares its cores loses some
+  EXPECT_LE(camera.counts().rejected, 18u);  // a guest that shares its cores loses some
   ASSERT_TRUE(merged);
   const Image<Rgb> scene = test::uvc_scene();
   std::vector<double> errors;
@@ -172,28 +172,28 @@ TEST_F(Uvc, ThroughLibcameraExposuresInTurnBecomeTheScenesRadiance) {
 }
 
 TEST_F(Uvc, ACameraThatBeginsToIgnoreExposureIsNotBelieved) {
-  BracketedCamera camera = settled();
+  BracketedCamera camera = ready();
   fault(test::kIgnoresExposure);
   const Tally after = watch(camera, 60);
   EXPECT_LE(after.wrong, 1);
-  EXPECT_GT(camera.counts().refused, 20u);
+  EXPECT_GT(camera.counts().rejected, 20u);
 }
 
 TEST_F(Uvc, ExposuresThatComeThreeFramesLateAreFollowedWithinThirtyFrames) {
-  BracketedCamera camera = settled();
+  BracketedCamera camera = ready();
   fault(test::kThreeFramesLate);
   EXPECT_LE(watch(camera, 40).wrong, 1);
-  EXPECT_LE(camera.counts().refused, 30u);
-  const std::uint64_t refused = camera.counts().refused;
+  EXPECT_LE(camera.counts().rejected, 30u);
+  const std::uint64_t refused = camera.counts().rejected;
   const Tally after = watch(camera, 30);
   EXPECT_EQ(after.wrong, 0);
   // A machine that is busy may make a request too late for its frame, which is then left out.
   EXPECT_GE(after.good, 24);
-  EXPECT_LE(camera.counts().refused, refused + 6);
+  EXPECT_LE(camera.counts().rejected, refused + 6);
 }
 
 TEST_F(Uvc, EveryFifthFrameLostWithoutAWordMislabelsNone) {
-  BracketedCamera camera = settled();
+  BracketedCamera camera = ready();
   fault(test::kDropsEveryFifth);
   const Tally after = watch(camera, 80);
   EXPECT_EQ(after.wrong, 0);
@@ -202,7 +202,7 @@ TEST_F(Uvc, EveryFifthFrameLostWithoutAWordMislabelsNone) {
 }
 
 TEST_F(Uvc, TruncatedFramesAreNeverShown) {
-  BracketedCamera camera = settled();
+  BracketedCamera camera = ready();
   fault(test::kTruncatesEverySeventh);
   const Tally after = watch(camera, 80);
   EXPECT_EQ(after.wrong, 0);
@@ -211,7 +211,7 @@ TEST_F(Uvc, TruncatedFramesAreNeverShown) {
 }
 
 TEST_F(Uvc, ATransferThatFailsIsPassedOver) {
-  BracketedCamera camera = settled();
+  BracketedCamera camera = ready();
   fault(test::kOneProtocolError);
   const Tally after = watch(camera, 80);
   EXPECT_EQ(after.wrong, 0);

@@ -7,8 +7,8 @@
 #include <cstdlib>
 
 #include "capture/capture.h"
-#include "capture/raw_formats.h"
 #include "capture/device/internal/v4l2_node.h"
+#include "capture/raw_formats.h"
 
 namespace penumbra::capture {
 namespace {
@@ -78,7 +78,7 @@ TEST_F(Vivid, IsListedWithItsModesAndWhatItCannotDo) {
   EXPECT_FALSE(vivid.exposure_s) << "vivid has no exposure";
   EXPECT_TRUE(vivid.gain);
   int readable = 0, rated = 0;
-  for (const CameraMode& m : vivid.modes) readable += m.readable, rated += m.most_fps > 0;
+  for (const CameraMode& m : vivid.modes) readable += m.readable, rated += m.max_fps > 0;
   EXPECT_GT(readable, 20);
   EXPECT_EQ(rated, std::ssize(vivid.modes));
 }

@@ -171,7 +171,7 @@ std::string noise_plot(const calib::NoiseCalibration& c) {
       "plot '-' with points pt 7 ps .6 lc rgb '#2c3e50' title 'measured', '-' with lines lw 2 lc "
       "rgb "
       "'#c0392b' title 'model, gain 1'\n",
-      c.model.full_well_electrons, c.model.read_fraction);
+      c.model.full_well_electrons, c.model.read_noise);
   double lowest = 1;
   for (const calib::NoisePoint& p : c.points) {
     if (p.signal <= 0) continue;
@@ -198,7 +198,7 @@ std::string vignetting_plot(const calib::VignettingCalibration& c) {
       "set terminal svg size 760,520 font 'sans,13' background rgb 'white'\n"
       "set title 'Vignetting: {:.1f} % of the light in the corners' noenhanced\n"
       "set grid lc rgb '#dddddd'\nset key left bottom\nset yrange [0:*]\nset xrange [0:1]\n"
-      "set xlabel 'distance from the centre, half diagonals'\nset ylabel 'share of the light'\n"
+      "set xlabel 'distance from the centre, half diagonals'\nset ylabel 'fraction of the light'\n"
       "plot '-' with points pt 7 ps .6 lc rgb '#2c3e50' title 'seen', '-' with lines lw 2 lc rgb "
       "'#c0392b' title 'fitted'\n",
       100 * c.corner);

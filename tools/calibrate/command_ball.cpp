@@ -1,17 +1,17 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <charconv>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/calibrate/commands.h"
 #include "calib/camera/mirror_ball.h"
 #include "capture/device/rig.h"
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "runtime/pipeline/report.h"
+#include "tools/calibrate/commands.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
 
 namespace penumbra::tools {
 
@@ -82,8 +82,8 @@ Result<void> calibrate_ball(const CalibrateBallOptions& o) {
 void add_calibrate_ball(CLI::App& parent, Action& action) {
   static CalibrateBallOptions ball;
   auto* c = parent.add_subcommand("ball",
-                                "Where a mirror ball of known radius stands, from its outline in "
-                                "pictures of cameras with known poses");
+                                  "Where a mirror ball of known radius stands, from its outline in "
+                                  "pictures of cameras with known poses");
   c->add_option("cameras", ball.cameras, "Capture folder, recording or rig.toml with the cameras")
       ->required();
   c->add_option(

@@ -1,13 +1,10 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <filesystem>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/calibrate/commands.h"
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/response.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/camera_calibration.h"
@@ -15,15 +12,18 @@
 #include "capture/frames.h"
 #include "codec/codec.h"
 #include "core/files.h"
+#include "core/stop_signal.h"
 #include "core/toml_keys.h"
-#include "tools/common/bracket_files.h"
-#include "tools/calibrate/calibration_report.h"
-#include "tools/common/camera_film.h"
-#include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
-#include "core/stop_signal.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/calibrate/commands.h"
+#include "tools/common/bracket_files.h"
+#include "tools/common/camera_film.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
 
 namespace penumbra::tools {
 
@@ -55,7 +55,7 @@ struct CalibrateCameraOptions {
 
 namespace fs = std::filesystem;
 
-struct Found {
+struct FoundBoards {
   std::vector<calib::BoardView> views;
   int width = 0, height = 0;
   std::size_t pictures = 0;
@@ -63,7 +63,7 @@ struct Found {
 
 // A picture of another size than the first is another camera's.
 Result<void> look_at_picture(const FramePixels& pixels, const calib::Board& board,
-                             const std::string& name, Found& found) {
+                             const std::string& name, FoundBoards& found) {
   const int w = capture::width(pixels), h = capture::height(pixels);
   if (found.pictures++ == 0) {
     found.width = w;
@@ -76,9 +76,9 @@ Result<void> look_at_picture(const FramePixels& pixels, const calib::Board& boar
   return {};
 }
 
-Result<Found> look_at_pictures(const std::vector<std::string>& pictures,
-                               const calib::Board& board) {
-  Found found;
+Result<FoundBoards> look_at_pictures(const std::vector<std::string>& pictures,
+                                     const calib::Board& board) {
+  FoundBoards found;
   const auto progress = progress_bar("looking for the board");
   for (const std::string& picture : pictures) {
     PENUMBRA_ASSIGN(pixels, codec::read_frame(picture));
@@ -90,7 +90,7 @@ Result<Found> look_at_pictures(const std::vector<std::string>& pictures,
 }
 
 // Ninths of the picture without a corner, as one would tell somebody who holds the board.
-std::string empty_parts(const Found& found) {
+std::string empty_parts(const FoundBoards& found) {
   constexpr const char* kRows[] = {"top", "middle", "bottom"};
   constexpr const char* kColumns[] = {"left", "centre", "right"};
   bool seen[3][3] = {};
@@ -121,10 +121,10 @@ Result<CameraFilm> open_film(const std::string& path, const std::string& camera)
 }
 
 // Pictures of one camera of a capture or a live rig, so far apart in time that the board has moved.
-Result<Found> look_at_capture(const CalibrateCameraOptions& o, const calib::Board& board) {
+Result<FoundBoards> look_at_capture(const CalibrateCameraOptions& o, const calib::Board& board) {
   PENUMBRA_ASSIGN(film, open_film(*o.capture, o.camera));
   const bool endless = is_rig(*o.capture);
-  Found found;
+  FoundBoards found;
   std::optional<TimestampNs> first, last;
   const auto progress = progress_line();
   const std::atomic<bool>* const stop = endless ? &catch_stop_signals() : nullptr;
@@ -155,7 +155,7 @@ std::string list(const std::array<double, 5>& v, int count) {
 // As [[camera]] of rig.toml and capture.toml takes it; [calibration] tells how sure it is.
 std::string print_camera_file(const std::string& name, const calib::CameraCalibration& c,
                               std::string_view board) {
-  const calib::Projection& p = c.projection;
+  const calib::CameraModel& p = c.projection;
   const int k = calib::distortion_count(p.kind);
   std::string text = fmt::format(
       "version = 1\n\n[[camera]]\nname = {}\nrole = \"{}\"\nwidth = {}\nheight = {}\n"
@@ -172,8 +172,8 @@ std::string print_camera_file(const std::string& name, const calib::CameraCalibr
   return text;
 }
 
-nlohmann::json to_json(const calib::CameraCalibration& c, const Found& found) {
-  const calib::Projection& p = c.projection;
+nlohmann::json to_json(const calib::CameraCalibration& c, const FoundBoards& found) {
+  const calib::CameraModel& p = c.projection;
   const auto pair = [](const glm::dvec2& v) { return nlohmann::json{v.x, v.y}; };
   const auto some = [&](const std::array<double, 5>& v) {
     return std::vector<double>(v.begin(), v.begin() + calib::distortion_count(p.kind));
@@ -197,8 +197,8 @@ nlohmann::json to_json(const calib::CameraCalibration& c, const Found& found) {
           {"boards", boards}};
 }
 
-void print_table(const calib::CameraCalibration& c, const Found& found) {
-  const calib::Projection& p = c.projection;
+void print_table(const calib::CameraCalibration& c, const FoundBoards& found) {
+  const calib::CameraModel& p = c.projection;
   const auto used = std::ranges::count(c.boards, true, &calib::BoardFit::used);
   fmt::print("{} pictures, board found in {}, used {}: {:.3f} px RMS\n", found.pictures,
              c.boards.size(), used, c.rms_px);
@@ -229,7 +229,7 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
     return fail(ErrorCode::kInvalid, o.projection,
                 "has nothing to calibrate; pinhole, equidistant, kb4 and double-sphere have");
   if (!(o.every_s >= 0 && o.every_s < 1e6))
-    return fail(ErrorCode::kInvalid, "--every", "not a number of seconds");
+    return fail(ErrorCode::kInvalid, "--min-interval", "not a number of seconds");
   if (o.pictures.empty() == !o.capture)
     return fail(ErrorCode::kInvalid, "calibrate camera", "needs either pictures or --capture");
   PENUMBRA_TRY(check_writable(o.output));
@@ -320,7 +320,8 @@ void add_calibrate_camera(CLI::App& parent, Action& action) {
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output");
-  c->add_option("--every", camera.every_s, "Of a capture: seconds between two pictures, at least");
+  c->add_option("--min-interval", camera.every_s,
+                "Of a capture: seconds between two pictures, at least");
   c->add_option("--board", camera.board,
                 "chessboard:15x9:0.026 (inner corners, square in metres), "
                 "charuco:8x6:0.04:0.03 (squares, square, marker) or apriltag:6x5:0.05:0.015 (tags, "

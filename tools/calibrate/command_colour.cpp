@@ -1,21 +1,21 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 
 #include "calib/camera/colour.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/calibrate/commands.h"
 #include "calib/estimate/colour_calibration.h"
-#include "capture/environment/shared_surfaces.h"
+#include "capture/environment/common_surfaces.h"
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "core/conventions.h"
 #include "core/files.h"
-#include "tools/calibrate/calibration_report.h"
 #include "runtime/pipeline/report.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/calibrate/commands.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
 
 namespace penumbra::tools {
 
@@ -53,7 +53,7 @@ std::vector<calib::ColourPair> pairs_of_surroundings(const capture::StillPicture
                                                      const capture::StillPicture& view,
                                                      double turned_rad = 0) {
   std::vector<calib::ColourPair> out;
-  for (const capture::SharedSurface& s : capture::shared_surfaces(environment, view, turned_rad))
+  for (const capture::CommonSurface& s : capture::common_surfaces(environment, view, turned_rad))
     out.push_back(s.colours);
   return out;
 }

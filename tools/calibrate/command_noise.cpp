@@ -1,19 +1,19 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <map>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/calibrate/commands.h"
 #include "calib/estimate/noise_calibration.h"
 #include "capture/frames.h"
 #include "core/files.h"
-#include "tools/calibrate/calibration_report.h"
-#include "tools/common/camera_film.h"
-#include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/calibrate/commands.h"
+#include "tools/common/camera_film.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
 
 namespace penumbra::tools {
 
@@ -33,7 +33,7 @@ struct Film {
 };
 
 Result<Film> read_film(const std::string& path, const std::string& name) {
-  constexpr std::size_t kMostExposures = 16;
+  constexpr std::size_t kMaxExposures = 16;
   PENUMBRA_ASSIGN(frames, CameraFilm::open(path, name));
   std::map<std::pair<double, double>, calib::StillSeries> by_exposure;  // time, gain
   const auto progress = progress_count("frames looked at");
@@ -44,10 +44,10 @@ Result<Film> read_film(const std::string& path, const std::string& name) {
     const double gain = frame->exposure.gain.value();
     const auto [series, added] = by_exposure.try_emplace(
         std::pair(frame->exposure.time.count(), gain), calib::StillSeries(gain));
-    if (by_exposure.size() > kMostExposures)
+    if (by_exposure.size() > kMaxExposures)
       return fail(
           ErrorCode::kUndetermined, path,
-          fmt::format("more than {} exposures: take them by hand, a few in turn", kMostExposures));
+          fmt::format("more than {} exposures: take them by hand, a few in turn", kMaxExposures));
     PENUMBRA_TRY(
         series->second.add(*frame->pixels, fmt::format("{} frame {}", name, frame->sequence)));
     progress(++count);
@@ -60,7 +60,7 @@ Result<Film> read_film(const std::string& path, const std::string& name) {
 nlohmann::json to_json(const calib::NoiseCalibration& c) {
   return {{"full_well_electrons", c.model.full_well_electrons},
           {"full_well_sigma", c.full_well_sigma},
-          {"read_fraction", c.model.read_fraction},
+          {"read_noise", c.model.read_noise},
           {"read_sigma", c.read_sigma},
           {"black_level", c.black_level},
           {"error", c.error},
@@ -89,7 +89,7 @@ Result<void> calibrate_noise(const CalibrateNoiseOptions& o) {
         "full well {:.0f} +- {:.0f} electrons, read noise {:.5f} +- {:.5f} of full scale, black "
         "{:.5f}; "
         "{} points, {:.1f} % off the model\n",
-        result.model.full_well_electrons, result.full_well_sigma, result.model.read_fraction,
+        result.model.full_well_electrons, result.full_well_sigma, result.model.read_noise,
         result.read_sigma, result.black_level, result.points.size(), 100 * result.error);
   return {};
 }
@@ -104,8 +104,8 @@ void add_calibrate_noise(CLI::App& parent, Action& action) {
        "Recording or capture folder: a still scene from dark to bright, eight frames or more of "
        "each exposure and gain")
       ->required();
-  c->add_option("--capped", noise.capped,
-                "The same camera with its lens capped, for the black level");
+  c->add_option("--dark", noise.capped,
+                "The same camera with its lens covered, for the black level");
   c->add_option("--camera", noise.camera, "Its name in the captures")->capture_default_str();
   c->add_option("-o,--output", noise.output, "Noise file to write, .toml")->required();
   c->add_option("--report", noise.report, "Folder for a plot and a table of the points");

@@ -1,13 +1,10 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/calibrate/commands.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/rig_calibration.h"
 #include "capture/frames.h"
@@ -15,10 +12,13 @@
 #include "core/conventions.h"
 #include "core/files.h"
 #include "core/toml_keys.h"
-#include "tools/calibrate/calibration_report.h"
-#include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/calibrate/commands.h"
 #include "tools/calibrate/tracker_file.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
 
 namespace penumbra::tools {
 
@@ -36,7 +36,7 @@ struct CalibrateRigOptions {
   bool json = false;
 };
 
-struct Seen {
+struct RigPictures {
   std::vector<calib::RigCameraInput> cameras;
   std::vector<calib::RigObservation> boards;
   std::size_t pictures = 0;
@@ -44,7 +44,7 @@ struct Seen {
 
 // Index into the rig's cameras of each of the capture's; nothing where it takes no part.
 Result<std::vector<std::optional<std::size_t>>> choose_cameras(
-    const CalibrateRigOptions& o, const std::vector<capture::CameraInfo>& all, Seen& seen) {
+    const CalibrateRigOptions& o, const std::vector<capture::CameraInfo>& all, RigPictures& seen) {
   std::vector<std::optional<std::size_t>> out(all.size());
   std::vector<std::string> names = o.cameras;
   if (names.empty())
@@ -62,13 +62,13 @@ Result<std::vector<std::optional<std::size_t>>> choose_cameras(
 }
 
 // Frames of one moment, and then none until `every_s` has passed.
-Result<Seen> look(const CalibrateRigOptions& o, const calib::Board& board) {
+Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board) {
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
-  Seen seen;
+  RigPictures seen;
   PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
   if (seen.cameras.size() == 1 && !o.tracker && o.board_lies.empty())
     return fail(ErrorCode::kInvalid, seen.cameras[0].name,
-                "one camera alone has no place: give --tracker or --board-lies");
+                "one camera alone has no place: give --tracker or --board-plane");
   const auto progress = progress_count("pictures looked at");
   std::optional<double> moment;
   constexpr double kJitter = .0005;  // seconds
@@ -92,7 +92,7 @@ Result<Seen> look(const CalibrateRigOptions& o, const calib::Board& board) {
 Result<Pose> world_from_board(const std::string& lies) {
   if (lies == "floor") return Pose{glm::angleAxis(-kPi / 2, glm::dvec3(1, 0, 0)), {0, 0, 0}};
   if (lies == "wall") return Pose{};
-  return fail(ErrorCode::kInvalid, "--board-lies", lies + ": expected floor or wall");
+  return fail(ErrorCode::kInvalid, "--board-plane", lies + ": expected floor or wall");
 }
 
 // The mean of a board that stood still.
@@ -107,7 +107,7 @@ Result<Pose> still_board(const calib::RigCalibration& c) {
     const double angle = 2 * std::acos(std::min(1., glm::dot(q, first.rotation)));
     if (glm::length(board.translation - first.translation) > kMoved_m || angle > kTurned)
       return fail(
-          ErrorCode::kUndetermined, "--board-lies",
+          ErrorCode::kUndetermined, "--board-plane",
           fmt::format("the board or the cameras moved: at {:.2f} s it lies {:.0f} mm and {:.1f} "
                       "degrees from where it lay first",
                       time_s, 1000 * glm::length(board.translation - first.translation),
@@ -122,7 +122,7 @@ std::string_view frame_name(const CalibrateRigOptions& o) {
   return o.tracker ? "tracked body" : o.board_lies.empty() ? "first camera" : "board";
 }
 
-std::string print_pose_file(const CalibrateRigOptions& o, const Seen& seen,
+std::string print_pose_file(const CalibrateRigOptions& o, const RigPictures& seen,
                             const calib::RigCalibration& c, const std::vector<Pose>& poses) {
   std::string text =
       fmt::format("version = 1\n\n[rig]\nframe = \"{}\"\nboard = {}\nrms_px = {:.4g}\n",
@@ -149,8 +149,8 @@ std::string print_pose_file(const CalibrateRigOptions& o, const Seen& seen,
   return text;
 }
 
-void print_table(const CalibrateRigOptions& o, const Seen& seen, const calib::RigCalibration& c,
-                 const std::vector<Pose>& poses) {
+void print_table(const CalibrateRigOptions& o, const RigPictures& seen,
+                 const calib::RigCalibration& c, const std::vector<Pose>& poses) {
   fmt::print(
       "{} pictures, board found in {}, left out {}: {:.3f} px RMS; poses in the frame of the "
       "{}\n",
@@ -172,7 +172,7 @@ void print_table(const CalibrateRigOptions& o, const Seen& seen, const calib::Ri
   for (const std::string& name : c.left_out) fmt::print("left out: {}\n", name);
 }
 
-nlohmann::json to_json(const Seen& seen, const calib::RigCalibration& c,
+nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
                        const std::vector<Pose>& poses) {
   const auto list = [](const glm::dvec3& v) { return nlohmann::json{v.x, v.y, v.z}; };
   nlohmann::json cameras = nlohmann::json::array();
@@ -204,19 +204,19 @@ Result<calib::RigOptions> solver_options(const CalibrateRigOptions& o) {
   out.tracker_sigma_m = o.tracker_sigma_mm / 1000;
   out.tracker_sigma_rad = o.tracker_sigma_deg * kPi / 180;
   if (!(o.every_s >= 0 && o.every_s < 1e6))
-    return fail(ErrorCode::kInvalid, "--every", "not a number of seconds");
+    return fail(ErrorCode::kInvalid, "--min-interval", "not a number of seconds");
   if (!(o.simultaneous_s >= 0 && o.simultaneous_s <= 1))
-    return fail(ErrorCode::kInvalid, "--simultaneous", "not within 0..1 seconds");
+    return fail(ErrorCode::kInvalid, "--sync-tolerance", "not within 0..1 seconds");
   const auto sensible = [](double v) { return v > 0 && v < 10; };  // metres, radian
   if (!sensible(out.tracker_sigma_m) || !sensible(out.tracker_sigma_rad))
     return fail(ErrorCode::kInvalid, "--tracker-sigma-mm, --tracker-sigma-deg",
                 "not positive, or beyond all sense");
   if (o.tracker && o.simultaneous_s > calib::RigOptions().simultaneous_s)
-    return fail(ErrorCode::kInvalid, "--simultaneous",
+    return fail(ErrorCode::kInvalid, "--sync-tolerance",
                 "not above .005 s with --tracker: the rig moves meanwhile");
   if (!o.tracker) return out;
   if (!o.board_lies.empty())
-    return fail(ErrorCode::kInvalid, "--board-lies", "not with --tracker, which has a world");
+    return fail(ErrorCode::kInvalid, "--board-plane", "not with --tracker, which has a world");
   PENUMBRA_ASSIGN(tracker, read_tracker_file(*o.tracker));
   out.tracker = std::move(tracker);
   return out;
@@ -276,12 +276,12 @@ void add_calibrate_rig(CLI::App& parent, Action& action) {
       ->capture_default_str();
   c->add_option("--tracker-sigma-deg", rig.tracker_sigma_deg, "Noise of a tracked rotation")
       ->capture_default_str();
-  c->add_option("--board-lies", rig.board_lies,
+  c->add_option("--board-plane", rig.board_lies,
                 "floor or wall: cameras and board stand still, and the board's first corner is the "
                 "world's origin");
-  c->add_option("--every", rig.every_s, "Seconds between two moments, at least")
+  c->add_option("--min-interval", rig.every_s, "Seconds between two moments, at least")
       ->capture_default_str();
-  c->add_option("--simultaneous", rig.simultaneous_s,
+  c->add_option("--sync-tolerance", rig.simultaneous_s,
                 "Seconds that frames of one moment may lie apart")
       ->capture_default_str();
   c->add_option("-o,--output", rig.output, "Pose file to write, .toml")->required();

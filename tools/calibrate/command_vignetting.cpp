@@ -1,18 +1,18 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/calibrate/commands.h"
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/response.h"
 #include "calib/estimate/vignetting_calibration.h"
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "tools/calibrate/calibration_report.h"
 #include "runtime/pipeline/report.h"
+#include "tools/calibrate/calibration_report.h"
+#include "tools/calibrate/commands.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
 
 namespace penumbra::tools {
 
@@ -26,8 +26,8 @@ struct CalibrateVignettingOptions {
   bool json = false;
 };
 
-Result<calib::Projection> projection_of(const CalibrateVignettingOptions& o,
-                                        const FramePixels& picture) {
+Result<calib::CameraModel> projection_of(const CalibrateVignettingOptions& o,
+                                         const FramePixels& picture) {
   if (o.camera) {
     PENUMBRA_ASSIGN(camera, capture::read_camera_file(*o.camera));
     return camera.projection;

@@ -4,18 +4,19 @@
 #include <cmath>
 #include <limits>
 
+#include "core/conventions.h"
 #include "lighting/basis.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 #include "lighting/irradiance.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
 #include "runtime/scene/scene.h"
-#include "core/conventions.h"
 
 namespace penumbra::tools {
 
-Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view, double seconds) {
+Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view,
+                         double seconds) {
   // Sixteen samples a pixel call some full that are not: the sky behind them would count as the object's error.
   constexpr int kFiner = 4;
   prt::PinholeView fine = view;
@@ -24,7 +25,8 @@ Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::Pinhole
   const Image<Rgb> white(64, 32, {1, 1, 1});
   const StillScene in{&scene, &white, fine, seconds};
   lighting::LightEstimate light;
-  light.light[0] = light.floor_light[0] = Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
+  light.light[0] = light.upper_hemisphere_light[0] =
+      Rgb{1, 1, 1} * static_cast<float>(std::sqrt(4 * kPi));
   light.valid = true;
   const auto over = [&](float backdrop) {
     const Image<Rgb> picture(fine.width, fine.height, {backdrop, backdrop, backdrop});

@@ -3,10 +3,10 @@
 
 #include <vector>
 
+#include "core/result.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "runtime/scene/scene.h"
-#include "core/result.h"
 #include "tools/common/still.h"
 
 namespace penumbra::tools {

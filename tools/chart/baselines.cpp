@@ -3,37 +3,37 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/conventions.h"
 #include "lighting/basis.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 #include "lighting/irradiance.h"
 #include "lighting/projection.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
-#include "core/conventions.h"
 
 namespace penumbra::tools {
 
 namespace {
 
-using lighting::Disc;
+using lighting::DistantLight;
 using lighting::LightEstimate;
 
 // A point light in all but name: its shadow is hard.
 const Radians kPoint(.002);
 
-Disc point_light(int id, const glm::dvec3& direction, const double (&energy)[3]) {
-  Disc disc;
-  disc.id = id;
-  disc.direction = direction;
-  disc.radius = kPoint;
+DistantLight point_light(int id, const glm::dvec3& direction, const double (&energy)[3]) {
+  DistantLight source;
+  source.id = id;
+  source.direction = direction;
+  source.radius = kPoint;
   for (int c = 0; c < 3; ++c)
-    disc.radiance[c] = static_cast<float>(std::max(0., energy[c]) / disc.solid_angle_sr());
-  return disc;
+    source.radiance[c] = static_cast<float>(std::max(0., energy[c]) / source.solid_angle_sr());
+  return source;
 }
 
 LightEstimate black(int bands) {
   LightEstimate light;
-  light.light = light.floor_light = RadianceSh(bands);
+  light.light = light.upper_hemisphere_light = RadianceSh(bands);
   light.valid = true;
   light.coverage = 1;
   return light;
@@ -41,7 +41,7 @@ LightEstimate black(int bands) {
 
 void set_mean(LightEstimate& light) {
   light.mean_radiance = light.light[0] * static_cast<float>(1 / std::sqrt(4 * kPi));
-  for (const Disc& d : light.discs)
+  for (const DistantLight& d : light.lights)
     light.mean_radiance += d.radiance * static_cast<float>(d.solid_angle_sr() / (4 * kPi));
 }
 
@@ -54,7 +54,7 @@ class MedianCut {
  public:
   explicit MedianCut(const Image<Rgb>& map) : map_(map) {}
 
-  void cut(const Region& r, int count, std::vector<Disc>& out) {
+  void cut(const Region& r, int count, std::vector<DistantLight>& out) {
     if (count <= 1 || (r.x1 - r.x0 <= 1 && r.y1 - r.y0 <= 1)) {
       add(r, out);
       return;
@@ -89,7 +89,7 @@ class MedianCut {
     return sum;
   }
 
-  void add(const Region& r, std::vector<Disc>& out) const {
+  void add(const Region& r, std::vector<DistantLight>& out) const {
     double rgb[3] = {};
     glm::dvec3 centre(0);
     for (int y = r.y0; y < r.y1; ++y) {
@@ -132,7 +132,7 @@ void clear(prt::Transfer& t) {
 
 LightEstimate sampled_lights(const Image<Rgb>& map, int count) {
   LightEstimate light = black(1);
-  MedianCut(map).cut({0, 0, map.width(), map.height()}, count, light.discs);
+  MedianCut(map).cut({0, 0, map.width(), map.height()}, count, light.lights);
   set_mean(light);
   return light;
 }
@@ -154,8 +154,8 @@ LightEstimate phone_light(const Image<Rgb>& map) {
     energy[c] = std::clamp(along * 4 * kPi / 3, 0., whole);
     light.light[0][c] = static_cast<float>((whole - energy[c]) / std::sqrt(4 * kPi));
   }
-  light.floor_light = light.light;
-  light.discs.push_back(point_light(1, direction, energy));
+  light.upper_hemisphere_light = light.light;
+  light.lights.push_back(point_light(1, direction, energy));
   set_mean(light);
   return light;
 }
@@ -163,7 +163,7 @@ LightEstimate phone_light(const Image<Rgb>& map) {
 LightEstimate dissertation_light(const Image<Rgb>& map) {
   LightEstimate light = black(3);
   if (const auto projection = lighting::project_latlong(map, 3))
-    light.light = light.floor_light = projection->light;
+    light.light = light.upper_hemisphere_light = projection->light;
   set_mean(light);
   return light;
 }

@@ -2,9 +2,9 @@
 // the object as it treats it.
 #pragma once
 
-#include "lighting/light_estimate.h"
 #include "core/image.h"
 #include "core/result.h"
+#include "lighting/light_estimate.h"
 #include "runtime/scene/scene.h"
 
 namespace penumbra::tools {
@@ -18,7 +18,7 @@ lighting::LightEstimate sampled_lights(const Image<Rgb>& map, int count);
 /// source: dominant direction from the linear band, Sloan 2008, "Stupid Spherical Harmonics Tricks"
 lighting::LightEstimate phone_light(const Image<Rgb>& map);
 
-/// Nine coefficients of the whole sphere, no discs: Xu 2005.
+/// Nine coefficients of the whole sphere, no lights: Xu 2005.
 lighting::LightEstimate dissertation_light(const Image<Rgb>& map);
 
 /// The scene with objects that neither shade themselves nor the floor.

@@ -8,28 +8,28 @@
 #include <filesystem>
 
 #include "capture/studio/studio.h"
-#include "lighting/disc.h"
-#include "lighting/discs.h"
+#include "core/conventions.h"
+#include "lighting/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
+#include "lighting/light_extraction.h"
 #include "lighting/projection.h"
 #include "lighting/rotation.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/transfer/transfer.h"
-#include "prt/transfer/vertex_sight.h"
-#include "runtime/pipeline/governance.h"
-#include "runtime/shading/disc_stage.h"
-#include "core/conventions.h"
+#include "prt/transfer/visibility_map.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/shading/composite_stage.h"
+#include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/flip.h"
 #include "tools/chart/governor_bench.h"
-#include "runtime/shading/compose_stage.h"
 #include "tools/common/progress.h"
 
 namespace penumbra::tools {
 
 namespace {
 
-constexpr int kRuns = 9, kManyDiscs = 32;
+constexpr int kRuns = 9, kManyLights = 32;
 constexpr int kWidth = 192, kHeight = 144;
 
 prt::PinholeView make_view() {
@@ -47,8 +47,8 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
   lighting::LightEstimate out = light;
   const lighting::ShRotation rotation(turn, light.light.bands());
   out.light = rotation * light.light;
-  out.floor_light = rotation * light.floor_light;
-  for (lighting::Disc& d : out.discs) {
+  out.upper_hemisphere_light = rotation * light.upper_hemisphere_light;
+  for (lighting::DistantLight& d : out.lights) {
     d.direction = turn * d.direction;
     for (glm::dvec3& s : d.shape) s = turn * s;
   }
@@ -56,17 +56,18 @@ lighting::LightEstimate turned(const lighting::LightEstimate& light, double radi
 }
 
 // Every update with another light.
-runtime::LightTime time_updates(runtime::ComposeStage& stage, const lighting::LightEstimate& light) {
-  constexpr double kTurn = .01;  // radians: more than DiscStage overlooks
-  const int runs = light.discs.size() > kManyDiscs ? 1 : kRuns;  // these take seconds
+runtime::LightTime time_updates(runtime::CompositeStage& stage,
+                                const lighting::LightEstimate& light) {
+  constexpr double kTurn = .01;  // radians: more than DirectLightStage overlooks
+  const int runs = light.lights.size() > kManyLights ? 1 : kRuns;  // these take seconds
   return runtime::time_single_threaded(
-      runs, [&](int run) { stage.update_light(turned(light, kTurn * (runs - run)), 0); });
+      runs, [&](int run) { stage.shade(turned(light, kTurn * (runs - run)), 0); });
 }
 
 // With what a look-up asks first.
-std::size_t of_sight(const prt::VertexSight& s) {
+std::size_t of_visibility(const prt::VisibilityMap& s) {
   return s.open.size() * sizeof(s.open[0]) + s.fine.size() * sizeof(s.fine[0]) +
-         s.refined.size() * (sizeof(s.refined[0]) + sizeof(prt::SightHead));
+         s.refined.size() * (sizeof(s.refined[0]) + sizeof(prt::VisibilityHead));
 }
 
 }  // namespace
@@ -98,7 +99,7 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   object.asset = asset;
   object.name = bench.name_;
   object.albedo = {.6f, .6f, .6f};
-  object.stand = true;
+  object.place_on_floor = true;
   runtime::RealGeometry floor;
   floor.plane = runtime::RealPlane{};
   floor.albedo = Rgb{.4f, .4f, .4f};
@@ -117,13 +118,14 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
 
 Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
                                     const lighting::CostModel& costs) {
-  lighting::DiscSplit split;
-  PENUMBRA_TRY(lighting::split_discs(environment, {}, split));
-  auto rest = lighting::project_latlong(split.rest, kMaxBands);
-  if (!rest) return std::unexpected(rest.error());
+  lighting::LightExtraction split;
+  PENUMBRA_TRY(lighting::extract_lights(environment, {}, split));
+  auto residual = lighting::project_latlong(split.residual, kMaxBands);
+  if (!residual) return std::unexpected(residual.error());
   const lighting::Governor::Limits limits;
-  const lighting::ErrorTable table({&rest->above, split.discs}, runtime::shadow_probes(scene.prepared()),
-                                   limits.most_bands, limits.most_discs);
+  const lighting::ErrorTable table({&residual->upper_moments, split.lights},
+                                   runtime::shadow_probes(scene.prepared()), limits.max_bands,
+                                   limits.max_lights);
   return lighting::Governor({}, costs).cheapest(table, limits.budget);
 }
 
@@ -137,34 +139,36 @@ Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment
 }
 
 Result<Measured> measure(const ChartScene& bench, const runtime::PreparedScene& scene,
-                         const lighting::LightEstimate& light, const runtime::DiscTaps& taps,
-                         const Truth& truth) {
-  auto stage = make_still_stage(scene, bench.view(), taps);
-  if (!stage) return std::unexpected(stage.error());
+                         const lighting::LightEstimate& light,
+                         const runtime::ShadowSampling& sampling, const Truth& truth) {
+  auto pipeline = make_still_pipeline(scene, bench.view(), sampling);
+  if (!pipeline) return std::unexpected(pipeline.error());
   Measured out;
-  out.time = time_updates(**stage, light);
-  auto ours = composite_still(**stage, bench.view(), light, truth.empty);
+  out.time = time_updates(pipeline->stage(), light);
+  auto ours = composite_still(*pipeline, bench.view(), light, truth.empty);
   if (!ours) return std::unexpected(ours.error());
   out.accuracy = compare_pictures(*ours, truth.full, truth.empty, bench.masks());
   if (auto flip = hdr_flip(truth.full.radiance, ours->radiance)) out.flip = mean_flip(*flip);
   return out;
 }
 
-Result<runtime::LightTime> time_updates(const ChartScene& bench, const runtime::PreparedScene& scene,
-                               const lighting::LightEstimate& light, const runtime::DiscTaps& taps) {
-  auto stage = make_still_stage(scene, bench.view(), taps);
-  if (!stage) return std::unexpected(stage.error());
-  return time_updates(**stage, light);
+Result<runtime::LightTime> time_updates(const ChartScene& bench,
+                                        const runtime::PreparedScene& scene,
+                                        const lighting::LightEstimate& light,
+                                        const runtime::ShadowSampling& sampling) {
+  auto pipeline = make_still_pipeline(scene, bench.view(), sampling);
+  if (!pipeline) return std::unexpected(pipeline.error());
+  return time_updates(pipeline->stage(), light);
 }
 
-std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t discs, int map_size) {
+std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size) {
   std::size_t bytes = 0;
   const auto of = [](const prt::Transfer& t) { return t.values.size() * sizeof(t.values[0]); };
   for (const runtime::PreparedObject& o : scene.objects) {
     bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
-    if (discs == 0) continue;
-    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) + of_sight(o.baked.sight);
-    bytes += discs *
+    if (lights == 0) continue;
+    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) + of_visibility(o.baked.visibility);
+    bytes += lights *
              (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
               o.baked.transfer.points) *
              sizeof(float);

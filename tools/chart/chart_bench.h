@@ -8,11 +8,11 @@
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/transfer/transfer.h"
-#include "runtime/shading/disc_stage.h"
+#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/accuracy.h"
 #include "tools/chart/chart_plot.h"
-#include "runtime/scene/scene.h"
-#include "runtime/pipeline/single_thread_time.h"
 #include "tools/common/still.h"
 
 namespace penumbra::tools {
@@ -44,7 +44,7 @@ class ChartScene {
 };
 
 /// What the governor takes for one environment by itself, as the program does at its default budget.
-/// errors: as split_discs and project_latlong
+/// errors: as extract_lights and project_latlong
 Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
                                     const lighting::CostModel& costs);
 
@@ -61,17 +61,19 @@ Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment
 struct Measured {
   Accuracy accuracy;
   double flip = 0;
-  runtime::LightTime time;  // of ComposeStage::update_light on one thread, everything traced anew
+  runtime::LightTime time;  // of CompositeStage::shade on one thread, everything traced anew
 };
 Result<Measured> measure(const ChartScene& bench, const runtime::PreparedScene& scene,
-                         const lighting::LightEstimate& light, const runtime::DiscTaps& taps,
-                         const Truth& truth);
+                         const lighting::LightEstimate& light,
+                         const runtime::ShadowSampling& sampling, const Truth& truth);
 
 /// Its time alone, once more.
-Result<runtime::LightTime> time_updates(const ChartScene& bench, const runtime::PreparedScene& scene,
-                               const lighting::LightEstimate& light, const runtime::DiscTaps& taps);
+Result<runtime::LightTime> time_updates(const ChartScene& bench,
+                                        const runtime::PreparedScene& scene,
+                                        const lighting::LightEstimate& light,
+                                        const runtime::ShadowSampling& sampling);
 
-/// The baked coefficients and the discs' maps, in bytes.
-std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t discs, int map_size);
+/// The baked coefficients and the lights' maps, in bytes.
+std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size);
 
 }  // namespace penumbra::tools

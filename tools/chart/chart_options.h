@@ -13,8 +13,8 @@ struct ChartOptions {
   std::vector<std::string> environments;  // files
   bool with_procedural = false;           // the built-in ones beside the files
   std::vector<std::string> assets;
-  std::vector<int> bands;  // only these, with `discs`; else the whole sweep
-  int discs = 0;
+  std::vector<int> bands;  // only these, with `lights`; else the whole sweep
+  int lights = 0;
   double error = .004;
   int governor = 0;        // prove the governor on so many scenes instead
   double budget = .05;     // of the shadow's RMS error in s, for that

@@ -12,8 +12,8 @@
 #include <tuple>
 
 #include "core/files.h"
-#include "tools/common/gnuplot.h"
 #include "tools/chart/plot_layout.h"
+#include "tools/common/gnuplot.h"
 
 namespace penumbra::tools {
 
@@ -44,9 +44,9 @@ nlohmann::ordered_json row_of(const ChartPoint& p) {
           {"method", p.method},
           {"baseline", p.baseline},
           {"coefficients", p.coefficients},
-          {"discs", p.discs},
-          {"taps", p.taps},
-          {"object_taps", p.object_taps},
+          {"lights", p.lights},
+          {"samples", p.sampling},
+          {"object_samples", p.object_samples},
           {"map_size_px", p.map_size},
           {"bake_rays", p.bake_rays},
           {"environment_rows", p.environment_rows},
@@ -62,7 +62,7 @@ nlohmann::ordered_json row_of(const ChartPoint& p) {
           {"light_update_p99_ms", p.ms_p99},
           {"memory_bytes", p.bytes},
           {"chosen", p.chosen},
-          {"discs_allowed", p.most_discs},
+          {"lights_allowed", p.max_lights},
           {"reference_rel_error", p.reference_error}};
 }
 
@@ -106,13 +106,13 @@ std::vector<Mark> gather(std::span<const ChartPoint> points) {
     const auto configured = [&](int value) { return by_name ? 0 : value; };
     const auto [entry, fresh] =
         known.try_emplace({p.method, p.baseline, configured(p.coefficients),
-                           configured(p.most_discs), configured(p.taps), configured(p.map_size),
+                           configured(p.max_lights), configured(p.sampling), configured(p.map_size),
                            p.bake_rays, p.environment_rows, p.update_rate},
                           out.size());
     std::string configuration = fmt::format("{} SH", p.coefficients);
-    if (p.most_discs > 0)
+    if (p.max_lights > 0)
       configuration +=
-          fmt::format(", {} of {}", counted(p.most_discs, "disc"), counted(p.taps, "tap"));
+          fmt::format(", {} of {}", counted(p.max_lights, "light"), counted(p.sampling, "sample"));
     if (fresh) {
       Mark& mark = out.emplace_back();
       mark.method = p.method;

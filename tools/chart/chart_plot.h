@@ -18,10 +18,10 @@ namespace penumbra::tools {
 struct ChartPoint {
   std::string environment, mesh, method;
   bool baseline = false;  // a method of others, to compare with
-  int most_discs = 0;     // allowed; `discs` is how many there were
-  int coefficients = 0, discs = 0, map_size = 0, bake_rays = 0, environment_rows = 0;
-  int taps = 0, object_taps = 0;  // of a disc: on the floor, and at an object's vertex
-  double update_rate = 1;         // light updates a frame
+  int max_lights = 0;     // allowed; `lights` is how many there were
+  int coefficients = 0, lights = 0, map_size = 0, bake_rays = 0, environment_rows = 0;
+  int sampling = 0, object_samples = 0;  // of a light: on the floor, and at an object's vertex
+  double update_rate = 1;                // light updates a frame
   double object_rel_rmse = 0, object_bias = 0;  // relative to the object's mean luminance
   double shadow_rmse = 0, shadow_bias = 0;      // of s = L/L_0
   double penumbra_error = std::numeric_limits<double>::quiet_NaN();  // |w/w_ref - 1|

@@ -1,39 +1,39 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <map>
 
-#include "lighting/estimate.h"
-#include "lighting/governor.h"
-#include "lighting/light_estimate.h"
-#include "lighting/projection.h"
-#include "runtime/pipeline/governance.h"
-#include "runtime/pipeline/single_thread_time.h"
-#include "runtime/scene/scene.h"
-#include "runtime/shading/disc_stage.h"
-#include "tools/chart/accuracy.h"
-#include "tools/chart/chart_plot.h"
-#include "tools/common/print.h"
-#include "tools/common/still.h"
-#include "tools/common/command.h"
-#include "tools/chart/commands.h"
-#include "tools/chart/chart_options.h"
 #include "capture/environment/environment_file.h"
 #include "capture/studio/environments.h"
 #include "core/conventions.h"
 #include "core/files.h"
+#include "lighting/estimate.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "lighting/projection.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/pipeline/light_file.h"
+#include "runtime/pipeline/report.h"
+#include "runtime/pipeline/single_thread_time.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/direct_light_stage.h"
+#include "tools/chart/accuracy.h"
 #include "tools/chart/baselines.h"
 #include "tools/chart/chart_bench.h"
+#include "tools/chart/chart_options.h"
+#include "tools/chart/chart_plot.h"
+#include "tools/chart/commands.h"
 #include "tools/chart/flicker.h"
 #include "tools/chart/governor_bench.h"
-#include "runtime/pipeline/light_file.h"
+#include "tools/common/command.h"
 #include "tools/common/output.h"
+#include "tools/common/print.h"
 #include "tools/common/progress.h"
-#include "runtime/pipeline/report.h"
+#include "tools/common/still.h"
 
 namespace penumbra::tools {
 
@@ -46,13 +46,13 @@ constexpr int kFlickerMaps = 6;
 constexpr int kRounds = 5;
 constexpr double kCheap_ms = 15;
 
-struct Environment {
+struct ChartEnvironment {
   std::string name;
   Image<Rgb> map;
 };
 
-Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
-  std::vector<Environment> out;
+Result<std::vector<ChartEnvironment>> read_environments(const ChartOptions& o) {
+  std::vector<ChartEnvironment> out;
   for (const std::string& path : o.environments) {
     auto light = runtime::read_light(path, std::nullopt);
     if (!light) return std::unexpected(light.error());
@@ -68,10 +68,10 @@ Result<std::vector<Environment>> read_environments(const ChartOptions& o) {
 
 // One way to light the scene, as the chart's columns describe it.
 struct Method {
-  std::string label = "discs and bands";
+  std::string label = "lights and bands";
   bool baseline = false;
-  int bands = 5, most_discs = 8, map_size = 256, rows = 0, bake_rays = kBakeRays;
-  runtime::DiscTaps taps;
+  int bands = 5, max_lights = 8, map_size = 256, rows = 0, bake_rays = kBakeRays;
+  runtime::ShadowSampling sampling;
   int age_columns = 0;  // how far the map has turned since the light was measured
   double update_rate = 1;
   bool chosen = false;
@@ -81,31 +81,32 @@ struct Method {
 Method with(const std::function<void(Method&)>& change) {
   Method m;
   change(m);
-  m.taps.plane.size = m.map_size;
+  m.sampling.plane.size = m.map_size;
   return m;
 }
 
-// Around the default, one axis at a time, and bands against discs.
+// Around the default, one axis at a time, and bands against lights.
 std::vector<Method> sweep(const ChartOptions& o) {
   std::vector<Method> out{with([](Method& m) { m.default_plan = true; })};
   if (!o.bands.empty()) {
     out.clear();
     for (const int b : o.bands)
-      out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = o.discs; }));
+      out.push_back(with([&](Method& m) { m.bands = b, m.max_lights = o.lights; }));
     return out;
   }
   for (const int b : {1, 2, 3, 4, 5, 6, 9})
-    out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = 0; }));
+    out.push_back(with([&](Method& m) { m.bands = b, m.max_lights = 0; }));
   for (const int b : {2, 3, 5})
     for (const int k : {1, 2})
-      out.push_back(with([&](Method& m) { m.bands = b, m.most_discs = k; }));
+      out.push_back(with([&](Method& m) { m.bands = b, m.max_lights = k; }));
   for (const int b : {2, 3, 4, 6, 9}) out.push_back(with([&](Method& m) { m.bands = b; }));
   for (const int t : {1, 4, 64})
-    out.push_back(
-        with([&](Method& m) { m.taps.plane.taps = t, m.taps.object = std::clamp(t / 4, 1, 16); }));
+    out.push_back(with([&](Method& m) {
+      m.sampling.plane.samples = t, m.sampling.object = std::clamp(t / 4, 1, 16);
+    }));
   const auto cheaply = [](Method& m, int b, int k, int size) {
-    m.bands = b, m.most_discs = k, m.map_size = size, m.rows = 256;
-    m.taps.plane.taps = 4, m.taps.object = 1;
+    m.bands = b, m.max_lights = k, m.map_size = size, m.rows = 256;
+    m.sampling.plane.samples = 4, m.sampling.object = 1;
   };
   // A head that turns by a degree a frame: the oldest light in use.
   const auto every = [](Method& m, int frames) {
@@ -161,9 +162,9 @@ class Charter {
           std::vector<ChartPoint>& points)
       : o_(o), asset_(asset), bench_(bench), points_(points) {}
 
-  Result<void> run(const Environment& environment) {
-    if (o_.bands.empty() && costs_.per_disc_ms < 0) {
-      auto costs = runtime::fit_costs(baked_with(lighting::Governor::Limits{}.most_bands));
+  Result<void> run(const ChartEnvironment& environment) {
+    if (o_.bands.empty() && costs_.per_light_ms < 0) {
+      auto costs = runtime::fit_costs(baked_with(lighting::Governor::Limits{}.max_bands));
       if (!costs) return std::unexpected(costs.error());
       costs_ = *costs;
     }
@@ -193,16 +194,16 @@ class Charter {
 
  private:
   // What the program picks by itself with the default budget.
-  Result<void> governed(const Environment& e, const Truth& truth) {
+  Result<void> governed(const ChartEnvironment& e, const Truth& truth) {
     auto plan = default_plan(bench_, e.map, costs_);
     if (!plan) return fail(plan.error().code, e.name, plan.error().detail);
     Method m;
-    m.label = "governor", m.bands = plan->bands, m.most_discs = plan->discs, m.chosen = true;
+    m.label = "governor", m.bands = plan->bands, m.max_lights = plan->lights, m.chosen = true;
     return ours(m, e, truth);
   }
 
-  Result<void> ours(const Method& m, const Environment& e, const Truth& truth) {
-    const lighting::EstimateOptions options{m.bands, {m.most_discs, .02}};
+  Result<void> ours(const Method& m, const ChartEnvironment& e, const Truth& truth) {
+    const lighting::EstimateOptions options{m.bands, {m.max_lights, .02}};
     Image<Rgb> map = seen_by(m, e);
     auto light = lighting::estimate_map(map, options);
     if (!light) return fail(light.error().code, e.name, light.error().detail);
@@ -226,7 +227,7 @@ class Charter {
     return add(m, e, **scene, *light, estimate, may_flicker ? again : LightOf(), truth);
   }
 
-  static Image<Rgb> seen_by(const Method& m, const Environment& e) {
+  static Image<Rgb> seen_by(const Method& m, const ChartEnvironment& e) {
     Image<Rgb> map = m.age_columns > 0 ? turned(e.map, m.age_columns) : e.map;
     return m.rows > 0 ? reduced(map, m.rows) : map;
   }
@@ -248,7 +249,7 @@ class Charter {
   }
 
   static runtime::LightTime time_of(lighting::LightEstimator& estimator,
-                           const penumbra::Environment& environment) {
+                                    const penumbra::Environment& environment) {
     (void)estimator.estimate(environment);  // makes its tables
     return runtime::time_single_threaded(9, [&](int) { (void)estimator.estimate(environment); });
   }
@@ -260,14 +261,14 @@ class Charter {
     return time_of(estimator, environment);
   }
 
-  Result<void> baselines(const Environment& e, const Truth& truth) {
+  Result<void> baselines(const ChartEnvironment& e, const Truth& truth) {
     const auto projection = [&e](int bands) -> TimeOf {
       return [&e, bands] { return projection_time(e.map, bands); };
     };
     const TimeOf three_bands = projection(3);
     const auto plain = [&](const char* label, int bands) {
       Method m;
-      m.label = label, m.baseline = true, m.bands = bands, m.most_discs = 0;
+      m.label = label, m.baseline = true, m.bands = bands, m.max_lights = 0;
       return m;
     };
     auto bands3 = lighting::estimate_map(e.map, {3, {0, 1}});
@@ -293,8 +294,8 @@ class Charter {
       const lighting::LightEstimate light = make(e.map);
       Method m = plain("", 1);
       m.label = label;
-      m.taps = {1, {1, 256}};
-      m.most_discs = static_cast<int>(light.discs.size());
+      m.sampling = {1, {1, 256}};
+      m.max_lights = static_cast<int>(light.lights.size());
       return add(m, e, baked_with(1), light, estimate, may_flicker ? always(make) : LightOf(),
                  truth);
     };
@@ -302,15 +303,15 @@ class Charter {
     for (const int n : {16, 64, 256})
       PENUMBRA_TRY(points(
           fmt::format("{} sampled lights", n),
-          [n](const Image<Rgb>& map) { return sampled_lights(map, n); }, [] { return runtime::LightTime{}; },
-          n == 16));
+          [n](const Image<Rgb>& map) { return sampled_lights(map, n); },
+          [] { return runtime::LightTime{}; }, n == 16));
     return {};
   }
 
-  Result<void> add(const Method& m, const Environment& e, const runtime::PreparedScene& scene,
+  Result<void> add(const Method& m, const ChartEnvironment& e, const runtime::PreparedScene& scene,
                    const lighting::LightEstimate& light, const TimeOf& estimate,
                    const LightOf& again, const Truth& truth) {
-    auto measured = measure(bench_, scene, light, m.taps, truth);
+    auto measured = measure(bench_, scene, light, m.sampling, truth);
     if (!measured) return std::unexpected(measured.error());
     const Accuracy& a = measured->accuracy;
     ChartPoint p;
@@ -319,11 +320,11 @@ class Charter {
     p.method = m.label;
     p.baseline = m.baseline;
     p.coefficients = coefficient_count(m.bands);
-    p.discs = static_cast<int>(light.discs.size());
-    p.most_discs = m.most_discs;
-    p.taps = m.taps.plane.taps;
-    p.object_taps = m.taps.object;
-    p.map_size = m.taps.plane.size;
+    p.lights = static_cast<int>(light.lights.size());
+    p.max_lights = m.max_lights;
+    p.sampling = m.sampling.plane.samples;
+    p.object_samples = m.sampling.object;
+    p.map_size = m.sampling.plane.size;
     p.bake_rays = m.bake_rays;
     p.environment_rows = m.rows > 0 ? m.rows : e.map.height();
     p.update_rate = m.update_rate;
@@ -334,19 +335,19 @@ class Charter {
     p.penumbra_error = a.penumbra_error;
     p.flip = measured->flip;
     if (again && !maps_.empty()) {
-      auto flicker = measure_flicker(bench_, scene, again, m.taps, truth.empty, maps_);
+      auto flicker = measure_flicker(bench_, scene, again, m.sampling, truth.empty, maps_);
       if (!flicker) return std::unexpected(flicker.error());
       p.flicker = *flicker;
     }
     p.chosen = m.chosen;
-    p.bytes = memory_of(scene, light.discs.size(), p.map_size);
+    p.bytes = memory_of(scene, light.lights.size(), p.map_size);
     p.reference_error = a.reference_error;
     points_.push_back(p);
     // `scene` of a baseline is gone by the next round, where it is one of its own.
     timings_.push_back({points_.size() - 1,
                         m.update_rate,
                         estimate,
-                        m.taps,
+                        m.sampling,
                         light,
                         is_baked(scene) ? &scene : nullptr,
                         {}});
@@ -363,7 +364,7 @@ class Charter {
     std::size_t point;
     double rate;  // updates a frame
     TimeOf estimate;
-    runtime::DiscTaps taps;
+    runtime::ShadowSampling sampling;
     lighting::LightEstimate light;
     const runtime::PreparedScene* scene;
     std::vector<runtime::LightTime> rounds;
@@ -387,7 +388,7 @@ class Charter {
     for (int round = 1; round < kRounds; ++round)
       for (Timing& t : timings_) {
         if (!t.scene || t.rounds[0].p50_ms > kCheap_ms) continue;
-        auto update = time_updates(bench_, *t.scene, t.light, t.taps);
+        auto update = time_updates(bench_, *t.scene, t.light, t.sampling);
         if (!update) return std::unexpected(update.error());
         add_round(t, *update);
       }
@@ -399,7 +400,7 @@ class Charter {
         "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5.2f} {:>9.2f} "
         "{:>7.2f} "
         "{:>8.4f} {:>8.4f} {:>7.4f} {:>7.1f} {:>7.2g} {:>8.2f}\n",
-        p.environment, p.mesh, p.method, p.coefficients, p.discs, p.taps, p.map_size,
+        p.environment, p.mesh, p.method, p.coefficients, p.lights, p.sampling, p.map_size,
         p.environment_rows, p.bake_rays, p.update_rate, 100 * p.object_rel_rmse,
         100 * p.object_bias, p.shadow_rmse, p.shadow_bias, p.flip, 100 * p.penumbra_error,
         100 * p.flicker, p.ms_p50);
@@ -412,12 +413,12 @@ class Charter {
   std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
   lighting::CostModel costs_{0, 0, -1};  // until fitted
   std::map<std::pair<int, int>, runtime::PreparedScene> scenes_;  // by bands and rays of the bake
-  std::vector<Timing> timings_;                          // of the environment at hand
+  std::vector<Timing> timings_;                                   // of the environment at hand
 };
 
 // What our own steps cost: both sides under the same truncated light.
 Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
-                             const Environment& environment, std::vector<ChartPoint>& points) {
+                             const ChartEnvironment& environment, std::vector<ChartPoint>& points) {
   const StillScene in = bench.in(environment.map);
   auto empty = render_real(in, o.error, {});
   if (!empty) return std::unexpected(empty.error());
@@ -454,7 +455,7 @@ Result<void> chart_governor(const ChartOptions& o) {
   const std::string asset = o.assets.empty() ? "builtin:knot" : o.assets[0];
   auto bench = ChartScene::make(asset, kBakeRays);
   if (!bench) return std::unexpected(bench.error());
-  auto costs = runtime::fit_costs(bench->prepared_with(lighting::Governor::Limits{}.most_bands));
+  auto costs = runtime::fit_costs(bench->prepared_with(lighting::Governor::Limits{}.max_bands));
   if (!costs) return std::unexpected(costs.error());
   auto proof = prove_governor(bench->prepared(), *costs, o.budget, o.governor,
                               progress_bar("random scenes"));
@@ -473,17 +474,17 @@ Result<void> chart_governor(const ChartOptions& o) {
                 {"budget", o.budget}});
     return {};
   }
-  fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a disc, one thread\n",
-             costs->base_ms, costs->per_coefficient_ms, costs->per_disc_ms);
+  fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a light, one thread\n",
+             costs->base_ms, costs->per_coefficient_ms, costs->per_light_ms);
   fmt::print(
       "{} scenes need a factor of {:.2f}, taken {:.2f}; of {} others {} had a plan within {:.3f}, "
       "{} kept it (at least {:.1f} % with 95 % confidence)\n",
       proof->calibration, proof->needed_factor, proof->factor, proof->scenes, proof->promised,
       o.budget, proof->kept, 100 * proof->coverage_low);
   fmt::print(
-      "chosen: {:.1f} bands and {:.1f} discs on average, error mean {:.4f} worst {:.4f}; "
+      "chosen: {:.1f} bands and {:.1f} lights on average, error mean {:.4f} worst {:.4f}; "
       "{:.1f} times the cost of the cheapest sufficient plan\n",
-      proof->mean_bands, proof->mean_discs, proof->mean_error, proof->worst_error,
+      proof->mean_bands, proof->mean_lights, proof->mean_error, proof->worst_error,
       1 + proof->mean_regret);
   return {};
 }
@@ -494,8 +495,9 @@ Result<void> chart(const ChartOptions& o) {
   if (o.governor < 0 || o.governor > 10'000)
     return fail(ErrorCode::kInvalid, "--governor", "not within 1..10000 scenes");
   if (!(o.budget > 0 && o.budget <= 1))
-    return fail(ErrorCode::kInvalid, "--budget", "not within 0..1");
-  if (o.discs < 0 || o.discs > 64) return fail(ErrorCode::kInvalid, "--discs", "not within 0..64");
+    return fail(ErrorCode::kInvalid, "--max-shadow-error", "not within 0..1");
+  if (o.lights < 0 || o.lights > 64)
+    return fail(ErrorCode::kInvalid, "--max-lights", "not within 0..64");
   if (o.governor > 0) return chart_governor(o);
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)
@@ -521,7 +523,7 @@ Result<void> chart(const ChartOptions& o) {
     auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
     if (!bench) return std::unexpected(bench.error());
     Charter charter(o, asset, *bench, points);
-    for (const Environment& e : *environments)
+    for (const ChartEnvironment& e : *environments)
       PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
   }
   PENUMBRA_TRY(output->begin());
@@ -548,12 +550,15 @@ void add_chart(CLI::App& parent, Action& action) {
               "The built-in environments beside the given ones");
   c->add_option("--asset", chart_options.assets, "Objects; the built-in knot and twist by default");
   c->add_option("--bands", chart_options.bands,
-                "Only these numbers of bands, with --discs; by default the whole sweep")
+                "Only these numbers of bands, with --max-lights; by default the whole sweep")
       ->delimiter(',');
-  c->add_option("--discs", chart_options.discs, "Most discs beside --bands")->capture_default_str();
+  c->add_option("--max-lights", chart_options.lights,
+                "Maximum number of distant lights, with --bands")
+      ->capture_default_str();
   c->add_option("--governor", chart_options.governor,
                 "Calibrate the governor on 59 random scenes and prove it on so many others");
-  c->add_option("--budget", chart_options.budget, "Of the shadow's RMS error in s, for --governor")
+  c->add_option("--max-shadow-error", chart_options.budget,
+                "Of the shadow's RMS error in s, for --governor")
       ->capture_default_str();
   c->add_option("--error", chart_options.error, "Relative error of the reference")
       ->capture_default_str();

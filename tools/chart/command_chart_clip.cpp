@@ -6,32 +6,32 @@
 #include <cmath>
 #include <filesystem>
 
+#include "capture/studio/environments.h"
+#include "codec/codec.h"
+#include "core/files.h"
 #include "lighting/projection.h"
 #include "lighting/rotation.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
 #include "prt/transfer/transfer.h"
-#include "tools/chart/rgbe_video.h"
-#include "tools/common/print.h"
-#include "capture/studio/environments.h"
-#include "codec/codec.h"
-#include "core/files.h"
+#include "runtime/pipeline/light_file.h"
+#include "runtime/pipeline/report.h"
 #include "runtime/scene/animated.h"
 #include "tools/chart/chart_options.h"
-#include "tools/common/number_pairs.h"
-#include "tools/common/gnuplot.h"
-#include "runtime/pipeline/light_file.h"
-#include "tools/common/output.h"
 #include "tools/chart/peer_codecs.h"
+#include "tools/chart/rgbe_video.h"
+#include "tools/common/gnuplot.h"
+#include "tools/common/number_pairs.h"
+#include "tools/common/output.h"
+#include "tools/common/print.h"
 #include "tools/common/progress.h"
-#include "runtime/pipeline/report.h"
 
 namespace penumbra::tools {
 
 namespace {
 
-struct Point {
+struct RatePoint {
   std::string coder, setting;
   std::size_t bytes;
   double error;  // rendered, relative RMSE
@@ -42,7 +42,7 @@ class ClipBench {
  public:
   static Result<ClipBench> make(const ChartOptions& o, const std::filesystem::path& journal);
 
-  Result<void> run(const std::filesystem::path& scratch, std::vector<Point>& out) const;
+  Result<void> run(const std::filesystem::path& scratch, std::vector<RatePoint>& out) const;
   std::size_t raw_bytes() const { return 4 * maps_.size() * maps_[0].area(); }
   std::size_t texels() const { return layout_.texels.size(); }
   int coefficients() const { return coefficient_count(frames_[0].bands); }
@@ -79,8 +79,8 @@ Result<ClipBench> ClipBench::make(const ChartOptions& o, const std::filesystem::
   const std::string asset = o.assets.empty() ? "builtin:walker" : o.assets[0];
   PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
   PENUMBRA_ASSIGN(lights, read_lights(o));
-  PENUMBRA_ASSIGN(standing,
-                  runtime::standing_character(asset, {.5f, .5f, .5f}, o.animation, size[0], size[1]));
+  PENUMBRA_ASSIGN(
+      standing, runtime::standing_character(asset, {.5f, .5f, .5f}, o.animation, size[0], size[1]));
   prt::Character& character = standing.character;
   // Grey, so that every coder has one channel to code.
   std::ranges::fill(character.albedo, Rgb{.5f, .5f, .5f});
@@ -190,7 +190,8 @@ double ClipBench::error_of(const prt::TransferSequence& sequence) const {
   });
 }
 
-Result<void> ClipBench::run(const std::filesystem::path& scratch, std::vector<Point>& out) const {
+Result<void> ClipBench::run(const std::filesystem::path& scratch,
+                            std::vector<RatePoint>& out) const {
   for (const double error : {.04, .02, .01, .007, .005, .0035, .0025}) {
     const auto ours = prt::compress_surface(layout_, frames_, error);
     out.push_back({"temporal PCA (ours)", fmt::format("error {}", error), ours.bytes,
@@ -227,21 +228,21 @@ Result<void> ClipBench::run(const std::filesystem::path& scratch, std::vector<Po
   return {};
 }
 
-std::string plot_of(const std::vector<Point>& points, const std::string& title) {
+std::string plot_of(const std::vector<RatePoint>& points, const std::string& title) {
   std::string script =
       "set terminal svg size 900,640 font 'sans-serif,13' background 'white'\n"
       "set logscale xy\nset grid\nset key top right\nset xlabel 'Megabytes'\n"
       "set ylabel 'Rendered error: relative RMSE (per cent)'\n";
   script += fmt::format("set title {}\nplot ", gnuplot_quoted(title));
   std::vector<std::string> coders;
-  for (const Point& p : points)
+  for (const RatePoint& p : points)
     if (std::ranges::find(coders, p.coder) == coders.end()) coders.push_back(p.coder);
   for (std::size_t i = 0; i < coders.size(); ++i)
     script += fmt::format("{}'-' using 1:2 with linespoints linewidth 2 pointtype {} title {}",
                           i > 0 ? ", " : "", 5 + 2 * i, gnuplot_quoted(coders[i]));
   script += "\n";
   for (const std::string& coder : coders) {
-    for (const Point& p : points)
+    for (const RatePoint& p : points)
       if (p.coder == coder)
         script += fmt::format("{} {}\n", static_cast<double>(p.bytes) * 1e-6, 100 * p.error);
     script += "e\n";
@@ -250,18 +251,18 @@ std::string plot_of(const std::vector<Point>& points, const std::string& title) 
 }
 
 // At an error, on the straight line between logarithms; nothing outside the coder's range.
-std::optional<double> bytes_at(const std::vector<Point>& points, const std::string& coder,
+std::optional<double> bytes_at(const std::vector<RatePoint>& points, const std::string& coder,
                                double error) {
-  std::vector<const Point*> own;
-  for (const Point& p : points)
+  std::vector<const RatePoint*> own;
+  for (const RatePoint& p : points)
     if (p.coder == coder) own.push_back(&p);
-  std::ranges::sort(own, {}, [](const Point* p) { return p->error; });
+  std::ranges::sort(own, {}, [](const RatePoint* p) { return p->error; });
   for (std::size_t i = 0; i + 1 < own.size(); ++i) {
     if (!(own[i]->error <= error && error <= own[i + 1]->error)) continue;
-    const double share =
+    const double fraction =
         std::log(error / own[i]->error) / std::log(own[i + 1]->error / own[i]->error);
     return std::exp(std::lerp(std::log(static_cast<double>(own[i]->bytes)),
-                              std::log(static_cast<double>(own[i + 1]->bytes)), share));
+                              std::log(static_cast<double>(own[i + 1]->bytes)), fraction));
   }
   return {};
 }
@@ -277,10 +278,10 @@ Result<void> chart_clip(const ChartOptions& o) {
   PENUMBRA_ASSIGN(bench, ClipBench::make(o, journal));
   std::error_code ignored;
   std::filesystem::remove(journal, ignored);
-  std::vector<Point> points;
+  std::vector<RatePoint> points;
   PENUMBRA_TRY(bench.run(output.work(), points));
   std::string csv = "coder,setting,bytes,rendered_rel_rmse\n";
-  for (const Point& p : points)
+  for (const RatePoint& p : points)
     csv += fmt::format("{},{},{},{:.6g}\n", p.coder, p.setting, p.bytes, p.error);
   PENUMBRA_TRY(write_bytes(output.file("rate-distortion.csv"), csv));
   const std::string title = fmt::format(
@@ -292,7 +293,7 @@ Result<void> chart_clip(const ChartOptions& o) {
   PENUMBRA_TRY(output.keep());
   if (o.json) {
     nlohmann::json rows = nlohmann::json::array();
-    for (const Point& p : points)
+    for (const RatePoint& p : points)
       rows.push_back({{"coder", p.coder},
                       {"setting", p.setting},
                       {"bytes", p.bytes},
@@ -300,10 +301,10 @@ Result<void> chart_clip(const ChartOptions& o) {
     print_json({{"raw_bytes", bench.raw_bytes()}, {"rows", rows}});
     return {};
   }
-  for (const Point& p : points)
+  for (const RatePoint& p : points)
     fmt::print("{:<28} {:<14} {:>9.3f} MB  {:>7.3f} %\n", p.coder, p.setting,
                static_cast<double>(p.bytes) * 1e-6, 100 * p.error);
-  for (const Point& p : points) {
+  for (const RatePoint& p : points) {
     if (p.coder != "RGBE video (dissertation)") continue;
     if (const auto ours = bytes_at(points, "temporal PCA (ours)", p.error))
       fmt::print("at {:.2f} % ours is {:.1f} times smaller than the dissertation's\n",

@@ -1,18 +1,18 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <cmath>
 #include <limits>
 
-#include "tools/chart/chart_bench.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/chart/commands.h"
 #include "codec/codec.h"
 #include "core/conventions.h"
-#include "tools/chart/flip.h"
-#include "tools/common/output.h"
 #include "runtime/pipeline/report.h"
+#include "tools/chart/chart_bench.h"
+#include "tools/chart/commands.h"
+#include "tools/chart/flip.h"
+#include "tools/common/command.h"
+#include "tools/common/output.h"
+#include "tools/common/print.h"
 
 namespace penumbra::tools {
 

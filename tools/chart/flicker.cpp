@@ -3,15 +3,14 @@
 #include <cmath>
 
 #include "calib/camera/response.h"
-#include "runtime/scene/scene.h"
-#include "runtime/shading/disc_stage.h"
-#include "tools/chart/accuracy.h"
-#include "tools/common/still.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"
 #include "capture/studio/studio.h"
 #include "capture/studio/world.h"
-
+#include "runtime/scene/scene.h"
+#include "runtime/shading/direct_light_stage.h"
+#include "tools/chart/accuracy.h"
+#include "tools/common/still.h"
 
 namespace penumbra::tools {
 
@@ -43,17 +42,17 @@ Result<std::vector<Image<Rgb>>> measured_maps(const Image<Rgb>& environment, int
 }
 
 Result<double> measure_flicker(const ChartScene& bench, const runtime::PreparedScene& scene,
-                               const LightOf& light, const runtime::DiscTaps& taps, const Still& empty,
-                               std::span<const Image<Rgb>> maps) {
-  auto stage = make_still_stage(scene, bench.view(), taps);
-  if (!stage) return std::unexpected(stage.error());
+                               const LightOf& light, const runtime::ShadowSampling& sampling,
+                               const Still& empty, std::span<const Image<Rgb>> maps) {
+  auto pipeline = make_still_pipeline(scene, bench.view(), sampling);
+  if (!pipeline) return std::unexpected(pipeline.error());
   const Masks& masks = bench.masks();
   Image<Rgb> before;
   double square = 0, mean = 0, count = 0;
   for (std::size_t t = 0; t < maps.size(); ++t) {
     const auto estimate = light(maps[t], TimestampNs{0} + Seconds(static_cast<double>(t) / 30));
     if (!estimate) return std::unexpected(estimate.error());
-    auto picture = composite_still(**stage, bench.view(), *estimate, empty);
+    auto picture = composite_still(*pipeline, bench.view(), *estimate, empty);
     if (!picture) return std::unexpected(picture.error());
     for (std::size_t i = 0; t > 0 && i < masks.floor.size(); ++i) {
       if (!masks.floor[i] && !masks.object[i]) continue;

@@ -7,9 +7,9 @@
 
 #include "lighting/light_estimate.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/disc_stage.h"
-#include "tools/common/still.h"
+#include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/chart_bench.h"
+#include "tools/common/still.h"
 
 namespace penumbra::tools {
 
@@ -23,7 +23,7 @@ using LightOf = std::function<Result<lighting::LightEstimate>(const Image<Rgb>&,
 /// F = RMS(a_t - a_{t-1}) over the mean of a, on the pixels of objects and floor; maps come 30 times a second.
 /// in: at least two maps
 Result<double> measure_flicker(const ChartScene& bench, const runtime::PreparedScene& scene,
-                               const LightOf& light, const runtime::DiscTaps& taps, const Still& empty,
-                               std::span<const Image<Rgb>> maps);
+                               const LightOf& light, const runtime::ShadowSampling& sampling,
+                               const Still& empty, std::span<const Image<Rgb>> maps);
 
 }  // namespace penumbra::tools

@@ -150,7 +150,7 @@ constexpr std::array<SensitivityTerm, 2> kBlueYellow{{{34.1, .04}, {13.5, .025}}
 struct SensitivityFilter {
   Kernel achromatic, red_green;
   std::array<Kernel, 2> blue_yellow;
-  std::array<float, 2> blue_yellow_share;
+  std::array<float, 2> blue_yellow_fraction;
 };
 
 // in:  the transform of the term, over pixels; out: kernel of unit sum. Returns the sum it had.
@@ -180,7 +180,7 @@ SensitivityFilter make_sensitivity(double pixels_per_degree) {
     volume[k] = term.amplitude * std::sqrt(kPi / term.width) * sum * sum;
   }
   for (std::size_t k = 0; k < 2; ++k)
-    filter.blue_yellow_share[k] = static_cast<float>(volume[k] / (volume[0] + volume[1]));
+    filter.blue_yellow_fraction[k] = static_cast<float>(volume[k] / (volume[0] + volume[1]));
   return filter;
 }
 
@@ -216,8 +216,8 @@ Image<glm::vec3> perceived_colours(const Opponent& in, const SensitivityFilter& 
   for_rows(out.height(), [&](int y) {
     for (int x = 0; x < out.width(); ++x) {
       const float l = luminance.at(x, y);
-      const float blue_yellow = filter.blue_yellow_share[0] * wide.at(x, y) +
-                                filter.blue_yellow_share[1] * narrow.at(x, y);
+      const float blue_yellow = filter.blue_yellow_fraction[0] * wide.at(x, y) +
+                                filter.blue_yellow_fraction[1] * narrow.at(x, y);
       const glm::vec3 rgb = rgb_from_xyz() * glm::vec3(l + red_green.at(x, y), l, l - blue_yellow);
       out.at(x, y) = perceived(glm::clamp(rgb, 0.f, 1.f));
     }

@@ -3,26 +3,26 @@
 #include <algorithm>
 #include <cmath>
 
+#include "capture/studio/environments.h"
+#include "core/conventions.h"
 #include "lighting/basis.h"
-#include "lighting/disc.h"
-#include "lighting/discs.h"
+#include "lighting/distant_light.h"
 #include "lighting/irradiance.h"
+#include "lighting/light_extraction.h"
 #include "lighting/projection.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"
 #include "prt/reference/environment_light.h"
 #include "prt/reference/reference.h"
 #include "prt/transfer/transfer.h"
-#include "runtime/pipeline/governance.h"
-#include "capture/studio/environments.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/shading/composite_stage.h"
+#include "runtime/shading/direct_light_stage.h"
 #include "shadows/field/planar_shadow.h"
-#include "shadows/silhouette/casters.h"
-#include "shadows/silhouette/disc_shadow.h"
-#include "shadows/silhouette/outline.h"
-#include "core/conventions.h"
+#include "shadows/silhouette/occluders.h"
+#include "shadows/silhouette/shadow_map.h"
+#include "shadows/silhouette/silhouette_mesh.h"
 #include "tools/chart/chart_bench.h"
-#include "runtime/shading/disc_stage.h"
-#include "runtime/shading/compose_stage.h"
 #include "tools/common/still.h"
 
 namespace penumbra::tools {
@@ -32,13 +32,13 @@ namespace {
 constexpr int kProbesAside = 14;
 constexpr int kMapRows = 256;
 constexpr int kReferenceRays = 3000;
-constexpr int kMostDiscs = 8;
+constexpr int kMaxLights = 8;
 constexpr double kShadowed = .95;
 
 using Values = std::vector<double>;
 
 // Bilinear value of a node map at a floor position; 0 outside.
-double at_plane(const shadows::DiscShadow& shadow, const glm::dvec3& world) {
+double at_plane(const shadows::ShadowMap& shadow, const glm::dvec3& world) {
   const glm::dvec3 p = shadow.world_from_map.inverse() * world / double(shadow.cell_m);
   const int x = static_cast<int>(std::floor(p.x)), y = static_cast<int>(std::floor(p.z));
   if (shadow.empty() || x < 0 || y < 0 || x + 1 >= shadow.taken.width() ||
@@ -119,7 +119,7 @@ Result<Values> reference_ratios(const runtime::PreparedScene& scene, const Floor
                                 const Image<Rgb>& map, int rays) {
   auto light = prt::EnvironmentLight::from_map(map);
   if (!light) return std::unexpected(light.error());
-  prt::World world;
+  prt::ReferenceWorld world;
   world.mesh = runtime::world_mesh(scene, true);
   world.planes = scene.planes;
   world.light = &*light;
@@ -138,50 +138,50 @@ void add(RadianceSh& sum, const RadianceSh& other) {
   for (int n = 0; n < sum.size(); ++n) sum[n] += other[n];
 }
 
-// One environment's light, split as far as it goes, with the shadows of all its discs.
+// One environment's light, split as far as it goes, with the shadows of all its lights.
 struct Split {
-  lighting::Projection rest;
-  std::vector<lighting::Disc> discs;
-  std::vector<shadows::DiscShadow> shadows;
+  lighting::ShProjection residual;
+  std::vector<lighting::DistantLight> lights;
+  std::vector<shadows::ShadowMap> shadows;
 };
 
 Result<Split> split_and_trace(const runtime::PreparedScene& scene, const Image<Rgb>& map) {
-  lighting::DiscSplit split;
-  PENUMBRA_TRY(lighting::split_discs(map, {kMostDiscs, .02}, split));
-  auto rest = lighting::project_latlong(split.rest, kMaxBands);
-  if (!rest) return std::unexpected(rest.error());
-  Split out{*rest, std::move(split.discs), {}};
+  lighting::LightExtraction split;
+  PENUMBRA_TRY(lighting::extract_lights(map, {kMaxLights, .02}, split));
+  auto residual = lighting::project_latlong(split.residual, kMaxBands);
+  if (!residual) return std::unexpected(residual.error());
+  Split out{*residual, std::move(split.lights), {}};
   const runtime::PreparedObject& o = scene.objects[0];
-  const shadows::Outline outline(o.baked.mesh);
-  const shadows::Caster caster{&o.baked.mesh, &outline, o.world_from_bake};
-  for (const lighting::Disc& d : out.discs)
-    shadows::draw_disc_shadow({{&caster, 1}, {}}, scene.planes[0], d, {},
-                              out.shadows.emplace_back());
+  const shadows::SilhouetteMesh silhouette(o.baked.mesh);
+  const shadows::Caster caster{&o.baked.mesh, &silhouette, o.world_from_bake};
+  for (const lighting::DistantLight& d : out.lights)
+    shadows::render_shadow_map({{&caster, 1}, {}}, scene.planes[0], d, {},
+                               out.shadows.emplace_back());
   return out;
 }
 
-// Our s at the probes with so many bands and discs, as compose_planar_shadow and the compositor make it.
-Values our_ratios(const FloorProbes& probes, const Split& split, int bands, int discs) {
+// Our s at the probes with so many bands and lights, as compose_planar_shadow and the compositor make it.
+Values our_ratios(const FloorProbes& probes, const Split& split, int bands, int lights) {
   const glm::dvec3 up(0, 1, 0);
-  RadianceSh above = split.rest.above, traced(kMaxBands);
-  double disc_irradiance = 0;
-  for (std::size_t j = 0; j < split.discs.size(); ++j) {
-    const lighting::Disc& d = split.discs[j];
-    const bool used = j < static_cast<std::size_t>(discs);
-    add(used ? traced : above, project_disc_above(d, kMaxBands));
-    if (used) disc_irradiance += luminance(lighting::irradiance(d, up));
+  RadianceSh upper_moments = split.residual.upper_moments, traced(kMaxBands);
+  double distant_irradiance = 0;
+  for (std::size_t j = 0; j < split.lights.size(); ++j) {
+    const lighting::DistantLight& d = split.lights[j];
+    const bool used = j < static_cast<std::size_t>(lights);
+    add(used ? traced : upper_moments, project_upper_distant_light(d, kMaxBands));
+    if (used) distant_irradiance += luminance(lighting::irradiance(d, up));
   }
-  const RadianceSh light = lighting::floor_light(above, bands),
-                   reflected = lighting::floor_light(traced, prt::kIndirectBands);
+  const RadianceSh light = lighting::upper_hemisphere_light(upper_moments, bands),
+                   reflected = lighting::upper_hemisphere_light(traced, prt::kIndirectBands);
   const double open =
-      luminance(lighting::evaluate(lighting::irradiance(light), up)) + disc_irradiance;
+      luminance(lighting::evaluate(lighting::irradiance(light), up)) + distant_irradiance;
   Values out;
   for (std::size_t p = 0; p < probes.count(); ++p) {
     double lost = probes.deficit(p, light);
-    if (discs > 0) lost -= probes.indirect(p, reflected);
-    for (std::size_t j = 0; j < static_cast<std::size_t>(discs); ++j)
+    if (lights > 0) lost -= probes.indirect(p, reflected);
+    for (std::size_t j = 0; j < static_cast<std::size_t>(lights); ++j)
       lost += at_plane(split.shadows[j], probes.world(p)) *
-              luminance(lighting::irradiance(split.discs[j], up));
+              luminance(lighting::irradiance(split.lights[j], up));
     out.push_back(open > 0 ? std::clamp(1 - lost / open, 0., 1.5) : 1);
   }
   return out;
@@ -217,29 +217,30 @@ double clopper_pearson_low(int successes, int trials) {
 
 std::optional<lighting::Plan> ScenePlans::choose(const lighting::CostModel& costs, double budget,
                                                  double factor) const {
-  const lighting::Governor governor({budget, predicted.most_bands(), predicted.most_discs()}, costs,
+  const lighting::Governor governor({budget, predicted.max_bands(), predicted.max_lights()}, costs,
                                     factor);
   const lighting::Plan plan = governor.cheapest(predicted, budget);
   return plan.within_budget ? std::optional(plan) : std::nullopt;
 }
 
-double ScenePlans::least_factor(const lighting::CostModel& costs, double budget) const {
+double ScenePlans::min_factor(const lighting::CostModel& costs, double budget) const {
   // The choice changes where a plan leaves the budget: just above budget/predicted.
   std::vector<double> factors{0};
-  for (int discs = 0; discs <= predicted.most_discs(); ++discs)
-    for (int bands = 1; bands <= predicted.most_bands(); ++bands)
-      factors.push_back(budget / predicted.error(bands, discs) * (1 + 1e-9));
+  for (int lights = 0; lights <= predicted.max_lights(); ++lights)
+    for (int bands = 1; bands <= predicted.max_bands(); ++bands)
+      factors.push_back(budget / predicted.error(bands, lights) * (1 + 1e-9));
   std::ranges::sort(factors, std::greater<>());
-  double least = factors.front();
+  double smallest = factors.front();
   for (const double factor : factors) {
     const auto chosen = choose(costs, budget, factor);
-    if (chosen && measured_error(*chosen) > budget) return least;
-    least = factor;
+    if (chosen && measured_error(*chosen) > budget) return smallest;
+    smallest = factor;
   }
   return 0;
 }
 
-Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint32_t seed, int rays) {
+Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint32_t seed,
+                                 int rays) {
   const Image<Rgb> map = capture::make_random_environment(2 * kMapRows, kMapRows, seed);
   const FloorProbes probes(scene.objects[0]);
   auto reference = reference_ratios(scene, probes, map, rays);
@@ -248,23 +249,23 @@ Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint3
   if (!split) return std::unexpected(split.error());
   const lighting::Governor::Limits limits;
   ScenePlans out{seed,
-                 {{&split->rest.above, split->discs},
+                 {{&split->residual.upper_moments, split->lights},
                   runtime::shadow_probes(scene),
-                  limits.most_bands,
-                  limits.most_discs},
+                  limits.max_bands,
+                  limits.max_lights},
                  {}};
-  for (int discs = 0; discs <= out.predicted.most_discs(); ++discs)
-    for (int bands = 1; bands <= limits.most_bands; ++bands) {
-      const double error = shadow_rmse(our_ratios(probes, *split, bands, discs), *reference);
+  for (int lights = 0; lights <= out.predicted.max_lights(); ++lights)
+    for (int bands = 1; bands <= limits.max_bands; ++bands) {
+      const double error = shadow_rmse(our_ratios(probes, *split, bands, lights), *reference);
       if (error < 0) return fail(ErrorCode::kUndetermined, "scene", "has no shadow to measure");
       out.measured.push_back(error);
     }
   return out;
 }
 
-Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene, const lighting::CostModel& costs,
-                                     double budget, int test_scenes,
-                                     const std::function<void(double)>& progress) {
+Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene,
+                                     const lighting::CostModel& costs, double budget,
+                                     int test_scenes, const std::function<void(double)>& progress) {
   constexpr int kCalibration = 59;
   constexpr std::uint32_t kFirstCalibration = 1001, kFirstTest = 20001;
   GovernorProof proof;
@@ -284,9 +285,9 @@ Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene, const 
     const auto plans = next_scene(seed);
     if (!plans) return std::unexpected(plans.error());
     for (const double b : kBudgets)
-      proof.needed_factor = std::max(proof.needed_factor, plans->least_factor(costs, b));
+      proof.needed_factor = std::max(proof.needed_factor, plans->min_factor(costs, b));
   }
-  proof.factor = std::max(proof.needed_factor, lighting::Governor::kCalibrated);
+  proof.factor = std::max(proof.needed_factor, lighting::Governor::kConformalFactor);
   for (std::uint32_t seed = kFirstTest; proof.scenes < test_scenes;) {
     const auto plans = next_scene(seed);
     if (!plans) return std::unexpected(plans.error());
@@ -299,19 +300,19 @@ Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene, const 
     error += measured;
     proof.worst_error = std::max(proof.worst_error, measured);
     proof.mean_bands += chosen->bands;
-    proof.mean_discs += chosen->discs;
+    proof.mean_lights += chosen->lights;
     double oracle_ms = HUGE_VAL;
-    for (int discs = 0; discs <= plans->predicted.most_discs(); ++discs)
-      for (int bands = 1; bands <= plans->predicted.most_bands(); ++bands)
-        if (plans->measured_error({bands, discs}) <= budget)
-          oracle_ms = std::min(oracle_ms, costs.ms(bands, discs));
+    for (int lights = 0; lights <= plans->predicted.max_lights(); ++lights)
+      for (int bands = 1; bands <= plans->predicted.max_bands(); ++bands)
+        if (plans->measured_error({bands, lights}) <= budget)
+          oracle_ms = std::min(oracle_ms, costs.ms(bands, lights));
     if (oracle_ms < HUGE_VAL)
-      regret += costs.ms(chosen->bands, chosen->discs) / oracle_ms - 1, ++regretted;
+      regret += costs.ms(chosen->bands, chosen->lights) / oracle_ms - 1, ++regretted;
   }
   if (proof.promised > 0) {
     proof.mean_error = error / proof.promised;
     proof.mean_bands /= proof.promised;
-    proof.mean_discs /= proof.promised;
+    proof.mean_lights /= proof.promised;
   }
   proof.mean_regret = regretted > 0 ? regret / regretted : 0;
   proof.coverage_low = clopper_pearson_low(proof.kept, proof.promised);

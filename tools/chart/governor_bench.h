@@ -5,8 +5,8 @@
 #include <optional>
 #include <vector>
 
-#include "lighting/governor.h"
 #include "core/result.h"
+#include "lighting/governor.h"
 #include "runtime/scene/scene.h"
 
 namespace penumbra::tools {
@@ -18,13 +18,13 @@ struct ScenePlans {
   std::vector<double> measured;  // RMS of s where the reference is below .95; as the table's order
 
   double measured_error(const lighting::Plan& plan) const {
-    return measured[static_cast<std::size_t>(plan.discs * predicted.most_bands() + plan.bands - 1)];
+    return measured[static_cast<std::size_t>(plan.lights * predicted.max_bands() + plan.bands - 1)];
   }
   /// The governor's choice with this factor; nothing when it finds none within the budget.
   std::optional<lighting::Plan> choose(const lighting::CostModel& costs, double budget,
                                        double factor) const;
   /// The smallest factor from which on every choice within `budget` keeps it; 0 when any does.
-  double least_factor(const lighting::CostModel& costs, double budget) const;
+  double min_factor(const lighting::CostModel& costs, double budget) const;
 };
 
 /// The shadow of the scene's first object on its floor in random environment `seed`, by reference rays and by every plan.
@@ -36,13 +36,13 @@ Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint3
 double clopper_pearson_low(int successes, int trials);
 
 struct GovernorProof {
-  double needed_factor = 0;  // the largest least_factor of the calibration scenes over kBudgets
+  double needed_factor = 0;  // the largest min_factor of the calibration scenes over kBudgets
   double factor = 0;         // that the promise was made with
   int calibration = 0, scenes = 0, promised = 0, kept = 0;
   double coverage_low = 0;  // Clopper-Pearson
   double mean_regret = 0;   // cost over the cheapest plan that truly is within the budget, minus 1
   double mean_error = 0, worst_error = 0;  // of the chosen plans
-  double mean_bands = 0, mean_discs = 0;
+  double mean_bands = 0, mean_lights = 0;
 };
 
 /// Budgets that one factor serves.
@@ -52,8 +52,8 @@ inline constexpr double kBudgets[] = {.02, .03, .05, .08};
 /// factor and the program's own. The scenes
 /// of either are numbered from fixed starts of their own: neither was looked at to shape the prediction.
 /// source: split conformal prediction, the loss of a choice instead of a residual
-Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene, const lighting::CostModel& costs,
-                                     double budget, int test_scenes,
-                                     const std::function<void(double)>& progress);
+Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene,
+                                     const lighting::CostModel& costs, double budget,
+                                     int test_scenes, const std::function<void(double)>& progress);
 
 }  // namespace penumbra::tools

@@ -108,7 +108,7 @@ using Packet = std::unique_ptr<AVPacket, Freed<av_packet_free>>;
 
 constexpr float kLargestCode = 1023;
 
-struct Range {
+struct ValueRange {
   float low = 0, high = 0;
   float code(float v) const {
     return high > low ? std::nearbyint((v - low) / (high - low) * kLargestCode) : 0;
@@ -125,7 +125,7 @@ struct Mosaic {
 
 class VideoCoder {
  public:
-  VideoCoder(const Mosaic& mosaic, std::vector<Range> ranges)
+  VideoCoder(const Mosaic& mosaic, std::vector<ValueRange> ranges)
       : mosaic_(mosaic), ranges_(std::move(ranges)) {}
 
   Result<void> open(int crf) {
@@ -179,7 +179,7 @@ class VideoCoder {
     return row(f, layer / mosaic_.across * mosaic_.height + y) +
            layer % mosaic_.across * mosaic_.width + x;
   }
-  const Range& range(int layer) const { return ranges_[static_cast<std::size_t>(layer)]; }
+  const ValueRange& range(int layer) const { return ranges_[static_cast<std::size_t>(layer)]; }
 
   Result<void> encode(const AVFrame* frame, CodedMaps& out) {
     if (avcodec_send_frame(encoder_.get(), frame) < 0) return broken("refuses a frame");
@@ -208,7 +208,7 @@ class VideoCoder {
   }
 
   Mosaic mosaic_;
-  std::vector<Range> ranges_;
+  std::vector<ValueRange> ranges_;
   Codec encoder_, decoder_;
   std::int64_t next_ = 0;
 };
@@ -216,9 +216,9 @@ class VideoCoder {
 }  // namespace
 
 Result<CodedMaps> code_as_video(std::span<const Image<float>> maps, int layers, int crf) {
-  std::vector<Range> ranges(static_cast<std::size_t>(layers));
+  std::vector<ValueRange> ranges(static_cast<std::size_t>(layers));
   for (std::size_t i = 0; i < maps.size(); ++i) {
-    Range& r = ranges[i % ranges.size()];
+    ValueRange& r = ranges[i % ranges.size()];
     for (const float v : maps[i].pixels()) r.low = std::min(r.low, v), r.high = std::max(r.high, v);
   }
   const Mosaic mosaic{maps[0].width(), maps[0].height(), layers,

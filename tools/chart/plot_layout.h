@@ -12,12 +12,12 @@ namespace penumbra::tools {
 /// A logarithmic axis whose values start at `least`. What is 0 or less stands at `zero`, below all
 /// else, on a tick of its own; `zero` is 0 when there is no such value.
 struct PlotAxis {
-  double low = .1, high = 10, least = .1, zero = 0;
+  double low = .1, high = 10, smallest = .1, zero = 0;
 
   double clamped(double v) const { return v > 0 ? v : zero; }
   double fraction(double v) const { return std::log(clamped(v) / low) / std::log(high / low); }
   /// Between `zero` and `least`: where the scale breaks.
-  double end_of_zero() const { return std::sqrt(zero * least); }
+  double end_of_zero() const { return std::sqrt(zero * smallest); }
 };
 
 /// An axis with room for all finite values.

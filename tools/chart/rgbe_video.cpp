@@ -8,15 +8,15 @@
 #include <memory>
 #include <numbers>
 
-#include "core/conventions.h"
 #include "codec/range_coder.h"
+#include "core/conventions.h"
 
 namespace penumbra::tools {
 
 namespace {
 
-constexpr int kBlock = 8, kMacro = 16, kReach = 7, kMostSide = 4096;
-constexpr std::uint32_t kMostMaps = 1u << 16;
+constexpr int kBlock = 8, kMacro = 16, kReach = 7, kMaxSide = 4096;
+constexpr std::uint32_t kMaxMaps = 1u << 16;
 
 // ITU-T T.81, table K.1.
 constexpr std::array<int, 64> kLuminance = {
@@ -108,9 +108,10 @@ float joined(std::uint8_t base, std::uint8_t exponent, std::uint8_t negative) {
   return negative ? -v : v;
 }
 
-struct Models {
+struct CoefficientModels {
   std::array<codec::NumberModel, 64> coefficient;
-  std::array<codec::BitModel, 64> last;  // is the coefficient at this place the last that is not zero?
+  std::array<codec::BitModel, 64>
+      last;  // is the coefficient at this place the last that is not zero?
   codec::BitModel empty;
   codec::NumberModel motion[2];
   codec::NumberModel exponent[3];
@@ -118,7 +119,7 @@ struct Models {
 };
 
 // Bits to or from the stream: one code path says what is coded, so that both sides agree.
-class Writer {
+class BitWriter {
  public:
   bool bit(codec::BitModel& m, bool v) {
     range_.bit(m, v);
@@ -134,9 +135,9 @@ class Writer {
  private:
   codec::RangeEncoder range_;
 };
-class Reader {
+class BitReader {
  public:
-  explicit Reader(std::span<const unsigned char> bytes) : range_(bytes) {}
+  explicit BitReader(std::span<const unsigned char> bytes) : range_(bytes) {}
   bool bit(codec::BitModel& m, bool) { return range_.bit(m); }
   int number(codec::NumberModel& m, int) { return m.decode(range_); }
   static constexpr bool kWrites = false;
@@ -172,15 +173,16 @@ class Coder {
     for (int y = 0; y < height_; ++y)
       for (int x = 0; x < width_; ++x) {
         int guess = 0, restless = 0;
-        const int left = x > 0 ? e.at(x - 1, y) : 0, above = y > 0 ? e.at(x, y - 1) : 0;
+        const int left = x > 0 ? e.at(x - 1, y) : 0, upper_moments = y > 0 ? e.at(x, y - 1) : 0;
         if (!key) {
           guess = before_.exponent.at(x, y);
           restless = (left != (x > 0 ? before_.exponent.at(x - 1, y) : 0)) +
-                     (above != (y > 0 ? before_.exponent.at(x, y - 1) : 0));
+                     (upper_moments != (y > 0 ? before_.exponent.at(x, y - 1) : 0));
         } else {
           const int corner = x > 0 && y > 0 ? e.at(x - 1, y - 1) : 0;
-          guess = std::clamp(left + above - corner, std::min(left, above), std::max(left, above));
-          restless = (left != corner) + (above != corner);
+          guess = std::clamp(left + upper_moments - corner, std::min(left, upper_moments),
+                             std::max(left, upper_moments));
+          restless = (left != corner) + (upper_moments != corner);
         }
         const int v = guess + stream_.number(models_->exponent[restless], e.at(x, y) - guess);
         e.at(x, y) = static_cast<std::uint8_t>(std::clamp(v, 0, 255));
@@ -209,7 +211,7 @@ class Coder {
   // The best of all places near by the sum of differences; staying is worth a little.
   Motion best_motion(const Image<std::uint8_t>& base, int x0, int y0) const {
     Motion best;
-    long least = -1;
+    long smallest = -1;
     for (int dy = -kReach; dy <= kReach; ++dy)
       for (int dx = -kReach; dx <= kReach; ++dx) {
         long sum = dx == 0 && dy == 0 ? -64 : 0;
@@ -217,7 +219,7 @@ class Coder {
           for (int x = 0; x < kMacro; ++x)
             sum += std::abs(int{at(base, x0 + x, y0 + y)} -
                             int{at(before_.base, x0 + x + dx, y0 + y + dy)});
-        if (least < 0 || sum < least) least = std::max(sum, 0l), best = {dx, dy};
+        if (smallest < 0 || sum < smallest) smallest = std::max(sum, 0l), best = {dx, dy};
       }
     return best;
   }
@@ -290,10 +292,10 @@ class Coder {
   Stream& stream_;
   int width_, height_, quality_;
   Planes before_;
-  std::unique_ptr<Models> models_ = std::make_unique<Models>();
+  std::unique_ptr<CoefficientModels> models_ = std::make_unique<CoefficientModels>();
 };
 
-struct Head {
+struct VideoHead {
   char magic[8];
   std::uint32_t maps;
   std::uint16_t width, height, quality, key_interval;
@@ -304,20 +306,20 @@ constexpr char kMagic[8] = {'P', 'N', 'B', 'R', 'G', 'B', 'E', '1'};
 
 Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float>> maps,
                                                      int quality, int key_interval) {
-  if (maps.empty() || maps.size() > kMostMaps || maps[0].empty() || maps[0].width() > kMostSide ||
-      maps[0].height() > kMostSide)
+  if (maps.empty() || maps.size() > kMaxMaps || maps[0].empty() || maps[0].width() > kMaxSide ||
+      maps[0].height() > kMaxSide)
     return fail(ErrorCode::kInvalid, "maps", "none, or larger than 4096 pixels");
   if (quality < 1 || quality > 100 || key_interval < 1 || key_interval > 65535)
     return fail(ErrorCode::kInvalid, "quality", "not within 1..100");
-  Head head{{},
-            static_cast<std::uint32_t>(maps.size()),
-            static_cast<std::uint16_t>(maps[0].width()),
-            static_cast<std::uint16_t>(maps[0].height()),
-            static_cast<std::uint16_t>(quality),
-            static_cast<std::uint16_t>(key_interval)};
+  VideoHead head{{},
+                 static_cast<std::uint32_t>(maps.size()),
+                 static_cast<std::uint16_t>(maps[0].width()),
+                 static_cast<std::uint16_t>(maps[0].height()),
+                 static_cast<std::uint16_t>(quality),
+                 static_cast<std::uint16_t>(key_interval)};
   std::memcpy(head.magic, kMagic, sizeof kMagic);
-  Writer writer;
-  Coder<Writer> coder(writer, maps[0].width(), maps[0].height(), quality);
+  BitWriter writer;
+  Coder<BitWriter> coder(writer, maps[0].width(), maps[0].height(), quality);
   for (std::size_t i = 0; i < maps.size(); ++i) {
     if (maps[i].width() != maps[0].width() || maps[i].height() != maps[0].height())
       return fail(ErrorCode::kInvalid, "maps", "differ in size");
@@ -336,18 +338,18 @@ Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float
 
 Result<std::vector<Image<float>>> decode_rgbe_video(std::span<const unsigned char> bytes,
                                                     const std::string& name) {
-  Head head{};
+  VideoHead head{};
   if (bytes.size() < sizeof head || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
     return fail(ErrorCode::kUnreadable, name, "is no sequence of RGBE maps");
   std::memcpy(&head, bytes.data(), sizeof head);
   // A block takes a bit at least.
   const std::uint64_t area = std::uint64_t{head.width} * head.height;
-  if (head.maps < 1 || head.maps > kMostMaps || head.width < 1 || head.width > kMostSide ||
-      head.height < 1 || head.height > kMostSide || head.quality < 1 || head.quality > 100 ||
+  if (head.maps < 1 || head.maps > kMaxMaps || head.width < 1 || head.width > kMaxSide ||
+      head.height < 1 || head.height > kMaxSide || head.quality < 1 || head.quality > 100 ||
       head.key_interval < 1 || area * head.maps > std::uint64_t{1} << 28)
     return fail(ErrorCode::kUnreadable, name, "damaged: sizes out of range");
-  Reader reader(bytes.subspan(sizeof head));
-  Coder<Reader> coder(reader, head.width, head.height, head.quality);
+  BitReader reader(bytes.subspan(sizeof head));
+  Coder<BitReader> coder(reader, head.width, head.height, head.quality);
   std::vector<Image<float>> out;
   for (std::uint32_t i = 0; i < head.maps; ++i) {
     Planes planes{{head.width, head.height}, {head.width, head.height}, {head.width, head.height}};

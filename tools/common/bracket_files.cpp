@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "calib/camera/code_curve.h"
+#include "calib/camera/response_table.h"
 #include "capture/frames.h"
 #include "codec/codec.h"
 #include "tools/common/camera_film.h"
@@ -74,7 +74,7 @@ struct Average {
 // Frames of a capture into the average of their exposure.
 Result<void> add_frames(const std::string& path, const std::string& name,
                         std::vector<Average>& averages) {
-  constexpr std::size_t kMost = 16;
+  constexpr std::size_t kMax = 16;
   PENUMBRA_ASSIGN(film, CameraFilm::open(path, name));
   while (true) {
     PENUMBRA_ASSIGN(frame, film.next());
@@ -86,8 +86,8 @@ Result<void> add_frames(const std::string& path, const std::string& name,
       return std::abs(a.exposure.product() / frame->exposure.product() - 1) < .01;
     });
     if (average == averages.end()) {
-      if (averages.size() == kMost)
-        return fail(ErrorCode::kUndetermined, path, fmt::format("more than {} exposures", kMost));
+      if (averages.size() == kMax)
+        return fail(ErrorCode::kUndetermined, path, fmt::format("more than {} exposures", kMax));
       averages.push_back({frame->exposure});
       average = averages.end() - 1;
     }
@@ -152,7 +152,7 @@ Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
     if (!std::holds_alternative<Image<Rgb8>>(*f))
       return fail(ErrorCode::kInvalid, "exposure stack",
                   "ratios are estimated from pictures of 8 bits");
-  const CodeCurve curve = capture::make_code_curve(stack.response, 8, stack.black_level);
+  const ResponseTable curve = capture::make_response_table(stack.response, 8, stack.black_level);
   const auto ratio_of = [&](std::size_t against, std::size_t picture) {
     return capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*stack.frames[against]),
                                             std::get<Image<Rgb8>>(*stack.frames[picture]), curve);

@@ -4,6 +4,10 @@
 #include <spdlog/spdlog.h>
 
 #include <cstdio>
+#include <span>
+#include <string_view>
+
+#include "core/renamed.h"
 
 namespace penumbra::tools {
 
@@ -15,6 +19,16 @@ int report(const Error& e) {
     if (ch == '\n' || ch == '\r') ch = ' ';
   std::fprintf(stderr, "%s\n", line.c_str());
   return 2;
+}
+
+// A flag of before, given as "--flag" or "--flag=value".
+Result<void> check_flags(std::span<char* const> arguments) {
+  for (const std::string_view argument : arguments) {
+    const std::string_view flag = argument.substr(0, argument.find('='));
+    if (const auto now = new_name(kRenamedFlags, flag))
+      return fail(ErrorCode::kInvalid, std::string(flag), fmt::format("is now {}", *now));
+  }
+  return {};
 }
 
 }  // namespace
@@ -35,6 +49,8 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
   Action action;
   add_commands(app, action);
+  if (const auto flags = check_flags({argv, static_cast<std::size_t>(argc)}); !flags)
+    return report(flags.error());
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& e) {

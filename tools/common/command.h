@@ -13,12 +13,12 @@ namespace penumbra::tools {
 using Action = std::function<Result<void>()>;
 
 /// Of the shadow ratio's RMS error, kept with 95 % confidence; the mean error comes out at a quarter of it.
-inline constexpr double kDefaultBudget = .05;
+inline constexpr double kDefaultMaxShadowError = .05;
 
-inline constexpr const char* kDiscsHelp =
-    "Most compact sources lit one by one beside the bands, or auto (8)";
-inline constexpr const char* kBudgetHelp =
-    "RMS error of the shadow ratio that the governor keeps to; bands and discs are its limits";
+inline constexpr const char* kMaxLightsHelp =
+    "Maximum number of distant lights, 0 to 64, or auto (8)";
+inline constexpr const char* kMaxShadowErrorHelp =
+    "RMS error of the shadow ratio that the governor keeps to, within --bands and --max-lights";
 
 /// Why an empty text is refused; empty for any other.
 std::string not_empty(const std::string& text);

@@ -6,23 +6,25 @@
 
 namespace penumbra::tools {
 
-Result<lighting::DiscOptions> choose_discs(const std::string& text) {
-  lighting::DiscOptions options;
+Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text) {
+  lighting::ExtractionOptions options;
   if (text == "auto") return options;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), options.most);
-  if (error != std::errc() || end != text.data() + text.size() || options.most < 0 ||
-      options.most > 64)
-    return fail(ErrorCode::kInvalid, "--discs",
+  const auto [end, error] =
+      std::from_chars(text.data(), text.data() + text.size(), options.max_count);
+  if (error != std::errc() || end != text.data() + text.size() || options.max_count < 0 ||
+      options.max_count > 64)
+    return fail(ErrorCode::kInvalid, "--max-lights",
                 "\"" + text + "\" is neither auto nor within 0..64");
   return options;
 }
 
 Result<void> check_budget(double budget) {
   if (budget > 0 && budget <= 1) return {};
-  return fail(ErrorCode::kInvalid, "--budget", "not within 0..1 (RMS error of the shadow ratio)");
+  return fail(ErrorCode::kInvalid, "--max-shadow-error",
+              "not within 0..1 (RMS error of the shadow ratio)");
 }
 
-Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands) {
+Result<int> choose_bands(const std::string& text, const lighting::ShProjection& nine_bands) {
   if (text == "auto") {
     for (int bands = 1; bands < kMaxBands; ++bands)
       if (lighting::make_estimate(nine_bands, bands).truncation_error.value_or(0) <= .005)

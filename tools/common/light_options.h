@@ -5,20 +5,20 @@
 #include <string>
 
 #include "core/result.h"
-#include "lighting/discs.h"
+#include "lighting/light_extraction.h"
 #include "lighting/projection.h"
 
 namespace penumbra::tools {
 
-/// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the most discs.
+/// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the most lights.
 /// errors: kInvalid
-Result<lighting::DiscOptions> choose_discs(const std::string& text);
+Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text);
 
 /// errors: kInvalid
 Result<void> check_budget(double budget);
 
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid
-Result<int> choose_bands(const std::string& text, const lighting::Projection& nine_bands);
+Result<int> choose_bands(const std::string& text, const lighting::ShProjection& nine_bands);
 
 }  // namespace penumbra::tools

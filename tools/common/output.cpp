@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "codec/display.h"
 #include "codec/codec.h"
+#include "codec/display.h"
 #include "core/files.h"
 
 namespace penumbra::tools {
@@ -96,7 +96,7 @@ void FrameWriter::work() noexcept {
   queue_.close();  // after an error, writers are refused instead of waiting
 }
 
-Result<void> FrameWriter::handle(const Job& job) {
+Result<void> FrameWriter::handle(const WriteJob& job) {
   if (options_.stills) {
     const StageTimer timer(times_, "write still");
     const auto path = options_.folder / job.name;

@@ -61,18 +61,18 @@ class FrameWriter {
   Result<void> finish();
 
  private:
-  struct Job {
+  struct WriteJob {
     std::string name;
     std::shared_ptr<const FramePixels> pixels;
     bool in_video;
   };
   FrameWriter(const Options& options, StageTimes& times) : options_(options), times_(times) {}
   void work() noexcept;
-  Result<void> handle(const Job& job);
+  Result<void> handle(const WriteJob& job);
 
   Options options_;
   StageTimes& times_;
-  Bounded<Job> queue_{4};
+  Bounded<WriteJob> queue_{4};
   std::optional<compositor::VideoWriter> video_;
   Result<void> result_;  // written by the worker, read after join
   std::jthread worker_;

@@ -2,17 +2,17 @@
 
 #include <algorithm>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "capture/frames.h"
 #include "compositor/compositor.h"
-#include "prt/reference/environment_light.h"
-#include "prt/reference/reference.h"
-#include "runtime/shading/disc_stage.h"
-#include "runtime/shading/scene_light.h"
-#include "shadows/visibility/lamp.h"
 #include "core/conventions.h"
 #include "core/parallel.h"
-#include "runtime/shading/compose_stage.h"
+#include "prt/reference/environment_light.h"
+#include "prt/reference/reference.h"
+#include "runtime/shading/composite_stage.h"
+#include "runtime/shading/direct_light_stage.h"
+#include "runtime/shading/scene_light.h"
+#include "shadows/visibility/lamp.h"
 
 namespace penumbra::tools {
 
@@ -74,27 +74,30 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
   return out;
 }
 
-Result<std::unique_ptr<runtime::ComposeStage>> make_still_stage(const runtime::PreparedScene& scene,
-                                                       const prt::PinholeView& view,
-                                                       const runtime::DiscTaps& taps) {
+Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
+                                     const prt::PinholeView& view,
+                                     const runtime::ShadowSampling& sampling) {
   capture::CameraInfo camera;
   camera.name = "camera";
   camera.role = capture::Role::kView;
   camera.projection = {calib::ProjectionKind::kPinhole, view.width, view.height, view.focal_px,
                        view.principal_px};
   camera.world_from_camera = view.world_from_camera;
-  static StageTimes times;  // nobody asks for them
-  return runtime::ComposeStage::create({camera}, scene, compositor::Compositor::Surface::kOffscreen, times,
-                              4, taps);
+  PipelineOptions options;
+  options.oversampling = 4;
+  options.sampling = sampling;
+  const std::shared_ptr<const runtime::PreparedScene> borrowed(std::shared_ptr<void>(), &scene);
+  return Pipeline::create({camera}, borrowed, options);
 }
 
-Result<Still> composite_still(runtime::ComposeStage& stage, const prt::PinholeView& view,
+Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real,
                               double seconds) {
   // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or a column.
   constexpr double kShifts[4][2] = {{-3, -1}, {-1, 3}, {1, -3}, {3, 1}}, kUnit = 1. / 32;  // pixels
   Still out{Image<Rgb>(view.width, view.height), real.error, real.samples, {}, {}};
   const auto picture = std::make_shared<const FramePixels>(real.radiance);
+  pipeline.set_light(light);
   for (const auto& [right, down] : kShifts) {
     capture::Frame frame;
     frame.exposure = {Seconds(1), Gain(1)};
@@ -103,7 +106,7 @@ Result<Still> composite_still(runtime::ComposeStage& stage, const prt::PinholeVi
     frame.world_from_camera = view.world_from_camera;
     frame.world_from_camera.rotation *= glm::dquat(
         glm::dvec3(-down * kUnit / view.focal_px.y, -right * kUnit / view.focal_px.x, 0));
-    auto composited = stage.process(frame, light);
+    auto composited = pipeline.composite(frame);
     if (!composited) return std::unexpected(composited.error());
     const auto& pass = std::get<Image<Rgb>>(composited->pixels);
     for (std::size_t i = 0; i < pass.area(); ++i)
@@ -113,10 +116,9 @@ Result<Still> composite_still(runtime::ComposeStage& stage, const prt::PinholeVi
 }
 
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real, const runtime::DiscTaps& taps) {
-  auto stage = make_still_stage(*in.scene, in.view, taps);
-  if (!stage) return std::unexpected(stage.error());
-  return composite_still(**stage, in.view, light, real, in.seconds);
+                               const Still& real, const runtime::ShadowSampling& sampling) {
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*in.scene, in.view, sampling));
+  return composite_still(pipeline, in.view, light, real, in.seconds);
 }
 
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
@@ -124,7 +126,7 @@ const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
   const bool level = !planes.empty() && std::ranges::all_of(planes, [](const prt::Plane& p) {
     return p.normal.y > runtime::kLevel;
   });
-  return level ? light.floor_light : light.light;
+  return level ? light.upper_hemisphere_light : light.light;
 }
 
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
@@ -135,7 +137,7 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
   const prt::EnvironmentLight light =
       truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated))
                 : *map_light;
-  prt::World world;
+  prt::ReferenceWorld world;
   world.mesh = runtime::world_mesh(*in.scene, with_objects, in.seconds);
   world.planes = in.scene->planes;
   if (with_objects)

@@ -5,12 +5,12 @@
 #include <functional>
 #include <string>
 
-#include "runtime/shading/disc_stage.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
-#include "runtime/shading/compose_stage.h"
+#include "runtime/pipeline/pipeline.h"
 #include "runtime/scene/scene.h"
+#include "runtime/shading/direct_light_stage.h"
 
 namespace penumbra::tools {
 
@@ -37,20 +37,20 @@ Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal);
 /// every pixel), path traced when there are real meshes or several planes.
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress);
 
-/// A stage for stills of one view: 16 samples a pixel.
-/// errors: as ComposeStage::create
-Result<std::unique_ptr<runtime::ComposeStage>> make_still_stage(const runtime::PreparedScene& scene,
-                                                       const prt::PinholeView& view,
-                                                       const runtime::DiscTaps& taps);
+/// For stills of one view: 16 samples a pixel. The scene must outlive it.
+/// errors: as Pipeline::create
+Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
+                                     const prt::PinholeView& view,
+                                     const runtime::ShadowSampling& sampling);
 /// The mean of four pictures a fraction of a pixel apart: edges get 64 samples a pixel.
-/// errors: as ComposeStage::process
-Result<Still> composite_still(runtime::ComposeStage& stage, const prt::PinholeView& view,
+/// errors: as Pipeline::composite
+Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real,
                               double seconds = 0);
 
 /// Our method over the real picture, under `light`.
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
-                               const Still& real, const runtime::DiscTaps& taps = {});
+                               const Still& real, const runtime::ShadowSampling& sampling = {});
 
 /// The light that the compositor uses for what stands on these planes: the floor's when all are level.
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,

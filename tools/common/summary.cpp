@@ -6,7 +6,8 @@
 
 namespace penumbra::tools {
 
-nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& times, const Configuration& c) {
+nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& times,
+                         const Configuration& c) {
   const auto frames = static_cast<double>(counts.frames);
   return {{"frames", counts.frames},
           {"dropped", counts.dropped},
@@ -17,7 +18,7 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
           {"stages", runtime::to_json(times)},
           {"configuration",
            {{"bands", c.bands},
-            {"discs", counts.discs},
+            {"lights", counts.lights},
             {"plan", counts.plan ? runtime::to_json(*counts.plan) : nlohmann::json()},
             {"exposures", counts.exposures},
             {"width", c.width},
@@ -34,12 +35,12 @@ void print_summary(const nlohmann::json& s) {
       s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
       s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
       100 * s["touched_fraction"].get<double>());
-  fmt::print("{} objects, {} bands, at most {} discs, {} exposures, {}\n", c["objects"].get<int>(),
-             c["bands"].get<int>(), c["discs"].get<int>(), c["exposures"].get<int>(),
+  fmt::print("{} objects, {} bands, at most {} lights, {} exposures, {}\n", c["objects"].get<int>(),
+             c["bands"].get<int>(), c["lights"].get<int>(), c["exposures"].get<int>(),
              c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())
-    fmt::print("governor: {} bands, {} discs, predicted error {:.3f}, {:.1f} ms: {}\n",
-               p["bands"].get<int>(), p["discs"].get<int>(), p["predicted_error"].get<double>(),
+    fmt::print("governor: {} bands, {} lights, predicted error {:.3f}, {:.1f} ms: {}\n",
+               p["bands"].get<int>(), p["lights"].get<int>(), p["predicted_error"].get<double>(),
                p["predicted_ms"].get<double>(), p["why"].get<std::string>());
   fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())

@@ -1,21 +1,21 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <filesystem>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
-#include "tools/penumbra/bake_options.h"
+#include "core/files.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
-#include "core/files.h"
-#include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
+#include "tools/penumbra/bake_options.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -35,9 +35,9 @@ Result<void> bake(const BakeCommandOptions& o) {
     return fail(ErrorCode::kInvalid, o.output, "a baked file ends in .glb");
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
-  if (o.bounces < 0 || o.bounces > prt::kMostBounces)
+  if (o.bounces < 0 || o.bounces > prt::kMaxBounces)
     return fail(ErrorCode::kInvalid, "--bounces",
-                fmt::format("not within 0..{}", prt::kMostBounces));
+                fmt::format("not within 0..{}", prt::kMaxBounces));
   PENUMBRA_TRY(check_writable(o.output));
   auto mesh = runtime::load_asset(o.asset, albedo_of(o), .04f);
   if (!mesh) return std::unexpected(mesh.error());
@@ -46,7 +46,7 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.bounces = o.bounces;
   options.rays = o.samples;
   options.ground_rays = 4 * o.samples;
-  options.sight = true;
+  options.visibility = true;
   if (!(o.receiver_albedo >= 0 && o.receiver_albedo <= 1))
     return fail(ErrorCode::kInvalid, "--receiver-albedo", "not within 0..1");
   const auto a = static_cast<float>(o.receiver_albedo);
@@ -91,8 +91,9 @@ void add_bake(CLI::App& parent, Action& action) {
       ->required();
   c->add_option("-o,--output", bake_options.output, "Baked .glb, of a clip .shlm")->required();
   c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
-  c->add_option("--bounces", bake_options.bounces,
-                "Traced bounces of light between the parts; from 2 on the rest is extrapolated")
+  c->add_option(
+       "--bounces", bake_options.bounces,
+       "Traced bounces of light between the parts; from 2 on further ones are extrapolated")
       ->capture_default_str();
   c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")
       ->capture_default_str();
@@ -122,7 +123,7 @@ void add_bake(CLI::App& parent, Action& action) {
       ->capture_default_str()
       ->group(kClip);
   c->add_option(
-       "--between", bake_options.between,
+       "--interpolation-error", bake_options.between,
        "Relative rendered error that a straight line between two frames may add: where it is "
        "more, further frames are baked between those of --fps; 0: none")
       ->capture_default_str()
@@ -135,7 +136,7 @@ void add_bake(CLI::App& parent, Action& action) {
                 "i/n: only every n-th frame from the i-th on, kept beside the output for --merge")
       ->group(kClip);
   c->add_option("--merge", bake_options.merge,
-                "n: join n shards to the output; bakes what --between asks for")
+                "n: join n shards to the output; bakes what --interpolation-error asks for")
       ->group(kClip);
   c->callback([&] {
     action = [] {

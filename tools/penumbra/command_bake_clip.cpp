@@ -5,17 +5,17 @@
 #include <charconv>
 #include <filesystem>
 
+#include "core/files.h"
 #include "prt/clip/key_frames.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
-#include "tools/common/print.h"
-#include "core/files.h"
-#include "runtime/scene/animated.h"
-#include "tools/penumbra/bake_options.h"
-#include "tools/common/number_pairs.h"
-#include "runtime/shading/median_time.h"
-#include "tools/common/progress.h"
 #include "runtime/pipeline/report.h"
+#include "runtime/scene/animated.h"
+#include "runtime/shading/median_time.h"
+#include "tools/common/number_pairs.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
+#include "tools/penumbra/bake_options.h"
 
 namespace penumbra::tools {
 
@@ -109,7 +109,7 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
                 {"texels", s.ground_deficit.points()},
                 {"coefficients", coefficient_count(s.surface.bands())},
                 {"channels", s.surface.channels()},
-                {"components", s.surface.most_components()},
+                {"components", s.surface.max_components()},
                 {"rays", r.rays},
                 {"seconds", r.seconds},
                 {"rays_per_second", static_cast<double>(r.rays) / r.seconds},
@@ -134,7 +134,7 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
       s.ground_deficit.points(), coefficient_count(s.surface.bands()),
       static_cast<double>(r.rays) * 1e-6, r.seconds, static_cast<double>(r.rays) * 1e-6 / r.seconds,
       100 * r.standard_error, 100 * r.compression_error, 100 * r.interpolation_error,
-      100 * r.worst_interpolation, s.surface.most_components(), static_cast<double>(bytes) * 1e-6,
+      100 * r.worst_interpolation, s.surface.max_components(), static_cast<double>(bytes) * 1e-6,
       raw * 1e-6, relight_ms);
 }
 
@@ -153,7 +153,7 @@ Result<void> bake_clip(const BakeCommandOptions& o) {
     return fail(ErrorCode::kInvalid, "--merge", "joins 1..4096 shards, and bakes none");
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(character, runtime::standing_character(o.asset, albedo_of(o), o.animation,
-                                                options.map_width, options.map_height));
+                                                         options.map_width, options.map_height));
   options.progress = progress_bar("bake " + fs::path(o.asset).filename().string());
   std::vector<fs::path> journals;
   for (int i = 0; i < o.merge; ++i) journals.push_back(shard_file(o.output, i, o.merge));

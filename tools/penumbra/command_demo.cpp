@@ -1,6 +1,6 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include <cstdlib>
 #include <filesystem>
@@ -8,26 +8,21 @@
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
 #include "capture/studio/studio.h"
+#include "codec/codec.h"
 #include "codec/display.h"
 #include "compositor/compositor.h"
-#include "runtime/pipeline/governance.h"
-#include "runtime/pipeline/light_stage.h"
-#include "runtime/pipeline/runner.h"
-#include "runtime/scene/scene.h"
-#include "runtime/shading/compose_stage.h"
-#include "tools/common/light_options.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
-#include "codec/codec.h"
 #include "core/files.h"
-#include "runtime/pipeline/light_file.h"
-#include "tools/common/output.h"
-#include "tools/common/progress.h"
-#include "runtime/pipeline/report.h"
 #include "core/stop_signal.h"
+#include "runtime/pipeline/pipeline.h"
+#include "runtime/pipeline/report.h"
 #include "runtime/studio/studio_setup.h"
+#include "tools/common/command.h"
+#include "tools/common/light_options.h"
+#include "tools/common/output.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
 #include "tools/common/summary.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -37,23 +32,15 @@ struct DemoOptions {
   bool headless = false, live = false, json = false, animated = true, video = true;
   int frames = 90;
   std::string output = "out/demo";
-  std::optional<std::string> environment, asset, animation, prop, record;
+  std::optional<std::string> environment, asset, animation, real_mesh, record;
   int width = 1280, height = 720;
   double fps = 30;
   int bands = 5;
-  std::string discs = "auto";
-  double budget = kDefaultBudget;
+  std::string lights = "auto";
+  double budget = kDefaultMaxShadowError;
 };
 
 using compositor::Compositor;
-
-bool has_display() {
-  const auto set = [](const char* name) {
-    const char* value = std::getenv(name);
-    return value && *value;
-  };
-  return set("DISPLAY") || set("WAYLAND_DISPLAY");
-}
 
 // Passes frames on and records them as they come.
 class RecordingSource : public capture::FrameSource {
@@ -83,23 +70,11 @@ Result<void> check(const DemoOptions& o) {
     return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
-  PENUMBRA_TRY(choose_discs(o.discs));
+  PENUMBRA_TRY(choose_max_lights(o.lights));
   PENUMBRA_TRY(check_budget(o.budget));
   if (o.live && o.record)
     return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
   return {};
-}
-
-Result<std::unique_ptr<runtime::ComposeStage>> make_compose(const std::vector<capture::CameraInfo>& cameras,
-                                                   const runtime::PreparedScene& scene, bool headless,
-                                                   StageTimes& times) {
-  if (!headless && has_display()) {
-    auto windowed = runtime::ComposeStage::create(cameras, scene, Compositor::Surface::kWindow, times);
-    if (windowed) return windowed;
-    spdlog::warn("{}: {}; going on without a window", windowed.error().where,
-                 windowed.error().detail);
-  }
-  return runtime::ComposeStage::create(cameras, scene, Compositor::Surface::kOffscreen, times);
 }
 
 // False when the user has closed the window.
@@ -119,17 +94,12 @@ Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
   return out;
 }
 
-struct Prepared {
-  runtime::StudioSetup setup;
-  runtime::PreparedScene scene;
-};
-
-Result<Prepared> prepare_demo(const DemoOptions& o) {
+Result<runtime::StudioSetup> set_up(const DemoOptions& o) {
   runtime::StudioRequest request;
   request.environment = o.environment;
   request.asset = o.asset;
   request.animation = o.animation;
-  request.prop = o.prop;
+  request.real_mesh = o.real_mesh;
   request.animated = o.animated;
   request.width = o.width;
   request.height = o.height;
@@ -137,13 +107,18 @@ Result<Prepared> prepare_demo(const DemoOptions& o) {
   request.frames = o.frames;
   // A live camera costs the machine nothing; its frames are filmed before the clock starts.
   request.clip = o.live ? 16 : 0;
-  auto setup = runtime::set_up_studio(request, progress_bar);
-  if (!setup) return std::unexpected(setup.error());
-  runtime::BakeSettings settings;
-  settings.bands = o.bands;
-  auto scene = runtime::prepare(setup->scene, settings, progress_bar);
-  if (!scene) return std::unexpected(scene.error());
-  return Prepared{std::move(*setup), std::move(*scene)};
+  return runtime::set_up_studio(request, progress_bar);
+}
+
+PipelineOptions pipeline_options(const DemoOptions& o) {
+  PipelineOptions options;
+  options.bands = o.bands;
+  options.max_lights = choose_max_lights(o.lights)->max_count;  // checked before
+  options.max_shadow_error = o.budget;
+  options.measure_costs = o.live;
+  options.window = !o.headless;
+  options.progress = progress_bar;
+  return options;
 }
 
 }  // namespace
@@ -154,24 +129,16 @@ Result<void> demo(const DemoOptions& o) {
   if (!output) return std::unexpected(output.error());
   auto record = open_record(o);
   if (!record) return std::unexpected(record.error());
-  auto ready = prepare_demo(o);
-  if (!ready) return std::unexpected(ready.error());
-  capture::Studio studio(ready->setup.world, ready->setup.options);
+  PENUMBRA_ASSIGN(setup, set_up(o));
+  capture::Studio studio(setup.world, setup.options);
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(studio.cameras(), setup.scene, pipeline_options(o)));
   for (const Exposure& e : studio.schedule())
     spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
                  e.gain.value());
-  StageTimes times;
-  const auto discs = choose_discs(o.discs);  // checked before the bake
-  auto light = runtime::LightStage::create(studio.cameras(), {o.bands, *discs}, times);
-  if (!light) return std::unexpected(light.error());
-  auto governance = runtime::make_governance(ready->scene, o.budget, o.live);
-  if (!governance) return std::unexpected(governance.error());
-  light->govern(*governance);
-  auto compose = make_compose(studio.cameras(), ready->scene, o.headless, times);
-  if (!compose) return std::unexpected(compose.error());
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(output->begin());
-  auto writer = FrameWriter::create({output->work(), false, o.video, o.fps, o.live}, times);
+  auto writer =
+      FrameWriter::create({output->work(), false, o.video, o.fps, o.live}, pipeline.timings());
   if (!writer) return std::unexpected(writer.error());
   std::optional<RecordingSource> recording;
   if (o.record) {
@@ -184,27 +151,26 @@ Result<void> demo(const DemoOptions& o) {
   const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
-    if (stop || !show((*compose)->output(), *out.pixels)) return false;
+    if (stop || !show(pipeline.output(), *out.pixels)) return false;
     return (*writer)->write("", out.pixels, true);
   };
   capture::FrameSource& source =
       recording ? static_cast<capture::FrameSource&>(*recording) : studio;
-  auto counts = o.live ? runtime::run_live(source, *light, **compose, sink, times, stop)
-                       : runtime::run_replay(source, *light, **compose, sink, times);
+  auto counts = o.live ? pipeline.run_live(source, sink, stop) : pipeline.replay(source, sink);
   if (!counts) return std::unexpected(counts.error());
   if (stop) return stopped(o.output);
   PENUMBRA_TRY((*writer)->finish());
   if (recording) {
     PENUMBRA_TRY(recording->finish());
-    PENUMBRA_TRY(runtime::write_scene((*record)->file("scene.toml"), ready->setup.scene));
+    PENUMBRA_TRY(runtime::write_scene((*record)->file("scene.toml"), setup.scene));
     PENUMBRA_TRY((*record)->keep());
   }
   PENUMBRA_TRY(codec::write_frame(output->file("still.png"), codec::to_display(*last)));
   PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), codec::to_display(*last_source)));
   const nlohmann::json summary =
-      summarise(*counts, times,
-                {o.bands, o.width, o.height, static_cast<int>(ready->scene.objects.size()),
-                 (*compose)->output().renderer()});
+      summarise(*counts, pipeline.timings(),
+                {o.bands, o.width, o.height, static_cast<int>(pipeline.scene().objects.size()),
+                 pipeline.output().renderer()});
   PENUMBRA_TRY(write_bytes(output->file("summary.json"), summary.dump(2) + "\n"));
   PENUMBRA_TRY(output->keep());
   if (o.json) {
@@ -219,7 +185,8 @@ Result<void> demo(const DemoOptions& o) {
 
 void add_demo(CLI::App& parent, Action& action) {
   static DemoOptions demo_options;
-  auto* c = parent.add_subcommand("demo", "The main job on a synthetic studio: video, still, summary");
+  auto* c =
+      parent.add_subcommand("demo", "The main job on a synthetic studio: video, still, summary");
   c->add_flag("--headless", demo_options.headless, "No window even with a display");
   c->add_option("--frames", demo_options.frames, "View frames")->capture_default_str();
   c->add_option("--out", demo_options.output, "Output folder")->capture_default_str();
@@ -230,21 +197,22 @@ void add_demo(CLI::App& parent, Action& action) {
   c->add_option("--animation", demo_options.animation,
                 "Clip that the asset plays, by name or number; its frames are baked first")
       ->check(not_empty);
-  c->add_option("--prop", demo_options.prop,
+  c->add_option("--real-mesh", demo_options.real_mesh,
                 "Mesh of something that really stands in the studio, or builtin:box");
-  c->add_flag("!--still-only", demo_options.animated, "Leave out the turning object");
+  c->add_flag("!--no-turntable", demo_options.animated, "Leave out the turning object");
   c->add_option("--record", demo_options.record,
                 "Also record a capture folder with its scene.toml");
   c->add_flag("!--no-video", demo_options.video, "Still and summary alone");
   c->add_flag("--live", demo_options.live,
               "Cameras (filmed beforehand), light and composite on threads, paced by the clock; "
-              "discs that --fps leaves no time for are given up");
+              "distant lights are given up where --fps leaves no time");
   c->add_option("--width", demo_options.width, "View camera, pixels")->capture_default_str();
   c->add_option("--height", demo_options.height, "View camera, pixels")->capture_default_str();
   c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
   c->add_option("--bands", demo_options.bands, "1 to 9")->capture_default_str();
-  c->add_option("--discs", demo_options.discs, kDiscsHelp)->capture_default_str();
-  c->add_option("--budget", demo_options.budget, kBudgetHelp)->capture_default_str();
+  c->add_option("--max-lights", demo_options.lights, kMaxLightsHelp)->capture_default_str();
+  c->add_option("--max-shadow-error", demo_options.budget, kMaxShadowErrorHelp)
+      ->capture_default_str();
   add_json(c, demo_options.json);
   c->callback([&] { action = [] { return demo(demo_options); }; });
 }

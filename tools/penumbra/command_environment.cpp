@@ -1,17 +1,17 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <optional>
 
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "runtime/pipeline/light_stage.h"
+#include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/report.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -23,15 +23,15 @@ struct HdrEnvironmentOptions {
   bool json = false;
 };
 
-struct Seen {
+struct AssembledView {
   Environment map;
   double coverage = 0;
 };
 
 // The newest map at that time; frames that show no light are passed over.
-Result<Seen> replay(capture::FrameSource& source, runtime::LightStage& stage, const std::string& name,
-                    double at_s) {
-  std::optional<Seen> seen;
+Result<AssembledView> replay(capture::FrameSource& source, runtime::LightEstimationStage& stage,
+                             const std::string& name, double at_s) {
+  std::optional<AssembledView> seen;
   std::string why = "no frame of its surroundings";
   std::optional<TimestampNs> first;
   while (true) {
@@ -58,7 +58,8 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   StageTimes times;
-  PENUMBRA_ASSIGN(stage, runtime::LightStage::create(source->cameras(), {.bands = 3}, times));
+  PENUMBRA_ASSIGN(stage,
+                  runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
   PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));

@@ -1,6 +1,6 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -8,15 +8,15 @@
 
 #include "calib/camera/response.h"
 #include "calib/estimate/estimate_response.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
 #include "capture/hdr/merge.h"
 #include "capture/hdr/stacks.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "tools/common/bracket_files.h"
 #include "runtime/pipeline/report.h"
+#include "tools/common/bracket_files.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -52,12 +52,12 @@ bool any_unknown(const capture::ExposureStack& stack) {
 }
 
 // The picture that is trusted most, then by how near their exposures are to its own.
-void trust(capture::ExposureStack& stack, std::size_t reference) {
+void priority(capture::ExposureStack& stack, std::size_t reference) {
   const auto stops = [&](std::size_t k) {
     return std::abs(std::log2(stack.exposures[k].time / stack.exposures[reference].time));
   };
-  for (std::size_t k = 0; k < stack.frames.size(); ++k) stack.trust.push_back(k);
-  std::ranges::stable_sort(stack.trust, {}, stops);
+  for (std::size_t k = 0; k < stack.frames.size(); ++k) stack.priority.push_back(k);
+  std::ranges::stable_sort(stack.priority, {}, stops);
 }
 
 std::size_t middle_exposure(const capture::ExposureStack& stack) {
@@ -80,7 +80,7 @@ Result<void> report_times(capture::ExposureStack& stack, const std::vector<std::
     if (c.told == 0)
       spdlog::info("{}: {}: {:.4g} s", images[c.picture], by_overlap,
                    stack.exposures[c.picture].time.count());
-    else if (c.ratio.share > kEnough && std::abs(c.ratio.ratio / c.told - 1) > kFarOff &&
+    else if (c.ratio.fraction > kEnough && std::abs(c.ratio.ratio / c.told - 1) > kFarOff &&
              (c.told < c.ratio.low || c.told > c.ratio.high))
       spdlog::warn("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap, c.told);
   }
@@ -112,7 +112,7 @@ Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
     PENUMBRA_TRY(report_times(stack, o.images));
   else if (any_unknown(stack))
     return fail(ErrorCode::kInvalid, "--times", "? is found from pictures of 8 bits alone");
-  if (o.align || o.reference > 0) trust(stack, reference);
+  if (o.align || o.reference > 0) priority(stack, reference);
   return stack;
 }
 

@@ -1,16 +1,9 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
 #include <filesystem>
 
-#include "prt/bake/baked_file.h"
-#include "prt/clip/sequence.h"
-#include "prt/geometry/mesh.h"
-#include "prt/geometry/receiver.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
 #include "capture/recording/folder.h"
@@ -18,9 +11,16 @@
 #include "codec/codec.h"
 #include "core/conventions.h"
 #include "core/toml_keys.h"
+#include "prt/bake/baked_file.h"
+#include "prt/clip/sequence.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/receiver.h"
 #include "runtime/pipeline/report.h"
-#include "service/rig_config.h"
 #include "runtime/scene/scene.h"
+#include "service/rig_config.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -141,7 +141,7 @@ Result<json> inspect_toml(const std::string& file) {
   for (const runtime::SceneObject& o : scene->objects) {
     json object = {{"name", o.name}, {"asset", o.asset}};
     if (!o.animation.empty()) object["animation"] = o.animation;
-    if (!o.blend.empty()) object["blend"] = {{"animation", o.blend}, {"share", o.blend_share}};
+    if (!o.blend.empty()) object["blend"] = {{"animation", o.blend}, {"share", o.blend_weight}};
     if (o.live) object["transfer"] = "live";
     if (!o.transfer.empty()) object["transfer"] = o.transfer;
     objects.push_back(object);
@@ -149,7 +149,7 @@ Result<json> inspect_toml(const std::string& file) {
   return json{{"kind", "scene"}, {"objects", objects}, {"real", scene->real.size()}};
 }
 
-json to_json(const std::optional<capture::Range>& range) {
+json to_json(const std::optional<capture::ControlRange>& range) {
   return range ? json{range->low, range->high} : json(nullptr);
 }
 
@@ -162,7 +162,7 @@ Result<void> inspect_cameras(bool as_json) {
       modes.push_back({{"format", m.format},
                        {"width", m.width},
                        {"height", m.height},
-                       {"fps", m.most_fps},
+                       {"fps", m.max_fps},
                        {"readable", m.readable}});
     cameras.push_back({{"device", c.device},
                        {"name", c.name},
@@ -171,11 +171,11 @@ Result<void> inspect_cameras(bool as_json) {
                        {"gain", to_json(c.gain)},
                        {"modes", modes}});
   }
-  json refused = json::array();
-  for (const Error& e : list.refused)
-    refused.push_back({{"device", e.where}, {"reason", e.detail}});
+  json rejected = json::array();
+  for (const Error& e : list.rejected)
+    rejected.push_back({{"device", e.where}, {"reason", e.detail}});
   if (as_json) {
-    print_json({{"kind", "cameras"}, {"cameras", cameras}, {"refused", refused}});
+    print_json({{"kind", "cameras"}, {"cameras", cameras}, {"rejected", rejected}});
     return {};
   }
   for (const capture::CameraListing& c : list.cameras) {
@@ -192,11 +192,11 @@ Result<void> inspect_cameras(bool as_json) {
                    m.readable ? "" : " (not read)");
       format = m.format;
       fmt::print(" {}x{}", m.width, m.height);
-      if (m.most_fps > 0) fmt::print("@{:g}", m.most_fps);
+      if (m.max_fps > 0) fmt::print("@{:g}", m.max_fps);
     }
     if (!c.modes.empty()) fmt::print("\n");
   }
-  for (const Error& e : list.refused) fmt::print("{}: left out, {}\n", e.where, e.detail);
+  for (const Error& e : list.rejected) fmt::print("{}: left out, {}\n", e.where, e.detail);
   if (list.cameras.empty()) fmt::print("no camera\n");
   return {};
 }
@@ -244,9 +244,10 @@ Result<void> inspect(const InspectOptions& o) {
 
 void add_inspect(CLI::App& parent, Action& action) {
   static InspectOptions inspect_options;
-  auto* c = parent.add_subcommand("inspect",
-                         "What is in a file: picture, mesh, baked object, scene, camera, capture "
-                         "folder, recording; or which cameras there are");
+  auto* c = parent.add_subcommand(
+      "inspect",
+      "What is in a file: picture, mesh, baked object, scene, camera, capture "
+      "folder, recording; or which cameras there are");
   c->add_option("file", inspect_options.file,
                 "File, recording or capture folder; cameras: what stands here and what each can do")
       ->required();

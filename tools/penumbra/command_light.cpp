@@ -1,17 +1,17 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
+#include <CLI/CLI.hpp>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "capture/environment/environment_file.h"
-#include "lighting/disc.h"
+#include "lighting/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
-#include "tools/common/light_options.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
+#include "tools/common/command.h"
+#include "tools/common/light_options.h"
+#include "tools/common/print.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -20,7 +20,7 @@ namespace {
 struct LightEstimateOptions {
   std::string environment;
   std::optional<std::string> projection;
-  std::string bands = "auto", discs = "auto";
+  std::string bands = "auto", lights = "auto";
   bool json = false;
 };
 
@@ -31,18 +31,18 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   if (!light) return std::unexpected(light.error());
   auto bands = choose_bands(o.bands, light->light);
   if (!bands) return std::unexpected(bands.error());
-  auto discs = choose_discs(o.discs);
-  if (!discs) return std::unexpected(discs.error());
+  auto lights = choose_max_lights(o.lights);
+  if (!lights) return std::unexpected(lights.error());
   auto map = capture::to_latlong(light->file);
   if (!map) return std::unexpected(map.error());
-  auto split = lighting::estimate_map(*map, {*bands, *discs});
+  auto split = lighting::estimate_map(*map, {*bands, *lights});
   if (!split) return std::unexpected(split.error());
   // Measured in the file's own pixels; the split in a lat-long map.
   const lighting::LightEstimate estimate = lighting::make_estimate(light->light, *bands);
   if (o.json) {
     nlohmann::json out = runtime::to_json(estimate), parts = runtime::to_json(*split);
-    out["discs"] = parts["discs"];
-    out["rest"] = parts["rest"];
+    out["lights"] = parts["lights"];
+    out["residual"] = parts["residual"];
     out["projection"] = calib::projection_name(light->file.projection.kind);
     out["non_finite"] = light->file.non_finite;
     print_json(out);
@@ -61,10 +61,10 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
       const Rgb& c = estimate.light[sh_index(l, m)];
       fmt::print("  l {} m {:+d}  {:12.6g} {:12.6g} {:12.6g}\n", l, m, c.r, c.g, c.b);
     }
-  for (const lighting::Disc& d : split->discs) {
+  for (const lighting::DistantLight& d : split->lights) {
     const Rgb e = d.irradiance();
     fmt::print(
-        "  disc towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {:.4g} {:.4g} "
+        "  light towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {:.4g} {:.4g} "
         "{:.4g}\n",
         d.direction.x, d.direction.y, d.direction.z, d.radius.value() * 180 / kPi, e.r, e.g, e.b);
   }
@@ -80,7 +80,7 @@ void add_light_estimate(CLI::App& parent, Action& action) {
                 "or exr-cube; "
                 "an OpenEXR file that says what it is wins; without both, from its shape");
   c->add_option("--bands", estimate.bands, "1 to 9, or auto")->capture_default_str();
-  c->add_option("--discs", estimate.discs, kDiscsHelp)->capture_default_str();
+  c->add_option("--max-lights", estimate.lights, kMaxLightsHelp)->capture_default_str();
   add_json(c, estimate.json);
   c->callback([&] { action = [] { return light_estimate(estimate); }; });
 }

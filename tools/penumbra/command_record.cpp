@@ -1,18 +1,18 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <unistd.h>
+#include <CLI/CLI.hpp>
 
 #include "capture/frames.h"
-#include "service/rig_config.h"
-#include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
 #include "core/files.h"
-#include "tools/common/progress.h"
-#include "service/recorder.h"
-#include "runtime/pipeline/report.h"
-#include "service/rig_source.h"
 #include "core/stop_signal.h"
+#include "runtime/pipeline/report.h"
+#include "service/recorder.h"
+#include "service/rig_config.h"
+#include "service/rig_source.h"
+#include "tools/common/command.h"
+#include "tools/common/print.h"
+#include "tools/common/progress.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -25,7 +25,8 @@ struct RecordOptions {
   bool json = false;
 };
 
-std::string line_of(const std::vector<capture::CameraInfo>& cameras, const service::RecordCounts& counts) {
+std::string line_of(const std::vector<capture::CameraInfo>& cameras,
+                    const service::RecordCounts& counts) {
   std::string text = fmt::format("recorded {:.1f} s", counts.seconds);
   for (std::size_t i = 0; i < counts.frames.size(); ++i) {
     text += fmt::format(", {} {} frames", cameras[i].name, counts.frames[i]);
@@ -64,8 +65,8 @@ Result<void> record(const RecordOptions& o) {
     if (watched) std::fprintf(stderr, "\r%s\x1b[K", line_of(cameras, counts).c_str());
   };
   const std::atomic<bool>& stop = catch_stop_signals();
-  auto counts = service::record_frames(source, o.output, {o.seconds, static_cast<std::uint64_t>(o.frames)},
-                              stop, tell);
+  auto counts = service::record_frames(
+      source, o.output, {o.seconds, static_cast<std::uint64_t>(o.frames)}, stop, tell);
   if (watched) std::fputs("\r\x1b[K", stderr);
   if (!counts) return std::unexpected(counts.error());
   if (counts->frames.empty()) return stopped(o.output);

@@ -1,26 +1,26 @@
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include <filesystem>
 
 #include "calib/camera/drawable.h"
 #include "capture/environment/environment_file.h"
 #include "capture/recording/folder.h"
+#include "codec/codec.h"
+#include "core/files.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
+#include "runtime/pipeline/light_file.h"
+#include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
+#include "tools/common/command.h"
 #include "tools/common/light_options.h"
 #include "tools/common/print.h"
-#include "tools/common/command.h"
-#include "tools/penumbra/commands.h"
-#include "codec/codec.h"
-#include "core/files.h"
-#include "runtime/pipeline/light_file.h"
 #include "tools/common/progress.h"
-#include "runtime/pipeline/report.h"
 #include "tools/common/still.h"
+#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -29,7 +29,7 @@ namespace {
 struct RenderOptions {
   std::string scene, environment, camera, output;
   std::optional<std::string> projection;
-  std::string bands = "auto", discs = "auto";
+  std::string bands = "auto", lights = "auto";
   bool reference = false, without_objects = false;
   double error = .01, time_s = 0;
   std::optional<int> truncated_to;  // reference under light cut to so many bands
@@ -48,8 +48,8 @@ Result<prt::PinholeView> read_view(const std::string& path) {
 }  // namespace
 
 Result<void> render(const RenderOptions& o) {
-  auto discs = choose_discs(o.discs);
-  if (!discs) return std::unexpected(discs.error());
+  auto lights = choose_max_lights(o.lights);
+  if (!lights) return std::unexpected(lights.error());
   if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
   const std::string extension = std::filesystem::path(o.output).extension().string();
   if (extension != ".exr" && extension != ".hdr")
@@ -65,7 +65,7 @@ Result<void> render(const RenderOptions& o) {
   auto bands = choose_bands(o.bands, light->light);
   if (!bands) return std::unexpected(bands.error());
   if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
-    return fail(ErrorCode::kInvalid, "--truncated-to", "not within 1..9");
+    return fail(ErrorCode::kInvalid, "--light-bands", "not within 1..9");
   auto scene = runtime::read_scene(o.scene);
   if (!scene) return std::unexpected(scene.error());
   runtime::BakeSettings settings;
@@ -76,7 +76,7 @@ Result<void> render(const RenderOptions& o) {
   if (!prepared) return std::unexpected(prepared.error());
 
   const StillScene in{&*prepared, &*map, *view, o.time_s};
-  std::size_t used_discs = 0;
+  std::size_t used_lights = 0;
   const auto still = [&]() -> Result<Still> {
     if (o.reference) {
       std::optional<lighting::LightEstimate> truncated;
@@ -86,9 +86,9 @@ Result<void> render(const RenderOptions& o) {
     }
     auto real = render_real(in, o.error, progress_bar("real world"));
     if (!real || o.without_objects) return real;
-    auto estimate = lighting::estimate_map(*map, {*bands, *discs});
+    auto estimate = lighting::estimate_map(*map, {*bands, *lights});
     if (!estimate) return std::unexpected(estimate.error());
-    used_discs = estimate->discs.size();
+    used_lights = estimate->lights.size();
     return render_composite(in, *estimate, *real);
   }();
   if (!still) return std::unexpected(still.error());
@@ -97,7 +97,7 @@ Result<void> render(const RenderOptions& o) {
     print_json({{"width", view->width},
                 {"height", view->height},
                 {"bands", *bands},
-                {"discs", used_discs},
+                {"lights", used_lights},
                 {"reference", o.reference},
                 {"error", still->error},
                 {"samples_per_pixel", still->samples}});
@@ -105,29 +105,30 @@ Result<void> render(const RenderOptions& o) {
     fmt::print("{}: {}x{}, {} samples a pixel, estimated relative error {:.2f} %\n", o.output,
                view->width, view->height, still->samples, 100 * still->error);
   } else {
-    fmt::print("{}: {}x{}, {} bands and {} discs\n", o.output, view->width, view->height, *bands,
-               used_discs);
+    fmt::print("{}: {}x{}, {} bands and {} lights\n", o.output, view->width, view->height, *bands,
+               used_lights);
   }
   return {};
 }
 
 void add_render(CLI::App& parent, Action& action) {
   static RenderOptions render_options;
-  auto* c = parent.add_subcommand("render", "A still in linear radiance of a scene in an environment");
+  auto* c =
+      parent.add_subcommand("render", "A still in linear radiance of a scene in an environment");
   c->add_option("--scene", render_options.scene, "scene.toml")->required();
   c->add_option("--environment", render_options.environment, "HDR environment")->required();
   c->add_option("--projection", render_options.projection, "As in light estimate");
   c->add_option("--camera", render_options.camera, "camera.toml")->required();
   c->add_option("-o,--output", render_options.output, "Output .exr or .hdr")->required();
   c->add_option("--bands", render_options.bands, "1 to 9, or auto")->capture_default_str();
-  c->add_option("--discs", render_options.discs, kDiscsHelp)->capture_default_str();
+  c->add_option("--max-lights", render_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_flag("--reference", render_options.reference,
               "Path-trace the picture with the objects really there");
   c->add_option("--time", render_options.time_s, "Seconds: where clips and turntables are then")
       ->capture_default_str();
   c->add_option("--error", render_options.error, "Relative error at which the reference stops")
       ->capture_default_str();
-  c->add_option("--truncated-to", render_options.truncated_to,
+  c->add_option("--light-bands", render_options.truncated_to,
                 "Path-trace under the light cut to so many bands instead of the whole environment");
   c->add_flag("--without-objects", render_options.without_objects, "The real world alone");
   add_json(c, render_options.json);

@@ -7,7 +7,7 @@
 #include <glm/vec3.hpp>
 #include <optional>
 
-#include "calib/camera/projection.h"
+#include "calib/camera/camera_model.h"
 #include "core/conventions.h"
 
 namespace penumbra::calib {
@@ -15,20 +15,21 @@ namespace penumbra::calib {
 /// Picture radius rho over the angle theta from the axis, for a focal length of 1.
 class RadialCurve {
  public:
-  enum class Kind { kEquidistant, kMirrorBall, kKannalaBrandt, kDoubleSphere };
-  RadialCurve(Kind kind, const std::array<double, 5>& k) : kind_(kind), k_(k), last_(last_angle()) {
+  enum class CurveKind { kEquidistant, kMirrorBall, kKannalaBrandt, kDoubleSphere };
+  RadialCurve(CurveKind kind, const std::array<double, 5>& k)
+      : kind_(kind), k_(k), last_(last_angle()) {
     rim_ = rho(last_);
   }
 
   [[nodiscard]] double rho(double theta) const {
     switch (kind_) {
-      case Kind::kMirrorBall:
+      case CurveKind::kMirrorBall:
         return std::sin(theta / 2);
-      case Kind::kKannalaBrandt: {
+      case CurveKind::kKannalaBrandt: {
         const double t = theta * theta;
         return theta * (1 + t * (k_[0] + t * (k_[1] + t * (k_[2] + t * k_[3]))));
       }
-      case Kind::kDoubleSphere: {
+      case CurveKind::kDoubleSphere: {
         const double z = k_[0] + std::cos(theta), s = std::sin(theta);
         return s / (k_[1] * std::hypot(s, z) + (1 - k_[1]) * z);
       }
@@ -40,11 +41,11 @@ class RadialCurve {
   /// Inverse on 0..rim().
   [[nodiscard]] double theta(double rho) const {
     switch (kind_) {
-      case Kind::kMirrorBall:
+      case CurveKind::kMirrorBall:
         return 2 * std::asin(std::min(rho, 1.));
-      case Kind::kKannalaBrandt:
+      case CurveKind::kKannalaBrandt:
         return newton(rho);
-      case Kind::kDoubleSphere:
+      case CurveKind::kDoubleSphere:
         return unproject_double_sphere(rho);
       default:
         return rho;
@@ -53,8 +54,8 @@ class RadialCurve {
 
   [[nodiscard]] double rim() const { return rim_; }          // rho of the last angle
   [[nodiscard]] double last_theta() const { return last_; }  // pi where the whole sphere is seen
-  [[nodiscard]] bool is_mirror() const { return kind_ == Kind::kMirrorBall; }
-  [[nodiscard]] bool is_equidistant() const { return kind_ == Kind::kEquidistant; }
+  [[nodiscard]] bool is_mirror() const { return kind_ == CurveKind::kMirrorBall; }
+  [[nodiscard]] bool is_equidistant() const { return kind_ == CurveKind::kEquidistant; }
 
  private:
   [[nodiscard]] double slope(double theta) const {  // of rho, Kannala-Brandt
@@ -64,13 +65,13 @@ class RadialCurve {
 
   // Where the picture would fold back on itself, at most pi.
   [[nodiscard]] double last_angle() const {
-    if (kind_ == Kind::kKannalaBrandt) {
+    if (kind_ == CurveKind::kKannalaBrandt) {
       constexpr int kSteps = 90;
       for (int i = 1; i <= kSteps; ++i)
         if (slope(kPi * i / kSteps) <= 0) return kPi * (i - 1) / kSteps;
       return kPi;
     }
-    if (kind_ != Kind::kDoubleSphere) return kPi;
+    if (kind_ != CurveKind::kDoubleSphere) return kPi;
     // Usenko et al. 2018, eq. 43-45; a little inside, where rho is still finite.
     const double xi = k_[0], alpha = k_[1];
     const double w1 = alpha <= .5 ? alpha / (1 - alpha) : (1 - alpha) / alpha;
@@ -102,7 +103,7 @@ class RadialCurve {
     return std::atan2(scale * rho, scale * mz - xi);
   }
 
-  Kind kind_;
+  CurveKind kind_;
   std::array<double, 5> k_;
   double last_, rim_ = 0;
 };
@@ -165,21 +166,21 @@ struct RadialLens {
 };
 
 /// Nothing for the other kinds.
-inline std::optional<RadialLens> radial_lens(const Projection& p) {
-  using Kind = RadialCurve::Kind;
+inline std::optional<RadialLens> radial_lens(const CameraModel& p) {
+  using CurveKind = RadialCurve::CurveKind;
   const glm::dvec2 middle{p.width / 2., p.height / 2.};
   const double radius = std::fmin(middle.x, middle.y);
   switch (p.kind) {
     case ProjectionKind::kAngular:
-      return RadialLens{middle, glm::dvec2(radius / kPi), {Kind::kEquidistant, {}}};
+      return RadialLens{middle, glm::dvec2(radius / kPi), {CurveKind::kEquidistant, {}}};
     case ProjectionKind::kMirrorBall:
-      return RadialLens{middle, glm::dvec2(radius), {Kind::kMirrorBall, {}}};
+      return RadialLens{middle, glm::dvec2(radius), {CurveKind::kMirrorBall, {}}};
     case ProjectionKind::kEquidistant:
-      return RadialLens{p.principal_px, p.focal_px, {Kind::kEquidistant, {}}};
+      return RadialLens{p.principal_px, p.focal_px, {CurveKind::kEquidistant, {}}};
     case ProjectionKind::kKannalaBrandt:
-      return RadialLens{p.principal_px, p.focal_px, {Kind::kKannalaBrandt, p.distortion}};
+      return RadialLens{p.principal_px, p.focal_px, {CurveKind::kKannalaBrandt, p.distortion}};
     case ProjectionKind::kDoubleSphere:
-      return RadialLens{p.principal_px, p.focal_px, {Kind::kDoubleSphere, p.distortion}};
+      return RadialLens{p.principal_px, p.focal_px, {CurveKind::kDoubleSphere, p.distortion}};
     default:
       return std::nullopt;
   }

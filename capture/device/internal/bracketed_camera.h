@@ -8,10 +8,10 @@
 #include <optional>
 #include <vector>
 
+#include "calib/camera/response_table.h"
 #include "capture/device/cameras.h"
 #include "capture/device/internal/exposure_schedule.h"
 #include "capture/frames.h"
-#include "calib/camera/code_curve.h"
 
 namespace penumbra::capture {
 
@@ -46,9 +46,9 @@ class BrightnessMeter {
   Brightness measure(const FramePixels& pixels);
 
  private:
-  const CodeCurve& curve(int bits);
+  const ResponseTable& curve(int bits);
   CameraInfo camera_;
-  std::optional<CodeCurve> curve_;
+  std::optional<ResponseTable> curve_;
 };
 
 /// The exposure in force at each frame, from the requests and the camera's delay, checked against what frames show.
@@ -72,14 +72,14 @@ class ExposureLabels {
 
   std::optional<int> delay() const { return delay_; }
   /// True while no delay explains what is seen: the camera does not follow.
-  bool deaf() const { return deaf_; }
+  bool ignores_controls() const { return ignores_controls_; }
 
  private:
   struct Request {
     std::uint64_t after_frame;
     Exposure exposure;
   };
-  struct Seen {
+  struct LabelledFrame {
     std::uint64_t frame;
     Brightness brightness;
   };
@@ -91,19 +91,19 @@ class ExposureLabels {
 
   std::optional<int> delay_;
   std::deque<Request> requests_;
-  std::deque<Seen> seen_;        // newest last
-  std::vector<float> radiance_;  // of the blocks; 0: unknown
-  double drift_ = 0;             // slow part of the offsets, natural logarithm
+  std::deque<LabelledFrame> seen_;  // newest last
+  std::vector<float> radiance_;     // of the blocks; 0: unknown
+  double drift_ = 0;                // slow part of the offsets, natural logarithm
   TimestampNs last_;
   double suspicion_ = 0;  // refusals of late
   int refused_in_a_row_ = 0, good_in_a_row_ = 0;
-  bool deaf_ = false;
+  bool ignores_controls_ = false;
 };
 
 /// A camera with its schedule. threads: thread-bound
 class BracketedCamera {
  public:
-  /// `light_error`: the schedule is chosen, so that the light's error stays below this share of it.
+  /// `light_error`: the schedule is chosen, so that the light's error stays below this fraction of it.
   BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay,
                   std::optional<double> light_error = {}, double fps = 30)
       : info_(std::move(info)),

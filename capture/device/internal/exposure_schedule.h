@@ -9,10 +9,10 @@
 #include <vector>
 
 #include "calib/camera/noise.h"
+#include "calib/camera/response_table.h"
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
 #include "capture/hdr/pixel_weights.h"
-#include "calib/camera/code_curve.h"
 
 namespace penumbra::capture {
 
@@ -27,7 +27,7 @@ struct RadianceBin {
 /// What an exposure can be.
 struct ExposureLimits {
   Seconds shortest{1e-5}, longest{1. / 30};
-  Gain most{1};
+  Gain max_gain{1};
 };
 
 /// A schedule and the errors of an irradiance that it leaves, relative to it. Noise and codes count against the darker
@@ -56,7 +56,7 @@ class ExposurePlanner {
   double clip(const Exposure& exposure) const;
 
  private:
-  CodeCurve curve_;
+  ResponseTable curve_;
   calib::NoiseModel noise_;
   double black_;
   double clip_signal_;  // of the channel that clips first
@@ -68,7 +68,7 @@ class LightHistogram {
  public:
   explicit LightHistogram(const CameraInfo& camera);
   /// Frames in their order; the newest of each exposure counts, of the `most` newest exposures.
-  void add(const FramePixels& pixels, const Exposure& exposure, std::size_t most);
+  void add(const FramePixels& pixels, const Exposure& exposure, std::size_t max_count);
   void clear() { seen_.clear(); }
   /// Whether each of these was seen.
   bool holds(std::span<const Exposure> exposures) const;
@@ -80,13 +80,13 @@ class LightHistogram {
   struct CodeLight {
     double solid_angle = 0, green = 0, pixels = 0;
   };
-  struct Seen {
+  struct SeenExposure {
     Exposure exposure;
     std::array<CodeLight, 256> code;  // of the brightest channel
   };
   PixelWeights weights_;
   std::array<double, 256> decode_{};  // signal of a code
-  std::deque<Seen> seen_;             // oldest first
+  std::deque<SeenExposure> seen_;     // oldest first
 };
 
 /// A camera's schedule that follows the light: anew as soon as the light's error passes the budget, shorter only after a
@@ -111,7 +111,7 @@ class AutoSchedule {
   ExposureLimits limits_;
   SchedulePlan plan_;
   bool probing_ = true;
-  double least_error_ = 0;         // that no plan could mend
+  double min_error_ = 0;           // that no plan could mend
   std::size_t until_settled_ = 0;  // frames that may still show the last schedule
   TimestampNs planned_;
 };

@@ -51,7 +51,7 @@ class V4l2Node {
 
  private:
   V4l2Node() = default;
-  double most_fps(std::uint32_t fourcc, std::uint32_t width, std::uint32_t height) const;
+  double max_fps(std::uint32_t fourcc, std::uint32_t width, std::uint32_t height) const;
   UniqueFd fd_;
   std::string device_, name_, driver_;
   std::filesystem::path hardware_;  // its folder in /sys, which goes when it is unplugged

@@ -5,31 +5,31 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/units.h"
-#include "calib/camera/code_curve.h"
 #include "calib/camera/noise.h"
+#include "calib/camera/response_table.h"
 #include "capture/hdr/merge_math.h"
+#include "core/units.h"
 
 namespace penumbra::capture {
 
 /// Standard deviations between two samples of the same radiance that chance explains. source: Granados et al. 2010
-inline constexpr double kMostSigmas = 3.5;
+inline constexpr double kMaxSigmas = 3.5;
 /// For cameras whose noise is a guess.
-inline constexpr double kMostSigmasOfAGuess = 7;
-inline constexpr double most_sigmas(bool noise_known) {
-  return noise_known ? kMostSigmas : kMostSigmasOfAGuess;
+inline constexpr double kMaxSigmasOfAGuess = 7;
+inline constexpr double max_sigmas(bool noise_known) {
+  return noise_known ? kMaxSigmas : kMaxSigmasOfAGuess;
 }
 /// Of the radiance: what response curve and exposure times leave wrong.
 inline constexpr double kModelError = .01;
 
 /// A sample that may be clipped; then its signal is a lower bound.
-struct Sample {
+struct SignalSample {
   double signal;
   bool clipped;
 };
 
 /// Both under the hypothesis that they show one radiance, whose estimate is their sum over the sum of exposures.
-inline bool contradict(const Sample& a, const Exposure& exposure_a, const Sample& b,
+inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const SignalSample& b,
                        const Exposure& exposure_b, const calib::NoiseModel& noise,
                        const QuantisationStep& step, int channel, double sigmas) {
   if (a.clipped && b.clipped) return false;
@@ -50,12 +50,12 @@ using AllowedCodes = std::array<std::uint32_t, 256>;
 
 /// What turns codes into samples, for one channel.
 struct CodeSamples {
-  const CodeCurve& curve;
+  const ResponseTable& curve;
   const calib::NoiseModel& noise;
   QuantisationStep step;
   unsigned first_clipped;
   int channel;
-  Sample operator()(unsigned code) const {
+  SignalSample operator()(unsigned code) const {
     return {static_cast<double>(curve.decode(channel, code)), code >= first_clipped};
   }
 };

@@ -7,14 +7,14 @@
 #include <span>
 #include <vector>
 
-#include "calib/camera/code_curve.h"
+#include "calib/camera/camera_model.h"
 #include "calib/camera/noise.h"
-#include "calib/camera/projection.h"
+#include "calib/camera/response_table.h"
 #include "capture/frames.h"
-#include "capture/hdr/merge.h"
 #include "capture/hdr/internal/contradiction.h"
-#include "capture/hdr/pixel_weights.h"
 #include "capture/hdr/internal/table_kernel.h"
+#include "capture/hdr/merge.h"
+#include "capture/hdr/pixel_weights.h"
 
 namespace penumbra::capture {
 
@@ -29,17 +29,17 @@ class TableMerger {
   static std::optional<TableMerger> make(std::span<const Exposure> exposures,
                                          const CameraInfo& camera);
 
-  struct Slot {
+  struct MergeSlot {
     const Image<Rgb8>* pixels;
     Exposure exposure;     // within a few per cent of what make() got
     std::uint64_t placed;  // grows with time; the newest is the one that is new
   };
   /// Slots as the exposures in make(). `replaced`: what stood in the newest one's place before; without it everything
   /// is merged anew.
-  void update(std::span<const Slot> slots, const Slot* replaced, MergedImage& out);
+  void update(std::span<const MergeSlot> slots, const MergeSlot* replaced, MergedImage& out);
 
  private:
-  struct Block {
+  struct MergeBlock {
     BlockCounts counts;
     std::uint64_t changed = 0;  // when it last showed something else than before
     bool mixed = false;         // of frames from before and after that
@@ -48,19 +48,19 @@ class TableMerger {
     bool undecided =
         false;  // holds pixels brighter than the newest exposure can tell, which others contradict
   };
-  static constexpr std::size_t kMostExposures = 16;
+  static constexpr std::size_t kMaxExposures = 16;
   /// What an update knows of all blocks.
-  struct Job {
-    std::array<const std::uint8_t*, kMostExposures> codes{};
-    std::array<std::uint8_t, kMostExposures> by_age{};  // newest first
+  struct MergeJob {
+    std::array<const std::uint8_t*, kMaxExposures> codes{};
+    std::array<std::uint8_t, kMaxExposures> by_age{};  // newest first
     const std::uint8_t* replaced = nullptr;
     CodeTolerance tolerance{};
     std::uint64_t now = 0, oldest = 0;  // placed
     std::size_t newest() const { return by_age[0]; }
   };
   struct BlockJob {
-    const Job& all;
-    std::array<const std::uint8_t*, kMostExposures> codes;
+    const MergeJob& all;
+    std::array<const std::uint8_t*, kMaxExposures> codes;
     const std::uint8_t* replaced;
     HalfRgba* out;
     std::size_t first;  // pixel
@@ -68,33 +68,33 @@ class TableMerger {
   };
   using Flags = std::array<std::uint8_t, kMergeBlock>;
   struct LeftOut {
-    std::array<Flags, kMostExposures> of{};
+    std::array<Flags, kMaxExposures> of{};
     Flags any{};
   };
 
   explicit TableMerger(const CameraInfo& camera);
   void fill_tables();
-  void follow(std::span<const Slot> slots);
+  void follow(std::span<const MergeSlot> slots);
   void scale_step(std::size_t step);
   void compare_exposures(std::size_t one);
   CodeSamples samples(std::size_t channel) const;
   const AllowedCodes& allowed(std::size_t channel, std::size_t known, std::size_t asked) const;
   AllowedCodes& allowed(std::size_t channel, std::size_t known, std::size_t asked);
   CodeTolerance tolerance(const Exposure& now, const Exposure& before) const;
-  Job describe(std::span<const Slot> slots, const Slot* replaced) const;
-  void update_rest(const Job& job, MergedImage& out);
-  void update_block(const BlockJob& job, Block& block) const;
+  MergeJob describe(std::span<const MergeSlot> slots, const MergeSlot* replaced) const;
+  void update_rest(const MergeJob& job, MergedImage& out);
+  void update_block(const BlockJob& job, MergeBlock& block) const;
   bool leave_out_contradicted(const BlockJob& job, LeftOut& left) const;
   void bound_undecided(const BlockJob& job, const LeftOut& left, std::size_t pixel) const;
-  void merge_mixed(const BlockJob& job, Block& block) const;
+  void merge_mixed(const BlockJob& job, MergeBlock& block) const;
   BlockCounts merge_real(const BlockJob& job) const;
   void keep_energy(MergedImage& out);
   TableView view() const;
 
-  CodeCurve curve_;
-  calib::Projection projection_;
+  ResponseTable curve_;
+  calib::CameraModel projection_;
   calib::NoiseModel noise_;
-  double most_sigmas_ = kMostSigmas;
+  double max_sigmas_ = kMaxSigmas;
   std::vector<Exposure> nominal_, current_;  // longest first; current: what the tables hold
   // [channel set][step][code of next][code]: half radiance / scale, at the nominal exposures and at the current ones
   std::vector<std::uint16_t> nominal_tables_, tables_;
@@ -106,7 +106,7 @@ class TableMerger {
   std::array<std::int32_t, kBlockSamples> offsets_{};  // of a sample's channel in allowed_
 
   std::optional<PixelWeights> weights_;
-  std::vector<Block> blocks_;
+  std::vector<MergeBlock> blocks_;
 };
 
 }  // namespace penumbra::capture

@@ -5,17 +5,17 @@
 #include <functional>
 #include <vector>
 
+#include "core/result.h"
 #include "prt/bake/bake.h"
+#include "prt/clip/internal/journal.h"
+#include "prt/clip/internal/seams.h"
+#include "prt/clip/key_frames.h"
+#include "prt/clip/light_map.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
-#include "core/result.h"
-#include "prt/clip/internal/journal.h"
-#include "prt/clip/key_frames.h"
-#include "prt/clip/light_map.h"
-#include "prt/clip/internal/seams.h"
 
 namespace penumbra::prt {
 

@@ -7,8 +7,8 @@
 #include <span>
 #include <vector>
 
-#include "prt/geometry/animation.h"
 #include "prt/clip/light_map.h"
+#include "prt/geometry/animation.h"
 
 namespace penumbra::prt {
 

@@ -6,10 +6,10 @@
 #include <string>
 #include <vector>
 
-#include "prt/clip/sequence.h"
-#include "prt/transfer/transfer.h"
 #include "core/result.h"
 #include "prt/clip/light_map.h"
+#include "prt/clip/sequence.h"
+#include "prt/transfer/transfer.h"
 
 namespace penumbra::prt {
 

@@ -5,7 +5,6 @@
 
 #include "prt/geometry/mesh.h"
 
-
 namespace penumbra::prt {
 
 /// A committed scene that the caller releases; null when Embree refuses.

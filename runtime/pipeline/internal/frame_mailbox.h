@@ -28,7 +28,7 @@ class FrameMailbox : public Closable {
         *before = std::move(frame);
         ++dropped_;
       } else {
-        if (waiting_.size() == kMost) waiting_.erase(waiting_.begin()), ++dropped_;
+        if (waiting_.size() == kMax) waiting_.erase(waiting_.begin()), ++dropped_;
         waiting_.push_back(std::move(frame));
       }
     }
@@ -49,7 +49,7 @@ class FrameMailbox : public Closable {
   }
 
  private:
-  static constexpr std::size_t kMost = 16;
+  static constexpr std::size_t kMax = 16;
   // Within a quarter of a stop: labels that frames tell themselves vary a little.
   static bool alike(const capture::Frame& a, const capture::Frame& b) {
     return a.camera == b.camera &&

@@ -3,10 +3,10 @@
 
 #include <span>
 
-#include "shadows/silhouette/casters.h"
-#include "shadows/silhouette/outline_memo.h"
 #include "core/image.h"
-#include "shadows/silhouette/internal/outline_sides.h"
+#include "shadows/silhouette/internal/silhouette_segments.h"
+#include "shadows/silhouette/occluders.h"
+#include "shadows/silhouette/silhouette_cache.h"
 
 namespace penumbra::shadows {
 
@@ -14,8 +14,9 @@ namespace penumbra::shadows {
 /// that real ones block (`missing`, unless it is empty). What stands lower than near_m blocks nothing.
 /// threads: reentrant but for the memo; no allocation after a thread's largest call but its
 /// source: shadows from points of the source averaged (Heckbert & Herf 1997), each drawn as the winding number of its
-/// outline: every triangle counts one layer in what it covers, and between two that face the light alike the edge cancels
-void add_projected_shadows(const Casters& casters, const NodeGrid& grid, const TapBeam& light,
-                           OutlineMemo& memo, Image<float>& taken, Image<float>& missing);
+/// silhouette: every triangle counts one layer in what it covers, and between two that face the light alike the edge cancels
+void add_projected_shadows(const ShadowCasters& casters, const NodeGrid& grid,
+                           const SampleCone& light, SilhouetteCache& memo, Image<float>& taken,
+                           Image<float>& missing);
 
 }  // namespace penumbra::shadows

@@ -1,0 +1,42 @@
+// One compact light source.
+// threads: reentrant
+#pragma once
+
+#include <glm/vec3.hpp>
+
+#include "core/image.h"
+#include "core/inplace_vector.h"
+#include "core/sh.h"
+#include "core/units.h"
+
+namespace penumbra::lighting {
+
+/// A source above the low-frequency rest: uniform radiance over a spherical cap, or over another form of the same
+/// solid angle.
+struct DistantLight {
+  static constexpr int kShapePoints = 64;
+  using Shape = InplaceVector<glm::dvec3, kShapePoints>;
+
+  int id = 0;                     // the same source keeps its number over time (LightTracker)
+  glm::dvec3 direction{0, 1, 0};  // to the centre of its energy, unit
+  Radians radius{0};              // half angle
+  Rgb radiance;                   // mean over the cap, on top of the rest
+  /// Where a round light would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
+  /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
+  Shape shape{};
+  bool clipped = false;  // saturated in every exposure: its radiance is a lower bound, or completed
+
+  double solid_angle_sr() const;
+  /// Of a surface that faces the round light: L pi sin^2 a.
+  Rgb irradiance() const;
+};
+
+/// The light's own coefficients.
+/// source: zonal harmonics of a cap, z_l = sqrt(pi/(2l+1)) (P_{l-1}(cos a) - P_{l+1}(cos a))
+RadianceSh project_distant_light(const DistantLight& source, int bands);
+/// Moments over directions with y > 0 alone, as ShProjection::above.
+RadianceSh project_upper_distant_light(const DistantLight& source, int bands);
+/// Of an open surface; the part of the light behind it is left out.
+Rgb irradiance(const DistantLight& source, const glm::dvec3& normal);
+
+}  // namespace penumbra::lighting

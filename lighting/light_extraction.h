@@ -1,0 +1,54 @@
+// Compact light sources found in a map.
+// threads: reentrant
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "core/image.h"
+#include "core/result.h"
+#include "lighting/distant_light.h"
+#include "lighting/map_luminance.h"
+#include "lighting/row_overlay.h"
+
+namespace penumbra::lighting {
+
+struct ExtractionOptions {
+  int max_count = 8;
+  /// A source matters when it sends a surface that faces it this fraction of the mean irradiance.
+  double min_irradiance_fraction = .02;
+};
+
+/// A map in which every source has been cut down to its surroundings, and the sources.
+struct LightExtraction {
+  RowOverlay residual;
+  std::vector<DistantLight> lights;  // by falling irradiance; ids are not set
+  double mean_luminance = 0;         // of the whole map
+};
+
+/// Blob peeling: connected regions brighter than six times the mean of what is not one (8-neighbours, across
+/// the seam, and around the poles), each cut down to that level. A region of a
+/// thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of rest and lights
+/// together is the map's, channel by channel. Works on the full map: reduced to 64 rows a sun would move by up to 1.4
+/// degrees.
+/// in:      luminance: of this map, see LatLongProjector::read
+/// out:     split.rest refers to the map, which must outlive it, and keeps its memory between calls
+/// errors:  kInvalid (empty), kNonFinite
+/// Every connected region of `clipped` pixels (Environment::clipped) is a light of its own whatever
+/// its fraction, and before all others where there are more than `most`.
+/// source:  after Nowrouzezahrai, Geiger, Mitchell, Sumner, Jarosz & Gross 2011, section 4
+Result<void> extract_lights(const Image<Rgb>& map, const MapLuminance& luminance,
+                            const ExtractionOptions& options, LightExtraction& split,
+                            std::span<const std::uint32_t> clipped = {});
+Result<void> extract_lights(const Image<Rgb>&& map, const MapLuminance& luminance,
+                            const ExtractionOptions& options, LightExtraction& split,
+                            std::span<const std::uint32_t> clipped = {}) = delete;
+/// Reads the map itself.
+Result<void> extract_lights(const Image<Rgb>& map, const ExtractionOptions& options,
+                            LightExtraction& split, std::span<const std::uint32_t> clipped = {});
+Result<void> extract_lights(const Image<Rgb>&& map, const ExtractionOptions& options,
+                            LightExtraction& split,
+                            std::span<const std::uint32_t> clipped = {}) = delete;
+
+}  // namespace penumbra::lighting

@@ -1,0 +1,268 @@
+#include <fmt/format.h>
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+#include "lighting/basis.h"
+#include "lighting/distant_light.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+#include "lighting/saturation_recovery.h"
+
+namespace penumbra::lighting {
+
+namespace {
+
+constexpr double kMinCosine = .05;    // mean over a light, of a surface that sees it
+constexpr double kMinContrast = .05;  // smallest over largest singular value
+constexpr double kMinPower = .9;      // of the measured lower bound: noise of the patches
+constexpr std::size_t kMaxKnown = 16;
+
+Rgb power(const DistantLight& source) {
+  return source.radiance * static_cast<float>(source.solid_angle_sr());
+}
+
+// Irradiance by a light of power 1.
+double response(DistantLight source, const glm::dvec3& normal) {
+  source.radiance = {1, 1, 1};
+  return double(irradiance(source, normal).r) / source.solid_angle_sr();
+}
+
+// By everything but the lights that `left_out` names.
+template <class LeftOut>
+Rgb irradiance_without(const LightEstimate& light, const IrradianceSh& residual,
+                       const glm::dvec3& normal, LeftOut left_out) {
+  Rgb sum = evaluate(residual, normal);
+  for (const DistantLight& d : light.lights)
+    if (!std::invoke(left_out, d)) sum += irradiance(d, normal);
+  return sum;
+}
+
+Result<void> check(const ReflectancePatch& patch, std::size_t index) {
+  const auto where = fmt::format("patch {}", index + 1);
+  if (!(std::abs(glm::dot(patch.normal, patch.normal) - 1) < 1e-3))
+    return fail(ErrorCode::kInvalid, where, "its normal is not a unit vector");
+  if (!is_finite(patch.radiance))
+    return fail(ErrorCode::kNonFinite, where, "its radiance is not finite");
+  for (int c = 0; c < 3; ++c)
+    if (!(patch.albedo[c] > 0 && patch.albedo[c] <= 1))
+      return fail(ErrorCode::kInvalid, where,
+                  fmt::format("its albedo {} is not within 0..1", patch.albedo[c]));
+  return {};
+}
+
+// Whether the patches can tell the sources apart: the spread of the singular values of columns of
+// unit length.
+Result<void> check(const Eigen::MatrixXd& seen, std::span<const DistantLight* const> lights) {
+  if (seen.rows() < seen.cols())
+    return fail(ErrorCode::kUndetermined, "patches",
+                fmt::format("{} for {} clipped sources", seen.rows(), seen.cols()));
+  for (Eigen::Index j = 0; j < seen.cols(); ++j)
+    if (seen.col(j).maxCoeff() < kMinCosine)
+      return fail(
+          ErrorCode::kUndetermined, "patches",
+          fmt::format("none sees clipped source {}", lights[static_cast<std::size_t>(j)]->id));
+  const Eigen::VectorXd values = seen.colwise().normalized().jacobiSvd().singularValues();
+  if (values.minCoeff() < kMinContrast * values.maxCoeff())
+    return fail(ErrorCode::kUndetermined, "patches",
+                fmt::format("too alike to tell {} clipped sources apart", seen.cols()));
+  return {};
+}
+
+// min |a x - b|, x >= 0; a of full column rank.
+// source: Lawson & Hanson 1974, algorithm NNLS (23.10)
+Eigen::VectorXd non_negative_least_squares(const Eigen::MatrixXd& a, const Eigen::VectorXd& b) {
+  Eigen::VectorXd x = Eigen::VectorXd::Zero(a.cols());
+  std::vector<Eigen::Index> free, bound(static_cast<std::size_t>(a.cols()));
+  for (std::size_t i = 0; i < bound.size(); ++i) bound[i] = static_cast<Eigen::Index>(i);
+  const double tiny = 1e-12 * (a.transpose() * b).cwiseAbs().maxCoeff();
+  for (Eigen::Index step = 0; step < 3 * a.cols() && !bound.empty(); ++step) {
+    const Eigen::VectorXd slope = a.transpose() * (b - a * x);
+    const auto best = std::ranges::max_element(bound, {}, [&](Eigen::Index i) { return slope[i]; });
+    if (!(slope[*best] > tiny)) break;
+    free.push_back(*best);
+    bound.erase(best);
+    while (!free.empty()) {
+      const Eigen::VectorXd s = a(Eigen::all, free).colPivHouseholderQr().solve(b);
+      double stride = 1;
+      for (std::size_t k = 0; k < free.size(); ++k) {
+        const double here = x[free[k]], there = s[static_cast<Eigen::Index>(k)];
+        if (there <= 0) stride = std::min(stride, here > 0 ? here / (here - there) : 0);
+      }
+      for (std::size_t k = 0; k < free.size(); ++k)
+        x[free[k]] += stride * (s[static_cast<Eigen::Index>(k)] - x[free[k]]);
+      if (stride == 1) break;
+      std::erase_if(free, [&](Eigen::Index i) {
+        if (x[i] > 1e-14 * x.maxCoeff()) return false;
+        x[i] = 0;
+        bound.push_back(i);
+        return true;
+      });
+    }
+  }
+  return x;
+}
+
+}  // namespace
+
+Result<std::vector<SaturationRecovery>> recover_from_patches(
+    const LightEstimate& light, std::span<const ReflectancePatch> patches) {
+  std::vector<const DistantLight*> lights;
+  for (const DistantLight& d : light.lights)
+    if (d.clipped) lights.push_back(&d);
+  if (lights.empty()) return fail(ErrorCode::kInvalid, "light", "has no clipped source");
+  const auto rows = static_cast<Eigen::Index>(patches.size()),
+             columns = static_cast<Eigen::Index>(lights.size());
+  Eigen::MatrixXd seen(rows, columns), missing(rows, 3);
+  const IrradianceSh residual = irradiance(light.light);
+  for (Eigen::Index p = 0; p < rows; ++p) {
+    const ReflectancePatch& patch = patches[static_cast<std::size_t>(p)];
+    PENUMBRA_TRY(check(patch, static_cast<std::size_t>(p)));
+    const Rgb others = irradiance_without(light, residual, patch.normal, &DistantLight::clipped);
+    for (int c = 0; c < 3; ++c)
+      missing(p, c) = kPi * double(patch.radiance[c] / patch.albedo[c]) - double(others[c]);
+    for (Eigen::Index j = 0; j < columns; ++j)
+      seen(p, j) = response(*lights[static_cast<std::size_t>(j)], patch.normal);
+  }
+  PENUMBRA_TRY(check(seen, lights));
+  std::vector<SaturationRecovery> out;
+  for (const DistantLight* source : lights) out.push_back({source->id, {}});
+  for (int c = 0; c < 3; ++c) {
+    const Eigen::VectorXd x = non_negative_least_squares(seen, missing.col(c));
+    for (Eigen::Index j = 0; j < columns; ++j)
+      out[static_cast<std::size_t>(j)].power[c] = static_cast<float>(x[j]);
+  }
+  for (const SaturationRecovery& recovery : out)
+    if (!(luminance(recovery.power) > 0))
+      return fail(ErrorCode::kUndetermined, "patches",
+                  fmt::format("get nothing from clipped source {}: in shadow, or of another albedo "
+                              "or scale than stated",
+                              recovery.source));
+  return out;
+}
+
+Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
+                                                        const ReflectancePatch& patch) {
+  PENUMBRA_TRY(check(patch, 0));
+  const auto is_sun = [](const DistantLight& d) { return d.clipped && d.radius <= kSunLike; };
+  const bool suns = std::ranges::any_of(light.lights, is_sun);
+  const auto fractions = [&](const DistantLight& d) { return suns ? is_sun(d) : d.clipped; };
+  const Rgb others = irradiance_without(light, irradiance(light.light), patch.normal, fractions);
+  std::vector<SaturationRecovery> out;
+  Rgb measured;
+  double nearest = 0;
+  for (const DistantLight& d : light.lights) {
+    if (!fractions(d)) continue;
+    measured += irradiance(d, patch.normal);
+    nearest = std::max(nearest, response(d, patch.normal));
+    out.push_back({d.id, power(d)});
+  }
+  if (out.empty()) return fail(ErrorCode::kInvalid, "light", "has no clipped source");
+  if (nearest < kMinCosine)
+    return fail(ErrorCode::kUndetermined, "patch", "sees no clipped source");
+  Rgb factor;
+  for (int c = 0; c < 3; ++c) {
+    const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
+    factor[c] = measured[c] > 0 ? std::max(0.f, missing / measured[c]) : 1;
+  }
+  for (SaturationRecovery& recovery : out) recovery.power = recovery.power * factor;
+  if (!(luminance(out[0].power) > 0))
+    return fail(ErrorCode::kUndetermined, "patch",
+                "gets nothing from clipped sources: in shadow, or of another albedo or scale than "
+                "stated");
+  return out;
+}
+
+Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int source,
+                                                const ShadowEdge& edge) {
+  const auto at = std::ranges::find_if(
+      light.lights, [&](const DistantLight& d) { return d.clipped && d.id == source; });
+  if (at == light.lights.end())
+    return fail(ErrorCode::kInvalid, "shadow edge",
+                fmt::format("light {} is not saturated", source));
+  if (!(std::abs(glm::dot(edge.normal, edge.normal) - 1) < 1e-3))
+    return fail(ErrorCode::kInvalid, "shadow edge", "its normal is not a unit vector");
+  if (!is_finite(edge.lit) || !is_finite(edge.shadowed))
+    return fail(ErrorCode::kNonFinite, "shadow edge", "its radiance is not finite");
+  for (int c = 0; c < 3; ++c)
+    if (!(edge.shadowed[c] > 0))
+      return fail(ErrorCode::kUndetermined, "shadow edge", "the shadow is black");
+  if (!(luminance(edge.lit) > luminance(edge.shadowed)))
+    return fail(ErrorCode::kUndetermined, "shadow edge", "the lit side is not brighter");
+  const double seen = response(*at, edge.normal);
+  if (seen < kMinCosine)
+    return fail(ErrorCode::kUndetermined, "shadow edge",
+                fmt::format("its surface does not see clipped source {}", source));
+  const Rgb others = irradiance_without(light, irradiance(light.light), edge.normal,
+                                        [&](const DistantLight& d) { return &d == &*at; });
+  SaturationRecovery out{source, {}};
+  for (int c = 0; c < 3; ++c)
+    out.power[c] =
+        std::max(0.f, others[c] * (edge.lit[c] / edge.shadowed[c] - 1) / static_cast<float>(seen));
+  if (!(luminance(out.power) > 0))
+    return fail(ErrorCode::kUndetermined, "shadow edge", "no light in the shadow to compare with");
+  return out;
+}
+
+DistantLight completed(const DistantLight& measured, const Rgb& power) {
+  DistantLight out = measured;
+  const double solid_angle = measured.solid_angle_sr();
+  for (int c = 0; c < 3; ++c)
+    out.radiance[c] = std::max(measured.radiance[c], power[c] / static_cast<float>(solid_angle));
+  if (measured.radius > kSunLike) return out;
+  out.shape.clear();
+  out.radius = kSunRadius;
+  out.radiance = out.radiance * static_cast<float>(solid_angle / out.solid_angle_sr());
+  return out;
+}
+
+RecoveryMemory::RecoveredLight* RecoveryMemory::find(int source) {
+  const auto at = std::ranges::find(known_, source, &RecoveredLight::source);
+  return at == known_.end() ? nullptr : &*at;
+}
+
+Result<void> RecoveryMemory::remember(const SaturationRecovery& recovery) {
+  const auto where = fmt::format("light {}", recovery.source);
+  RecoveredLight* const known = find(recovery.source);
+  if (known == nullptr) return fail(ErrorCode::kInvalid, where, "is not a clipped source");
+  if (!is_finite(recovery.power)) return fail(ErrorCode::kNonFinite, where, "power is not finite");
+  const float smallest = luminance(known->power), now = luminance(recovery.power);
+  if (!(now >= static_cast<float>(kMinPower) * smallest))
+    return fail(ErrorCode::kUndetermined, where,
+                fmt::format("completed to {:.3g}, but {:.3g} was measured", now, smallest));
+  known->radiance = recovery.power * static_cast<float>(1 / known->solid_angle_sr);
+  return {};
+}
+
+void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantLight> unused) {
+  bool changed = false;
+  for (DistantLight& source : lights) {
+    if (!source.clipped) {
+      std::erase_if(known_, [&](const RecoveredLight& k) { return k.source == source.id; });
+      continue;
+    }
+    // A light that is fading in is in two parts.
+    const auto residual = std::ranges::find(unused, source.id, &DistantLight::id);
+    const Rgb whole = power(source) + (residual == unused.end() ? Rgb{} : power(*residual));
+    RecoveredLight* known = find(source.id);
+    if (known == nullptr) {
+      if (known_.size() == kMaxKnown) known_.erase(known_.begin());
+      known = &known_.emplace_back(source.id, whole, 0., std::nullopt);
+    }
+    known->power = whole;
+    known->solid_angle_sr = source.solid_angle_sr();
+    if (!known->radiance) continue;
+    const Rgb full = *known->radiance * static_cast<float>(known->solid_angle_sr);
+    const float fraction = luminance(whole) > 0 ? luminance(power(source)) / luminance(whole) : 1;
+    source = completed(source, full * fraction);
+    if (residual != unused.end()) *residual = completed(*residual, full * (1 - fraction));
+    changed = true;
+  }
+  if (changed)
+    std::ranges::stable_sort(lights, std::greater<>(),
+                             [](const DistantLight& d) { return luminance(power(d)); });
+}
+
+}  // namespace penumbra::lighting

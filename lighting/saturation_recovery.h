@@ -1,0 +1,89 @@
+// What light sources that clip every exposure really send.
+// threads: free functions reentrant; RecoveryMemory thread-bound
+#pragma once
+
+#include <glm/vec3.hpp>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "core/conventions.h"
+#include "core/image.h"
+#include "core/result.h"
+#include "core/units.h"
+#include "lighting/distant_light.h"
+#include "lighting/light_estimate.h"
+
+namespace penumbra::lighting {
+
+struct LightEstimate;
+
+/// What a clipped source really sends: its radiance times its solid angle.
+struct SaturationRecovery {
+  int source = 0;  // its id
+  Rgb power;
+};
+
+/// A matte surface of known albedo that nothing shades, on the scale of the environment's radiance.
+struct ReflectancePatch {
+  glm::dvec3 normal{0, 1, 0};
+  Rgb radiance;
+  Rgb albedo;
+};
+
+/// A matte surface on both sides of the edge of the shadow that something real casts in the light
+/// of one clipped source. Any scale, any albedo.
+struct ShadowEdge {
+  glm::dvec3 normal{0, 1, 0};
+  Rgb lit, shadowed;
+};
+
+/// All clipped lights at once, channel by channel, not negative:
+/// E_p - E_unclipped,p = sum_j b_j Int cos+ over light j.
+/// errors:  kInvalid (no clipped light, bad patch: which), kNonFinite, kUndetermined (fewer patches
+///          than clipped lights, no patch sees a light, patches that do not tell lights apart, nothing
+///          left for a light)
+/// source:  Debevec, Graham, Busch & Bolas 2012; least squares of Lawson & Hanson 1974
+Result<std::vector<SaturationRecovery>> recover_from_patches(
+    const LightEstimate& light, std::span<const ReflectancePatch> patches);
+/// What one patch says of several clipped lights: they send what it misses, each in proportion to what was measured of
+/// it. Where some are sun-like, those alone: a sun or a bulb exceeds what saturates by orders of magnitude, a window by
+/// little. The light on the patch comes out right, its fraction between the lights is a guess.
+/// errors:  kInvalid, kNonFinite as recover_from_patches, kUndetermined (the patch sees none of them, nothing left)
+Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
+                                                        const ReflectancePatch& patch);
+/// E_light = E_others (lit / shadowed - 1).
+/// errors:  kInvalid (not a clipped light, bad edge), kNonFinite, kUndetermined (the surface does not
+///          see the light, the lit side is not brighter)
+Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int source,
+                                                const ShadowEdge& edge);
+
+inline constexpr Radians kSunRadius{.2666 * kPi / 180};
+/// A clipped region within this of its centre is taken for a sun: its size is the optics' doing.
+inline constexpr Radians kSunLike{2 * kPi / 180};
+/// The light with that power, in no channel less than was measured; with the sun's radius if small.
+DistantLight completed(const DistantLight& measured, const Rgb& power);
+
+/// Completions of tracked lights. Remembered is the radiance over the measured solid angle, so that a
+/// source that is half covered later has half the power, and other exposures change nothing.
+/// threads: thread-bound
+class RecoveryMemory {
+ public:
+  /// errors: kInvalid (not a clipped light of the newest map), kNonFinite, kUndetermined (less than
+  ///         was measured)
+  Result<void> remember(const SaturationRecovery& recovery);
+  /// Completes the lights and what is left over of them; forgets lights that are clipped no longer.
+  void apply(std::vector<DistantLight>& lights, std::span<DistantLight> unused);
+
+ private:
+  struct RecoveredLight {
+    int source;
+    Rgb power;  // measured, a lower bound
+    double solid_angle_sr;
+    std::optional<Rgb> radiance;
+  };
+  RecoveredLight* find(int source);
+  std::vector<RecoveredLight> known_;
+};
+
+}  // namespace penumbra::lighting

@@ -1,0 +1,282 @@
+#include "runtime/pipeline/light_estimation_stage.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <utility>
+
+#include "capture/hdr/merge.h"
+#include "capture/warp_grid.h"
+#include "core/conventions.h"
+#include "lighting/distant_light.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+constexpr int kRingSlots = 8;
+constexpr int kLongestSide = 1024;  // rows: above, a light estimate of 9 bands gains nothing
+constexpr std::uint64_t kPatience =
+    16;  // frames a camera: then light is shown without those that are silent
+constexpr double kSameRotation = 1 - 1e-7;  // cosine of half the angle: within .05 degrees
+constexpr double kSamePlace_m = 1e-3;
+
+// Far light does not ask where the camera is, but a ball that stands in the world does.
+bool stands(const capture::CameraInfo& camera, const Pose& pose) {
+  const Pose& before = camera.world_from_camera;
+  if (std::abs(glm::dot(pose.rotation, before.rotation)) < kSameRotation) return false;
+  return !camera.ball || camera.ball->outline_px ||
+         glm::length(pose.translation - before.translation) < kSamePlace_m;
+}
+
+// From what the camera shows, by way of the ball if there is one, to the view camera's colours.
+glm::dmat3 colour_of(const capture::CameraInfo& camera) {
+  if (!camera.ball) return camera.colour;
+  const Rgb& r = camera.ball_reflectance;
+  return glm::dmat3(1 / double(r.r), 0, 0, 0, 1 / double(r.g), 0, 0, 0, 1 / double(r.b));
+}
+
+// The part of the camera that a visibility is.
+capture::CameraInfo camera_of(const capture::CameraInfo& info,
+                              const capture::CameraRegion& region) {
+  capture::CameraInfo part = info;
+  if (region.projection) part.projection = *region.projection;
+  part.projection.width = region.width, part.projection.height = region.height;
+  return part;
+}
+
+// How well each pixel of the map is seen.
+Image<float> rims(const capture::CameraRegion& region, const Pose& world_from_camera, int rows) {
+  const glm::dquat camera_from_world = glm::conjugate(world_from_camera.rotation);
+  Image<float> out(2 * rows, rows);
+  // On the rim itself a view counts a little where nothing else sees.
+  constexpr double kMin = 1e-3;
+  capture::warp_grid(
+      2 * rows, rows,
+      [&](const glm::dvec2& px) {
+        return region.look(camera_from_world * latlong_direction(px.x, px.y, 2 * rows, rows));
+      },
+      [&](int x, int y, const capture::PixelHit* seen) {
+        out.at(x, y) = seen ? static_cast<float>(std::max(seen->from_rim, kMin)) : 0.f;
+      });
+  return out;
+}
+
+}  // namespace
+
+LightEstimationStage::LightEstimationStage(const std::vector<capture::CameraInfo>& cameras,
+                                           const lighting::EstimateOptions& options,
+                                           StageTimes& times)
+    : cameras_(cameras), estimator_(options), times_(times) {
+  for (const capture::CameraInfo& c : cameras) takes_.push_back(capture::shows_surroundings(c));
+}
+
+Result<LightEstimationStage> LightEstimationStage::create(
+    const std::vector<capture::CameraInfo>& cameras, const lighting::EstimateOptions& options,
+    StageTimes& times) {
+  LightEstimationStage stage(cameras, options, times);
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    if (!capture::shows_surroundings(cameras[i])) continue;
+    const std::size_t count =
+        cameras[i].ball ? 1 : std::max<std::size_t>(1, cameras[i].lenses.size());
+    for (std::size_t k = 0; k < count; ++k)
+      stage.views_.emplace_back().camera = static_cast<int>(i);
+    const auto looked = stage.look(static_cast<int>(i), cameras[i].world_from_camera);
+    // A ball may come into the picture later.
+    if (!looked && looked.error().code != ErrorCode::kUndetermined)
+      return std::unexpected(looked.error());
+  }
+  if (stage.views_.empty())
+    return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+  if (stage.views_.size() > 1) stage.blend_.emplace(stage.views_.size());
+  stage.lay_out();
+  return stage;
+}
+
+bool LightEstimationStage::ready() const {
+  const bool all = std::ranges::all_of(views_, [](const RegionView& v) {
+    return v.bracket_complete() || (v.fresh && v.map.clipped_fraction == 0);
+  });
+  return all || frames_ >= kPatience * cameras_.size();
+}
+
+std::size_t LightEstimationStage::exposures() const {
+  std::size_t max_count = 0;
+  for (const RegionView& v : views_)
+    if (v.ring) max_count = std::max(max_count, v.ring->exposures());
+  return max_count;
+}
+
+// The camera's views anew, from where it stands now.
+Result<void> LightEstimationStage::look(int camera, const Pose& world_from_camera) {
+  capture::CameraInfo& info = cameras_[static_cast<std::size_t>(camera)];
+  info.world_from_camera = world_from_camera;
+  auto regions = capture::camera_regions(info, world_from_camera);
+  std::size_t next = 0;
+  for (RegionView& view : views_) {
+    if (view.camera != camera) continue;
+    view.assembler.reset();
+    view.fresh = false;
+    if (!regions) {
+      view.region.reset();
+      continue;
+    }
+    capture::CameraRegion& region = (*regions)[next++];
+    const bool same_size =
+        view.region && view.region->width == region.width && view.region->height == region.height;
+    if (!same_size || !view.ring) view.ring.emplace(camera_of(info, region), kRingSlots);
+    view.region = std::move(region);
+  }
+  return regions ? Result<void>{} : std::unexpected(regions.error());
+}
+
+// One map for all views, as fine as the finest has been.
+void LightEstimationStage::lay_out() {
+  const int before = rows_;
+  for (const RegionView& v : views_)
+    if (v.region) rows_ = std::max(rows_, v.region->rows);
+  rows_ = std::clamp(rows_ / 2 * 2, 16, kLongestSide);
+  for (std::size_t i = 0; i < views_.size(); ++i) {
+    RegionView& v = views_[i];
+    if (v.assembler && rows_ == before) continue;
+    v.map = {};
+    v.fresh = false;
+    v.assembler.reset();
+    const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(v.camera)];
+    if (v.region)
+      v.assembler.emplace(*v.region, info.world_from_camera, 2 * rows_, rows_, colour_of(info));
+    if (blend_)
+      blend_->set_view(i,
+                       v.region ? rims(*v.region, info.world_from_camera, rows_) : Image<float>{});
+  }
+}
+
+Result<void> LightEstimationStage::follow(const capture::Frame& frame) {
+  const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(frame.camera)];
+  const int w = capture::width(*frame.pixels), h = capture::height(*frame.pixels);
+  if (w != info.projection.width || h != info.projection.height)
+    return fail(
+        ErrorCode::kInvalid, fmt::format("{} frame {}", info.name, frame.sequence),
+        fmt::format("{}x{}, expected {}x{}", w, h, info.projection.width, info.projection.height));
+  const auto& view = *std::ranges::find(views_, frame.camera, &RegionView::camera);
+  if (stands(info, frame.world_from_camera)) {
+    if (view.region) return {};
+    return fail(ErrorCode::kUndetermined, info.name, "the mirror ball is not whole in its picture");
+  }
+  const auto looked = look(frame.camera, frame.world_from_camera);
+  lay_out();
+  return looked;
+}
+
+Result<void> LightEstimationStage::merge(RegionView& view, const capture::Frame& frame) {
+  capture::Frame part = frame;
+  // A ball's picture does not turn with the camera.
+  part.world_from_camera = {};
+  const capture::CameraRegion& s = *view.region;
+  if (s.projection)
+    part.world_from_camera.rotation = frame.world_from_camera.rotation * s.camera_from_part;
+  if (s.width != capture::width(*frame.pixels) || s.height != capture::height(*frame.pixels))
+    part.pixels = std::make_shared<const FramePixels>(capture::cut_out(*frame.pixels, s));
+  Result<const capture::MergedImage*> merged = nullptr;
+  {
+    const StageTimer timer(times_, "merge");
+    merged = view.ring->add(part);
+  }
+  if (!merged) return std::unexpected(merged.error());
+  const StageTimer timer(times_, "assemble");
+  view.assembler->assemble(**merged, view.map);
+  view.map.time = frame.time;
+  view.fresh = true;
+  return {};
+}
+
+Environment& LightEstimationStage::whole() {
+  if (!blend_) return views_[0].map;
+  const StageTimer timer(times_, "blend");
+  std::vector<const Environment*> maps;
+  std::optional<TimestampNs> oldest;
+  for (const RegionView& v : views_) {
+    maps.push_back(v.fresh ? &v.map : nullptr);
+    if (v.fresh && (!oldest || v.map.time < *oldest)) oldest = v.map.time;
+  }
+  blend_->blend(maps, environment_);
+  environment_.time = *oldest;
+  return environment_;
+}
+
+Result<void> LightEstimationStage::process(const capture::Frame& frame,
+                                           lighting::LightEstimate& out) {
+  ++frames_;
+  PENUMBRA_TRY(follow(frame));
+  Result<void> failed;
+  bool any = false;
+  for (RegionView& view : views_) {
+    if (view.camera != frame.camera) continue;
+    const auto merged = merge(view, frame);
+    any |= merged.has_value();
+    if (!merged) failed = merged;
+    if (!merged && merged.error().code != ErrorCode::kUndetermined)
+      return std::unexpected(merged.error());
+  }
+  if (!any) return std::unexpected(failed.error());
+  Environment& environment = whole();
+  // What the first exposures saturate a shorter one may still resolve.
+  const auto owes = [](const RegionView& v) { return v.fresh && !v.bracket_complete(); };
+  if (std::ranges::any_of(views_, owes)) environment.clipped.clear();
+  {
+    const StageTimer timer(times_, "light");
+    PENUMBRA_TRY(estimator_.estimate(environment, out));
+  }
+  warn_once(out);
+  return {};
+}
+
+void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
+  if (!warned_ && std::ranges::any_of(estimate.lights, &lighting::DistantLight::clipped)) {
+    warned_ = true;
+    const auto clips = std::ranges::find_if(
+        views_, [](const RegionView& v) { return v.fresh && v.map.clipped_fraction > 0; });
+    const RegionView& view = clips == views_.end() ? views_[0] : *clips;
+    spdlog::warn(
+        "{}: a light source is saturated in every exposure; its light is a lower bound until a "
+        "floor completes it",
+        cameras_[static_cast<std::size_t>(view.camera)].name);
+  }
+  if (!blend_ || told_gains_ || !ready()) return;
+  told_gains_ = true;
+  const auto views = gains();
+  for (std::size_t i = 1; i < views.size(); ++i) {
+    const auto& [camera, g, known] = views[i];
+    if (known)
+      spdlog::info(
+          "{}: view {} of the surroundings counts {:.3f} {:.3f} {:.3f} times by its overlaps",
+          camera, i + 1, g.r, g.g, g.b);
+    else
+      spdlog::warn("{}: view {} of the surroundings overlaps no other: its gain counts as 1",
+                   camera, i + 1);
+  }
+}
+
+std::vector<LightEstimationStage::ViewGain> LightEstimationStage::gains() const {
+  std::vector<ViewGain> out;
+  for (std::size_t i = 0; i < views_.size(); ++i)
+    out.push_back({cameras_[static_cast<std::size_t>(views_[i].camera)].name,
+                   blend_ ? blend_->gains()[i] : Rgb{1, 1, 1},
+                   i == 0 || (blend_ && blend_->has_gain(i))});
+  return out;
+}
+
+void LightEstimationStage::complete(std::span<const lighting::SaturationRecovery> completions) {
+  for (const lighting::SaturationRecovery& c : completions) {
+    const auto taken = estimator_.complete(c);
+    if (taken)
+      spdlog::info("light: source {} completed from the floor", c.source);
+    else  // it has moved on, or the floor says less than the camera
+      spdlog::warn("light: source {} not completed: {}", c.source, taken.error().detail);
+  }
+}
+
+}  // namespace penumbra::runtime

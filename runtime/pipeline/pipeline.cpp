@@ -1,0 +1,154 @@
+#include "runtime/pipeline/pipeline.h"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <utility>
+
+#include "capture/camera_regions.h"
+#include "runtime/pipeline/governor_config.h"
+#include "runtime/pipeline/light_estimation_stage.h"
+
+namespace penumbra {
+
+namespace {
+
+using compositor::Compositor;
+
+bool has_display() {
+  const auto set = [](const char* name) {
+    const char* value = std::getenv(name);
+    return value && *value;
+  };
+  return set("DISPLAY") || set("WAYLAND_DISPLAY");
+}
+
+lighting::EstimateOptions estimate_options(const PipelineOptions& options) {
+  return {options.bands, {.max_count = options.max_lights}};
+}
+
+bool any_shows_surroundings(const std::vector<capture::CameraInfo>& cameras) {
+  return std::ranges::any_of(cameras, capture::shows_surroundings);
+}
+
+}  // namespace
+
+// The stages refer to the times and the scene, which stay where they are.
+struct Pipeline::Impl {
+  std::shared_ptr<StageTimes> times;
+  std::shared_ptr<const runtime::PreparedScene> scene;
+  std::optional<runtime::LightEstimationStage> light;  // none: set_light()
+  std::unique_ptr<runtime::CompositeStage> composite;
+  lighting::LightEstimate estimate;
+};
+
+Pipeline::Pipeline(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+Pipeline::~Pipeline() = default;
+Pipeline::Pipeline(Pipeline&&) noexcept = default;
+Pipeline& Pipeline::operator=(Pipeline&&) noexcept = default;
+
+Result<void> Pipeline::check(const std::vector<capture::CameraInfo>& cameras) {
+  StageTimes times;
+  const auto light = runtime::LightEstimationStage::create(cameras, {}, times);
+  if (!light) return std::unexpected(light.error());
+  return {};
+}
+
+Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& cameras,
+                                  const runtime::Scene& scene, const PipelineOptions& options) {
+  if (any_shows_surroundings(cameras)) PENUMBRA_TRY(check(cameras));
+  runtime::BakeSettings settings;
+  settings.bands = options.bands;
+  PENUMBRA_ASSIGN(prepared, runtime::prepare(scene, settings, options.progress));
+  return create(cameras, std::make_shared<const runtime::PreparedScene>(std::move(prepared)),
+                options);
+}
+
+Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& cameras,
+                                  std::shared_ptr<const runtime::PreparedScene> scene,
+                                  const PipelineOptions& options) {
+  auto impl = std::make_unique<Impl>();
+  impl->scene = std::move(scene);
+  impl->times = options.timings ? options.timings : std::make_shared<StageTimes>();
+  if (any_shows_surroundings(cameras)) {
+    PENUMBRA_ASSIGN(light, runtime::LightEstimationStage::create(cameras, estimate_options(options),
+                                                                 *impl->times));
+    PENUMBRA_ASSIGN(config, runtime::make_governor_config(*impl->scene, options.max_shadow_error,
+                                                          options.measure_costs));
+    light.set_governor(config);
+    impl->light.emplace(std::move(light));
+  }
+  const auto composite_on = [&](Compositor::Surface surface) {
+    return runtime::CompositeStage::create(cameras, *impl->scene, surface, *impl->times,
+                                           options.oversampling, options.sampling);
+  };
+  if (options.window && has_display()) {
+    if (auto windowed = composite_on(Compositor::Surface::kWindow))
+      impl->composite = std::move(*windowed);
+    else
+      spdlog::warn("{}: {}; going on without a window", windowed.error().where,
+                   windowed.error().detail);
+  }
+  if (!impl->composite) {
+    PENUMBRA_ASSIGN(composite, composite_on(Compositor::Surface::kOffscreen));
+    impl->composite = std::move(composite);
+  }
+  return Pipeline(std::move(impl));
+}
+
+Result<bool> Pipeline::add_environment(const capture::Frame& frame) {
+  if (!impl_->light) return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+  const auto measured = impl_->light->process(frame, impl_->estimate);
+  if (measured) return true;
+  if (measured.error().code == ErrorCode::kUndetermined) return false;
+  return std::unexpected(measured.error());
+}
+
+void Pipeline::set_light(const lighting::LightEstimate& light) {
+  impl_->estimate = light;
+  impl_->estimate.valid = true;
+}
+
+Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
+  runtime::Composited out;
+  if (!impl_->estimate.valid) {
+    out.pixels = *view.pixels;
+    return out;
+  }
+  if (impl_->light) impl_->light->complete(impl_->composite->complete(view, impl_->estimate));
+  PENUMBRA_TRY(impl_->composite->process(view, impl_->estimate, out));
+  return out;
+}
+
+Result<runtime::RunCounts> Pipeline::replay(capture::FrameSource& source,
+                                            const runtime::Sink& sink) {
+  return runtime::run_replay(source, *impl_->light, *impl_->composite, sink, *impl_->times);
+}
+
+Result<runtime::RunCounts> Pipeline::run_live(capture::FrameSource& source,
+                                              const runtime::Sink& sink,
+                                              const std::atomic<bool>& stop) {
+  return runtime::run_live(source, *impl_->light, *impl_->composite, sink, *impl_->times, stop);
+}
+
+const lighting::LightEstimate& Pipeline::light() const {
+  return impl_->estimate;
+}
+const StageTimes& Pipeline::timings() const {
+  return *impl_->times;
+}
+StageTimes& Pipeline::timings() {
+  return *impl_->times;
+}
+const runtime::PreparedScene& Pipeline::scene() const {
+  return *impl_->scene;
+}
+runtime::CompositeStage& Pipeline::stage() {
+  return *impl_->composite;
+}
+compositor::Compositor& Pipeline::output() {
+  return impl_->composite->output();
+}
+
+}  // namespace penumbra

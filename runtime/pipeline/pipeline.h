@@ -1,0 +1,98 @@
+// The front door: cameras, a scene and options in; then environment frames and view frames in, light
+// and composited pictures out.
+// threads: thread-bound, parallel inside
+#pragma once
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "capture/frames.h"
+#include "core/result.h"
+#include "core/stage_times.h"
+#include "lighting/governor.h"
+#include "lighting/light_estimate.h"
+#include "runtime/pipeline/runner.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/composite_stage.h"
+
+namespace penumbra {
+
+struct PipelineOptions {
+  int bands = 5;                  // of spherical harmonics, 1..9; the governor may take fewer
+  int max_lights = 8;             // distant lights beside them, 0..64; the governor may take fewer
+  double max_shadow_error = .05;  // RMS of the shadow ratio s, which the governor keeps to
+  /// The governor's costs are measured on this machine. Else they are fixed, so that a replay makes
+  /// the same choices everywhere.
+  bool measure_costs = false;
+  bool window = false;   // where there is a display
+  int oversampling = 2;  // samples of a pixel along each axis, where one does not do
+  runtime::ShadowSampling sampling{};
+  /// Where stages add their durations, for who shows them from the start; null: the pipeline's own.
+  std::shared_ptr<StageTimes> timings;
+  /// Of long work, by name: is given the fraction that is done, 0..1.
+  std::function<std::function<void(double)>(const std::string&)> progress = [](const std::string&) {
+    return [](double) {};
+  };
+};
+
+class Pipeline {
+ public:
+  /// Whether these cameras can be composited for: before long work that would be lost.
+  /// errors: kInvalid (says what is wrong with them)
+  static Result<void> check(const std::vector<capture::CameraInfo>& cameras);
+
+  /// Loads the scene and bakes what the cache does not hold. Without a camera that shows the
+  /// surroundings the light is set by set_light().
+  /// in: at least one view camera; all of one size, pinholes
+  /// errors: kInvalid, kNotFound, kUnreadable (what the cameras and the assets say), kUnavailable
+  ///         (no OpenGL ES, no Embree)
+  static Result<Pipeline> create(const std::vector<capture::CameraInfo>& cameras,
+                                 const runtime::Scene& scene, const PipelineOptions& options = {});
+  /// The same for a scene that is prepared; it is shared with others that draw it.
+  static Result<Pipeline> create(const std::vector<capture::CameraInfo>& cameras,
+                                 std::shared_ptr<const runtime::PreparedScene> scene,
+                                 const PipelineOptions& options = {});
+  ~Pipeline();
+  Pipeline(Pipeline&&) noexcept;
+  Pipeline& operator=(Pipeline&&) noexcept;
+
+  /// Merges an exposure into the environment and measures its light anew.
+  /// out: false where the frame tells nothing yet (all black, all saturated)
+  /// errors: kInvalid (size or camera of the frame), kNonFinite
+  Result<bool> add_environment(const capture::Frame& frame);
+  /// The light to composite under, from elsewhere.
+  void set_light(const lighting::LightEstimate& light);
+  /// Puts the objects into a view frame. Before there is light the frame comes back as it is.
+  /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)
+  Result<runtime::Composited> composite(const capture::Frame& view);
+
+  /// All frames of a source in order of time on this thread: the same input gives the same bytes.
+  /// errors: as runtime::run_replay
+  Result<runtime::RunCounts> replay(capture::FrameSource& source, const runtime::Sink& sink);
+  /// The source at its own pace, light and compositing on threads, until `stop` is set.
+  /// errors: as runtime::run_live
+  Result<runtime::RunCounts> run_live(capture::FrameSource& source, const runtime::Sink& sink,
+                                      const std::atomic<bool>& stop);
+
+  const lighting::LightEstimate& light() const;
+  std::optional<lighting::Plan> plan() const { return light().plan; }
+  const StageTimes& timings() const;
+  /// For stages of the caller's own, beside the pipeline's. threads: thread-safe
+  StageTimes& timings();
+  const runtime::PreparedScene& scene() const;
+  /// For measurements of its parts.
+  runtime::CompositeStage& stage();
+  /// The window, where there is one.
+  compositor::Compositor& output();
+
+ private:
+  struct Impl;
+  explicit Pipeline(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace penumbra

@@ -1,0 +1,187 @@
+// The way of one frame, in two stages that meet in a LightEstimate: the light at environment-camera
+// rate, the composite at view-camera rate. Live and replay call the same two functions. threads:
+// each stage is thread-bound; CompositeStage owns the GL context of its thread
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
+#include "capture/frames.h"
+#include "compositor/compositor.h"
+#include "core/result.h"
+#include "core/stage_times.h"
+#include "lighting/distant_light.h"
+#include "lighting/light_estimate.h"
+#include "lighting/rotation.h"
+#include "lighting/saturation_recovery.h"
+#include "prt/bake/bake.h"
+#include "prt/transfer/transfer_pca.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/direct_light_stage.h"
+#include "runtime/shading/floor_recovery.h"
+#include "runtime/shading/lamp_stage.h"
+#include "runtime/shading/occlusion_probes.h"
+#include "runtime/shading/real_surface_stage.h"
+#include "runtime/shading/scene_light.h"
+#include "shadows/field/planar_shadow.h"
+
+namespace penumbra::runtime {
+
+struct Composited {
+  FramePixels pixels;
+  compositor::CompositeStats touched;
+  bool relit = false;
+};
+
+/// A frame that has been begun, apart from the stage.
+class PendingFrame {
+ public:
+  /// The rest of its composite. threads: any, while the stage goes on
+  Composited finish();
+
+ private:
+  friend class CompositeStage;
+  compositor::Drawn drawn_;
+  std::shared_ptr<const FramePixels> camera_;
+  bool relit_ = false;
+  double drawing_ms_ = 0;
+  StageTimes* times_ = nullptr;
+};
+
+/// What a thing that keeps its form is relit by: its transfer and what comes to it by reflection, and both of its receiver.
+struct RelightBases {
+  prt::TransferPca surface, ground;
+  explicit RelightBases(const prt::BakedObject& baked);
+};
+
+/// View frames and light in, composited frames out.
+class CompositeStage {
+ public:
+  /// Light whose largest possible effect, by a bound that is loose two to ten times, is below this fraction of the
+  /// mean cannot be seen in 8 bits.
+  static constexpr double kVisibleChange = .01;
+
+  /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
+  /// kUnavailable
+  static Result<std::unique_ptr<CompositeStage>> create(
+      const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
+      compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2,
+      const ShadowSampling& sampling = {});
+
+  /// Draws once and throws it away: drivers compile shaders at the first draw, which costs a live run frames.
+  void warm_up();
+  /// Composites one view frame under `light`.
+  /// errors: as Compositor::composite
+  /// out: keeps its memory: once it has had a frame nothing comes from the heap, without real meshes, lamps and clips
+  Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
+                       Composited& out);
+  Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light) {
+    Composited out;
+    PENUMBRA_TRY(process(frame, light, out));
+    return out;
+  }
+  /// process() but for what needs the stage no more. The stage must outlive the frame.
+  Result<void> begin(const capture::Frame& frame, const lighting::LightEstimate& light,
+                     PendingFrame& out);
+  compositor::Compositor& output() { return *compositor_; }
+  /// What sources of `light` that are saturated in every exposure really send, where this frame can tell; empty where
+  /// it cannot.
+  std::vector<lighting::SaturationRecovery> complete(const capture::Frame& frame,
+                                                     const lighting::LightEstimate& light);
+  /// The light's fraction of process(): relights objects and renews shadows where something changed visibly.
+  bool shade(const lighting::LightEstimate& light, double seconds);
+  /// From now on time counts: what is traced live keeps to its own, and clips are relit by whatever does it fastest. Before,
+  /// results are the same on every machine.
+  void keep_time();
+
+ private:
+  // In the bake frame. Sides that nothing else is near see `open`.
+  struct ObjectLight {
+    RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
+    std::array<RadianceSh, kProbeDirections> side;
+    std::array<float, kProbeDirections>
+        floor_hidden{};                           // of the floor that the side would see alone
+    std::array<Rgb, kProbeDirections> instead{};  // exit radiance of a white side by what hides it
+    RadianceSh lights{1};  // for the light that object and floor reflect; 1 band without lights
+    std::array<RadianceSh, kProbeDirections> side_lights;
+    RadianceSh receiver_lights{1};  // what of them the object has to reflect onto the floor
+    Rgb distant_irradiance;         // of the open receiver
+  };
+  struct StageObject {
+    const PreparedObject* prepared;
+    int handle;
+    std::optional<ObjectLight> light_used{};
+    std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
+    std::optional<RelightBases> patterns{};                           // none of an animation
+    std::vector<float> relit{};                                       // exit radiance of the object
+    std::vector<float> taken{};  // of the receiver's irradiance/pi
+    std::vector<float> more{};   // scratch: what is added to either
+    // Alone, without what real things take already, and without what other objects take.
+    shadows::PlanarShadow shadow{}, behind_real{}, shared{};
+  };
+  struct ViewCamera {
+    capture::CameraInfo info;
+    Vignetting vignetting;
+    double min_fraction;  // of the light that the lens leaves anywhere
+    std::optional<ResponseTable> curve8{}, curve16{};
+  };
+
+  CompositeStage(std::unique_ptr<compositor::Compositor> compositor, DirectLightStage lights,
+                 FloorRecovery recovery, const PreparedScene& scene,
+                 std::unique_ptr<PreparedScene> moving, StageTimes& times)
+      : compositor_(std::move(compositor)),
+        moving_(std::move(moving)),
+        scene_(scene),
+        lights_(std::move(lights)),
+        recovery_(std::move(recovery)),
+        surroundings_(scene),
+        lamps_(scene),
+        real_(scene),
+        times_(times) {}
+  static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
+  ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
+                       const std::vector<Pose>& poses) const;
+  void see_surroundings(std::size_t index, const RadianceSh& light, const std::vector<Pose>& poses,
+                        const lighting::ShRotation& turn, ObjectLight& out) const;
+  void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
+                          ObjectLight& out) const;
+  Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
+                             const std::vector<Pose>& poses) const;
+  void relight(StageObject& object, const ObjectLight& light, std::size_t index) const;
+  void choose_device(StageObject& object);
+  void relight_part(StageObject& object, PreparedObject::TransferPart part, const RadianceSh& light,
+                    std::span<float> out) const;
+  void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
+                     const RadianceSh* reflected, std::span<float> out) const;
+  void compose_shadow(StageObject& object, const ObjectLight& light) const;
+  void combine_object_shadows(const std::vector<Pose>& poses);
+  bool move_to(double seconds);
+  bool update_object(std::size_t index, const std::vector<Pose>& poses,
+                     const lighting::LightEstimate& light, bool lights_changed, bool moved);
+  const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);
+  compositor::View view_of(const capture::Frame& frame);
+
+  std::unique_ptr<compositor::Compositor> compositor_;
+  std::unique_ptr<PreparedScene> moving_;  // the scene itself where something in it moves by itself
+  const PreparedScene& scene_;
+  DirectLightStage lights_;
+  FloorRecovery recovery_;
+  OcclusionProbes surroundings_;
+  LampStage lamps_;
+  RealSurfaceStage real_;
+  bool could_not_complete_ = false;  // was said
+  bool keeps_time_ = false;
+  StageTimes& times_;
+  std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras
+  std::vector<StageObject> objects_;
+  std::vector<Pose> poses_, poses_before_;  // of this update, of the last one
+  std::vector<Rgb> open_;                   // irradiance of each open plane
+  Rgb floor_radiance_;                      // in the open; 0: unknown, or not all that is real
+  std::vector<compositor::ShadowMapOnPlane> on_planes_;
+  bool lit_before_ = false;
+};
+
+}  // namespace penumbra::runtime

@@ -1,0 +1,380 @@
+#include "runtime/shading/direct_light_stage.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <utility>
+
+#include "lighting/distant_light.h"
+#include "lighting/irradiance.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/rays.h"
+#include "shadows/field/occlusion_field.h"
+#include "shadows/visibility/direct_light.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+// A light is traced anew when it moved by a tenth of its radius and this much: half a millimetre of shadow from half a
+// metre's height.
+constexpr double kMinMove = 1e-3;
+constexpr double kVisibleFraction = .005;
+// Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an eighth under light from above. As
+// much of the larger cells, about, for broad lights.
+constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
+// Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
+constexpr double kAround = shadows::kFieldReach;
+const shadows::ShadowMap kNoShadow;
+
+double angle_between(const glm::dvec3& a, const glm::dvec3& b) {
+  return std::acos(std::clamp(glm::dot(a, b), -1., 1.));
+}
+
+// Largest move of the points of two forms; a form that came or went moved as far as can be.
+double move_of(std::span<const glm::dvec3> before, std::span<const glm::dvec3> now) {
+  if (before.size() != now.size()) return kPi;
+  double largest = 0;
+  for (std::size_t i = 0; i < now.size(); ++i)
+    largest = std::max(largest, angle_between(before[i], now[i]));
+  return largest;
+}
+
+// Of an open plane's light, what the light brings.
+Rgb fraction_of(const lighting::DistantLight& source, const prt::Plane& plane,
+                const Rgb& open_irradiance) {
+  const Rgb e = lighting::irradiance(source, plane.normal);
+  Rgb fraction;
+  for (int c = 0; c < 3; ++c)
+    fraction[c] = open_irradiance[c] > 0 ? std::clamp(e[c] / open_irradiance[c], 0.f, 1.f) : 0;
+  return fraction;
+}
+
+// As much of a plane as a shadow can come from.
+prt::Mesh far_quad(const prt::Plane& plane) {
+  constexpr double kHalf = 100;  // metres
+  const glm::dvec3 side = glm::normalize(glm::cross(plane.normal, std::abs(plane.normal.y) < .9
+                                                                      ? glm::dvec3(0, 1, 0)
+                                                                      : glm::dvec3(1, 0, 0))),
+                   up = glm::cross(side, plane.normal);
+  prt::Mesh quad;
+  for (const glm::dvec2 c : {glm::dvec2(-1, -1), {-1, 1}, {1, 1}, {1, -1}})
+    quad.positions.emplace_back(plane.point + kHalf * (c.x * side + c.y * up));
+  quad.normals.assign(4, glm::vec3(plane.normal));
+  quad.albedo.assign(4, plane.albedo);
+  quad.triangles = {{0, 1, 2}, {0, 2, 3}};
+  return quad;
+}
+
+}  // namespace
+
+Result<DirectLightStage> DirectLightStage::create(const PreparedScene& scene,
+                                                  const ShadowSampling& sampling) {
+  auto virtual_things = prt::RayWorld::create();
+  if (!virtual_things) return std::unexpected(virtual_things.error());
+  auto real_things = prt::RayWorld::create();
+  if (!real_things) return std::unexpected(real_things.error());
+  DirectLightStage stage(scene, sampling, std::move(*virtual_things), std::move(*real_things));
+  // ShadowCasters point into them.
+  stage.quads_.reserve(scene.planes.size());
+  stage.silhouettes_.reserve(scene.objects.size() + 1 + scene.planes.size());
+  stage.coarse_.reserve(kCoarse.size() * scene.objects.size() + 1);
+  stage.visibilities_.reserve(scene.objects.size());
+  stage.real_on_.resize(scene.planes.size());
+  for (const PreparedObject& o : scene.objects) PENUMBRA_TRY(stage.add_object(o));
+  if (!scene.real_mesh.triangles.empty()) PENUMBRA_TRY(stage.add_real_mesh());
+  // One plane blocks only what comes from behind it, which nobody counts anyway.
+  for (std::size_t p = 0; p < scene.planes.size() && scene.planes.size() > 1; ++p) {
+    const prt::Mesh& quad = stage.quads_.emplace_back(far_quad(scene.planes[p]));
+    const auto index = stage.real_.add(quad);
+    if (!index) return fail(index.error().code, "real plane", index.error().detail);
+    stage.add_caster(quad, {}, stage.real_casters_);
+    for (std::size_t other = 0; other < scene.planes.size(); ++other)
+      if (other != p) stage.real_on_[other].push_back(stage.real_casters_.back());
+  }
+  if (!scene.objects.empty())
+    stage.near_m_ = shadows::SilhouetteMesh::kNear * stage.smallest_radius();
+  return stage;
+}
+
+Result<void> DirectLightStage::add_object(const PreparedObject& o) {
+  auto index = virtual_.add(o.baked.mesh);
+  if (!index) return fail(index.error().code, o.name, index.error().detail);
+  poses_.push_back(o.world_from_bake);
+  moved_from_.emplace_back();
+  other_form_.push_back(0);
+  add_caster(o.baked.mesh, o.world_from_bake, virtual_casters_);
+  for (auto& casters : virtual_on_planes_) casters.push_back(virtual_casters_.back());
+  const glm::vec3 centre = prt::bounds_of(o.baked.mesh).centre();
+  const float radius = prt::radius_around(o.baked.mesh, centre);
+  spheres_.push_back({glm::dvec3(centre), double(radius)});
+  if (!o.animation) {
+    silhouettes_.back().find_cuts(o.baked.mesh, virtual_, *index);
+    if (!o.baked.visibility.empty())
+      virtual_casters_.back().visibility =
+          &visibilities_.emplace_back(o.baked.visibility, o.baked.mesh);
+    for (std::size_t k = 0; k < kCoarse.size(); ++k)
+      virtual_on_planes_[k].back().silhouette =
+          &coarse_.emplace_back(o.baked.mesh, kCoarse[k] * radius);
+  }
+  virtual_.set_pose(*index, o.world_from_bake);
+  return {};
+}
+
+Result<void> DirectLightStage::add_real_mesh() {
+  const prt::Mesh& mesh = scene_->real_mesh;
+  auto index = real_.add(mesh);
+  if (!index) return fail(index.error().code, "real geometry", index.error().detail);
+  add_caster(mesh, {}, real_casters_);
+  shadows::Caster on_planes = real_casters_.back();
+  if (!scene_->objects.empty())  // else nobody looks
+    on_planes.silhouette = &coarse_.emplace_back(mesh, kCoarse[0] * smallest_radius());
+  real_on_.assign(scene_->planes.size(), {on_planes});
+  return {};
+}
+
+float DirectLightStage::smallest_radius() const {
+  return static_cast<float>(
+      std::ranges::min(spheres_, {}, &shadows::BoundingSphere::radius).radius);
+}
+
+void DirectLightStage::add_caster(const prt::Mesh& mesh, const Pose& pose,
+                                  std::vector<shadows::Caster>& to) {
+  to.push_back({&mesh, &silhouettes_.emplace_back(mesh), pose});
+}
+
+void DirectLightStage::set_pose(std::size_t object, const Pose& world_from_bake) {
+  if (poses_[object] == world_from_bake) return;
+  if (!moved_from_[object]) moved_from_[object] = poses_[object];
+  poses_[object] = world_from_bake;
+  virtual_.set_pose(static_cast<int>(object), world_from_bake);
+  for (auto* casters : {&virtual_casters_, &virtual_on_planes_[0], &virtual_on_planes_[1]})
+    (*casters)[object].world_from_mesh = world_from_bake;
+}
+
+void DirectLightStage::update_vertices(std::size_t object) {
+  const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
+  other_form_[object] = 1;
+  const glm::vec3 centre = prt::bounds_of(mesh).centre();
+  spheres_[object] = {glm::dvec3(centre), double(prt::radius_around(mesh, centre))};
+  if (!moved_from_[object]) moved_from_[object] = poses_[object];
+}
+
+void DirectLightStage::follow_forms() {
+  for (std::size_t i = 0; i < other_form_.size(); ++i)
+    if (std::exchange(other_form_[i], 0)) {
+      virtual_.update_vertices(static_cast<int>(i), scene_->objects[i].baked.mesh);
+      silhouettes_[i].update_vertices(scene_->objects[i].baked.mesh);
+    }
+}
+
+// Of the floor that a side would see alone, and that the object itself does not shade: what of its light light is there and
+// in visibility.
+std::array<float, kProbeDirections> DirectLightStage::floor_fraction(
+    std::size_t object, const lighting::DistantLight& source, const OcclusionProbes& around) const {
+  std::array<float, kProbeDirections> out;
+  out.fill(1);
+  if (!scene_->objects[object].baked.receiver || !around.any()) return out;
+  const int own_index = static_cast<int>(object);
+  const glm::vec3 up(poses_[object].rotation * glm::dvec3(0, near_m_, 0));
+  constexpr std::size_t kPacket = prt::RayWorld::kPacket;
+  prt::RayWorld::Rays rays;
+  for (int side = 0; side < kProbeDirections; ++side) {
+    const ProbeView& view = around.view(object, side);
+    float all = view.floor_behind_real + view.floor_behind_virtual, lit = 0;
+    const std::span<const FloorPoint> points = view.floor_points;
+    for (std::size_t first = 0; first < points.size(); first += kPacket) {
+      const int count = static_cast<int>(std::min(points.size() - first, kPacket));
+      for (int i = 0; i < count; ++i) {
+        const glm::vec3 o = points[first + static_cast<std::size_t>(i)].position + up;
+        rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;
+        // Each point looks for another part of a wide light.
+        const std::size_t part = 5 * (first + static_cast<std::size_t>(i));
+        const glm::vec3 d(source.shape.empty() ? source.direction
+                                               : source.shape[part % source.shape.size()]);
+        rays.dx[i] = d.x, rays.dy[i] = d.y, rays.dz[i] = d.z;
+      }
+      std::uint32_t blocked = virtual_.occluded(rays, count, own_index);
+      if (!real_.empty()) blocked |= real_.occluded(rays, count);
+      // What the object shades itself is in its bake.
+      const std::uint32_t own = virtual_.occluded_by(own_index, rays, count);
+      for (int i = 0; i < count; ++i) {
+        if (own >> i & 1) continue;
+        const float weight = points[first + static_cast<std::size_t>(i)].weight;
+        all += weight;
+        if (!(blocked >> i & 1)) lit += weight;
+      }
+    }
+    if (all > 0) out[static_cast<std::size_t>(side)] = lit / all;
+  }
+  return out;
+}
+
+// Whether an object moved, or another one that stands or stood between it and the light.
+bool DirectLightStage::may_have_changed(std::size_t object,
+                                        const lighting::DistantLight& source) const {
+  if (moved_from_[object]) return true;
+  const auto at = [&](std::size_t i, const Pose& pose) {
+    return shadows::BoundingSphere{pose * spheres_[i].centre, spheres_[i].radius};
+  };
+  const shadows::BoundingSphere here = at(object, poses_[object]);
+  for (std::size_t i = 0; i < poses_.size(); ++i)
+    if (moved_from_[i] && (shadows::may_occlude(at(i, *moved_from_[i]), here, source) ||
+                           shadows::may_occlude(at(i, poses_[i]), here, source)))
+      return true;
+  return false;
+}
+
+void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool all) {
+  if (all) {  // else some of it stays as it was traced for the light that these tell
+    t.direction = t.source.direction;
+    t.shape = t.source.shape;
+    t.radius = t.source.radius.value();
+  }
+  around_.clear();
+  memo_.clear();
+  t.cosine.resize(scene_->objects.size());
+  t.floor_fraction.resize(scene_->objects.size());
+  for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
+    const PreparedObject& o = scene_->objects[i];
+    around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
+    t.floor_fraction[i] = floor_fraction(i, t.source, around);
+    if (!all && !may_have_changed(i, t.source)) continue;
+    t.cosine[i].resize(o.baked.mesh.positions.size());
+    const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
+    // What knows nothing of its own visibility asks rays everywhere, and texels do not share them: half would show (walker: 3.2 %).
+    const int sampling =
+        virtual_casters_[i].visibility ? t.detail.object_samples : sampling_.object;
+    shadows::trace_direct_light(rays(), casters(), virtual_casters_[i],
+                                o.baked.receiver ? &own : nullptr, t.source, sampling, t.cosine[i]);
+  }
+  trace_planes(t);
+}
+
+// More at once, less only when a good deal less would do: a light at the limit must not change back and forth.
+DirectLightStage::TracedDetail DirectLightStage::detail_for(const lighting::DistantLight& source,
+                                                            const OpenLight& open,
+                                                            const TracedDetail& before) const {
+  constexpr double kGoodDeal = .7;
+  const auto of_plane = [](double fraction) {
+    return fraction >= .5 ? 1 : fraction >= .25 ? .5 : .25;
+  };
+  double fraction = open.on_planes.empty() ? 1 : 0;
+  for (std::size_t p = 0; p < open.on_planes.size(); ++p) {
+    const Rgb here = fraction_of(source, scene_->planes[p], open.on_planes[p]);
+    fraction = std::max({fraction, double(here.r), double(here.g), double(here.b)});
+  }
+  TracedDetail out{sampling_.object, of_plane(fraction)};
+  if (before.plane > out.plane) out.plane = std::min(before.plane, of_plane(fraction / kGoodDeal));
+  // Two rays are the fewest that are soft. (Under immenstadter's sun the knot is 1.91 instead of 1.86 % off.)
+  const bool was_strong = before.object_samples == sampling_.object;
+  const double limit = (was_strong ? kGoodDeal : 1) * open.mean_irradiance;
+  if (luminance(source.irradiance()) < limit && sampling_.object > 2)
+    out.object_samples = (sampling_.object + 1) / 2;
+  return out;
+}
+
+void DirectLightStage::trace_planes(TracedLight& t) {
+  t.on_plane.resize(scene_->planes.size());
+  t.real_on_plane.resize(scene_->planes.size());
+  for (std::size_t p = 0; p < scene_->planes.size(); ++p) {
+    const std::vector<shadows::Caster>& real = real_on_[p];
+    const shadows::ShadowCasters casters{virtual_on_planes_[shadows::is_wide(t.source) ? 1 : 0],
+                                         real, near_m_, &memo_};
+    shadows::ShadowMapOptions options = sampling_.plane;
+    options.resolution_scale = std::min(options.resolution_scale, t.detail.plane);
+    shadows::render_shadow_maps(casters, scene_->planes[p], t.source, options, t.on_plane[p]);
+    options.size /= 2;
+    if (!real.empty())
+      shadows::render_real_shadow_map(casters, around_, scene_->planes[p], t.source, options,
+                                      t.real_on_plane[p]);
+  }
+}
+
+bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
+                              double mean_irradiance, const OcclusionProbes& around,
+                              std::span<const Rgb> open_irradiance) {
+  if (!lights.empty()) follow_forms();
+  const bool poses_changed =
+      std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
+  std::swap(traced_, before_);
+  traced_.clear();
+  bool changed = false;
+  for (const lighting::DistantLight& source : lights) {
+    const auto known =
+        std::ranges::find(before_, source.id, [](const TracedLight& t) { return t.source.id; });
+    TracedLight t = known == before_.end() ? TracedLight{} : std::move(*known);
+    const double move =
+        std::max(angle_between(t.direction, source.direction), move_of(t.shape, source.shape));
+    const double change =
+        std::abs(luminance(source.irradiance()) - luminance(t.source.irradiance()));
+    changed |= known == before_.end() || change > kVisibleFraction * mean_irradiance;
+    const lighting::DistantLight before = t.source;
+    t.source = source;
+    const TracedDetail detail = detail_for(source, {mean_irradiance, open_irradiance}, t.detail);
+    const bool anew = t.cosine.empty() || move > kMinMove + .1 * source.radius.value() ||
+                      std::abs(t.radius - source.radius.value()) > .1 * source.radius.value() ||
+                      detail.object_samples > t.detail.object_samples ||
+                      detail.plane > t.detail.plane;
+    if (anew) t.detail = detail;
+    if (anew || poses_changed) {
+      trace(t, around, anew);
+      changed = true;
+    } else if (change <= kVisibleFraction * mean_irradiance) {
+      t.source.radiance = before.radiance;  // small changes add up until they are seen
+      t.source.radius = before.radius;
+    }
+    traced_.push_back(std::move(t));
+  }
+  changed |= traced_.size() != before_.size();
+  std::ranges::fill(moved_from_, std::nullopt);
+  return changed;
+}
+
+void DirectLightStage::add_light(std::size_t object, std::span<float> relit) const {
+  const std::size_t stride = relit.size() / 3;
+  for (const TracedLight& t : traced_) {
+    const std::vector<float>& cosine = t.cosine[object];
+    const Rgb scale = t.source.radiance * static_cast<float>(t.source.solid_angle_sr() / kPi);
+    for (std::size_t c = 0; c < 3; ++c) {
+      float* const out = &relit[c * stride];
+      const float k = scale[static_cast<int>(c)];
+      for (std::size_t v = 0; v < cosine.size(); ++v) out[v] += k * cosine[v];
+    }
+  }
+}
+
+DirectLightStage::AtVertices DirectLightStage::at_vertices(const prt::Mesh& mesh) const {
+  const std::size_t count = mesh.positions.size();
+  AtVertices out{std::vector<Rgb>(count), std::vector<Rgb>(count), std::vector<Rgb>(count)};
+  shadows::DirectLightAtVertices one;
+  for (const TracedLight& t : traced_) {
+    shadows::trace_direct_light_at_vertices(rays(), mesh, t.source, sampling_.object, one);
+    const Rgb scale = t.source.radiance * static_cast<float>(t.source.solid_angle_sr());
+    for (std::size_t i = 0; i < count; ++i) {
+      out.open[i] += scale * one.open[i];
+      out.taken[i] += scale * one.taken[i];
+      out.missing[i] += scale * one.missing[i];
+    }
+  }
+  return out;
+}
+
+void DirectLightStage::shadows(std::span<const Rgb> open_irradiance,
+                               std::vector<compositor::ShadowMapOnPlane>& out) const {
+  out.clear();
+  for (const TracedLight& t : traced_)
+    for (std::size_t p = 0; p < t.on_plane.size(); ++p) {
+      const Rgb fraction = fraction_of(t.source, scene_->planes[p], open_irradiance[p]);
+      const shadows::ShadowMap* const real =
+          t.real_on_plane[p].empty() ? nullptr : &t.real_on_plane[p];
+      bool any = false;
+      for (const shadows::ShadowMap& shadow : t.on_plane[p])
+        if (!shadow.empty()) out.push_back({&shadow, fraction, real}), any = true;
+      // What is left of this light counts for the others' shadows too.
+      if (real && !any) out.push_back({&kNoShadow, fraction, real});
+    }
+}
+
+}  // namespace penumbra::runtime

@@ -1,0 +1,141 @@
+// Direct light and shadows of lights in a scene: traced when a light or an object moved, else kept.
+// threads: thread-bound, parallel inside
+#pragma once
+
+#include <array>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "compositor/compositor.h"
+#include "core/result.h"
+#include "lighting/distant_light.h"
+#include "prt/geometry/mesh.h"
+#include "prt/geometry/rays.h"
+#include "prt/transfer/visibility_map.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/occlusion_probes.h"
+#include "shadows/silhouette/occluders.h"
+#include "shadows/silhouette/shadow_map.h"
+#include "shadows/silhouette/silhouette_cache.h"
+#include "shadows/silhouette/silhouette_mesh.h"
+
+namespace penumbra::runtime {
+
+struct ShadowSampling {
+  /// Rays a vertex and light; on what knows its visibility half of them, at least two, for one that sends who faces it less than the
+  /// mean light of all normals (a fill light too, on the side that the others do not reach). By one its shadow is hard.
+  int object = 4;
+  shadows::ShadowMapOptions plane;
+};
+
+class DirectLightStage {
+ public:
+  /// The scene must outlive the stage.
+  /// errors: kUnavailable (Embree)
+  static Result<DirectLightStage> create(const PreparedScene& scene,
+                                         const ShadowSampling& sampling);
+
+  void set_pose(std::size_t object, const Pose& world_from_bake);
+  /// Follows the mesh of an object that moves by itself.
+  void update_vertices(std::size_t object);
+  /// Brings everything up to date with the lights and with what stands around. True when anything was traced or a radiance
+  /// changed visibly, relative to `mean_irradiance`. `open_irradiance[p]` is the light of open plane p, lights included: shadows
+  /// of what brings little of it are drawn less finely; none: all finely.
+  bool update(std::span<const lighting::DistantLight> lights, double mean_irradiance,
+              const OcclusionProbes& around, std::span<const Rgb> open_irradiance = {});
+
+  /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
+  /// there are several.
+  shadows::RayOccluders occluders() {
+    follow_forms();
+    return rays();
+  }
+  /// How much of a light's light (by its place in update()'s list) reaches the floor before a side of an object
+  /// past everything else: what there is for the two to reflect.
+  float reflected_fraction(std::size_t source, std::size_t object, int side) const {
+    return traced_[source].floor_fraction[object][static_cast<std::size_t>(side)];
+  }
+
+  /// Adds the lights' direct light to exit radiance for a unit albedo, in prt::relight's layout.
+  void add_light(std::size_t object, std::span<float> relit) const;
+  /// E0 - E at points of real geometry and what is really left there of the light of all lights, relative irradiance.
+  struct AtVertices {
+    std::vector<Rgb> open, taken, missing;
+  };
+  AtVertices at_vertices(const prt::Mesh& mesh) const;
+
+  /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, lights included.
+  void shadows(std::span<const Rgb> open_irradiance,
+               std::vector<compositor::ShadowMapOnPlane>& out) const;
+
+ private:
+  // Of all sources: the mean over normals, and on planes (none: not known).
+  struct OpenLight {
+    double mean_irradiance;
+    std::span<const Rgb> on_planes;
+  };
+  // How finely a light is traced, by what it brings.
+  struct TracedDetail {
+    int object_samples = 0;
+    double plane = 0;  // ShadowMapOptions::fineness
+  };
+  struct TracedLight {
+    TracedDetail detail;            // as it was traced
+    lighting::DistantLight source;  // as it is now
+    glm::dvec3 direction{0};        // as it was traced, and its form
+    lighting::DistantLight::Shape shape{};
+    double radius = 0;
+    std::vector<std::vector<float>> cosine;                           // by object, by vertex
+    std::vector<std::array<float, kProbeDirections>> floor_fraction;  // by object
+    std::vector<std::vector<shadows::ShadowMap>> on_plane;  // by plane, by group of objects
+    std::vector<shadows::ShadowMap> real_on_plane;          // by plane; empty without real things
+  };
+  DirectLightStage(const PreparedScene& scene, const ShadowSampling& sampling,
+                   prt::RayWorld virtual_things, prt::RayWorld real_things)
+      : scene_(&scene),
+        sampling_(sampling),
+        virtual_(std::move(virtual_things)),
+        real_(std::move(real_things)) {}
+  shadows::RayOccluders rays() const { return {&virtual_, &real_, near_m_}; }
+  shadows::ShadowCasters casters() { return {virtual_casters_, real_casters_, near_m_, &memo_}; }
+  Result<void> add_object(const PreparedObject& object);
+  Result<void> add_real_mesh();
+  void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
+  float smallest_radius() const;  // of the objects, of which there is one
+  /// Building a moved mesh for rays takes a millisecond, which a frame without lights need not spend.
+  void follow_forms();
+  /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have changed.
+  void trace(TracedLight& traced, const OcclusionProbes& around, bool all);
+  void trace_planes(TracedLight& traced);
+  TracedDetail detail_for(const lighting::DistantLight& source, const OpenLight& open,
+                          const TracedDetail& before) const;
+  bool may_have_changed(std::size_t object, const lighting::DistantLight& source) const;
+  std::array<float, kProbeDirections> floor_fraction(std::size_t object,
+                                                     const lighting::DistantLight& source,
+                                                     const OcclusionProbes& around) const;
+
+  const PreparedScene* scene_;
+  ShadowSampling sampling_;
+  prt::RayWorld virtual_, real_;
+  std::vector<char>
+      other_form_;  // by object: neither rays nor silhouettes know its present mesh yet
+  std::vector<Pose> poses_;
+  std::vector<TracedLight> traced_, before_;
+  std::vector<prt::Mesh> quads_;  // as much of each plane as a shadow can come from
+  std::vector<shadows::SilhouetteMesh> silhouettes_;  // of the objects, then of real things
+  std::vector<shadows::SilhouetteMesh> coarse_;       // of those that keep their form
+  std::vector<prt::VisibilityLookup> visibilities_;   // of those of which it was baked
+  std::vector<shadows::Caster> virtual_casters_, real_casters_;
+  // What planes get shadows from, coarse where that is known: under lights that are not broad, and that are. Of real things, by
+  // plane, all but the plane itself.
+  std::array<std::vector<shadows::Caster>, 2> virtual_on_planes_;
+  std::vector<std::vector<shadows::Caster>> real_on_;
+  std::vector<shadows::Neighbourhood> around_;
+  shadows::SilhouetteCache memo_;                 // of the light that is traced
+  std::vector<shadows::BoundingSphere> spheres_;  // around the objects, bake frame
+  std::vector<std::optional<Pose>> moved_from_;   // by object, since the last update
+  float near_m_ = 1e-4f;
+};
+
+}  // namespace penumbra::runtime

@@ -1,0 +1,141 @@
+#include "runtime/shading/floor_recovery.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "calib/camera/camera_model.h"
+#include "calib/camera/lens_vignetting.h"
+#include "calib/camera/response_table.h"
+#include "calib/camera/vignetting.h"
+#include "lighting/distant_light.h"
+#include "prt/geometry/plane.h"
+#include "prt/geometry/rays.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+constexpr int kStep_px = 6;  // between the pixels that are read
+constexpr std::size_t kMinPixels = 200;
+constexpr double kMaxClipped = .25;  // of the floor that is looked at
+constexpr float kShadowed = .5f;     // of the median: darker pixels lie in a real shadow
+
+struct PixelReader {
+  const ResponseTable* curve;
+  float radiance_per_signal;
+
+  // Nothing where a channel is saturated.
+  template <class Pixel>
+  std::optional<Rgb> operator()(const Image<Pixel>& image, int x, int y) const {
+    const Pixel& p = image.at(x, y);
+    if constexpr (std::is_same_v<Pixel, Rgb>) {
+      return is_finite(p) ? std::optional(p * radiance_per_signal) : std::nullopt;
+    } else {
+      const unsigned codes[] = {p.r, p.g, p.b};
+      Rgb out;
+      for (int c = 0; c < 3; ++c) {
+        if (codes[c] >= curve->largest_code()) return std::nullopt;
+        out[c] = curve->decode(c, codes[c]) * radiance_per_signal;
+      }
+      return out;
+    }
+  }
+};
+
+}  // namespace
+
+Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
+  FloorRecovery out;
+  out.scene_ = &scene;
+  const auto stands_on = [](const prt::Plane& plane) {
+    return [&plane](const PreparedObject& o) {
+      return std::abs(glm::dot(o.world_from_bake.translation - plane.point, plane.normal)) < 1e-3;
+    };
+  };
+  for (const prt::Plane& plane : scene.planes)
+    if (!out.floor_ && luminance(plane.albedo) > 0 &&
+        std::ranges::any_of(scene.objects, stands_on(plane)))
+      out.floor_ = &plane;
+  if (out.floor_ && !scene.real_mesh.triangles.empty()) {
+    auto real = prt::RayScene::build(scene.real_mesh);
+    if (!real) return std::unexpected(real.error());
+    out.real_ = std::move(*real);
+  }
+  return out;
+}
+
+bool FloorRecovery::is_near_an_object(const glm::dvec3& point) const {
+  return std::ranges::any_of(scene_->objects, [&](const PreparedObject& o) {
+    return glm::length(point - o.world_from_bake.translation) < kNear_m;
+  });
+}
+
+std::optional<lighting::ReflectancePatch> FloorRecovery::measure(const capture::Frame& frame,
+                                                                 const capture::CameraInfo& camera,
+                                                                 const ResponseTable* curve) const {
+  const PixelReader read{curve, 1 / static_cast<float>(frame.exposure.product())};
+  const calib::CameraModel& p = camera.projection;
+  const Vignetting vignetting = calib::vignetting_of(p, camera.vignetting);
+  const glm::dvec3 eye = frame.world_from_camera.translation;
+  const double height = glm::dot(eye - floor_->point, floor_->normal);
+  if (!(height > 0)) return std::nullopt;  // its underside
+  std::vector<Rgb> seen;
+  std::size_t clipped = 0;
+  for (int y = kStep_px / 2; y < p.height; y += kStep_px)
+    for (int x = kStep_px / 2; x < p.width; x += kStep_px) {
+      const auto ray = calib::direction_from_pixel(p, {x + .5, y + .5});
+      if (!ray) continue;
+      const glm::dvec3 d = frame.world_from_camera.rotation * *ray;
+      const double distance = -height / glm::dot(d, floor_->normal);
+      if (!(distance > 0) || !is_near_an_object(eye + distance * d)) continue;
+      if (real_ && real_->occluded(glm::vec3(eye), glm::vec3(d), 0, static_cast<float>(distance)))
+        continue;
+      const auto radiance =
+          std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
+      const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
+      radiance ? seen.push_back(*radiance * (1 / left)) : static_cast<void>(++clipped);
+    }
+  if (seen.size() < kMinPixels ||
+      static_cast<double>(clipped) > kMaxClipped * static_cast<double>(seen.size() + clipped))
+    return std::nullopt;
+  const auto middle = seen.begin() + static_cast<std::ptrdiff_t>(seen.size() / 2);
+  std::ranges::nth_element(seen, middle, {}, luminance);
+  const float dark = kShadowed * luminance(*middle);
+  Rgb sum;
+  float count = 0;
+  for (const Rgb& c : seen)
+    if (luminance(c) >= dark) sum += c, ++count;
+  return lighting::ReflectancePatch{floor_->normal, sum * (1 / count), floor_->albedo};
+}
+
+bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found) const {
+  return !std::ranges::all_of(found, [&](const lighting::SaturationRecovery& c) {
+    const auto before = std::ranges::find(said_, c.source, &lighting::SaturationRecovery::source);
+    if (before == said_.end()) return false;
+    const float was = luminance(before->power);
+    return std::abs(luminance(c.power) - was) <= kMinChange * was;
+  });
+}
+
+Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
+    const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
+    const lighting::LightEstimate& light) {
+  std::vector<int> clipped;
+  for (const lighting::DistantLight& d : light.lights)
+    if (d.clipped) clipped.push_back(d.id);
+  if (!floor_ || clipped.empty() || (last_ && frame.time - *last_ < kAgain && clipped == tried_))
+    return std::vector<lighting::SaturationRecovery>{};
+  last_ = frame.time;
+  tried_ = std::move(clipped);
+  const auto patch = measure(frame, camera, curve);
+  if (!patch)
+    return fail(ErrorCode::kUndetermined, camera.name,
+                "shows too little of the floor, or overexposes it");
+  auto found = lighting::recover_jointly(light, *patch);
+  if (!found) return found;
+  if (!is_news(*found)) return std::vector<lighting::SaturationRecovery>{};
+  said_ = *found;
+  return found;
+}
+
+}  // namespace penumbra::runtime

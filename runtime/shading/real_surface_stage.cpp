@@ -1,0 +1,123 @@
+#include "runtime/shading/real_surface_stage.h"
+
+#include <algorithm>
+
+#include "core/conventions.h"
+#include "lighting/basis.h"
+#include "lighting/distant_light.h"
+#include "lighting/estimate.h"
+#include "lighting/irradiance.h"
+#include "lighting/light_estimate.h"
+#include "lighting/rotation.h"
+#include "prt/bake/bake.h"
+#include "prt/geometry/mesh.h"
+#include "prt/transfer/relight.h"
+#include "prt/transfer/transfer.h"
+#include "runtime/shading/composite_stage.h"
+#include "runtime/shading/scene_light.h"
+#include "shadows/field/occlusion_field.h"
+
+namespace penumbra::runtime {
+
+bool RealSurfaceStage::measure(const lighting::LightEstimate& light, const DirectLightStage& lights,
+                               bool lights_changed) {
+  const bool first = exit_.empty();
+  if (!first && !lights_changed &&
+      lighting::largest_visible_change(measured_, light.light) < CompositeStage::kVisibleChange)
+    return false;
+  measured_ = light.light;
+  const prt::Mesh& mesh = scene_->real_mesh;
+  if (first || lights_changed) lights_ = lights.at_vertices(mesh);
+  relight(light);
+  return true;
+}
+
+// As an object's light: the bake knows what the mesh hides from itself and reflects.
+void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
+  const prt::Mesh& mesh = scene_->real_mesh;
+  const prt::BakedObject& baked = scene_->real->baked;
+  const Pose& pose = scene_->real->world_from_bake;
+  const bool level = stands_level(baked, pose);
+  const RadianceSh& open = rest_for(light, level);
+  const RadianceSh residual =
+      lighting::ShRotation(glm::transpose(pose.rotation_matrix()), open.bands()) * open;
+  RadianceSh sum(prt::kIndirectBands);
+  for (const lighting::DistantLight& d : light.lights) {
+    const RadianceSh one = reflected_for(d, level);
+    for (int n = 0; n < one.size(); ++n) sum[n] += one[n];
+  }
+  const RadianceSh reflected = reflected_in_bake_frame(sum, level, pose);
+  const std::size_t stride = baked.transfer.stride;
+  relit_.resize(3 * stride);
+  reflected_.resize(3 * stride);
+  prt::relight(baked.transfer, residual, relit_);
+  prt::relight(baked.indirect, reflected, reflected_);
+  arrives_.resize(mesh.positions.size());
+  exit_.resize(arrives_.size());
+  for (std::size_t i = 0; i < arrives_.size(); ++i)
+    for (int c = 0; c < 3; ++c) {
+      const std::size_t at = static_cast<std::size_t>(c) * stride + i;
+      arrives_[i][c] = std::max(0.f, static_cast<float>(kPi) * (relit_[at] + reflected_[at]) +
+                                         lights_.open[i][c] - lights_.missing[i][c]);
+      exit_[i][c] = arrives_[i][c] * mesh.albedo[i][c] / static_cast<float>(kPi);
+    }
+  if (!baked.receiver) return;
+  shadows::ReceiverLight on_floor(residual);
+  on_floor.lights = reflected;
+  for (const lighting::DistantLight& d : light.lights)
+    on_floor.distant_irradiance += lighting::irradiance(d, pose.rotation * glm::dvec3(0, 1, 0));
+  // Cannot fail: it has a receiver.
+  (void)shadows::compose_planar_shadow(baked, on_floor, shadow_);
+}
+
+// What each object takes of the light without lights, where several meet counted once.
+std::vector<Rgb> RealSurfaceStage::left_by_objects(const lighting::LightEstimate& light,
+                                                   std::span<const Pose> poses) const {
+  const prt::Mesh& mesh = scene_->real_mesh;
+  std::vector<Rgb> left(mesh.positions.size(), Rgb{1, 1, 1});
+  std::vector<std::vector<Rgb>> alone(poses.size());
+  for (std::size_t k = 0; k < poses.size(); ++k) {
+    const shadows::OcclusionField& field = *scene_->objects[k].field;
+    const Pose bake_from_world = poses[k].inverse();
+    const RadianceSh turned =
+        lighting::ShRotation(bake_from_world.rotation_matrix(), light.light.bands()) * light.light;
+    alone[k].resize(left.size());
+    // Cannot fail: lists of one length, light made for this field.
+    (void)shadows::field_ratios(field, shadows::FieldLight(turned, field.bands), bake_from_world,
+                                {mesh.positions, mesh.normals, lights_.open}, alone[k]);
+    std::vector<Rgb> shared = alone[k];
+    for (std::size_t j = 0; j < k; ++j)
+      shadows::smooth_ratios({scene_->objects[j].field.get(), poses[j]}, {&field, poses[k]},
+                             mesh.positions, alone[j], shared);
+    for (std::size_t i = 0; i < left.size(); ++i) left[i] = left[i] * shared[i];
+  }
+  return left;
+}
+
+std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
+                                          std::span<const Pose> poses,
+                                          const LampStage& lamps) const {
+  const prt::Mesh& mesh = scene_->real_mesh;
+  std::vector<Rgb> out = left_by_objects(light, poses);
+  const IrradianceSh residual = lighting::irradiance(light.light);
+  const float smallest = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const Rgb lamp = lamps.any() ? lamps.on_real_mesh()[i] : Rgb{};
+    if (out[i] == Rgb{1, 1, 1} && luminance(lights_.taken[i]) == 0 && luminance(lamp) == 0)
+      continue;
+    const Rgb open = lighting::evaluate(residual, glm::dvec3(mesh.normals[i]));
+    for (int c = 0; c < 3; ++c) {
+      // Of the light without lights an object takes the same share whether real things left all of it or not.
+      const float direct = arrives_[i][c] - (lights_.open[i][c] - lights_.missing[i][c]),
+                  fraction = open[c] > 0 ? std::clamp(direct / open[c], 0.f, 1.f) : 0;
+      const float lost =
+          (1 - out[i][c]) * (open[c] + lights_.open[i][c]) * fraction + lights_.taken[i][c];
+      out[i][c] = arrives_[i][c] > smallest
+                      ? std::clamp(1 - lost / arrives_[i][c], 0.f, 1.5f) + lamp[c] / arrives_[i][c]
+                      : 1;
+    }
+  }
+  return out;
+}
+
+}  // namespace penumbra::runtime

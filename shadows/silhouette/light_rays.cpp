@@ -1,0 +1,130 @@
+#include "shadows/silhouette/light_rays.h"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <glm/gtx/quaternion.hpp>
+
+#include "core/background_task.h"
+#include "core/conventions.h"
+#include "lighting/distant_light.h"
+
+namespace penumbra::shadows {
+
+namespace {
+constexpr double kGoldenRatio = .6180339887498949;
+}
+
+double largest_angle(const lighting::DistantLight& source) {
+  double largest = source.shape.empty() ? source.radius.value() : 0;
+  for (const glm::dvec3& d : source.shape)
+    largest = std::max(largest, std::acos(std::clamp(glm::dot(d, source.direction), -1., 1.)));
+  return largest;
+}
+
+double rms_angle(const lighting::DistantLight& source) {
+  if (source.shape.empty()) return source.radius.value() / std::sqrt(2.);
+  double sum = 0;
+  for (const glm::dvec3& d : source.shape)
+    sum += std::pow(std::acos(std::clamp(glm::dot(d, source.direction), -1., 1.)), 2);
+  return std::sqrt(sum / static_cast<double>(source.shape.size()));
+}
+
+bool is_wide(const lighting::DistantLight& source) {
+  constexpr double kFrom = .05;  // radians
+  return largest_angle(source) >= kFrom;
+}
+
+namespace {
+
+// Of an object's part as far as its radius.
+bool exceeds_edges(const lighting::DistantLight& source, const SilhouetteMesh& silhouette,
+                   double edges) {
+  return rms_angle(source) * silhouette.radius_m() >= edges * silhouette.mean_length_m();
+}
+
+}  // namespace
+
+bool penumbra_exceeds_edges(const lighting::DistantLight& source,
+                            const SilhouetteMesh& silhouette) {
+  return exceeds_edges(source, silhouette, 1.75);
+}
+bool penumbra_far_exceeds_edges(const lighting::DistantLight& source,
+                                const SilhouetteMesh& silhouette) {
+  return exceeds_edges(source, silhouette, 4);
+}
+
+DirectionCone beam_of(const lighting::DistantLight& source, double more) {
+  return {source.direction, std::sin(std::min(largest_angle(source) + more, kPi / 2))};
+}
+
+bool may_occlude(const BoundingSphere& one, const BoundingSphere& from,
+                 const lighting::DistantLight& source) {
+  const glm::dvec3 apart = one.centre - from.centre;
+  const double far = glm::length(apart), both = one.radius + from.radius;
+  if (far <= both) return true;
+  const double aside = std::acos(std::clamp(glm::dot(apart / far, source.direction), -1., 1.));
+  return aside < std::asin(both / far) + largest_angle(source);
+}
+
+BoundingSphere sphere_of(const Caster& caster) {
+  return {caster.world_from_mesh * glm::dvec3(caster.silhouette->bounds().centre()),
+          double(caster.silhouette->radius_m())};
+}
+
+SilhouetteCache& memo_of(const ShadowCasters& casters) {
+  if (casters.memo) return *casters.memo;
+  thread_local SilhouetteCache empty;
+  empty.clear();
+  return empty;
+}
+
+void SamplePattern::make(const lighting::DistantLight& source, int samples, int turns) {
+  assert(samples >= 1 && samples <= kMaxSamples && turns >= 1);
+  samples_ = samples, turns_ = turns;
+  directions_.clear();
+  if (samples == 1 && turns == 1)
+    directions_.emplace_back(source.direction);
+  else if (source.shape.empty())
+    spread_over_cap(source);
+  else
+    spread_over_shape(source);
+}
+
+// A Vogel spiral from the rim inwards, which has as many points in equal areas.
+void SamplePattern::spread_over_cap(const lighting::DistantLight& source) {
+  const glm::dmat3 frame = glm::mat3_cast(glm::rotation(glm::dvec3(0, 1, 0), source.direction));
+  const double height = 2 * std::pow(std::sin(.5 * source.radius.value()), 2);
+  for (int turn = 0; turn < turns_; ++turn)
+    for (int k = samples_ - 1; k >= 0; --k) {
+      const double c = 1 - height * (k + .5) / samples_, s = std::sqrt(1 - c * c);
+      // The turns follow the golden ratio, so that neighbours differ most.
+      constexpr double kGolden = 2.399963229728653;
+      const double a = k * kGolden + 2 * kPi * std::fmod(turn * kGoldenRatio, 1.);
+      directions_.emplace_back(frame * glm::dvec3(s * std::cos(a), c, s * std::sin(a)));
+    }
+}
+
+// One point of each group of neighbours. Where one turn has to do its middle; else from turn to turn another one, on by the
+// golden ratio and groups out of step, so that vertices beside each other together ask all of the shape. (Steps of five from turn
+// to turn, three from group to group: 2.17 instead of 1.64 % on the knot under adams.)
+void SamplePattern::spread_over_shape(const lighting::DistantLight& source) {
+  constexpr double kOutOfStep = .7548776662466927;  // of the plane's golden ratio
+  const std::size_t points = source.shape.size(), samples = static_cast<std::size_t>(samples_);
+  const auto middle = [&](std::size_t k) {
+    const std::size_t first = k * points / samples, last = (k + 1) * points / samples;
+    glm::dvec3 sum = source.shape[first];
+    for (std::size_t i = first + 1; i < last; ++i) sum += source.shape[i];
+    return glm::normalize(sum);
+  };
+  const auto one_of = [&](std::size_t k, std::size_t turn) {
+    const double within = std::fmod(.5 + double(turn) * kGoldenRatio + double(k) * kOutOfStep, 1.);
+    const double place = (double(k) + within) / double(samples) * double(points);
+    return source.shape[std::min(static_cast<std::size_t>(place), points - 1)];
+  };
+  for (std::size_t turn = 0; turn < static_cast<std::size_t>(turns_); ++turn)
+    for (std::size_t k = 0; k < samples; ++k)
+      directions_.emplace_back(turns_ == 1 || samples >= points ? middle(k) : one_of(k, turn));
+}
+
+}  // namespace penumbra::shadows

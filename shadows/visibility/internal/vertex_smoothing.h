@@ -1,0 +1,37 @@
+// Light that neighbouring vertices share.
+#pragma once
+
+#include <utility>
+#include <vector>
+
+#include "lighting/distant_light.h"
+#include "prt/geometry/mesh.h"
+
+namespace penumbra::shadows {
+
+/// Each vertex with its neighbours: few directions a vertex, turned from one to the next, become many.
+template <class T>
+void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
+  thread_local std::vector<T> sums;  // grows once per thread
+  sums = values;
+  for (const auto& [a, b, c] : mesh.triangles) {
+    const T all = values[a] + values[b] + values[c];
+    sums[a] = sums[a] + (all - values[a]);
+    sums[b] = sums[b] + (all - values[b]);
+    sums[c] = sums[c] + (all - values[c]);
+  }
+  std::swap(sums, values);
+}
+
+/// Sums over several directions of a light, so often. Once leaves the beat of the turns with a grid's rows as ripples in broad
+/// penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources (studio: 2.5 to 3.3 %).
+inline int smoothing_passes(const lighting::DistantLight& source) {
+  constexpr double kThriceFrom = .25;  // radians
+  return source.radius.value() > kThriceFrom ? 3 : 1;
+}
+template <class T>
+void smooth_over_neighbours(const prt::Mesh& mesh, int times, std::vector<T>& sums) {
+  for (int pass = 0; pass < times; ++pass) average_neighbours(mesh, sums);
+}
+
+}  // namespace penumbra::shadows

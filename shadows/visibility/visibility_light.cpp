@@ -1,0 +1,154 @@
+#include "shadows/visibility/internal/visibility_light.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/parallel.h"
+#include "prt/transfer/vertex_samples.h"
+#include "shadows/silhouette/light_rays.h"
+#include "shadows/visibility/internal/visibility_groups.h"
+
+namespace penumbra::shadows {
+
+namespace {
+
+constexpr std::size_t kAtOnce = 1024;  // vertices
+
+// A thing like the object, in its place, hides what the object itself does.
+bool is_twin(const Caster& a, const Caster& b) {
+  return is_same(a, b) ||
+         (a.world_from_mesh == b.world_from_mesh && a.mesh->positions == b.mesh->positions &&
+          a.mesh->triangles == b.mesh->triangles);
+}
+
+bool others_between(std::span<const Caster> casters, const Caster& object,
+                    const lighting::DistantLight& source) {
+  const BoundingSphere here = sphere_of(object);
+  return std::ranges::any_of(casters, [&](const Caster& c) {
+    return !is_twin(c, object) && may_occlude(sphere_of(c), here, source);
+  });
+}
+
+// Directions in the mesh's frame.
+void aim(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
+         int cells, std::size_t each, prt::VisibilitySamples& out) {
+  thread_local SamplePattern pattern;  // grows once per thread
+  pattern.make(source, static_cast<int>(each), kTurns);
+  const glm::mat3 mesh_from_world = glm::transpose(object.world_from_mesh.rotation_matrix());
+  out.clear(cells, each);
+  for (std::size_t turn = 0; turn < kTurns; ++turn)
+    for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
+}
+
+// Directions where others beside a vertex look too: what is looked for in finer cells is small and lies in few of them.
+std::size_t enough(int cells) {
+  return cells == prt::VisibilityMap::kFineCells ? prt::VisibilitySamples::kFew
+                                                 : prt::VisibilitySamples::kMax;
+}
+
+// What the samples see, and after the last one nothing.
+const std::vector<prt::CosineSums>& look_from_samples(const Caster& object, const prt::Plane* plane,
+                                                      const lighting::DistantLight& source,
+                                                      int cells) {
+  thread_local prt::VisibilitySamples samples_memory;  // grow once per thread
+  thread_local std::vector<prt::CosineSums> sums_memory;
+  prt::VisibilitySamples& directions_used = samples_memory;
+  std::vector<prt::CosineSums>& sums = sums_memory;
+  aim(object, plane, source, cells, enough(cells), directions_used);
+  const std::span<const std::uint32_t> vertices = object.visibility->samples().vertices();
+  sums.resize(vertices.size() + 1);
+  sums.back() = {};
+  parallel_for(std::size_t{0}, vertices.size(), kAtOnce, [&](const auto& part) {
+    object.visibility->look(directions_used, vertices, part.begin(), part.end(), sums);
+  });
+  return sums;
+}
+
+// What samples say of a light: nothing, where they are turned away.
+enum Says : std::uint8_t { kSaysLit = 1, kSaysDark = 2, kSaysMixed = 4 };
+
+std::uint8_t says(const prt::CosineSums& here) {
+  constexpr float kRounding = 1e-5f;
+  if (here.open <= 0) return 0;
+  if (here.seen <= 0) return kSaysDark;
+  return here.seen >= here.open * (1 - kRounding) ? kSaysLit : kSaysMixed;
+}
+
+}  // namespace
+
+LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
+                     const lighting::DistantLight& source, int directions_used) {
+  // RMS angles of the light, in those that look-ups are off: they add as squares do. From the first on the light looks less than a
+  // tenth wider, which is as good as eight rays a vertex; from the second on look-ups in finer cells are about as good as four.
+  constexpr double kCoarseFrom = 2.5, kFineFrom = 1.5;
+  constexpr int kMaxRays = 8;
+  if (!object.visibility || directions_used == 1 || directions_used > kMaxRays ||
+      VisibilityGroups::counts_parts(object, source) ||
+      others_between(casters.virtual_things, object, source) ||
+      others_between(casters.real_things, object, source))
+    return LookupUse::kNone;
+  const auto beside = [&](int cells) {
+    return rms_angle(source) / prt::VisibilityMap::blur(cells);
+  };
+  if (beside(prt::VisibilityMap::kCells) > kCoarseFrom) return LookupUse::kCoarse;
+  const double fine_from = directions_used > 4 ? kCoarseFrom : kFineFrom;
+  return beside(prt::VisibilityMap::kFineCells) > fine_from ? LookupUse::kFine : LookupUse::kScout;
+}
+
+void look_up(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
+             int cells, bool averaged, std::span<prt::CosineSums> out) {
+  thread_local prt::VisibilitySamples memory;  // grows once per thread
+  prt::VisibilitySamples& directions_used = memory;
+  aim(object, plane, source, cells, averaged ? enough(cells) : prt::VisibilitySamples::kMax,
+      directions_used);
+  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
+    object.visibility->look(directions_used, part.begin(), part.end(), out);
+  });
+}
+
+void look_up_sampled(const Caster& object, const prt::Plane* plane,
+                     const lighting::DistantLight& source, int cells,
+                     std::span<prt::CosineSums> out) {
+  const std::vector<prt::CosineSums>& seen = look_from_samples(object, plane, source, cells);
+  const prt::VertexSamples& samples = object.visibility->samples();
+  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const auto& [a, b, c, d] = samples.around(i);
+      out[i] = (seen[a] + seen[b]) + (seen[c] + seen[d]);
+    }
+  });
+}
+
+void scout(const Caster& object, const lighting::DistantLight& source,
+           std::vector<VisibilityVerdict>& out) {
+  thread_local std::vector<std::uint8_t> by_sample;  // grows once per thread
+  const std::vector<prt::CosineSums>& seen =
+      look_from_samples(object, nullptr, source, prt::VisibilityMap::kFineCells);
+  std::vector<std::uint8_t>& said = by_sample;
+  said.resize(seen.size());
+  std::ranges::transform(seen, said.begin(), says);
+  const prt::VertexSamples& samples = object.visibility->samples();
+  const glm::vec3 towards =
+      glm::transpose(object.world_from_mesh.rotation_matrix()) * glm::vec3(source.direction);
+  const auto turned_away = -static_cast<float>(std::sin(largest_angle(source)));
+  const std::span<const glm::vec3> normals = object.mesh->normals;
+  out.resize(normals.size());
+  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
+    for (std::size_t i = part.begin(); i < part.end(); ++i) {
+      const auto& [a, b, c, d] = samples.around(i);
+      const int all = said[a] | said[b] | said[c] | said[d];
+      if (glm::dot(normals[i], towards) <= turned_away)
+        out[i] = VisibilityVerdict::kTurnedAway;
+      else if (all == kSaysLit)
+        out[i] = VisibilityVerdict::kLit;
+      else if (all == kSaysDark)
+        out[i] = VisibilityVerdict::kDark;
+      else if (!samples.is_sample(i) || said[a] == kSaysMixed)
+        out[i] = VisibilityVerdict::kMixed;
+      else
+        out[i] = said[a] == kSaysLit ? VisibilityVerdict::kMaybeLit : VisibilityVerdict::kMaybeDark;
+    }
+  });
+}
+
+}  // namespace penumbra::shadows

@@ -1,0 +1,297 @@
+#!/usr/bin/env python3
+"""Fails when the documentation contradicts the repository or is hard to read.
+
+usage: docs_test.py ROOT [BIN_FOLDER]
+
+Checks links, widths of lines, lengths of pages and sentences, that docs/reference/ names each TOML
+key that the sources know and no other, and, with BIN_FOLDER, each flag that the programs know and
+no other. Every check first runs on made-up faults: one that sees nothing cannot pass.
+"""
+import posixpath
+import re
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+PROSE_COLUMNS, TABLE_COLUMNS = 100, 160
+README_LINES, RELEASE_LINES, SENTENCE_WORDS = 120, 40, 18
+REFERENCE = "docs/reference/"
+COMMAND_LINE = REFERENCE + "command-line.md"
+PROGRAMS = ("penumbra", "penumbrad")  # penumbra starts the others
+EVERYWHERE = {"-h", "--help", "--version"}  # flags that each program has
+NOT_OURS = ("build", "out")
+
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)[^)]*\)")
+LINK_TARGET = re.compile(r"\]\([^)]*\)")
+IMAGE = re.compile(r"!\[[^\]]*\]\([^)]*\)")
+CODE = re.compile(r"`[^`]*`")
+LIST_ITEM = re.compile(r"^\s*(?:[-*]|\d+\.)\s+")
+FLAG_LINE = re.compile(r"^ {2}((?:-\w,)?--[\w-]+)", re.MULTILINE)
+# constexpr std::string_view known[] = {"version", "camera"};
+KEY_LIST = re.compile(r'string_view(?:,\s*\d+>)?\s+(?:known|inside|\w*[kK]eys)(?:\[\d*\])?\s*=?\s*'
+                      r'\{((?:\s*"\w+"\s*,?)+)\s*\}')
+# "name = {}\n" and "[calibration]\n" in a format string
+WRITTEN_KEY = re.compile(r'(?:\\n|")(\w+) *= *(?:[{\[\d]|\\")|(?:\\n|")\[(\w+)\]')
+
+
+# ---- Markdown. ----
+
+def lines_of(text):
+    """(number, kind, line) of each line; kind: code, table, heading, blank or prose."""
+    fence = None
+    for number, line in enumerate(text.splitlines(), 1):
+        mark = re.match(r"\s*(```|~~~|\$\$)", line)
+        if fence or mark:
+            yield number, "code", line
+            closed = mark and mark[1] == fence if fence else line.count("$$") > 1
+            fence = None if closed else fence or mark[1]
+        elif not line.strip():
+            yield number, "blank", line
+        elif line.startswith("|"):
+            yield number, "table", line
+        else:
+            yield number, "heading" if line.startswith("#") else "prose", line
+
+
+def anchors_of(text):
+    """Anchors of a page's headings, as GitHub makes them."""
+    out = set()
+    for _, kind, line in lines_of(text):
+        if kind != "heading":
+            continue
+        title = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", line.lstrip("#").strip())
+        slug = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        numbered = (slug if n == 0 else f"{slug}-{n}" for n in range(len(out) + 1))
+        out.add(next(s for s in numbered if s not in out))
+    return out
+
+
+def rows_of(text, header):
+    """(number, heading above, first cell) of each row of tables whose first column is `header`."""
+    heading, names, before = "", False, "blank"
+    for number, kind, line in lines_of(text):
+        if kind == "heading":
+            heading = line.lstrip("#").strip()
+        if kind == "table":
+            first = line.strip("|").split("|")[0].strip()
+            if before != "table":
+                names = first == header
+            elif names and not first.startswith("-"):
+                yield number, heading, first
+        before = kind
+
+
+# ---- The checks: each gives lines `file:line: reason`. ----
+
+def broken_links(pages, exists):
+    """pages: {path: text}; exists(path) tells whether a file or folder is there."""
+    found = []
+    for path, text in pages.items():
+        for number, kind, line in lines_of(text):
+            if kind == "code":
+                continue
+            for target in LINK.findall(CODE.sub("code", line)):
+                if re.match(r"[a-z]+:", target):
+                    continue
+                name, _, anchor = target.partition("#")
+                file = posixpath.normpath(posixpath.join(posixpath.dirname(path), name))
+                file = file if name else path
+                if not exists(file):
+                    found.append(f"{path}:{number}: {target}: no such file")
+                elif anchor and anchor not in anchors_of(pages.get(file, "")):
+                    found.append(f"{path}:{number}: {target}: no such heading")
+    return found
+
+
+def wide_lines(path, text):
+    found = []
+    for number, kind, line in lines_of(text):
+        columns = 0 if kind == "code" else len(LINK_TARGET.sub("]", line))
+        most = TABLE_COLUMNS if kind == "table" else PROSE_COLUMNS
+        if columns > most:
+            found.append(f"{path}:{number}: {columns} columns, at most {most}")
+    return found
+
+
+def long_pages(path, text):
+    lines = text.splitlines()
+    if path == "README.md" and len(lines) > README_LINES:
+        return [f"{path}:{README_LINES + 1}: {len(lines)} lines, at most {README_LINES}"]
+    if path != "CHANGELOG.md":
+        return []
+    starts = [i for i, line in enumerate(lines) if line.startswith("## ")] + [len(lines)]
+    if len(starts) == 1:
+        return [f"{path}:1: no release: a heading of two #"]
+    return [f"{path}:{start + 1}: {end - start} lines, at most {RELEASE_LINES}"
+            for start, end in zip(starts, starts[1:]) if end - start > RELEASE_LINES]
+
+
+def long_sentences(path, text):
+    """By the words of each sentence of the prose, without code, tables and lists of links."""
+    paragraphs, before, lengths = [], "blank", []
+    for _, kind, line in lines_of(text):
+        if kind == "prose" and (before != "prose" or LIST_ITEM.match(line)):
+            paragraphs.append("")
+        if kind == "prose":
+            paragraphs[-1] += " " + IMAGE.sub("", line)
+        before = kind
+    for paragraph in paragraphs:
+        if re.match(LIST_ITEM.pattern + r"\[", paragraph):
+            continue
+        paragraph = LINK_TARGET.sub("]", CODE.sub("code", LIST_ITEM.sub("", paragraph)))
+        for sentence in re.split(r"(?<=[.!?])[*_)\]]*\s+", paragraph):
+            lengths.append(sum(bool(re.search(r"\w", word)) for word in sentence.split()))
+    median = statistics.median([n for n in lengths if n > 0] or [0])
+    too_long = f"{path}:1: median sentence of {median:g} words, at most {SENTENCE_WORDS}"
+    return [too_long] if median > SENTENCE_WORDS else []
+
+
+def documented_flags(text):
+    """{command: {flag: line}} of the sections of the command line's page; flag "": the heading."""
+    out = {}
+    for number, kind, line in lines_of(text):
+        command = line.lstrip("#").strip()
+        if kind == "heading" and command.startswith(PROGRAMS):
+            out[command] = {"": number}
+    for number, heading, cell in rows_of(text, "flag"):
+        out.get(heading, {}).update(dict.fromkeys(re.findall(r"`(--?[\w-]+)`", cell), number))
+    return out
+
+
+def wrong_flags(known, text):
+    """known: {command: flags} of the programs."""
+    found, documented = [], documented_flags(text)
+    for command in sorted(known.keys() | documented.keys()):
+        lines = documented.get(command, {"": 1})
+        if command not in known or command not in documented:
+            why = "no program has it" if command in documented else "has no section"
+            found.append(f"{COMMAND_LINE}:{lines['']}: {command}: {why}")
+            continue
+        for flag in sorted(known[command] ^ (lines.keys() - {""})):
+            why = "is not known to the program" if flag in lines else "is not documented"
+            found.append(f"{COMMAND_LINE}:{lines.get(flag, lines[''])}: {command} {flag}: {why}")
+    return found
+
+
+def known_flags(bin_folder, command, help_of):
+    """{command: flags} of a command and those below it."""
+    text = help_of(bin_folder, command)
+    flags = {f for names in FLAG_LINE.findall(text) for f in names.split(",")} - EVERYWHERE
+    below = re.search(r"^Subcommands:\n((?: {2}.*\n?)*)", text, re.MULTILINE)
+    out = {command: flags} if flags or not below else {}
+    for name in re.findall(r"^ {2}([\w-]+)", below[1] if below else "", re.MULTILINE):
+        out |= known_flags(bin_folder, f"{command} {name}", help_of)
+    return out
+
+
+def help_of(bin_folder, command):
+    program, *rest = command.split()
+    run = subprocess.run([str(Path(bin_folder) / program), *rest, "--help"], capture_output=True,
+                         text=True, check=True, timeout=60)
+    return run.stdout
+
+
+def wrong_keys(sources, pages):
+    """Both {path: text}. Readers' lists say what is known; files that we write may say more."""
+    known, written = {}, set()
+    for path, text in sorted(sources.items()):
+        for keys in KEY_LIST.finditer(text):
+            line = text.count("\n", 0, keys.start()) + 1
+            for key in re.findall(r'"(\w+)"', keys[1]):
+                known.setdefault(key, f"{path}:{line}")
+        written |= {name for pair in WRITTEN_KEY.findall(text) for name in pair if name}
+    documented = {}
+    for path, text in pages.items():
+        for number, _, cell in rows_of(text, "key"):
+            for key in re.findall(r"`(\w+)`", cell):
+                documented.setdefault(key, f"{path}:{number}")
+    if not known:
+        return [f"{REFERENCE}:1: no list of known keys was found in the sources"]
+    found = [f"{place}: key {key} is not documented" for key, place in known.items()
+             if key not in documented]
+    return found + [f"{place}: key {key} is not known to the sources"
+                    for key, place in documented.items() if key not in known.keys() | written]
+
+
+# ---- The checks on made-up pages. ----
+
+def self_test():
+    page = "# A b `c/d`\n[x](b.md#a-b-cd) [y](#a-b-cd) ![z](p.jpg) `[no](no)`\n```\n[n](n)\n```\n"
+    table = "## T\n| key | type |\n|---|---|\n| `one` | text |\n"
+    flags = "## penumbra demo\n| flag | type |\n|---|---|\n| `-o`, `--out` | path |\n"
+    shown = "Options:\n  -h,--help  Help\n  -o,--out TEXT  Folder\n  --no-x{false}  Off\n"
+    tree = {"p": "Options:\n  --version  V\n\nSubcommands:\n  demo   Runs\n  hdr   H\n",
+            "p demo": shown, "p hdr": "Subcommands:\n  merge  M\n", "p hdr merge": "  -a,--all  A"}
+    listed = 'constexpr std::string_view known[] = {"one",\n "two"};'
+    in_array = 'constexpr std::array<std::string_view, 1> kCameraKeys{"one"};'
+    other = 'constexpr std::string_view kNames[] = {"three"};'
+    sentence = " ".join(["word"] * 19) + ". "
+
+    def has(path):
+        return path in {"a.md", "b.md", "p.jpg"}
+    right = [
+        broken_links({"a.md": page, "b.md": page}, has),
+        wide_lines("a.md", f"```\n{'x' * 200}\n```\n[x]({'y' * 100})\n| {'x' * 150} |\n"),
+        long_pages("README.md", "x\n" * 120), long_pages("CHANGELOG.md", "# C\n## 1" + "\nx" * 39),
+        long_sentences("a.md", "Short. Short.\n\n" + sentence + f"\n\n- [{sentence}](x)\n"),
+        wrong_flags({"penumbra demo": {"-o", "--out"}}, flags),
+        wrong_keys({"a.cpp": in_array + other}, {"r.md": table}),
+        wrong_keys({"a.cpp": in_array + r'"\ntwo = {}"'}, {"r.md": table + "| `two` | |\n"}),
+    ]
+    wrong = [
+        broken_links({"a.md": "[x](no.md)"}, has),
+        broken_links({"a.md": "[x](b.md#no)", "b.md": page}, has),
+        broken_links({"a.md": "[x](#no)"}, has), broken_links({"a.md": "\n![x](no.jpg)"}, has),
+        wide_lines("a.md", "x" * 101), wide_lines("a.md", "| " + "x" * 160),
+        long_pages("README.md", "x\n" * 121), long_pages("CHANGELOG.md", "## 1\n" + "x\n" * 40),
+        long_pages("CHANGELOG.md", "# C\n- x\n"), long_sentences("a.md", "Short. " + sentence * 2),
+        wrong_flags({"penumbra demo": {"-o", "--out", "--new"}}, flags),
+        wrong_flags({"penumbra demo": {"-o"}}, flags),
+        wrong_flags({"penumbra demo": {"-o", "--out"}, "penumbra x": {"--y"}}, flags),
+        wrong_flags({}, flags),
+        wrong_keys({"a.cpp": listed}, {"r.md": table}), wrong_keys({"a.cpp": other}, {"": table}),
+        wrong_keys({"a.cpp": in_array}, {"r.md": table + "| `old` | |\n"}),
+    ]
+    out = [f"right case {i}: {lines}" for i, lines in enumerate(right) if lines]
+    out += [f"wrong case {i}: {lines}" for i, lines in enumerate(wrong) if len(lines) != 1]
+    expected = {"p demo": {"-o", "--out", "--no-x"}, "p hdr merge": {"-a", "--all"}}
+    if (known := known_flags("", "p", lambda _, command: tree[command])) != expected:
+        out.append(f"flags of help texts: {known}")
+    return [f"self-test: {line}" for line in out]
+
+
+def main(arguments):
+    if len(arguments) not in (1, 2):
+        print(__doc__, file=sys.stderr)
+        return 2
+    root = Path(arguments[0])
+
+    tops = [p for p in sorted(root.iterdir()) if p.name not in NOT_OURS and p.name[0] != "."]
+    files = [f for p in tops for f in ([p] if p.is_file() else sorted(p.rglob("*")))]
+
+    def texts(*kinds):
+        return {f.relative_to(root).as_posix(): f.read_text(encoding="utf-8")
+                for f in files if f.suffix in kinds}
+    pages = texts(".md")
+    sources = {path: text for path, text in texts(".cpp", ".h").items() if path[:6] != "tests/"}
+    faults = self_test() + broken_links(pages, lambda path: (root / path).exists())
+    for path, text in pages.items():
+        faults += wide_lines(path, text) + long_pages(path, text)
+        if path.startswith("docs/") or path in ("README.md", "CONTRIBUTING.md"):
+            faults += long_sentences(path, text)
+    faults += wrong_keys(sources, {p: t for p, t in pages.items() if p.startswith(REFERENCE)})
+    if len(arguments) == 2:
+        known = {}
+        for program in PROGRAMS:
+            known |= known_flags(arguments[1], program, help_of)
+        faults += wrong_flags(known, pages.get(COMMAND_LINE, ""))
+    for line in faults:
+        print(line, file=sys.stderr)
+    if not faults:
+        print(f"{len(pages)} pages agree with the repository")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,432 @@
+// Sources clipped in every exposure: flagged at any share, and completed from what they light.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include "lighting/lighting.h"
+
+namespace penumbra::lighting {
+namespace {
+
+using glm::dvec3;
+
+constexpr int kWidth = 512, kHeight = 256;
+constexpr double kDegree = kPi / 180;
+const dvec3 kUp(0, 1, 0);
+
+struct Lamp {
+  dvec3 direction;
+  double radius_rad;
+  Rgb radiance;
+  Rgb power() const {
+    return radiance * static_cast<float>(4 * kPi * std::pow(std::sin(radius_rad / 2), 2));
+  }
+};
+
+// A room of radiance about 1, floor darker, with lamps painted by 8 x 8 samples a pixel near them.
+Image<Rgb> room_with(std::span<const Lamp> lamps) {
+  Image<Rgb> map(kWidth, kHeight);
+  constexpr int kFine = 8;
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      const dvec3 d = latlong_direction(x + .5, y + .5, kWidth, kHeight);
+      Rgb& c = map.at(x, y) = Rgb{1, .9f, .8f} * static_cast<float>(1 + .4 * d.y);
+      for (const Lamp& lamp : lamps) {
+        if (glm::dot(d, lamp.direction) < std::cos(lamp.radius_rad + .02)) continue;
+        int hits = 0;
+        for (int k = 0; k < kFine * kFine; ++k)
+          hits += glm::dot(latlong_direction(x + (k % kFine + .5) / kFine,
+                                             y + (k / kFine + .5) / kFine, kWidth, kHeight),
+                           lamp.direction) > std::cos(lamp.radius_rad);
+        const float fraction = static_cast<float>(hits) / (kFine * kFine);
+        c = c * (1 - fraction) + lamp.radiance * fraction;
+      }
+    }
+  return map;
+}
+
+// Every channel ends at `level`.
+Environment clip(const Image<Rgb>& map, float level) {
+  Environment e;
+  e.radiance = map;
+  for (std::uint32_t i = 0; i < map.area(); ++i) {
+    bool clipped = false;
+    for (int c = 0; c < 3; ++c) {
+      float& v = e.radiance.pixels()[i][c];
+      clipped |= v > level;
+      v = std::min(v, level);
+    }
+    if (clipped) e.clipped.push_back(i);
+  }
+  return e;
+}
+
+Rgb exact_irradiance(const Image<Rgb>& map, const dvec3& normal) {
+  double sum[3] = {};
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x) {
+      const double w =
+          latlong_solid_angle(y, map.width(), map.height()) *
+          std::max(0.,
+                   glm::dot(normal, latlong_direction(x + .5, y + .5, map.width(), map.height())));
+      for (int c = 0; c < 3; ++c) sum[c] += w * double(map.at(x, y)[c]);
+    }
+  return {float(sum[0]), float(sum[1]), float(sum[2])};
+}
+
+// A patch of the mean of a thousand noisy pixels: half a percent.
+ReflectancePatch patch(const Image<Rgb>& map, const dvec3& normal, std::mt19937& rng) {
+  std::normal_distribution<float> noise(1, .005f);
+  const Rgb albedo{.5f, .48f, .45f};
+  Rgb seen = exact_irradiance(map, normal) * albedo * static_cast<float>(1 / kPi);
+  for (int c = 0; c < 3; ++c) seen[c] *= noise(rng);
+  return {normal, seen, albedo};
+}
+
+LightEstimate estimate(const Environment& e) {
+  const auto out = LightEstimator({}).estimate(e);
+  EXPECT_TRUE(out);
+  return *out;
+}
+
+Rgb power(const DistantLight& d) {
+  return d.radiance * static_cast<float>(d.solid_angle_sr());
+}
+
+void expect_power(const Rgb& got, const Rgb& truth, double tolerance) {
+  for (int c = 0; c < 3; ++c) EXPECT_NEAR(got[c] / truth[c], 1, tolerance) << c;
+}
+
+const Lamp kSun{glm::normalize(dvec3(.4, .8, -.3)), .2666 * kDegree, {46000, 43000, 38000}};
+const Lamp kLamp{glm::normalize(dvec3(-.6, .6, .3)), 4 * kDegree, {300, 250, 180}};
+const Lamp kOther{glm::normalize(dvec3(.7, .5, .2)), 3 * kDegree, {200, 260, 330}};
+
+TEST(ClippedLight, NothingClippedIsTheSameToTheBit) {
+  const Lamp lamps[] = {kSun, kLamp, kOther};
+  const auto map = room_with(lamps);
+  LightExtraction plain, listed;
+  ASSERT_TRUE(extract_lights(map, {}, plain));
+  ASSERT_TRUE(extract_lights(map, {}, listed, {}));
+  EXPECT_EQ(plain.residual.whole(), listed.residual.whole());
+  const auto a = estimate(clip(map, 1e9f));
+  const auto b = estimate_map(map, {});
+  ASSERT_TRUE(b);
+  EXPECT_TRUE(std::ranges::equal(a.light.terms(), b->light.terms()));
+  ASSERT_EQ(a.lights.size(), b->lights.size());
+  for (std::size_t i = 0; i < a.lights.size(); ++i) {
+    EXPECT_EQ(a.lights[i].radiance, b->lights[i].radiance);
+    EXPECT_FALSE(a.lights[i].clipped);
+  }
+}
+
+TEST(ClippedLight, EnergyOfRestAndLightsIsTheMaps) {
+  const Lamp lamps[] = {kSun, kLamp};
+  const Environment e = clip(room_with(lamps), 8);
+  LightExtraction split;
+  ASSERT_TRUE(extract_lights(e.radiance, {}, split, e.clipped));
+  for (const dvec3& n : {kUp, glm::normalize(dvec3(1, 1, -1)), dvec3(-1, 0, 0)}) {
+    Rgb sum = exact_irradiance(split.residual.whole(), n);
+    for (const DistantLight& d : split.lights) sum += irradiance(d, n);
+    expect_power(sum, exact_irradiance(e.radiance, n), 2e-3);
+  }
+}
+
+TEST(ClippedLight, IsALightBelowEveryShareAndBelowSixTimesTheMean) {
+  for (const float level : {8.f, 3.f}) {  // of a room of about 1
+    const Environment e = clip(room_with({&kSun, 1}), level);
+    const auto light = estimate(e);
+    ASSERT_EQ(light.lights.size(), 1U) << level;
+    EXPECT_TRUE(light.lights[0].clipped);
+    EXPECT_GT(glm::dot(light.lights[0].direction, kSun.direction), std::cos(.6 * kDegree));
+    EXPECT_LT(luminance(power(light.lights[0])), .02 * luminance(kSun.power()));
+    Environment silent = e;
+    silent.clipped.clear();
+    EXPECT_TRUE(estimate(silent).lights.empty());
+  }
+}
+
+TEST(ClippedLight, LeavesTheGlowToALightOfItsOwn) {
+  const Lamp lamps[] = {{kSun.direction, 5 * kDegree, {20, 20, 20}}, kSun};
+  const auto light = estimate(clip(room_with(lamps), 40));
+  const auto clipped = std::ranges::find_if(light.lights, &DistantLight::clipped);
+  ASSERT_NE(clipped, light.lights.end());
+  EXPECT_EQ(std::ranges::count_if(light.lights, &DistantLight::clipped), 1);
+  EXPECT_LT(clipped->radius.value(), 1 * kDegree);
+  EXPECT_GT(light.lights[0].radius.value(), 4 * kDegree) << "the glow";
+}
+
+TEST(ClippedLight, ComesBeforeStrongerOnesWhenThereAreTooMany) {
+  const Lamp lamps[] = {kLamp, kOther, kSun};
+  const Environment e = clip(room_with(lamps), 1000);  // the lamps are not clipped
+  const auto light = LightEstimator({.lights = {.max_count = 1}}).estimate(e);
+  ASSERT_TRUE(light);
+  ASSERT_EQ(light->lights.size(), 1U);
+  EXPECT_TRUE(light->lights[0].clipped);
+}
+
+TEST(ClippedLight, PixelsOutsideTheMapAreRefused) {
+  Environment e = clip(room_with({&kSun, 1}), 8);
+  e.clipped = {kWidth * kHeight};
+  EXPECT_EQ(LightEstimator({}).estimate(e).error().code, ErrorCode::kInvalid);
+  e.clipped = {7, 3};
+  EXPECT_EQ(LightEstimator({}).estimate(e).error().code, ErrorCode::kInvalid);
+}
+
+TEST(SaturationRecovery, TwoPatchesGiveTheSun) {
+  std::mt19937 rng(1);
+  const auto map = room_with({&kSun, 1});
+  const auto light = estimate(clip(map, 8));
+  ASSERT_EQ(light.lights.size(), 1U);
+  for (int trial = 0; trial < 10; ++trial) {
+    const ReflectancePatch patches[] = {patch(map, kUp, rng),
+                                        patch(map, glm::normalize(dvec3(0, .5, -.5)), rng)};
+    const auto got = recover_from_patches(light, patches);
+    ASSERT_TRUE(got) << got.error().detail;
+    EXPECT_EQ((*got)[0].source, light.lights[0].id);
+    expect_power((*got)[0].power, kSun.power(), .05);
+    const DistantLight sun = completed(light.lights[0], (*got)[0].power);
+    EXPECT_EQ(sun.radius, kSunRadius);
+    EXPECT_TRUE(sun.shape.empty());
+    expect_power(power(sun), (*got)[0].power, 1e-4);
+  }
+}
+
+TEST(SaturationRecovery, TwoClippedLampsAreToldApart) {
+  std::mt19937 rng(2);
+  const Lamp lamps[] = {kLamp, kOther};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 12));
+  ASSERT_EQ(light.lights.size(), 2U);
+  // The weaker lamp gives a patch as little as a tenth of its light: half a percent of noise there is
+  // 4 % of the lamp. Hence the root mean square over trials, and the sum of both in each.
+  constexpr int kTrials = 50;
+  double square[2][3] = {};
+  for (int trial = 0; trial < kTrials; ++trial) {
+    const ReflectancePatch patches[] = {patch(map, kUp, rng), patch(map, dvec3(-1, 0, 0), rng),
+                                        patch(map, glm::normalize(dvec3(1, 1, 0)), rng)};
+    const auto got = recover_from_patches(light, patches);
+    ASSERT_TRUE(got) << got.error().detail;
+    Rgb sum;
+    for (std::size_t i = 0; i < 2; ++i) {
+      const bool first = glm::dot(light.lights[i].direction, kLamp.direction) > .9;
+      const Lamp& truth = first ? kLamp : kOther;
+      for (int c = 0; c < 3; ++c)
+        square[first][c] += std::pow((*got)[i].power[c] / truth.power()[c] - 1, 2) / kTrials;
+      sum += (*got)[i].power;
+      const DistantLight whole = completed(light.lights[i], (*got)[i].power);
+      EXPECT_EQ(whole.radius, light.lights[i].radius) << "a lamp of that size is no sun";
+      EXPECT_NEAR(whole.radius.value(), truth.radius_rad, .5 * kDegree);
+    }
+    expect_power(sum, kLamp.power() + kOther.power(), .05);
+  }
+  for (const auto& lamp : square)
+    for (const double channel : lamp) EXPECT_LT(std::sqrt(channel), .05);
+}
+
+// Irradiance by an estimate whose lights were completed.
+Rgb irradiance_with(const LightEstimate& light, std::span<const SaturationRecovery> completions,
+                    const dvec3& normal) {
+  Rgb sum = evaluate(irradiance(light.light), normal);
+  for (const DistantLight& d : light.lights) {
+    const auto c = std::ranges::find(completions, d.id, &SaturationRecovery::source);
+    sum += irradiance(c == completions.end() ? d : completed(d, c->power), normal);
+  }
+  return sum;
+}
+
+TEST(SaturationRecovery, OnePatchGivesSeveralSourcesTheirLightTogether) {
+  std::mt19937 rng(4);
+  const Lamp lamps[] = {kLamp, kOther};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 8));
+  ASSERT_EQ(light.lights.size(), 2U);
+  const ReflectancePatch floor = patch(map, kUp, rng);
+  EXPECT_EQ(recover_from_patches(light, {&floor, 1}).error().code, ErrorCode::kUndetermined);
+  const auto got = recover_jointly(light, floor);
+  ASSERT_TRUE(got) << got.error().detail;
+  EXPECT_EQ(got->size(), 2U);
+  const Rgb truth = exact_irradiance(map, kUp);
+  expect_power(irradiance_with(light, *got, kUp), truth, .02);
+  EXPECT_LT(luminance(irradiance_with(light, {}, kUp)), .6f * luminance(truth)) << "lost without";
+}
+
+// A window that saturates by little must not become a second sun.
+TEST(SaturationRecovery, ASunTakesWhatAWindowBesideItCannotHold) {
+  std::mt19937 rng(5);
+  const Lamp window{glm::normalize(dvec3(-.6, .6, .3)), 9 * kDegree, {11, 11, 12}};
+  const Lamp lamps[] = {kSun, window};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 8));
+  ASSERT_EQ(light.lights.size(), 2U);
+  const auto got = recover_jointly(light, patch(map, kUp, rng));
+  ASSERT_TRUE(got) << got.error().detail;
+  ASSERT_EQ(got->size(), 1U);
+  expect_power((*got)[0].power, kSun.power(), .1);
+  expect_power(irradiance_with(light, *got, kUp), exact_irradiance(map, kUp), .02);
+}
+
+TEST(SaturationRecovery, OnePatchSaysWhyItCannot) {
+  std::mt19937 rng(6);
+  const auto map = room_with({&kSun, 1});
+  const auto light = estimate(clip(map, 8));
+  EXPECT_EQ(recover_jointly(estimate(clip(map, 1e9f)), patch(map, kUp, rng)).error().code,
+            ErrorCode::kInvalid);
+  EXPECT_EQ(recover_jointly(light, patch(map, -kUp, rng)).error().code, ErrorCode::kUndetermined);
+  ReflectancePatch black = patch(map, kUp, rng);
+  black.radiance = {};
+  EXPECT_EQ(recover_jointly(light, black).error().code, ErrorCode::kUndetermined);
+  black.albedo.g = 0;
+  EXPECT_EQ(recover_jointly(light, black).error().code, ErrorCode::kInvalid);
+}
+
+TEST(SaturationRecovery, NoChannelGetsNegativeLight) {
+  // A red and a blue lamp nearly in line: noise would give each a negative fraction of the other's colour.
+  std::mt19937 rng(3);
+  const Lamp lamps[] = {{glm::normalize(dvec3(.3, 1, 0)), 4 * kDegree, {300, 2, 2}},
+                        {glm::normalize(dvec3(-.1, 1, .2)), 4 * kDegree, {2, 2, 300}}};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 12));
+  ASSERT_EQ(light.lights.size(), 2U);
+  for (int trial = 0; trial < 20; ++trial) {
+    const ReflectancePatch patches[] = {patch(map, glm::normalize(dvec3(1, .3, 0)), rng),
+                                        patch(map, glm::normalize(dvec3(-1, .4, 1)), rng),
+                                        patch(map, kUp, rng)};
+    const auto got = recover_from_patches(light, patches);
+    ASSERT_TRUE(got) << got.error().detail;
+    Rgb sum;
+    for (const SaturationRecovery& one : *got) {
+      for (int c = 0; c < 3; ++c) EXPECT_GE(one.power[c], 0);
+      sum += one.power;
+    }
+    EXPECT_NEAR(sum.r / (lamps[0].power() + lamps[1].power()).r, 1, .05);
+    EXPECT_NEAR(sum.b / (lamps[0].power() + lamps[1].power()).b, 1, .05);
+  }
+}
+
+TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
+  std::mt19937 rng(4);
+  std::normal_distribution<float> noise(1, .005f);
+  const auto map = room_with({&kSun, 1}), dark = room_with({});
+  const auto light = estimate(clip(map, 8));
+  ASSERT_EQ(light.lights.size(), 1U);
+  for (const dvec3& n : {kUp, glm::normalize(dvec3(.3, 1, .2))}) {
+    const Rgb albedo = Rgb{.3f, .2f, .6f} * 17.f;  // unknown, and in other units
+    ShadowEdge edge{n, exact_irradiance(map, n) * albedo, exact_irradiance(dark, n) * albedo};
+    for (int c = 0; c < 3; ++c) edge.lit[c] *= noise(rng), edge.shadowed[c] *= noise(rng);
+    const auto got = complete_from_shadow(light, light.lights[0].id, edge);
+    ASSERT_TRUE(got) << got.error().detail;
+    expect_power(got->power, kSun.power(), .05);
+  }
+}
+
+TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
+  std::mt19937 rng(5);
+  const Lamp lamps[] = {kLamp, kOther};
+  const auto map = room_with(lamps), dark = room_with({});
+  const auto light = estimate(clip(map, 12));
+  ASSERT_EQ(light.lights.size(), 2U);
+  const ReflectancePatch up = patch(map, kUp, rng), side = patch(map, dvec3(-1, 0, 0), rng),
+                         down = patch(map, dvec3(0, -1, 0), rng), unlit = patch(dark, kUp, rng),
+                         unlit_side = patch(dark, dvec3(-1, 0, 0), rng);
+  const auto error = [](const LightEstimate& e, std::vector<ReflectancePatch> patches) {
+    const auto got = recover_from_patches(e, patches);
+    if (got) return std::string("none");
+    EXPECT_EQ(got.error().detail.find('\n'), std::string::npos);
+    return std::string(got.error().code == ErrorCode::kUndetermined ? "" : "invalid ") +
+           got.error().detail;
+  };
+  const auto has = [](const std::string& text, const char* part) {
+    EXPECT_NE(text.find(part), std::string::npos) << text;
+  };
+  has(error(light, {}), "0 for 2 clipped sources");
+  has(error(light, {up}), "1 for 2 clipped sources");
+  has(error(light, {up, up, up}), "too alike");
+  has(error(light, {down, down}), "none sees");
+  auto lower = unlit, lower_side = unlit_side;
+  lower.radiance = lower.radiance * .8f, lower_side.radiance = lower_side.radiance * .8f;
+  has(error(light, {lower, lower_side}), "get nothing");
+  auto bad = up;
+  bad.albedo.g = 0;
+  has(error(light, {up, bad}), "invalid its albedo");
+  bad = up, bad.normal = {0, 2, 0};
+  has(error(light, {up, bad}), "invalid its normal");
+  has(error(estimate(clip(map, 1e9f)), {up, side}), "invalid has no clipped source");
+
+  const int id = light.lights[0].id;
+  const auto edge_error = [&](int source, const ShadowEdge& edge) {
+    const auto got = complete_from_shadow(light, source, edge);
+    return got ? std::string("none") : got.error().detail;
+  };
+  has(edge_error(99, {kUp, {2, 2, 2}, {1, 1, 1}}), "not a clipped source");
+  has(edge_error(id, {kUp, {1, 1, 1}, {2, 2, 2}}), "not brighter");
+  has(edge_error(id, {kUp, {1, 1, 1}, {0, 0, 0}}), "black");
+  has(edge_error(id, {-kUp, {2, 2, 2}, {1, 1, 1}}), "does not see");
+}
+
+// ------------------------------------------------------------------------------------ memory
+
+Environment at(Environment e, int map) {
+  e.time = {map * 33'000'000LL};
+  return e;
+}
+
+TEST(RecoveryMemory, KeepsTheEnergyWhileTheSourceStaysClipped) {
+  std::mt19937 rng(6);
+  const auto map = room_with({&kSun, 1});
+  LightEstimator estimator({});
+  const auto first = estimator.estimate(at(clip(map, 8), 0));
+  ASSERT_TRUE(first);
+  const ReflectancePatch patches[] = {patch(map, kUp, rng), patch(map, dvec3(0, .6, -.8), rng)};
+  const auto got = recover_from_patches(*first, patches);
+  ASSERT_TRUE(got);
+  ASSERT_TRUE(estimator.complete((*got)[0]));
+  // Shorter exposures later raise the lower bound, not the sun.
+  for (int k = 1; k < 10; ++k) {
+    const auto later = estimator.estimate(at(clip(map, k < 5 ? 8.f : 16.f), k));
+    ASSERT_TRUE(later);
+    ASSERT_EQ(later->lights.size(), 1U);
+    EXPECT_TRUE(later->lights[0].clipped);
+    EXPECT_EQ(later->lights[0].id, got->front().source);
+    EXPECT_EQ(later->lights[0].radius, kSunRadius);
+    expect_power(power(later->lights[0]), kSun.power(), .05);
+    // Completed again from the same patches, the answer is the same.
+    const auto again = recover_from_patches(*later, patches);
+    ASSERT_TRUE(again);
+    expect_power((*again)[0].power, (*got)[0].power, .01);
+  }
+}
+
+TEST(RecoveryMemory, RefusesLessThanWasMeasuredAndUnknownLights) {
+  LightEstimator estimator({});
+  const auto light = estimator.estimate(clip(room_with({&kSun, 1}), 8));
+  ASSERT_TRUE(light);
+  const DistantLight& sun = light->lights[0];
+  EXPECT_EQ(estimator.complete({sun.id + 1, {1, 1, 1}}).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(estimator.complete({sun.id, power(sun) * .5f}).error().code, ErrorCode::kUndetermined);
+  EXPECT_EQ(estimator.complete({sun.id, {NAN, 1, 1}}).error().code, ErrorCode::kNonFinite);
+  EXPECT_TRUE(estimator.complete({sun.id, power(sun)}));
+}
+
+TEST(RecoveryMemory, ForgetsASourceThatIsMeasuredAgain) {
+  const Lamp dim{kLamp.direction, kLamp.radius_rad, {14, 14, 14}},
+      bright{kLamp.direction, kLamp.radius_rad, {90, 90, 90}};
+  const Environment clipped = clip(room_with({&bright, 1}), 16);
+  LightEstimator estimator({});
+  const auto first = estimator.estimate(at(clipped, 0));
+  ASSERT_TRUE(first && first->lights.size() == 1);
+  ASSERT_TRUE(estimator.complete({first->lights[0].id, bright.power()}));
+  const auto second = estimator.estimate(at(clipped, 1));
+  expect_power(power(second->lights[0]), bright.power(), .1);
+  const auto third = estimator.estimate(at(clip(room_with({&dim, 1}), 16), 2));
+  ASSERT_EQ(third->lights.size(), 1U);
+  EXPECT_FALSE(third->lights[0].clipped);
+  EXPECT_LT(luminance(power(third->lights[0])), luminance(dim.power()));
+  const auto fourth = estimator.estimate(at(clipped, 3));
+  EXPECT_LT(luminance(power(fourth->lights[0])), .3 * luminance(bright.power()))
+      << "a lower bound again";
+}
+
+}  // namespace
+}  // namespace penumbra::lighting

@@ -1,0 +1,133 @@
+#include "runtime/shading/floor_recovery.h"
+#include "calib/calib.h"
+#include "capture/capture.h"
+#include "lighting/lighting.h"
+#include "runtime/pipeline/light_estimation_stage.h"
+
+#include <gtest/gtest.h>
+
+#include "runtime/shading/composite_stage.h"
+
+namespace penumbra::runtime {
+namespace {
+
+// A clear sky whose sun is saturated in every exposure of the environment camera.
+struct ClippedSun {
+  std::shared_ptr<capture::FloorWorld> world =
+      *capture::FloorWorld::make(capture::make_sky_environment(1024, 512, .8));
+  PreparedScene scene;
+  capture::StudioOptions options;
+  StageTimes times;
+  Rgb truth;  // irradiance of a surface that faces the sun
+
+  ClippedSun() {
+    scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, world->mean_floor_albedo(), {}});
+    PreparedObject object;
+    object.name = "place";
+    scene.objects.push_back(std::move(object));
+    options.view_width = 320, options.view_height = 180;
+    options.view_focal_px = 236;
+    options.world_from_view = capture::look_at({.25, .8, 1.75}, {.02, .3, 0});
+    options.view_frames = 30;
+    options.sensor.response = calib::Response::srgb();
+    options.schedule = {{Seconds(4e-3), Gain(1)}, {Seconds(1e-3), Gain(1)}};
+    lighting::LightExtraction split;
+    EXPECT_TRUE(lighting::extract_lights(world->environment(), {}, split));
+    truth = split.lights.at(0).irradiance();
+  }
+};
+
+struct Watched {
+  lighting::LightEstimate first, last;
+  std::optional<Error> error;
+};
+
+// Runs light and completion together as the runner does; `change` may spoil view frames.
+Watched watch(ClippedSun& c, FloorRecovery& recovery,
+              const std::function<void(Image<Rgb8>&)>& change = {}) {
+  capture::Studio studio(c.world, c.options);
+  auto light = *LightEstimationStage::create(studio.cameras(), {}, c.times);
+  const ResponseTable curve = capture::make_response_table(c.options.sensor.response, 8, 0);
+  Watched out;
+  while (auto frame = *studio.next()) {
+    if (light.takes(frame->camera)) {
+      out.last = *light.process(*frame);
+      if (!out.first.valid) out.first = out.last;
+      continue;
+    }
+    if (change) {
+      auto pixels = std::get<Image<Rgb8>>(*frame->pixels);
+      change(pixels);
+      frame->pixels = std::make_shared<const FramePixels>(std::move(pixels));
+    }
+    const auto& camera = studio.cameras()[static_cast<std::size_t>(frame->camera)];
+    auto found = recovery.observe(*frame, camera, &curve, out.last);
+    if (found)
+      light.complete(*found);
+    else
+      out.error = found.error();
+  }
+  return out;
+}
+
+float sun_fraction(const lighting::LightEstimate& light, const Rgb& truth) {
+  return light.lights.empty() ? 0 : luminance(light.lights[0].irradiance()) / luminance(truth);
+}
+
+TEST(FloorRecovery, ClippedSunGetsItsEnergyBack) {
+  ClippedSun c;
+  auto recovery = *FloorRecovery::create(c.scene);
+  const Watched w = watch(c, recovery);
+  EXPECT_FALSE(w.error) << w.error->detail;
+  EXPECT_LT(sun_fraction(w.first, c.truth), .5f) << "the naive form: as measured";
+  EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .05f);
+  for (int ch = 0; ch < 3; ++ch)
+    EXPECT_NEAR(w.last.lights[0].irradiance()[ch] / c.truth[ch], 1, .08f) << ch;
+  EXPECT_NEAR(w.last.lights[0].radius.value(), lighting::kSunRadius.value(), 1e-6);
+}
+
+TEST(FloorRecovery, RealShadowOverAThirdOfTheFloorDoesNotCount) {
+  ClippedSun c;
+  auto recovery = *FloorRecovery::create(c.scene);
+  const Watched w = watch(c, recovery, [](Image<Rgb8>& picture) {
+    for (int y = 0; y < picture.height(); ++y)
+      for (int x = 0; x < picture.width() / 3; ++x)
+        picture.at(x, y) = {static_cast<std::uint8_t>(picture.at(x, y).r / 3),
+                            static_cast<std::uint8_t>(picture.at(x, y).g / 3),
+                            static_cast<std::uint8_t>(picture.at(x, y).b / 3)};
+  });
+  EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
+}
+
+TEST(FloorRecovery, OverexposedFloorSaysSoAndLeavesTheLight) {
+  ClippedSun c;
+  auto recovery = *FloorRecovery::create(c.scene);
+  const Watched w = watch(c, recovery, [](Image<Rgb8>& picture) {
+    std::ranges::fill(picture.pixels(), Rgb8{255, 255, 255});
+  });
+  ASSERT_TRUE(w.error);
+  EXPECT_EQ(w.error->code, ErrorCode::kUndetermined);
+  EXPECT_NEAR(sun_fraction(w.last, c.truth), sun_fraction(w.first, c.truth), .02f);
+}
+
+TEST(FloorRecovery, BlackFloorIsNoMeasurement) {
+  ClippedSun c;
+  auto recovery = *FloorRecovery::create(c.scene);
+  const Watched w =
+      watch(c, recovery, [](Image<Rgb8>& picture) { std::ranges::fill(picture.pixels(), Rgb8{}); });
+  ASSERT_TRUE(w.error);
+  EXPECT_EQ(w.error->code, ErrorCode::kUndetermined);
+  EXPECT_NEAR(sun_fraction(w.last, c.truth), sun_fraction(w.first, c.truth), .02f);
+}
+
+TEST(FloorRecovery, IdleWithoutAKnownAlbedo) {
+  ClippedSun c;
+  c.scene.planes[0].albedo = {};
+  auto recovery = *FloorRecovery::create(c.scene);
+  const Watched w = watch(c, recovery);
+  EXPECT_FALSE(w.error);
+  EXPECT_NEAR(sun_fraction(w.last, c.truth), sun_fraction(w.first, c.truth), .02f);
+}
+
+}  // namespace
+}  // namespace penumbra::runtime

@@ -1,0 +1,112 @@
+// The light stage on frames that are not what the studio makes.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+
+#include "calib/calib.h"
+#include "capture/capture.h"
+#include "core/conventions.h"
+#include "lighting/lighting.h"
+#include "runtime/pipeline/light_estimation_stage.h"
+#include "runtime/shading/composite_stage.h"
+
+namespace penumbra::runtime {
+namespace {
+
+capture::CameraInfo camera_of(calib::ProjectionKind kind, int width, int height) {
+  capture::CameraInfo camera;
+  camera.name = "environment";
+  camera.projection = *calib::make_projection(kind, width, height);
+  return camera;
+}
+
+capture::Frame frame_of(Image<Rgb> pixels, std::uint64_t sequence = 0, double exposure_s = 1) {
+  capture::Frame frame;
+  frame.sequence = sequence;
+  frame.time = TimestampNs{static_cast<std::int64_t>(sequence) * 33'000'000};
+  frame.exposure = {Seconds(exposure_s), Gain(1)};
+  frame.pixels = std::make_shared<const FramePixels>(std::move(pixels));
+  return frame;
+}
+
+struct Stage {
+  StageTimes times;
+  Result<LightEstimationStage> light;
+  explicit Stage(const capture::CameraInfo& camera)
+      : light(LightEstimationStage::create({camera}, {.bands = 3}, times)) {}
+};
+
+TEST(LightEstimationStage, FloatFramesKeepTheirBrightPixels) {
+  Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
+  Image<Rgb> map(64, 32, {1, 1, 1});
+  map.at(40, 12) = {20000, 20000, 20000};
+  const double expected = 1 + 19999 * latlong_solid_angle(12, 64, 32) / (4 * kPi);
+  const auto estimate = s.light->process(frame_of(std::move(map)));
+  ASSERT_TRUE(estimate) << estimate.error().detail;
+  EXPECT_NEAR(estimate->mean_radiance.g, expected, .002 * expected);
+}
+
+TEST(LightEstimationStage, NonFinitePixelsAreLeftOutAndDoNotEndTheRun) {
+  Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
+  Image<Rgb> map(64, 32, {1, 1, 1});
+  map.at(3, 16) = {NAN, 1, INFINITY};
+  const auto estimate = s.light->process(frame_of(std::move(map)));
+  ASSERT_TRUE(estimate) << estimate.error().detail;
+  EXPECT_GT(estimate->clipped_fraction, 0) << "the pixel is not measured, and that is said";
+  for (const Rgb& c : estimate->light.terms()) EXPECT_TRUE(is_finite(c));
+  EXPECT_NEAR(estimate->mean_radiance.g, 1, .01);
+}
+
+TEST(LightEstimationStage, TurnedCameraSeesTheSameLight) {
+  // A bright half to the right of the picture; the second frame's camera has turned by half a turn.
+  Image<Rgb> map(64, 32, {1, 1, 1});
+  for (int y = 0; y < 32; ++y)
+    for (int x = 32; x < 64; ++x) map.at(x, y) = {5, 5, 5};
+  Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
+  const auto straight = s.light->process(frame_of(map, 0));
+  ASSERT_TRUE(straight);
+  capture::Frame turned = frame_of(map, 1);
+  turned.world_from_camera.rotation = glm::angleAxis(kPi, glm::dvec3(0, 1, 0));
+  const auto estimate = s.light->process(turned);
+  ASSERT_TRUE(estimate);
+  EXPECT_GT(straight->light[3].g, 1);
+  EXPECT_NEAR(estimate->light[3].g, -straight->light[3].g, .02 * straight->light[3].g);
+}
+
+TEST(LightEstimationStage, ExposureThatTheScheduleLeftBehindIsForgotten) {
+  Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
+  ASSERT_TRUE(s.light->process(frame_of(Image<Rgb>(64, 32, {1, 1, 1}), 0, 1)));  // the lamp is on
+  Result<lighting::LightEstimate> last = fail(ErrorCode::kClosed, "", "");
+  for (std::uint64_t i = 1; i < 20; ++i)
+    last = s.light->process(frame_of(Image<Rgb>(64, 32, {.01f, .01f, .01f}), i, .1));
+  ASSERT_TRUE(last);
+  EXPECT_NEAR(last->mean_radiance.g, .1, .002);
+}
+
+TEST(LightEstimationStage, FisheyeOfHalfTheSphereKeepsAConstantSkyConstant) {
+  Stage s(camera_of(calib::ProjectionKind::kEquidistant, 128, 128));
+  for (std::uint64_t i = 0; i < 2; ++i) {  // the second frame uses the cached fit
+    const auto estimate = s.light->process(frame_of(Image<Rgb>(128, 128, {2, 2, 2}), i));
+    ASSERT_TRUE(estimate) << estimate.error().detail;
+    EXPECT_LT(estimate->coverage, .8);
+    EXPECT_NEAR(estimate->light[0].g, 2 * std::sqrt(4 * kPi), .01 * std::sqrt(4 * kPi));
+  }
+}
+
+TEST(LightEstimationStage, CameraOfOnePixelIsRefused) {
+  for (const auto& [w, h] : {std::pair{1, 1}, {2, 1}, {1, 2}}) {
+    const Stage s(camera_of(calib::ProjectionKind::kLatLong, w, h));
+    ASSERT_FALSE(s.light);
+    EXPECT_EQ(s.light.error().where, "environment");
+  }
+}
+
+TEST(LightEstimationStage, CaptureWithoutEnvironmentCameraIsRefused) {
+  capture::CameraInfo view = camera_of(calib::ProjectionKind::kPinhole, 8, 8);
+  view.role = capture::Role::kView;
+  EXPECT_FALSE(Stage(view).light);
+}
+
+}  // namespace
+}  // namespace penumbra::runtime

@@ -1,0 +1,286 @@
+// A light's light looked up in what vertices are known to see, against rays.
+#include "shadows/visibility/internal/visibility_light.h"
+#include "lighting/lighting.h"
+#include "prt/prt.h"
+#include "shadows/shadows.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
+#include <optional>
+
+#include "core/conventions.h"
+#include "shadows/silhouette/light_rays.h"
+#include "tests/shadows/caster_world.h"
+
+namespace penumbra::shadows {
+namespace {
+
+using glm::dvec3;
+
+prt::BakedObject baked(prt::Mesh mesh) {
+  prt::BakeOptions options;
+  options.rays = options.ground_rays = 64;
+  options.bounces = 0;
+  options.bands = 1;
+  options.visibility = true;
+  auto out = prt::bake(std::move(mesh), options);
+  EXPECT_TRUE(out);
+  return out ? std::move(*out) : prt::BakedObject{};
+}
+
+lighting::DistantLight source(double elevation_deg, double radius) {
+  lighting::DistantLight d;
+  const double e = elevation_deg * kPi / 180;
+  d.direction = {std::cos(e) * std::cos(.4), std::sin(e), std::cos(e) * std::sin(.4)};
+  d.radius = Radians(radius);
+  d.radiance = {1, 1, 1};
+  return d;
+}
+
+// A long lamp, a degree wide.
+lighting::DistantLight strip(double elevation_deg) {
+  lighting::DistantLight d = source(elevation_deg, .06);
+  const dvec3 along = glm::normalize(glm::cross(d.direction, dvec3(0, 1, 0)));
+  for (int i = 0; i < lighting::DistantLight::kShapePoints; ++i)
+    d.shape.push_back(glm::normalize(d.direction + (i - 31.5) / 160 * along +
+                                     (i % 2 - .5) * .017 * glm::cross(d.direction, along)));
+  return d;
+}
+
+// An object in some pose, alone or with another thing.
+struct World {
+  prt::BakedObject object;
+  prt::VisibilityLookup lookup{object.visibility, object.mesh};
+  SilhouetteMesh silhouette{object.mesh}, nobody;
+  prt::Mesh points = object.mesh;  // each vertex for itself
+  prt::Mesh ball = prt::make_sphere({0, 0, 0}, .2f, 3, {});
+  SilhouetteMesh round{ball};
+  Pose pose{glm::angleAxis(.7, glm::normalize(dvec3(1, .4, -.3))), {.3, .8, -.2}};
+  std::optional<prt::Plane> plane;
+  std::optional<Pose> ball_at;
+  static constexpr float kNear = 3e-5f;
+
+  explicit World(prt::Mesh mesh = prt::make_knot(.5f, 160, 32, {.5f, .5f, .5f}))
+      : object(baked(std::move(mesh))) {
+    points.triangles.clear();
+  }
+  std::vector<Caster> casters(bool with_visibility) const {
+    std::vector<Caster> out{{&object.mesh, &silhouette, pose, with_visibility ? &lookup : nullptr}};
+    if (ball_at) out.push_back({&ball, &round, *ball_at});
+    return out;
+  }
+  LookupUse use(const lighting::DistantLight& d, int directions_used = 4) const {
+    const auto all = casters(true);
+    return lookup_use({all, {}, kNear}, all[0], d, directions_used);
+  }
+  std::vector<float> light(const lighting::DistantLight& d, bool with_visibility) const {
+    const auto all = casters(with_visibility);
+    return traced(d, all, all[0], 4);
+  }
+  std::vector<float> truth(const lighting::DistantLight& d) const {
+    return traced(d, casters(false), {&points, &nobody, pose}, kMaxSamples);
+  }
+
+ private:
+  std::vector<float> traced(const lighting::DistantLight& d, std::span<const Caster> all,
+                            const Caster& lit, int directions_used) const {
+    prt::RayWorld rays = *prt::RayWorld::create();
+    for (const Caster& c : all) {
+      const auto index = rays.add(*c.mesh);
+      EXPECT_TRUE(index);
+      rays.set_pose(*index, c.world_from_mesh);
+    }
+    std::vector<float> out(object.mesh.positions.size());
+    trace_direct_light({&rays, nullptr, kNear}, {all, {}, kNear}, lit, plane ? &*plane : nullptr, d,
+                       directions_used, out);
+    return out;
+  }
+};
+const World& knot_world() {
+  static const World world;
+  return world;
+}
+
+// RMS, of the mean.
+double error(const std::vector<float>& is, const std::vector<float>& should_be) {
+  double square = 0, mean = 0;
+  for (std::size_t i = 0; i < is.size(); ++i) {
+    square += std::pow(double(is[i]) - should_be[i], 2);
+    mean += should_be[i];
+  }
+  const auto count = static_cast<double>(is.size());
+  return std::sqrt(square / count) / (mean / count);
+}
+
+TEST(VisibilityLight, WideLightsAreLookedUpAsWellAsRaysFind) {
+  const World& world = knot_world();
+  for (const lighting::DistantLight& d :
+       {source(50, .17), source(20, .3), source(80, .9), strip(35)}) {
+    SCOPED_TRACE(testing::Message() << d.radius.value() << ' ' << d.shape.size());
+    ASSERT_EQ(world.use(d), LookupUse::kCoarse);
+    const auto truth = world.truth(d);
+    const double looked_up = error(world.light(d, true), truth),
+                 traced = error(world.light(d, false), truth);
+    EXPECT_LT(looked_up, 1.2 * traced) << "by four rays";
+    EXPECT_LT(looked_up, .15);
+  }
+}
+
+// Under lights that are wide beside edges half of the vertices look for all.
+TEST(VisibilityLight, FewVerticesLookForAllUnderVeryWideLights) {
+  const World& world = knot_world();
+  const Caster object = world.casters(true)[0];
+  for (const lighting::DistantLight& d : {source(20, .3), source(60, .35), source(80, .9)}) {
+    SCOPED_TRACE(d.radius.value());
+    ASSERT_TRUE(penumbra_far_exceeds_edges(d, world.silhouette));
+    ASSERT_LT(object.visibility->samples().vertices().size(),
+              object.mesh->positions.size() * 6 / 10);
+    const auto truth = world.truth(d);
+    EXPECT_LT(error(world.light(d, true), truth), 1.2 * error(world.light(d, false), truth))
+        << "by four rays, shared by all";
+    std::vector<prt::CosineSums> own(truth.size()), shared(truth.size());
+    look_up(object, nullptr, d, prt::VisibilityMap::kCells, false, own);
+    look_up_sampled(object, nullptr, d, prt::VisibilityMap::kCells, shared);
+    std::vector<float> alone(truth.size());
+    std::ranges::transform(own, alone.begin(),
+                           [](const auto& s) { return s.seen / prt::VisibilitySamples::kMax; });
+    EXPECT_LT(error(world.light(d, true), truth), 1.1 * error(alone, truth))
+        << "by twice as many look-ups";
+    // Of vertices that face the light how many have no light since nobody around them faces it.
+    std::size_t lost = 0, facing = 0;
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      facing += own[i].open > 0;
+      lost += own[i].open > 0 && shared[i].open <= 0;
+    }
+    EXPECT_GT(facing, truth.size() / 4);
+    EXPECT_LT(lost, facing / 100);
+  }
+  EXPECT_FALSE(penumbra_far_exceeds_edges(strip(35), world.silhouette))
+      << "19 % off, 13 where all look";
+}
+
+// So are lamps of a few degrees, in finer cells. (At sharp edges of shadows rays are better, in broad ones look-ups.)
+TEST(VisibilityLight, LampsAreLookedUpInFinerCells) {
+  const World& world = knot_world();
+  for (const lighting::DistantLight& d : {source(50, .06), source(25, .078), source(40, .04)}) {
+    SCOPED_TRACE(d.radius.value());
+    ASSERT_EQ(world.use(d), LookupUse::kFine);
+    const auto truth = world.truth(d);
+    EXPECT_LT(error(world.light(d, true), truth), 1.2 * error(world.light(d, false), truth))
+        << "by four rays";
+    EXPECT_LT(error(world.light(d, true), truth), .1) << "averaged it is up to 20 % off";
+    const auto wrong = [&](int cells) {
+      std::vector<prt::CosineSums> sums(truth.size());
+      look_up(world.casters(true)[0], nullptr, d, cells, false, sums);
+      std::vector<float> seen(truth.size());
+      std::ranges::transform(sums, seen.begin(),
+                             [&](const auto& s) { return s.seen / prt::VisibilitySamples::kMax; });
+      return error(seen, truth);
+    };
+    EXPECT_GT(wrong(prt::VisibilityMap::kCells), 1.25 * wrong(prt::VisibilityMap::kFineCells))
+        << "the naive form has wide cells alone";
+  }
+}
+
+// Cells are too large to tell how much of such a light is seen, but not where all of it is, or nothing.
+TEST(VisibilityLight, SmallerLightsAskRaysWhereTheVisibilityIsMixed) {
+  const World& world = knot_world();
+  for (const lighting::DistantLight& d : {source(50, .03), source(25, .033), source(40, .027)}) {
+    SCOPED_TRACE(d.radius.value());
+    ASSERT_EQ(world.use(d), LookupUse::kScout);
+    const auto truth = world.truth(d), asked = world.light(d, true);
+    EXPECT_LT(error(asked, truth), 1.15 * error(world.light(d, false), truth));
+    std::vector<VisibilityVerdict> verdict;
+    scout(world.casters(true)[0], d, verdict);
+    std::size_t wrong = 0, mixed = 0, sure = 0;
+    for (std::size_t i = 0; i < verdict.size(); ++i) {
+      mixed += verdict[i] == VisibilityVerdict::kMixed;
+      if (verdict[i] != VisibilityVerdict::kLit && verdict[i] != VisibilityVerdict::kDark) continue;
+      ++sure;
+      wrong += std::abs(asked[i] - truth[i]) > .2f;
+    }
+    EXPECT_GT(mixed, 0u);
+    EXPECT_GT(sure, mixed) << "else nothing is won";
+    EXPECT_LT(wrong, sure / 500);
+  }
+}
+
+// What is thinner than cells and vertices are apart hides between the rays of one vertex, but not of all around it.
+TEST(VisibilityLight, FindsTheShadowOfItsOwnWire) {
+  prt::Mesh mesh = test::sheet(60, .25f);
+  mesh.albedo.assign(mesh.positions.size(), {.5f, .5f, .5f});
+  prt::append(mesh, prt::make_box({-.2f, .2f, -.003f}, {.2f, .206f, .003f}, 8, {.5f, .5f, .5f}));
+  const World world(std::move(mesh));
+  for (const lighting::DistantLight& d :
+       {source(80, .028), source(90, .05), source(60, .06), source(75, .09), source(70, .2)}) {
+    SCOPED_TRACE(d.radius.value());
+    ASSERT_NE(world.use(d), LookupUse::kNone);
+    const auto truth = world.truth(d), asked = world.light(d, true);
+    EXPECT_LT(error(asked, truth), .05);
+    if (d.radius.value() > .05) {
+      EXPECT_LT(error(asked, truth), 1.3 * error(world.light(d, false), truth));
+    }
+    // The wire takes as much light as it does.
+    const auto taken_of = [](std::vector<float> light) {
+      light.resize(61 * 61);  // the sheet
+      const float open = *std::ranges::max_element(light);
+      double sum = 0;
+      for (const float l : light) sum += open - l;
+      return sum;
+    };
+    const double taken = taken_of(truth), found = taken_of(asked);
+    EXPECT_GT(taken, 1);
+    EXPECT_NEAR(found / taken, 1, .1);
+  }
+}
+
+TEST(VisibilityLight, RaysStayForWhatItCannotTell) {
+  World world;
+  EXPECT_EQ(world.use(source(50, .005)), LookupUse::kNone) << "outlines tell of a sun";
+  EXPECT_EQ(world.use(source(50, .3), 1), LookupUse::kNone) << "hard shadows";
+  EXPECT_EQ(world.use(source(50, .3), 16), LookupUse::kNone) << "who asks for many rays gets them";
+  EXPECT_EQ(world.use(source(50, .3), 8), LookupUse::kCoarse);
+  EXPECT_EQ(world.use(source(50, .04), 4), LookupUse::kFine);
+  EXPECT_EQ(world.use(source(50, .04), 8), LookupUse::kScout)
+      << "as good as four rays, not as eight";
+  // Another thing in the light is not in the visibility.
+  const lighting::DistantLight d = source(50, .17);
+  world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation + 1.5 * d.direction};
+  ASSERT_EQ(world.use(d), LookupUse::kNone);
+  const auto shaded = world.light(d, true);
+  EXPECT_EQ(shaded, world.light(d, false));
+  world.ball_at = Pose{{1, 0, 0, 0}, world.pose.translation - 3. * d.direction};
+  EXPECT_EQ(world.use(d), LookupUse::kCoarse) << "behind the object";
+  EXPECT_GT(error(shaded, world.light(d, true)), .1) << "the naive form leaves its shadow out";
+}
+
+// Or two objects in one place would not look like one.
+TEST(VisibilityLight, AThingLikeTheObjectInItsPlaceIsTheObject) {
+  const World& world = knot_world();
+  const prt::Mesh copy = world.object.mesh;
+  const SilhouetteMesh silhouette(copy);
+  std::vector<Caster> all = world.casters(true);
+  all.push_back({&copy, &silhouette, world.pose});
+  EXPECT_EQ(lookup_use({all, {}, World::kNear}, all[0], source(50, .3), 4), LookupUse::kCoarse);
+  all[1].world_from_mesh.translation.x += 1e-3;
+  EXPECT_EQ(lookup_use({all, {}, World::kNear}, all[0], source(50, .3), 4), LookupUse::kNone);
+}
+
+TEST(VisibilityLight, LightFromBehindThePlaneDoesNotCount) {
+  World world;
+  for (const auto& [radius, use] :
+       {std::pair(.3, LookupUse::kCoarse), {.08, LookupUse::kFine}, {.03, LookupUse::kScout}}) {
+    const lighting::DistantLight d = source(0, radius);
+    world.plane = prt::Plane{{0, 0, 0}, {0, 1, 0}, {}, {}};
+    ASSERT_EQ(world.use(d), use);
+    const auto above = world.light(d, true), truth = world.truth(d);
+    EXPECT_LT(error(above, truth), 1.2 * error(world.light(d, false), truth)) << radius;
+    world.plane.reset();
+    EXPECT_GT(error(world.light(d, true), truth), .3) << "half of the disc is behind it";
+  }
+}
+
+}  // namespace
+}  // namespace penumbra::shadows
