@@ -1,12 +1,24 @@
 # Flags that every target of ours gets; third-party headers are included as SYSTEM by their targets.
 add_library(penumbra_options INTERFACE)
-target_compile_options(penumbra_options INTERFACE -Wall -Wextra -Wpedantic $<$<NOT:$<BOOL:${PENUMBRA_FUZZ}>>:-Werror> -Wshadow
-                       -Wnon-virtual-dtor -Wno-psabi
-                       # False alarms of GCC 12 at -O2 and above: std::optional, std::expected; "x" + string;
-                       # and what a precompiled header makes of the standard library.
-                       $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized -Wno-restrict -Wno-stringop-overflow
-                       -Wno-array-bounds -Wno-stringop-overread>)
-target_include_directories(penumbra_options INTERFACE $<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}>)
+add_library(penumbra::options ALIAS penumbra_options)
+set_target_properties(penumbra_options PROPERTIES EXPORT_NAME options)
+target_compile_features(penumbra_options INTERFACE cxx_std_23)
+set(penumbra_warnings -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Wno-psabi)
+if(NOT PENUMBRA_FUZZ)
+  list(APPEND penumbra_warnings -Werror)
+endif()
+if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
+  # False alarms of GCC 12 at -O2 and above: std::optional, std::expected; "x" + string; and what a
+  # precompiled header makes of the standard library.
+  list(APPEND penumbra_warnings -Wno-maybe-uninitialized -Wno-restrict -Wno-stringop-overflow
+       -Wno-array-bounds -Wno-stringop-overread)
+endif()
+target_compile_options(penumbra_options INTERFACE "$<BUILD_INTERFACE:${penumbra_warnings}>")
+# Installed headers include each other as they do here; programs include <penumbra/...>.
+target_include_directories(penumbra_options INTERFACE
+  $<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}>
+  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>
+  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}/penumbra>)
 target_compile_definitions(penumbra_options INTERFACE SPDLOG_FMT_EXTERNAL)
 if(PENUMBRA_SANITIZE)
   target_compile_options(penumbra_options INTERFACE -fsanitize=${PENUMBRA_SANITIZE}
@@ -14,6 +26,7 @@ if(PENUMBRA_SANITIZE)
   target_link_options(penumbra_options INTERFACE -fsanitize=${PENUMBRA_SANITIZE})
   add_library(penumbra_sanitizers OBJECT ${CMAKE_SOURCE_DIR}/tests/support/sanitizers.cpp)
 endif()
+install(TARGETS penumbra_options EXPORT penumbra)
 
 # The standard library is nine tenths of what each file parses: once for what must be fast, once for
 # commands and tests, which are optimised little.
@@ -26,16 +39,32 @@ function(penumbra_precompiled name)
   target_precompile_headers(${name} PRIVATE ${CMAKE_SOURCE_DIR}/cmake/precompiled.h)
 endfunction()
 penumbra_precompiled(penumbra_pch)
+set_target_properties(penumbra_pch PROPERTIES POSITION_INDEPENDENT_CODE ON)
 penumbra_precompiled(penumbra_quick_pch)
 target_compile_options(penumbra_quick_pch PRIVATE ${penumbra_quick_options})
 
-# penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ...): one folder, one library penumbra::NAME.
+# penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ... [INTERNAL]): one folder, one library
+# penumbra::NAME. It is installed unless it is INTERNAL.
 function(penumbra_module name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  cmake_parse_arguments(ARG "INTERNAL" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
   add_library(penumbra_${name} STATIC ${ARG_SOURCES})
   add_library(penumbra::${name} ALIAS penumbra_${name})
+  # Position independent: the archives may go into somebody's shared library.
+  set_target_properties(penumbra_${name} PROPERTIES EXPORT_NAME ${name} POSITION_INDEPENDENT_CODE ON)
   target_link_libraries(penumbra_${name} PUBLIC penumbra_options ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
   target_precompile_headers(penumbra_${name} REUSE_FROM penumbra_pch)
+  if(NOT ARG_INTERNAL)
+    install(TARGETS penumbra_${name} EXPORT penumbra COMPONENT dev)
+  endif()
+endfunction()
+
+# penumbra_umbrella(NAME TARGETS...): what a room's inner rooms come to together.
+function(penumbra_umbrella name)
+  add_library(penumbra_${name} INTERFACE)
+  add_library(penumbra::${name} ALIAS penumbra_${name})
+  set_target_properties(penumbra_${name} PROPERTIES EXPORT_NAME ${name})
+  target_link_libraries(penumbra_${name} INTERFACE ${ARGN})
+  install(TARGETS penumbra_${name} EXPORT penumbra COMPONENT dev)
 endfunction()
 
 # penumbra_program(NAME SOURCES ... LINK ...): commands read options and print; optimising them takes
@@ -50,4 +79,5 @@ function(penumbra_program name)
   if(PENUMBRA_SANITIZE)
     target_link_libraries(${name} PRIVATE penumbra_sanitizers)
   endif()
+  install(TARGETS ${name} COMPONENT tools)
 endfunction()

@@ -81,11 +81,11 @@ Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radi
                               double sigma_px) {
   if (outlines.empty() || !(radius_m > 0))
     return fail(ErrorCode::kInvalid, "mirror ball", "needs an outline and a positive radius");
-  struct BallHit {
+  struct CentreEstimate {
     glm::dvec3 centre;
     glm::dmat3 information;  // inverse of the covariance
   };
-  std::vector<BallHit> seen;
+  std::vector<CentreEstimate> seen;
   glm::dmat3 all(0);
   glm::dvec3 sum(0);
   for (const BallOutline& o : outlines) {

@@ -9,7 +9,6 @@
 
 #include "calib/camera/camera_model.h"
 #include "capture/camera_regions.h"
-#include "capture/environment/internal/gather_kernel.h"
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "core/environment.h"

@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "capture/frames.h"
-#include "capture/hdr/internal/table_merger.h"
 #include "capture/hdr/merge.h"
 #include "core/image.h"
 #include "core/result.h"

@@ -34,7 +34,7 @@ inline constexpr std::uint8_t kFacesNone = 0, kFacesAll = 1, kUnsure = 2;
 /// Whether triangles face all directions of a cone, or none: one of the three for each.
 void find_facing_all(const NormalSpans& normals, const Cone& cone, std::span<std::uint8_t> out);
 
-/// A stretch of an silhouette: x and z in cells, y in metres.
+/// A stretch of a silhouette: x and z in cells, y in metres.
 struct SegmentSpan {
   float from_x, from_y, from_z, to_x, to_y, to_z;
 };

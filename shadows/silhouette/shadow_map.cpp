@@ -45,7 +45,7 @@ struct Extent {
   bool empty() const { return low.x >= high.x || low.y >= high.y; }
 };
 
-// SampleSet below the horizon bring no light and take none.
+// Samples below the horizon bring no light and take none.
 PlaneSamples samples_over(std::span<const glm::vec3> directions, const glm::dmat3& plane_from_world,
                           std::pmr::memory_resource* memory) {
   PlaneSamples out(memory);

@@ -1,4 +1,4 @@
-// The edges that can be an silhouette against a light, found once for all who ask.
+// The edges that can be a silhouette against a light, found once for all who ask.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +19,7 @@ struct DirectionCone {
 
 /// What a mesh shows of itself to a beam. Valid until the memo is cleared.
 struct ConeSilhouette {
-  /// The places in SilhouetteMesh::edges(), in their order, of all edges that are an silhouette for some direction, and of open ones.
+  /// The places in SilhouetteMesh::edges(), in their order, of all edges that are a silhouette for some direction, and of open ones.
   /// Others may be among them.
   std::span<const std::uint32_t> edges;
   /// By triangle: kFacesNone of the directions, kFacesAll, or kUnsure.

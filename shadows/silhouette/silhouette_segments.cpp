@@ -47,7 +47,7 @@ class SilhouetteFinder {
     scale_ = {1 / grid.cell_m, 1, 1 / grid.cell_m};
   }
 
-  /// in: all edges that are an silhouette for one of the samples
+  /// in: all edges that are a silhouette for one of the samples
   void add_silhouettes(std::span<const std::uint32_t> edges,
                        std::pmr::vector<SilhouetteSegment>& out) const {
     for (std::size_t i = 0; i < edges.size(); ++i) {

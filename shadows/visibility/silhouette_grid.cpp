@@ -32,7 +32,7 @@ glm::vec2 across(const glm::vec3& p) {
   return {p.x, p.z};
 }
 
-// Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: an silhouette's own
+// Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: a silhouette's own
 // surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
 bool passes_over(const SilhouetteLine& line, const glm::vec3& a, const glm::vec3& b) {
   const glm::vec2 from = across(line.from), along = across(line.to) - from, start = across(a),
@@ -163,7 +163,7 @@ void SilhouetteGrid::list(std::uint32_t line, Where where, std::size_t cell, flo
   listed_.push_back({line, last_[2 * cell + where], height});
   last_[2 * cell + where] = static_cast<std::uint32_t>(listed_.size() - 1);
 }
-// Below an silhouette the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
+// Below a silhouette the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
 // so that no cell is left out.
 void SilhouetteGrid::spread() {
   for (int z = 0; z < depth_; ++z)

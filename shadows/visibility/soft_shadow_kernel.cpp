@@ -16,11 +16,11 @@ constexpr float kNone = 1e30f;
 
 // f(first) for vectors over all directions, and over zeros beyond them.
 template <class F>
-HWY_INLINE void EachVector(const LightSamples& samples, F f) {
+HWY_INLINE void EachVector(const LayerSamples& samples, F f) {
   for (std::size_t k = 0; k < samples.count; k += hn::Lanes(kFloats)) f(k);
 }
 
-HWY_ATTR void BeginPlace(const glm::vec3& normal, LightSamples& samples) {
+HWY_ATTR void BeginPlace(const glm::vec3& normal, LayerSamples& samples) {
   const auto d = kFloats;
   const auto nx = hn::Set(d, normal.x), ny = hn::Set(d, normal.y), nz = hn::Set(d, normal.z);
   EachVector(samples, [&](std::size_t k) HWY_ATTR {
@@ -32,7 +32,7 @@ HWY_ATTR void BeginPlace(const glm::vec3& normal, LightSamples& samples) {
   });
 }
 
-HWY_ATTR void AddLayers(const SilhouetteCrossing& line, LightSamples& samples) {
+HWY_ATTR void AddLayers(const SilhouetteCrossing& line, LayerSamples& samples) {
   const auto d = kFloats;
   const auto none = hn::Zero(d);
   const glm::vec2 way = line.to - line.from;
@@ -54,7 +54,7 @@ HWY_ATTR void AddLayers(const SilhouetteCrossing& line, LightSamples& samples) {
   });
 }
 
-HWY_ATTR FewestLayers FindFewest(const LightSamples& samples) {
+HWY_ATTR FewestLayers FindFewest(const LayerSamples& samples) {
   const auto d = kFloats;
   const auto none = hn::Zero(d), far = hn::Set(d, kNone);
   auto fewest = far, open = none;
@@ -81,7 +81,7 @@ HWY_ATTR FewestLayers FindFewest(const LightSamples& samples) {
   const auto fraction = hn::Div(hn::Set(d, 1), hn::Max(hn::SumOfLanes(d, number), hn::Set(d, 1)));
   const auto x = hn::Mul(hn::SumOfLanes(d, sum_x), fraction),
              z = hn::Mul(hn::SumOfLanes(d, sum_z), fraction);
-  // Amid those that are alike: beside an silhouette rounding could tell rays and layers apart.
+  // Amid those that are alike: beside a silhouette rounding could tell rays and layers apart.
   FewestLayers out{hn::GetLane(hn::SumOfLanes(d, open)), hn::GetLane(hn::SumOfLanes(d, seen)), 0};
   float nearest = kNone;
   EachVector(samples, [&](std::size_t k) HWY_ATTR {
@@ -107,13 +107,13 @@ HWY_EXPORT(BeginPlace);
 HWY_EXPORT(AddLayers);
 HWY_EXPORT(FindFewest);
 
-void begin_place(const glm::vec3& normal, LightSamples& samples) {
+void begin_place(const glm::vec3& normal, LayerSamples& samples) {
   HWY_DYNAMIC_DISPATCH(BeginPlace)(normal, samples);
 }
-void add_layers(const SilhouetteCrossing& line, LightSamples& samples) {
+void add_layers(const SilhouetteCrossing& line, LayerSamples& samples) {
   HWY_DYNAMIC_DISPATCH(AddLayers)(line, samples);
 }
-FewestLayers fewest_layers(const LightSamples& samples) {
+FewestLayers fewest_layers(const LayerSamples& samples) {
   return HWY_DYNAMIC_DISPATCH(FindFewest)(samples);
 }
 }  // namespace penumbra::shadows

@@ -50,7 +50,7 @@ TEST(PlaceKernel, PlacesEveryVertex) {
   }
 }
 
-// An silhouette's own vertices are told from others by that.
+// A silhouette's own vertices are told from others by that.
 TEST(PlaceKernel, EqualPositionsComeOutEqual) {
   for (const std::size_t size : kSizes) {
     const std::vector<vec3> positions(size, vec3(.1234f, -.777f, .31f)), normals(size, vec3(0));

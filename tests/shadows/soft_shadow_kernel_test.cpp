@@ -12,10 +12,10 @@ namespace penumbra::shadows {
 namespace {
 
 // Directions all over the square of side 2, some of them behind the surface and some that do not count.
-LightSamples random_samples(std::size_t count, unsigned seed) {
+LayerSamples random_samples(std::size_t count, unsigned seed) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<float> place(-1, 1);
-  LightSamples samples;
+  LayerSamples samples;
   samples.count = count;
   for (std::size_t k = 0; k < count; ++k) {
     samples.x[k] = place(random), samples.z[k] = place(random);
@@ -26,7 +26,7 @@ LightSamples random_samples(std::size_t count, unsigned seed) {
   return samples;
 }
 
-float cosine_of(const LightSamples& t, std::size_t k, const glm::vec3& n) {
+float cosine_of(const LayerSamples& t, std::size_t k, const glm::vec3& n) {
   return std::max(0.f, n.x * t.towards_x[k] + n.y * t.towards_y[k] + n.z * t.towards_z[k]);
 }
 
@@ -46,7 +46,7 @@ TEST(PartKernel, CountsAsOneByOne) {
   const glm::vec3 normals[] = {{0, 1, 0}, glm::normalize(glm::vec3(1, .3f, 0)), {0, -1, 0}};
   for (const std::size_t count : {1, 3, 8, 15, 16, 17, 33, 64})
     for (const glm::vec3& normal : normals) {
-      LightSamples samples = random_samples(count, static_cast<unsigned>(count));
+      LayerSamples samples = random_samples(count, static_cast<unsigned>(count));
       std::mt19937 random(7);
       std::uniform_real_distribution<float> place(-1.5f, 1.5f);
       begin_place(normal, samples);
@@ -85,7 +85,7 @@ TEST(PartKernel, CountsAsOneByOne) {
 
 // Of two lines that meet on a way one passes it, whatever their order.
 TEST(PartKernel, NoWayPassesBetweenLinesThatMeet) {
-  LightSamples samples;
+  LayerSamples samples;
   samples.count = 16;
   for (std::size_t k = 0; k < samples.count; ++k) {
     samples.x[k] = .1f * static_cast<float>(k + 1), samples.z[k] = .07f * static_cast<float>(k + 1);
@@ -105,7 +105,7 @@ TEST(PartKernel, NoWayPassesBetweenLinesThatMeet) {
 
 // Of a ring of directions the one nearest to their middle is asked.
 TEST(PartKernel, AsksAmidThoseThatAreAlike) {
-  LightSamples samples;
+  LayerSamples samples;
   samples.count = 17;
   for (std::size_t k = 0; k < samples.count; ++k) {
     const auto a = .4f * static_cast<float>(k);

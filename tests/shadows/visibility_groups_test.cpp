@@ -236,7 +236,7 @@ TEST(VisibilityGroups, ACopyInItsPlaceLeavesGroups) {
   }
 }
 
-// What is kept of one light's silhouettes is not taken for another pose, plane or light: as with an silhouette for each object and no
+// What is kept of one light's silhouettes is not taken for another pose, plane or light: as with a silhouette for each object and no
 // memo.
 TEST(VisibilityGroups, AMemoChangesNothing) {
   World world({knot(), knot()});

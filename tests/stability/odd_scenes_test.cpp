@@ -74,7 +74,7 @@ std::optional<Seen> look(const OddScene& s) {
   const Image<Rgb> none;
   auto pipeline = make_still_pipeline(s.scene, s.view, {});
   if (!pipeline) {
-    EXPECT_EQ(stage.error().code, ErrorCode::kUnavailable) << stage.error().detail;
+    EXPECT_EQ(pipeline.error().code, ErrorCode::kUnavailable) << pipeline.error().detail;
     return std::nullopt;
   }
   auto still = composite_still(*pipeline, s.view, s.light, real);

@@ -43,7 +43,7 @@ std::optional<Image<Rgb>> composited(const PreparedScene& scene,
                                      const lighting::LightEstimate& light) {
   auto pipeline = make_still_pipeline(scene, kView, {});
   if (!pipeline) {
-    EXPECT_EQ(stage.error().code, ErrorCode::kUnavailable) << stage.error().detail;
+    EXPECT_EQ(pipeline.error().code, ErrorCode::kUnavailable) << pipeline.error().detail;
     return std::nullopt;
   }
   auto still = composite_still(*pipeline, kView, light, grey_picture());

@@ -8,6 +8,7 @@
 #include <string_view>
 
 #include "core/renamed.h"
+#include "tools/common/manual.h"
 
 namespace penumbra::tools {
 
@@ -49,6 +50,13 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
   Action action;
   add_commands(app, action);
+  const std::string_view first = argc > 1 ? argv[1] : "";
+  if (first == "--print-manual" || first == "--print-completion") {
+    const std::string text =
+        first == "--print-manual" ? manual_page(app, PENUMBRA_VERSION) : bash_completion(app);
+    std::fwrite(text.data(), 1, text.size(), stdout);
+    return 0;
+  }
   if (const auto flags = check_flags({argv, static_cast<std::size_t>(argc)}); !flags)
     return report(flags.error());
   try {

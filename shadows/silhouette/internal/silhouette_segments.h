@@ -29,7 +29,7 @@ struct NodeGrid {
   float width = 0, depth = 0;  // nodes
 };
 
-/// A stretch of an silhouette: where it is passed upwards in z, so many layers more lie on its far side in x for the
+/// A stretch of a silhouette: where it is passed upwards in z, so many layers more lie on its far side in x for the
 /// directions of `more`, and fewer for those of `fewer`.
 struct SilhouetteSegment {
   glm::vec3 from, to;  // x and z in cells, y in metres above near_m

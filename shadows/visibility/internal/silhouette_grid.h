@@ -22,7 +22,7 @@ struct LightGrid {
   AffineTransform from(const Pose& world_from_mesh) const;
 };
 
-/// Of an edge that is an silhouette, as much as lies over some cells.
+/// Of an edge that is a silhouette, as much as lies over some cells.
 struct SilhouetteLine {
   glm::vec3 from, to;
   std::uint32_t caster_frame, edge;
@@ -45,7 +45,7 @@ SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
 /// threads: const members reentrant
 class SilhouetteGrid {
  public:
-  /// `drop`: metres below an silhouette at which the light throws its shadow aside by a cell. Keeps the lines.
+  /// `drop`: metres below a silhouette at which the light throws its shadow aside by a cell. Keeps the lines.
   SilhouetteGrid(std::span<const SilhouetteLine> lines, const LightGrid& grid, float drop,
                  std::pmr::memory_resource* memory);
 
@@ -54,7 +54,7 @@ class SilhouetteGrid {
   bool are_clear_of(const glm::vec3& a, const glm::vec3& b) const {
     return !any_cell(a, b, [](std::size_t) { return true; });
   }
-  /// Whether an silhouette hides a part of the light only. False where pass_between() tells it of every way from there.
+  /// Whether a silhouette hides a part of the light only. False where pass_between() tells it of every way from there.
   bool in_penumbra(const glm::vec3& p) const;
   bool pass_between(const glm::vec3& a, const glm::vec3& b) const;
 
@@ -94,7 +94,7 @@ class SilhouetteGrid {
   void list(std::uint32_t line, Where where, std::size_t cell, float height);
   void spread();
   void lift(int x, int z, int way);
-  // Whether f(cell) is true for a cell between the places over which an silhouette passes.
+  // Whether f(cell) is true for a cell between the places over which a silhouette passes.
   template <class F>
   bool any_cell(const glm::vec3& a, const glm::vec3& b, F f) const {
     const glm::vec3 low = glm::min(a, b), high = glm::max(a, b);

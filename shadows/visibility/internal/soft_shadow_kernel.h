@@ -13,7 +13,7 @@ namespace penumbra::shadows {
 // threads: reentrant
 
 /// By direction; zeros beyond the last one.
-struct LightSamples {
+struct LayerSamples {
   using Floats = std::array<float, kMaxSamples>;
   std::size_t count = 0;
   alignas(64) Floats x{}, z{};                               // where rays go, cells a metre
@@ -23,15 +23,15 @@ struct LightSamples {
 };
 
 /// No layers yet, and the cosines to a normal.
-void begin_place(const glm::vec3& normal, LightSamples& samples);
+void begin_place(const glm::vec3& normal, LayerSamples& samples);
 
-/// An silhouette on the ways from the origin to the directions.
+/// A silhouette on the ways from the origin to the directions.
 struct SilhouetteCrossing {
   glm::vec2 from, to;
   float layers;  // more to the left of it
 };
 /// To each direction on whose way it lies.
-void add_layers(const SilhouetteCrossing& line, LightSamples& samples);
+void add_layers(const SilhouetteCrossing& line, LayerSamples& samples);
 
 /// Sums of cosines over the directions: all, and those that have the fewest layers and count. Directions behind the surface
 /// have no layers; where all are, nothing is seen.
@@ -39,6 +39,6 @@ struct FewestLayers {
   float open = 0, seen = 0;
   std::uint32_t ask = 0;  // amid those with the fewest layers
 };
-FewestLayers fewest_layers(const LightSamples& samples);
+FewestLayers fewest_layers(const LayerSamples& samples);
 
 }  // namespace penumbra::shadows

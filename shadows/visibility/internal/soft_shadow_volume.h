@@ -39,7 +39,7 @@ class SoftShadowVolume {
 
   const SilhouetteGrid& silhouettes_;
   std::span<const CasterFrame> caster_frames_;
-  LightSamples samples_;  // ways from the middle, and layers more than there
+  LayerSamples samples_;  // ways from the middle, and layers more than there
   glm::vec2 middle_{0};   // a little off the light's, cells for each metre towards the light
   float reach_ = 0;       // of the samples
 };

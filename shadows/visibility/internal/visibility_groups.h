@@ -13,7 +13,7 @@
 
 namespace penumbra::shadows {
 
-/// Along a surface what stands between it and a light changes only where an silhouette that is nearer to the light passes
+/// Along a surface what stands between it and a light changes only where a silhouette that is nearer to the light passes
 /// over it (Appel 1967), or where surfaces cut through each other. Vertices over which none passes, joined by edges, form a
 /// group. Of the others it counts which part of the light silhouettes leave, where it knows all that are over them (SoftShadowVolume).
 /// threads: thread-bound, parallel inside; memory grows once
@@ -46,7 +46,7 @@ class VisibilityGroups {
     SoftShadowVolume::Answer seen;
   };
   std::span<const PartlyLit> parts() const { return parts_; }
-  /// Whether surfaces may cut through a group: where an silhouette does not know its cuts, or the sphere around another caster
+  /// Whether surfaces may cut through a group: where a silhouette does not know its cuts, or the sphere around another caster
   /// meets the object's. Then ask several of its vertices.
   bool may_be_cut() const { return may_be_cut_; }
 

@@ -1,0 +1,80 @@
+#!/usr/bin/env python3
+"""Installs Penumbra into a folder and uses it from a project outside of the tree, as a stranger would.
+
+usage: package_test.py BUILD_FOLDER EXAMPLES_FOLDER PROGRAM CXX
+"""
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+
+def run(*command, **keywords):
+    done = subprocess.run([str(c) for c in command], text=True, capture_output=True, **keywords)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(map(str, command))}: {done.returncode}\n{done.stdout}\n{done.stderr}")
+    return done.stdout
+
+
+def check(truth, what):
+    if not truth:
+        sys.exit(f"package_test: {what}")
+
+
+def main(build, examples, program, compiler):
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        prefix, tree = folder / "prefix", folder / "build"
+        run("cmake", "--install", build, "--prefix", prefix)
+        environment = os.environ | {"CXX": compiler}
+
+        # The light alone: nothing of cameras, rays or pictures is looked for or linked.
+        run("cmake", "-S", examples, "-B", tree, f"-DCMAKE_PREFIX_PATH={prefix}",
+            "-DCMAKE_BUILD_TYPE=Release", "-DEXAMPLES_ALL=OFF", env=environment)
+        run("cmake", "--build", tree)
+        lines = run(tree / "light").splitlines()
+        check(len(lines) == 26, f"light.cpp prints 25 coefficients and a sun, not {lines}")
+        check(lines[-1].startswith("light towards"), f"light.cpp finds no sun: {lines[-1]}")
+        linked = run("ldd", tree / "light")
+        for library in ("opencv", "ceres", "embree", "avcodec", "EGL"):
+            check(library not in linked, f"light.cpp links {library}:\n{linked}")
+
+        # pkg-config serves the same example.
+        flags = run("pkg-config", "--cflags", "--libs", "penumbra-lighting", env=os.environ | {
+            "PKG_CONFIG_PATH": str(next(prefix.rglob("pkgconfig")))}).split()
+        run(compiler, Path(examples) / "light.cpp", "-o", folder / "light", *flags)
+        check(run(folder / "light").splitlines() == lines, "pkg-config builds another light")
+
+        # The whole: a bake, and a recording through the pipeline.
+        run("cmake", "-S", examples, "-B", tree, "-DEXAMPLES_ALL=ON", env=environment)
+        run("cmake", "--build", tree, "--parallel", "2")
+        mesh = folder / "box.obj"
+        mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+        run(tree / "bake", mesh, folder / "box.glb")
+        check((folder / "box.glb").stat().st_size > 1000, "bake.cpp writes an object")
+        cache = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
+        run(program, "demo", "--headless", "--frames", "4", "--width", "160", "--height", "90",
+            "--no-video", "--record", folder / "capture", "--out", folder / "out", env=cache)
+        run(tree / "composite", folder / "capture", folder / "capture" / "scene.toml",
+            folder / "picture.png", env=cache)
+        picture = (folder / "picture.png").read_bytes()
+        check(picture[:8] == b"\x89PNG\r\n\x1a\n", "composite.cpp writes a picture")
+        check(picture == (folder / "out" / "still.png").read_bytes(),
+              "composite.cpp draws what the demo drew last")
+
+        # Programs come with their manual and completion.
+        manual = next(prefix.rglob("penumbra.1")).read_text()
+        check("\\-\\-max\\-lights" in manual, "penumbra.1 tells the flags")
+        completion = next(prefix.rglob("bash-completion/completions/penumbra")).read_text()
+        check("--max-lights" in completion, "completion knows the flags")
+        names = run("bash", "-c", "source " + str(next(prefix.rglob("completions/penumbra"))) +
+                    "; COMP_WORDS=(penumbra de); COMP_CWORD=1; _penumbra; echo ${COMPREPLY[@]}")
+        check(names.split() == ["demo"], f"completion of 'penumbra de' is {names!r}")
+    print("installed, linked and run from outside of the tree")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 5:
+        sys.exit(__doc__)
+    main(*sys.argv[1:])
