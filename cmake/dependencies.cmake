@@ -1,4 +1,4 @@
-# The one place that finds libraries. Package names: cmake/packages.txt.
+# The one place that finds libraries. Package names: cmake/packages/.
 find_package(Threads REQUIRED)
 find_package(glm REQUIRED)
 find_package(fmt REQUIRED)

@@ -16,6 +16,7 @@ write_basic_package_version_file(penumbraConfigVersion.cmake COMPATIBILITY SameM
 install(FILES ${CMAKE_BINARY_DIR}/penumbraConfig.cmake ${CMAKE_BINARY_DIR}/penumbraConfigVersion.cmake
         DESTINATION ${penumbra_package} COMPONENT dev)
 # pkg-config serves the light alone, which needs no other library of weight.
+file(RELATIVE_PATH penumbra_pc_prefix /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
 configure_file(cmake/penumbra-lighting.pc.in penumbra-lighting.pc @ONLY)
 install(FILES ${CMAKE_BINARY_DIR}/penumbra-lighting.pc
         DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT dev)

@@ -58,7 +58,7 @@ Result<void> Pipeline::check(const std::vector<capture::CameraInfo>& cameras) {
 Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& cameras,
                                   const runtime::Scene& scene, const PipelineOptions& options) {
   if (any_shows_surroundings(cameras)) PENUMBRA_TRY(check(cameras));
-  runtime::BakeSettings settings;
+  runtime::BakeSettings settings = options.bake;
   settings.bands = options.bands;
   PENUMBRA_ASSIGN(prepared, runtime::prepare(scene, settings, options.progress));
   return create(cameras, std::make_shared<const runtime::PreparedScene>(std::move(prepared)),

@@ -33,6 +33,7 @@ struct PipelineOptions {
   runtime::ShadowSampling sampling{};
   /// Where stages add their durations, for who shows them from the start; null: the pipeline's own.
   std::shared_ptr<StageTimes> timings;
+  runtime::BakeSettings bake{};  // bands: as above
   /// Of long work, by name: is given the fraction that is done, 0..1.
   std::function<std::function<void(double)>(const std::string&)> progress = [](const std::string&) {
     return [](double) {};

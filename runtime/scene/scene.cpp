@@ -114,7 +114,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   options.bounces = settings.bounces;
   options.rays = settings.rays;
   options.ground_rays = settings.ground_rays;
-  options.visibility = true;
+  options.visibility = settings.visibility;
   options.progress = progress;
   if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(*mesh, 0), plane->albedo};
   auto baked = bake_or_recall(o.name, std::move(*mesh), options, settings.use_cache);

@@ -68,6 +68,9 @@ Result<void> write_scene(const std::filesystem::path& path, const Scene& scene);
 
 struct BakeSettings {
   int bands = 5, bounces = 4, rays = 1024, ground_rays = 1024;
+  /// Whether objects keep what their vertices see: lamps are then looked up instead of traced, for
+  /// two thirds of a bake's time.
+  bool visibility = true;
   bool use_cache = true;
 };
 

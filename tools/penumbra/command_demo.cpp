@@ -29,7 +29,7 @@ namespace penumbra::tools {
 namespace {
 
 struct DemoOptions {
-  bool headless = false, live = false, json = false, animated = true, video = true;
+  bool headless = false, live = false, json = false, animated = true, video = true, fine = false;
   int frames = 90;
   std::string output = "out/demo";
   std::optional<std::string> environment, asset, animation, real_mesh, record;
@@ -118,6 +118,11 @@ PipelineOptions pipeline_options(const DemoOptions& o) {
   options.measure_costs = o.live;
   options.window = !o.headless;
   options.progress = progress_bar;
+  // A first picture in seconds; what moves at camera rate wants all that a bake can give.
+  if (!o.fine && !o.live) {
+    options.bake.rays = options.bake.ground_rays = 256;
+    options.bake.visibility = false;
+  }
   return options;
 }
 
@@ -213,6 +218,10 @@ void add_demo(CLI::App& parent, Action& action) {
   c->add_option("--max-lights", demo_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_option("--max-shadow-error", demo_options.budget, kMaxShadowErrorHelp)
       ->capture_default_str();
+  c->add_flag(
+      "--fine", demo_options.fine,
+      "Bake as finely as the other commands do: 1024 rays a vertex instead of 256, and maps of "
+      "what each vertex sees; --live always does");
   add_json(c, demo_options.json);
   c->callback([&] { action = [] { return demo(demo_options); }; });
 }
