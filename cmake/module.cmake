@@ -40,8 +40,14 @@ function(penumbra_precompiled name)
 endfunction()
 penumbra_precompiled(penumbra_pch)
 set_target_properties(penumbra_pch PROPERTIES POSITION_INDEPENDENT_CODE ON)
-penumbra_precompiled(penumbra_quick_pch)
+penumbra_precompiled(penumbra_quick_pch CLI11::CLI11 nlohmann_json::nlohmann_json)
 target_compile_options(penumbra_quick_pch PRIVATE ${penumbra_quick_options})
+target_precompile_headers(penumbra_quick_pch PRIVATE <CLI/CLI.hpp> <nlohmann/json.hpp>)
+if(PENUMBRA_TESTS)
+  penumbra_precompiled(penumbra_test_pch GTest::gtest GTest::gmock)
+  target_compile_options(penumbra_test_pch PRIVATE ${penumbra_quick_options})
+  target_precompile_headers(penumbra_test_pch PRIVATE <gtest/gtest.h> <gmock/gmock.h>)
+endif()
 
 # penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ... [INTERNAL]): one folder, one library
 # penumbra::NAME. It is installed unless it is INTERNAL.
