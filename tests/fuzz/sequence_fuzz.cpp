@@ -11,6 +11,7 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "prt/prt.h"
+#include "tools/chart/rgbe_video.h"
 
 namespace {
 
@@ -73,7 +74,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   if (data[0] % 4 != 0) {
     read_clip(rest);
   } else if (size < 4096) {
-    if (const auto maps = codec::decode_rgbe_video(rest, "fuzz"))
+    if (const auto maps = tools::decode_rgbe_video(rest, "fuzz"))
       for (const auto& map : *maps)
         for (const float v : map.pixels())
           if (std::isnan(v)) __builtin_trap();
