@@ -44,8 +44,9 @@ inline std::unexpected<Error> fail(ErrorCode code, std::string where, std::strin
   } while (false)
 
 // Declares `name` as the value of a Result, or returns its error from the calling function.
-// NOLINTNEXTLINE(bugprone-macro-parentheses): a declared name cannot stand in parentheses
+// NOLINTBEGIN(bugprone-macro-parentheses): a declared name cannot stand in parentheses
 #define PENUMBRA_ASSIGN(name, expression)                                       \
   auto name##_result = (expression);                                            \
   if (!name##_result) return std::unexpected(std::move(name##_result).error()); \
   auto& name = *name##_result
+// NOLINTEND(bugprone-macro-parentheses)
