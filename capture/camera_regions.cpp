@@ -91,7 +91,7 @@ std::optional<PixelBounds> bounds_of(const calib::MirrorBall& ball,
   return bounds;
 }
 
-Result<CameraRegion> ball_visibility(const CameraInfo& camera, const Pose& world_from_camera) {
+Result<CameraRegion> ball_region(const CameraInfo& camera, const Pose& world_from_camera) {
   const auto undetermined = [&](const std::string& why) {
     return fail(ErrorCode::kUndetermined, camera.name, "the mirror ball " + why);
   };
@@ -137,8 +137,7 @@ Image<Pixel> cut(const Image<Pixel>& picture, const CameraRegion& part) {
 
 }  // namespace
 
-CameraRegion plain_visibility(const calib::CameraModel& p,
-                              const std::array<double, 3>& vignetting) {
+CameraRegion plain_region(const calib::CameraModel& p, const std::array<double, 3>& vignetting) {
   const Vignetting left = calib::vignetting_of(p, vignetting);
   const bool whole_sphere = !calib::has_intrinsics(p.kind);
   const Look look = [p, whole_sphere, left](const glm::dvec3& d) -> std::optional<PixelHit> {
@@ -157,12 +156,12 @@ Result<std::vector<CameraRegion>> camera_regions(const CameraInfo& camera,
                                                  const Pose& world_from_camera) {
   std::vector<CameraRegion> out;
   if (camera.ball) {
-    PENUMBRA_ASSIGN(region, ball_visibility(camera, world_from_camera));
+    PENUMBRA_ASSIGN(region, ball_region(camera, world_from_camera));
     out.push_back(std::move(region));
     return out;
   }
   for (const Lens& lens : camera.lenses) out.push_back(lens_visibility(lens, camera.vignetting));
-  if (out.empty()) out.push_back(plain_visibility(camera.projection, camera.vignetting));
+  if (out.empty()) out.push_back(plain_region(camera.projection, camera.vignetting));
   for (const CameraRegion& s : out) PENUMBRA_TRY(check_size(camera, s.width, s.height));
   return out;
 }

@@ -37,18 +37,18 @@ struct CameraRegion {
 };
 
 /// The whole picture of a camera with this projection.
-CameraRegion plain_visibility(const calib::CameraModel& projection,
+CameraRegion plain_region(const calib::CameraModel& projection,
                               const std::array<double, 3>& vignetting = {});
 
 /// Whether light can be measured with it.
 bool shows_surroundings(const CameraInfo& camera);
 
-/// All sights of a camera that shows_surroundings(). A ball that has its place in the world is looked for from `world_from_camera`.
+/// All regions of a camera that shows_surroundings(). A ball that has its place in the world is looked for from `world_from_camera`.
 /// errors: kInvalid (fewer than two pixels a side), kUndetermined (the ball is not in the picture)
 Result<std::vector<CameraRegion>> camera_regions(const CameraInfo& camera,
                                                  const Pose& world_from_camera);
 
-/// Where in the whole picture a direction of the camera's frame is seen: of several visibility in the one whose rim is
+/// Where in the whole picture a direction of the camera's frame is seen: of several regions, in the one whose rim is
 /// farthest from it.
 std::optional<glm::dvec2> find_in_picture(std::span<const CameraRegion> regions,
                                           const glm::dvec3& direction);

@@ -1,4 +1,4 @@
-// Private to capture: pictures in the formats of cameras, made into RGB codes.
+// pictures in the formats of cameras, made into RGB codes.
 #pragma once
 
 #include <cstddef>

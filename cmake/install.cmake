@@ -48,5 +48,8 @@ set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_DEV_PACKAGE_NAME penumbra-dev)
 set(CPACK_DEBIAN_TOOLS_PACKAGE_NAME penumbra-tools)
 set(CPACK_DEBIAN_TOOLS_PACKAGE_SHLIBDEPS ON)
+# Whoever builds against the archives needs the libraries' own headers.
+file(STRINGS cmake/packages/build.txt penumbra_dev_packages REGEX "^lib.*-dev|^nlohmann")
+list(JOIN penumbra_dev_packages ", " penumbra_dev_packages)
 set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS "${penumbra_dev_packages}")
 include(CPack)

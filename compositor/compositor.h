@@ -153,7 +153,7 @@ class Compositor {
 
   /// out = the camera's frame with all that is virtual, in linear camera radiance:
   ///   B = f^-1(z), z' = f(a e L_v + (1 - a) B s)
-  /// and with a camera look
+  /// and with sensor effects
   ///   z' = f(V + T B + n), V = PSF * a e L_v, T = PSF * (1 - a) s,
   ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
   /// in:     camera: a frame of the size given at creation; `out` may be the same object, which copies nothing

@@ -180,7 +180,7 @@ HWY_INLINE hn::Mask<D> Holds(const ShadowMapLookup& t, hn::Vec<D> px, float py) 
                                           hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
 }
 
-// Adds fraction of the map's value at (dx into the pixel, py of the picture), 0 outside, for all pixels of a piece.
+// Adds `fraction` times the map's value at (dx into the pixel, py of the picture), 0 outside, for all pixels of a piece.
 HWY_INLINE void AddSamples(const ShadowMapLookup& t, int x0, float dx, float py, float fraction,
                            std::size_t total, float* sum) {
   const D d;

@@ -1,4 +1,4 @@
-// Private to capture.
+// The median of a few numbers.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Private to capture: owners of a file descriptor and of a mapping.
+// owners of a file descriptor and of a mapping.
 #pragma once
 
 #include <sys/mman.h>

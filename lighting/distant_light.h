@@ -11,7 +11,7 @@
 
 namespace penumbra::lighting {
 
-/// A source above the low-frequency rest: uniform radiance over a spherical cap, or over another form of the same
+/// A source above the low-frequency residual: uniform radiance over a spherical cap, or over another form of the same
 /// solid angle.
 struct DistantLight {
   static constexpr int kShapePoints = 64;
@@ -20,7 +20,7 @@ struct DistantLight {
   int id = 0;                     // the same source keeps its number over time (LightTracker)
   glm::dvec3 direction{0, 1, 0};  // to the centre of its energy, unit
   Radians radius{0};              // half angle
-  Rgb radiance;                   // mean over the cap, on top of the rest
+  Rgb radiance;                   // mean over the cap, on top of the residual
   /// Where a round light would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
   /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
   Shape shape{};
@@ -34,7 +34,7 @@ struct DistantLight {
 /// The light's own coefficients.
 /// source: zonal harmonics of a cap, z_l = sqrt(pi/(2l+1)) (P_{l-1}(cos a) - P_{l+1}(cos a))
 RadianceSh project_distant_light(const DistantLight& source, int bands);
-/// Moments over directions with y > 0 alone, as ShProjection::above.
+/// Moments over directions with y > 0 alone, as ShProjection::upper_moments.
 RadianceSh project_upper_distant_light(const DistantLight& source, int bands);
 /// Of an open surface; the part of the light behind it is left out.
 Rgb irradiance(const DistantLight& source, const glm::dvec3& normal);

@@ -26,7 +26,7 @@ namespace penumbra::lighting {
 
 struct EstimateOptions {
   int bands = 5;
-  ExtractionOptions lights{};  // most = 0: harmonics alone
+  ExtractionOptions lights{};  // max_count = 0: harmonics alone
   bool filter = true;          // of streams, see LightFilter
 };
 
@@ -40,7 +40,7 @@ class LightEstimator {
   LightEstimator& operator=(LightEstimator&&) noexcept;
   /// From now on bands and lights are the governor's choice within the options'; estimates carry the plan.
   void set_governor(const GovernorConfig& governor_config);
-  /// As Governor::allow_lights; nothing without governance. With none the map is split only now and then, for the
+  /// As Governor::allow_lights; nothing without a governor. With none the map is split only now and then, for the
   /// prediction, unless something in it is clipped.
   void allow_lights(int max_count);
   /// in:  radiance 0 where the confidence is 0

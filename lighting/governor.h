@@ -69,10 +69,10 @@ struct Plan {
 /// More at once, less only after two seconds in which four fifths of the budget would have sufficed; lights that there is
 /// no time for go at once.
 /// threads: thread-bound
-/// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/accuracy.md
+/// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/methods/governor.md
 class Governor {
  public:
-  /// 1.76 holds the promise of the shadow (`chart --governor`); what it is more pays for the objects' own shading, which
+  /// What it is more than the promise of the shadow needs (docs/results.md) pays for the objects' own shading, which
   /// the prediction does not see: with 2.15 one of the room's lamps was left in harmonics and an object 3.5 % off.
   static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};

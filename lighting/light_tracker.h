@@ -21,7 +21,7 @@ class LightTracker {
  public:
   static constexpr Seconds kFade{.2};
 
-  /// in:  what extract_lights found at half the least share, mean_irradiance = pi times the mean radiance
+  /// in:  what extract_lights found at half of min_irradiance_fraction, mean_irradiance = pi times the mean radiance
   /// out: `lights` holds what is used, its radiance times its weight; unused the rest of it, as lights
   void update(TimestampNs time, double min_irradiance_fraction, double mean_irradiance,
               std::vector<DistantLight>& lights, std::vector<DistantLight>& unused);

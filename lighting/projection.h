@@ -1,4 +1,4 @@
-// ShProjection of environments onto spherical harmonics.
+// Projection of environments onto spherical harmonics.
 // threads: free functions reentrant; LatLongProjector thread-bound
 #pragma once
 
@@ -26,7 +26,7 @@ struct ShProjection {
 /// reflection, which the bake accounts for, so the lower hemisphere is free. The coefficients are the
 /// least-squares fit of the upper hemisphere, with the weight kBelowWeight on its mirror image below, which
 /// is continuous at the horizon. It leaves a half to a tenth of the truncation error of the whole-sphere
-/// projection and hardly any bias (docs/accuracy.md), for one small matrix product.
+/// projection and hardly any bias (docs/results.md), for one small matrix product.
 inline constexpr double kBelowWeight =
     .03;  // lower weights win little and blow the coefficients up
 RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands);
@@ -75,7 +75,7 @@ struct LightSamples {
 };
 
 /// ShProjection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes:
-/// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (methods: hole filling), so a
+/// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (docs/methods/environment-assembly.md), so a
 /// constant environment stays exactly constant under any hole.
 /// errors:  kInvalid (lengths),
 /// kNonFinite, kUndetermined (coverage below 2 %)

@@ -57,7 +57,7 @@ ROOMS["tools/calibrate"] = ROOMS["tools/penumbra"]
 ROOMS["tools/chart"] = ROOMS["tools/penumbra"]
 ROOMS = {room: set(below.split()) for room, below in ROOMS.items()}
 # All public headers of a room, for programs and tests; the library itself includes what it needs.
-UMBRELLAS = {f"{room}/{room}.h" for room in ("calib", "capture", "prt", "shadows")}
+UMBRELLAS = {f"{room}/{room}.h" for room in ("calib", "capture", "lighting", "prt", "shadows")}
 
 INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*["<]([^">]+)[">]', re.MULTILINE)
 BLOCK_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)

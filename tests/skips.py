@@ -1,31 +1,42 @@
 #!/usr/bin/env python3
 """Names and counts the tests that were skipped; fails when one was skipped for an unexpected reason.
 
-usage: skips.py EXPECTED_SKIPS LAST_TEST_LOG SHARED_DATA_FOLDER
+usage: skips.py EXPECTED_SKIPS CTEST_OUTPUT LAST_TEST_LOG SHARED_DATA_FOLDER
 
-Expected reasons that end in "without the shared data" count only where that folder is absent.
+CTest's output tells which tests were skipped, its log why. Expected reasons that end in "without the
+shared data" count only where that folder is absent.
 """
 import re
 import sys
 from collections import Counter
 from pathlib import Path
 
+SKIPPED = re.compile(r"Test\s+#\d+: (\S+) \.*\s*\*\*\*Skipped")
 TEST = re.compile(r"^\d+/\d+ Test: (.+)$", re.MULTILINE)
 # What GoogleTest prints: "FILE:LINE: Skipped" and the reason on the next line.
 GTEST = re.compile(r"^\S+:\d+: Skipped\n(.*)$", re.MULTILINE)
+# What the Python tests and scripts print.
+SCRIPT = re.compile(r"^.*(?:skipped|no kernel)\b.*$", re.MULTILINE)
 
 
-def skipped(log):
-    """(test, reason) of each that was skipped, in CTest's log of its last run."""
+def reasons(log):
+    """{test: reason} of each that gave one."""
+    found = {}
     starts = list(TEST.finditer(log))
     for start, end in zip(starts, starts[1:] + [None]):
         block = log[start.end():end.start() if end else len(log)]
-        reason = GTEST.search(block)
-        if reason and "[  SKIPPED ]" in block:
-            yield start[1], reason[1].strip()
-        elif "Test Skipped." in block or "Skipped" in block.split("Test time =")[-1][:200]:
-            lines = [line for line in block.split("Output:")[-1].splitlines() if line.strip("- ")]
-            yield start[1], (lines[0] if lines else "no reason given")
+        output = block.split("Output:", 1)[-1]
+        if reason := GTEST.search(output):
+            found[start[1]] = reason[1].strip()
+        elif reason := SCRIPT.search(output):
+            found[start[1]] = reason[0].strip()
+    return found
+
+
+def skipped(printed, log):
+    """(test, reason) of each that CTest calls skipped."""
+    why = reasons(log)
+    return [(test, why.get(test, "no reason given")) for test in SKIPPED.findall(printed)]
 
 
 def expected(text, with_shared_data):
@@ -37,24 +48,26 @@ def expected(text, with_shared_data):
 
 
 def self_test():
-    log = ("1/2 Test: A.B\nOutput:\n---\nx.cpp:3: Skipped\nno such thing\n[  SKIPPED ] A.B\n"
-           "2/2 Test: C.D\nOutput:\n---\n[       OK ] C.D\nTest Passed.\n")
-    if list(skipped(log)) != [("A.B", "no such thing")]:
-        return "self-test: does not see a skipped test"
+    printed = ("1/3 Test #1: A.B ....***Skipped 0.1 sec\n2/3 Test #2: C.D ....   Passed 0.1 sec\n"
+               "3/3 Test #3: vm.x ...***Skipped 0.1 sec\n")
+    log = ("1/3 Test: A.B\nOutput:\n---\nx.cpp:3: Skipped\nno such thing\n[  SKIPPED ] A.B\n"
+           "2/3 Test: C.D\nOutput:\n---\n[       OK ] C.D\nTest Passed.\n"
+           "3/3 Test: vm.x\nOutput:\n---\nskipped: no kernel in x\nTest Passed.\n")
+    if skipped(printed, log) != [("A.B", "no such thing"), ("vm.x", "skipped: no kernel in x")]:
+        return f"self-test: does not see a skipped test: {skipped(printed, log)}"
     known = "a reason : without the shared data; x\n"
     if list(expected(known, True)) or not list(expected(known, False)):
         return "self-test: does not tell when a reason counts"
     return None
 
 
-def main(list_file, log_file, shared):
+def main(list_file, printed, log, shared):
     if fault := self_test():
         print(fault, file=sys.stderr)
         return 1
     allowed = list(expected(Path(list_file).read_text(encoding="utf-8"), Path(shared).is_dir()))
-    found = list(skipped(Path(log_file).read_text(encoding="utf-8", errors="replace")))
-    reasons = Counter(reason for _, reason in found)
-    for reason, count in reasons.most_common():
+    found = skipped(*(Path(f).read_text(encoding="utf-8", errors="replace") for f in (printed, log)))
+    for reason, count in Counter(reason for _, reason in found).most_common():
         print(f"skipped {count}: {reason}")
     wrong = [(test, reason) for test, reason in found if not any(p.search(reason) for p in allowed)]
     for test, reason in wrong:
@@ -63,6 +76,6 @@ def main(list_file, log_file, shared):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
+    if len(sys.argv) != 5:
         sys.exit(__doc__)
     sys.exit(main(*sys.argv[1:]))

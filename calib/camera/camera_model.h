@@ -52,7 +52,7 @@ struct CameraModel {
   }
 };
 
-/// A projection with defaults filled in: principal point in the middle; fisheyes: 180 degrees
+/// A camera model with defaults filled in: principal point in the middle; fisheyes: 180 degrees
 /// across the shorter side, undistorted; pinhole: 60 degrees across the height.
 /// errors: kInvalid (size, aspect of a cross)
 Result<CameraModel> make_projection(ProjectionKind kind, int width, int height);

@@ -1,4 +1,4 @@
-// Part of calib.h: carries the radiance of one camera into another's.
+// carries the radiance of one camera into another's.
 #pragma once
 
 #include <cstddef>

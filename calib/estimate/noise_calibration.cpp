@@ -283,7 +283,7 @@ std::string print_noise_file(const NoiseCalibration& c) {
   return fmt::format(
       "version = 1\n\n[noise]\nfull_well_electrons = {:.6g}\nfull_well_sigma = {:.3g}  # one "
       "standard "
-      "deviation\nread_fraction = {:.5g}\nread_sigma = {:.3g}\nblack_level = {:.6g}\n",
+      "deviation\nread_noise = {:.5g}\nread_sigma = {:.3g}\nblack_level = {:.6g}\n",
       c.model.full_well_electrons, c.full_well_sigma, c.model.read_noise, c.read_sigma,
       c.black_level);
 }

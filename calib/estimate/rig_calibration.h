@@ -1,4 +1,4 @@
-// Part of calib.h: where the cameras of a rig stand, from a board that several of them see at once.
+// where the cameras of a rig stand, from a board that several of them see at once.
 // source: bundle adjustment, Triggs et al. 2000; hand-eye start, Park & Martin 1994; time offset, Furgale et al. 2013
 // threads: reentrant
 #pragma once

@@ -1,4 +1,4 @@
-// Part of calib.h: a lens's vignetting from pictures of an even surface.
+// a lens's vignetting from pictures of an even surface.
 // threads: reentrant
 #pragma once
 

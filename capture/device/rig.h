@@ -22,7 +22,7 @@ struct RigCamera {
   std::optional<int> delay_frames;  // between a request and its effect; nothing: measured
 };
 
-/// The [[camera]] tables of a rig.toml (docs/serve.md); other tables are left alone.
+/// The [[camera]] tables of a rig.toml (docs/reference/rig.md); other tables are left alone.
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key)
 Result<std::vector<RigCamera>> read_rig_cameras(const std::filesystem::path& path);
 

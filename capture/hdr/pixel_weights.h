@@ -1,4 +1,4 @@
-// Private to capture: how much of the sphere a pixel sees, where a whole table would be more than is needed.
+// how much of the sphere a pixel sees, where a whole table would be more than is needed.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Private to capture: what a camera saw, as it would have seen it after it turned.
+// what a camera saw, as it would have seen it after it turned.
 #pragma once
 
 #include <cstdint>

@@ -152,7 +152,7 @@ double mean_shift(const cv::Mat& h, int width, int height) {
   return sum / static_cast<double>(grid.size());
 }
 
-// Resampled, and where the picture shows anything. What a clipped pixel has a fraction in is clipped.
+// Resampled, and where the picture shows anything. A resampled pixel to which a clipped one contributes is clipped.
 struct Warped {
   Image<Rgb8> picture;
   Image<std::uint8_t> valid;

@@ -346,7 +346,7 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
 }
 
 /// What else than its whole picture shows the surroundings.
-Result<void> read_visibilities(const TomlKeys& keys, CameraInfo& info) {
+Result<void> read_regions(const TomlKeys& keys, CameraInfo& info) {
   if (keys.has("lens")) {
     PENUMBRA_TRY(read_lenses(keys, info));
     if (info.role != Role::kEnvironment) return keys.invalid("lens", "is for environment cameras");
@@ -378,7 +378,7 @@ Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<Fr
 Result<CameraInfo> read_camera_info(const TomlKeys& keys) {
   CameraInfo info;
   PENUMBRA_TRY(read_identity(keys, info));
-  PENUMBRA_TRY(read_visibilities(keys, info));
+  PENUMBRA_TRY(read_regions(keys, info));
   PENUMBRA_TRY(noise_in(keys, info));
   PENUMBRA_TRY(read_sensor(keys, info));
   PENUMBRA_TRY(read_vignetting(keys, info));
@@ -433,7 +433,7 @@ std::string print_ball(const Ball& ball, const Rgb& reflectance) {
                      reflectance.g, reflectance.b);
 }
 
-std::string print_visibilities(const CameraInfo& c) {
+std::string print_regions(const CameraInfo& c) {
   std::string text;
   for (const Lens& lens : c.lenses) text += print_lens(lens);
   if (c.ball) text += print_ball(*c.ball, c.ball_reflectance);
@@ -469,7 +469,7 @@ std::string print_camera(const CameraInfo& c, const std::string& response,
   const glm::dmat4 m = c.world_from_camera.matrix();
   text += fmt::format("world_from_camera = [{}]\n", fmt::join(&m[0][0], &m[0][0] + 16, ", "));
   if (!frames.empty()) text += fmt::format("frames = {}\n", toml_quoted(frames));
-  return text + print_visibilities(c);
+  return text + print_regions(c);
 }
 
 }  // namespace penumbra::capture

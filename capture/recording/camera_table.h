@@ -1,4 +1,4 @@
-// Private to capture: one [[camera]] table, read and written, as capture.toml, rig.toml and camera files share it.
+// one [[camera]] table, read and written, as capture.toml, rig.toml and camera files share it.
 #pragma once
 
 #include <array>

@@ -12,7 +12,7 @@
 
 namespace penumbra::capture {
 
-/// Opens a folder with capture.toml (design in docs/capture-folder.md). Everything that can be
+/// Opens a folder with capture.toml (design in docs/reference/capture-folder.md). Everything that can be
 /// checked without decoding a picture is checked here: keys, sizes, exposures (positive, finite),
 /// times (non-decreasing), files present.
 /// errors: kNotFound, kInvalid (unknown key, bad value: file

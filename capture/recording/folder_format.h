@@ -1,4 +1,4 @@
-// Private to capture: the two text files of a capture folder, read and written.
+// the two text files of a capture folder, read and written.
 #pragma once
 
 #include <toml++/toml.h>

@@ -1,5 +1,5 @@
 // Recordings: Matroska with a track of pictures and one of labels for each camera, so that any player shows them and a
-// replay knows each frame's time, exposure and pose. docs/recording.md
+// replay knows each frame's time, exposure and pose. docs/reference/recording.md
 #pragma once
 
 #include <filesystem>

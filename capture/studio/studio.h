@@ -64,7 +64,7 @@ class Studio : public FrameSource {
   std::uint64_t next_environment_ = 0, next_view_ = 0;
 };
 
-/// The fewest exposures that cover the light's range (methods: schedule), longest first, times in
+/// The fewest exposures that cover the light's range (docs/methods/exposures.md), longest first, times in
 /// seconds within [1/64000, 1/30] at gain 1.
 std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor);
 

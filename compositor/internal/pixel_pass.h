@@ -1,4 +1,4 @@
-// The pass over the pixels of a frame that no camera look asks more of.
+// The pass over the pixels of a frame that that need no sensor effects.
 #pragma once
 
 #include <cstddef>
@@ -9,13 +9,13 @@ namespace penumbra::compositor {
 
 struct Layered;
 
-/// Two fractions of a frame that together are all of it and have no pixel in common.
+/// Two regions of a frame that together are all of it and have no pixel in common.
 enum class FrameRegion {
   kBeside,  // what the layer of objects does not reach: of that layer only its rectangle is asked for
   kObjects,  // its rectangle
 };
 
-/// Composites one share in place; returns the number of pixels written.
+/// Composites one region in place; returns the number of pixels written.
 /// threads: two fractions of one frame may be composited side by side
 std::size_t composite_fraction(FrameRegion fraction, const View& view, FramePixels& frame,
                                const Layered& in);

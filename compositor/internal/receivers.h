@@ -160,7 +160,7 @@ void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, floa
 /// Writes the value of pixels [x0, x1) of row y that the map holds wholly to out[0 .. x1-x0); leaves the others.
 void load_shadow_values(const ShadowMapLookup& shadow_map, int y, int x0, int x1, float* out);
 
-/// Subtracts share * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.
+/// Subtracts fraction * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.
 void subtract_shadow_fractions(const ShadowMapLookup& shadow_map, int y, int x0, int x1, float* r,
                                float* g, float* b);
 

@@ -1,4 +1,4 @@
-// Bakes a mesh on a floor: its transfer, and what it takes of the floor's light. Links penumbra::prt.
+// Bakes a mesh: its transfer, as glTF. Links penumbra::prt.
 #include <penumbra/prt/prt.h>
 
 #include <cstdio>

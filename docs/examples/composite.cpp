@@ -16,13 +16,11 @@ Result<void> composite(const char* capture, const char* scene_file, const char* 
   while (true) {
     PENUMBRA_ASSIGN(frame, source->next());
     if (!frame) break;
-    const auto& camera = source->cameras()[static_cast<std::size_t>(frame->camera)];
-    if (camera.role == capture::Role::kEnvironment) {
-      PENUMBRA_TRY(pipeline.add_environment(*frame));
-    } else {
-      PENUMBRA_ASSIGN(composited, pipeline.composite(*frame));
-      picture = std::move(composited);
-    }
+    if (pipeline.shows_surroundings(frame->camera)) PENUMBRA_TRY(pipeline.add_environment(*frame));
+    const auto camera = static_cast<std::size_t>(frame->camera);
+    if (source->cameras()[camera].role != capture::Role::kView) continue;
+    PENUMBRA_ASSIGN(composited, pipeline.composite(*frame));
+    picture = std::move(composited);
   }
   std::printf("%zu distant lights\n", pipeline.light().lights.size());
   return codec::write_frame(picture_file, codec::to_display(picture.pixels));

@@ -339,7 +339,7 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
     return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
   if (extras->Has("vertex_sight") &&
       !read_visibility(m, extras->Get("vertex_sight"), o.transfer.points, o.visibility))
-    return fail(ErrorCode::kUnreadable, file, "damaged sight");
+    return fail(ErrorCode::kUnreadable, file, "the visibility map is damaged");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "damaged receiver");
   const auto figure = [&](const char* key) {  // reports only: absent or damaged ones are 0

@@ -47,7 +47,7 @@ struct TermEnergy {
 };
 
 /// Transfer at points over the frames of a clip, compressed.
-///   t(f) = m + sum_k v_k(f) U_k for every group of points that fraction a bone, and apart for green, red - green and
+///   t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green, red - green and
 ///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks. A long
 ///   clip has several spans of frames with an m and U_k each; from one to the next the sums are mixed.
 /// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and the cut of components
@@ -127,7 +127,7 @@ class TransferSequence {
 };
 
 /// Mean square of a coefficient of light in band l, beside that of band 0, over the eight measured environments of
-/// docs/accuracy.md, suns and lamps counted in. What transfer in a band is worth.
+/// docs/results.md, suns and lamps counted in. What transfer in a band is worth.
 std::span<const float> mean_band_energy();
 
 struct SequenceOptions {

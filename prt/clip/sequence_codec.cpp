@@ -80,7 +80,7 @@ int band_of(int n) {
   return static_cast<int>(std::sqrt(static_cast<double>(n) + .5));
 }
 
-/// Frames that fraction principal components.
+/// Frames that share principal components.
 struct FrameSpan {
   int first, count;
 };

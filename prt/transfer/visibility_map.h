@@ -105,7 +105,7 @@ class VisibilitySamples {
 class VisibilityLookup {
  public:
   /// The visibility must outlive it, unchanged.
-  /// in: a visibility that is not empty, with all of its finer cells, and the mesh that was baked
+  /// in: a visibility map that is not empty, with all of its finer cells, and the mesh that was baked
   VisibilityLookup(const VisibilityMap& visibility, const Mesh& mesh);
 
   const VertexSamples& samples() const { return samples_; }

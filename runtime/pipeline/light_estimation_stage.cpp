@@ -39,7 +39,7 @@ glm::dmat3 colour_of(const capture::CameraInfo& camera) {
   return glm::dmat3(1 / double(r.r), 0, 0, 0, 1 / double(r.g), 0, 0, 0, 1 / double(r.b));
 }
 
-// The part of the camera that a visibility is.
+// The part of the camera that a region is.
 capture::CameraInfo camera_of(const capture::CameraInfo& info,
                               const capture::CameraRegion& region) {
   capture::CameraInfo part = info;

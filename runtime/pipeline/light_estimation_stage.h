@@ -63,7 +63,7 @@ class LightEstimationStage {
   void complete(std::span<const lighting::SaturationRecovery> completions);
 
  private:
-  // One sight of one camera; of a ball also while it is out of the picture.
+  // One region of one camera; of a ball also while it is out of the picture.
   struct RegionView {
     int camera = 0;
     std::optional<capture::CameraRegion> region{};

@@ -1,5 +1,6 @@
 #include "runtime/pipeline/pipeline.h"
 
+#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
@@ -28,6 +29,21 @@ lighting::EstimateOptions estimate_options(const PipelineOptions& options) {
   return {options.bands, {.max_count = options.max_lights}};
 }
 
+Result<void> check(const PipelineOptions& options) {
+  if (options.bands < 1 || options.bands > kMaxBands)
+    return fail(ErrorCode::kInvalid, "bands", fmt::format("not within 1..{}", kMaxBands));
+  if (options.max_lights < 0 || options.max_lights > 64)
+    return fail(ErrorCode::kInvalid, "max_lights", "not within 0..64");
+  if (!(options.max_shadow_error > 0 && options.max_shadow_error <= 1))
+    return fail(ErrorCode::kInvalid, "max_shadow_error", "not above 0 and at most 1");
+  if (!options.progress) return fail(ErrorCode::kInvalid, "progress", "is empty");
+  return {};
+}
+
+Error no_environment_camera() {
+  return {ErrorCode::kInvalid, "capture", "has no environment camera"};
+}
+
 bool any_shows_surroundings(const std::vector<capture::CameraInfo>& cameras) {
   return std::ranges::any_of(cameras, capture::shows_surroundings);
 }
@@ -36,11 +52,31 @@ bool any_shows_surroundings(const std::vector<capture::CameraInfo>& cameras) {
 
 // The stages refer to the times and the scene, which stay where they are.
 struct Pipeline::Impl {
+  std::vector<capture::CameraInfo> cameras;
   std::shared_ptr<StageTimes> times;
   std::shared_ptr<const runtime::PreparedScene> scene;
   std::optional<runtime::LightEstimationStage> light;  // none: set_light()
   std::unique_ptr<runtime::CompositeStage> composite;
   lighting::LightEstimate estimate;
+
+  // A frame of a camera that the pipeline was made for; its size is the stages' business.
+  Result<void> check(const capture::Frame& frame) const {
+    if (frame.camera < 0 || static_cast<std::size_t>(frame.camera) >= cameras.size())
+      return fail(ErrorCode::kInvalid, "frame",
+                  fmt::format("is of camera {}, of {}", frame.camera, cameras.size()));
+    if (!frame.pixels) return fail(ErrorCode::kInvalid, "frame", "has no pixels");
+    return {};
+  }
+  Result<void> check(const capture::FrameSource& source) const {
+    if (!light) return std::unexpected(no_environment_camera());
+    const bool same =
+        std::ranges::equal(source.cameras(), cameras, [](const auto& a, const auto& b) {
+          return a.role == b.role && a.projection.width == b.projection.width &&
+                 a.projection.height == b.projection.height;
+        });
+    if (same) return {};
+    return fail(ErrorCode::kInvalid, "source", "has other cameras than the pipeline");
+  }
 };
 
 Pipeline::Pipeline(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -57,6 +93,7 @@ Result<void> Pipeline::check(const std::vector<capture::CameraInfo>& cameras) {
 
 Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& cameras,
                                   const runtime::Scene& scene, const PipelineOptions& options) {
+  PENUMBRA_TRY(penumbra::check(options));
   if (any_shows_surroundings(cameras)) PENUMBRA_TRY(check(cameras));
   runtime::BakeSettings settings = options.bake;
   settings.bands = options.bands;
@@ -68,7 +105,10 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
 Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& cameras,
                                   std::shared_ptr<const runtime::PreparedScene> scene,
                                   const PipelineOptions& options) {
+  PENUMBRA_TRY(penumbra::check(options));
   auto impl = std::make_unique<Impl>();
+  if (!scene) return fail(ErrorCode::kInvalid, "scene", "is null");
+  impl->cameras = cameras;
   impl->scene = std::move(scene);
   impl->times = options.timings ? options.timings : std::make_shared<StageTimes>();
   if (any_shows_surroundings(cameras)) {
@@ -97,8 +137,16 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
   return Pipeline(std::move(impl));
 }
 
+bool Pipeline::shows_surroundings(int camera) const {
+  return impl_->light && camera >= 0 && static_cast<std::size_t>(camera) < impl_->cameras.size() &&
+         impl_->light->takes(camera);
+}
+
 Result<bool> Pipeline::add_environment(const capture::Frame& frame) {
-  if (!impl_->light) return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
+  if (!impl_->light) return std::unexpected(no_environment_camera());
+  PENUMBRA_TRY(impl_->check(frame));
+  if (!impl_->light->takes(frame.camera))
+    return fail(ErrorCode::kInvalid, "frame", "is of a camera that shows no surroundings");
   const auto measured = impl_->light->process(frame, impl_->estimate);
   if (measured) return true;
   if (measured.error().code == ErrorCode::kUndetermined) return false;
@@ -111,6 +159,9 @@ void Pipeline::set_light(const lighting::LightEstimate& light) {
 }
 
 Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
+  PENUMBRA_TRY(impl_->check(view));
+  if (impl_->cameras[static_cast<std::size_t>(view.camera)].role != capture::Role::kView)
+    return fail(ErrorCode::kInvalid, "frame", "is of no view camera");
   runtime::Composited out;
   if (!impl_->estimate.valid) {
     out.pixels = *view.pixels;
@@ -123,12 +174,14 @@ Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
 
 Result<runtime::RunCounts> Pipeline::replay(capture::FrameSource& source,
                                             const runtime::Sink& sink) {
+  PENUMBRA_TRY(impl_->check(source));
   return runtime::run_replay(source, *impl_->light, *impl_->composite, sink, *impl_->times);
 }
 
 Result<runtime::RunCounts> Pipeline::run_live(capture::FrameSource& source,
                                               const runtime::Sink& sink,
                                               const std::atomic<bool>& stop) {
+  PENUMBRA_TRY(impl_->check(source));
   return runtime::run_live(source, *impl_->light, *impl_->composite, sink, *impl_->times, stop);
 }
 

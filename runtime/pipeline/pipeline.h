@@ -42,7 +42,8 @@ struct PipelineOptions {
 
 class Pipeline {
  public:
-  /// Whether these cameras can be composited for: before long work that would be lost.
+  /// Whether these cameras give an environment that light can be measured from: before long work that
+  /// would be lost.
   /// errors: kInvalid (says what is wrong with them)
   static Result<void> check(const std::vector<capture::CameraInfo>& cameras);
 
@@ -61,21 +62,26 @@ class Pipeline {
   Pipeline(Pipeline&&) noexcept;
   Pipeline& operator=(Pipeline&&) noexcept;
 
+  /// Whether frames of this camera go to add_environment(). A mirror ball in its picture makes a view
+  /// camera both.
+  bool shows_surroundings(int camera) const;
   /// Merges an exposure into the environment and measures its light anew.
   /// out: false where the frame tells nothing yet (all black, all saturated)
   /// errors: kInvalid (size or camera of the frame), kNonFinite
   Result<bool> add_environment(const capture::Frame& frame);
-  /// The light to composite under, from elsewhere.
+  /// The light to composite under, from elsewhere; the next add_environment() replaces it.
   void set_light(const lighting::LightEstimate& light);
   /// Puts the objects into a view frame. Before there is light the frame comes back as it is.
   /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)
   Result<runtime::Composited> composite(const capture::Frame& view);
 
-  /// All frames of a source in order of time on this thread: the same input gives the same bytes.
-  /// errors: as runtime::run_replay
+  /// All frames of a source in order of time on this thread: with a new pipeline the same input gives
+  /// the same bytes. light() stays as it was before.
+  /// errors: as runtime::run_replay, kInvalid (no camera shows the surroundings)
   Result<runtime::RunCounts> replay(capture::FrameSource& source, const runtime::Sink& sink);
-  /// The source at its own pace, light and compositing on threads, until `stop` is set.
-  /// errors: as runtime::run_live
+  /// The source at its own pace and the light on threads of their own, compositing on this one, until
+  /// the source ends, the sink returns false or `stop` is set. light() stays as it was before.
+  /// errors: as runtime::run_live, kInvalid (no camera shows the surroundings)
   Result<runtime::RunCounts> run_live(capture::FrameSource& source, const runtime::Sink& sink,
                                       const std::atomic<bool>& stop);
 
@@ -87,7 +93,7 @@ class Pipeline {
   const runtime::PreparedScene& scene() const;
   /// For measurements of its parts.
   runtime::CompositeStage& stage();
-  /// The window, where there is one.
+  /// What draws; it shows pictures where has_window().
   compositor::Compositor& output();
 
  private:

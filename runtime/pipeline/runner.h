@@ -44,7 +44,7 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
                              CompositeStage& compose, const Sink& sink, StageTimes& times);
 
 /// The source on one thread (paced to its timestamps), the light on another, compositing on this
-/// one; they meet in one-slot mailboxes. Where frames take longer than the source's view_rate allows, the governor's lights are given
+/// one; they meet in mailboxes, one slot a camera and exposure. Where frames take longer than the source's view_rate allows, the governor's lights are given
 /// up one by one, and taken back when there is time (FrameBudget). Stops when the source ends, the sink says so, or `stop` is
 /// set.
 Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,

@@ -258,9 +258,9 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     if (!o.animation.empty()) text += fmt::format("animation = {}\n", toml_quoted(o.animation));
     if (!o.transfer.empty())
       text += fmt::format("transfer = {}\n", toml_quoted(absolute(o.transfer)));
-    if (o.live) text += fmt::format("transfer = \"live\"\nlive_ms = {}\n", o.transfer_ms);
+    if (o.live) text += fmt::format("transfer = \"live\"\ntransfer_ms = {}\n", o.transfer_ms);
     if (!o.blend.empty())
-      text += fmt::format("blend = {}\nblend_share = {}\n", toml_quoted(o.blend), o.blend_weight);
+      text += fmt::format("blend = {}\nblend_weight = {}\n", toml_quoted(o.blend), o.blend_weight);
     if (o.light_map[0] > 0)
       text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);

@@ -91,7 +91,7 @@ class CompositeStage {
   /// it cannot.
   std::vector<lighting::SaturationRecovery> complete(const capture::Frame& frame,
                                                      const lighting::LightEstimate& light);
-  /// The light's fraction of process(): relights objects and renews shadows where something changed visibly.
+  /// The part of process() that depends on the light: relights objects and renews shadows where something changed visibly.
   bool shade(const lighting::LightEstimate& light, double seconds);
   /// From now on time counts: what is traced live keeps to its own, and clips are relit by whatever does it fastest. Before,
   /// results are the same on every machine.

@@ -51,7 +51,7 @@ class DirectLightStage {
     follow_forms();
     return rays();
   }
-  /// How much of a light's light (by its place in update()'s list) reaches the floor before a side of an object
+  /// How much of a distant light (by its place in update()'s list) reaches the floor before a side of an object
   /// past everything else: what there is for the two to reflect.
   float reflected_fraction(std::size_t source, std::size_t object, int side) const {
     return traced_[source].floor_fraction[object][static_cast<std::size_t>(side)];
@@ -59,7 +59,7 @@ class DirectLightStage {
 
   /// Adds the lights' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
-  /// E0 - E at points of real geometry and what is really left there of the light of all lights, relative irradiance.
+  /// E0 - E at points of real geometry and what is really left there of all distant lights, relative irradiance.
   struct AtVertices {
     std::vector<Rgb> open, taken, missing;
   };
@@ -78,7 +78,7 @@ class DirectLightStage {
   // How finely a light is traced, by what it brings.
   struct TracedDetail {
     int object_samples = 0;
-    double plane = 0;  // ShadowMapOptions::fineness
+    double plane = 0;  // ShadowMapOptions::resolution_scale
   };
   struct TracedLight {
     TracedDetail detail;            // as it was traced

@@ -1,4 +1,4 @@
-// CompositeStage's share that brings the world's light to one object, past whatever stands around it.
+// The part of CompositeStage that brings the world's light to one object, past whatever stands around it.
 #include <algorithm>
 #include <cmath>
 

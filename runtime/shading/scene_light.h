@@ -18,7 +18,7 @@ inline constexpr double kLevel = .99999;
 inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_bake) {
   return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
 }
-/// The light without lights, and one light for what is reflected of it (kIndirectBands), world frame.
+/// The residual, and one light for what is reflected of it (kIndirectBands), world frame.
 const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
 RadianceSh reflected_for(const lighting::DistantLight& source, bool level);
 /// A sum of reflected_for turned into the bake frame.

@@ -103,7 +103,7 @@ class FieldLight {
 struct FieldReceiver {
   std::span<const glm::vec3> positions;
   std::span<const glm::vec3> normals;  // unit
-  /// E of the light's lights, which are not in FieldLight, on the open points; empty: none.
+  /// E of the distant lights, which are not in FieldLight, on the open points; empty: none.
   std::span<const Rgb> distant_irradiance;
 };
 

@@ -33,14 +33,14 @@ inline constexpr float kMinIrradiance = .05f;
 /// Light on a receiver, in its bake frame.
 struct ReceiverLight {
   ReceiverLight(const RadianceSh& rest_)
-      : residual(rest_) {}  // NOLINT: light without lights is light
+      : residual(rest_) {}  // NOLINT: a residual alone is a light
   RadianceSh residual;      // without the lights
   RadianceSh lights{
       1};  // the lights in spherical harmonics, for the light that the object reflects
   Rgb distant_irradiance;  // E of all lights on the open receiver, W/m^2 relative
 };
 
-/// What the object takes of the receiver's irradiance/pi at its grid's texels under `rest`, less what it reflects of `lights`, in
+/// What the object takes of the receiver's irradiance/pi at its grid's texels under the residual, less what it reflects of `lights`, in
 /// prt::relight's layout.
 struct ReceiverChange {
   const prt::GroundGrid& grid;

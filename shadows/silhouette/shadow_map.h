@@ -19,7 +19,7 @@ struct ShadowMapOptions {
   int samples = 16;
   /// Cells along the longer side, at least 16; five eighths of them for a broad light.
   int size = 256;
-  /// Of a broad light so many of these directions are taken, and (1 + fineness)/2 of these cells: 1, 1/2 or 1/4. Steps in the shadow
+  /// Of a broad light so many of these directions are taken, and (1 + resolution_scale)/2 of these cells: 1, 1/2 or 1/4. Steps in the shadow
   /// of what brings little light are small.
   double resolution_scale = 1;
 };
@@ -39,7 +39,7 @@ struct ShadowMap {
 
 /// Exact at every node, for the casters as their silhouettes have them, for each of the light's directions that is 1.15 degrees above the plane. Shadows longer than ten radii
 /// of the caster are cut off softly.
-/// errors: none; an empty shadow when no light of the light reaches the plane's front, or nothing stands above it
+/// errors: none; an empty shadow when none of the light reaches the plane's front, or nothing stands above it
 /// threads: reentrant
 void render_shadow_map(const ShadowCasters& casters, const prt::Plane& plane,
                        const lighting::DistantLight& source, const ShadowMapOptions& options,

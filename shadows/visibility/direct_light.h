@@ -27,7 +27,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
                         const Caster& object, const prt::Plane* plane,
                         const lighting::DistantLight& source, int samples, std::span<float> out);
 
-/// Shares of a light's light at a mesh's vertices, as mean cosines over the light: of all of it, of what virtual things
+/// Fractions of one distant light at a mesh's vertices, as mean cosines over the light: of all of it, of what virtual things
 /// take, and of what real things take anyway. Times L Omega each is an irradiance.
 struct DirectLightAtVertices {
   std::vector<float> open, taken, missing;

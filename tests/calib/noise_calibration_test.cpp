@@ -143,9 +143,9 @@ TEST(NoiseFile, ComesBackAndDamagedOnesAreRefused) {
   EXPECT_EQ(back->black_level, .0625);
   for (const char* const text :
        {"", "version = 1", "version = 1\n[noise]\nfull_well_electrons = 5\n",
-        "version = 1\n[noise]\nfull_well_electrons = 0\nread_fraction = 0\nblack_level = 0\n",
-        "version = 1\n[noise]\nfull_well_electrons = 9\nread_fraction = 2\nblack_level = 0\n",
-        "version = 1\n[noise]\nfull_well_electrons = 9\nread_fraction = 0\nblack_level = inf\n"})
+        "version = 1\n[noise]\nfull_well_electrons = 0\nread_noise = 0\nblack_level = 0\n",
+        "version = 1\n[noise]\nfull_well_electrons = 9\nread_noise = 2\nblack_level = 0\n",
+        "version = 1\n[noise]\nfull_well_electrons = 9\nread_noise = 0\nblack_level = inf\n"})
     EXPECT_FALSE(parse_noise_file(text, "noise.toml")) << text;
 }
 

@@ -104,7 +104,7 @@ TEST(CaptureFolder, ReadsIntrinsicsAndNoise) {
   write_text(made.path() / "capture.toml",
              replaced(kManifest, "projection = \"latlong\"",
                       "projection = \"equidistant\"\nfocal_px = [4, 5.5]\nprincipal_px = [8, 4]\n"
-                      "distortion = [0, 0.0]\nfull_well_electrons = 9000\nread_fraction = 1e-3"));
+                      "distortion = [0, 0.0]\nfull_well_electrons = 9000\nread_noise = 1e-3"));
   const auto source = open_capture_folder(made.path());
   ASSERT_TRUE(source.has_value()) << source.error().where << ": " << source.error().detail;
   const CameraInfo& camera = (*source)->cameras()[0];
@@ -118,9 +118,9 @@ TEST(CaptureFolder, ReadsIntrinsicsAndNoise) {
 std::string with_lenses(const std::string& from = "", const std::string& to = "") {
   const std::string text =
       replaced(kManifest, "projection = \"latlong\"\n", "") +
-      "\n[[camera.lens]]\ncrop_px = [0, 0, 8, 8]\nprojection = \"equidistant\"\nfield_deg = 200\n"
+      "\n[[camera.lens]]\ncrop_px = [0, 0, 8, 8]\nprojection = \"equidistant\"\nfov_deg = 200\n"
       "\n[[camera.lens]]\ncrop_px = [8, 0, 8, 8]\nprojection = \"kb4\"\nfocal_px = [3, 3]\n"
-      "distortion = [0.01]\nfield_deg = 190\n"
+      "distortion = [0.01]\nfov_deg = 190\n"
       "camera_from_lens = [-1,0,0,0, 0,1,0,0, 0,0,-1,0, 0,0,0,1]\n";
   return from.empty() ? text : replaced(text, from, to);
 }

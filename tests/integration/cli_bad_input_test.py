@@ -129,6 +129,14 @@ class BadConfiguration(CliTest):
         self.expect_refusal(["odd-camera.toml:", "colour"], *render, "--scene", self.root / "scene.toml", "--camera", camera)
         self.expect_refusal(["odd.toml:", "colour"], "inspect", scene)
 
+    def test_old_names_are_refused_with_the_new_ones(self):
+        rig = self.spoiled("old.toml", 'version = 1\n[capture]\nsource = "studio"\n[light]\ndiscs = 3\n')
+        self.expect_refusal(["old.toml:5", "discs", "max_lights"], "serve", "--config", rig)
+        scene = self.spoiled("old-scene.toml", files.SCENE + "stand_size_m = 3\n")
+        self.expect_refusal(["old-scene.toml:", "stand_size_m", "fit_size_m"], "inspect", scene)
+        self.expect_refusal(["--discs", "--max-lights"], "demo", "--discs", 3)
+        self.expect_refusal(["--budget", "--max-shadow-error"], "composite", "--budget=0.1")
+
     def test_missing_and_damaged_files(self):
         self.expect_refusal(["nowhere.toml"], "serve", "--config", self.root / "nowhere.toml")
         broken = self.spoiled("broken.toml", "version = 1\n[capture\n")

@@ -37,7 +37,7 @@ class DemoAndComposite(CliTest):
 
     def test_recorded_demo_replays_to_the_same_pictures_and_bytes(self):
         demo, record = self.root / "demo", self.root / "record"
-        printed = self.run_json("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out", demo,
+        printed = self.run_json("demo", "--fine", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out", demo,
                                 "--real-mesh", "builtin:box", "--record", record)
         self.check_summary(printed)
         self.check_summary(json.loads((demo / "summary.json").read_text()))
@@ -587,7 +587,7 @@ class Calibrate(CliTest):
         self.assertAlmostEqual(two["centre_m"][0], .25, delta=.003)
         self.assertLess(max(two["sigma_m"]), .02)
         for words, outline in ((["no camera"], "c:1,2,3"), (["NAME:x,y,radius"], "a:1,2"),
-                               (["NAME:x,y,radius"], "a:1,2,3,4"), (["outline leaves"], "a:1,2,30")):
+                               (["NAME:x,y,radius"], "a:1,2,3,4"), (["partly outside"], "a:1,2,30")):
             self.expect_refusal(words, "calibrate", "ball", rig, "--outline", outline, "--radius", "0.05")
         self.expect_refusal(["sees the ball"], "calibrate", "ball", rig, "--outline", "a:765,360,25.2", "--outline",
                             "b:700,360,25.2", "--radius", "0.05")
@@ -642,7 +642,7 @@ class Calibrate(CliTest):
         (folder / "noise.toml").write_text(out.read_text())
         (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\n')
         self.run_json("inspect", folder)
-        (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\nread_fraction = 0.1\n')
+        (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\nread_noise = 0.1\n')
         self.expect_refusal(["capture.toml", "read_noise", "noise has it"], "inspect", folder)
         (folder / "capture.toml").write_text(manifest)
         (folder / "camera.csv").write_text("\n".join(rows[:5]) + "\n")

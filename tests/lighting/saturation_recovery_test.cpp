@@ -359,7 +359,7 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
     const auto got = complete_from_shadow(light, source, edge);
     return got ? std::string("none") : got.error().detail;
   };
-  has(edge_error(99, {kUp, {2, 2, 2}, {1, 1, 1}}), "not a clipped source");
+  has(edge_error(99, {kUp, {2, 2, 2}, {1, 1, 1}}), "is not saturated");
   has(edge_error(id, {kUp, {1, 1, 1}, {2, 2, 2}}), "not brighter");
   has(edge_error(id, {kUp, {1, 1, 1}, {0, 0, 0}}), "black");
   has(edge_error(id, {-kUp, {2, 2, 2}, {1, 1, 1}}), "does not see");

@@ -54,7 +54,7 @@ def main(build, examples, program, compiler):
         run(tree / "bake", mesh, folder / "box.glb")
         check((folder / "box.glb").stat().st_size > 1000, "bake.cpp writes an object")
         cache = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
-        run(program, "demo", "--headless", "--frames", "4", "--width", "160", "--height", "90",
+        run(program, "demo", "--fine", "--headless", "--frames", "4", "--width", "160", "--height", "90",
             "--no-video", "--record", folder / "capture", "--out", folder / "out", env=cache)
         run(tree / "composite", folder / "capture", folder / "capture" / "scene.toml",
             folder / "picture.png", env=cache)

@@ -118,7 +118,7 @@ TEST_F(SceneFile, NamesAndPathsMayHoldAnyCharacter) {
 TEST_F(SceneFile, BlendsOfClipsComeBackLive) {
   const auto scene = read(
       "version = 1\n[[object]]\nasset = \"a.glb\"\nanimation = \"Walk\"\nblend = \"Wave\"\n"
-      "blend_weight = 0.25\nlive_ms = 3\n[[object]]\nasset = \"b.glb\"\nanimation = \"0\"\n"
+      "blend_weight = 0.25\ntransfer_ms = 3\n[[object]]\nasset = \"b.glb\"\nanimation = \"0\"\n"
       "transfer = \"live\"\n");
   ASSERT_TRUE(scene) << scene.error().detail;
   const Scene back = round_trip(*scene);
@@ -173,7 +173,7 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
                                    {"name = 3", "name"},
                                    {"animation = 1", "animation"}})
     expect_invalid(head + line + "\n", 4, word);
-  expect_invalid(head + "scale = 2\nstand_size_m = 1\n", 5, "fit_size_m");
+  expect_invalid(head + "scale = 2\nfit_size_m = 1\n", 5, "fit_size_m");
   const std::string walks = head + "animation = \"Walk\"\n";
   for (const std::string line : {"blend_weight = 0.5", "transfer_ms = 3", "blend = \"\"",
                                  "blend = 3", "light_map = [7, 64]"})
@@ -191,7 +191,7 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
   expect_invalid("version = 1\n[[real]]\nplane = 3\n", 3, "plane");
   const std::string mesh = "version = 1\n[[real]]\nmesh = \"a.obj\"\n";
   expect_invalid(mesh + "position = [0, 1e5, 0]\n", 4, "position");
-  expect_invalid(mesh + "scale = 1\nstand_size_m = 1\n", 5, "fit_size_m");
+  expect_invalid(mesh + "scale = 1\nfit_size_m = 1\n", 5, "fit_size_m");
   for (const std::string key : {"position = [0, 0, 0]", "scale = 2", "fit_size_m = 1"})
     expect_invalid(
         "version = 1\n[[real]]\nplane = { point = [0, 0, 0], normal = [0, 1, 0] }\n" + key + "\n",

@@ -56,7 +56,7 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   const auto body = nlohmann::json::parse(response->body);
   EXPECT_EQ(body["cameras"]["sky"]["frames"], 70);
   EXPECT_EQ(body["cameras"]["sky"]["lost"], 3);
-  EXPECT_EQ(body["cameras"]["sky"]["refused"], 2);
+  EXPECT_EQ(body["cameras"]["sky"]["rejected"], 2);
   EXPECT_EQ(body["cameras"]["sky"]["reconnected"], 1);
   EXPECT_EQ(body["cameras"]["sky"]["delay_frames"], 2);
   EXPECT_EQ(body["cameras"]["view"]["follows_exposure"], false);

@@ -32,6 +32,7 @@ std::string escaped(const std::string& text) {
 std::string label_of(const CLI::Option& option) {
   std::string label =
       option.get_positional() ? option.get_name(true) : option.get_name(false, true);
+  label = label.substr(0, label.find('{'));  // a flag that clears: "--no-video{false}"
   if (option.get_expected_max() > 0 && !option.get_positional()) label += " VALUE";
   return label;
 }

@@ -87,7 +87,8 @@ void add_bake(CLI::App& parent, Action& action) {
   auto* c = parent.add_subcommand(
       "bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
   c->add_option("asset", bake_options.asset,
-                "glTF, OBJ or PLY (or builtin:knot, builtin:twist, builtin:box, builtin:walker)")
+                "glTF, OBJ, PLY, STL, FBX or COLLADA (or builtin:knot, builtin:twist, builtin:box, "
+                "builtin:walker)")
       ->required();
   c->add_option("-o,--output", bake_options.output, "Baked .glb, of a clip .shlm")->required();
   c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();

@@ -211,8 +211,10 @@ void add_demo(CLI::App& parent, Action& action) {
   c->add_flag("--live", demo_options.live,
               "Cameras (filmed beforehand), light and composite on threads, paced by the clock; "
               "distant lights are given up where --fps leaves no time");
-  c->add_option("--width", demo_options.width, "View camera, pixels")->capture_default_str();
-  c->add_option("--height", demo_options.height, "View camera, pixels")->capture_default_str();
+  c->add_option("--width", demo_options.width, "Of the view frames, in pixels")
+      ->capture_default_str();
+  c->add_option("--height", demo_options.height, "Of the view frames, in pixels")
+      ->capture_default_str();
   c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
   c->add_option("--bands", demo_options.bands, "1 to 9")->capture_default_str();
   c->add_option("--max-lights", demo_options.lights, kMaxLightsHelp)->capture_default_str();

@@ -1,4 +1,4 @@
-// How much of a light the silhouettes over a place leave in visibility.
+// How much of a light the silhouettes over a place leave visible.
 #pragma once
 
 #include <cstdint>

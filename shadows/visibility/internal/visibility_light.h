@@ -1,4 +1,4 @@
-// A light's light on an object by what its vertices are known to see past the object itself.
+// Direct light on an object from its visibility map.
 #pragma once
 
 #include <cstdint>
