@@ -38,7 +38,7 @@ struct CameraRegion {
 
 /// The whole picture of a camera with this projection.
 CameraRegion plain_region(const calib::CameraModel& projection,
-                              const std::array<double, 3>& vignetting = {});
+                          const std::array<double, 3>& vignetting = {});
 
 /// Whether light can be measured with it.
 bool shows_surroundings(const CameraInfo& camera);

@@ -53,8 +53,7 @@ EnvironmentAssembler::EnvironmentAssembler(const CameraRegion& region,
 EnvironmentAssembler::EnvironmentAssembler(const calib::CameraModel& projection,
                                            const Pose& world_from_camera, int width, int height,
                                            const glm::dmat3& colour)
-    : EnvironmentAssembler(plain_region(projection), world_from_camera, width, height, colour) {
-}
+    : EnvironmentAssembler(plain_region(projection), world_from_camera, width, height, colour) {}
 
 void EnvironmentAssembler::make_samples(const Look& look, const glm::dquat& camera_from_world) {
   samples_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_), {-1, 0, 0});
