@@ -1,6 +1,5 @@
 #include <spdlog/spdlog.h>
 
-#include "compositor/compositor.h"
 #include "core/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
 #include "service/http_api.h"

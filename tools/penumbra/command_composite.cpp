@@ -5,7 +5,6 @@
 
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
-#include "compositor/compositor.h"
 #include "core/files.h"
 #include "core/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
