@@ -1,4 +1,4 @@
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"

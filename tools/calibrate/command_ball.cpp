@@ -39,15 +39,16 @@ Result<calib::BallOutline> parse_outline(const std::string& text,
                                          const std::vector<capture::CameraInfo>& cameras) {
   const auto invalid = [&](const char* why) { return fail(ErrorCode::kInvalid, text, why); };
   const std::size_t colon = text.rfind(':');
-  if (colon == std::string::npos) return invalid("expected NAME:x,y,radius");
+  if (colon == std::string::npos) return invalid("is not NAME:x,y,radius");
   const auto camera = std::ranges::find(cameras, text.substr(0, colon), &capture::CameraInfo::name);
-  if (camera == cameras.end()) return fail(ErrorCode::kNotFound, text, "no camera of that name");
+  if (camera == cameras.end())
+    return fail(ErrorCode::kNotFound, text, "names no camera of the capture or the rig");
   double numbers[3];
   const char *at = text.data() + colon + 1, *const end = text.data() + text.size();
   for (int i = 0; i < 3; ++i) {
     const auto [next, error] = std::from_chars(at, end, numbers[i]);
     if (error != std::errc() || (i < 2 ? next == end || *next != ',' : next != end))
-      return invalid("expected NAME:x,y,radius");
+      return invalid("is not NAME:x,y,radius");
     at = next + 1;
   }
   return calib::BallOutline{camera->name,
@@ -81,19 +82,21 @@ Result<void> calibrate_ball(const CalibrateBallOptions& o) {
 
 void add_calibrate_ball(CLI::App& parent, Action& action) {
   static CalibrateBallOptions ball;
-  auto* c = parent.add_subcommand("ball",
-                                  "Where a mirror ball of known radius stands, from its outline in "
-                                  "pictures of cameras with known poses");
+  auto* c =
+      parent.add_subcommand("ball",
+                            "Find where a mirror ball of known radius stands, from its outlines "
+                            "in pictures of cameras with known poses");
   c->add_option("cameras", ball.cameras, "Capture folder, recording or rig.toml with the cameras")
       ->required();
   c->add_option(
        "--outline", ball.outlines,
-       "NAME:x,y,radius: a circle over the ball in that camera's picture, pixels; once a camera")
+       "Circle over the ball in the picture of camera NAME, as NAME:x,y,radius in pixels; once for "
+       "each camera")
       ->required();
-  c->add_option("--radius", ball.radius_m, "Of the ball, metres")
+  c->add_option("--radius", ball.radius_m, "Radius of the ball in metres, above 0")
       ->required()
       ->check(CLI::PositiveNumber);
-  c->add_option("--sigma-px", ball.sigma_px, "How exact the circles are")
+  c->add_option("--sigma-px", ball.sigma_px, "Standard deviation of the circles in pixels, above 0")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   add_json(c, ball.json);

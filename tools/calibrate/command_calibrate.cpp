@@ -19,11 +19,11 @@
 #include "service/rig_source.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"
-#include "tools/common/bracket_files.h"
-#include "tools/common/camera_film.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/pictures/bracket_files.h"
+#include "tools/pictures/camera_film.h"
 
 namespace penumbra::tools {
 
@@ -71,7 +71,8 @@ Result<void> look_at_picture(const FramePixels& pixels, const calib::Board& boar
   }
   if (w != found.width || h != found.height)
     return fail(ErrorCode::kInvalid, name,
-                fmt::format("{}x{}, the first picture {}x{}", w, h, found.width, found.height));
+                fmt::format("has {}x{} pixels, but the first picture has {}x{}", w, h, found.width,
+                            found.height));
   if (auto view = calib::find_board(pixels, board, name)) found.views.push_back(std::move(*view));
   return {};
 }
@@ -229,7 +230,7 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
     return fail(ErrorCode::kInvalid, o.projection,
                 "has nothing to calibrate; pinhole, equidistant, kb4 and double-sphere have");
   if (!(o.every_s >= 0 && o.every_s < 1e6))
-    return fail(ErrorCode::kInvalid, "--min-interval", "not a number of seconds");
+    return fail(ErrorCode::kInvalid, "--min-interval", "is not a number of seconds within 0..1e6");
   if (o.pictures.empty() == !o.capture)
     return fail(ErrorCode::kInvalid, "calibrate camera", "needs either pictures or --capture");
   PENUMBRA_TRY(check_writable(o.output));
@@ -241,7 +242,8 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
                 fmt::format("the board was found in none of {} pictures: does --board say its kind "
                             "and counts (inner corners; 4x4_50 markers; tags 36h11)?",
                             found.pictures));
-  if (found.pictures == 0) return fail(ErrorCode::kUndetermined, o.camera, "no frame of it");
+  if (found.pictures == 0)
+    return fail(ErrorCode::kUndetermined, o.camera, "has no frame in the capture");
   PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height,
                                                   {.undistorted = o.undistorted}));
   PENUMBRA_TRY(write_bytes(o.output, print_camera_file(o.camera, result, o.board)));
@@ -264,7 +266,7 @@ Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   const std::string& first = o.captures.empty() ? o.images[0] : o.captures[0];
   if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
     return fail(ErrorCode::kUndetermined, first,
-                "only the response of 8-bit pictures is estimated");
+                "is not 8-bit, and the response is estimated from 8-bit pictures only");
   const EightBitBracket bracket = eight_bit_bracket(stack);
   PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
   const std::string text =
@@ -287,16 +289,19 @@ void add_calibrate_response(CLI::App& parent, Action& action) {
   static CalibrateResponseOptions response;
   auto* c = parent.add_subcommand(
       "response",
-      "Response curve from a bracket of a still scene that has everything from dark to bright");
-  auto* images =
-      c->add_option("images", response.images, "8-bit PNG, JPEG or TIFF, the camera still");
-  c->add_option("--times", response.times, "Exposure times in seconds: t1,t2,... (1/60 works)")
+      "Find the response curve of an 8-bit camera from a bracket of a still scene that goes from "
+      "dark to bright");
+  auto* images = c->add_option(
+      "images", response.images,
+      "Pictures of the bracket: 8-bit PNG, JPEG or TIFF, from a camera that stands still");
+  c->add_option("--times", response.times,
+                "Exposure time of each picture in seconds, as 1/60,0.1,...")
       ->needs(images);
-  auto* name = c->add_option("--camera", response.camera, "Its name in the captures");
+  auto* name = c->add_option("--camera", response.camera, "Name of the camera in the captures");
   c->add_option(
        "--capture", response.captures,
-       "Instead of images: recordings or capture folders of one still scene, two exposures at "
-       "least in all; the frames of an exposure are averaged")
+       "Recordings or capture folders of one still scene, instead of pictures: at least two "
+       "exposures in all; the frames of each exposure are averaged")
       ->excludes(images)
       ->needs(name);
   c->add_option("-o,--output", response.output, "Response file to write, .toml")->required();
@@ -309,27 +314,28 @@ void add_calibrate_camera(CLI::App& parent, Action& action) {
   static CalibrateCameraOptions camera;
   auto* c = parent.add_subcommand(
       "camera",
-      "Intrinsics from pictures of a board: ten to thirty, tilted to all sides, up to the borders");
-  c->add_option("pictures", camera.pictures, "PNG, JPEG or TIFF pictures of the board");
+      "Find the intrinsics of a lens from ten to thirty pictures of a board, tilted to all sides "
+      "and up to the borders");
+  c->add_option("pictures", camera.pictures, "Pictures of the board: PNG, JPEG or TIFF");
   c->add_option(
       "--capture", camera.capture,
-      "Instead of pictures: a recording, a capture folder, or a rig.toml whose camera is looked "
-      "at live");
+      "Recording or capture folder, instead of pictures, or a rig.toml whose camera is watched "
+      "live");
   c->add_option("--seconds", camera.seconds,
-                "Of a live rig: how long; an interrupt ends it earlier")
+                "How long a live camera is watched, in seconds, above 0; Ctrl-C ends it earlier")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output");
-  c->add_option("--min-interval", camera.every_s,
-                "Of a capture: seconds between two pictures, at least");
-  c->add_option("--board", camera.board,
-                "chessboard:15x9:0.026 (inner corners, square in metres), "
-                "charuco:8x6:0.04:0.03 (squares, square, marker) or apriltag:6x5:0.05:0.015 (tags, "
-                "tag, gap)")
-      ->required();
-  c->add_option("--projection", camera.projection, "pinhole, equidistant, kb4 or double-sphere")
+  c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output")
       ->capture_default_str();
-  c->add_flag("--undistorted", camera.undistorted, "Keep the distortion at 0");
+  c->add_option("--min-interval", camera.every_s,
+                "Shortest time between two frames of a capture that are used, in seconds")
+      ->capture_default_str();
+  c->add_option("--board", camera.board, kBoardHelp)->required();
+  c->add_option("--projection", camera.projection,
+                "Camera model: pinhole, equidistant, kb4 or double-sphere")
+      ->capture_default_str();
+  c->add_flag("--undistorted", camera.undistorted,
+              "Keep the distortion at 0, as a view camera needs it");
   c->add_option("-o,--output", camera.output, "Camera file to write, .toml")->required();
   c->add_option("--report", camera.report, "Folder for plots and a table of the residuals");
   add_json(c, camera.json);

@@ -41,11 +41,10 @@ Result<std::vector<calib::ColourPair>> pairs_of_chart(const capture::StillPictur
   for (std::size_t i = 0; i < source.size(); ++i)
     if (source[i] && target[i]) out.push_back({*source[i], *target[i]});
   if (out.size() < kFewest)
-    return fail(
-        ErrorCode::kUndetermined, "colour calibration",
-        fmt::format("only {} patches of the chart are neither clipped nor black in both pictures, "
-                    "{} are needed: add shorter and longer exposures",
-                    out.size(), kFewest));
+    return fail(ErrorCode::kUndetermined, "colour calibration",
+                fmt::format("only {} patches of the chart are neither clipped nor black in both "
+                            "pictures, and {} are needed: add shorter and longer exposures",
+                            out.size(), kFewest));
   return out;
 }
 
@@ -69,9 +68,9 @@ Result<void> check_same_surfaces(const capture::StillPicture& environment,
         calib::calibrate_colour(pairs_of_surroundings(environment, view, turn), model);
     if (turned && found.rms > kClearly * turned->rms)
       return fail(ErrorCode::kUndetermined, "colour calibration",
-                  fmt::format("the pictures fit as they are within {:.1f} %, turned by 8 degrees "
-                              "against each other within {:.1f} %: what both see is too even, or "
-                              "near things hide it; use --chart, or take the cameras out of doors",
+                  fmt::format("the colours agree within {:.1f} % as they are, and within {:.1f} % "
+                              "with one picture turned by 8 degrees: the surroundings are too "
+                              "even, or too near; use --chart, or record outdoors",
                               100 * found.rms, 100 * turned->rms));
   }
   return {};
@@ -102,8 +101,10 @@ Result<void> calibrate_colour(const CalibrateColourOptions& o) {
   const capture::StillPicture &environment = pictures[0], &view = pictures[1];
   if (environment.camera.role != capture::Role::kEnvironment ||
       view.camera.role != capture::Role::kView)
-    return fail(ErrorCode::kInvalid, "--environment, --view",
-                fmt::format("{} and {} have other roles in the capture", o.environment, o.view));
+    return fail(
+        ErrorCode::kInvalid, "--environment, --view",
+        fmt::format("{} is not an environment camera of the capture, or {} is not a view camera",
+                    o.environment, o.view));
   PENUMBRA_ASSIGN(pairs, o.chart ? pairs_of_chart(environment, view)
                                  : Result<std::vector<calib::ColourPair>>(
                                        pairs_of_surroundings(environment, view)));
@@ -125,7 +126,7 @@ Result<void> calibrate_colour(const CalibrateColourOptions& o) {
 void add_calibrate_colour(CLI::App& parent, Action& action) {
   static CalibrateColourOptions colour;
   auto* c = parent.add_subcommand(
-      "colour", "Matrix that carries an environment camera's radiance into a view camera's");
+      "colour", "Find the matrix from an environment camera's colours to a view camera's");
   c->add_option(
        "capture", colour.capture,
        "Recording or capture folder of a still scene that both cameras see, with their poses")
@@ -133,9 +134,11 @@ void add_calibrate_colour(CLI::App& parent, Action& action) {
   c->add_option("--environment", colour.environment, "Name of the environment camera")
       ->capture_default_str();
   c->add_option("--view", colour.view, "Name of the view camera")->capture_default_str();
-  c->add_flag("--chart", colour.chart,
-              "A ColorChecker of 24 patches stands in both pictures; poses do not matter");
-  c->add_option("--model", colour.model, "matrix, gains (one a channel) or scale (one in all)")
+  c->add_flag(
+      "--chart", colour.chart,
+      "Use a ColorChecker of 24 patches that is in both pictures; poses do not matter then");
+  c->add_option("--model", colour.model,
+                "Colour model: matrix, gains (one for each channel) or scale (one for all)")
       ->capture_default_str();
   c->add_option("-o,--output", colour.output, "Colour file to write, .toml")->required();
   c->add_option("--report", colour.report, "Folder for a plot and a table of the surfaces");

@@ -10,10 +10,10 @@
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"
-#include "tools/common/camera_film.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/pictures/camera_film.h"
 
 namespace penumbra::tools {
 
@@ -47,7 +47,7 @@ Result<Film> read_film(const std::string& path, const std::string& name) {
     if (by_exposure.size() > kMaxExposures)
       return fail(
           ErrorCode::kUndetermined, path,
-          fmt::format("more than {} exposures: take them by hand, a few in turn", kMaxExposures));
+          fmt::format("has more than {} exposures: record a few fixed ones", kMaxExposures));
     PENUMBRA_TRY(
         series->second.add(*frame->pixels, fmt::format("{} frame {}", name, frame->sequence)));
     progress(++count);
@@ -98,17 +98,19 @@ void add_calibrate_noise(CLI::App& parent, Action& action) {
   static CalibrateNoiseOptions noise;
   auto* c = parent.add_subcommand(
       "noise",
-      "Full well, read noise and black level from frames of a still scene (photon transfer)");
+      "Find full well, read noise and black level from frames of a still scene (photon transfer)");
   c->add_option(
        "capture", noise.capture,
-       "Recording or capture folder: a still scene from dark to bright, eight frames or more of "
-       "each exposure and gain")
+       "Recording or capture folder of a still scene that goes from dark to bright, with at least "
+       "eight frames of each exposure and gain")
       ->required();
-  c->add_option("--dark", noise.capped,
-                "The same camera with its lens covered, for the black level");
-  c->add_option("--camera", noise.camera, "Its name in the captures")->capture_default_str();
+  c->add_option(
+      "--dark", noise.capped,
+      "Recording or capture folder of the same camera with its lens capped, for the black level");
+  c->add_option("--camera", noise.camera, "Name of the camera in the captures")
+      ->capture_default_str();
   c->add_option("-o,--output", noise.output, "Noise file to write, .toml")->required();
-  c->add_option("--report", noise.report, "Folder for a plot and a table of the points");
+  c->add_option("--report", noise.report, "Folder for a plot and a table of the measured points");
   add_json(c, noise.json);
   c->callback([&] { action = [] { return calibrate_noise(noise); }; });
 }

@@ -52,9 +52,9 @@ Result<std::vector<std::optional<std::size_t>>> choose_cameras(
   for (const std::string& name : names) {
     const auto camera = std::ranges::find(all, name, &capture::CameraInfo::name);
     if (camera == all.end())
-      return fail(ErrorCode::kNotFound, name, "no camera of that name in the capture");
+      return fail(ErrorCode::kNotFound, name, "is not a camera of the capture");
     auto& index = out[static_cast<std::size_t>(camera - all.begin())];
-    if (index) return fail(ErrorCode::kInvalid, name, "named twice");
+    if (index) return fail(ErrorCode::kInvalid, name, "is named twice");
     index = seen.cameras.size();
     seen.cameras.push_back({name, camera->projection});
   }
@@ -68,7 +68,7 @@ Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board
   PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
   if (seen.cameras.size() == 1 && !o.tracker && o.board_lies.empty())
     return fail(ErrorCode::kInvalid, seen.cameras[0].name,
-                "one camera alone has no place: give --tracker or --board-plane");
+                "is one camera alone, whose pose needs --tracker or --board-plane");
   const auto progress = progress_count("pictures looked at");
   std::optional<double> moment;
   constexpr double kJitter = .0005;  // seconds
@@ -92,7 +92,7 @@ Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board
 Result<Pose> world_from_board(const std::string& lies) {
   if (lies == "floor") return Pose{glm::angleAxis(-kPi / 2, glm::dvec3(1, 0, 0)), {0, 0, 0}};
   if (lies == "wall") return Pose{};
-  return fail(ErrorCode::kInvalid, "--board-plane", lies + ": expected floor or wall");
+  return fail(ErrorCode::kInvalid, "--board-plane", "\"" + lies + "\" is neither floor nor wall");
 }
 
 // The mean of a board that stood still.
@@ -106,12 +106,11 @@ Result<Pose> still_board(const calib::RigCalibration& c) {
         glm::dot(board.rotation, first.rotation) < 0 ? -board.rotation : board.rotation;
     const double angle = 2 * std::acos(std::min(1., glm::dot(q, first.rotation)));
     if (glm::length(board.translation - first.translation) > kMoved_m || angle > kTurned)
-      return fail(
-          ErrorCode::kUndetermined, "--board-plane",
-          fmt::format("the board or the cameras moved: at {:.2f} s it lies {:.0f} mm and {:.1f} "
-                      "degrees from where it lay first",
-                      time_s, 1000 * glm::length(board.translation - first.translation),
-                      angle * 180 / kPi));
+      return fail(ErrorCode::kUndetermined, "--board-plane",
+                  fmt::format("the board or the cameras moved: at {:.2f} s the board is {:.0f} mm "
+                              "and {:.1f} degrees from its first pose",
+                              time_s, 1000 * glm::length(board.translation - first.translation),
+                              angle * 180 / kPi));
     place += board.translation / static_cast<double>(c.rig_from_board.size());
     turn = turn + q;
   }
@@ -204,19 +203,20 @@ Result<calib::RigOptions> solver_options(const CalibrateRigOptions& o) {
   out.tracker_sigma_m = o.tracker_sigma_mm / 1000;
   out.tracker_sigma_rad = o.tracker_sigma_deg * kPi / 180;
   if (!(o.every_s >= 0 && o.every_s < 1e6))
-    return fail(ErrorCode::kInvalid, "--min-interval", "not a number of seconds");
+    return fail(ErrorCode::kInvalid, "--min-interval", "is not a number of seconds within 0..1e6");
   if (!(o.simultaneous_s >= 0 && o.simultaneous_s <= 1))
-    return fail(ErrorCode::kInvalid, "--sync-tolerance", "not within 0..1 seconds");
+    return fail(ErrorCode::kInvalid, "--sync-tolerance", "is not within 0..1 s");
   const auto sensible = [](double v) { return v > 0 && v < 10; };  // metres, radian
   if (!sensible(out.tracker_sigma_m) || !sensible(out.tracker_sigma_rad))
     return fail(ErrorCode::kInvalid, "--tracker-sigma-mm, --tracker-sigma-deg",
-                "not positive, or beyond all sense");
+                "are not above 0 and below 10000 mm and 573 degrees");
   if (o.tracker && o.simultaneous_s > calib::RigOptions().simultaneous_s)
     return fail(ErrorCode::kInvalid, "--sync-tolerance",
-                "not above .005 s with --tracker: the rig moves meanwhile");
+                "is above 0.005 s, in which a tracked rig moves too far");
   if (!o.tracker) return out;
   if (!o.board_lies.empty())
-    return fail(ErrorCode::kInvalid, "--board-plane", "not with --tracker, which has a world");
+    return fail(ErrorCode::kInvalid, "--board-plane",
+                "excludes --tracker, which defines the world");
   PENUMBRA_ASSIGN(tracker, read_tracker_file(*o.tracker));
   out.tracker = std::move(tracker);
   return out;
@@ -262,30 +262,40 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
 void add_calibrate_rig(CLI::App& parent, Action& action) {
   static CalibrateRigOptions rig;
   auto* c = parent.add_subcommand(
-      "rig", "Poses of cameras that are fixed to each other, from a board that they see at once");
-  c->add_option("capture", rig.capture, "Recording or capture folder with the cameras' intrinsics")
+      "rig",
+      "Find the poses of cameras that are fixed to each other, from a board that they see at once");
+  c->add_option("capture", rig.capture,
+                "Recording or capture folder whose cameras have calibrated lenses")
       ->required();
-  c->add_option("--board", rig.board, "As for calibrate camera")->required();
-  c->add_option("--cameras", rig.cameras, "Names; the first is the rig's frame (all, as they come)")
+  c->add_option("--board", rig.board, kBoardHelp)->required();
+  c->add_option("--cameras", rig.cameras,
+                "Names of the cameras, separated by commas; the first one is the frame of the "
+                "rig; by default all")
       ->delimiter(',');
   c->add_option(
       "--tracker", rig.tracker,
-      "Poses of the body that carries the cameras, before a board that stands still: CSV of "
-      "time_s,tx,ty,tz,qx,qy,qz,qw");
-  c->add_option("--tracker-sigma-mm", rig.tracker_sigma_mm, "Noise of a tracked position")
+      "Tracked poses of the body that carries the cameras past a board that stands still: CSV of "
+      "time_s,tx,ty,tz,qx,qy,qz,qw, in seconds and metres");
+  c->add_option("--tracker-sigma-mm", rig.tracker_sigma_mm,
+                "Standard deviation of a tracked position in mm, above 0")
       ->capture_default_str();
-  c->add_option("--tracker-sigma-deg", rig.tracker_sigma_deg, "Noise of a tracked rotation")
+  c->add_option("--tracker-sigma-deg", rig.tracker_sigma_deg,
+                "Standard deviation of a tracked rotation in degrees, above 0")
       ->capture_default_str();
-  c->add_option("--board-plane", rig.board_lies,
-                "floor or wall: cameras and board stand still, and the board's first corner is the "
-                "world's origin");
-  c->add_option("--min-interval", rig.every_s, "Seconds between two moments, at least")
+  c->add_option(
+      "--board-plane", rig.board_lies,
+      "Where the board lies, floor or wall: cameras and board stand still, and the board's "
+      "first corner is the origin of the world");
+  c->add_option("--min-interval", rig.every_s,
+                "Shortest time between two moments that are used, in seconds")
       ->capture_default_str();
-  c->add_option("--sync-tolerance", rig.simultaneous_s,
-                "Seconds that frames of one moment may lie apart")
+  c->add_option(
+       "--sync-tolerance", rig.simultaneous_s,
+       "Longest time between the frames of one moment, in seconds, at most 1; with --tracker "
+       "at most 0.005")
       ->capture_default_str();
   c->add_option("-o,--output", rig.output, "Pose file to write, .toml")->required();
-  c->add_option("--report", rig.report, "Folder for a plot and a table of the boards");
+  c->add_option("--report", rig.report, "Folder for a plot and a table of the boards' errors");
   add_json(c, rig.json);
   c->callback([&] { action = [] { return calibrate_rig(rig); }; });
 }

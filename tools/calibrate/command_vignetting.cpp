@@ -72,19 +72,25 @@ void add_calibrate_vignetting(CLI::App& parent, Action& action) {
   static CalibrateVignettingOptions vignetting;
   auto* c = parent.add_subcommand(
       "vignetting",
-      "What a lens takes of the light towards the borders, from pictures of an even surface");
-  c->add_option("pictures", vignetting.pictures,
-                "Of white paper out of focus, or a sky through it; turn the camera between them")
+      "Find how a lens darkens the picture towards its borders, from pictures of an even surface");
+  c->add_option(
+       "pictures", vignetting.pictures,
+       "Pictures of an evenly lit surface, such as white paper out of focus; turn the camera "
+       "between them")
       ->required();
-  c->add_option("--camera", vignetting.camera,
-                "Camera file of calibrate camera: its principal point is the centre, else the "
-                "picture's middle");
-  c->add_option("--response", vignetting.response, "linear, srgb, gamma:2.2 or a response file")
+  c->add_option(
+      "--camera", vignetting.camera,
+      "Camera file, whose principal point is the centre of the vignetting; by default the "
+      "centre of the picture");
+  c->add_option("--response", vignetting.response,
+                "Response curve of the camera: linear, srgb, gamma:2.2 or a response file")
       ->capture_default_str();
-  c->add_option("--black-level", vignetting.black_level, "Fraction of full scale")
-      ->check(CLI::Range(0., .9));
+  c->add_option("--black-level", vignetting.black_level,
+                "Code of darkness as a fraction of full scale, 0 to 0.9")
+      ->check(CLI::Range(0., .9))
+      ->capture_default_str();
   c->add_option("-o,--output", vignetting.output, "Vignetting file to write, .toml")->required();
-  c->add_option("--report", vignetting.report, "Folder for a plot");
+  c->add_option("--report", vignetting.report, "Folder for a plot and a table of the fall-off");
   add_json(c, vignetting.json);
   c->callback([&] { action = [] { return calibrate_vignetting(vignetting); }; });
 }

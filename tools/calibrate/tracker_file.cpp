@@ -44,17 +44,18 @@ Result<std::vector<calib::TrackerPose>> read_tracker_file(const std::filesystem:
       return fail(ErrorCode::kInvalid, fmt::format("{}:{}", path.string(), number), detail);
     };
     if (number == 1) {
-      if (line != kHeader) return invalid(fmt::format("expected the header {}", kHeader));
+      if (line != kHeader) return invalid(fmt::format("is not the header {}", kHeader));
       continue;
     }
     if (line.empty()) continue;
     const auto row = parse(line);
-    if (!row) return invalid("not eight numbers");
+    if (!row) return invalid("does not have eight numbers");
     const auto& r = *row;
     const glm::dquat q(r[7], r[4], r[5], r[6]);
-    if (std::abs(glm::length(q) - 1) > kUnit) return invalid("no unit quaternion");
+    if (std::abs(glm::length(q) - 1) > kUnit)
+      return invalid("has a quaternion that is not of unit length");
     if (!out.empty() && !(r[0] > out.back().time_s))
-      return invalid("not later than the line before");
+      return invalid("is not later than the line before");
     out.push_back({r[0], {glm::normalize(q), {r[1], r[2], r[3]}}});
   }
   if (out.empty()) return fail(ErrorCode::kInvalid, path.string(), "has no pose");

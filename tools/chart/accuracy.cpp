@@ -5,9 +5,9 @@
 #include <limits>
 
 #include "core/conventions.h"
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
@@ -33,16 +33,15 @@ Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::Pinhole
     return render_composite(in, light, Still{picture, 0, 0, {}, {}});
   };
   // A pixel that the object covers fully shows nothing of the backdrop.
-  auto dark = over(0), bright = over(100);
-  if (!dark) return std::unexpected(dark.error());
-  if (!bright) return std::unexpected(bright.error());
+  PENUMBRA_ASSIGN(dark, over(0));
+  PENUMBRA_ASSIGN(bright, over(100));
   Masks masks;
   for (int y = 0; y < view.height; ++y)
     for (int x = 0; x < view.width; ++x) {
       bool object = true, open = true;
       for (int k = 0; k < kFiner * kFiner; ++k) {
         const int i = kFiner * x + k % kFiner, j = kFiner * y + k / kFiner;
-        const float a = dark->radiance.at(i, j).g, b = bright->radiance.at(i, j).g;
+        const float a = dark.radiance.at(i, j).g, b = bright.radiance.at(i, j).g;
         object &= a > 0 && std::abs(b - a) < 1e-3f;
         open &= a == 0;
       }

@@ -7,7 +7,7 @@
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"
 #include "runtime/scene/scene.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::tools {
 

@@ -4,10 +4,10 @@
 #include <cmath>
 
 #include "core/conventions.h"
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
-#include "lighting/projection.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
+#include "lighting/sh/projection.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
 

@@ -9,12 +9,12 @@
 
 #include "capture/studio/studio.h"
 #include "core/conventions.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "lighting/light_extraction.h"
-#include "lighting/projection.h"
-#include "lighting/rotation.h"
+#include "lighting/lights/light_extraction.h"
+#include "lighting/sh/projection.h"
+#include "lighting/sh/rotation.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/transfer/transfer.h"
 #include "prt/transfer/visibility_map.h"
@@ -106,13 +106,11 @@ Result<ChartScene> ChartScene::make(const std::string& asset, int rays) {
   runtime::BakeSettings settings;
   settings.bands = kMaxBands;
   settings.rays = settings.ground_rays = rays;
-  auto prepared = runtime::prepare({{object}, {floor}}, settings, progress_bar);
-  if (!prepared) return std::unexpected(prepared.error());
-  bench.prepared_ = std::move(*prepared);
+  PENUMBRA_ASSIGN(prepared, runtime::prepare({{object}, {floor}}, settings, progress_bar));
+  bench.prepared_ = std::move(prepared);
   bench.view_ = make_view();
-  auto masks = make_masks(bench.prepared_, bench.view_);
-  if (!masks) return std::unexpected(masks.error());
-  bench.masks_ = std::move(*masks);
+  PENUMBRA_ASSIGN(masks, make_masks(bench.prepared_, bench.view_));
+  bench.masks_ = std::move(masks);
   return bench;
 }
 
@@ -120,10 +118,9 @@ Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& e
                                     const lighting::CostModel& costs) {
   lighting::LightExtraction split;
   PENUMBRA_TRY(lighting::extract_lights(environment, {}, split));
-  auto residual = lighting::project_latlong(split.residual, kMaxBands);
-  if (!residual) return std::unexpected(residual.error());
+  PENUMBRA_ASSIGN(residual, lighting::project_latlong(split.residual, kMaxBands));
   const lighting::Governor::Limits limits;
-  const lighting::ErrorTable table({&residual->upper_moments, split.lights},
+  const lighting::ErrorTable table({&residual.upper_moments, split.lights},
                                    runtime::shadow_probes(scene.prepared()), limits.max_bands,
                                    limits.max_lights);
   return lighting::Governor({}, costs).cheapest(table, limits.budget);
@@ -131,24 +128,20 @@ Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& e
 
 Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error) {
   const StillScene in = scene.in(environment);
-  auto empty = render_real(in, error, {});
-  if (!empty) return std::unexpected(empty.error());
-  auto full = render_reference(in, true, error, std::nullopt, progress_bar("reference"));
-  if (!full) return std::unexpected(full.error());
-  return Truth{std::move(*empty), std::move(*full)};
+  PENUMBRA_ASSIGN(empty, render_real(in, error, {}));
+  PENUMBRA_ASSIGN(full, render_reference(in, true, error, std::nullopt, progress_bar("reference")));
+  return Truth{std::move(empty), std::move(full)};
 }
 
 Result<Measured> measure(const ChartScene& bench, const runtime::PreparedScene& scene,
                          const lighting::LightEstimate& light,
                          const runtime::ShadowSampling& sampling, const Truth& truth) {
-  auto pipeline = make_still_pipeline(scene, bench.view(), sampling);
-  if (!pipeline) return std::unexpected(pipeline.error());
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(scene, bench.view(), sampling));
   Measured out;
-  out.time = time_updates(pipeline->stage(), light);
-  auto ours = composite_still(*pipeline, bench.view(), light, truth.empty);
-  if (!ours) return std::unexpected(ours.error());
-  out.accuracy = compare_pictures(*ours, truth.full, truth.empty, bench.masks());
-  if (auto flip = hdr_flip(truth.full.radiance, ours->radiance)) out.flip = mean_flip(*flip);
+  out.time = time_updates(pipeline.stage(), light);
+  PENUMBRA_ASSIGN(ours, composite_still(pipeline, bench.view(), light, truth.empty));
+  out.accuracy = compare_pictures(ours, truth.full, truth.empty, bench.masks());
+  if (auto flip = hdr_flip(truth.full.radiance, ours.radiance)) out.flip = mean_flip(*flip);
   return out;
 }
 
@@ -156,9 +149,8 @@ Result<runtime::LightTime> time_updates(const ChartScene& bench,
                                         const runtime::PreparedScene& scene,
                                         const lighting::LightEstimate& light,
                                         const runtime::ShadowSampling& sampling) {
-  auto pipeline = make_still_pipeline(scene, bench.view(), sampling);
-  if (!pipeline) return std::unexpected(pipeline.error());
-  return time_updates(pipeline->stage(), light);
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(scene, bench.view(), sampling));
+  return time_updates(pipeline.stage(), light);
 }
 
 std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, int map_size) {

@@ -13,7 +13,7 @@
 #include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/accuracy.h"
 #include "tools/chart/chart_plot.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::tools {
 

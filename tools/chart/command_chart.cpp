@@ -14,7 +14,7 @@
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "lighting/projection.h"
+#include "lighting/sh/projection.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
@@ -33,7 +33,7 @@
 #include "tools/common/output.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::tools {
 
@@ -54,11 +54,9 @@ struct ChartEnvironment {
 Result<std::vector<ChartEnvironment>> read_environments(const ChartOptions& o) {
   std::vector<ChartEnvironment> out;
   for (const std::string& path : o.environments) {
-    auto light = runtime::read_light(path, std::nullopt);
-    if (!light) return std::unexpected(light.error());
-    auto map = capture::to_latlong(light->file);
-    if (!map) return std::unexpected(map.error());
-    out.push_back({std::filesystem::path(path).stem().string(), std::move(*map)});
+    PENUMBRA_ASSIGN(light, runtime::read_light(path, std::nullopt));
+    PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
+    out.push_back({std::filesystem::path(path).stem().string(), std::move(map)});
   }
   if (!o.environments.empty() && !o.with_procedural) return out;
   out.push_back({"room", capture::make_room_environment(1024, 512)});
@@ -164,12 +162,11 @@ class Charter {
 
   Result<void> run(const ChartEnvironment& environment) {
     if (o_.bands.empty() && costs_.per_light_ms < 0) {
-      auto costs = runtime::fit_costs(baked_with(lighting::Governor::Limits{}.max_bands));
-      if (!costs) return std::unexpected(costs.error());
-      costs_ = *costs;
+      PENUMBRA_ASSIGN(costs,
+                      runtime::fit_costs(baked_with(lighting::Governor::Limits{}.max_bands)));
+      costs_ = costs;
     }
-    auto truth = trace_truth(bench_, environment.map, o_.error);
-    if (!truth) return std::unexpected(truth.error());
+    PENUMBRA_ASSIGN(truth, trace_truth(bench_, environment.map, o_.error));
     if (o_.bands.empty()) {
       auto maps = measured_maps(environment.map, kFlickerMaps);
       if (!maps) return fail(maps.error().code, environment.name, maps.error().detail);
@@ -180,12 +177,12 @@ class Charter {
     const std::vector<Method> methods = sweep(o_);
     const auto progress = progress_bar(environment.name);
     for (std::size_t i = 0; i < methods.size(); ++i) {
-      PENUMBRA_TRY(ours(methods[i], environment, *truth));
+      PENUMBRA_TRY(ours(methods[i], environment, truth));
       if (progress) progress(double(i + 1) / double(methods.size()));
     }
     if (o_.bands.empty()) {
-      PENUMBRA_TRY(governed(environment, *truth));
-      PENUMBRA_TRY(baselines(environment, *truth));
+      PENUMBRA_TRY(governed(environment, truth));
+      PENUMBRA_TRY(baselines(environment, truth));
       PENUMBRA_TRY(time_again());
     }
     for (std::size_t i = first; i < points_.size() && !o_.json; ++i) print(points_[i]);
@@ -222,9 +219,8 @@ class Charter {
       return estimator.estimate(measured);
     };
     const bool may_flicker = m.chosen || m.default_plan;
-    auto scene = baked_for(m);
-    if (!scene) return std::unexpected(scene.error());
-    return add(m, e, **scene, *light, estimate, may_flicker ? again : LightOf(), truth);
+    PENUMBRA_ASSIGN(scene, baked_for(m));
+    return add(m, e, *scene, *light, estimate, may_flicker ? again : LightOf(), truth);
   }
 
   static Image<Rgb> seen_by(const Method& m, const ChartEnvironment& e) {
@@ -241,9 +237,8 @@ class Charter {
     if (m.bake_rays == kBakeRays) return &baked_with(m.bands);
     const auto [known, is_new] = scenes_.try_emplace({m.bands, m.bake_rays});
     if (is_new) {
-      auto other = ChartScene::make(asset_, m.bake_rays);
-      if (!other) return std::unexpected(other.error());
-      known->second = other->prepared_with(m.bands);
+      PENUMBRA_ASSIGN(other, ChartScene::make(asset_, m.bake_rays));
+      known->second = other.prepared_with(m.bands);
     }
     return &known->second;
   }
@@ -311,9 +306,8 @@ class Charter {
   Result<void> add(const Method& m, const ChartEnvironment& e, const runtime::PreparedScene& scene,
                    const lighting::LightEstimate& light, const TimeOf& estimate,
                    const LightOf& again, const Truth& truth) {
-    auto measured = measure(bench_, scene, light, m.sampling, truth);
-    if (!measured) return std::unexpected(measured.error());
-    const Accuracy& a = measured->accuracy;
+    PENUMBRA_ASSIGN(measured, measure(bench_, scene, light, m.sampling, truth));
+    const Accuracy& a = measured.accuracy;
     ChartPoint p;
     p.environment = e.name;
     p.mesh = bench_.name();
@@ -333,11 +327,11 @@ class Charter {
     p.shadow_rmse = a.shadow_rmse;
     p.shadow_bias = a.shadow_bias;
     p.penumbra_error = a.penumbra_error;
-    p.flip = measured->flip;
+    p.flip = measured.flip;
     if (again && !maps_.empty()) {
-      auto flicker = measure_flicker(bench_, scene, again, m.sampling, truth.empty, maps_);
-      if (!flicker) return std::unexpected(flicker.error());
-      p.flicker = *flicker;
+      PENUMBRA_ASSIGN(flicker,
+                      measure_flicker(bench_, scene, again, m.sampling, truth.empty, maps_));
+      p.flicker = flicker;
     }
     p.chosen = m.chosen;
     p.bytes = memory_of(scene, light.lights.size(), p.map_size);
@@ -351,7 +345,7 @@ class Charter {
                         light,
                         is_baked(scene) ? &scene : nullptr,
                         {}});
-    add_round(timings_.back(), measured->time);
+    add_round(timings_.back(), measured.time);
     return {};
   }
 
@@ -388,9 +382,8 @@ class Charter {
     for (int round = 1; round < kRounds; ++round)
       for (Timing& t : timings_) {
         if (!t.scene || t.rounds[0].p50_ms > kCheap_ms) continue;
-        auto update = time_updates(bench_, *t.scene, t.light, t.sampling);
-        if (!update) return std::unexpected(update.error());
-        add_round(t, *update);
+        PENUMBRA_ASSIGN(update, time_updates(bench_, *t.scene, t.light, t.sampling));
+        add_round(t, update);
       }
     return {};
   }
@@ -420,21 +413,19 @@ class Charter {
 Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
                              const ChartEnvironment& environment, std::vector<ChartPoint>& points) {
   const StillScene in = bench.in(environment.map);
-  auto empty = render_real(in, o.error, {});
-  if (!empty) return std::unexpected(empty.error());
+  PENUMBRA_ASSIGN(empty, render_real(in, o.error, {}));
   auto projection = lighting::project_latlong(environment.map, kMaxBands);
   if (!projection)
     return fail(projection.error().code, environment.name, projection.error().detail);
   for (const int bands : o.bands.empty() ? std::vector{1, 2, 3, 4, 5, 6, 9} : o.bands) {
     const lighting::LightEstimate light = lighting::make_estimate(*projection, bands);
-    auto truth = render_reference(in, true, o.error, light,
-                                  progress_bar(fmt::format("{} {}", environment.name, bands)));
-    if (!truth) return std::unexpected(truth.error());
-    Still lit = *empty;
+    PENUMBRA_ASSIGN(truth,
+                    render_reference(in, true, o.error, light,
+                                     progress_bar(fmt::format("{} {}", environment.name, bands))));
+    Still lit = empty;
     light_floor(in, light, bench.masks(), lit);
-    auto ours = render_composite(in, light, lit);
-    if (!ours) return std::unexpected(ours.error());
-    const Accuracy a = compare_pictures(*ours, *truth, lit, bench.masks());
+    PENUMBRA_ASSIGN(ours, render_composite(in, light, lit));
+    const Accuracy a = compare_pictures(ours, truth, lit, bench.masks());
     ChartPoint p;
     p.environment = environment.name, p.mesh = bench.name(), p.method = "same truncated light";
     p.coefficients = coefficient_count(bands), p.bake_rays = kTruncatedBakeRays;
@@ -453,39 +444,37 @@ Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
 
 Result<void> chart_governor(const ChartOptions& o) {
   const std::string asset = o.assets.empty() ? "builtin:knot" : o.assets[0];
-  auto bench = ChartScene::make(asset, kBakeRays);
-  if (!bench) return std::unexpected(bench.error());
-  auto costs = runtime::fit_costs(bench->prepared_with(lighting::Governor::Limits{}.max_bands));
-  if (!costs) return std::unexpected(costs.error());
-  auto proof = prove_governor(bench->prepared(), *costs, o.budget, o.governor,
-                              progress_bar("random scenes"));
-  if (!proof) return std::unexpected(proof.error());
+  PENUMBRA_ASSIGN(bench, ChartScene::make(asset, kBakeRays));
+  PENUMBRA_ASSIGN(costs,
+                  runtime::fit_costs(bench.prepared_with(lighting::Governor::Limits{}.max_bands)));
+  PENUMBRA_ASSIGN(proof, prove_governor(bench.prepared(), costs, o.budget, o.governor,
+                                        progress_bar("random scenes")));
   if (o.json) {
-    print_json({{"needed_factor", proof->needed_factor},
-                {"factor", proof->factor},
-                {"calibration_scenes", proof->calibration},
-                {"scenes", proof->scenes},
-                {"promised", proof->promised},
-                {"kept", proof->kept},
-                {"coverage_low", proof->coverage_low},
-                {"mean_regret", proof->mean_regret},
-                {"mean_error", proof->mean_error},
-                {"worst_error", proof->worst_error},
+    print_json({{"needed_factor", proof.needed_factor},
+                {"factor", proof.factor},
+                {"calibration_scenes", proof.calibration},
+                {"scenes", proof.scenes},
+                {"promised", proof.promised},
+                {"kept", proof.kept},
+                {"coverage_low", proof.coverage_low},
+                {"mean_regret", proof.mean_regret},
+                {"mean_error", proof.mean_error},
+                {"worst_error", proof.worst_error},
                 {"budget", o.budget}});
     return {};
   }
   fmt::print("cost model: {:.2f} ms + {:.4f} ms a coefficient + {:.1f} ms a light, one thread\n",
-             costs->base_ms, costs->per_coefficient_ms, costs->per_light_ms);
+             costs.base_ms, costs.per_coefficient_ms, costs.per_light_ms);
   fmt::print(
       "{} scenes need a factor of {:.2f}, taken {:.2f}; of {} others {} had a plan within {:.3f}, "
       "{} kept it (at least {:.1f} % with 95 % confidence)\n",
-      proof->calibration, proof->needed_factor, proof->factor, proof->scenes, proof->promised,
-      o.budget, proof->kept, 100 * proof->coverage_low);
+      proof.calibration, proof.needed_factor, proof.factor, proof.scenes, proof.promised, o.budget,
+      proof.kept, 100 * proof.coverage_low);
   fmt::print(
       "chosen: {:.1f} bands and {:.1f} lights on average, error mean {:.4f} worst {:.4f}; "
       "{:.1f} times the cost of the cheapest sufficient plan\n",
-      proof->mean_bands, proof->mean_lights, proof->mean_error, proof->worst_error,
-      1 + proof->mean_regret);
+      proof.mean_bands, proof.mean_lights, proof.mean_error, proof.worst_error,
+      1 + proof.mean_regret);
   return {};
 }
 
@@ -493,20 +482,19 @@ Result<void> chart_governor(const ChartOptions& o) {
 
 Result<void> chart(const ChartOptions& o) {
   if (o.governor < 0 || o.governor > 10'000)
-    return fail(ErrorCode::kInvalid, "--governor", "not within 1..10000 scenes");
+    return fail(ErrorCode::kInvalid, "--governor", "is not within 1..10000 scenes");
   if (!(o.budget > 0 && o.budget <= 1))
-    return fail(ErrorCode::kInvalid, "--max-shadow-error", "not within 0..1");
+    return fail(ErrorCode::kInvalid, "--max-shadow-error", "is not above 0 and at most 1");
   if (o.lights < 0 || o.lights > 64)
-    return fail(ErrorCode::kInvalid, "--max-lights", "not within 0..64");
+    return fail(ErrorCode::kInvalid, "--max-lights", "is not within 0..64");
   if (o.governor > 0) return chart_governor(o);
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)
       return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
-  if (!(o.error > 0 && o.error < 1)) return fail(ErrorCode::kInvalid, "--error", "not within 0..1");
-  auto output = OutputFolder::create(o.output);
-  if (!output) return std::unexpected(output.error());
-  auto environments = read_environments(o);
-  if (!environments) return std::unexpected(environments.error());
+  if (!(o.error > 0 && o.error < 1))
+    return fail(ErrorCode::kInvalid, "--error", "is not above 0 and below 1");
+  PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
+  PENUMBRA_ASSIGN(environments, read_environments(o));
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
   for (const std::string& asset : assets)  // all of them before the long work
@@ -520,18 +508,17 @@ Result<void> chart(const ChartOptions& o) {
         "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rays", "rate", "object %",
         "bias %", "shadow s", "bias s", "FLIP", "edge %", "F %", "ms");
   for (const std::string& asset : assets) {
-    auto bench = ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays);
-    if (!bench) return std::unexpected(bench.error());
-    Charter charter(o, asset, *bench, points);
-    for (const ChartEnvironment& e : *environments)
-      PENUMBRA_TRY(o.truncated ? chart_truncated(o, *bench, e, points) : charter.run(e));
+    PENUMBRA_ASSIGN(bench, ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays));
+    Charter charter(o, asset, bench, points);
+    for (const ChartEnvironment& e : environments)
+      PENUMBRA_TRY(o.truncated ? chart_truncated(o, bench, e, points) : charter.run(e));
   }
-  PENUMBRA_TRY(output->begin());
-  PENUMBRA_TRY(write_bytes(output->file("accuracy.csv"), chart_csv(points)));
+  PENUMBRA_TRY(output.begin());
+  PENUMBRA_TRY(write_bytes(output.file("accuracy.csv"), chart_csv(points)));
   if (!o.truncated)
-    if (const auto plots = write_chart_plots(output->work(), points); !plots)
-      spdlog::warn("no plots: {}: {}", plots.error().where, plots.error().detail);
-  PENUMBRA_TRY(output->keep());
+    if (const auto plots = write_chart_plots(output.work(), points); !plots)
+      spdlog::warn("the plots are not written: {}: {}", plots.error().where, plots.error().detail);
+  PENUMBRA_TRY(output.keep());
   if (o.json) {
     print_json({{"rows", chart_json(points)}});
   } else {
@@ -542,43 +529,57 @@ Result<void> chart(const ChartOptions& o) {
 
 void add_chart(CLI::App& parent, Action& action) {
   static ChartOptions chart_options;
-  auto* c = parent.add_subcommand("chart", "Error against time: sweeps, baselines, CSV and SVG");
-  c->add_option("--out", chart_options.output, "Output folder")->capture_default_str();
+  auto* c = parent.add_subcommand(
+      "chart",
+      "Measure error against time for many settings and for other methods; writes CSV and SVG");
+  c->add_option("--out", chart_options.output, "Folder for the results")->capture_default_str();
   c->add_option("--environment", chart_options.environments,
-                "HDR environments; built-in ones by default");
+                "HDR environment maps, .exr or .hdr; by default the built-in ones");
   c->add_flag("--with-procedural", chart_options.with_procedural,
-              "The built-in environments beside the given ones");
-  c->add_option("--asset", chart_options.assets, "Objects; the built-in knot and twist by default");
-  c->add_option("--bands", chart_options.bands,
-                "Only these numbers of bands, with --max-lights; by default the whole sweep")
+              "Add the built-in environments to those of --environment");
+  c->add_option("--asset", chart_options.assets,
+                "Meshes of the objects; by default builtin:knot and builtin:twist");
+  c->add_option(
+       "--bands", chart_options.bands,
+       "Chart only these fixed numbers of bands of spherical harmonics, 1 to 9, separated by "
+       "commas, with --max-lights; by default the whole sweep")
       ->delimiter(',');
   c->add_option("--max-lights", chart_options.lights,
-                "Maximum number of distant lights, with --bands")
+                "Maximum number of distant lights beside --bands, 0 to 64")
       ->capture_default_str();
-  c->add_option("--governor", chart_options.governor,
-                "Calibrate the governor on 59 random scenes and prove it on so many others");
-  c->add_option("--max-shadow-error", chart_options.budget,
-                "Of the shadow's RMS error in s, for --governor")
+  c->add_option(
+      "--governor", chart_options.governor,
+      "Calibrate the governor on 59 random scenes, and test its promise on this many others, "
+      "1 to 10000");
+  c->add_option(
+       "--max-shadow-error", chart_options.budget,
+       "Limit of the RMS error of the shadow ratio that the governor has to keep, above 0 and "
+       "at most 1; with --governor")
       ->capture_default_str();
-  c->add_option("--error", chart_options.error, "Relative error of the reference")
+  c->add_option("--error", chart_options.error,
+                "Relative error at which path tracing of the reference stops, above 0 and below 1")
       ->capture_default_str();
   c->add_flag(
       "--truncated", chart_options.truncated,
-      "Against the reference under the same truncated light: what bake, shadow and composite cost");
+      "Compare with the reference under the same truncated light, which leaves the errors of bake, "
+      "shadows and composite");
   const char* const kClip = "Compression of a clip's transfer instead";
-  c->add_option("--animation", chart_options.animation,
-                "Clip of the first --asset (builtin:walker without one): bytes against rendered "
-                "error of ways to "
-                "code its transfer")
+  c->add_option(
+       "--animation", chart_options.animation,
+       "Clip of the first --asset, by default of builtin:walker: chart bytes against the error "
+       "of the rendered picture for several coders of its transfer")
       ->check(not_empty)
       ->group(kClip);
-  c->add_option("--light-map", chart_options.light_map, "WIDTHxHEIGHT texels")
+  c->add_option("--light-map", chart_options.light_map,
+                "Size of the light map, WIDTHxHEIGHT texels, 8 to 4096 each")
       ->capture_default_str()
       ->group(kClip);
-  c->add_option("--frames", chart_options.frames, "Of the clip")
+  c->add_option("--frames", chart_options.frames,
+                "Number of frames that are taken from the clip, 1 to 1000")
       ->capture_default_str()
       ->group(kClip);
-  c->add_option("--samples", chart_options.samples, "Rays a texel and frame, a multiple of 64")
+  c->add_option("--samples", chart_options.samples,
+                "Number of rays per texel and frame, a multiple of 64")
       ->capture_default_str()
       ->group(kClip);
   add_json(c, chart_options.json);

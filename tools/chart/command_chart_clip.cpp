@@ -9,8 +9,8 @@
 #include "capture/studio/environments.h"
 #include "codec/codec.h"
 #include "core/files.h"
-#include "lighting/projection.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/projection.h"
+#include "lighting/sh/rotation.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
@@ -271,7 +271,7 @@ std::optional<double> bytes_at(const std::vector<RatePoint>& points, const std::
 
 Result<void> chart_clip(const ChartOptions& o) {
   if (o.frames < 1 || o.frames > 1000)
-    return fail(ErrorCode::kInvalid, "--frames", "not within 1..1000");
+    return fail(ErrorCode::kInvalid, "--frames", "is not within 1..1000");
   PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
   PENUMBRA_TRY(output.begin());
   const std::filesystem::path journal = output.file("bake.journal");
@@ -289,7 +289,7 @@ Result<void> chart_clip(const ChartOptions& o) {
       bench.coefficients(), static_cast<double>(bench.raw_bytes()) * 1e-6);
   if (const auto plot = run_gnuplot(plot_of(points, title), output.file("rate-distortion.svg"));
       !plot)
-    spdlog::warn("no plot: {}: {}", plot.error().where, plot.error().detail);
+    spdlog::warn("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
   PENUMBRA_TRY(output.keep());
   if (o.json) {
     nlohmann::json rows = nlohmann::json::array();

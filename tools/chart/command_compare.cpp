@@ -28,9 +28,8 @@ struct CompareOptions {
 
 // Any picture as linear floats: 8 and 16 bit codes stay codes in 0..1.
 Result<Image<Rgb>> read_any(const std::string& path) {
-  auto frame = codec::read_frame(path);
-  if (!frame) return std::unexpected(frame.error());
-  if (auto* linear = std::get_if<Image<Rgb>>(&*frame)) return std::move(*linear);
+  PENUMBRA_ASSIGN(frame, codec::read_frame(path));
+  if (auto* linear = std::get_if<Image<Rgb>>(&frame)) return std::move(*linear);
   const auto scaled = [](const auto& in, float full) {
     Image<Rgb> out(in.width(), in.height());
     for (std::size_t i = 0; i < in.area(); ++i) {
@@ -39,8 +38,8 @@ Result<Image<Rgb>> read_any(const std::string& path) {
     }
     return out;
   };
-  if (const auto* f8 = std::get_if<Image<Rgb8>>(&*frame)) return scaled(*f8, 255.f);
-  return scaled(std::get<Image<Rgb16>>(*frame), 65535.f);
+  if (const auto* f8 = std::get_if<Image<Rgb8>>(&frame)) return scaled(*f8, 255.f);
+  return scaled(std::get<Image<Rgb16>>(frame), 65535.f);
 }
 
 struct Figures {
@@ -95,29 +94,26 @@ Figures measure(const Image<Rgb>& a, const Image<Rgb>& b, const std::vector<bool
 }  // namespace
 
 Result<void> compare(const CompareOptions& o) {
-  auto a = read_any(o.a);
-  if (!a) return std::unexpected(a.error());
-  auto b = read_any(o.b);
-  if (!b) return std::unexpected(b.error());
-  if (!a->same_size(*b))
+  PENUMBRA_ASSIGN(a, read_any(o.a));
+  PENUMBRA_ASSIGN(b, read_any(o.b));
+  if (!a.same_size(b))
     return fail(ErrorCode::kInvalid, o.a,
-                fmt::format("{}x{} pixels, but {} has {}x{}", a->width(), a->height(), o.b,
-                            b->width(), b->height()));
-  std::vector<bool> use(a->area(), true);
+                fmt::format("has {}x{} pixels, but {} has {}x{}", a.width(), a.height(), o.b,
+                            b.width(), b.height()));
+  std::vector<bool> use(a.area(), true);
   if (o.mask) {
-    auto mask = read_any(*o.mask);
-    if (!mask) return std::unexpected(mask.error());
-    if (!mask->same_size(*a))
+    PENUMBRA_ASSIGN(mask, read_any(*o.mask));
+    if (!mask.same_size(a))
       return fail(ErrorCode::kInvalid, *o.mask, "has another size than the pictures");
     for (std::size_t i = 0; i < use.size(); ++i) {
-      const Rgb& p = mask->pixels()[i];
+      const Rgb& p = mask.pixels()[i];
       use[i] = !(p.r == 0 && p.g == 0 && p.b == 1);
     }
   }
-  const Figures f = measure(*a, *b, use, o.scale);
-  if (f.compared == 0) return fail(ErrorCode::kUndetermined, o.a, "no pixel is left to compare");
+  const Figures f = measure(a, b, use, o.scale);
+  if (f.compared == 0) return fail(ErrorCode::kUndetermined, o.a, "has no pixel left to compare");
   // Of the pictures as they are: a mask or a factor has no place in a model of the eye.
-  const auto map = hdr_flip(*b, *a);
+  const auto map = hdr_flip(b, a);
   const double flip = map ? mean_flip(*map) : std::numeric_limits<double>::quiet_NaN();
   if (o.json) {
     print_json({{"rel_rmse", f.rel_rmse},
@@ -141,12 +137,14 @@ Result<void> compare(const CompareOptions& o) {
 
 void add_compare(CLI::App& parent, Action& action) {
   static CompareOptions compare_options;
-  auto* c = parent.add_subcommand("compare", "Error figures between two pictures of the same size");
-  c->add_option("a", compare_options.a, "Picture")->required();
-  c->add_option("b", compare_options.b, "Reference")->required();
+  auto* c = parent.add_subcommand("compare",
+                                  "Measure the difference between two pictures of the same size");
+  c->add_option("a", compare_options.a, "Picture to judge")->required();
+  c->add_option("b", compare_options.b, "Reference picture")->required();
   c->add_option("--mask", compare_options.mask,
-                "Leave out the pixels that are pure blue in this picture");
-  c->add_flag("--scale", compare_options.scale, "Allow one scale factor, fitted in the logarithm");
+                "Mask of the same size: pixels that are pure blue in it are left out");
+  c->add_flag("--scale", compare_options.scale,
+              "First scale the picture by one factor, fitted in the logarithm of luminance");
   add_json(c, compare_options.json);
   c->callback([&] { action = [] { return compare(compare_options); }; });
 }

@@ -10,14 +10,14 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/accuracy.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::tools {
 
 Result<std::vector<Image<Rgb>>> measured_maps(const Image<Rgb>& environment, int count) {
-  auto world = capture::FloorWorld::make(environment);  // brings radiance to the scale of a camera
-  if (!world) return std::unexpected(world.error());
-  const Image<Rgb>& scene = (*world)->environment();
+  // Brings radiance to the scale of a camera.
+  PENUMBRA_ASSIGN(world, capture::FloorWorld::make(environment));
+  const Image<Rgb>& scene = world->environment();
   double before = 0, after = 0;
   for (std::size_t i = 0; i < scene.area(); ++i)
     before += luminance(environment.pixels()[i]), after += luminance(scene.pixels()[i]);
@@ -33,10 +33,9 @@ Result<std::vector<Image<Rgb>>> measured_maps(const Image<Rgb>& environment, int
       capture::expose(sensor, scene, schedule[k], 7919 * seed + 1, pixels);
       stack.frames.push_back(std::make_shared<const FramePixels>(std::move(pixels)));
     }
-    auto merged = capture::merge(stack);
-    if (!merged) return std::unexpected(merged.error());
-    for (Rgb& c : merged->radiance.pixels()) c = c * static_cast<float>(before / after);
-    out.push_back(std::move(merged->radiance));
+    PENUMBRA_ASSIGN(merged, capture::merge(stack));
+    for (Rgb& c : merged.radiance.pixels()) c = c * static_cast<float>(before / after);
+    out.push_back(std::move(merged.radiance));
   }
   return out;
 }
@@ -44,24 +43,22 @@ Result<std::vector<Image<Rgb>>> measured_maps(const Image<Rgb>& environment, int
 Result<double> measure_flicker(const ChartScene& bench, const runtime::PreparedScene& scene,
                                const LightOf& light, const runtime::ShadowSampling& sampling,
                                const Still& empty, std::span<const Image<Rgb>> maps) {
-  auto pipeline = make_still_pipeline(scene, bench.view(), sampling);
-  if (!pipeline) return std::unexpected(pipeline.error());
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(scene, bench.view(), sampling));
   const Masks& masks = bench.masks();
   Image<Rgb> before;
   double square = 0, mean = 0, count = 0;
   for (std::size_t t = 0; t < maps.size(); ++t) {
-    const auto estimate = light(maps[t], TimestampNs{0} + Seconds(static_cast<double>(t) / 30));
-    if (!estimate) return std::unexpected(estimate.error());
-    auto picture = composite_still(*pipeline, bench.view(), *estimate, empty);
-    if (!picture) return std::unexpected(picture.error());
+    PENUMBRA_ASSIGN(estimate,
+                    light(maps[t], TimestampNs{0} + Seconds(static_cast<double>(t) / 30)));
+    PENUMBRA_ASSIGN(picture, composite_still(pipeline, bench.view(), estimate, empty));
     for (std::size_t i = 0; t > 0 && i < masks.floor.size(); ++i) {
       if (!masks.floor[i] && !masks.object[i]) continue;
-      const double now = luminance(picture->radiance.pixels()[i]);
+      const double now = luminance(picture.radiance.pixels()[i]);
       square += std::pow(now - double(luminance(before.pixels()[i])), 2);
       mean += now;
       ++count;
     }
-    before = std::move(picture->radiance);
+    before = std::move(picture.radiance);
   }
   return std::sqrt(square / count) / (mean / count);
 }

@@ -9,7 +9,7 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "tools/chart/chart_bench.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::tools {
 

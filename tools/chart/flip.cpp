@@ -298,7 +298,8 @@ Result<std::vector<double>> choose_exposures(const Image<Rgb>& reference) {
     values.push_back(luminance({std::max(p.r, 0.f), std::max(p.g, 0.f), std::max(p.b, 0.f)}));
   const double brightest = *std::max_element(values.begin(), values.end());
   if (!(brightest > 0))
-    return fail(ErrorCode::kUndetermined, "reference picture", "black, so no exposure shows it");
+    return fail(ErrorCode::kUndetermined, "reference picture",
+                "is black, so that no exposure shows it");
   double middle = median(values);
   if (!(middle > 0)) {
     std::erase_if(values, [](float v) { return !(v > 0); });
@@ -329,16 +330,16 @@ Result<void> check_finite(const Image<Rgb>& picture, const char* name) {
   for (int y = 0; y < picture.height(); ++y)
     for (int x = 0; x < picture.width(); ++x)
       if (!is_finite(picture.at(x, y)))
-        return fail(ErrorCode::kNonFinite, name, fmt::format("pixel ({}, {})", x, y));
+        return fail(ErrorCode::kNonFinite, name, fmt::format("pixel ({}, {}) is not finite", x, y));
   return {};
 }
 
 Result<void> check(const Image<Rgb>& reference, const Image<Rgb>& test, double pixels_per_degree) {
   if (!reference.same_size(test))
     return fail(ErrorCode::kInvalid, "test picture",
-                fmt::format("{}x{} pixels, but the reference has {}x{}", test.width(),
+                fmt::format("has {}x{} pixels, but the reference has {}x{}", test.width(),
                             test.height(), reference.width(), reference.height()));
-  if (reference.empty()) return fail(ErrorCode::kInvalid, "reference picture", "empty");
+  if (reference.empty()) return fail(ErrorCode::kInvalid, "reference picture", "has no pixels");
   if (!(pixels_per_degree >= 1) || !std::isfinite(pixels_per_degree))
     return fail(ErrorCode::kInvalid, "pixels per degree",
                 fmt::format("{} is not at least 1", pixels_per_degree));

@@ -5,11 +5,11 @@
 
 #include "capture/studio/environments.h"
 #include "core/conventions.h"
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
-#include "lighting/light_extraction.h"
-#include "lighting/projection.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
+#include "lighting/lights/light_extraction.h"
+#include "lighting/sh/projection.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"
 #include "prt/reference/environment_light.h"
@@ -23,7 +23,7 @@
 #include "shadows/silhouette/shadow_map.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 #include "tools/chart/chart_bench.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::tools {
 
@@ -117,20 +117,18 @@ class FloorProbes {
 // s at the probes with the object really there.
 Result<Values> reference_ratios(const runtime::PreparedScene& scene, const FloorProbes& probes,
                                 const Image<Rgb>& map, int rays) {
-  auto light = prt::EnvironmentLight::from_map(map);
-  if (!light) return std::unexpected(light.error());
+  PENUMBRA_ASSIGN(light, prt::EnvironmentLight::from_map(map));
   prt::ReferenceWorld world;
   world.mesh = runtime::world_mesh(scene, true);
   world.planes = scene.planes;
-  world.light = &*light;
+  world.light = &light;
   std::vector<prt::IrradiancePoint> points;
   for (std::size_t p = 0; p < probes.count(); ++p)
     points.push_back({probes.world(p), scene.planes[0].normal});
-  auto irradiance = prt::reference_irradiance(world, points, rays, 1);
-  if (!irradiance) return std::unexpected(irradiance.error());
+  PENUMBRA_ASSIGN(irradiance, prt::reference_irradiance(world, points, rays, 1));
   const double open = luminance(exact_irradiance(map, scene.planes[0].normal));
   Values out;
-  for (const Rgb& e : *irradiance) out.push_back(open > 0 ? luminance(e) / open : 1);
+  for (const Rgb& e : irradiance) out.push_back(open > 0 ? luminance(e) / open : 1);
   return out;
 }
 
@@ -148,9 +146,8 @@ struct Split {
 Result<Split> split_and_trace(const runtime::PreparedScene& scene, const Image<Rgb>& map) {
   lighting::LightExtraction split;
   PENUMBRA_TRY(lighting::extract_lights(map, {kMaxLights, .02}, split));
-  auto residual = lighting::project_latlong(split.residual, kMaxBands);
-  if (!residual) return std::unexpected(residual.error());
-  Split out{*residual, std::move(split.lights), {}};
+  PENUMBRA_ASSIGN(residual, lighting::project_latlong(split.residual, kMaxBands));
+  Split out{residual, std::move(split.lights), {}};
   const runtime::PreparedObject& o = scene.objects[0];
   const shadows::SilhouetteMesh silhouette(o.baked.mesh);
   const shadows::Caster caster{&o.baked.mesh, &silhouette, o.world_from_bake};
@@ -243,20 +240,18 @@ Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint3
                                  int rays) {
   const Image<Rgb> map = capture::make_random_environment(2 * kMapRows, kMapRows, seed);
   const FloorProbes probes(scene.objects[0]);
-  auto reference = reference_ratios(scene, probes, map, rays);
-  if (!reference) return std::unexpected(reference.error());
-  auto split = split_and_trace(scene, map);
-  if (!split) return std::unexpected(split.error());
+  PENUMBRA_ASSIGN(reference, reference_ratios(scene, probes, map, rays));
+  PENUMBRA_ASSIGN(split, split_and_trace(scene, map));
   const lighting::Governor::Limits limits;
   ScenePlans out{seed,
-                 {{&split->residual.upper_moments, split->lights},
+                 {{&split.residual.upper_moments, split.lights},
                   runtime::shadow_probes(scene),
                   limits.max_bands,
                   limits.max_lights},
                  {}};
   for (int lights = 0; lights <= out.predicted.max_lights(); ++lights)
     for (int bands = 1; bands <= limits.max_bands; ++bands) {
-      const double error = shadow_rmse(our_ratios(probes, *split, bands, lights), *reference);
+      const double error = shadow_rmse(our_ratios(probes, split, bands, lights), reference);
       if (error < 0) return fail(ErrorCode::kUndetermined, "scene", "has no shadow to measure");
       out.measured.push_back(error);
     }
@@ -282,19 +277,17 @@ Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene,
   };
   for (std::uint32_t seed = kFirstCalibration; proof.calibration < kCalibration;
        ++proof.calibration) {
-    const auto plans = next_scene(seed);
-    if (!plans) return std::unexpected(plans.error());
+    PENUMBRA_ASSIGN(plans, next_scene(seed));
     for (const double b : kBudgets)
-      proof.needed_factor = std::max(proof.needed_factor, plans->min_factor(costs, b));
+      proof.needed_factor = std::max(proof.needed_factor, plans.min_factor(costs, b));
   }
   proof.factor = std::max(proof.needed_factor, lighting::Governor::kConformalFactor);
   for (std::uint32_t seed = kFirstTest; proof.scenes < test_scenes;) {
-    const auto plans = next_scene(seed);
-    if (!plans) return std::unexpected(plans.error());
+    PENUMBRA_ASSIGN(plans, next_scene(seed));
     ++proof.scenes;
-    const auto chosen = plans->choose(costs, budget, proof.factor);
+    const auto chosen = plans.choose(costs, budget, proof.factor);
     if (!chosen) continue;  // it says that it cannot
-    const double measured = plans->measured_error(*chosen);
+    const double measured = plans.measured_error(*chosen);
     ++proof.promised;
     proof.kept += measured <= budget ? 1 : 0;
     error += measured;
@@ -302,9 +295,9 @@ Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene,
     proof.mean_bands += chosen->bands;
     proof.mean_lights += chosen->lights;
     double oracle_ms = HUGE_VAL;
-    for (int lights = 0; lights <= plans->predicted.max_lights(); ++lights)
-      for (int bands = 1; bands <= plans->predicted.max_bands(); ++bands)
-        if (plans->measured_error({bands, lights}) <= budget)
+    for (int lights = 0; lights <= plans.predicted.max_lights(); ++lights)
+      for (int bands = 1; bands <= plans.predicted.max_bands(); ++bands)
+        if (plans.measured_error({bands, lights}) <= budget)
           oracle_ms = std::min(oracle_ms, costs.ms(bands, lights));
     if (oracle_ms < HUGE_VAL)
       regret += costs.ms(chosen->bands, chosen->lights) / oracle_ms - 1, ++regretted;

@@ -132,7 +132,8 @@ class VideoCoder {
     av_log_set_level(AV_LOG_ERROR);
     const AVCodec* encoder = avcodec_find_encoder_by_name("libx264");
     const AVCodec* decoder = avcodec_find_decoder(AV_CODEC_ID_H264);
-    if (!encoder || !decoder) return fail(ErrorCode::kUnavailable, "FFmpeg", "has no H.264 coder");
+    if (!encoder || !decoder)
+      return fail(ErrorCode::kUnavailable, "FFmpeg", "has no H.264 encoder");
     encoder_.reset(avcodec_alloc_context3(encoder));
     encoder_->width = mosaic_.picture_width();
     encoder_->height = mosaic_.picture_height();
@@ -146,7 +147,7 @@ class VideoCoder {
     decoder_->thread_count = 1;
     if (avcodec_open2(encoder_.get(), encoder, nullptr) < 0 ||
         avcodec_open2(decoder_.get(), decoder, nullptr) < 0)
-      return fail(ErrorCode::kUnavailable, "FFmpeg", "cannot code H.264 of ten bits");
+      return fail(ErrorCode::kUnavailable, "FFmpeg", "cannot encode 10-bit H.264");
     return {};
   }
 
@@ -229,7 +230,7 @@ Result<CodedMaps> code_as_video(std::span<const Image<float>> maps, int layers, 
   for (std::size_t i = 0; i < maps.size(); i += static_cast<std::size_t>(layers))
     PENUMBRA_TRY(coder.add(maps.subspan(i, static_cast<std::size_t>(layers)), out));
   PENUMBRA_TRY(coder.finish(out));
-  if (out.maps.size() != maps.size()) return fail(ErrorCode::kUnavailable, "H.264", "lost frames");
+  if (out.maps.size() != maps.size()) return fail(ErrorCode::kUnavailable, "H.264", "loses frames");
   return out;
 }
 

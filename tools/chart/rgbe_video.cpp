@@ -308,9 +308,9 @@ Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float
                                                      int quality, int key_interval) {
   if (maps.empty() || maps.size() > kMaxMaps || maps[0].empty() || maps[0].width() > kMaxSide ||
       maps[0].height() > kMaxSide)
-    return fail(ErrorCode::kInvalid, "maps", "none, or larger than 4096 pixels");
+    return fail(ErrorCode::kInvalid, "maps", "are none, or larger than 4096 pixels");
   if (quality < 1 || quality > 100 || key_interval < 1 || key_interval > 65535)
-    return fail(ErrorCode::kInvalid, "quality", "not within 1..100");
+    return fail(ErrorCode::kInvalid, "quality", "is not within 1..100");
   VideoHead head{{},
                  static_cast<std::uint32_t>(maps.size()),
                  static_cast<std::uint16_t>(maps[0].width()),
@@ -325,7 +325,7 @@ Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float
       return fail(ErrorCode::kInvalid, "maps", "differ in size");
     for (const float v : maps[i].pixels())
       if (!(std::abs(v) < 0x1p126f))
-        return fail(ErrorCode::kInvalid, "maps", "hold a value that RGBE cannot");
+        return fail(ErrorCode::kInvalid, "maps", "have a value that RGBE cannot hold");
     Planes planes = split(maps[i]);
     coder.map(planes, i % static_cast<std::size_t>(key_interval) == 0);
   }
@@ -340,14 +340,14 @@ Result<std::vector<Image<float>>> decode_rgbe_video(std::span<const unsigned cha
                                                     const std::string& name) {
   VideoHead head{};
   if (bytes.size() < sizeof head || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
-    return fail(ErrorCode::kUnreadable, name, "is no sequence of RGBE maps");
+    return fail(ErrorCode::kUnreadable, name, "is not a sequence of RGBE maps");
   std::memcpy(&head, bytes.data(), sizeof head);
   // A block takes a bit at least.
   const std::uint64_t area = std::uint64_t{head.width} * head.height;
   if (head.maps < 1 || head.maps > kMaxMaps || head.width < 1 || head.width > kMaxSide ||
       head.height < 1 || head.height > kMaxSide || head.quality < 1 || head.quality > 100 ||
       head.key_interval < 1 || area * head.maps > std::uint64_t{1} << 28)
-    return fail(ErrorCode::kUnreadable, name, "damaged: sizes out of range");
+    return fail(ErrorCode::kUnreadable, name, "is damaged: its sizes are out of range");
   BitReader reader(bytes.subspan(sizeof head));
   Coder<BitReader> coder(reader, head.width, head.height, head.quality);
   std::vector<Image<float>> out;

@@ -7,6 +7,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <string_view>
@@ -104,21 +105,43 @@ Result<void> wait_for(pid_t child, const MemoryFile& errors) {
   return fail(ErrorCode::kUnwritable, "gnuplot", complaint(errors));
 }
 
+// Control characters become spaces, characters outside ASCII '?'.
+std::string printable(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (byte >= 0x80 && byte < 0xc0) continue;  // continues a character that is '?' already
+    out += byte >= 0xc0 ? '?' : byte < 0x20 || byte == 0x7f ? ' ' : c;
+  }
+  return out;
+}
+
 }  // namespace
 
 std::string gnuplot_quoted(const std::string& text) {
   std::string out = "'";
-  for (const char c : text) {
-    const auto byte = static_cast<unsigned char>(c);
-    if (byte >= 0x80 && byte < 0xc0) continue;  // continues a character that is '?' already
-    if (byte >= 0xc0)
-      out += '?';
-    else if (byte < 0x20 || byte == 0x7f)
-      out += ' ';
-    else
-      out += c == '\'' ? "''" : std::string(1, c);
-  }
+  for (const char c : printable(text)) out += c == '\'' ? "''" : std::string(1, c);
   return out + "'";
+}
+
+std::string gnuplot_cell(const std::string& text) {
+  std::string out = "\"";
+  for (const char c : printable(text)) out += c == '"' || c == '`' ? '?' : c;
+  return out + "\"";
+}
+
+std::string gnuplot_block(const std::string& name, const std::string& rows) {
+  constexpr std::string_view kEnd = "END_OF_BLOCK";
+  std::string out = fmt::format("${} << {}\n", name, kEnd);
+  for (std::size_t from = 0; from < rows.size();) {
+    const std::size_t to = std::min(rows.find('\n', from), rows.size());
+    const std::string_view row = std::string_view(rows).substr(from, to - from);
+    if (row.starts_with(kEnd)) out += '?';
+    for (const char c : row) out += c == '`' ? '?' : c;
+    out += '\n';
+    from = to + 1;
+  }
+  return fmt::format("{}{}\n", out, kEnd);
 }
 
 Result<void> run_gnuplot(const std::string& script, const std::filesystem::path& target) {

@@ -12,6 +12,12 @@ namespace penumbra::tools {
 /// characters become spaces and characters outside ASCII '?', so that an SVG stays well-formed.
 std::string gnuplot_quoted(const std::string& text);
 
+/// Text as one quoted cell of a block of data: what could end the cell or the line is replaced.
+std::string gnuplot_cell(const std::string& text);
+
+/// Rows as a block of data that a script reads as $name.
+std::string gnuplot_block(const std::string& name, const std::string& rows);
+
 /// Runs gnuplot with `script` as its input and writes what it prints to `target`, whole or not at
 /// all.
 /// The script names no output. The user's own gnuplot settings are not read.
