@@ -2,15 +2,15 @@
 #include <cmath>
 #include <utility>
 
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
-#include "lighting/internal/sh_inpainting.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/sh_inpainting.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
-#include "lighting/light_extraction.h"
+#include "lighting/lights/light_extraction.h"
 #include "lighting/light_filter.h"
-#include "lighting/projection.h"
+#include "lighting/sh/projection.h"
 
 namespace penumbra::lighting {
 
@@ -151,9 +151,9 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
     filter_ = LightFilter();
   }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  const auto projection = without_lights ? measure_whole(environment) : measure_split(environment);
-  if (!projection) return std::unexpected(projection.error());
-  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
+  PENUMBRA_ASSIGN(projection,
+                  without_lights ? measure_whole(environment) : measure_split(environment));
+  make_estimate(projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
   out.time = environment.time;
   out.clipped_fraction = environment.clipped_fraction;

@@ -12,16 +12,17 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "lighting/light_extraction.h"
+#include "lighting/lights/light_extraction.h"
 #include "lighting/light_filter.h"
-#include "lighting/light_tracker.h"
-#include "lighting/map_luminance.h"
-#include "lighting/projection.h"
+#include "lighting/lights/light_tracker.h"
+#include "lighting/sh/map_luminance.h"
+#include "lighting/sh/projection.h"
 #include "lighting/saturation_recovery.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 struct EstimateOptions {
@@ -111,3 +112,4 @@ RadianceSh whole_upper_hemisphere_light(const LightEstimate& estimate);
 double largest_visible_change(const RadianceSh& before, const RadianceSh& after);
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

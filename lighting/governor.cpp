@@ -3,11 +3,11 @@
 #include <memory_resource>
 
 #include "core/scratch.h"
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
-#include "lighting/irradiance.h"
-#include "lighting/projection.h"
+#include "lighting/sh/irradiance.h"
+#include "lighting/sh/projection.h"
 
 namespace penumbra::lighting {
 

@@ -11,8 +11,9 @@
 
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// What one light update costs here, fitted where it runs.
@@ -113,3 +114,4 @@ struct GovernorConfig {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -8,10 +8,11 @@
 #include "core/image.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
-#include "lighting/projection.h"
+#include "lighting/sh/projection.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// What an engine asks for.
@@ -34,3 +35,4 @@ struct LightEstimate {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "lighting/light_filter.h"
-#include "lighting/projection.h"
+#include "lighting/sh/projection.h"
 
 namespace penumbra::lighting {
 

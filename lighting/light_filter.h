@@ -7,8 +7,9 @@
 
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/projection.h"
+#include "lighting/sh/projection.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// Takes the noise out of the lights of a stream: a Kalman filter with a random walk for every
@@ -61,3 +62,4 @@ class LightFilter {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

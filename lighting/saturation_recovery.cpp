@@ -5,9 +5,9 @@
 #include <cmath>
 #include <functional>
 
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
 #include "lighting/saturation_recovery.h"
 
@@ -43,13 +43,14 @@ Rgb irradiance_without(const LightEstimate& light, const IrradianceSh& residual,
 Result<void> check(const ReflectancePatch& patch, std::size_t index) {
   const auto where = fmt::format("patch {}", index + 1);
   if (!(std::abs(glm::dot(patch.normal, patch.normal) - 1) < 1e-3))
-    return fail(ErrorCode::kInvalid, where, "its normal is not a unit vector");
+    return fail(ErrorCode::kInvalid, where, "has a normal that is not a unit vector");
   if (!is_finite(patch.radiance))
-    return fail(ErrorCode::kNonFinite, where, "its radiance is not finite");
+    return fail(ErrorCode::kNonFinite, where, "has a radiance that is not finite");
   for (int c = 0; c < 3; ++c)
     if (!(patch.albedo[c] > 0 && patch.albedo[c] <= 1))
-      return fail(ErrorCode::kInvalid, where,
-                  fmt::format("its albedo {} is not within 0..1", patch.albedo[c]));
+      return fail(
+          ErrorCode::kInvalid, where,
+          fmt::format("has an albedo of {}, which is not above 0 and at most 1", patch.albedo[c]));
   return {};
 }
 
@@ -58,16 +59,17 @@ Result<void> check(const ReflectancePatch& patch, std::size_t index) {
 Result<void> check(const Eigen::MatrixXd& seen, std::span<const DistantLight* const> lights) {
   if (seen.rows() < seen.cols())
     return fail(ErrorCode::kUndetermined, "patches",
-                fmt::format("{} for {} clipped sources", seen.rows(), seen.cols()));
+                fmt::format("are {}, too few for {} saturated lights", seen.rows(), seen.cols()));
   for (Eigen::Index j = 0; j < seen.cols(); ++j)
     if (seen.col(j).maxCoeff() < kMinCosine)
       return fail(
           ErrorCode::kUndetermined, "patches",
-          fmt::format("none sees clipped source {}", lights[static_cast<std::size_t>(j)]->id));
+          fmt::format("do not face saturated light {}", lights[static_cast<std::size_t>(j)]->id));
   const Eigen::VectorXd values = seen.colwise().normalized().jacobiSvd().singularValues();
   if (values.minCoeff() < kMinContrast * values.maxCoeff())
-    return fail(ErrorCode::kUndetermined, "patches",
-                fmt::format("too alike to tell {} clipped sources apart", seen.cols()));
+    return fail(
+        ErrorCode::kUndetermined, "patches",
+        fmt::format("face too similar directions to tell {} saturated lights apart", seen.cols()));
   return {};
 }
 
@@ -112,7 +114,7 @@ Result<std::vector<SaturationRecovery>> recover_from_patches(
   std::vector<const DistantLight*> lights;
   for (const DistantLight& d : light.lights)
     if (d.clipped) lights.push_back(&d);
-  if (lights.empty()) return fail(ErrorCode::kInvalid, "light", "has no clipped source");
+  if (lights.empty()) return fail(ErrorCode::kInvalid, "light", "has no saturated light");
   const auto rows = static_cast<Eigen::Index>(patches.size()),
              columns = static_cast<Eigen::Index>(lights.size());
   Eigen::MatrixXd seen(rows, columns), missing(rows, 3);
@@ -137,8 +139,8 @@ Result<std::vector<SaturationRecovery>> recover_from_patches(
   for (const SaturationRecovery& recovery : out)
     if (!(luminance(recovery.power) > 0))
       return fail(ErrorCode::kUndetermined, "patches",
-                  fmt::format("get nothing from clipped source {}: in shadow, or of another albedo "
-                              "or scale than stated",
+                  fmt::format("get no light from saturated light {}: they lie in its shadow, or "
+                              "their albedo or scale is wrong",
                               recovery.source));
   return out;
 }
@@ -159,9 +161,9 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
     nearest = std::max(nearest, response(d, patch.normal));
     out.push_back({d.id, power(d)});
   }
-  if (out.empty()) return fail(ErrorCode::kInvalid, "light", "has no clipped source");
+  if (out.empty()) return fail(ErrorCode::kInvalid, "light", "has no saturated light");
   if (nearest < kMinCosine)
-    return fail(ErrorCode::kUndetermined, "patch", "sees no clipped source");
+    return fail(ErrorCode::kUndetermined, "patch", "does not face a saturated light");
   Rgb factor;
   for (int c = 0; c < 3; ++c) {
     const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
@@ -170,8 +172,8 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
   for (SaturationRecovery& recovery : out) recovery.power = recovery.power * factor;
   if (!(luminance(out[0].power) > 0))
     return fail(ErrorCode::kUndetermined, "patch",
-                "gets nothing from clipped sources: in shadow, or of another albedo or scale than "
-                "stated");
+                "gets no light from the saturated lights: it lies in their shadow, or its albedo "
+                "or scale is wrong");
   return out;
 }
 
@@ -181,20 +183,22 @@ Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int 
       light.lights, [&](const DistantLight& d) { return d.clipped && d.id == source; });
   if (at == light.lights.end())
     return fail(ErrorCode::kInvalid, "shadow edge",
-                fmt::format("light {} is not saturated", source));
+                fmt::format("is of light {}, which is not saturated", source));
   if (!(std::abs(glm::dot(edge.normal, edge.normal) - 1) < 1e-3))
-    return fail(ErrorCode::kInvalid, "shadow edge", "its normal is not a unit vector");
+    return fail(ErrorCode::kInvalid, "shadow edge", "has a normal that is not a unit vector");
   if (!is_finite(edge.lit) || !is_finite(edge.shadowed))
-    return fail(ErrorCode::kNonFinite, "shadow edge", "its radiance is not finite");
+    return fail(ErrorCode::kNonFinite, "shadow edge", "has a radiance that is not finite");
   for (int c = 0; c < 3; ++c)
     if (!(edge.shadowed[c] > 0))
-      return fail(ErrorCode::kUndetermined, "shadow edge", "the shadow is black");
+      return fail(ErrorCode::kUndetermined, "shadow edge",
+                  "has a shadow that is black in one channel");
   if (!(luminance(edge.lit) > luminance(edge.shadowed)))
-    return fail(ErrorCode::kUndetermined, "shadow edge", "the lit side is not brighter");
+    return fail(ErrorCode::kUndetermined, "shadow edge",
+                "has a lit side that is not brighter than the shadow");
   const double seen = response(*at, edge.normal);
   if (seen < kMinCosine)
     return fail(ErrorCode::kUndetermined, "shadow edge",
-                fmt::format("its surface does not see clipped source {}", source));
+                fmt::format("lies on a surface that does not face saturated light {}", source));
   const Rgb others = irradiance_without(light, irradiance(light.light), edge.normal,
                                         [&](const DistantLight& d) { return &d == &*at; });
   SaturationRecovery out{source, {}};
@@ -202,7 +206,8 @@ Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int 
     out.power[c] =
         std::max(0.f, others[c] * (edge.lit[c] / edge.shadowed[c] - 1) / static_cast<float>(seen));
   if (!(luminance(out.power) > 0))
-    return fail(ErrorCode::kUndetermined, "shadow edge", "no light in the shadow to compare with");
+    return fail(ErrorCode::kUndetermined, "shadow edge",
+                "has no light in the shadow to compare with");
   return out;
 }
 
@@ -226,12 +231,14 @@ RecoveryMemory::RecoveredLight* RecoveryMemory::find(int source) {
 Result<void> RecoveryMemory::remember(const SaturationRecovery& recovery) {
   const auto where = fmt::format("light {}", recovery.source);
   RecoveredLight* const known = find(recovery.source);
-  if (known == nullptr) return fail(ErrorCode::kInvalid, where, "is not a clipped source");
-  if (!is_finite(recovery.power)) return fail(ErrorCode::kNonFinite, where, "power is not finite");
+  if (known == nullptr) return fail(ErrorCode::kInvalid, where, "is not a saturated light");
+  if (!is_finite(recovery.power))
+    return fail(ErrorCode::kNonFinite, where, "has a recovered power that is not finite");
   const float smallest = luminance(known->power), now = luminance(recovery.power);
   if (!(now >= static_cast<float>(kMinPower) * smallest))
     return fail(ErrorCode::kUndetermined, where,
-                fmt::format("completed to {:.3g}, but {:.3g} was measured", now, smallest));
+                fmt::format("has a recovered power of {:.3g}, which is below the measured {:.3g}",
+                            now, smallest));
   known->radiance = recovery.power * static_cast<float>(1 / known->solid_angle_sr);
   return {};
 }

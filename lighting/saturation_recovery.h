@@ -11,9 +11,10 @@
 #include "core/image.h"
 #include "core/result.h"
 #include "core/units.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 struct LightEstimate;
@@ -87,3 +88,4 @@ class RecoveryMemory {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -25,34 +25,41 @@ ROOMS = {
     "capture/studio": "capture/hdr capture calib/camera core",
     "capture/recording": "capture calib/camera codec core",
     "capture/device": "capture/recording capture/hdr capture calib/camera core",
-    "lighting": "core",
+    "lighting/sh": "core",
+    "lighting/lights": "lighting/sh core",
+    "lighting": "lighting/lights lighting/sh core",
     "prt/geometry": "codec core",
-    "prt/transfer": "prt/geometry lighting core",
-    "prt/bake": "prt/transfer prt/geometry lighting core",
-    "prt/clip": "prt/bake prt/transfer prt/geometry lighting codec core",
-    "prt/reference": "prt/geometry lighting core",
-    "shadows/silhouette": "prt/transfer prt/geometry lighting core",
-    "shadows/field": "prt/bake prt/transfer prt/geometry lighting core",
-    "shadows/visibility": "shadows/silhouette prt/transfer prt/geometry lighting core",
+    "prt/transfer": "prt/geometry core",
+    "prt/bake": "prt/transfer prt/geometry lighting/sh core",
+    "prt/clip": "prt/bake prt/transfer prt/geometry lighting/sh codec core",
+    "prt/reference": "prt/geometry lighting/sh core",
+    "shadows/silhouette": "prt/transfer prt/geometry lighting/lights lighting/sh core",
+    "shadows/field": "prt/bake prt/transfer prt/geometry lighting/lights lighting/sh core",
+    "shadows/visibility": "shadows/silhouette prt/transfer prt/geometry lighting/lights"
+                          " lighting/sh core",
     "compositor": "shadows/field shadows/silhouette prt/clip prt/bake prt/transfer prt/geometry"
-                  " calib/camera lighting codec core",
+                  " calib/camera codec core",
     "runtime/scene": "shadows/visibility shadows/field shadows/silhouette prt/clip prt/bake"
-                     " prt/transfer prt/geometry capture/recording capture calib/camera lighting"
-                     " codec core",
+                     " prt/transfer prt/geometry capture/recording capture calib/camera codec"
+                     " core",
     "runtime/shading": "runtime/scene compositor shadows/visibility shadows/field"
                        " shadows/silhouette prt/clip prt/bake prt/transfer prt/geometry"
-                       " capture/hdr capture calib/camera lighting core",
+                       " capture/hdr capture calib/camera lighting lighting/lights lighting/sh"
+                       " core",
     "runtime/pipeline": "runtime/shading runtime/scene compositor shadows/field prt/bake"
                         " prt/transfer prt/geometry capture/environment capture/hdr capture"
-                        " calib/camera lighting core",
-    "runtime/studio": "runtime/pipeline runtime/scene prt/reference prt/geometry capture/studio calib/camera"
-                      " capture/environment capture lighting core",
+                        " calib/camera lighting lighting/lights lighting/sh core",
+    "runtime/studio": "runtime/pipeline runtime/scene prt/reference prt/geometry capture/studio"
+                      " calib/camera capture/environment capture core",
     "service": "runtime/studio runtime/pipeline runtime/shading runtime/scene compositor"
-               " capture/device capture/recording capture/studio capture lighting codec core",
+               " capture/device capture/recording capture/studio capture lighting"
+               " lighting/lights lighting/sh codec core",
 }
 LIBRARY = [room for room in ROOMS if room != "service"]
 ROOMS["tools/common"] = " ".join(LIBRARY)
-ROOMS["tools/penumbra"] = "tools/common service " + ROOMS["tools/common"]
+ROOMS["tools/pictures"] = ROOMS["tools/demo"] = "tools/common " + ROOMS["tools/common"]
+ROOMS["tools/penumbrad"] = "tools/common service"
+ROOMS["tools/penumbra"] = "tools/pictures tools/common service " + ROOMS["tools/common"]
 ROOMS["tools/calibrate"] = ROOMS["tools/penumbra"]
 ROOMS["tools/chart"] = ROOMS["tools/penumbra"]
 ROOMS = {room: set(below.split()) for room, below in ROOMS.items()}

@@ -4,7 +4,7 @@
 #include <Eigen/Cholesky>
 
 #include "core/image.h"
-#include "lighting/projection.h"
+#include "lighting/sh/projection.h"
 
 namespace penumbra::lighting {
 

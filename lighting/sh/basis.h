@@ -8,6 +8,7 @@
 #include "core/image.h"
 #include "core/sh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// Y_n(d) for n < bands^2; `direction` must be a unit vector, out must hold bands^2 values.
@@ -22,3 +23,4 @@ void evaluate_basis_block(int bands, const float* x, const float* y, const float
 Rgb evaluate(const RadianceSh& light, const glm::dvec3& direction);
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -6,12 +6,12 @@
 
 #include "core/background_task.h"
 #include "core/scratch.h"
-#include "lighting/distant_light.h"
-#include "lighting/internal/latlong_kernel.h"
-#include "lighting/internal/light_shape.h"
-#include "lighting/light_extraction.h"
-#include "lighting/map_luminance.h"
-#include "lighting/row_overlay.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/latlong_kernel.h"
+#include "lighting/lights/internal/light_shape.h"
+#include "lighting/lights/light_extraction.h"
+#include "lighting/sh/map_luminance.h"
+#include "lighting/sh/row_overlay.h"
 
 namespace penumbra::lighting {
 
@@ -471,7 +471,7 @@ Result<void> extract_lights(const Image<Rgb>& map, const MapLuminance& luminance
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   if (!std::ranges::is_sorted(clipped) || (!clipped.empty() && clipped.back() >= map.area()))
     return fail(ErrorCode::kInvalid, "environment",
-                "its clipped pixels are out of order or outside");
+                "has a list of clipped pixels that is out of order or points outside the map");
   assert(luminance.is_of(map));
   split.residual.reset(map);
   return Peeler(luminance, options, clipped, split).run();

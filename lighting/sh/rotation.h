@@ -9,6 +9,7 @@
 #include "core/image.h"
 #include "core/sh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// Rotates functions on the sphere: f'(d) = f(R^T d), c' = D(R) c.
@@ -36,3 +37,4 @@ class ShRotation {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -4,8 +4,8 @@
 #include <utility>
 
 #include "core/scratch.h"
-#include "lighting/distant_light.h"
-#include "lighting/light_tracker.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/lights/light_tracker.h"
 
 namespace penumbra::lighting {
 

@@ -8,13 +8,13 @@
 #include <vector>
 
 #include "core/parallel.h"
-#include "lighting/basis.h"
-#include "lighting/internal/latlong_kernel.h"
-#include "lighting/internal/sh_inpainting.h"
-#include "lighting/map_luminance.h"
-#include "lighting/projection.h"
-#include "lighting/rotation.h"
-#include "lighting/row_overlay.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/latlong_kernel.h"
+#include "lighting/sh/sh_inpainting.h"
+#include "lighting/sh/map_luminance.h"
+#include "lighting/sh/projection.h"
+#include "lighting/sh/rotation.h"
+#include "lighting/sh/row_overlay.h"
 
 namespace penumbra::lighting {
 
@@ -43,7 +43,7 @@ Error first_non_finite(const Map& map) {
       if (!is_finite(map.at(x, y)))
         return {ErrorCode::kNonFinite, "environment",
                 fmt::format("pixel {},{} is not finite", x, y)};
-  return {ErrorCode::kNonFinite, "environment", "its sum is not finite"};
+  return {ErrorCode::kNonFinite, "environment", "has a sum that is not finite"};
 }
 
 }  // namespace
@@ -131,7 +131,7 @@ Result<void> LatLongProjector::check_size(int width, int height) const {
   const Tables& t = *tables_;
   if (width == t.width && height == t.height) return {};
   return fail(ErrorCode::kInvalid, "environment",
-              fmt::format("{}x{} pixels, expected {}x{}", width, height, t.width, t.height));
+              fmt::format("has {}x{} pixels instead of {}x{}", width, height, t.width, t.height));
 }
 
 // The map itself is only asked which of its pixels is not finite.
@@ -352,22 +352,21 @@ Result<ShProjection> project_samples(const LightSamples& s, int bands) {
   if (s.direction.size() != n || s.solid_angle_sr.size() != n ||
       (!s.confidence.empty() && s.confidence.size() != n))
     return fail(ErrorCode::kInvalid, "environment",
-                "directions, weights and pixels differ in number");
+                "has different numbers of directions, weights and pixels");
   double seen = 0;
   for (std::size_t i = 0; i < n; ++i)
     seen += s.solid_angle_sr[i] * (s.confidence.empty() ? 1. : double(s.confidence[i]));
   const double coverage = std::min(1., seen / (4 * kPi));
   if (coverage < kMinCoverage)
     return fail(ErrorCode::kUndetermined, "environment",
-                fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage));
+                fmt::format("covers only {:.1f} % of the sphere", 100 * coverage));
   const bool complete = coverage > kFullCoverage;
-  auto sums = accumulate(s, bands, !complete);
-  if (!sums) return std::unexpected(sums.error());
+  PENUMBRA_ASSIGN(sums, accumulate(s, bands, !complete));
   if (complete)
-    return ShProjection{to_light(sums->whole.moments, bands),
-                        to_light(sums->upper_moments.moments, bands), coverage};
+    return ShProjection{to_light(sums.whole.moments, bands),
+                        to_light(sums.upper_moments.moments, bands), coverage};
   const Matrix fit =
-      penalised(sums->whole.gram, bands, 1 - coverage).ldlt().solve(sums->whole.moments);
+      penalised(sums.whole.gram, bands, 1 - coverage).ldlt().solve(sums.whole.moments);
   const RadianceSh light = to_light(fit, bands);
   return ShProjection{light, moments_above(light), coverage};
 }
@@ -397,7 +396,7 @@ ShInpainting::ShInpainting(const Image<float>& confidence) : confidence_(confide
 Result<ShProjection> ShInpainting::fill(const RadianceSh& moments) const {
   if (coverage_ < kMinCoverage)
     return fail(ErrorCode::kUndetermined, "environment",
-                fmt::format("only {:.1f} % of the sphere is seen", 100 * coverage_));
+                fmt::format("covers only {:.1f} % of the sphere", 100 * coverage_));
   Moments right(kMaxCoefficients, 3);
   for (int n = 0; n < kMaxCoefficients; ++n)
     for (int c = 0; c < 3; ++c) right(n, c) = moments[n][c];

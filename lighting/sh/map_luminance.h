@@ -5,6 +5,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 inline constexpr int kPeakBlock = 64;  // pixels
@@ -31,3 +32,4 @@ struct MapLuminance {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

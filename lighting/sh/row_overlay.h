@@ -8,6 +8,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// Refers to the map, which must outlive it. A row that was asked for before its first change is the map's own.
@@ -64,3 +65,4 @@ class RowOverlay {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -1,7 +1,7 @@
 // Sums over one lat-long row, with run-time choice of the vector instructions.
 #pragma once
 
-#include "lighting/map_luminance.h"
+#include "lighting/sh/map_luminance.h"
 
 namespace penumbra::lighting {
 

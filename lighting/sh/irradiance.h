@@ -7,6 +7,7 @@
 #include "core/image.h"
 #include "core/sh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// A_l of the clamped cosine: pi, 2pi/3, pi/4, 0, -pi/24, 0, ... for any l >= 0.
@@ -18,3 +19,4 @@ IrradianceSh irradiance(const RadianceSh& light);
 Rgb evaluate(const IrradianceSh& irradiance, const glm::dvec3& normal);
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

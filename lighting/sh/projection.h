@@ -9,9 +9,10 @@
 #include "core/image.h"
 #include "core/result.h"
 #include "core/sh.h"
-#include "lighting/map_luminance.h"
-#include "lighting/row_overlay.h"
+#include "lighting/sh/map_luminance.h"
+#include "lighting/sh/row_overlay.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// Light in spherical harmonics: of the whole sphere, and of the hemisphere above the horizon alone.
@@ -82,3 +83,4 @@ struct LightSamples {
 Result<ShProjection> project_samples(const LightSamples& samples, int bands);
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

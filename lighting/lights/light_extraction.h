@@ -8,10 +8,11 @@
 
 #include "core/image.h"
 #include "core/result.h"
-#include "lighting/distant_light.h"
-#include "lighting/map_luminance.h"
-#include "lighting/row_overlay.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/map_luminance.h"
+#include "lighting/sh/row_overlay.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 struct ExtractionOptions {
@@ -52,3 +53,4 @@ Result<void> extract_lights(const Image<Rgb>&& map, const ExtractionOptions& opt
                             std::span<const std::uint32_t> clipped = {}) = delete;
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

@@ -1,9 +1,8 @@
 #include <algorithm>
 
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/internal/sh_recursion.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/internal/sh_recursion.h"
+#include "lighting/sh/irradiance.h"
 
 namespace penumbra::lighting {
 

@@ -8,8 +8,9 @@
 #include <vector>
 
 #include "core/units.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// Gives the same source the same number from map to map, and lets a source enter the list over kFade: what it
@@ -51,3 +52,4 @@ class LightTracker {
 };
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop

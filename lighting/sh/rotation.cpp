@@ -1,6 +1,6 @@
 #include <cassert>
 
-#include "lighting/rotation.h"
+#include "lighting/sh/rotation.h"
 
 namespace penumbra::lighting {
 

@@ -4,7 +4,7 @@
 #include <glm/vec3.hpp>
 #include <span>
 
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 
 namespace penumbra::lighting {
 

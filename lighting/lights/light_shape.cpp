@@ -1,4 +1,4 @@
-#include "lighting/internal/light_shape.h"
+#include "lighting/lights/internal/light_shape.h"
 
 #include <Eigen/Eigenvalues>
 

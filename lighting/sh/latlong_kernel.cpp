@@ -1,9 +1,9 @@
-#include "lighting/internal/latlong_kernel.h"
+#include "lighting/sh/latlong_kernel.h"
 
 #include "core/conventions.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "lighting/latlong_kernel.cpp"
+#define HWY_TARGET_INCLUDE "lighting/sh/latlong_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -9,6 +9,7 @@
 #include "core/sh.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
 /// A source above the low-frequency residual: uniform radiance over a spherical cap, or over another form of the same
@@ -40,3 +41,4 @@ RadianceSh project_upper_distant_light(const DistantLight& source, int bands);
 Rgb irradiance(const DistantLight& source, const glm::dvec3& normal);
 
 }  // namespace penumbra::lighting
+#pragma GCC visibility pop
