@@ -38,7 +38,8 @@ Result<void> Canvas::make_targets() {
     }
     if (glCheckFramebufferStatus(GL_FRAMEBUFFER) != GL_FRAMEBUFFER_COMPLETE) {
       width_ = height_ = 0;
-      return fail(ErrorCode::kUnavailable, "GL", "cannot draw to half-float pictures of this size");
+      return fail(ErrorCode::kUnavailable, "GL",
+                  "cannot render to half-float framebuffers of this size");
     }
     targets_.push_back(std::move(t));
   }

@@ -5,7 +5,6 @@
 #include <cassert>
 
 #include "compositor/internal/gl.h"
-#include "compositor/internal/gpu_relight.h"
 #include "compositor/internal/layered_rows.h"
 #include "compositor/internal/pixel_pass.h"
 #include "compositor/internal/sensor_effects.h"
@@ -91,7 +90,6 @@ struct Compositor::Impl {
   std::unique_ptr<Layers> layers;
   std::unique_ptr<GlProgram> show;
   std::unique_ptr<GlTexture> picture;
-  std::vector<std::optional<GpuRelight>> clips;  // empty where removed
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
   CommonLayer objects, hidden;
@@ -105,23 +103,21 @@ Compositor::~Compositor() {
 
 Result<std::unique_ptr<Compositor>> Compositor::create(int width, int height, Surface surface,
                                                        int oversampling, const std::string& title) {
-  if (width < 1 || height < 1) return fail(ErrorCode::kInvalid, "compositor", "empty frame size");
+  if (width < 1 || height < 1)
+    return fail(ErrorCode::kInvalid, "compositor", "has an empty frame size");
   if (oversampling != 2 && oversampling != 4)
-    return fail(ErrorCode::kInvalid, "compositor", "oversampling is 2 or 4");
-  auto context = surface == Surface::kWindow ? make_window_context(width, height, title)
-                                             : make_offscreen_context();
-  if (!context) return std::unexpected(context.error());
+    return fail(ErrorCode::kInvalid, "compositor", "has an oversampling that is neither 2 nor 4");
+  PENUMBRA_ASSIGN(context, surface == Surface::kWindow ? make_window_context(width, height, title)
+                                                       : make_offscreen_context());
   auto impl = std::make_unique<Impl>(oversampling);
   impl->width = width;
   impl->height = height;
-  impl->context = std::move(*context);
-  auto layers = Layers::create(width, height, oversampling);
-  if (!layers) return std::unexpected(layers.error());
-  impl->layers = std::make_unique<Layers>(std::move(*layers));
+  impl->context = std::move(context);
+  PENUMBRA_ASSIGN(layers, Layers::create(width, height, oversampling));
+  impl->layers = std::make_unique<Layers>(std::move(layers));
   if (impl->context->has_window()) {
-    auto show = make_program(kShowVertex, kShowFragment);
-    if (!show) return std::unexpected(show.error());
-    impl->show = std::make_unique<GlProgram>(std::move(*show));
+    PENUMBRA_ASSIGN(show, make_program(kShowVertex, kShowFragment));
+    impl->show = std::make_unique<GlProgram>(std::move(show));
     impl->picture = std::make_unique<GlTexture>();
     glBindTexture(GL_TEXTURE_2D, impl->picture->get());
     glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB8, width, height);
@@ -153,25 +149,6 @@ void Compositor::set_light(int object, std::span<const float> relit,
   impl_->layers->set_light(object, relit);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
     impl_->receivers.set_shadow(r, shadow);
-}
-
-Result<int> Compositor::add_clip(const prt::TransferSequence& sequence) {
-  impl_->context->make_current();
-  auto clip = GpuRelight::create(sequence);
-  if (!clip) return std::unexpected(clip.error());
-  impl_->clips.push_back(std::move(*clip));
-  return static_cast<int>(impl_->clips.size()) - 1;
-}
-
-Result<void> Compositor::relight(int clip, double frame, const RadianceSh& light,
-                                 std::span<const glm::mat3> turns, std::span<float> out) {
-  impl_->context->make_current();
-  return impl_->clips[static_cast<std::size_t>(clip)]->relight(frame, light, turns, out);
-}
-
-void Compositor::remove_clip(int clip) {
-  impl_->context->make_current();
-  impl_->clips[static_cast<std::size_t>(clip)].reset();
 }
 
 void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {
@@ -207,18 +184,20 @@ Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame)
       std::visit([](const auto& f) { return std::pair(f.width(), f.height()); }, frame);
   if (w != width || h != height)
     return fail(ErrorCode::kInvalid, "frame",
-                fmt::format("{}x{} pixels, expected {}x{}", w, h, width, height));
+                fmt::format("has {}x{} pixels instead of {}x{}", w, h, width, height));
   if (view.camera.width != w || view.camera.height != h)
     return fail(ErrorCode::kInvalid, "view",
-                fmt::format("camera of {}x{} pixels for a frame of {}x{}", view.camera.width,
+                fmt::format("has a camera of {}x{} pixels for a frame of {}x{}", view.camera.width,
                             view.camera.height, w, h));
   const unsigned needed = std::holds_alternative<Image<Rgb8>>(frame)    ? 255u
                           : std::holds_alternative<Image<Rgb16>>(frame) ? 65535u
                                                                         : 0u;
   if (needed && (view.curve == nullptr || view.curve->largest_code() != needed))
-    return fail(ErrorCode::kInvalid, "frame", "no response curve of its bit depth");
+    return fail(ErrorCode::kInvalid, "frame", "has no response curve of its bit depth");
   if (!valid(view.look))
-    return fail(ErrorCode::kInvalid, "camera look", "blur or noise is negative or too large");
+    return fail(
+        ErrorCode::kInvalid, "sensor effects",
+        "have a blur that is not within 0..20 px, or a noise that is negative or too large");
   return {};
 }
 

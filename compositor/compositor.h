@@ -21,13 +21,13 @@
 #include "core/result.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
-#include "prt/clip/sequence.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/receiver.h"
 #include "shadows/field/planar_shadow.h"
 #include "shadows/silhouette/shadow_map.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::compositor {
 
 /// What the camera does to all it sees, and so must happen to what is inserted: the blur of its
@@ -129,14 +129,6 @@ class Compositor {
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
-  /// A clip that the drawing device relights instead of the CPU: as prt::TransferSequence::relight, but for rounding. The
-  /// sequence must outlive it here; the number names it.
-  /// errors: kUnavailable (larger than the device's buffers)
-  Result<int> add_clip(const prt::TransferSequence& sequence);
-  void remove_clip(int clip);
-  /// errors: kUnavailable (GL)
-  Result<void> relight(int clip, double frame, const RadianceSh& light,
-                       std::span<const glm::mat3> turns, std::span<float> out);
   /// A plane that real things shade: its grid and place, once, and what they take of the light beside the lights. The picture
   /// shows that already; what virtual things take is taken from what is left.
   void add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid);
@@ -203,3 +195,4 @@ class VideoWriter {
 };
 
 }  // namespace penumbra::compositor
+#pragma GCC visibility pop

@@ -66,7 +66,8 @@ std::vector<EGLDisplay> candidate_displays() {
 Result<std::unique_ptr<GlContext>> make_context(EGLDisplay display) {
   EGLint major = 0, minor = 0;
   if (display == EGL_NO_DISPLAY || !eglInitialize(display, &major, &minor))
-    return fail(ErrorCode::kUnavailable, "EGL", "no display, neither surfaceless nor a device");
+    return fail(ErrorCode::kUnavailable, "EGL",
+                "has no display, neither surfaceless nor of a device");
   if (!has(eglQueryString(display, EGL_EXTENSIONS), "EGL_KHR_surfaceless_context"))
     return fail(ErrorCode::kUnavailable, "EGL", "has no surfaceless contexts");
   eglBindAPI(EGL_OPENGL_ES_API);
@@ -80,7 +81,7 @@ Result<std::unique_ptr<GlContext>> make_context(EGLDisplay display) {
                                        EGL_NONE};
   const EGLContext context = eglCreateContext(display, config, EGL_NO_CONTEXT, context_attributes);
   if (context == EGL_NO_CONTEXT)
-    return fail(ErrorCode::kUnavailable, "EGL", "cannot make an OpenGL ES 3.1 context");
+    return fail(ErrorCode::kUnavailable, "EGL", "cannot create an OpenGL ES 3.1 context");
   auto out = std::make_unique<OffscreenContext>(display, context);
   out->make_current();
   return out;
@@ -89,7 +90,7 @@ Result<std::unique_ptr<GlContext>> make_context(EGLDisplay display) {
 }  // namespace
 
 Result<std::unique_ptr<GlContext>> make_offscreen_context() {
-  Result<std::unique_ptr<GlContext>> last = fail(ErrorCode::kUnavailable, "EGL", "no display");
+  Result<std::unique_ptr<GlContext>> last = fail(ErrorCode::kUnavailable, "EGL", "has no display");
   for (const EGLDisplay display : candidate_displays()) {
     last = make_context(display);
     if (last) return last;
@@ -134,12 +135,6 @@ Result<GlProgram> make_program(const char* vertex, const char* fragment) {
   GlProgram program;
   PENUMBRA_TRY(attach(program.get(), GL_VERTEX_SHADER, vertex));
   PENUMBRA_TRY(attach(program.get(), GL_FRAGMENT_SHADER, fragment));
-  return linked(std::move(program));
-}
-
-Result<GlProgram> make_compute_program(const char* compute) {
-  GlProgram program;
-  PENUMBRA_TRY(attach(program.get(), GL_COMPUTE_SHADER, compute));
   return linked(std::move(program));
 }
 

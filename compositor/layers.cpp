@@ -145,14 +145,11 @@ void upload_coordinates(GLuint buffer, GLuint location, std::span<const glm::vec
 }  // namespace
 
 Result<Layers> Layers::create(int width, int height, int oversampling) {
-  auto object = make_program(kObjectVertex, kObjectFragment);
-  if (!object) return std::unexpected(object.error());
-  auto textured = make_program(kTexturedVertex, kTexturedFragment);
-  if (!textured) return std::unexpected(textured.error());
-  auto occluder = make_program(kOccluderVertex, kOccluderFragment);
-  if (!occluder) return std::unexpected(occluder.error());
-  return Layers(width, height, oversampling, std::move(*object), std::move(*textured),
-                std::move(*occluder), one_texel());
+  PENUMBRA_ASSIGN(object, make_program(kObjectVertex, kObjectFragment));
+  PENUMBRA_ASSIGN(textured, make_program(kTexturedVertex, kTexturedFragment));
+  PENUMBRA_ASSIGN(occluder, make_program(kOccluderVertex, kOccluderFragment));
+  return Layers(width, height, oversampling, std::move(object), std::move(textured),
+                std::move(occluder), one_texel());
 }
 
 // In the object's vertex array.

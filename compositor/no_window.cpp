@@ -4,7 +4,7 @@
 namespace penumbra::compositor {
 
 Result<std::unique_ptr<GlContext>> make_window_context(int, int, const std::string&) {
-  return fail(ErrorCode::kUnavailable, "window", "this build has no window output");
+  return fail(ErrorCode::kUnavailable, "window", "is not part of this build");
 }
 
 }  // namespace penumbra::compositor

@@ -55,7 +55,8 @@ struct VideoWriter::Impl {
 Result<void> VideoWriter::Impl::open_encoder(double fps, bool live) {
   const AVCodec* encoder = avcodec_find_encoder_by_name("libx264");
   if (!encoder)
-    return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg has no H.264 encoder");
+    return fail(ErrorCode::kUnavailable, target.string(),
+                "cannot be written: FFmpeg has no H.264 encoder");
   codec = avcodec_alloc_context3(encoder);
   codec->width = source_width / 2 * 2;
   codec->height = source_height / 2 * 2;
@@ -96,7 +97,8 @@ Result<void> VideoWriter::Impl::open(double fps, bool live) {
   scaler = sws_getContext(codec->width, codec->height, AV_PIX_FMT_RGB24, codec->width,
                           codec->height, codec->pix_fmt, SWS_POINT, nullptr, nullptr, nullptr);
   if (!scaler)
-    return fail(ErrorCode::kUnavailable, target.string(), "FFmpeg cannot convert to YUV 4:2:0");
+    return fail(ErrorCode::kUnavailable, target.string(),
+                "cannot be written: FFmpeg does not convert to YUV 4:2:0");
   sws_setColorspaceDetails(scaler, sws_getCoefficients(SWS_CS_ITU709), 1,
                            sws_getCoefficients(SWS_CS_ITU709), 0, 0, 1 << 16, 1 << 16);
   return {};
@@ -122,7 +124,8 @@ VideoWriter& VideoWriter::operator=(VideoWriter&&) noexcept = default;
 Result<VideoWriter> VideoWriter::create(const std::filesystem::path& path, int width, int height,
                                         double frames_per_second, bool live) {
   if (width < 2 || height < 2 || !(frames_per_second > 0))
-    return fail(ErrorCode::kInvalid, path.string(), "size and frame rate must be positive");
+    return fail(ErrorCode::kInvalid, path.string(),
+                "has a frame size below 2x2 or a frame rate that is not positive");
   av_log_set_level(AV_LOG_ERROR);
   auto impl = std::make_unique<Impl>();
   impl->target = path;
@@ -137,7 +140,7 @@ Result<VideoWriter> VideoWriter::create(const std::filesystem::path& path, int w
 Result<void> VideoWriter::write(const Image<Rgb8>& picture) {
   Impl& i = *impl_;
   if (picture.width() != i.source_width || picture.height() != i.source_height)
-    return fail(ErrorCode::kInvalid, i.target.string(), "the size of the frames changed");
+    return fail(ErrorCode::kInvalid, i.target.string(), "gets frames of different sizes");
   if (const int e = av_frame_make_writable(i.frame); e < 0) return std::unexpected(i.error(e));
   const auto* rows = reinterpret_cast<const std::uint8_t*>(picture.pixels().data());
   const int stride = picture.width() * 3;

@@ -37,7 +37,7 @@ class WindowContext final : public GlContext {
 
 Result<std::unique_ptr<GlContext>> make_window_context(int width, int height,
                                                        const std::string& title) {
-  if (!glfwInit()) return fail(ErrorCode::kUnavailable, "window", "no display");
+  if (!glfwInit()) return fail(ErrorCode::kUnavailable, "window", "has no display");
   glfwWindowHint(GLFW_CLIENT_API, GLFW_OPENGL_ES_API);
   glfwWindowHint(GLFW_CONTEXT_CREATION_API, GLFW_EGL_CONTEXT_API);
   glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, 3);
@@ -45,7 +45,7 @@ Result<std::unique_ptr<GlContext>> make_window_context(int width, int height,
   GLFWwindow* window = glfwCreateWindow(width, height, title.c_str(), nullptr, nullptr);
   if (window == nullptr) {
     glfwTerminate();
-    return fail(ErrorCode::kUnavailable, "window", "cannot make one with OpenGL ES 3.1");
+    return fail(ErrorCode::kUnavailable, "window", "cannot be created with OpenGL ES 3.1");
   }
   auto out = std::make_unique<WindowContext>(window);
   out->make_current();

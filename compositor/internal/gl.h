@@ -80,7 +80,6 @@ using GlProgram = GlName<gl::make_program, gl::delete_program>;
 /// Compiles and links.
 /// errors: kUnavailable with GL's log
 Result<GlProgram> make_program(const char* vertex, const char* fragment);
-Result<GlProgram> make_compute_program(const char* compute);
 
 /// A current OpenGL ES 3.1 context: surfaceless EGL, or a GLFW window.
 class GlContext {

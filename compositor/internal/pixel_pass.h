@@ -1,4 +1,4 @@
-// The pass over the pixels of a frame that that need no sensor effects.
+// The pass over the pixels of a frame that need no sensor effects.
 #pragma once
 
 #include <cstddef>

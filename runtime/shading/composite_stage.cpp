@@ -96,19 +96,18 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     PENUMBRA_TRY(calib::check_drawable(c.projection, c.name));
     if (first && (c.projection.width != first->projection.width ||
                   c.projection.height != first->projection.height))
-      return fail(ErrorCode::kInvalid, c.name, "all view cameras must have the same size");
+      return fail(ErrorCode::kInvalid, c.name,
+                  "has another picture size than the first view camera");
     if (!first) first = &c;
   }
   if (!first) return fail(ErrorCode::kInvalid, "capture", "has no view camera");
-  auto compositor = compositor::Compositor::create(first->projection.width,
-                                                   first->projection.height, surface, oversampling);
-  if (!compositor) return std::unexpected(compositor.error());
-  auto lights = DirectLightStage::create(scene, sampling);
-  if (!lights) return std::unexpected(lights.error());
-  auto recovery = FloorRecovery::create(scene);
-  if (!recovery) return std::unexpected(recovery.error());
+  PENUMBRA_ASSIGN(compositor,
+                  compositor::Compositor::create(first->projection.width, first->projection.height,
+                                                 surface, oversampling));
+  PENUMBRA_ASSIGN(lights, DirectLightStage::create(scene, sampling));
+  PENUMBRA_ASSIGN(recovery, FloorRecovery::create(scene));
   auto stage = std::unique_ptr<CompositeStage>(
-      new CompositeStage(std::move(*compositor), std::move(*lights), std::move(*recovery), scene,
+      new CompositeStage(std::move(compositor), std::move(lights), std::move(recovery), scene,
                          std::move(moving), times));
   for (const capture::CameraInfo& c : cameras) {
     const Vignetting vignetting = calib::vignetting_of(c.projection, c.vignetting);
@@ -303,8 +302,8 @@ std::vector<lighting::SaturationRecovery> CompositeStage::complete(
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
   if (found) return std::move(*found);
   if (!std::exchange(could_not_complete_, true))
-    spdlog::warn("{}: saturated source not completed: {}", found.error().where,
-                 found.error().detail);
+    spdlog::warn("{}: saturated lights are not recovered from the floor: it {}",
+                 found.error().where, found.error().detail);
   return {};
 }
 

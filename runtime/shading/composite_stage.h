@@ -13,9 +13,9 @@
 #include "compositor/compositor.h"
 #include "core/result.h"
 #include "core/stage_times.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/rotation.h"
 #include "lighting/saturation_recovery.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer_pca.h"
@@ -28,6 +28,7 @@
 #include "runtime/shading/scene_light.h"
 #include "shadows/field/planar_shadow.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 struct Composited {
@@ -93,9 +94,8 @@ class CompositeStage {
                                                      const lighting::LightEstimate& light);
   /// The part of process() that depends on the light: relights objects and renews shadows where something changed visibly.
   bool shade(const lighting::LightEstimate& light, double seconds);
-  /// From now on time counts: what is traced live keeps to its own, and clips are relit by whatever does it fastest. Before,
-  /// results are the same on every machine.
-  void keep_time();
+  /// From now on time counts: what is traced live keeps to its own. Before, results are the same on every machine.
+  void keep_time() { keeps_time_ = true; }
 
  private:
   // In the bake frame. Sides that nothing else is near see `open`.
@@ -114,7 +114,6 @@ class CompositeStage {
     const PreparedObject* prepared;
     int handle;
     std::optional<ObjectLight> light_used{};
-    std::array<std::optional<int>, PreparedObject::kParts> on_gpu{};  // the compositor's clips
     std::optional<RelightBases> patterns{};                           // none of an animation
     std::vector<float> relit{};                                       // exit radiance of the object
     std::vector<float> taken{};  // of the receiver's irradiance/pi
@@ -151,9 +150,6 @@ class CompositeStage {
   Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
                              const std::vector<Pose>& poses) const;
   void relight(StageObject& object, const ObjectLight& light, std::size_t index) const;
-  void choose_device(StageObject& object);
-  void relight_part(StageObject& object, PreparedObject::TransferPart part, const RadianceSh& light,
-                    std::span<float> out) const;
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
   void compose_shadow(StageObject& object, const ObjectLight& light) const;
@@ -185,3 +181,4 @@ class CompositeStage {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

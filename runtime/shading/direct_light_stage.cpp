@@ -5,8 +5,8 @@
 #include <cmath>
 #include <utility>
 
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
@@ -71,11 +71,9 @@ prt::Mesh far_quad(const prt::Plane& plane) {
 
 Result<DirectLightStage> DirectLightStage::create(const PreparedScene& scene,
                                                   const ShadowSampling& sampling) {
-  auto virtual_things = prt::RayWorld::create();
-  if (!virtual_things) return std::unexpected(virtual_things.error());
-  auto real_things = prt::RayWorld::create();
-  if (!real_things) return std::unexpected(real_things.error());
-  DirectLightStage stage(scene, sampling, std::move(*virtual_things), std::move(*real_things));
+  PENUMBRA_ASSIGN(virtual_things, prt::RayWorld::create());
+  PENUMBRA_ASSIGN(real_things, prt::RayWorld::create());
+  DirectLightStage stage(scene, sampling, std::move(virtual_things), std::move(real_things));
   // ShadowCasters point into them.
   stage.quads_.reserve(scene.planes.size());
   stage.silhouettes_.reserve(scene.objects.size() + 1 + scene.planes.size());

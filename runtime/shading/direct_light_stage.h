@@ -9,7 +9,7 @@
 
 #include "compositor/compositor.h"
 #include "core/result.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 #include "prt/transfer/visibility_map.h"
@@ -20,6 +20,7 @@
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 struct ShadowSampling {
@@ -139,3 +140,4 @@ class DirectLightStage {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

@@ -7,7 +7,7 @@
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
 
@@ -57,9 +57,8 @@ Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
         std::ranges::any_of(scene.objects, stands_on(plane)))
       out.floor_ = &plane;
   if (out.floor_ && !scene.real_mesh.triangles.empty()) {
-    auto real = prt::RayScene::build(scene.real_mesh);
-    if (!real) return std::unexpected(real.error());
-    out.real_ = std::move(*real);
+    PENUMBRA_ASSIGN(real, prt::RayScene::build(scene.real_mesh));
+    out.real_ = std::move(real);
   }
   return out;
 }

@@ -14,6 +14,7 @@
 #include "prt/geometry/rays.h"
 #include "runtime/scene/scene.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class FloorRecovery {
@@ -53,3 +54,4 @@ class FloorRecovery {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

@@ -10,6 +10,7 @@
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class LampStage {
@@ -43,3 +44,4 @@ class LampStage {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

@@ -4,11 +4,11 @@
 
 #include "core/background_task.h"
 #include "core/conventions.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/mesh.h"
 #include "prt/transfer/transfer.h"
@@ -185,7 +185,7 @@ void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size
     const auto s = static_cast<std::size_t>(k);
     const auto vertices = surroundings_.vertices(index, k);
     if (!(light.side[s] == light.open)) {
-      relight_part(o, TransferPart::kSurface,
+      o.prepared->relight(TransferPart::kSurface,
                    difference(light.side[s], light.open).with_bands(kSideBands), o.more);
       add_to_side(vertices, o.more, {}, o.relit);
     }
@@ -194,7 +194,7 @@ void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size
     if (!shaded && light.floor_hidden[s] == 0) continue;
     RadianceSh missing = shaded ? difference(light.side_lights[s], light.lights) : no_lights;
     add(missing, light.open.with_bands(prt::kIndirectBands), -light.floor_hidden[s]);
-    relight_part(o, TransferPart::kReflected, missing.with_bands(kFloorBands), o.more);
+    o.prepared->relight(TransferPart::kReflected, missing.with_bands(kFloorBands), o.more);
     add_to_side(vertices, o.more, light.instead[s], o.relit);
   }
   if (lights) lights_.add_light(index, o.relit);

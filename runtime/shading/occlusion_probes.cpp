@@ -4,7 +4,7 @@
 
 #include "core/conventions.h"
 #include "core/parallel.h"
-#include "lighting/basis.h"
+#include "lighting/sh/basis.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 

@@ -17,6 +17,7 @@
 #include "shadows/field/occlusion_field.h"
 #include "shadows/silhouette/occluders.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// b_n = Int (fraction of the surface that sees something else there) Y_n dw, world frame.
@@ -131,3 +132,4 @@ Rgb radiance_towards(const prt::Mesh& mesh, const Pose& world_from_mesh, const g
 }
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

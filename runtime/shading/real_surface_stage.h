@@ -12,6 +12,7 @@
 #include "runtime/shading/lamp_stage.h"
 #include "shadows/field/planar_shadow.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class RealSurfaceStage {
@@ -49,3 +50,4 @@ class RealSurfaceStage {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

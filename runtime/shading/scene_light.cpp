@@ -1,10 +1,10 @@
 #include "runtime/shading/scene_light.h"
 
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
-#include "lighting/projection.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
+#include "lighting/sh/projection.h"
+#include "lighting/sh/rotation.h"
 #include "prt/transfer/transfer.h"
 
 namespace penumbra::runtime {

@@ -5,11 +5,12 @@
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/sh.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// A plane counts as level when its normal's y is larger: within a quarter of a degree.
@@ -29,3 +30,4 @@ RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

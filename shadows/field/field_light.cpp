@@ -5,85 +5,16 @@
 
 #include "core/conventions.h"
 #include "core/parallel.h"
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "shadows/field/internal/field_kernel.h"
+#include "shadows/field/internal/triple_products.h"
 #include "shadows/field/occlusion_field.h"
 #include "shadows/field/planar_shadow.h"
 
 namespace penumbra::shadows {
 
 namespace {
-
-constexpr int kMaxValues = kMaxFieldBands * kMaxFieldBands;
-
-// ------------------------------------------------------------------------------------- products
-
-struct TripleTerm {
-  int i, j, k;
-  float value;
-};
-
-// Y_lm is a function of z times cos m phi or sin m phi, so a triple product is an integral over z
-// times one over phi; the rules for both are exact for the degrees that occur.
-class TripleProducts {
- public:
-  static const TripleProducts& get() {
-    static const TripleProducts products;
-    return products;
-  }
-  double value(int i, int j, int k) const;
-  // All that are not zero, in ascending i.
-  std::span<const TripleTerm> terms() const { return terms_; }
-
- private:
-  static constexpr int kDegree = 2 * (kMaxBands - 1) + kMaxFieldBands - 1;
-  static constexpr int kNodes = kDegree + 1;
-  using Samples = std::array<double, kNodes>;
-
-  TripleProducts();
-
-  std::array<Samples, kMaxCoefficients> along_, around_;  // the factors of Y_n
-  Samples weight_;                                        // of the product of both rules
-  std::vector<TripleTerm> terms_;
-};
-
-TripleProducts::TripleProducts() {
-  for (std::size_t s = 0; s < kNodes; ++s) {
-    // Fejer's first rule in z = cos theta (Waldvogel 2006); even steps in phi.
-    const double theta = kPi * (static_cast<double>(s) + .5) / kNodes;
-    const double phi = 2 * kPi * static_cast<double>(s) / kNodes;
-    double sum = 1;
-    for (int j = 1; j <= kNodes / 2; ++j) sum -= 2 * std::cos(2 * j * theta) / (4. * j * j - 1);
-    weight_[s] = 2 * sum / kNodes * (2 * kPi / kNodes);
-    double basis[kMaxCoefficients];
-    lighting::evaluate_basis(kMaxBands, {std::sin(theta), 0, std::cos(theta)}, basis);
-    for (int l = 0; l < kMaxBands; ++l)
-      for (int m = -l; m <= l; ++m) {
-        const auto n = static_cast<std::size_t>(sh_index(l, m));
-        along_[n][s] = basis[sh_index(l, std::abs(m))];
-        around_[n][s] = m < 0 ? std::sin(-m * phi) : std::cos(m * phi);
-      }
-  }
-  for (int i = 0; i < kMaxCoefficients; ++i)
-    for (int j = 0; j < kMaxValues; ++j)
-      for (int k = 0; k < kMaxCoefficients; ++k)
-        if (const double v = value(i, j, k); v != 0)
-          terms_.push_back({i, j, k, static_cast<float>(v)});
-}
-
-double TripleProducts::value(int i, int j, int k) const {
-  constexpr double kRounding = 1e-10;
-  const auto a = static_cast<std::size_t>(i), b = static_cast<std::size_t>(j),
-             c = static_cast<std::size_t>(k);
-  double around = 0, along = 0;
-  for (std::size_t s = 0; s < kNodes; ++s) around += around_[a][s] * around_[b][s] * around_[c][s];
-  if (std::abs(around) < kRounding) return 0;  // most of them
-  for (std::size_t s = 0; s < kNodes; ++s)
-    along += weight_[s] * along_[a][s] * along_[b][s] * along_[c][s];
-  const double product = along * around;
-  return std::abs(product) < kRounding ? 0 : product;
-}
 
 // ------------------------------------------------------------------------------------- cosine
 
@@ -109,12 +40,6 @@ float cosine_factor(int n) {
 }
 
 }  // namespace
-
-double triple_product(int i, int j, int k) {
-  assert(i >= 0 && i < kMaxCoefficients && j >= 0 && j < kMaxValues && k >= 0 &&
-         k < kMaxCoefficients);
-  return TripleProducts::get().value(i, j, k);
-}
 
 // ------------------------------------------------------------------------------------- light
 
@@ -230,9 +155,9 @@ Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
   const bool lights = !receiver.distant_irradiance.empty();
   if (receiver.normals.size() != points || ratios.size() != points ||
       (lights && receiver.distant_irradiance.size() != points))
-    return fail(ErrorCode::kInvalid, "receiver", "its lists differ in length");
+    return fail(ErrorCode::kInvalid, "receiver", "has lists of different lengths");
   if (field.bands != light.field_bands())
-    return fail(ErrorCode::kInvalid, "light", "was made for a field of other bands");
+    return fail(ErrorCode::kInvalid, "light", "belongs to an occlusion field with other bands");
   constexpr std::size_t kLanes = kFieldLanes, kBlocksPerTask = 64;
   const std::size_t blocks = (points + kLanes - 1) / kLanes;
   parallel_for(std::size_t{0}, blocks, kBlocksPerTask, [&](const auto& range) {

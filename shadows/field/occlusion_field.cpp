@@ -13,7 +13,7 @@
 #include "core/conventions.h"
 #include "core/half.h"
 #include "core/parallel.h"
-#include "lighting/basis.h"
+#include "lighting/sh/basis.h"
 #include "prt/geometry/rays.h"
 
 namespace penumbra::shadows {
@@ -207,16 +207,17 @@ Result<void> check(const prt::Mesh& mesh, const FieldOptions& o) {
     if (!is_finite(mesh.positions[i]))
       return fail(ErrorCode::kNonFinite, "mesh", fmt::format("vertex {} is not finite", i));
   if (o.size < 8 || o.size > 128 || o.size % 2 != 0)
-    return fail(ErrorCode::kInvalid, "size", fmt::format("{} is not even and in 8..128", o.size));
+    return fail(ErrorCode::kInvalid, "size",
+                fmt::format("{} is not even and within 8..128", o.size));
   if (o.bands < 1 || o.bands > kMaxFieldBands)
     return fail(ErrorCode::kInvalid, "bands",
-                fmt::format("{} is not in 1..{}", o.bands, kMaxFieldBands));
+                fmt::format("{} is not within 1..{}", o.bands, kMaxFieldBands));
   if (o.rays < kLanes || o.rays % kLanes != 0)
     return fail(ErrorCode::kInvalid, "rays",
-                fmt::format("must be a positive multiple of {}", kLanes));
+                fmt::format("are not a positive multiple of {}", kLanes));
   if (!(o.extent >= 1.2f && o.extent <= kFieldReach))
     return fail(ErrorCode::kInvalid, "extent",
-                fmt::format("{} is not in 1.2..{}", o.extent, kFieldReach));
+                fmt::format("{} is not within 1.2..{}", o.extent, kFieldReach));
   return {};
 }
 
@@ -232,7 +233,7 @@ Result<OcclusionField> bake_occlusion_field(const prt::Mesh& mesh, const FieldOp
   field.radius = prt::radius_around(mesh, field.centre);
   field.half_extent = options.extent * field.radius;
   if (!(field.radius > 0 && std::isfinite(field.half_extent)))
-    return fail(ErrorCode::kInvalid, "mesh", "has no size, or too large a one");
+    return fail(ErrorCode::kInvalid, "mesh", "has an extent of zero, or too large a one");
   for (int axis = 0; axis < 3; ++axis)
     field.stretch[axis] =
         best_stretch((bounds.high[axis] - field.centre[axis]) / field.half_extent, options.size);

@@ -19,6 +19,7 @@
 #include "core/sh.h"
 #include "prt/geometry/mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 inline constexpr int kMaxFieldBands = 5;
@@ -63,9 +64,6 @@ Result<OcclusionField> bake_occlusion_field(const prt::Mesh& mesh, const FieldOp
 /// continuous everywhere, and zero where the position is not finite.
 /// out: field.bands^2 values
 void blocked_at(const OcclusionField& field, const glm::vec3& position, std::span<float> out);
-
-/// Int Y_i Y_j Y_k dw with j < kMaxFieldBands^2, i and k < kMaxCoefficients.
-double triple_product(int i, int j, int k);
 
 /// A light in an object's bake frame, made ready for queries of that object's field: 5 us for every
 /// change of the light or turn of the object, and 3 ms more for the first in a run (tables). No
@@ -128,3 +126,4 @@ void smooth_ratios(const PlacedField& first, const PlacedField& second,
                    std::span<Rgb> ratios);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

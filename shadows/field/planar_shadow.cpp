@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "lighting/basis.h"
-#include "lighting/distant_light.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/transfer/relight.h"
 #include "shadows/field/planar_shadow.h"
 

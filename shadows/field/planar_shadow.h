@@ -12,6 +12,7 @@
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 /// The ratio s = E/E0 on the receiver at the texels of the object's ground grid. Exactly 1 where
@@ -74,3 +75,4 @@ struct PlacedShadow {
 void combine_shadows(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

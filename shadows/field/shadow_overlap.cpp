@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "core/parallel.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"

@@ -7,7 +7,7 @@
 
 #include "core/background_task.h"
 #include "core/conventions.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 
 namespace penumbra::shadows {
 
@@ -35,23 +35,12 @@ bool is_wide(const lighting::DistantLight& source) {
   return largest_angle(source) >= kFrom;
 }
 
-namespace {
-
-// Of an object's part as far as its radius.
-bool exceeds_edges(const lighting::DistantLight& source, const SilhouetteMesh& silhouette,
-                   double edges) {
-  return rms_angle(source) * silhouette.radius_m() >= edges * silhouette.mean_length_m();
-}
-
-}  // namespace
+namespace {}  // namespace
 
 bool penumbra_exceeds_edges(const lighting::DistantLight& source,
                             const SilhouetteMesh& silhouette) {
-  return exceeds_edges(source, silhouette, 1.75);
-}
-bool penumbra_far_exceeds_edges(const lighting::DistantLight& source,
-                                const SilhouetteMesh& silhouette) {
-  return exceeds_edges(source, silhouette, 4);
+  constexpr double kEdges = 1.75;
+  return rms_angle(source) * silhouette.radius_m() >= kEdges * silhouette.mean_length_m();
 }
 
 DirectionCone beam_of(const lighting::DistantLight& source, double more) {

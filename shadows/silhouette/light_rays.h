@@ -5,13 +5,14 @@
 #include <span>
 #include <vector>
 
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 inline constexpr int kMaxSamples = 64;
@@ -21,12 +22,8 @@ double largest_angle(const lighting::DistantLight& source);
 double rms_angle(const lighting::DistantLight& source);
 
 /// Whether a light's penumbras on an object, of parts as far as its radius, are wider than a few edges, so that neighbours may share
-/// their light. (A knot of 5,120 vertices under a lamp of 3 degrees: 17 % off where they do, 7 where not; of 38,400: 5, 7.)
+/// the light of their rays.
 bool penumbra_exceeds_edges(const lighting::DistantLight& source, const SilhouetteMesh& silhouette);
-/// So wide that half of the vertices may look for all of them. (A knot of 5,120 vertices under a strip of .1 by 2.5 edges: 19 % off
-/// where they do, 13 where all look; of 38,838 under windows of five to six: 4.0 to 4.9, 2.8 to 3.6.)
-bool penumbra_far_exceeds_edges(const lighting::DistantLight& source,
-                                const SilhouetteMesh& silhouette);
 
 /// All of a light's directions, and those so many radians off it.
 DirectionCone beam_of(const lighting::DistantLight& source, double more = 0);
@@ -108,3 +105,4 @@ class Packets {
 };
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -6,13 +6,14 @@
 #include <span>
 
 #include "core/pose.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 #include "prt/transfer/visibility_map.h"
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 /// Whether a light reaches .05 radians (2.9 degrees) or more from its middle: many vertices lie in its penumbras, which need
@@ -50,3 +51,4 @@ struct ShadowCasters {
 };
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -7,6 +7,7 @@
 #include <glm/vec3.hpp>
 #include <span>
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 /// out = turn * p + shift.
@@ -56,3 +57,4 @@ Footprint footprint_of(std::span<const glm::vec3> positions, const AffineTransfo
                        const Reach& reach, float near_m);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <span>
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 inline constexpr std::size_t kMaxDirections = 64;
@@ -59,3 +60,4 @@ struct alignas(32) Counts {
 void sum_steps(Counts* steps, std::size_t nodes, std::uint16_t* blocked);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

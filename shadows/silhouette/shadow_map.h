@@ -8,10 +8,11 @@
 
 #include "core/image.h"
 #include "core/pose.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
 #include "shadows/silhouette/occluders.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 struct ShadowMapOptions {
@@ -65,3 +66,4 @@ void render_shadow_maps(const ShadowCasters& casters, const prt::Plane& plane,
                         std::vector<ShadowMap>& out);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -9,6 +9,7 @@
 #include "shadows/silhouette/projection_kernel.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 /// Directions around one.
@@ -49,3 +50,4 @@ class SilhouetteCache {
 };
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

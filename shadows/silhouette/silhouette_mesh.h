@@ -10,6 +10,7 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 /// threads: const members reentrant
@@ -93,3 +94,4 @@ class SilhouetteMesh {
 };
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -226,9 +226,9 @@ class Teller {
   }
 
   void operator()(std::size_t vertex, bool lit) const {
-    prt::CosineSums here = averaged_     ? tracer_.unhindered(vertex, tracer_.samples(vertex))
-                           : cut_ && lit ? of_alike(vertex)
-                                         : prt::CosineSums{1, 1};
+    const prt::CosineSums here = averaged_     ? tracer_.unhindered(vertex, tracer_.samples(vertex))
+                                 : cut_ && lit ? of_alike(vertex)
+                                               : prt::CosineSums{1, 1};
     sums_[vertex] = {lit ? here.seen : 0, here.open};
   }
 
@@ -326,20 +326,16 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   const std::size_t count = mesh.positions.size();
   const LookupUse use = lookup_use(casters, object, source, samples);
   const bool looked_up = use == LookupUse::kCoarse || use == LookupUse::kFine;
-  // What neighbours average makes do with their samples.
-  const bool averaged = !hard && (looked_up || is_wide(source)) &&
+  // Neighbours share what few rays find; what is looked up has no noise that they could average.
+  const bool averaged = !hard && !looked_up && is_wide(source) &&
                         penumbra_exceeds_edges(source, *object.silhouette),
              cut = is_cut(plane, source);
-  const bool few = looked_up && averaged && penumbra_far_exceeds_edges(source, *object.silhouette);
   all.make(source, cut && !averaged ? kMaxSamples : std::max(samples, kOpenSamples), 1);
   if (looked_up) {
     sums.resize(count);
     const int cells =
         use == LookupUse::kCoarse ? prt::VisibilityMap::kCells : prt::VisibilityMap::kFineCells;
-    if (few)
-      look_up_sampled(object, plane, source, cells, sums);
-    else
-      look_up(object, plane, source, cells, averaged, sums);
+    look_up(object, plane, source, cells, sums);
   } else {
     sums.assign(count, {});
     pattern.make(source, samples, hard ? 1 : kTurns);
@@ -353,7 +349,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
       trace_groups(tracer, shared, mesh, source, samples, all.at(0), tell, sums);
     }
   }
-  if (averaged) smooth_over_neighbours(mesh, smoothing_passes(source) - (few ? 1 : 0), sums);
+  if (averaged) smooth_over_neighbours(mesh, smoothing_passes(source), sums);
   const UnoccludedLight whole(all.at(0), glm::vec3(source.direction),
                               glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {

@@ -5,11 +5,12 @@
 #include <span>
 #include <vector>
 
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
 #include "shadows/silhouette/occluders.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 /// out[v] = mean over the light of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
@@ -18,8 +19,7 @@ namespace penumbra::shadows {
 /// in a small light's penumbra which of sixteen directions, or of `samples` if those are more, a vertex sees. One sample is the light's
 /// middle, and the shadow hard; what faces all of the light keeps its light. Of a light that is wide beside the cells of the
 /// object's visibility this is asked instead of rays (up to eight; four for lamps of a few degrees), where nothing else may stand between the two.
-/// Half of the vertices look for all then, if the light is wide beside edges too (a vertex that grazes it stays dark where all that look
-/// for it are turned away), and under small lights they tell which vertices need rays.
+/// Under small lights its samples tell which vertices need rays.
 /// in: samples 1..64, rays a vertex at most; threads: reentrant, parallel inside
 /// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a form's points by the golden
 /// ratio; Laine et al. 2005 (SoftShadowVolume)
@@ -39,3 +39,4 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
                                     DirectLightAtVertices& out);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -11,6 +11,7 @@
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
 struct RayOccluders;
@@ -41,3 +42,4 @@ float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, con
                      int samples, ShadowMap& out);
 
 }  // namespace penumbra::shadows
+#pragma GCC visibility pop

@@ -40,21 +40,15 @@ void aim(const Caster& object, const prt::Plane* plane, const lighting::DistantL
     for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
 }
 
-// Directions where others beside a vertex look too: what is looked for in finer cells is small and lies in few of them.
-std::size_t enough(int cells) {
-  return cells == prt::VisibilityMap::kFineCells ? prt::VisibilitySamples::kFew
-                                                 : prt::VisibilitySamples::kMax;
-}
-
 // What the samples see, and after the last one nothing.
-const std::vector<prt::CosineSums>& look_from_samples(const Caster& object, const prt::Plane* plane,
-                                                      const lighting::DistantLight& source,
-                                                      int cells) {
+const std::vector<prt::CosineSums>& look_from_samples(const Caster& object,
+                                                      const lighting::DistantLight& source) {
   thread_local prt::VisibilitySamples samples_memory;  // grow once per thread
   thread_local std::vector<prt::CosineSums> sums_memory;
   prt::VisibilitySamples& directions_used = samples_memory;
   std::vector<prt::CosineSums>& sums = sums_memory;
-  aim(object, plane, source, cells, enough(cells), directions_used);
+  aim(object, nullptr, source, prt::VisibilityMap::kFineCells, prt::VisibilitySamples::kFew,
+      directions_used);
   const std::span<const std::uint32_t> vertices = object.visibility->samples().vertices();
   sums.resize(vertices.size() + 1);
   sums.back() = {};
@@ -96,34 +90,19 @@ LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
 }
 
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
-             int cells, bool averaged, std::span<prt::CosineSums> out) {
+             int cells, std::span<prt::CosineSums> out) {
   thread_local prt::VisibilitySamples memory;  // grows once per thread
   prt::VisibilitySamples& directions_used = memory;
-  aim(object, plane, source, cells, averaged ? enough(cells) : prt::VisibilitySamples::kMax,
-      directions_used);
+  aim(object, plane, source, cells, prt::VisibilitySamples::kMax, directions_used);
   parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
     object.visibility->look(directions_used, part.begin(), part.end(), out);
-  });
-}
-
-void look_up_sampled(const Caster& object, const prt::Plane* plane,
-                     const lighting::DistantLight& source, int cells,
-                     std::span<prt::CosineSums> out) {
-  const std::vector<prt::CosineSums>& seen = look_from_samples(object, plane, source, cells);
-  const prt::VertexSamples& samples = object.visibility->samples();
-  parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      const auto& [a, b, c, d] = samples.around(i);
-      out[i] = (seen[a] + seen[b]) + (seen[c] + seen[d]);
-    }
   });
 }
 
 void scout(const Caster& object, const lighting::DistantLight& source,
            std::vector<VisibilityVerdict>& out) {
   thread_local std::vector<std::uint8_t> by_sample;  // grows once per thread
-  const std::vector<prt::CosineSums>& seen =
-      look_from_samples(object, nullptr, source, prt::VisibilityMap::kFineCells);
+  const std::vector<prt::CosineSums>& seen = look_from_samples(object, source);
   std::vector<std::uint8_t>& said = by_sample;
   said.resize(seen.size());
   std::ranges::transform(seen, said.begin(), says);

@@ -6,6 +6,7 @@
 
 #include "compositor/compositor.h"
 #include "prt/prt.h"
+#include "tests/support/leaning_wall.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {
@@ -308,25 +309,6 @@ TEST_F(SensorEffectsTest, SameFrameNumberGivesTheSameBytesAndAnotherOneDoesNot) 
 
 // ------------------------------------------------------------------------------------- blur
 
-/// A white wall 2 m before a camera at the origin, everything to the right of an edge that leans by
-/// `lean`.
-prt::BakedObject leaning_wall(double lean) {
-  const auto at = [&](double along, double across) {
-    return glm::vec3(std::cos(lean) * across + std::sin(lean) * along,
-                     -std::sin(lean) * across + std::cos(lean) * along, -2);
-  };
-  prt::Mesh m;
-  m.positions = {at(-9, 0), at(-9, 9), at(9, 9), at(9, 0)};
-  m.normals.assign(4, {0, 0, 1});
-  m.albedo.assign(4, {1, 1, 1});
-  m.triangles = {{0, 1, 2}, {0, 2, 3}};
-  prt::BakeOptions options;
-  options.bands = 3;
-  options.bounces = 0;
-  options.rays = 64;
-  return *prt::bake(m, options);
-}
-
 /// Where a rising edge passes 10 and 90 % of `full`, from samples (distance, value).
 double width_10_90(const std::vector<std::pair<double, double>>& samples, double full) {
   constexpr double kBin = .125, kFrom = -12;
@@ -351,9 +333,7 @@ double width_10_90(const std::vector<std::pair<double, double>>& samples, double
 TEST_F(SensorEffectsTest, InsertedEdgeIsAsWideAsARealOne) {
   start(4);  // the edge's own steps must not count
   const double lean = .09;
-  const int handle = compositor_->add_object(leaning_wall(lean));
-  const auto lit = test::lit(leaning_wall(lean), test::constant_light({1, 1, 1}, 3));
-  compositor_->set_light(handle, lit.relit, lit.shadow);
+  test::add_lit(*compositor_, test::leaning_wall(lean), test::constant_light({1, 1, 1}, 3));
   View v = view(nullptr, .5f);
   v.camera.world_from_camera = {};
   const auto distance = [&](double px, double py) {  // from the edge, in pixels

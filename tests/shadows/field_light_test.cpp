@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "lighting/lighting.h"
+#include "shadows/field/internal/triple_products.h"
 #include "shadows/shadows.h"
 #include "tests/support/lights.h"
 
@@ -66,6 +67,10 @@ double difference(const A& a, const B& b) {
 }
 
 // ------------------------------------------------------------------------------------- products
+
+double triple_product(int i, int j, int k) {
+  return TripleProducts::get().value(i, j, k);
+}
 
 TEST(TripleProduct, WithTheConstantIsOrthonormality) {
   const double y0 = 1 / std::sqrt(4 * kPi);

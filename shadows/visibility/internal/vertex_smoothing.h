@@ -4,7 +4,7 @@
 #include <utility>
 #include <vector>
 
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
 
 namespace penumbra::shadows {

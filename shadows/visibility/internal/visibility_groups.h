@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "core/parallel.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 #include "shadows/visibility/internal/soft_shadow_volume.h"

@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
 #include "prt/transfer/visibility_map.h"
 #include "shadows/silhouette/occluders.h"
@@ -20,16 +20,10 @@ LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
                      const lighting::DistantLight& source, int samples);
 
 /// By vertex, over directions of the light; what is behind the plane does not count as seen.
-/// in: cells as VisibilitySamples::clear; averaged: whether neighbours share the light afterwards, and make do with fewer directions
+/// in: cells as VisibilitySamples::clear
 /// threads: as trace_direct_light
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
-             int cells, bool averaged, std::span<prt::CosineSums> out);
-
-/// The same where neighbours share light: only the mesh's samples look, and each vertex has what those at and beside it see.
-/// One that grazes the light stays dark where all of these are turned away from it.
-void look_up_sampled(const Caster& object, const prt::Plane* plane,
-                     const lighting::DistantLight& source, int cells,
-                     std::span<prt::CosineSums> out);
+             int cells, std::span<prt::CosineSums> out);
 
 enum class VisibilityVerdict : std::uint8_t {
   kTurnedAway,
