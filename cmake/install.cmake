@@ -21,9 +21,25 @@ configure_file(cmake/penumbra-lighting.pc.in penumbra-lighting.pc @ONLY)
 install(FILES ${CMAKE_BINARY_DIR}/penumbra-lighting.pc
         DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT dev)
 
+# The shared library: all rooms in one, of which only what public headers declare can be seen
+# (`#pragma GCC visibility` in them). Whoever links it needs none of the libraries below.
+get_property(penumbra_rooms GLOBAL PROPERTY penumbra_rooms)
+list(TRANSFORM penumbra_rooms REPLACE "(.+)" "$<TARGET_OBJECTS:\\1>" OUTPUT_VARIABLE penumbra_objects)
+add_library(penumbra_shared SHARED EXCLUDE_FROM_ALL ${penumbra_objects})
+set_target_properties(penumbra_shared PROPERTIES OUTPUT_NAME penumbra VERSION ${PROJECT_VERSION}
+  SOVERSION ${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR} LINKER_LANGUAGE CXX)
+target_link_libraries(penumbra_shared PRIVATE ${penumbra_rooms})
+target_link_options(penumbra_shared PRIVATE
+  -Wl,--version-script=${CMAKE_SOURCE_DIR}/cmake/exports.map -Wl,--no-undefined)
+set_property(TARGET penumbra_shared APPEND PROPERTY LINK_DEPENDS ${CMAKE_SOURCE_DIR}/cmake/exports.map)
+install(TARGETS penumbra_shared LIBRARY COMPONENT library NAMELINK_COMPONENT dev OPTIONAL)
+configure_file(cmake/penumbra.pc.in penumbra.pc @ONLY)
+install(FILES ${CMAKE_BINARY_DIR}/penumbra.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig
+        COMPONENT dev)
+
 # Manual pages and completion come from the same tables of options as --help.
 set(manuals)
-foreach(program penumbra penumbra-calibrate penumbra-chart)
+foreach(program penumbra penumbra-demo penumbra-calibrate penumbra-chart penumbrad)
   add_custom_command(OUTPUT ${program}.1 ${program}.bash
     COMMAND ${program} --print-manual > ${program}.1
     COMMAND ${program} --print-completion > ${program}.bash
@@ -37,19 +53,36 @@ foreach(program penumbra penumbra-calibrate penumbra-chart)
 endforeach()
 add_custom_target(manuals ALL DEPENDS ${manuals})
 
-# cpack -G DEB: penumbra-dev (archives and headers) and penumbra-tools (programs).
+# cpack -G DEB: libpenumbra0.1 (the shared library), penumbra-dev (headers, archives, package files)
+# and penumbra-tools (programs, which carry the rooms in themselves).
+set(penumbra_library_package lib${PROJECT_NAME}${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR})
+foreach(package ${penumbra_library_package}:library penumbra-dev:dev penumbra-tools:tools)
+  string(REPLACE ":" ";" package ${package})
+  list(GET package 0 name)
+  list(GET package 1 component)
+  install(FILES LICENSE DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${name} RENAME copyright
+          COMPONENT ${component})
+endforeach()
 set(CPACK_PACKAGE_NAME penumbra)
-set(CPACK_PACKAGE_CONTACT "The Penumbra project")
+set(CPACK_PACKAGE_CONTACT "The Penumbra project <penumbra@localhost>")
 set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "${PROJECT_DESCRIPTION}")
 set(CPACK_GENERATOR DEB)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
-set(CPACK_COMPONENTS_ALL dev tools)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_COMPONENTS_ALL library dev tools)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_NAME ${penumbra_library_package})
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_SECTION libs)
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_DEV_PACKAGE_NAME penumbra-dev)
+set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_TOOLS_PACKAGE_NAME penumbra-tools)
+set(CPACK_DEBIAN_TOOLS_PACKAGE_SECTION graphics)
 set(CPACK_DEBIAN_TOOLS_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_TOOLS_PACKAGE_RECOMMENDS "gnuplot-nox")
 # Whoever builds against the archives needs the libraries' own headers.
 file(STRINGS cmake/packages/build.txt penumbra_dev_packages REGEX "^lib.*-dev|^nlohmann")
 list(JOIN penumbra_dev_packages ", " penumbra_dev_packages)
-set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS "${penumbra_dev_packages}")
+set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS
+    "${penumbra_library_package} (= ${PROJECT_VERSION}), ${penumbra_dev_packages}")
 include(CPack)

@@ -131,7 +131,7 @@ Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int 
   const bool bound = port == 0 ? impl->port > 0 : impl->server.bind_to_port(address, port);
   if (!bound)
     return fail(ErrorCode::kUnavailable, fmt::format("{}:{}", address, port),
-                "cannot listen there; is it in use?");
+                "cannot be listened on: is it in use?");
   impl->thread = std::jthread([server = &impl->server] { server->listen_after_bind(); });
   // A stop before the server runs would be lost, and the destructor would wait for ever.
   for (int i = 0; i < 5000 && !impl->server.is_running(); ++i)

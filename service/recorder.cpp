@@ -64,9 +64,8 @@ Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
     if (stop) return Beginning{};
     if (watch.late())
       return fail(ErrorCode::kUnavailable, name,
-                  fmt::format("no frame within {:.0f} s", kPatience.count()));
-    if (!frame)
-      return fail(ErrorCode::kUnavailable, name, "the source ended without a frame of it");
+                  fmt::format("delivers no frame within {:.0f} s", kPatience.count()));
+    if (!frame) return fail(ErrorCode::kUnavailable, name, "has no frame in the source");
     PENUMBRA_ASSIGN(coding, capture::coding_of(*frame));
     found[static_cast<std::size_t>(frame->camera)] = coding;
     if (out.frames.size() == kMaxEarly) out.frames.pop_front();

@@ -23,7 +23,8 @@ class Section {
   template <class Read>
   Result<void> read(std::span<const std::string_view> known, Read read) const {
     if (!node_) return {};
-    if (!node_->is_table()) return root_keys_.invalid(name_, "not a table");
+    if (!node_->is_table())
+      return root_keys_.invalid(name_, fmt::format("must be a table [{}]", name_));
     const TomlKeys keys(path_, *node_->as_table());
     PENUMBRA_TRY(keys.only(known));
     return read(keys);
@@ -54,7 +55,7 @@ Result<void> read_number(const TomlKeys& keys, std::string_view key, double low,
   if (!keys.has(key)) return {};
   PENUMBRA_ASSIGN(value, keys.number(key));
   if (value <= low || value > high)
-    return keys.invalid(key, fmt::format("not within {}..{}", low, high));
+    return keys.invalid(key, fmt::format("is not above {} and at most {}", low, high));
   out = value;
   return {};
 }
@@ -69,6 +70,11 @@ Result<void> read_integer(const TomlKeys& keys, std::string_view key, int low, i
 Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfig& c) {
   PENUMBRA_ASSIGN(source, keys.text("source"));
   c.source = source == "studio" || source == "cameras" ? source : resolve(source, folder);
+  // Elsewhere they would do nothing.
+  if (c.source != "studio")
+    for (const std::string_view key :
+         {"environment", "asset", "real_mesh", "fps", "width", "height"})
+      if (keys.has(key)) return keys.invalid(key, "belongs to source = \"studio\"");
   PENUMBRA_TRY(read_path(keys, "environment", folder, c.environment));
   PENUMBRA_TRY(read_path(keys, "asset", folder, c.asset));
   PENUMBRA_TRY(read_path(keys, "real_mesh", folder, c.real_mesh));
@@ -106,8 +112,8 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   const fs::path folder = path.parent_path();
   RigConfig c;
   if (!keys.has("capture"))
-    return keys.invalid("capture",
-                        "missing: say source = \"studio\", \"cameras\" or a capture folder");
+    return keys.invalid(
+        "capture", "is missing: its source is \"studio\", \"cameras\" or the path of a capture");
   constexpr std::string_view capture_keys[] = {"source", "environment", "asset", "real_mesh",
                                                "fps",    "width",       "height"};
   constexpr std::string_view scene_keys[] = {"file"};
@@ -130,9 +136,9 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
   if (!to_composite) c.scene.reset();
   if (to_composite && c.source != "studio" && !c.scene)
     return fail(ErrorCode::kInvalid, path.string(),
-                "cameras, recordings and capture folders need [scene] file = \"scene.toml\"");
+                "has no [scene] file = \"scene.toml\", which every source but the studio needs");
   if (c.source != "cameras" && keys.has("camera"))
-    return keys.invalid("camera", "is for source = \"cameras\" alone");
+    return keys.invalid("camera", "belongs to source = \"cameras\"");
   if (c.source != "cameras") return c;
   PENUMBRA_ASSIGN(cameras, capture::read_rig_cameras(path));
   const auto has_none = [&](const auto& predicate) {
@@ -140,9 +146,10 @@ Result<RigConfig> read_rig_config(const fs::path& path, bool to_composite) {
            std::ranges::none_of(cameras, [&](const auto& k) { return predicate(k.info); });
   };
   if (has_none(capture::shows_surroundings))
-    return keys.invalid("camera", "no [[camera]] with role = \"environment\" or a mirror ball");
+    return keys.invalid("camera",
+                        "has neither a camera with role = \"environment\" nor a mirror ball");
   if (has_none([](const auto& info) { return info.role == capture::Role::kView; }))
-    return keys.invalid("camera", "no [[camera]] with role = \"view\"");
+    return keys.invalid("camera", "has no camera with role = \"view\"");
   c.cameras = std::move(cameras);
   return c;
 }

@@ -13,12 +13,11 @@ namespace {
 class LoopingCapture : public capture::FrameSource {
  public:
   static Result<std::unique_ptr<LoopingCapture>> open(const std::string& path) {
-    auto first = capture::open_capture(path);
-    if (!first) return std::unexpected(first.error());
+    PENUMBRA_ASSIGN(first, capture::open_capture(path));
     auto out = std::unique_ptr<LoopingCapture>(new LoopingCapture);
     out->path_ = path;
-    out->cameras_ = (*first)->cameras();
-    out->source_ = std::move(*first);
+    out->cameras_ = first->cameras();
+    out->source_ = std::move(first);
     return out;
   }
   const std::vector<capture::CameraInfo>& cameras() const override { return cameras_; }
@@ -27,9 +26,8 @@ class LoopingCapture : public capture::FrameSource {
     auto frame = source_->next();
     if (!frame) return frame;
     if (!*frame) {
-      auto again = capture::open_capture(path_);
-      if (!again) return std::unexpected(again.error());
-      source_ = std::move(*again);
+      PENUMBRA_ASSIGN(again, capture::open_capture(path_));
+      source_ = std::move(again);
       frame = source_->next();
       if (!frame || !*frame) return frame;
       offset_ns_ = last_ns_ + 33'000'000 - (*frame)->time.value;

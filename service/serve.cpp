@@ -10,39 +10,32 @@
 namespace penumbra::service {
 
 Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
-  auto config = read_rig_config(o.config);
-  if (!config) return std::unexpected(config.error());
+  PENUMBRA_ASSIGN(config, read_rig_config(o.config));
   // The port first: whether it is free should not be learnt after the bake, and clients see "starting".
   PipelineOptions options;
-  options.bands = config->bands;
-  options.max_lights = config->max_lights;
-  options.max_shadow_error = config->max_shadow_error;
+  options.bands = config.bands;
+  options.max_lights = config.max_lights;
+  options.max_shadow_error = config.max_shadow_error;
   options.measure_costs = true;
   options.progress = progress;
   options.timings = std::make_shared<StageTimes>();
   PublishedState state;
-  auto api =
-      HttpApi::start(config->address, config->port, state, *options.timings, config->stale_after_s);
-  if (!api) return std::unexpected(api.error());
-  auto rig = open_rig(*config, progress);
-  if (!rig) return std::unexpected(rig.error());
-  const auto& cameras = rig->source->cameras();
-  auto pipeline = Pipeline::create(cameras, rig->scene, options);
-  if (!pipeline) return std::unexpected(pipeline.error());
+  PENUMBRA_ASSIGN(api, HttpApi::start(config.address, config.port, state, *options.timings,
+                                      config.stale_after_s));
+  PENUMBRA_ASSIGN(rig, open_rig(config, progress));
+  const auto& cameras = rig.source->cameras();
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, rig.scene, options));
 
   const std::atomic<bool>& stop = catch_stop_signals();
-  spdlog::info("listening on http://{}:{}", config->address, (*api)->port());
-  auto counts = pipeline->run_live(
-      *rig->source,
-      [&](const runtime::Output& out) {
-        state.publish(out.light, out.source.time, out.pixels);
-        state.publish_cameras(cameras, rig->source->counts());
-        return true;
-      },
-      stop);
-  if (!counts) return std::unexpected(counts.error());
-  spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts->frames, counts->seconds,
-               counts->dropped);
+  spdlog::info("listening on http://{}:{}", config.address, api->port());
+  const auto publish = [&](const runtime::Output& out) {
+    state.publish(out.light, out.source.time, out.pixels);
+    state.publish_cameras(cameras, rig.source->counts());
+    return true;
+  };
+  PENUMBRA_ASSIGN(counts, pipeline.run_live(*rig.source, publish, stop));
+  spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts.frames, counts.seconds,
+               counts.dropped);
   return {};
 }
 

@@ -43,17 +43,20 @@ void add_json(CLI::App* app, bool& json) {
 }
 
 int run_program(int argc, char** argv, const std::string& name, const std::string& description,
-                const std::function<void(CLI::App&, Action&)>& add_commands) {
+                const std::function<void(CLI::App&, Action&)>& add_commands,
+                std::span<const Sibling> siblings) {
   spdlog::set_default_logger(spdlog::stderr_color_mt(name));
   spdlog::set_pattern("%^%l%$: %v");
   CLI::App app(description, name);
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
   Action action;
   add_commands(app, action);
+  for (const Sibling& s : siblings) app.add_subcommand(s.command, s.help);
   const std::string_view first = argc > 1 ? argv[1] : "";
   if (first == "--print-manual" || first == "--print-completion") {
-    const std::string text =
-        first == "--print-manual" ? manual_page(app, PENUMBRA_VERSION) : bash_completion(app);
+    const std::string text = first == "--print-manual"
+                                 ? manual_page(app, PENUMBRA_VERSION, siblings)
+                                 : bash_completion(app, siblings);
     std::fwrite(text.data(), 1, text.size(), stdout);
     return 0;
   }

@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 #include <functional>
+#include <span>
 #include <string>
 
 #include "core/result.h"
@@ -15,17 +16,36 @@ using Action = std::function<Result<void>()>;
 /// Of the shadow ratio's RMS error, kept with 95 % confidence; the mean error comes out at a quarter of it.
 inline constexpr double kDefaultMaxShadowError = .05;
 
-inline constexpr const char* kMaxLightsHelp =
-    "Maximum number of distant lights, 0 to 64, or auto (8)";
+inline constexpr const char* kMaxLightsHelp = "Maximum number of distant lights, 0 to 64; auto: 8";
 inline constexpr const char* kMaxShadowErrorHelp =
-    "RMS error of the shadow ratio that the governor keeps to, within --bands and --max-lights";
+    "Limit of the RMS error of the shadow ratio, above 0 and at most 1: the governor takes the "
+    "cheapest light that keeps to it, within --bands and --max-lights";
+/// Of commands in which the governor chooses the bands.
+inline constexpr const char* kMaxBandsHelp =
+    "Maximum number of bands of spherical harmonics, 1 to 9";
+/// Of commands that choose the bands by the map's irradiance.
+inline constexpr const char* kBandsOfMapHelp =
+    "Number of bands of spherical harmonics, 1 to 9; auto: the fewest that keep the unshadowed "
+    "irradiance within 0.5 %";
+inline constexpr const char* kProjectionHelp =
+    "Projection of the environment map: latlong, angular, mirror-ball, equidistant, pinhole, "
+    "vertical-cross, exr-latlong or exr-cube; what an OpenEXR file states wins over it; without "
+    "both the shape decides";
+
+/// A command that is a program of its own, standing beside this one.
+struct Sibling {
+  const char *command, *program, *help;
+  bool is_subcommand;  // of that program; else the program is the command itself
+};
 
 /// Why an empty text is refused; empty for any other.
 std::string not_empty(const std::string& text);
 void add_json(CLI::App* app, bool& json);
 
-/// Parses and runs. Returns the exit status: 0, or 2 after one line on standard error.
+/// Parses and runs. Returns the exit status: 0, or 2 after one line on standard error. `siblings`
+/// are told in help, manual page and completion.
 int run_program(int argc, char** argv, const std::string& name, const std::string& description,
-                const std::function<void(CLI::App&, Action&)>& add_commands);
+                const std::function<void(CLI::App&, Action&)>& add_commands,
+                std::span<const Sibling> siblings = {});
 
 }  // namespace penumbra::tools

@@ -20,8 +20,7 @@ Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text) {
 
 Result<void> check_budget(double budget) {
   if (budget > 0 && budget <= 1) return {};
-  return fail(ErrorCode::kInvalid, "--max-shadow-error",
-              "not within 0..1 (RMS error of the shadow ratio)");
+  return fail(ErrorCode::kInvalid, "--max-shadow-error", "is not above 0 and at most 1");
 }
 
 Result<int> choose_bands(const std::string& text, const lighting::ShProjection& nine_bands) {

@@ -5,8 +5,8 @@
 #include <string>
 
 #include "core/result.h"
-#include "lighting/light_extraction.h"
-#include "lighting/projection.h"
+#include "lighting/lights/light_extraction.h"
+#include "lighting/sh/projection.h"
 
 namespace penumbra::tools {
 

@@ -19,8 +19,10 @@ Result<std::array<int, 2>> read_map_size(const std::string& option, const std::s
   std::array<int, 2> size{};
   const auto good = [](int side) { return side >= 8 && side <= 4096; };
   if (!read_pair(text, 'x', size[0], size[1]) || !good(size[0]) || !good(size[1]))
-    return fail(ErrorCode::kInvalid, option,
-                fmt::format("\"{}\" is no size like 256x128 within 8..4096", text));
+    return fail(
+        ErrorCode::kInvalid, option,
+        fmt::format("\"{}\" is not WIDTHxHEIGHT with both sides within 8..4096, such as 256x128",
+                    text));
   return size;
 }
 

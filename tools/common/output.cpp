@@ -30,7 +30,7 @@ Result<void> OutputFolder::begin() {
   fs::remove_all(work_, error);  // of a process of the same number that was killed
   if (!fs::create_directory(work_, error))
     return fail(ErrorCode::kUnwritable, path_.string(),
-                error ? error.message() : work_.string() + " is in the way");
+                error ? error.message() : work_.string() + " cannot be replaced");
   return {};
 }
 
@@ -116,10 +116,10 @@ Result<void> FrameWriter::handle(const WriteJob& job) {
   const Image<Rgb8> converted = bytes ? Image<Rgb8>() : codec::to_display(*job.pixels);
   const Image<Rgb8>& picture = bytes ? *bytes : converted;
   if (!video_) {
-    auto video = compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(),
-                                                 picture.height(), options_.fps, options_.live);
-    if (!video) return std::unexpected(video.error());
-    video_ = std::move(*video);
+    PENUMBRA_ASSIGN(video,
+                    compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(),
+                                                    picture.height(), options_.fps, options_.live));
+    video_ = std::move(video);
   }
   return video_->write(picture);
 }

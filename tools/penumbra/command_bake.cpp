@@ -27,20 +27,19 @@ Rgb albedo_of(const BakeCommandOptions& o) {
 Result<void> bake(const BakeCommandOptions& o) {
   if (!o.shard.empty() || o.merge != 0 || !o.light_map.empty())
     return fail(ErrorCode::kInvalid, "--animation",
-                "is missing: shards and light maps are of clips");
+                "is missing, and --shard, --merge and --light-map need it");
   if (o.samples < 64 || o.samples % 64 != 0)
     return fail(ErrorCode::kInvalid, "--samples",
                 fmt::format("{} is not a positive multiple of 64", o.samples));
   if (std::filesystem::path(o.output).extension() != ".glb")
-    return fail(ErrorCode::kInvalid, o.output, "a baked file ends in .glb");
+    return fail(ErrorCode::kInvalid, o.output, "does not end in .glb, as a baked object does");
   if (o.bands < 1 || o.bands > kMaxBands)
-    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+    return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
   if (o.bounces < 0 || o.bounces > prt::kMaxBounces)
     return fail(ErrorCode::kInvalid, "--bounces",
-                fmt::format("not within 0..{}", prt::kMaxBounces));
+                fmt::format("{} is not within 0..{}", o.bounces, prt::kMaxBounces));
   PENUMBRA_TRY(check_writable(o.output));
-  auto mesh = runtime::load_asset(o.asset, albedo_of(o), .04f);
-  if (!mesh) return std::unexpected(mesh.error());
+  PENUMBRA_ASSIGN(mesh, runtime::load_asset(o.asset, albedo_of(o), .04f));
   prt::BakeOptions options;
   options.bands = o.bands;
   options.bounces = o.bounces;
@@ -48,13 +47,13 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.ground_rays = 4 * o.samples;
   options.visibility = true;
   if (!(o.receiver_albedo >= 0 && o.receiver_albedo <= 1))
-    return fail(ErrorCode::kInvalid, "--receiver-albedo", "not within 0..1");
+    return fail(ErrorCode::kInvalid, "--receiver-albedo", "is not within 0..1");
   const auto a = static_cast<float>(o.receiver_albedo);
   // The receiver is the plane that the asset stands on.
   options.receiver =
-      prt::Receiver{prt::fit_ground_grid(*mesh, prt::bounds_of(*mesh).low.y), {a, a, a}};
+      prt::Receiver{prt::fit_ground_grid(mesh, prt::bounds_of(mesh).low.y), {a, a, a}};
   options.progress = progress_bar("bake " + std::filesystem::path(o.asset).filename().string());
-  auto baked = prt::bake(std::move(*mesh), options);
+  auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, o.asset, baked.error().detail);
   PENUMBRA_TRY(prt::write_baked(o.output, *baked));
   const prt::BakeReport& r = baked->report;
@@ -85,59 +84,73 @@ Result<void> bake(const BakeCommandOptions& o) {
 void add_bake(CLI::App& parent, Action& action) {
   static BakeCommandOptions bake_options;
   auto* c = parent.add_subcommand(
-      "bake", "Precompute transfer and shadow basis of an object on the plane it stands on");
-  c->add_option("asset", bake_options.asset,
-                "glTF, OBJ, PLY, STL, FBX or COLLADA (or builtin:knot, builtin:twist, builtin:box, "
-                "builtin:walker)")
-      ->required();
-  c->add_option("-o,--output", bake_options.output, "Baked .glb, of a clip .shlm")->required();
-  c->add_option("--bands", bake_options.bands, "1 to 9")->capture_default_str();
+      "bake",
+      "Precompute the radiance transfer of an object or of a clip, and its shadow basis on the "
+      "floor");
   c->add_option(
-       "--bounces", bake_options.bounces,
-       "Traced bounces of light between the parts; from 2 on further ones are extrapolated")
+       "asset", bake_options.asset,
+       "Mesh to bake: glTF, OBJ, PLY, STL, FBX or COLLADA, or builtin:knot, builtin:twist, "
+       "builtin:box or builtin:walker")
+      ->required();
+  c->add_option("-o,--output", bake_options.output, "File to write: .glb, for a clip .shlm")
+      ->required();
+  c->add_option("--bands", bake_options.bands, "Number of bands of spherical harmonics, 1 to 9")
       ->capture_default_str();
-  c->add_option("--samples", bake_options.samples, "Rays per vertex, a multiple of 64")
+  c->add_option("--bounces", bake_options.bounces,
+                "Number of bounces of light that are traced, 0 to 256; from 2 on further ones are "
+                "extrapolated")
       ->capture_default_str();
-  c->add_option("--albedo", bake_options.albedo, "R G B where the asset has no material")
+  c->add_option("--samples", bake_options.samples, "Number of rays per vertex, a multiple of 64")
+      ->capture_default_str();
+  c->add_option("--albedo", bake_options.albedo,
+                "Albedo R G B, each 0 to 1, where the asset has no material")
       ->expected(3)
       ->check(CLI::Range(0., 1.))
       ->capture_default_str();
   c->add_option("--receiver-albedo", bake_options.receiver_albedo,
-                "Of the plane under it; 0 reflects nothing")
+                "Albedo of the plane under the object, 0 to 1; 0: it reflects no light")
       ->check(CLI::Range(0., 1.))
       ->capture_default_str();
   add_json(c, bake_options.json);
   const char* const kClip = "A clip of a character";
   c->add_option("--animation", bake_options.animation,
-                "Clip, by name or number: transfer over its frames instead of one pose")
+                "Clip to bake, by name or number, instead of one pose")
       ->check(not_empty)
       ->group(kClip);
-  c->add_option("--fps", bake_options.fps, "Baked frames a second of the clip")
+  c->add_option("--fps", bake_options.fps,
+                "Key frames that are baked for each second of the clip, above 0 and at most 1000")
       ->capture_default_str()
       ->group(kClip);
-  c->add_option("--light-map", bake_options.light_map,
-                "WIDTHxHEIGHT texels instead of vertices, laid out by the asset's texture "
-                "coordinates or, where "
-                "those are not usable, by an atlas of its own")
+  c->add_option(
+       "--light-map", bake_options.light_map,
+       "Keep transfer in a light map of WIDTHxHEIGHT texels, 8 to 4096 each, instead of at "
+       "vertices; it is laid out by the asset's texture coordinates or, where these "
+       "overlap, by an atlas of its own")
       ->group(kClip);
-  c->add_option("--error", bake_options.error, "Relative rendered error that compression may add")
+  c->add_option(
+       "--error", bake_options.error,
+       "Relative error of the rendered picture that compression may add, above 0 and below 1")
       ->capture_default_str()
       ->group(kClip);
   c->add_option(
        "--interpolation-error", bake_options.between,
-       "Relative rendered error that a straight line between two frames may add: where it is "
-       "more, further frames are baked between those of --fps; 0: none")
+       "Relative error of the rendered picture that interpolation between two key frames may add, "
+       "0 to 1: where it is more, further key frames are baked; 0: none are")
       ->capture_default_str()
       ->group(kClip);
-  c->add_option("--ground-texels", bake_options.ground_texels,
-                "Side of the shadow basis on the floor; 0: none")
+  c->add_option(
+       "--ground-texels", bake_options.ground_texels,
+       "Texels along each side of the shadow basis on the floor, 8 to 1024; 0: no shadow basis")
       ->capture_default_str()
       ->group(kClip);
-  c->add_option("--shard", bake_options.shard,
-                "i/n: only every n-th frame from the i-th on, kept beside the output for --merge")
+  c->add_option(
+       "--shard", bake_options.shard,
+       "i/n: bake only every n-th key frame from the i-th on, into a file beside the output that "
+       "--merge reads")
       ->group(kClip);
   c->add_option("--merge", bake_options.merge,
-                "n: join n shards to the output; bakes what --interpolation-error asks for")
+                "Number of shards to join into the output, after the key frames that "
+                "--interpolation-error asks for are baked")
       ->group(kClip);
   c->callback([&] {
     action = [] {

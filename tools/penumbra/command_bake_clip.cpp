@@ -11,7 +11,7 @@
 #include "prt/geometry/animation.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/animated.h"
-#include "runtime/shading/median_time.h"
+#include "tools/common/median_time.h"
 #include "tools/common/number_pairs.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
@@ -48,7 +48,7 @@ Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
   }
   for (const double a : {o.receiver_albedo, o.albedo[0], o.albedo[1], o.albedo[2]})
     if (!(a >= 0 && a <= 1))
-      return fail(ErrorCode::kInvalid, "--albedo", "or --receiver-albedo is not within 0..1");
+      return fail(ErrorCode::kInvalid, "--albedo, --receiver-albedo", "are not within 0..1");
   if (o.samples < 64 || o.samples % 64 != 0)
     return fail(ErrorCode::kInvalid, "--samples",
                 fmt::format("{} is not a positive multiple of 64", o.samples));
@@ -64,7 +64,7 @@ double relight_ms(const prt::BakedSequence& s, const runtime::StandingCharacter&
   for (int n = 0; n < light.size(); ++n) light[n] = {1, 1, 1};
   const auto turns = prt::bone_turns(of.character, prt::rest_pose(of.character));
   std::vector<float> out(3 * s.surface.stride());
-  return runtime::median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
+  return median_ms(9, [&] { s.surface.relight(.5, light, turns, out); });
 }
 
 // Key frames besides those of --fps.
@@ -80,19 +80,19 @@ void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
                     : r.interpolation_error > 2 * o.error;
   if (coarse)
     spdlog::warn(
-        "{}: the clip moves fast, or jumps: between frames the error is {:.1f} % at worst, {:.1f} "
-        "% "
-        "on the whole; a higher --fps lowers it",
+        "{}: the clip moves fast, or jumps: interpolation between key frames errs by {:.1f} % at "
+        "worst and by {:.1f} % RMS; a higher --fps lowers it",
         o.output, 100 * r.worst_interpolation, 100 * r.interpolation_error);
   if (r.compression_error > 1.02 * o.error)
     spdlog::warn(
-        "{}: --error {:.2g} % is not met: {:.2f} % is what as many values leave as a file may "
-        "have, "
-        "of sixteen bits; fewer texels or bands, or a shorter clip, come nearer",
+        "{}: --error {:.2g} % is not reached: the error is {:.2f} % with as many 16-bit values as "
+        "a file can hold; fewer texels or bands, or a shorter clip, lower it",
         o.output, 100 * o.error, 100 * r.compression_error);
   if (r.interpolation_error == 0 && s.surface.frames() < 4 && s.seconds > 0)
-    spdlog::warn("{}: too few frames to tell what happens between them; a higher --fps bakes more",
-                 o.output);
+    spdlog::warn(
+        "{}: there are too few key frames to measure the error between them; a higher --fps bakes "
+        "more",
+        o.output);
 }
 
 void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double relight_ms) {
@@ -142,15 +142,17 @@ void report(const BakeCommandOptions& o, const prt::BakedSequence& s, double rel
 
 Result<void> bake_clip(const BakeCommandOptions& o) {
   if (fs::path(o.output).extension() != ".shlm")
-    return fail(ErrorCode::kInvalid, o.output, "a baked clip ends in .shlm");
+    return fail(ErrorCode::kInvalid, o.output, "does not end in .shlm, as a baked clip does");
   PENUMBRA_ASSIGN(options, options_of(o));
   int index = 1, count = 1;
   if (!o.shard.empty() &&
       (!read_pair(o.shard, '/', index, count) || index < 1 || index > count || count > 4096))
     return fail(ErrorCode::kInvalid, "--shard",
                 fmt::format("\"{}\" is not i/n with i in 1..n", o.shard));
-  if (o.merge < 0 || o.merge > 4096 || (o.merge > 0 && !o.shard.empty()))
-    return fail(ErrorCode::kInvalid, "--merge", "joins 1..4096 shards, and bakes none");
+  if (o.merge < 0 || o.merge > 4096)
+    return fail(ErrorCode::kInvalid, "--merge", fmt::format("{} is not within 1..4096", o.merge));
+  if (o.merge > 0 && !o.shard.empty())
+    return fail(ErrorCode::kInvalid, "--merge", "excludes --shard: bake the shards first");
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(character, runtime::standing_character(o.asset, albedo_of(o), o.animation,
                                                          options.map_width, options.map_height));

@@ -40,53 +40,47 @@ std::string still_name(const capture::CameraInfo& camera, bool first, std::uint6
 
 Result<void> composite(const CompositeOptions& o) {
   if (o.bands < 1 || o.bands > kMaxBands)
-    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
-  auto lights = choose_max_lights(o.lights);
-  if (!lights) return std::unexpected(lights.error());
+    return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
+  PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
   PENUMBRA_TRY(check_budget(o.budget));
-  auto source = capture::open_capture(o.capture);
-  if (!source) return std::unexpected(source.error());
-  auto scene = runtime::read_scene(o.scene);
-  if (!scene) return std::unexpected(scene.error());
-  const auto& cameras = (*source)->cameras();
+  PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
+  PENUMBRA_ASSIGN(scene, runtime::read_scene(o.scene));
+  const auto& cameras = source->cameras();
   if (const auto usable = Pipeline::check(cameras); !usable)
     return fail(usable.error().code, o.capture, usable.error().detail);
   // The output is tried before the long work.
-  const double rate = (*source)->view_rate();
-  auto folder = OutputFolder::create(o.output);
-  if (!folder) return std::unexpected(folder.error());
+  const double rate = source->view_rate();
+  PENUMBRA_ASSIGN(folder, OutputFolder::create(o.output));
   PipelineOptions options;
   options.bands = o.bands;
-  options.max_lights = lights->max_count;
+  options.max_lights = lights.max_count;
   options.max_shadow_error = o.budget;
   options.progress = progress_bar;
-  auto pipeline = Pipeline::create(cameras, *scene, options);
-  if (!pipeline) return std::unexpected(pipeline.error());
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, scene, options));
   const std::atomic<bool>& stop = catch_stop_signals();
-  PENUMBRA_TRY(folder->begin());
-  auto writer = FrameWriter::create({folder->work(), true, o.video, rate > 0 ? rate : 30},
-                                    pipeline->timings());
-  if (!writer) return std::unexpected(writer.error());
+  PENUMBRA_TRY(folder.begin());
+  PENUMBRA_ASSIGN(writer, FrameWriter::create({folder.work(), true, o.video, rate > 0 ? rate : 30},
+                                              pipeline.timings()));
 
   int first_view = -1;
   std::vector<std::uint64_t> written(cameras.size());
-  auto counts = pipeline->replay(**source, [&](const runtime::Output& out) {
+  const auto write = [&](const runtime::Output& out) {
     if (first_view < 0) first_view = out.source.camera;
     const bool first = out.source.camera == first_view;
     const auto camera = static_cast<std::size_t>(out.source.camera);
     const std::string name = still_name(cameras[camera], first, written[camera]++);
-    return (*writer)->write(name, out.pixels, first) && !stop;
-  });
-  if (!counts) return std::unexpected(counts.error());
+    return writer->write(name, out.pixels, first) && !stop;
+  };
+  PENUMBRA_ASSIGN(counts, pipeline.replay(*source, write));
   if (stop) return stopped(o.output);
-  PENUMBRA_TRY((*writer)->finish());
+  PENUMBRA_TRY(writer->finish());
   const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
-  const nlohmann::json summary = summarise(
-      *counts, pipeline->timings(),
-      {o.bands, view->projection.width, view->projection.height,
-       static_cast<int>(pipeline->scene().objects.size()), pipeline->output().renderer()});
-  PENUMBRA_TRY(write_bytes(folder->file("summary.json"), summary.dump(2) + "\n"));
-  PENUMBRA_TRY(folder->keep());
+  const nlohmann::json summary =
+      summarise(counts, pipeline.timings(),
+                {o.bands, view->projection.width, view->projection.height,
+                 static_cast<int>(pipeline.scene().objects.size()), pipeline.output().renderer()});
+  PENUMBRA_TRY(write_bytes(folder.file("summary.json"), summary.dump(2) + "\n"));
+  PENUMBRA_TRY(folder.keep());
   if (o.json)
     print_json(summary);
   else
@@ -97,15 +91,20 @@ Result<void> composite(const CompositeOptions& o) {
 void add_composite(CLI::App& parent, Action& action) {
   static CompositeOptions composite_options;
   auto* c = parent.add_subcommand(
-      "composite", "Replay a recording through the whole pipeline; the same bytes each time");
-  c->add_option("--capture", composite_options.capture, "Recording or capture folder")->required();
-  c->add_option("--scene", composite_options.scene, "scene.toml")->required();
-  c->add_option("--out", composite_options.output, "Output folder")->required();
-  c->add_option("--bands", composite_options.bands, "1 to 9")->capture_default_str();
+      "composite",
+      "Replay a recording or a capture folder through the whole pipeline, to the same bytes each "
+      "time");
+  c->add_option("--capture", composite_options.capture, "Recording or capture folder to replay")
+      ->required();
+  c->add_option("--scene", composite_options.scene, "Scene to composite, scene.toml")->required();
+  c->add_option("--out", composite_options.output,
+                "Folder for the frames, the video and the summary")
+      ->required();
+  c->add_option("--bands", composite_options.bands, kMaxBandsHelp)->capture_default_str();
   c->add_option("--max-lights", composite_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_option("--max-shadow-error", composite_options.budget, kMaxShadowErrorHelp)
       ->capture_default_str();
-  c->add_flag("!--no-video", composite_options.video, "Stills alone");
+  c->add_flag("!--no-video", composite_options.video, "Write no video");
   add_json(c, composite_options.json);
   c->callback([&] { action = [] { return composite(composite_options); }; });
 }

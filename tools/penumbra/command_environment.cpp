@@ -32,7 +32,7 @@ struct AssembledView {
 Result<AssembledView> replay(capture::FrameSource& source, runtime::LightEstimationStage& stage,
                              const std::string& name, double at_s) {
   std::optional<AssembledView> seen;
-  std::string why = "no frame of its surroundings";
+  std::string why = "has no frame of the surroundings";
   std::optional<TimestampNs> first;
   while (true) {
     PENUMBRA_ASSIGN(frame, source.next());
@@ -86,12 +86,13 @@ void add_hdr_environment(CLI::App& parent, Action& action) {
   static HdrEnvironmentOptions surroundings;
   auto* c = parent.add_subcommand(
       "environment",
-      "What the cameras of a capture show of their surroundings, as one lat-long picture");
+      "Assemble what the cameras of a capture show of their surroundings into one lat-long HDR "
+      "picture");
   c->add_option("capture", surroundings.capture, "Capture folder or recording")->required();
   c->add_option("--at", surroundings.at_s,
-                "As it was so many seconds after the first frame; at the end without it")
+                "Time in seconds after the first frame, above 0; by default the end of the capture")
       ->check(CLI::PositiveNumber);
-  c->add_option("-o,--output", surroundings.output, "Output .exr or .hdr")->required();
+  c->add_option("-o,--output", surroundings.output, "Picture to write, .exr or .hdr")->required();
   add_json(c, surroundings.json);
   c->callback([&] { action = [] { return hdr_environment(surroundings); }; });
 }

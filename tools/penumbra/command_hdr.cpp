@@ -13,10 +13,10 @@
 #include "codec/codec.h"
 #include "core/files.h"
 #include "runtime/pipeline/report.h"
-#include "tools/common/bracket_files.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
 #include "tools/penumbra/commands.h"
+#include "tools/pictures/bracket_files.h"
 
 namespace penumbra::tools {
 
@@ -39,7 +39,7 @@ Result<calib::Response> find_response(const HdrMergeOptions& o,
   if (std::holds_alternative<Image<Rgb>>(*stack.frames[0])) return calib::Response::linear();
   if (!std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
     return fail(ErrorCode::kUndetermined, o.images[0],
-                "the response of 16-bit images is not estimated; give --response");
+                "has 16 bits, for which the response is not estimated: give --response");
   const EightBitBracket bracket = eight_bit_bracket(stack);
   auto response = calib::estimate_response(bracket.pictures, bracket.times);
   if (response) spdlog::info("response estimated from the bracket: {}", response->describe());
@@ -74,9 +74,10 @@ Result<void> report_times(capture::ExposureStack& stack, const std::vector<std::
   constexpr double kEnough = .2;  // of the picture: less may be its border, or haze in a lens
   PENUMBRA_ASSIGN(checked, check_times(stack));
   for (const CheckedTime& c : checked) {
-    const std::string by_overlap =
-        fmt::format("{:.4g} times {} by their overlap (95 %: {:.4g} to {:.4g}, {} blocks)",
-                    c.ratio.ratio, images[c.against], c.ratio.low, c.ratio.high, c.ratio.blocks);
+    const std::string by_overlap = fmt::format(
+        "{:.4g} times the exposure of {}, by their overlap (95 % within {:.4g} to {:.4g}, {} "
+        "blocks)",
+        c.ratio.ratio, images[c.against], c.ratio.low, c.ratio.high, c.ratio.blocks);
     if (c.told == 0)
       spdlog::info("{}: {}: {:.4g} s", images[c.picture], by_overlap,
                    stack.exposures[c.picture].time.count());
@@ -92,11 +93,12 @@ Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
   PENUMBRA_ASSIGN(stack, read_bracket(o.images, o.times, true));
   if (o.reference > static_cast<int>(o.images.size()))
     return fail(ErrorCode::kInvalid, "--reference",
-                fmt::format("{}, but there are {} pictures", o.reference, o.images.size()));
+                fmt::format("{} is not the number of a picture: there are {} pictures", o.reference,
+                            o.images.size()));
   stack.noise_known = false;
   if (any_unknown(stack) && !o.response)
     return fail(ErrorCode::kUndetermined, "--times",
-                "a time of ? needs --response: curve and ratio cannot both be found");
+                "a time of ? needs --response: the response and the time cannot both be estimated");
   std::size_t reference = static_cast<std::size_t>(o.reference - 1);
   if (o.align) {
     if (o.reference == 0) reference = any_unknown(stack) ? 0 : middle_exposure(stack);
@@ -111,7 +113,7 @@ Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
   if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
     PENUMBRA_TRY(report_times(stack, o.images));
   else if (any_unknown(stack))
-    return fail(ErrorCode::kInvalid, "--times", "? is found from pictures of 8 bits alone");
+    return fail(ErrorCode::kInvalid, "--times", "a time of ? needs 8-bit pictures");
   if (o.align || o.reference > 0) priority(stack, reference);
   return stack;
 }
@@ -120,21 +122,20 @@ Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
 
 Result<void> hdr_merge(const HdrMergeOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
-  auto stack = prepare(o);
-  if (!stack) return std::unexpected(stack.error());
-  auto merged = capture::merge(*stack);
+  PENUMBRA_ASSIGN(stack, prepare(o));
+  auto merged = capture::merge(stack);
   if (!merged)
     return fail(merged.error().code, o.images[0] + " and its bracket", merged.error().detail);
   PENUMBRA_TRY(codec::write_hdr(o.output, merged->radiance, codec::Depth::kFloat));
   if (o.json) {
     print_json({{"width", merged->radiance.width()},
                 {"height", merged->radiance.height()},
-                {"exposures_used", stack->frames.size()},
+                {"exposures_used", stack.frames.size()},
                 {"clipped_fraction", merged->clipped_fraction},
                 {"black_fraction", merged->black_fraction}});
   } else {
     fmt::print("{}: {}x{} from {} exposures, {:.3f} % clipped in all, {:.3f} % black in all\n",
-               o.output, merged->radiance.width(), merged->radiance.height(), stack->frames.size(),
+               o.output, merged->radiance.width(), merged->radiance.height(), stack.frames.size(),
                100 * merged->clipped_fraction, 100 * merged->black_fraction);
   }
   return {};
@@ -142,24 +143,27 @@ Result<void> hdr_merge(const HdrMergeOptions& o) {
 
 void add_hdr_merge(CLI::App& parent, Action& action) {
   static HdrMergeOptions merge;
-  auto* c = parent.add_subcommand("merge", "One HDR image from a bracket");
-  c->add_option("images", merge.images, "8 or 16 bit PNG, JPEG, TIFF, or linear EXR/HDR")
+  auto* c = parent.add_subcommand("merge", "Merge a bracket of exposures into one HDR picture");
+  c->add_option(
+       "images", merge.images,
+       "Pictures of the bracket: 8-bit or 16-bit PNG, JPEG or TIFF, or linear OpenEXR or Radiance "
+       "HDR")
       ->required();
   c->add_option(
        "--times", merge.times,
-       "Exposure times in seconds: t1,t2,... (1/60 works; ? is found from the overlap, with "
-       "--response)")
+       "Exposure time of each picture in seconds, as 1/60,0.1,...; with --response, ? is found "
+       "from the pixels that two pictures both expose well")
       ->required();
-  c->add_flag("--align", merge.align, "The camera was held by hand: align the pictures first");
+  c->add_flag("--align", merge.align, "Align the pictures of a hand-held camera first");
   c->add_option(
        "--reference", merge.reference,
-       "Something moved: trust this picture (1, 2, ...) and leave out what contradicts it; "
-       "with --align the middle exposure unless given")
+       "Number of the picture, from 1, that is trusted where something moved: what contradicts it "
+       "is left out; by default none, with --align the middle exposure")
       ->check(CLI::Range(1, 10000));
   c->add_option("--response", merge.response,
-                "linear, srgb, gamma:2.2 or a response file; without it the curve is estimated "
-                "from the bracket");
-  c->add_option("-o,--output", merge.output, "Output .exr or .hdr")->required();
+                "Response curve: linear, srgb, gamma:2.2 or a response file; by default it is "
+                "estimated from the bracket");
+  c->add_option("-o,--output", merge.output, "Picture to write, .exr or .hdr")->required();
   add_json(c, merge.json);
   c->callback([&] { action = [] { return hdr_merge(merge); }; });
 }

@@ -3,7 +3,7 @@
 
 #include "calib/camera/camera_model.h"
 #include "capture/environment/environment_file.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "runtime/pipeline/light_file.h"
@@ -27,41 +27,36 @@ struct LightEstimateOptions {
 }  // namespace
 
 Result<void> light_estimate(const LightEstimateOptions& o) {
-  auto light = runtime::read_light(o.environment, o.projection);
-  if (!light) return std::unexpected(light.error());
-  auto bands = choose_bands(o.bands, light->light);
-  if (!bands) return std::unexpected(bands.error());
-  auto lights = choose_max_lights(o.lights);
-  if (!lights) return std::unexpected(lights.error());
-  auto map = capture::to_latlong(light->file);
-  if (!map) return std::unexpected(map.error());
-  auto split = lighting::estimate_map(*map, {*bands, *lights});
-  if (!split) return std::unexpected(split.error());
+  PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.projection));
+  PENUMBRA_ASSIGN(bands, choose_bands(o.bands, light.light));
+  PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
+  PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
+  PENUMBRA_ASSIGN(split, lighting::estimate_map(map, {bands, lights}));
   // Measured in the file's own pixels; the split in a lat-long map.
-  const lighting::LightEstimate estimate = lighting::make_estimate(light->light, *bands);
+  const lighting::LightEstimate estimate = lighting::make_estimate(light.light, bands);
   if (o.json) {
-    nlohmann::json out = runtime::to_json(estimate), parts = runtime::to_json(*split);
+    nlohmann::json out = runtime::to_json(estimate), parts = runtime::to_json(split);
     out["lights"] = parts["lights"];
     out["residual"] = parts["residual"];
-    out["projection"] = calib::projection_name(light->file.projection.kind);
-    out["non_finite"] = light->file.non_finite;
+    out["projection"] = calib::projection_name(light.file.projection.kind);
+    out["non_finite"] = light.file.non_finite;
     print_json(out);
     return {};
   }
   fmt::print(
       "{}: {}, {} bands, mean radiance {:.4g} {:.4g} {:.4g}, coverage {:.1f} %, truncation error "
       "{}\n",
-      o.environment, calib::projection_name(light->file.projection.kind), *bands,
+      o.environment, calib::projection_name(light.file.projection.kind), bands,
       estimate.mean_radiance.r, estimate.mean_radiance.g, estimate.mean_radiance.b,
       100 * estimate.coverage,
       estimate.truncation_error ? fmt::format("{:.2f} %", 100 * *estimate.truncation_error)
                                 : "unknown (nothing beyond is measured)");
-  for (int l = 0; l < *bands; ++l)
+  for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m) {
       const Rgb& c = estimate.light[sh_index(l, m)];
       fmt::print("  l {} m {:+d}  {:12.6g} {:12.6g} {:12.6g}\n", l, m, c.r, c.g, c.b);
     }
-  for (const lighting::DistantLight& d : split->lights) {
+  for (const lighting::DistantLight& d : split.lights) {
     const Rgb e = d.irradiance();
     fmt::print(
         "  light towards {:+.3f} {:+.3f} {:+.3f}, radius {:.2f} degrees, irradiance {:.4g} {:.4g} "
@@ -73,13 +68,12 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
 
 void add_light_estimate(CLI::App& parent, Action& action) {
   static LightEstimateOptions estimate;
-  auto* c = parent.add_subcommand("estimate", "Spherical-harmonic light of an environment map");
-  c->add_option("environment", estimate.environment, "HDR environment (.exr or .hdr)")->required();
-  c->add_option("--projection", estimate.projection,
-                "latlong, angular, mirror-ball, equidistant, pinhole, vertical-cross, exr-latlong "
-                "or exr-cube; "
-                "an OpenEXR file that says what it is wins; without both, from its shape");
-  c->add_option("--bands", estimate.bands, "1 to 9, or auto")->capture_default_str();
+  auto* c = parent.add_subcommand(
+      "estimate", "Estimate spherical harmonics and distant lights of an HDR environment map");
+  c->add_option("environment", estimate.environment, "HDR environment map, .exr or .hdr")
+      ->required();
+  c->add_option("--projection", estimate.projection, kProjectionHelp);
+  c->add_option("--bands", estimate.bands, kBandsOfMapHelp)->capture_default_str();
   c->add_option("--max-lights", estimate.lights, kMaxLightsHelp)->capture_default_str();
   add_json(c, estimate.json);
   c->callback([&] { action = [] { return light_estimate(estimate); }; });

@@ -48,14 +48,15 @@ nlohmann::json to_json(const std::vector<capture::CameraInfo>& cameras,
 
 Result<void> record(const RecordOptions& o) {
   if (!(o.seconds >= 0 && o.seconds < 1e9))
-    return fail(ErrorCode::kInvalid, "--seconds", "not a number of seconds");
-  if (o.frames < 0) return fail(ErrorCode::kInvalid, "--frames", "negative");
+    return fail(ErrorCode::kInvalid, "--seconds", "is not a number of seconds within 0..1e9");
+  if (o.frames < 0) return fail(ErrorCode::kInvalid, "--frames", "is negative");
   if (std::filesystem::path(o.output).extension() != ".mkv")
-    return fail(ErrorCode::kInvalid, o.output, "a recording's name ends in .mkv");
+    return fail(ErrorCode::kInvalid, o.output, "does not end in .mkv, as a recording does");
   PENUMBRA_ASSIGN(config, service::read_rig_config(o.config, false));
   std::error_code ignored;
   if (std::filesystem::exists(o.output, ignored))
-    return fail(ErrorCode::kUnwritable, o.output, "exists already");
+    return fail(ErrorCode::kUnwritable, o.output,
+                "exists already: remove it, or choose another name");
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(rig, service::open_rig(config, progress_bar));
   capture::FrameSource& source = *rig.source;
@@ -79,11 +80,16 @@ Result<void> record(const RecordOptions& o) {
 
 void add_record(CLI::App& parent, Action& action) {
   static RecordOptions record_options;
-  auto* c = parent.add_subcommand("record", "Record a rig's cameras into Matroska until Ctrl-C");
-  c->add_option("--config", record_options.config, "rig.toml")->required();
-  c->add_option("--out,-o", record_options.output, "Recording to make, .mkv")->required();
-  c->add_option("--seconds", record_options.seconds, "Stop after so many seconds of frames");
-  c->add_option("--frames", record_options.frames, "Stop after so many frames of all cameras");
+  auto* c = parent.add_subcommand("record",
+                                  "Record the cameras of a rig into a Matroska file, until Ctrl-C");
+  c->add_option("--config", record_options.config, "Rig to record, rig.toml")->required();
+  c->add_option("--out,-o", record_options.output,
+                "Recording to write, .mkv; it must not exist yet")
+      ->required();
+  c->add_option("--seconds", record_options.seconds,
+                "Stop once the frames span this many seconds; 0: no limit");
+  c->add_option("--frames", record_options.frames,
+                "Stop after this many frames of all cameras together; 0: no limit");
   add_json(c, record_options.json);
   c->callback([&] { action = [] { return record(record_options); }; });
 }

@@ -6,8 +6,9 @@ namespace penumbra::tools {
 
 void add_serve(CLI::App& parent, Action& action) {
   static service::ServeOptions options;
-  auto* c = parent.add_subcommand("serve", "The live service with its HTTP interface on loopback");
-  c->add_option("--config", options.config, "rig.toml")->required();
+  auto* c = parent.add_subcommand(
+      "serve", "Run the live service, with its HTTP interface on a loopback address");
+  c->add_option("--config", options.config, "Rig to run, rig.toml")->required();
   c->callback([&] { action = [] { return service::serve(options, progress_bar); }; });
 }
 

@@ -12,7 +12,6 @@ void add_light_estimate(CLI::App& parent, Action& action);
 void add_bake(CLI::App& parent, Action& action);
 void add_render(CLI::App& parent, Action& action);
 void add_composite(CLI::App& parent, Action& action);
-void add_demo(CLI::App& parent, Action& action);
 void add_serve(CLI::App& parent, Action& action);
 void add_record(CLI::App& parent, Action& action);
 

@@ -1,5 +1,5 @@
-// The `penumbra` program. Calibrations and evaluation are programs of their own beside it, so that
-// this one links neither a solver nor a metric; `penumbra calibrate` and the like start them.
+// The `penumbra` program. The demo, calibrations and evaluation are programs of their own beside it,
+// so that this one links neither a solver nor a metric; `penumbra calibrate` and the like start them.
 #include <unistd.h>
 
 #include <array>
@@ -19,13 +19,14 @@ namespace {
 using namespace penumbra;
 using namespace penumbra::tools;
 
-struct Sibling {
-  const char *command, *program, *help;
-};
 constexpr std::array kSiblings{
-    Sibling{"calibrate", "penumbra-calibrate", "Calibrate cameras and rigs"},
-    Sibling{"chart", "penumbra-chart", "Chart error against time"},
-    Sibling{"compare", "penumbra-chart", "Error figures between two pictures"},
+    Sibling{"demo", "penumbra-demo",
+            "Run the whole pipeline in a synthetic studio: writes a video, a still and a summary",
+            false},
+    Sibling{"calibrate", "penumbra-calibrate", "Calibrate cameras and rigs", false},
+    Sibling{"chart", "penumbra-chart",
+            "Measure error against time for many settings, as a table and plots", true},
+    Sibling{"compare", "penumbra-chart", "Measure the difference between two pictures", true},
 };
 
 // Becomes the program that stands beside this one. Returns only when that fails.
@@ -34,8 +35,7 @@ int become(const Sibling& sibling, int argc, char** argv) {
   const auto self = std::filesystem::read_symlink("/proc/self/exe", failed);
   const std::string program = (self.parent_path() / sibling.program).string();
   std::vector<char*> arguments{const_cast<char*>(program.c_str())};
-  // penumbra-calibrate is the command itself; penumbra-chart has several.
-  if (std::string_view(sibling.command) != "calibrate") arguments.push_back(argv[1]);
+  if (sibling.is_subcommand) arguments.push_back(argv[1]);
   arguments.insert(arguments.end(), argv + 2, argv + argc);
   arguments.push_back(nullptr);
   execv(program.c_str(), arguments.data());
@@ -45,21 +45,19 @@ int become(const Sibling& sibling, int argc, char** argv) {
 
 void add_commands(CLI::App& app, Action& action) {
   app.require_subcommand(1);
-  add_demo(app, action);
   add_composite(app, action);
   add_render(app, action);
   add_serve(app, action);
   add_record(app, action);
   add_bake(app, action);
-  CLI::App* hdr = app.add_subcommand("hdr", "High dynamic range images");
+  CLI::App* hdr = app.add_subcommand("hdr", "Make HDR pictures");
   hdr->require_subcommand(1);
   add_hdr_merge(*hdr, action);
   add_hdr_environment(*hdr, action);
-  CLI::App* light = app.add_subcommand("light", "Light of an environment");
+  CLI::App* light = app.add_subcommand("light", "Measure the light of an environment");
   light->require_subcommand(1);
   add_light_estimate(*light, action);
   add_inspect(app, action);
-  for (const Sibling& s : kSiblings) app.add_subcommand(s.command, s.help);
 }
 
 }  // namespace
@@ -69,7 +67,7 @@ int main(int argc, char** argv) {
     for (const Sibling& s : kSiblings)
       if (std::string_view(argv[1]) == s.command) return become(s, argc, argv);
   return run_program(argc, argv, "penumbra",
-                     "Mixed reality with measured light: HDR capture, precomputed transfer, "
-                     "differential shadows",
-                     add_commands);
+                     "Mixed reality under measured light: HDR capture, precomputed radiance "
+                     "transfer, differential rendering",
+                     add_commands, kSiblings);
 }

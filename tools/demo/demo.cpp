@@ -1,3 +1,5 @@
+#include "tools/demo/demo.h"
+
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
@@ -21,7 +23,6 @@
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
 #include "tools/common/summary.h"
-#include "tools/penumbra/commands.h"
 
 namespace penumbra::tools {
 
@@ -61,18 +62,19 @@ class RecordingSource : public capture::FrameSource {
 };
 
 Result<void> check(const DemoOptions& o) {
-  if (o.frames < 1) return fail(ErrorCode::kInvalid, "--frames", "must be positive");
+  if (o.frames < 1) return fail(ErrorCode::kInvalid, "--frames", "is not positive");
   for (const auto& [name, side] : {std::pair{"--width", o.width}, {"--height", o.height}})
     if (side < 64 || side > 8192)
       return fail(ErrorCode::kInvalid, name, fmt::format("{} is not within 64..8192", side));
   if (!(o.fps > 0 && o.fps <= 1000))
-    return fail(ErrorCode::kInvalid, "--fps", "not within 0..1000");
+    return fail(ErrorCode::kInvalid, "--fps", "is not above 0 and at most 1000");
   if (o.bands < 1 || o.bands > kMaxBands)
-    return fail(ErrorCode::kInvalid, "--bands", "not within 1..9");
+    return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
   PENUMBRA_TRY(choose_max_lights(o.lights));
   PENUMBRA_TRY(check_budget(o.budget));
   if (o.live && o.record)
-    return fail(ErrorCode::kInvalid, "--record", "records a replayed demo, not a live one");
+    return fail(ErrorCode::kInvalid, "--record",
+                "excludes --live: only a replayed demo is recorded");
   return {};
 }
 
@@ -86,10 +88,10 @@ Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
   std::optional<OutputFolder> out;
   if (!o.record) return out;
   if (capture::holds_capture(*o.record))
-    return fail(ErrorCode::kUnwritable, *o.record, "already holds a capture");
-  auto folder = OutputFolder::create(*o.record);
-  if (!folder) return std::unexpected(folder.error());
-  out.emplace(std::move(*folder));
+    return fail(ErrorCode::kUnwritable, *o.record,
+                "already holds a capture: remove it, or choose another folder");
+  PENUMBRA_ASSIGN(folder, OutputFolder::create(*o.record));
+  out.emplace(std::move(folder));
   return out;
 }
 
@@ -129,10 +131,8 @@ PipelineOptions pipeline_options(const DemoOptions& o) {
 
 Result<void> demo(const DemoOptions& o) {
   PENUMBRA_TRY(check(o));
-  auto output = OutputFolder::create(o.output);
-  if (!output) return std::unexpected(output.error());
-  auto record = open_record(o);
-  if (!record) return std::unexpected(record.error());
+  PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
+  PENUMBRA_ASSIGN(record, open_record(o));
   PENUMBRA_ASSIGN(setup, set_up(o));
   capture::Studio studio(setup.world, setup.options);
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(studio.cameras(), setup.scene, pipeline_options(o)));
@@ -140,43 +140,42 @@ Result<void> demo(const DemoOptions& o) {
     spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
                  e.gain.value());
   const std::atomic<bool>& stop = catch_stop_signals();
-  PENUMBRA_TRY(output->begin());
-  auto writer =
-      FrameWriter::create({output->work(), false, o.video, o.fps, o.live}, pipeline.timings());
-  if (!writer) return std::unexpected(writer.error());
+  PENUMBRA_TRY(output.begin());
+  PENUMBRA_ASSIGN(writer, FrameWriter::create({output.work(), false, o.video, o.fps, o.live},
+                                              pipeline.timings()));
   std::optional<RecordingSource> recording;
   if (o.record) {
-    PENUMBRA_TRY((*record)->begin());
-    auto recorder = capture::CaptureFolderWriter::create((*record)->work(), studio.cameras());
-    if (!recorder) return std::unexpected(recorder.error());
-    recording.emplace(studio, std::move(*recorder));
+    PENUMBRA_TRY(record->begin());
+    PENUMBRA_ASSIGN(recorder,
+                    capture::CaptureFolderWriter::create(record->work(), studio.cameras()));
+    recording.emplace(studio, std::move(recorder));
   }
   std::shared_ptr<const FramePixels> last, last_source;
   const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
     if (stop || !show(pipeline.output(), *out.pixels)) return false;
-    return (*writer)->write("", out.pixels, true);
+    return writer->write("", out.pixels, true);
   };
   capture::FrameSource& source =
       recording ? static_cast<capture::FrameSource&>(*recording) : studio;
-  auto counts = o.live ? pipeline.run_live(source, sink, stop) : pipeline.replay(source, sink);
-  if (!counts) return std::unexpected(counts.error());
+  PENUMBRA_ASSIGN(counts,
+                  o.live ? pipeline.run_live(source, sink, stop) : pipeline.replay(source, sink));
   if (stop) return stopped(o.output);
-  PENUMBRA_TRY((*writer)->finish());
+  PENUMBRA_TRY(writer->finish());
   if (recording) {
     PENUMBRA_TRY(recording->finish());
-    PENUMBRA_TRY(runtime::write_scene((*record)->file("scene.toml"), setup.scene));
-    PENUMBRA_TRY((*record)->keep());
+    PENUMBRA_TRY(runtime::write_scene(record->file("scene.toml"), setup.scene));
+    PENUMBRA_TRY(record->keep());
   }
-  PENUMBRA_TRY(codec::write_frame(output->file("still.png"), codec::to_display(*last)));
-  PENUMBRA_TRY(codec::write_frame(output->file("camera.png"), codec::to_display(*last_source)));
+  PENUMBRA_TRY(codec::write_frame(output.file("still.png"), codec::to_display(*last)));
+  PENUMBRA_TRY(codec::write_frame(output.file("camera.png"), codec::to_display(*last_source)));
   const nlohmann::json summary =
-      summarise(*counts, pipeline.timings(),
+      summarise(counts, pipeline.timings(),
                 {o.bands, o.width, o.height, static_cast<int>(pipeline.scene().objects.size()),
                  pipeline.output().renderer()});
-  PENUMBRA_TRY(write_bytes(output->file("summary.json"), summary.dump(2) + "\n"));
-  PENUMBRA_TRY(output->keep());
+  PENUMBRA_TRY(write_bytes(output.file("summary.json"), summary.dump(2) + "\n"));
+  PENUMBRA_TRY(output.keep());
   if (o.json) {
     print_json(summary);
   } else {
@@ -187,44 +186,53 @@ Result<void> demo(const DemoOptions& o) {
   return {};
 }
 
-void add_demo(CLI::App& parent, Action& action) {
+void add_demo(CLI::App& app, Action& action) {
   static DemoOptions demo_options;
-  auto* c =
-      parent.add_subcommand("demo", "The main job on a synthetic studio: video, still, summary");
-  c->add_flag("--headless", demo_options.headless, "No window even with a display");
-  c->add_option("--frames", demo_options.frames, "View frames")->capture_default_str();
-  c->add_option("--out", demo_options.output, "Output folder")->capture_default_str();
-  c->add_option("--environment", demo_options.environment,
-                "HDR environment; the built-in room by default");
-  c->add_option("--asset", demo_options.asset,
-                "Object; the built-in knot by default, or with --animation builtin:walker");
-  c->add_option("--animation", demo_options.animation,
-                "Clip that the asset plays, by name or number; its frames are baked first")
+  app.add_flag("--headless", demo_options.headless,
+               "Open no window, even where there is a display");
+  app.add_option("--frames", demo_options.frames, "Number of view frames, at least 1")
+      ->capture_default_str();
+  app.add_option("--out", demo_options.output, "Folder for the results")->capture_default_str();
+  app.add_option("--environment", demo_options.environment,
+                 "HDR environment map, .exr or .hdr; by default the built-in room");
+  app.add_option(
+      "--asset", demo_options.asset,
+      "Mesh of the still object; by default builtin:knot, with --animation builtin:walker");
+  app.add_option(
+         "--animation", demo_options.animation,
+         "Clip that the object plays, by name or number; it is baked before the first frame")
       ->check(not_empty);
-  c->add_option("--real-mesh", demo_options.real_mesh,
-                "Mesh of something that really stands in the studio, or builtin:box");
-  c->add_flag("!--no-turntable", demo_options.animated, "Leave out the turning object");
-  c->add_option("--record", demo_options.record,
-                "Also record a capture folder with its scene.toml");
-  c->add_flag("!--no-video", demo_options.video, "Still and summary alone");
-  c->add_flag("--live", demo_options.live,
-              "Cameras (filmed beforehand), light and composite on threads, paced by the clock; "
-              "distant lights are given up where --fps leaves no time");
-  c->add_option("--width", demo_options.width, "Of the view frames, in pixels")
+  app.add_option(
+      "--real-mesh", demo_options.real_mesh,
+      "Mesh of a real thing in the studio, such as builtin:box: it hides objects and receives "
+      "their shadows");
+  app.add_flag("!--no-turntable", demo_options.animated, "Leave out the turning object");
+  app.add_option(
+      "--record", demo_options.record,
+      "Also record the frames into this folder, a capture folder with its scene.toml; not with "
+      "--live");
+  app.add_flag("!--no-video", demo_options.video, "Write no video");
+  app.add_flag(
+      "--live", demo_options.live,
+      "Run cameras, light and composite on threads, paced by the clock, on frames that are "
+      "rendered beforehand; distant lights are given up where --fps leaves no time");
+  app.add_option("--width", demo_options.width, "Width of the view frames in pixels, 64 to 8192")
       ->capture_default_str();
-  c->add_option("--height", demo_options.height, "Of the view frames, in pixels")
+  app.add_option("--height", demo_options.height, "Height of the view frames in pixels, 64 to 8192")
       ->capture_default_str();
-  c->add_option("--fps", demo_options.fps, "View camera, frames a second")->capture_default_str();
-  c->add_option("--bands", demo_options.bands, "1 to 9")->capture_default_str();
-  c->add_option("--max-lights", demo_options.lights, kMaxLightsHelp)->capture_default_str();
-  c->add_option("--max-shadow-error", demo_options.budget, kMaxShadowErrorHelp)
+  app.add_option("--fps", demo_options.fps,
+                 "Frame rate of the view camera in frames a second, above 0 and at most 1000")
       ->capture_default_str();
-  c->add_flag(
+  app.add_option("--bands", demo_options.bands, kMaxBandsHelp)->capture_default_str();
+  app.add_option("--max-lights", demo_options.lights, kMaxLightsHelp)->capture_default_str();
+  app.add_option("--max-shadow-error", demo_options.budget, kMaxShadowErrorHelp)
+      ->capture_default_str();
+  app.add_flag(
       "--fine", demo_options.fine,
-      "Bake as finely as the other commands do: 1024 rays a vertex instead of 256, and maps of "
-      "what each vertex sees; --live always does");
-  add_json(c, demo_options.json);
-  c->callback([&] { action = [] { return demo(demo_options); }; });
+      "Bake as the other commands do, with 1024 rays per vertex instead of 256 and with visibility "
+      "maps; --live always does");
+  add_json(&app, demo_options.json);
+  action = [] { return demo(demo_options); };
 }
 
 }  // namespace penumbra::tools

@@ -1,4 +1,4 @@
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 #include <algorithm>
 
@@ -43,8 +43,7 @@ Rgb exact_irradiance(const Image<Rgb>& map, const glm::dvec3& normal) {
 Result<Still> render_real(const StillScene& in, double error, const Progress& progress) {
   if (!in.scene->real_mesh.triangles.empty() || in.scene->planes.size() > 1)
     return render_reference(in, false, error, std::nullopt, progress);
-  auto light = prt::EnvironmentLight::from_map(*in.environment);
-  if (!light) return std::unexpected(light.error());
+  PENUMBRA_ASSIGN(light, prt::EnvironmentLight::from_map(*in.environment));
   std::vector<Rgb> exit_radiance;
   for (const prt::Plane& p : in.scene->planes)
     exit_radiance.push_back(p.albedo * exact_irradiance(*in.environment, p.normal) *
@@ -66,7 +65,7 @@ Result<Still> render_real(const StillScene& in, double error, const Progress& pr
           const double slope = glm::dot(p.normal, d), t = glm::dot(p.normal, p.point - eye) / slope;
           if (slope < 0 && t > 1e-4 && t < nearest) nearest = t, hit = i;
         }
-        sum += hit < exit_radiance.size() ? exit_radiance[hit] : light->radiance(glm::vec3(d));
+        sum += hit < exit_radiance.size() ? exit_radiance[hit] : light.radiance(glm::vec3(d));
       }
       out.radiance.at(x, y) = sum * (1.f / (kSamples * kSamples));
     }
@@ -106,9 +105,8 @@ Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,
     frame.world_from_camera = view.world_from_camera;
     frame.world_from_camera.rotation *= glm::dquat(
         glm::dvec3(-down * kUnit / view.focal_px.y, -right * kUnit / view.focal_px.x, 0));
-    auto composited = pipeline.composite(frame);
-    if (!composited) return std::unexpected(composited.error());
-    const auto& pass = std::get<Image<Rgb>>(composited->pixels);
+    PENUMBRA_ASSIGN(composited, pipeline.composite(frame));
+    const auto& pass = std::get<Image<Rgb>>(composited.pixels);
     for (std::size_t i = 0; i < pass.area(); ++i)
       out.radiance.pixels()[i] += pass.pixels()[i] * (1.f / std::size(kShifts));
   }
@@ -132,11 +130,10 @@ const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
                                const std::optional<lighting::LightEstimate>& truncated,
                                const Progress& progress) {
-  auto map_light = prt::EnvironmentLight::from_map(*in.environment);
-  if (!map_light) return std::unexpected(map_light.error());
+  PENUMBRA_ASSIGN(map_light, prt::EnvironmentLight::from_map(*in.environment));
   const prt::EnvironmentLight light =
       truncated ? prt::EnvironmentLight::from_sh(light_on(in.scene->planes, *truncated))
-                : *map_light;
+                : map_light;
   prt::ReferenceWorld world;
   world.mesh = runtime::world_mesh(*in.scene, with_objects, in.seconds);
   world.planes = in.scene->planes;
@@ -144,14 +141,13 @@ Result<Still> render_reference(const StillScene& in, bool with_objects, double e
     for (const shadows::Lamp& lamp : in.scene->lamps)
       world.lamps.push_back({lamp.position, lamp.radius_m, lamp.irradiance_at_1m});
   world.light = &light;
-  world.background = [&](const glm::vec3& d) { return map_light->radiance(d); };
+  world.background = [&](const glm::vec3& d) { return map_light.radiance(d); };
   prt::ReferenceOptions options;
   options.error = error;
   options.progress = progress;
-  auto reference = prt::render_reference(world, in.view, options);
-  if (!reference) return std::unexpected(reference.error());
-  return Still{std::move(reference->radiance), reference->error, reference->samples,
-               std::move(reference->half_a), std::move(reference->half_b)};
+  PENUMBRA_ASSIGN(reference, prt::render_reference(world, in.view, options));
+  return Still{std::move(reference.radiance), reference.error, reference.samples,
+               std::move(reference.half_a), std::move(reference.half_b)};
 }
 
 }  // namespace penumbra::tools

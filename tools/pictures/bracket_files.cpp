@@ -1,4 +1,4 @@
-#include "tools/common/bracket_files.h"
+#include "tools/pictures/bracket_files.h"
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
@@ -9,7 +9,7 @@
 #include "calib/camera/response_table.h"
 #include "capture/frames.h"
 #include "codec/codec.h"
-#include "tools/common/camera_film.h"
+#include "tools/pictures/camera_film.h"
 
 namespace penumbra::tools {
 
@@ -81,13 +81,15 @@ Result<void> add_frames(const std::string& path, const std::string& name,
     if (!frame) return {};
     const auto* codes = std::get_if<Image<Rgb8>>(frame->pixels.get());
     if (!codes)
-      return fail(ErrorCode::kInvalid, path, "only the response of 8-bit pictures is estimated");
+      return fail(ErrorCode::kInvalid, path,
+                  "is not 8-bit, and the response is estimated from 8-bit pictures only");
     auto average = std::ranges::find_if(averages, [&](const Average& a) {
       return std::abs(a.exposure.product() / frame->exposure.product() - 1) < .01;
     });
     if (average == averages.end()) {
       if (averages.size() == kMax)
-        return fail(ErrorCode::kUndetermined, path, fmt::format("more than {} exposures", kMax));
+        return fail(ErrorCode::kUndetermined, path,
+                    fmt::format("has more than {} exposures", kMax));
       averages.push_back({frame->exposure});
       average = averages.end() - 1;
     }
@@ -106,8 +108,9 @@ Result<capture::ExposureStack> average_clips(const std::vector<std::string>& cap
   if (averages.size() < 2)
     return fail(
         ErrorCode::kUndetermined, captures[0],
-        fmt::format("{} exposure: film the same still scene with another one, two stops away",
-                    averages.size()));
+        fmt::format(
+            "has only {} exposure: film the same still scene with another one, two stops away",
+            averages.size()));
   capture::ExposureStack stack;
   for (const Average& a : averages) {
     stack.frames.push_back(std::make_shared<const FramePixels>(a.mean()));
@@ -118,31 +121,29 @@ Result<capture::ExposureStack> average_clips(const std::vector<std::string>& cap
 
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
                                             const std::string& times_text, bool unknown_allowed) {
-  auto times = parse_times(times_text, unknown_allowed);
-  if (!times) return std::unexpected(times.error());
-  if (times->size() != images.size())
+  PENUMBRA_ASSIGN(times, parse_times(times_text, unknown_allowed));
+  if (times.size() != images.size())
     return fail(ErrorCode::kInvalid, "--times",
-                fmt::format("{} times for {} images", times->size(), images.size()));
+                fmt::format("has {} times for {} pictures", times.size(), images.size()));
   capture::ExposureStack stack;
   for (std::size_t k = 0; k < images.size(); ++k) {
-    auto frame = codec::read_frame(images[k]);
-    if (!frame) return std::unexpected(frame.error());
+    PENUMBRA_ASSIGN(frame, codec::read_frame(images[k]));
     if (k > 0) {
       const FramePixels& first = *stack.frames[0];
       const int w = capture::width(first), h = capture::height(first);
-      if (capture::width(*frame) != w || capture::height(*frame) != h)
+      if (capture::width(frame) != w || capture::height(frame) != h)
         return fail(ErrorCode::kInvalid, images[k],
-                    fmt::format("{}x{} pixels, but {} has {}x{}", capture::width(*frame),
-                                capture::height(*frame), images[0], w, h));
-      if (frame->index() != first.index())
+                    fmt::format("has {}x{} pixels, but {} has {}x{}", capture::width(frame),
+                                capture::height(frame), images[0], w, h));
+      if (frame.index() != first.index())
         return fail(ErrorCode::kInvalid, images[k], "has another bit depth than " + images[0]);
     }
-    if (const auto* linear = std::get_if<Image<Rgb>>(&*frame))
+    if (const auto* linear = std::get_if<Image<Rgb>>(&frame))
       if (const auto bad = std::ranges::count_if(
               linear->pixels(), [](const Rgb& c) { return !std::isfinite(c.r + c.g + c.b); }))
         spdlog::warn("{}: {} pixels are NaN or infinite and are left out", images[k], bad);
-    stack.frames.push_back(std::make_shared<const FramePixels>(std::move(*frame)));
-    stack.exposures.push_back({Seconds((*times)[k]), Gain(1)});
+    stack.frames.push_back(std::make_shared<const FramePixels>(std::move(frame)));
+    stack.exposures.push_back({Seconds((times)[k]), Gain(1)});
   }
   return stack;
 }
@@ -150,8 +151,9 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
 Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
   for (const auto& f : stack.frames)
     if (!std::holds_alternative<Image<Rgb8>>(*f))
-      return fail(ErrorCode::kInvalid, "exposure stack",
-                  "ratios are estimated from pictures of 8 bits");
+      return fail(
+          ErrorCode::kInvalid, "exposure stack",
+          "has pictures that are not 8-bit, and ratios of exposures are estimated from those only");
   const ResponseTable curve = capture::make_response_table(stack.response, 8, stack.black_level);
   const auto ratio_of = [&](std::size_t against, std::size_t picture) {
     return capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*stack.frames[against]),
@@ -164,7 +166,7 @@ Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
     if (known(k)) told.push_back(k);
   if (told.empty())
     return fail(ErrorCode::kUndetermined, "--times",
-                "no time is given; name one (1 will do) to count from");
+                "no time is given: give at least one, such as 1, to count from");
   std::ranges::stable_sort(told, {},
                            [&](std::size_t k) { return stack.exposures[k].time.count(); });
   for (std::size_t i = 1; i < told.size(); ++i) {

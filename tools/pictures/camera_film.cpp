@@ -1,4 +1,4 @@
-#include "tools/common/camera_film.h"
+#include "tools/pictures/camera_film.h"
 
 #include <fmt/format.h>
 
@@ -13,7 +13,7 @@ Result<CameraFilm> CameraFilm::of(std::unique_ptr<capture::FrameSource> source,
   const auto& cameras = source->cameras();
   const auto found = std::ranges::find(cameras, camera, &capture::CameraInfo::name);
   if (found == cameras.end())
-    return fail(ErrorCode::kNotFound, path, fmt::format("no camera \"{}\"", camera));
+    return fail(ErrorCode::kNotFound, path, fmt::format("has no camera \"{}\"", camera));
   const auto index = static_cast<std::size_t>(found - cameras.begin());
   return CameraFilm(std::move(source), index);
 }
