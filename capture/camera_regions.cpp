@@ -32,7 +32,7 @@ int rows_of(const calib::CameraModel& p) {
 Result<void> check_size(const CameraInfo& camera, int width, int height) {
   if (width >= 2 && height >= 2) return {};
   return fail(ErrorCode::kInvalid, camera.name,
-              "an environment camera needs two pixels a side at least");
+              "is smaller than 2x2 pixels, and an environment camera needs at least that");
 }
 
 CameraRegion lens_visibility(const Lens& lens, const std::array<double, 3>& vignetting) {
@@ -97,10 +97,10 @@ Result<CameraRegion> ball_region(const CameraInfo& camera, const Pose& world_fro
   };
   const auto found = find_ball(camera, world_from_camera);
   // A tracker that jumps may put the camera anywhere.
-  if (!found) return undetermined("is not to be seen: " + found.error().detail);
+  if (!found) return undetermined("cannot be found in the picture: " + found.error().detail);
   const calib::MirrorBall& ball = *found;
   const auto bounds = bounds_of(ball, camera.projection);
-  if (!bounds) return undetermined("is not whole in its picture");
+  if (!bounds) return undetermined("is partly outside the picture");
   const int x = static_cast<int>(bounds->low.x), y = static_cast<int>(bounds->low.y);
   const int width =
       std::min(static_cast<int>(std::ceil(bounds->high.x)), camera.projection.width) - x;

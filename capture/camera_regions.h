@@ -16,6 +16,7 @@
 #include "core/pose.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 struct PixelHit {
@@ -57,3 +58,4 @@ std::optional<glm::dvec2> find_in_picture(std::span<const CameraRegion> regions,
 FramePixels cut_out(const FramePixels& picture, const CameraRegion& part);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

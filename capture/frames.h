@@ -21,6 +21,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 enum class Role { kEnvironment, kView };
@@ -115,3 +116,4 @@ class FrameSource {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -86,7 +86,8 @@ std::string fourcc_name(std::uint32_t fourcc) {
 
 Result<std::uint32_t> fourcc_from(std::string_view name) {
   if (name.empty() || name.size() > 4)
-    return fail(ErrorCode::kInvalid, std::string(name), "not a format of one to four characters");
+    return fail(ErrorCode::kInvalid, std::string(name),
+                "is not a pixel format, which has one to four characters");
   std::uint32_t out = 0;
   for (std::size_t i = 0; i < 4; ++i)
     out |= static_cast<std::uint32_t>(static_cast<unsigned char>(i < name.size() ? name[i] : ' '))
@@ -128,23 +129,23 @@ Result<RawConverter> RawConverter::make(const RawLayout& layout) {
   const std::string name = fourcc_name(layout.fourcc);
   if (layout.width < 1 || layout.height < 1 || layout.width > codec::kMaxSide ||
       layout.height > codec::kMaxSide)
-    return fail(ErrorCode::kInvalid, name, "no size that can be read");
+    return fail(ErrorCode::kInvalid, name, "has a picture size that cannot be read");
   auto impl = std::make_unique<Impl>();
   impl->layout = layout;
   impl->yuv = find(kYuv, layout.fourcc);
   impl->bayer = find(kBayer, layout.fourcc);
   impl->grey = find(kGrey, layout.fourcc);
   if (impl->bayer && (layout.width < 4 || layout.height < 4))
-    return fail(ErrorCode::kInvalid, name, "too small to interpolate");
+    return fail(ErrorCode::kInvalid, name, "has pictures that are too small to demosaic");
   if (impl->yuv) {
     const int smallest = av_image_get_linesize(impl->yuv->format, layout.width, 0);
-    if (layout.stride < smallest) return fail(ErrorCode::kInvalid, name, "rows overlap");
+    if (layout.stride < smallest) return fail(ErrorCode::kInvalid, name, "has rows that overlap");
     // Exact rounding, and chroma of neighbouring pixels interpolated.
     impl->scaler =
         sws_getContext(layout.width, layout.height, impl->yuv->format, layout.width, layout.height,
                        AV_PIX_FMT_RGB24, SWS_BILINEAR | SWS_ACCURATE_RND | SWS_FULL_CHR_H_INT,
                        nullptr, nullptr, nullptr);
-    if (!impl->scaler) return fail(ErrorCode::kInvalid, name, "no conversion to RGB");
+    if (!impl->scaler) return fail(ErrorCode::kInvalid, name, "cannot be converted to RGB");
     constexpr int kUnchanged = 1 << 16;
     const int* matrix = sws_getCoefficients(layout.bt709 ? SWS_CS_ITU709 : SWS_CS_ITU601);
     sws_setColorspaceDetails(impl->scaler, matrix, layout.full_range, matrix, 1, 0, kUnchanged,
@@ -153,9 +154,9 @@ Result<RawConverter> RawConverter::make(const RawLayout& layout) {
   }
   const int bits = impl->bayer ? impl->bayer->bits : impl->grey ? impl->grey->bits : 0;
   if (bits == 0 && !is_jpeg(layout.fourcc))
-    return fail(ErrorCode::kInvalid, name, "a format that cannot be read");
+    return fail(ErrorCode::kInvalid, name, "is a pixel format that cannot be read");
   if (bits > 0 && layout.stride < layout.width * (bits > 8 ? 2 : 1))
-    return fail(ErrorCode::kInvalid, name, "rows overlap");
+    return fail(ErrorCode::kInvalid, name, "has rows that overlap");
   return RawConverter(std::move(impl));
 }
 
@@ -171,7 +172,7 @@ Result<FramePixels> RawConverter::Impl::from_yuv(std::span<const std::byte> byte
   const int needed =
       av_image_fill_pointers(planes.data(), yuv->format, layout.height, at, strides.data());
   if (needed < 0 || bytes.size() < static_cast<std::size_t>(needed))
-    return fail(ErrorCode::kUnreadable, "frame", "truncated");
+    return fail(ErrorCode::kUnreadable, "frame", "is truncated");
   Image<Rgb8> out(layout.width, layout.height);
   std::uint8_t* const to[] = {&out.pixels()[0].r};
   const int to_stride[] = {3 * layout.width};
@@ -186,7 +187,7 @@ Result<FramePixels> RawConverter::Impl::from_samples(std::span<const std::byte> 
   const std::size_t needed =
       static_cast<std::size_t>(layout.stride) * static_cast<std::size_t>(layout.height - 1) +
       static_cast<std::size_t>(layout.width) * sizeof(Sample);
-  if (bytes.size() < needed) return fail(ErrorCode::kUnreadable, "frame", "truncated");
+  if (bytes.size() < needed) return fail(ErrorCode::kUnreadable, "frame", "is truncated");
   const cv::Mat raw(layout.height, layout.width, kDepth, const_cast<std::byte*>(bytes.data()),
                     static_cast<std::size_t>(layout.stride));
   Image<Pixel> out(layout.width, layout.height);
@@ -204,7 +205,7 @@ Result<FramePixels> RawConverter::Impl::from_jpeg(std::span<const std::byte> byt
   if (!picture) return picture;
   const auto* codes = std::get_if<Image<Rgb8>>(&*picture);
   if (!codes || codes->width() != layout.width || codes->height() != layout.height)
-    return fail(ErrorCode::kUnreadable, "JPEG frame", "not of the size that was agreed");
+    return fail(ErrorCode::kUnreadable, "JPEG frame", "has another size than its format states");
   return picture;
 }
 

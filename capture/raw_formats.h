@@ -11,6 +11,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// How a driver lays out a picture.
@@ -51,3 +52,4 @@ class RawConverter {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -11,6 +11,7 @@
 #include "capture/camera_regions.h"
 #include "core/parallel.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Calls put(x, y, const PixelHit*) for every pixel of a width x height picture, null where exact() gives nothing. exact(centre) is
@@ -72,3 +73,4 @@ void warp_grid(int width, int height, const Exact& exact, const Put& put) {
 }
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

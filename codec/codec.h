@@ -14,6 +14,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::codec {
 
 /// Largest picture that any reader accepts; checked before anything is allocated.
@@ -66,3 +67,4 @@ Result<void> write_frame(const std::filesystem::path& path, const Image<Rgb16>& 
 Result<std::vector<unsigned char>> encode_jpeg(const Image<Rgb8>& pixels, int quality = 90);
 
 }  // namespace penumbra::codec
+#pragma GCC visibility pop

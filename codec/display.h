@@ -4,6 +4,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::codec {
 
 /// Eight-bit picture of any frame, for video, JPEG and windows: 16 bit loses its low byte, float
@@ -11,3 +12,4 @@ namespace penumbra::codec {
 Image<Rgb8> to_display(const FramePixels& pixels, float exposure = 1);
 
 }  // namespace penumbra::codec
+#pragma GCC visibility pop

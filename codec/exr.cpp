@@ -41,8 +41,9 @@ class MemoryInput : public Imf::IStream {
   bool read(char* to, int count) override {
     const auto wanted = static_cast<std::size_t>(std::max(count, 0));
     if (position_ > bytes_.size() || bytes_.size() - position_ < wanted)
-      throw std::runtime_error("truncated: " + std::to_string(bytes_.size()) +
-                               " bytes end inside data begun at byte " + std::to_string(position_));
+      throw std::runtime_error("is truncated: its " + std::to_string(bytes_.size()) +
+                               " bytes end inside the data that begin at byte " +
+                               std::to_string(position_));
     std::memcpy(to, bytes_.data() + position_, wanted);
     position_ += wanted;
     return position_ < bytes_.size();
@@ -191,7 +192,7 @@ Result<void> convert_to_rec709(const Imf::Header& header, const std::string& nam
                                 c.blue.x, c.blue.y, c.white.x, c.white.y};
   if (is_rec709(declared)) return {};
   const auto matrix = rec709_from(declared);
-  if (!matrix) return fail(ErrorCode::kUnreadable, name, "chromaticities span no colours");
+  if (!matrix) return fail(ErrorCode::kUnreadable, name, "has chromaticities that lie on one line");
   apply(*matrix, pixels.pixels());
   return {};
 }
@@ -216,13 +217,13 @@ Result<HdrImage> decode_checked(Bytes bytes, const std::string& name) {
   Imf::InputFile file(stream, 0);
   if (!file.isComplete())
     return fail(ErrorCode::kUnreadable, name,
-                "truncated: not all rows are in its " + std::to_string(bytes.size()) + " bytes");
+                "is truncated: not all rows are in its " + std::to_string(bytes.size()) + " bytes");
   const Imf::Header& header = file.header();
   const auto channels = choose_channels(header.channels());
   if (!channels)
     return fail(
         ErrorCode::kUnreadable, name,
-        "no colour channels (R G B, Y, or one alone); has:" + channel_names(header.channels()));
+        "has no colour channels (R G B, Y, or one alone), but:" + channel_names(header.channels()));
   const Imath::Box2i window = header.dataWindow();
   HdrImage out;
   out.pixels = Image<Rgb>(window.max.x - window.min.x + 1, window.max.y - window.min.y + 1);
@@ -292,10 +293,10 @@ bool is_exr(Bytes bytes) {
 Result<HdrImage> decode_exr(Bytes bytes, const std::string& name) {
   if (bytes.size() < kPreamble)
     return fail(ErrorCode::kUnreadable, name,
-                "truncated: only " + std::to_string(bytes.size()) + " bytes");
+                "is truncated: it has only " + std::to_string(bytes.size()) + " bytes");
   if (const auto at = damaged_attribute(bytes))
     return fail(ErrorCode::kUnreadable, name,
-                "truncated or damaged header at byte " + std::to_string(*at));
+                "has a truncated or damaged header at byte " + std::to_string(*at));
   try {
     return decode_checked(bytes, name);
   } catch (const std::exception& e) {
@@ -306,7 +307,7 @@ Result<HdrImage> decode_exr(Bytes bytes, const std::string& name) {
 Result<HdrImage> decode_hdr(Bytes bytes, const std::string& name) {
   if (is_exr(bytes)) return decode_exr(bytes, name);
   if (is_radiance(bytes)) return decode_radiance(bytes, name);
-  return fail(ErrorCode::kUnreadable, name, "neither OpenEXR nor Radiance");
+  return fail(ErrorCode::kUnreadable, name, "is neither OpenEXR nor Radiance HDR");
 }
 
 Result<HdrImage> read_hdr(const std::filesystem::path& path) {
@@ -318,8 +319,8 @@ Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixe
                        std::optional<EnvironmentAttribute> environment) {
   const std::string extension = lower_extension(path);
   if (extension != ".exr" && extension != ".hdr")
-    return fail(ErrorCode::kInvalid, path.string(), "unknown extension (.exr or .hdr)");
-  if (pixels.empty()) return fail(ErrorCode::kInvalid, path.string(), "empty picture");
+    return fail(ErrorCode::kInvalid, path.string(), "ends neither in .exr nor in .hdr");
+  if (pixels.empty()) return fail(ErrorCode::kInvalid, path.string(), "has no pixels");
   PENUMBRA_TRY(check_size(pixels.width(), pixels.height(), path.string()));
   if (extension == ".hdr") return write_bytes(path, encode_radiance(pixels));
   try {

@@ -47,7 +47,7 @@ Result<FramePixels> decode_pixels(Bytes bytes, const std::string& name) {
                         const_cast<unsigned char*>(bytes.data()));
   const cv::Mat mat = cv::imdecode(wrapped, kReadFlags);
   if (mat.empty() || mat.channels() != 3)
-    return fail(ErrorCode::kUnreadable, name, "damaged picture data");
+    return fail(ErrorCode::kUnreadable, name, "has damaged picture data");
   switch (mat.depth()) {
     case CV_8U:
       return from_bgr<Rgb8, unsigned char>(mat);
@@ -56,7 +56,7 @@ Result<FramePixels> decode_pixels(Bytes bytes, const std::string& name) {
     case CV_32F:
       return from_bgr<Rgb, float>(mat);
     default:
-      return fail(ErrorCode::kUnreadable, name, "neither 8 nor 16 bit nor float");
+      return fail(ErrorCode::kUnreadable, name, "has neither 8-bit nor 16-bit nor float samples");
   }
 }
 
@@ -64,7 +64,7 @@ Result<FrameHeader> scan(Bytes bytes, const std::string& name) {
   if (is_png(bytes)) return scan_png(bytes);
   if (is_jpeg(bytes)) return scan_jpeg(bytes);
   if (is_tiff(bytes)) return scan_tiff(bytes);
-  return fail(ErrorCode::kUnreadable, name, "neither PNG, JPEG, TIFF, OpenEXR nor Radiance");
+  return fail(ErrorCode::kUnreadable, name, "is neither PNG, JPEG, TIFF, OpenEXR nor Radiance HDR");
 }
 
 Result<std::vector<unsigned char>> encode(const std::string& extension, const cv::Mat& mat,
@@ -73,7 +73,7 @@ Result<std::vector<unsigned char>> encode(const std::string& extension, const cv
   try {
     std::vector<unsigned char> bytes;
     if (cv::imencode(extension, mat, bytes, parameters)) return bytes;
-    return fail(ErrorCode::kUnwritable, name, "the encoder refused the picture");
+    return fail(ErrorCode::kUnwritable, name, "cannot be encoded: OpenCV refuses the picture");
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnwritable, name, e.what());
   }
@@ -85,11 +85,12 @@ Result<void> write(const std::filesystem::path& path, const Image<Pixel>& pixels
   const bool jpeg = extension == ".jpg" || extension == ".jpeg";
   if (!jpeg && extension != ".png" && extension != ".tif" && extension != ".tiff")
     return fail(ErrorCode::kInvalid, path.string(),
-                "unknown extension (.png, .jpg, .jpeg, .tif, .tiff)");
+                "ends neither in .png, .jpg, .jpeg, .tif nor in .tiff");
   // OpenCV would clamp 16 bit codes to 255 without a word.
   if (jpeg && sizeof(Code) > 1)
-    return fail(ErrorCode::kInvalid, path.string(), "JPEG holds 8 bit codes only");
-  if (pixels.empty()) return fail(ErrorCode::kInvalid, path.string(), "empty picture");
+    return fail(ErrorCode::kInvalid, path.string(),
+                "is a JPEG, which holds 8-bit pictures only; .png and .tif hold 16 bits");
+  if (pixels.empty()) return fail(ErrorCode::kInvalid, path.string(), "has no pixels");
   PENUMBRA_TRY(check_size(pixels.width(), pixels.height(), path.string()));
   PENUMBRA_ASSIGN(bytes, encode(extension, to_bgr<Code>(pixels), {}, path.string()));
   return write_bytes(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
@@ -131,7 +132,7 @@ Result<void> write_frame(const std::filesystem::path& path, const Image<Rgb16>& 
 
 Result<std::vector<unsigned char>> encode_jpeg(const Image<Rgb8>& pixels, int quality) {
   const std::string name = "JPEG encoder";
-  if (pixels.empty()) return fail(ErrorCode::kInvalid, name, "empty picture");
+  if (pixels.empty()) return fail(ErrorCode::kInvalid, name, "has no pixels");
   if (quality < 1 || quality > 100)
     return fail(ErrorCode::kInvalid, name,
                 "quality " + std::to_string(quality) + " is not in 1..100");

@@ -57,8 +57,8 @@ class Cursor {
 
   std::unexpected<Error> truncated(const std::string& what) const {
     return fail(ErrorCode::kUnreadable, name_,
-                "truncated: " + std::to_string(bytes_.size()) + " bytes end inside " + what +
-                    " (begun at byte " + std::to_string(position_) + ")");
+                "is truncated: its " + std::to_string(bytes_.size()) + " bytes end inside " + what +
+                    " (which begins at byte " + std::to_string(position_) + ")");
   }
   std::unexpected<Error> damaged(const std::string& what) const {
     return fail(ErrorCode::kUnreadable, name_, what + " at byte " + std::to_string(position_));
@@ -129,7 +129,7 @@ Result<void> parse_line(std::string_view line, Header& header, const Cursor& cur
   };
   if (const auto format = value("FORMAT=")) {
     if (*format != "32-bit_rle_rgbe" && *format != "32-bit_rle_xyze")
-      return cursor.damaged("unknown FORMAT");
+      return cursor.damaged("FORMAT is not a known one");
     header.xyz = *format == "32-bit_rle_xyze";
   } else if (const auto exposure = value("EXPOSURE=")) {
     const auto one = numbers<1>(*exposure);
@@ -178,7 +178,7 @@ Result<void> parse_resolution(Cursor& cursor, Header& header, const std::string&
   const auto fast = slow ? parse_axis(*line) : std::nullopt;
   if (!fast || slow->name == fast->name || !trimmed(*line).empty()) {
     cursor.seek(start);
-    return cursor.damaged("no resolution line (as -Y 512 +X 1024)");
+    return cursor.damaged("the resolution line, such as -Y 512 +X 1024, is missing");
   }
   header.columns = slow->name == 'X';
   const Axis& x = header.columns ? *slow : *fast;
@@ -212,7 +212,7 @@ Result<void> read_planes(Cursor& cursor, std::span<Rgbe> scanline) {
       const bool run = code > 128;
       const std::size_t count = run ? code - 128 : code;
       if (count == 0 || count > scanline.size() - x)
-        return cursor.damaged("run longer than the scan line");
+        return cursor.damaged("a run is longer than its scan line");
       if (!cursor.has(run ? 2 : 1 + count)) return cursor.truncated("a scan line");
       const unsigned char* values = cursor.peek() + 1;
       for (std::size_t i = 0; i < count; ++i) scanline[x++][plane] = values[run ? 0 : i];
@@ -231,10 +231,10 @@ Result<void> read_old_runs(Cursor& cursor, std::span<Rgbe> scanline) {
     Rgbe pixel;
     std::memcpy(pixel.data(), cursor.peek(), 4);
     if (pixel[0] == 1 && pixel[1] == 1 && pixel[2] == 1) {
-      if (x == 0) return cursor.damaged("run before any pixel");
-      if (shift > 16) return cursor.damaged("run longer than the scan line");
+      if (x == 0) return cursor.damaged("a run repeats a pixel before the first one");
+      if (shift > 16) return cursor.damaged("a run is longer than its scan line");
       const std::size_t count = std::size_t{pixel[3]} << shift;
-      if (count > scanline.size() - x) return cursor.damaged("run longer than the scan line");
+      if (count > scanline.size() - x) return cursor.damaged("a run is longer than its scan line");
       std::fill_n(scanline.begin() + static_cast<std::ptrdiff_t>(x), count, scanline[x - 1]);
       x += count;
       shift += 8;
@@ -254,7 +254,7 @@ Result<void> read_scanline(Cursor& cursor, std::span<Rgbe> scanline) {
                       std::ssize(scanline) <= kMaxRunWidth && p[0] == 2 && p[1] == 2 && p[2] < 128;
   if (!planes) return read_old_runs(cursor, scanline);
   if ((std::size_t{p[2]} << 8 | p[3]) != scanline.size())
-    return cursor.damaged("scan line of another width");
+    return cursor.damaged("a scan line has another width than the picture");
   cursor.skip(4);
   return read_planes(cursor, scanline);
 }
@@ -343,12 +343,14 @@ bool is_radiance(Bytes bytes) {
 
 Result<HdrImage> decode_radiance(std::span<const unsigned char> bytes, const std::string& name) {
   const auto magic = find_magic(bytes);
-  if (!magic) return fail(ErrorCode::kUnreadable, name, "not a Radiance picture (no #? line)");
+  if (!magic)
+    return fail(ErrorCode::kUnreadable, name,
+                "is not a Radiance HDR picture: its first line does not begin with #?");
   Cursor cursor(bytes, name);
   cursor.seek(*magic);
   PENUMBRA_ASSIGN(header, parse_header(cursor, name));
   const auto matrix = conversion(header);
-  if (!matrix) return cursor.damaged("PRIMARIES span no colours");
+  if (!matrix) return cursor.damaged("PRIMARIES lie on one line");
 
   // Grows with what the file really holds, so that a short file cannot ask for the memory of a
   // large one.

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra::codec {
 
 /// Probability that the next bit is 0, in 1/4096.
@@ -151,3 +152,4 @@ struct NumberModel {
 };
 
 }  // namespace penumbra::codec
+#pragma GCC visibility pop

@@ -8,6 +8,7 @@
 #endif
 
 // Work beside other work. What the thread sanitizer sees instead of libtbb: core/parallel.cpp.
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 // One piece of work beside the caller's, on a core that has none; at the latest in wait().
@@ -63,3 +64,4 @@ auto apart(const Work& work) {
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -24,6 +24,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 inline constexpr double kPi = std::numbers::pi;
@@ -66,3 +67,4 @@ inline double latlong_solid_angle(int j, int width, int height) {
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -7,6 +7,7 @@
 #include "core/image.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 struct Environment {
@@ -21,3 +22,4 @@ struct Environment {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -29,14 +29,15 @@ Result<void> replace_file(const fs::path& target,
   const fs::path temporary = temporary_beside(target);
   std::error_code ignored;
   if (fs::is_directory(target, ignored))
-    return fail(ErrorCode::kUnwritable, target.string(), "is a folder");
+    return fail(ErrorCode::kUnwritable, target.string(), "is a folder, not a file");
   Result<void> written;
   try {
     written = write(temporary);
   } catch (const std::exception& e) {
     written = fail(ErrorCode::kUnwritable, target.string(), e.what());
   } catch (...) {
-    written = fail(ErrorCode::kUnwritable, target.string(), "unknown failure");
+    written = fail(ErrorCode::kUnwritable, target.string(),
+                   "cannot be written for a reason that is not known");
   }
   if (!written) {
     fs::remove(temporary, ignored);
@@ -65,7 +66,7 @@ Result<void> check_writable(const fs::path& target) {
   const fs::path temporary = temporary_beside(target);
   std::error_code ignored;
   if (fs::is_directory(target, ignored))
-    return fail(ErrorCode::kUnwritable, target.string(), "is a folder");
+    return fail(ErrorCode::kUnwritable, target.string(), "is a folder, not a file");
   errno = 0;
   const bool made = std::ofstream(temporary).is_open();
   const int reason = errno;
@@ -78,13 +79,13 @@ Result<std::vector<unsigned char>> read_bytes(const fs::path& path, std::size_t 
   std::error_code error;
   if (!fs::exists(path, error)) return fail(ErrorCode::kNotFound, path.string(), "no such file");
   if (!fs::is_regular_file(path, error))
-    return fail(ErrorCode::kUnreadable, path.string(), "not a regular file");
+    return fail(ErrorCode::kUnreadable, path.string(), "is not a regular file");
   const auto size = fs::file_size(path, error);
   if (error) return fail(ErrorCode::kUnreadable, path.string(), error.message());
   if (size > limit_bytes)
     return fail(
         ErrorCode::kInvalid, path.string(),
-        std::to_string(size) + " bytes, more than the limit of " + std::to_string(limit_bytes));
+        std::to_string(size) + " bytes are more than the limit of " + std::to_string(limit_bytes));
   std::vector<unsigned char> bytes(size);
   std::ifstream in(path, std::ios::binary);
   in.read(reinterpret_cast<char*>(bytes.data()), static_cast<std::streamsize>(size));
@@ -97,7 +98,7 @@ Result<void> make_folder(const fs::path& folder) {
   fs::create_directories(folder, error);
   if (error) return fail(ErrorCode::kUnwritable, folder.string(), error.message());
   if (!fs::is_directory(folder))
-    return fail(ErrorCode::kUnwritable, folder.string(), "not a folder");
+    return fail(ErrorCode::kUnwritable, folder.string(), "is not a folder");
   return {};
 }
 

@@ -10,6 +10,7 @@
 
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// Lets `write` make a file under a temporary name beside `target` (same extension), then renames
@@ -36,3 +37,4 @@ Result<void> check_writable(const std::filesystem::path& target);
 Result<void> make_folder(const std::filesystem::path& folder);
 
 }  // namespace penumbra
+#pragma GCC visibility pop

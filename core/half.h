@@ -5,6 +5,7 @@
 
 #include <cstdint>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 inline float float_from_half(std::uint16_t bits) {
@@ -16,3 +17,4 @@ inline std::uint16_t half_from_float(float value) {
 inline constexpr std::uint16_t kHalfOne = 0x3c00;
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -7,6 +7,7 @@
 #include <type_traits>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// source: Fowler, Noll & Vo, FNV-1a, 64 bit
@@ -33,3 +34,4 @@ class Fnv1a {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -9,6 +9,7 @@
 #include <variant>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// Linear Rec.709 float RGB: radiance, irradiance or a ratio, as the owner's name says.
@@ -97,3 +98,4 @@ class Image {
 using FramePixels = std::variant<Image<Rgb8>, Image<Rgb16>, Image<Rgb>>;
 
 }  // namespace penumbra
+#pragma GCC visibility pop

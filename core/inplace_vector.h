@@ -6,6 +6,7 @@
 #include <cassert>
 #include <cstddef>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 template <class T, std::size_t kMax>
@@ -45,3 +46,4 @@ class InplaceVector {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

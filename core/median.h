@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// The upper one of an even number; at least one value. Reorders them.
@@ -15,3 +16,4 @@ inline double median(std::vector<double>& values) {
 }
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

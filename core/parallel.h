@@ -6,6 +6,7 @@
 
 // Loops spread over the machine's cores by TBB. The call returns when all is done; an exception of a body ends the
 // loop and comes out of the call. Bodies run at the same time on several threads and share no mutable state.
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 // A part of [begin, end), handed to a body.
@@ -45,3 +46,4 @@ void parallel_for(Index first, std::type_identity_t<Index> last, const Body& bod
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -6,6 +6,7 @@
 #include <glm/mat4x4.hpp>
 #include <glm/vec3.hpp>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 struct Pose {
@@ -30,3 +31,4 @@ struct Pose {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -10,6 +10,7 @@
 
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// What all ways of meeting share: closing lets everyone go who waits.
@@ -129,3 +130,4 @@ class Bounded : public Closable {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

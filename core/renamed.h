@@ -6,6 +6,7 @@
 #include <optional>
 #include <string_view>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 struct Renamed {
@@ -41,3 +42,4 @@ constexpr std::optional<std::string_view> new_name(const std::array<Renamed, N>&
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 enum class ErrorCode {
@@ -35,18 +36,19 @@ inline std::unexpected<Error> fail(ErrorCode code, std::string where, std::strin
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop
 
 // Returns the error of a Result from the calling function, or goes on.
-#define PENUMBRA_TRY(expression)                             \
+#define PENUMBRA_TRY(...)                                    \
   do {                                                       \
-    if (auto&& try_result = (expression); !try_result)       \
+    if (auto&& try_result = (__VA_ARGS__); !try_result)      \
       return std::unexpected(std::move(try_result).error()); \
   } while (false)
 
 // Declares `name` as the value of a Result, or returns its error from the calling function.
 // NOLINTBEGIN(bugprone-macro-parentheses): a declared name cannot stand in parentheses
-#define PENUMBRA_ASSIGN(name, expression)                                       \
-  auto name##_result = (expression);                                            \
+#define PENUMBRA_ASSIGN(name, ...)                                              \
+  auto name##_result = (__VA_ARGS__);                                           \
   if (!name##_result) return std::unexpected(std::move(name##_result).error()); \
   auto& name = *name##_result
 // NOLINTEND(bugprone-macro-parentheses)

@@ -7,6 +7,7 @@
 #include <memory_resource>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// A stack of bytes for std::pmr containers. What a Scope handed out is gone with it.
@@ -72,3 +73,4 @@ class Scratch final : public std::pmr::memory_resource {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -9,6 +9,7 @@
 #include "core/conventions.h"
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// B*B RGB coefficients in the order of conventions.h; no heap, so it can be passed per frame.
@@ -48,3 +49,4 @@ using IrradianceSh = ShRgb<struct IrradianceShTag>;
 using TransferSh = ShRgb<struct TransferShTag>;
 
 }  // namespace penumbra
+#pragma GCC visibility pop

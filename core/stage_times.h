@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// threads: thread-safe
@@ -60,3 +61,4 @@ class StageTimer {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -6,6 +6,7 @@
 
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// Takes the two signals over from here on and returns the flag they set. A second signal ends the program at once.
@@ -17,3 +18,4 @@ inline std::unexpected<Error> stopped(const std::string& what) {
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -17,6 +17,7 @@
 #include "core/renamed.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// One table of the file; every error names file, line and key.
@@ -55,46 +56,46 @@ class TomlKeys {
 
   Result<std::string> text(std::string_view key) const {
     const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    if (!node->is_string()) return invalid(key, "not a text");
+    if (!node) return invalid(key, "is missing");
+    if (!node->is_string()) return invalid(key, "is not text in quotes");
     return node->value_or(std::string());
   }
 
   Result<double> number(std::string_view key) const {
     const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
+    if (!node) return invalid(key, "is missing");
     return number(*node, key);
   }
 
   /// A whole number within [low, high].
   Result<int> integer(std::string_view key, int low, int high) const {
     const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
+    if (!node) return invalid(key, "is missing");
     const auto value = node->is_integer() ? node->value_or(std::int64_t{0}) : 0;
     if (!node->is_integer() || value < low || value > high)
-      return invalid(key, fmt::format("not a whole number within {}..{}", low, high));
+      return invalid(key, fmt::format("is not a whole number within {}..{}", low, high));
     return static_cast<int>(value);
   }
 
   Result<bool> flag(std::string_view key) const {
     const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    if (!node->is_boolean()) return invalid(key, "neither true nor false");
+    if (!node) return invalid(key, "is missing");
+    if (!node->is_boolean()) return invalid(key, "is neither true nor false");
     return node->value_or(false);
   }
 
   /// `count` numbers, or any count when 0.
   Result<std::vector<double>> numbers(std::string_view key, std::size_t count = 0) const {
     const toml::node* node = table_.get(key);
-    if (!node) return invalid(key, "missing");
-    if (!node->is_array()) return invalid(key, "not a list of numbers");
+    if (!node) return invalid(key, "is missing");
+    if (!node->is_array()) return invalid(key, "is not a list of numbers");
     std::vector<double> values;
     for (const toml::node& element : *node->as_array()) {
       PENUMBRA_ASSIGN(value, number(element, key));
       values.push_back(value);
     }
     if (count != 0 && values.size() != count)
-      return invalid(key, fmt::format("{} numbers, expected {}", values.size(), count));
+      return invalid(key, fmt::format("has {} numbers instead of {}", values.size(), count));
     return values;
   }
 
@@ -103,10 +104,10 @@ class TomlKeys {
     std::vector<const toml::table*> out;
     const toml::node* node = table_.get(key);
     if (!node) return out;
-    if (!node->is_array())
-      return invalid(key, fmt::format("no [[{}]], but another kind of value", key));
+    if (!node->is_array()) return invalid(key, fmt::format("must be tables [[{}]]", key));
     for (const toml::node& element : *node->as_array()) {
-      if (!element.is_table()) return invalid(element, key, "not a [[" + std::string(key) + "]]");
+      if (!element.is_table())
+        return invalid(element, key, "must be a table [[" + std::string(key) + "]]");
       out.push_back(element.as_table());
     }
     return out;
@@ -115,7 +116,7 @@ class TomlKeys {
   /// The table [key].
   Result<TomlKeys> table(std::string_view key) const {
     const toml::table* table = table_.get_as<toml::table>(key);
-    if (!table) return invalid(key, fmt::format("no [{}] table", key));
+    if (!table) return invalid(key, fmt::format("must be a table [{}]", key));
     return TomlKeys(path_, *table);
   }
   const std::filesystem::path& path() const { return path_; }
@@ -123,14 +124,14 @@ class TomlKeys {
   Result<void> version(int expected) const {
     const toml::node* node = table_.get("version");
     if (!node || !node->is_integer() || node->value_or(std::int64_t{0}) != expected)
-      return invalid("version", node ? fmt::format("expected {}", expected) : "missing");
+      return invalid("version", node ? fmt::format("is not {}", expected) : "is missing");
     return {};
   }
 
  private:
   Result<double> number(const toml::node& node, std::string_view key) const {
     const auto value = node.is_number() ? node.value<double>() : std::nullopt;
-    if (!value || !std::isfinite(*value)) return invalid(node, key, "not a finite number");
+    if (!value || !std::isfinite(*value)) return invalid(node, key, "is not a finite number");
     return *value;
   }
 
@@ -168,3 +169,4 @@ inline Result<toml::table> parse_toml(const std::filesystem::path& path) {
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -8,6 +8,7 @@
 #include <span>
 #include <utility>
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 class UniqueFd {
@@ -55,3 +56,4 @@ class MappedBuffer {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

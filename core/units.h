@@ -7,6 +7,7 @@
 #include <compare>
 #include <cstdint>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 template <class Tag, class Rep>
@@ -64,3 +65,4 @@ struct Exposure {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -16,14 +16,14 @@ Result<void> check_colour_matrix(const glm::dmat3& m) {
   for (int r = 0; r < 3; ++r) {
     double white = 0;
     for (int c = 0; c < 3; ++c) {
-      if (!(std::abs(m[c][r]) <= kLargest)) return refuse("carries no colours: beyond a million");
+      if (!(std::abs(m[c][r]) <= kLargest)) return refuse("has an element beyond a million");
       white += m[c][r];
     }
-    if (!(white >= kSmallest)) return refuse("carries no colours: white does not stay positive");
+    if (!(white >= kSmallest)) return refuse("makes a channel of white zero or negative");
   }
   const double size = std::max({std::abs(m[0][0]), std::abs(m[1][1]), std::abs(m[2][2])});
   if (!(glm::determinant(m) > kFlat * size * size * size))
-    return refuse("carries no colours: flat, or mirrored");
+    return refuse("is singular or has a negative determinant");
   return {};
 }
 
@@ -34,7 +34,7 @@ Result<glm::dmat3> parse_colour_file(std::string_view text, const std::filesyste
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const toml::table* const table = root["colour"].as_table();
-  if (!table) return keys.invalid("colour", "no [colour]");
+  if (!table) return keys.invalid("colour", "must be a table [colour]");
   const TomlKeys colour(path, *table);
   constexpr std::string_view inside[] = {"matrix", "sigma", "rms"};
   PENUMBRA_TRY(colour.only(inside));
@@ -54,7 +54,7 @@ Result<NoiseFile> parse_noise_file(std::string_view text, const std::filesystem:
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const toml::table* const table = root["noise"].as_table();
-  if (!table) return keys.invalid("noise", "no [noise]");
+  if (!table) return keys.invalid("noise", "must be a table [noise]");
   const TomlKeys noise(path, *table);
   constexpr std::string_view inside[] = {"full_well_electrons", "full_well_sigma", "read_noise",
                                          "read_sigma", "black_level"};
@@ -63,9 +63,9 @@ Result<NoiseFile> parse_noise_file(std::string_view text, const std::filesystem:
   PENUMBRA_ASSIGN(electrons, noise.number("full_well_electrons"));
   PENUMBRA_ASSIGN(read, noise.number("read_noise"));
   PENUMBRA_ASSIGN(black, noise.number("black_level"));
-  if (!(electrons > 0)) return noise.invalid("full_well_electrons", "not positive");
-  if (!(read >= 0 && read < 1)) return noise.invalid("read_noise", "not within 0..1");
-  if (!(black >= 0 && black < 1)) return noise.invalid("black_level", "not within 0..1");
+  if (!(electrons > 0)) return noise.invalid("full_well_electrons", "is not positive");
+  if (!(read >= 0 && read < 1)) return noise.invalid("read_noise", "is not within 0..1");
+  if (!(black >= 0 && black < 1)) return noise.invalid("black_level", "is not within 0..1");
   out.model = {electrons, read};
   out.black_level = black;
   return out;

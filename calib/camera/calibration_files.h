@@ -11,6 +11,7 @@
 #include "calib/camera/noise.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// errors: kInvalid (line, key; as check_colour_matrix), kUnreadable; `path` names the text in errors
@@ -28,3 +29,4 @@ Result<std::array<double, 3>> parse_vignetting_file(std::string_view text,
                                                     const std::filesystem::path& path);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

@@ -217,14 +217,15 @@ Result<void> check_shape(ProjectionKind kind, int width, int height) {
   const std::string size = fmt::format("{}x{}", width, height);
   if (width < 1 || height < 1 || width > codec::kMaxSide || height > codec::kMaxSide)
     return fail(ErrorCode::kInvalid, where,
-                fmt::format("size {} is not within 1..{}", size, codec::kMaxSide));
+                fmt::format("the size {} is not within 1..{} pixels", size, codec::kMaxSide));
   if (kind == ProjectionKind::kVerticalCross && width * 4 != height * 3)
-    return fail(ErrorCode::kInvalid, where, "size " + size + ", but a cross is 3 x 4 squares");
+    return fail(ErrorCode::kInvalid, where,
+                "the size " + size + " is not that of a cross of 3 x 4 squares");
   if (kind == ProjectionKind::kExrCube && (width * 6 != height || width < 2))
     return fail(ErrorCode::kInvalid, where,
-                "size " + size + ", but a cube is N x 6 N, N at least 2");
+                "the size " + size + " is not that of a cube, N x 6N with N at least 2");
   if (kind == ProjectionKind::kExrLatLong && (width < 2 || height < 2))
-    return fail(ErrorCode::kInvalid, where, "size " + size + ", but 2x2 is the smallest");
+    return fail(ErrorCode::kInvalid, where, "the size " + size + " is below 2x2");
   return {};
 }
 
@@ -237,7 +238,8 @@ Result<ProjectionKind> projection_kind(std::string_view name) {
     if (!known.empty()) known += ", ";
     known += text;
   }
-  return fail(ErrorCode::kInvalid, std::string(name), "unknown projection; known are " + known);
+  return fail(ErrorCode::kInvalid, std::string(name),
+              "is not a known projection, which are " + known);
 }
 
 std::string_view projection_name(ProjectionKind kind) {
@@ -281,19 +283,20 @@ Result<CameraModel> with_distortion(CameraModel p, std::span<const double> disto
   const auto largest = static_cast<std::size_t>(distortion_count(p.kind));
   const auto own = distortion.first(std::min(largest, distortion.size()));
   if (std::ranges::any_of(distortion.subspan(own.size()), [](double k) { return k != 0; }))
-    return invalid(fmt::format("{} numbers of distortion, at most {}", distortion.size(), largest));
+    return invalid(fmt::format("has {} distortion coefficients instead of at most {}",
+                               distortion.size(), largest));
   if (std::ranges::any_of(distortion, [](double k) { return !std::isfinite(k); }))
-    return invalid("distortion is not finite");
+    return invalid("a distortion coefficient is not finite");
   p.distortion = {};
   std::ranges::copy(own, p.distortion.begin());
   const auto& k = p.distortion;
   if (p.kind == ProjectionKind::kDoubleSphere && !(std::abs(k[0]) < 1 && k[1] >= 0 && k[1] <= 1))
-    return invalid("xi is not within -1..1 or alpha not within 0..1");
+    return invalid("xi is not within -1..1, or alpha is not within 0..1");
   constexpr double kMin = kPi / 6;
   const auto lens = radial_lens(p);
   const double tangent = std::tan(kMin);
   if (lens ? lens->curve.last_theta() < kMin : fold_r2(k) < tangent * tangent)
-    return invalid("the picture folds back within 30 degrees of the axis");
+    return invalid("the distortion is not monotone within 30 degrees of the axis");
   return p;
 }
 

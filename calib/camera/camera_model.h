@@ -13,6 +13,7 @@
 
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 enum class ProjectionKind {
@@ -71,3 +72,4 @@ std::optional<glm::dvec2> pixel_from_direction(const CameraModel& projection,
                                                const glm::dvec3& direction);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

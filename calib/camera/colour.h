@@ -7,6 +7,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// One surface as two cameras measure it, linear radiance in units of each.
@@ -19,3 +20,4 @@ struct ColourPair {
 Result<void> check_colour_matrix(const glm::dmat3& matrix);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

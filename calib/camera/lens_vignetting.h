@@ -7,6 +7,7 @@
 #include "calib/camera/camera_model.h"
 #include "calib/camera/vignetting.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// The vignetting of a camera with these terms: about its principal point if it has one.
@@ -17,3 +18,4 @@ bool is_plausible(const Vignetting& vignetting, const CameraModel& camera);
 double min_fraction(const Vignetting& vignetting, const CameraModel& camera);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

@@ -24,7 +24,9 @@ Result<MirrorBall> MirrorBall::at(const glm::dvec3& centre, double radius) {
   const double distance = glm::length(centre);
   if (!std::isfinite(distance) || !(radius > 0))
     return fail(ErrorCode::kInvalid, "mirror ball", "needs a finite centre and a positive radius");
-  if (!(distance > radius)) return fail(ErrorCode::kInvalid, "mirror ball", "the camera is inside");
+  if (!(distance > radius))
+    return fail(ErrorCode::kInvalid, "mirror ball",
+                "contains the camera: its radius is larger than its distance");
   return MirrorBall(centre / distance, radius / distance);
 }
 
@@ -38,21 +40,12 @@ Result<MirrorBall> MirrorBall::from_outline(const CameraModel& camera, const glm
   const auto far = direction_from_pixel(camera, centre_px + radius_px * out);
   if (!(radius_px > 0) || !near || !far)
     return fail(ErrorCode::kInvalid, "mirror ball",
-                "the ball's outline is partly outside the image");
+                "the ball's outline is partly outside the picture");
   return MirrorBall(glm::normalize(*near + *far), std::sin(angle_between(*near, *far) / 2));
 }
 
 double MirrorBall::angular_radius_rad() const {
   return std::asin(ratio_);
-}
-
-std::optional<glm::dvec3> MirrorBall::light_from_ray(const glm::dvec3& ray) const {
-  const glm::dvec3 v = glm::normalize(ray);
-  const double along = glm::dot(v, axis_);
-  const double left = along * along - (1 - ratio_ * ratio_);
-  if (along <= 0 || left < 0) return std::nullopt;
-  const glm::dvec3 normal = ((along - std::sqrt(left)) * v - axis_) / ratio_;
-  return v - 2 * glm::dot(v, normal) * normal;
 }
 
 std::optional<MirrorBall::BallHit> MirrorBall::ray_from_light(const glm::dvec3& light) const {
@@ -108,11 +101,10 @@ Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radi
     const glm::dvec3 off = seen[i].centre - centre;
     constexpr double kMaxSigmas = 5;
     if (glm::dot(off, seen[i].information * off) > kMaxSigmas * kMaxSigmas)
-      return fail(
-          ErrorCode::kUndetermined, outlines[i].camera,
-          fmt::format("sees the ball {:.0f} mm from where all together do: check the circles, the "
-                      "radius and the cameras' poses",
-                      1000 * glm::length(off)));
+      return fail(ErrorCode::kUndetermined, outlines[i].camera,
+                  fmt::format("sees the ball {:.0f} mm from where all cameras together see it: "
+                              "check the circles, the radius and the cameras' poses",
+                              1000 * glm::length(off)));
   }
   return BallPlace{
       centre,

@@ -12,6 +12,7 @@
 #include "core/pose.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// Reflection of far light in a ball whose centre and radius are known in the frame of the camera, which sits at the
@@ -30,15 +31,12 @@ class MirrorBall {
   const glm::dvec3& direction() const { return axis_; }  // unit, from the camera to the centre
   double angular_radius_rad() const;
 
-  /// Where the light comes from that this ray (any length) shows; nothing beside the ball.
-  std::optional<glm::dvec3> light_from_ray(const glm::dvec3& ray) const;
-
   struct BallHit {
     glm::dvec3 ray;  // unit
     double
         from_rim;  // 1 in the middle, 0 on the outline: fraction of the normal's angle that is left
   };
-  /// Inverse; nothing for light from behind the ball, which grazes it.
+  /// The ray that shows the light of a direction; nothing for light from behind the ball, which grazes it.
   std::optional<BallHit> ray_from_light(const glm::dvec3& light) const;
 
  private:
@@ -65,3 +63,4 @@ Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radi
                               double sigma_px = 1);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

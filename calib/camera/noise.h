@@ -1,6 +1,7 @@
 // How noisy a camera's signal is.
 #pragma once
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// Signal y in fractions of full scale at gain g: var(y) = g y / full_well + (g read)^2, where
@@ -16,3 +17,4 @@ struct NoiseModel {
 };
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

@@ -7,6 +7,7 @@
 
 #include "calib/camera/camera_model.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// Per pixel: unit direction through its centre, exact solid angle (integrated over the pixel's
@@ -22,3 +23,4 @@ struct ProjectionTable {
 ProjectionTable make_projection_table(const CameraModel& projection);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

@@ -52,17 +52,17 @@ Result<void> check_table(const std::vector<float>& table, int channel) {
   const std::string where = fmt::format("response, channel {}", channel);
   if (table.size() < 2 || table.size() > kMaxSamples)
     return fail(ErrorCode::kInvalid, where,
-                fmt::format("{} samples, not within 2..{}", table.size(), kMaxSamples));
+                fmt::format("has {} samples instead of 2..{}", table.size(), kMaxSamples));
   for (std::size_t i = 0; i < table.size(); ++i) {
     if (!(table[i] >= 0 && table[i] <= 1))  // also NaN
       return fail(ErrorCode::kInvalid, where,
-                  fmt::format("sample {} is {}, not within 0..1", i, table[i]));
+                  fmt::format("sample {} is {} instead of within 0..1", i, table[i]));
     if (i > 0 && table[i] < table[i - 1])
       return fail(ErrorCode::kInvalid, where,
-                  fmt::format("not monotone: sample {} is below sample {}", i, i - 1));
+                  fmt::format("is not monotone: sample {} is below sample {}", i, i - 1));
   }
   if (table.back() == table.front())
-    return fail(ErrorCode::kInvalid, where, "all samples are equal");
+    return fail(ErrorCode::kInvalid, where, "has samples that are all equal");
   return {};
 }
 
@@ -78,7 +78,7 @@ Result<std::vector<float>> read_samples(const fs::path& path, const toml::array&
   for (const toml::node& node : array) {
     const auto number = node.value<double>();
     if (!number || !node.is_number())
-      return fail(ErrorCode::kInvalid, at_line(path, node.source()), "decode: not a number");
+      return fail(ErrorCode::kInvalid, at_line(path, node.source()), "decode: is not a number");
     samples.push_back(static_cast<float>(*number));
   }
   return samples;
@@ -95,12 +95,12 @@ Result<std::array<std::vector<float>, 3>> read_decode(const fs::path& path,
   }
   if (decode.size() != 1 && decode.size() != 3)
     return fail(ErrorCode::kInvalid, at_line(path, decode.source()),
-                fmt::format("decode has {} lists, expected 1 or 3", decode.size()));
+                fmt::format("decode: has {} lists instead of 1 or 3", decode.size()));
   for (std::size_t c = 0; c < 3; ++c) {
     const toml::node& node = decode[decode.size() == 1 ? 0 : c];
     if (!node.is_array())
       return fail(ErrorCode::kInvalid, at_line(path, node.source()),
-                  "decode: not a list of numbers");
+                  "decode: is not a list of numbers");
     PENUMBRA_ASSIGN(samples, read_samples(path, *node.as_array()));
     channels[c] = std::move(samples);
   }
@@ -110,16 +110,17 @@ Result<std::array<std::vector<float>, 3>> read_decode(const fs::path& path,
 Result<Response> read_response(const fs::path& path, const toml::table& table) {
   for (const auto& [key, node] : table)
     if (key.str() != "version" && key.str() != "decode")
-      return fail(ErrorCode::kInvalid, at_line(path, key.source()),
-                  fmt::format("unknown key \"{}\"; known are version, decode", key.str()));
+      return fail(
+          ErrorCode::kInvalid, at_line(path, key.source()),
+          fmt::format("unknown key \"{}\": a response file has version and decode", key.str()));
   const toml::node* version = table.get("version");
   if (!version) return fail(ErrorCode::kInvalid, path.string(), "version = 1 is missing");
   if (!version->is_integer() || version->value<std::int64_t>() != 1)
-    return fail(ErrorCode::kInvalid, at_line(path, version->source()), "version: expected 1");
+    return fail(ErrorCode::kInvalid, at_line(path, version->source()), "version: is not 1");
   const toml::node* decode = table.get("decode");
   if (!decode) return fail(ErrorCode::kInvalid, path.string(), "decode is missing");
   if (!decode->is_array())
-    return fail(ErrorCode::kInvalid, at_line(path, decode->source()), "decode: not a list");
+    return fail(ErrorCode::kInvalid, at_line(path, decode->source()), "decode: is not a list");
   PENUMBRA_ASSIGN(channels, read_decode(path, *decode->as_array()));
   auto response = Response::from_table(std::move(channels));
   if (!response)
@@ -164,7 +165,7 @@ Result<Response> Response::from_table(std::array<std::vector<float>, 3> decode) 
     PENUMBRA_TRY(check_table(decode[c], static_cast<int>(c)));
     if (decode[c].size() != decode[0].size())
       return fail(ErrorCode::kInvalid, "response",
-                  "the channels have different numbers of samples");
+                  "has channels with different numbers of samples");
   }
   Response response;
   response.form_ = Form::kTable;
@@ -266,12 +267,13 @@ Result<Response> parse_response(const std::string& text, const fs::path& folder)
       return fail(ErrorCode::kInvalid, text, "the exponent is not a positive number");
     return Response::gamma(exponent);
   }
-  if (text.empty()) return fail(ErrorCode::kInvalid, "response", fmt::format("empty; {}", known));
+  if (text.empty())
+    return fail(ErrorCode::kInvalid, "response", fmt::format("is empty; {}", known));
   const fs::path path = folder / text;
   std::error_code ignored;
   if (!fs::exists(path, ignored))
     return fail(ErrorCode::kNotFound, path.string(),
-                fmt::format("no such response or file; {}", known));
+                fmt::format("is neither a response nor a file; {}", known));
   PENUMBRA_ASSIGN(table, parse_toml(path));
   return read_response(path, table);
 }

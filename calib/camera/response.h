@@ -11,6 +11,7 @@
 
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// Camera response f: linear signal in 0..1 of full scale -> code in 0..1, per channel, monotone.
@@ -58,3 +59,4 @@ Result<Response> parse_response_file(std::string_view text, const std::filesyste
 std::string print_response_file(const Response& response);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

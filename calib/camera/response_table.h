@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <vector>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// Sensor code <-> linear signal in fractions of full scale, tabulated for one bit depth.
@@ -56,3 +57,4 @@ class ResponseTable {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -4,6 +4,7 @@
 #include <array>
 #include <glm/vec2.hpp>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 /// V = 1 + a1 p^2 + a2 p^4 + a3 p^6 with the distance p from the centre in half diagonals of the picture.
@@ -24,3 +25,4 @@ struct Vignetting {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

@@ -142,21 +142,23 @@ Result<Board> parse_board(std::string_view text) {
   const auto whole = [](const std::optional<double>& n) {
     return n && *n == std::floor(*n) && *n >= 2 && *n <= 100;
   };
-  if (!whole(columns) || !whole(rows)) return invalid("columns and rows are not within 2..100");
+  if (!whole(columns) || !whole(rows))
+    return invalid("the columns and rows are not whole numbers within 2..100");
   const auto square = to_number(parts[2]), marker = marked ? to_number(parts[3]) : 0.;
   const auto metres = [](const std::optional<double>& n) { return n && *n > 0 && *n < 100; };
   if (!metres(square) || (marked && !metres(marker)))
-    return invalid("a length is not within 0..100 metres");
+    return invalid("a length is not above 0 and below 100 metres");
   board.columns = static_cast<int>(*columns);
   board.rows = static_cast<int>(*rows);
   board.square_m = *square;
   board.marker_m = *marker;
   if (board.kind == Board::Kind::kChessboard && (board.columns < 3 || board.rows < 3))
-    return invalid("fewer than 3x3 inner corners");
+    return invalid("has fewer than 3x3 inner corners");
   if (board.kind == Board::Kind::kCharuco && board.columns * board.rows / 2 > 50)
-    return invalid("more squares than the 50 markers of 4x4_50 fill");
+    return invalid(
+        "has more than 101 squares, for which 50 markers of the dictionary 4x4_50 do not suffice");
   if (board.kind == Board::Kind::kCharuco && board.marker_m >= board.square_m)
-    return invalid("markers as large as their squares");
+    return invalid("has markers that are not smaller than their squares");
   return board;
 }
 

@@ -11,6 +11,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 struct Board {
@@ -40,3 +41,4 @@ std::optional<BoardView> find_board(const FramePixels& picture, const Board& boa
                                     std::string name);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

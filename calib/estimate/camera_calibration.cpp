@@ -335,9 +335,8 @@ Result<void> check_double_sphere(const LensFit& fit) {
   constexpr double kMaxSigma = .05;
   if (fit.sigma(kShared) <= kMaxSigma) return {};
   return undetermined(
-      fmt::format("xi is uncertain by {:.2f}, for xi and alpha differ only far from the axis: "
-                  "bring the board to "
-                  "the borders, or calibrate as kb4",
+      fmt::format("xi is uncertain by {:.2f}, since xi and alpha can only be told apart far from "
+                  "the axis: bring the board to the borders, or calibrate as kb4",
                   fit.sigma(kShared)));
 }
 
@@ -345,8 +344,8 @@ Result<void> check_reach(const CameraCalibration& c, bool distorted) {
   constexpr double kMinReach = .4;
   if (distorted && c.reach < kMinReach)
     return undetermined(
-        fmt::format("no corner lies beyond {:.0f} % of the way to the picture's corners, and the "
-                    "lens cannot be known there: bring the board to the borders",
+        fmt::format("no corner of the board lies beyond {:.0f} % of the way to the picture's "
+                    "corners, so the lens stays unknown there: bring the board to the borders",
                     100 * c.reach));
   return {};
 }
@@ -374,7 +373,7 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
                                     bool undistorted) {
   LensGuess guess = best_guess(views, start.kind, start.width, start.height);
   if (!std::isfinite(guess.cost))
-    return undetermined("no pose of the boards fits this projection: is it the right one?");
+    return undetermined("no pose of the board fits this projection: is --projection right?");
   LensFit fit{{guess.focal, guess.focal, start.principal_px.x, start.principal_px.y},
               std::move(guess.poses),
               {}};
@@ -407,8 +406,9 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
   for (int pass = 0; pass < 3; ++pass) {
     if (static_cast<std::size_t>(std::ranges::count(used, true)) < kMinBoards)
       return undetermined(
-          "fewer than 3 boards agree with each other: hold the board flat and still");
-    if (!solver.solve(1, used)) return undetermined("the solution does not converge");
+          "fewer than 3 pictures of the board agree with each other: keep the board flat and "
+          "still");
+    if (!solver.solve(1, used)) return undetermined("the least-squares solution does not converge");
     measure();
     if (pass < 2) leave_out(out, used);
   }
@@ -419,7 +419,8 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
   const double variance = out.rms_px * out.rms_px * static_cast<double>(all.size()) / freedom;
   if (!solver.estimate_covariance(variance, used))
     return undetermined(
-        "the boards leave the camera open: add pictures of the board tilted by 30 to 45 degrees");
+        "the pictures do not determine the camera: add pictures of the board tilted by 30 to 45 "
+        "degrees");
   PENUMBRA_TRY(check_focal(fit));
   if (std::is_same_v<Lens, DoubleSphere>) {
     PENUMBRA_TRY(check_double_sphere(fit));
@@ -456,15 +457,15 @@ Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, Pro
                                            const CameraCalibrationOptions& options) {
   if (!has_intrinsics(kind))
     return fail(ErrorCode::kInvalid, std::string(projection_name(kind)),
-                "has nothing to calibrate; pinhole, equidistant, kb4 and double-sphere have");
+                "has no intrinsics to calibrate; pinhole, equidistant, kb4 and double-sphere have");
   if (options.undistorted && kind == ProjectionKind::kDoubleSphere)
-    return fail(ErrorCode::kInvalid, "double-sphere", "has no undistorted form; take equidistant");
+    return fail(ErrorCode::kInvalid, "double-sphere", "has no undistorted form: take equidistant");
   PENUMBRA_ASSIGN(start, make_projection(kind, width, height));
   if (views.size() < kMinBoards)
-    return undetermined(fmt::format(
-        "the board was found in {} pictures, at least {} are needed: ten to thirty, from different "
-        "sides and up to the borders",
-        views.size(), kMinBoards));
+    return undetermined(
+        fmt::format("the board was found in {} pictures, and at least {} are needed: take ten to "
+                    "thirty, from different sides and up to the borders",
+                    views.size(), kMinBoards));
   switch (kind) {
     case ProjectionKind::kEquidistant:
       return calibrate<Equidistant>(views, start, options.undistorted);

@@ -11,6 +11,7 @@
 #include "calib/estimate/boards.h"
 #include "core/pose.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// What became of one picture's board.
@@ -44,3 +45,4 @@ Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, Pro
                                            const CameraCalibrationOptions& options = {});
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

@@ -140,7 +140,7 @@ Result<Relative> relative(std::span<const ColourPair> pairs) {
     const double mean = target.mean();
     if (!source.allFinite() || !target.allFinite() || !(mean > 0))
       return fail(ErrorCode::kNonFinite, fmt::format("colour pair {}", i + 1),
-                  "not finite, or black");
+                  "is not finite, or is black");
     out.source.push_back(source / mean);
     out.target.push_back(target / mean);
   }
@@ -153,7 +153,8 @@ Result<ColourModel> colour_model(std::string_view name) {
   if (name == "matrix") return ColourModel::kMatrix;
   if (name == "gains") return ColourModel::kGains;
   if (name == "scale") return ColourModel::kScale;
-  return fail(ErrorCode::kInvalid, std::string(name), "expected matrix, gains or scale");
+  return fail(ErrorCode::kInvalid, std::string(name),
+              "is none of the models matrix, gains and scale");
 }
 
 Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, ColourModel model) {
@@ -164,7 +165,7 @@ Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, Co
   constexpr int kRounds = 30;
   if (pairs.size() < kFewestPairs)
     return fail(ErrorCode::kUndetermined, "colour calibration",
-                fmt::format("only {} surfaces are seen well by both cameras, {} are needed",
+                fmt::format("only {} surfaces are well exposed in both cameras, and {} are needed",
                             pairs.size(), kFewestPairs));
   PENUMBRA_ASSIGN(scaled, relative(pairs));
   const auto parameters = parameters_of(model);
@@ -194,11 +195,10 @@ Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, Co
   constexpr double kFarOff = .1;
   out.rms = std::sqrt(square / static_cast<double>(std::max<std::size_t>(used, 1)));
   if (out.rms > kFarOff)
-    return fail(
-        ErrorCode::kUndetermined, "colour calibration",
-        fmt::format("{} surfaces disagree by {:.0f} %: are the poses right, did nothing move, and "
-                    "do the cameras need a fuller --model?",
-                    pairs.size(), 100 * out.rms));
+    return fail(ErrorCode::kUndetermined, "colour calibration",
+                fmt::format("{} surfaces disagree by {:.0f} %: are the poses right, did nothing "
+                            "move, and would --model matrix fit better?",
+                            pairs.size(), 100 * out.rms));
   PENUMBRA_TRY(check_determined(fit));
   out.matrix = to_glm(fit.matrix);
   out.sigma = to_glm(fit.sigma);

@@ -15,6 +15,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// How many numbers stand between two cameras: sensors of one make need a scale, of one kind gains, others a matrix.
@@ -50,3 +51,4 @@ Result<std::vector<std::optional<Rgb>>> find_colour_chart(const Image<Rgb>& radi
 std::string print_colour_file(const ColourCalibration& calibration, std::string_view source,
                               std::string_view target);
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

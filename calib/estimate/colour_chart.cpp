@@ -70,10 +70,9 @@ Result<std::vector<std::optional<Rgb>>> find_colour_chart(const Image<Rgb>& radi
                                                           const std::string& picture) {
   constexpr int kShortest = 100, kLongest = 4;  // pixels of a side; long side over short side
   const auto not_found = [&] {
-    return fail(
-        ErrorCode::kUndetermined, picture,
-        "no ColorChecker of 24 patches found: hold it flat, filling a tenth of the picture at "
-        "least, evenly lit");
+    return fail(ErrorCode::kUndetermined, picture,
+                "shows no ColorChecker of 24 patches: hold it flat and evenly lit, so that it "
+                "fills at least a tenth of the picture");
   };
   const auto [low, high] = std::minmax({radiance.width(), radiance.height()});
   if (low < kShortest || high > kLongest * low) return not_found();

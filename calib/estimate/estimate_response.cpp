@@ -57,17 +57,19 @@ bool is_border(const Rgb8& p) {
 
 Result<void> check_arguments(Pictures pictures, std::span<const Seconds> times) {
   if (pictures.size() != times.size())
-    return invalid(fmt::format("{} pictures, but {} times", pictures.size(), times.size()));
-  if (pictures.size() < 2) return invalid("fewer than 2 pictures");
+    return invalid(
+        fmt::format("has {} pictures but {} exposure times", pictures.size(), times.size()));
+  if (pictures.size() < 2) return invalid("has fewer than 2 pictures");
   for (std::size_t k = 0; k < pictures.size(); ++k) {
-    if (!pictures[k] || pictures[k]->empty()) return invalid(fmt::format("picture {} is empty", k));
+    if (!pictures[k] || pictures[k]->empty())
+      return invalid(fmt::format("picture {} is empty", k + 1));
     if (!pictures[k]->same_size(*pictures[0]))
-      return invalid(fmt::format("picture {} is {}x{}, picture 0 {}x{}", k, pictures[k]->width(),
-                                 pictures[k]->height(), pictures[0]->width(),
+      return invalid(fmt::format("picture {} is {}x{}, but picture 1 is {}x{}", k + 1,
+                                 pictures[k]->width(), pictures[k]->height(), pictures[0]->width(),
                                  pictures[0]->height()));
     if (!std::isfinite(times[k].count()) || times[k].count() <= 0)
       return invalid(
-          fmt::format("exposure time {} is {}, not a positive number", k, times[k].count()));
+          fmt::format("exposure time {} is {} s and not positive", k + 1, times[k].count()));
   }
   const auto [shortest, longest] = std::ranges::minmax_element(times);
   // Grossberg & Nayar 2003: without a trusted ratio of exposures every power of a curve fits too.
@@ -142,18 +144,21 @@ Survey survey_bracket(Pictures pictures) {
 }
 
 Result<void> check_survey(const Survey& survey) {
-  if (!survey.any_pixel) return undetermined("nothing but registration borders");
+  if (!survey.any_pixel)
+    return undetermined("every pixel lies outside one of the aligned pictures");
   if (!survey.any_above_black) return undetermined("every picture is black");
   if (!survey.any_below_clip) return undetermined("every picture is clipped");
   for (std::size_t c = 0; c < 3; ++c) {
     const auto& candidates = survey.candidates[c];
     if (candidates.size() < kMinSamples)
-      return undetermined(fmt::format(
-          "no overlap: {} sampled pixels are well exposed in two pictures in {}, {} are needed",
-          candidates.size(), kChannelNames[c], kMinSamples));
+      return undetermined(
+          fmt::format("the exposures do not overlap: {} sampled pixels are well exposed in two "
+                      "pictures in {}, and {} are needed",
+                      candidates.size(), kChannelNames[c], kMinSamples));
     const auto [low, high] = std::ranges::minmax(candidates, {}, &SquareCandidate::mean);
     if (high.mean - low.mean < 4)
-      return undetermined(fmt::format("one colour: {} is the same everywhere", kChannelNames[c]));
+      return undetermined(
+          fmt::format("the scene is too even: {} is the same everywhere", kChannelNames[c]));
     if (!survey.moves[c])
       return undetermined(fmt::format("{} does not change with the exposure", kChannelNames[c]));
   }
@@ -172,7 +177,8 @@ Result<void> check_order(Pictures pictures, std::span<const Seconds> times, cons
     for (const SquareCandidate& p : survey.candidates[1]) sum += pictures[k]->at(p.x, p.y).g;
     const double mean = sum / static_cast<double>(survey.candidates[1].size());
     if (mean < previous - 1)
-      return undetermined(fmt::format("picture {} is darker than one with a shorter exposure", k));
+      return undetermined(
+          fmt::format("picture {} is darker than one with a shorter exposure", k + 1));
     previous = mean;
   }
   return {};
@@ -305,8 +311,9 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
         rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
                terms.t() * equations.right);
     if (!exponents)
-      return undetermined(fmt::format("the equations of {} are singular",
-                                      kChannelNames[static_cast<std::size_t>(channel)]));
+      return undetermined(
+          fmt::format("the pictures do not determine the curve of {}: its equations are singular",
+                      kChannelNames[static_cast<std::size_t>(channel)]));
     const cv::Mat curve = terms * *exponents;
     return std::vector<double>(curve.begin<double>(), curve.end<double>());
   } catch (const std::exception& e) {  // cv::Exception is one
@@ -342,11 +349,11 @@ Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_ligh
   for (const double g : log_light) light.push_back(std::exp(g - log_light.back()));
   light[0] = std::max(0., 2 * light[1] - light[2]);  // a logarithm cannot say 0
   if (!std::ranges::all_of(light, [](double v) { return std::isfinite(v); }))
-    return undetermined("the equations have no finite solution");
+    return undetermined("the pictures give no finite curve");
   light = monotone(light);
   const double white = light[static_cast<std::size_t>(kLastTrusted)] / kClipLevel;
   if (!(white > 0) || light.front() >= white)
-    return undetermined("the equations give no rising curve");
+    return undetermined("the pictures give no rising curve");
   std::vector<float> decode;
   for (const double v : light) decode.push_back(static_cast<float>(std::clamp(v / white, 0., 1.)));
   return decode;
@@ -441,7 +448,8 @@ Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* cons
   const auto even = estimate_from(pictures, times, PictureHalf::kEvenRows),
              odd = estimate_from(pictures, times, PictureHalf::kOddRows);
   if (!even || !odd)
-    return undetermined("too few pixels to tell how sure the curve is: take larger pictures");
+    return undetermined(
+        "there are too few pixels to estimate the uncertainty of the curve: take larger pictures");
   // The mean of two halves is half as uncertain as their difference.
   out.sigma = difference(*even, *odd) / 2;
   const auto left = estimate_from(pictures, times, PictureHalf::kLeft),
@@ -454,10 +462,10 @@ Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* cons
   out.between_places = difference(*left, *right, both);
   constexpr double kMax = .05;
   if (*out.between_places > kMax && *out.between_places > 4 * out.sigma)
-    return undetermined(fmt::format(
-        "the left and the right half have curves {:.0f} % apart: switch local tone mapping "
-        "(\"HDR\", \"dynamic contrast\") off, or keep the scene still",
-        100 * *out.between_places));
+    return undetermined(
+        fmt::format("the curves of the left and the right half differ by {:.0f} %: switch local "
+                    "tone mapping (\"HDR\", \"dynamic contrast\") off, or keep the scene still",
+                    100 * *out.between_places));
   return out;
 }
 

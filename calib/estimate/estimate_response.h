@@ -10,6 +10,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes
@@ -31,3 +32,4 @@ Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* cons
                                                std::span<const Seconds> times);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

@@ -217,7 +217,7 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
   const auto take = [&](const auto& image, int bits) -> Result<void> {
     if (codes_.empty()) bits_ = bits, width_ = image.width(), height_ = image.height();
     if (bits != bits_ || image.width() != width_ || image.height() != height_)
-      return fail(ErrorCode::kInvalid, name, "another size or depth than the first frame");
+      return fail(ErrorCode::kInvalid, name, "has another size or bit depth than the first frame");
     if (codes_.size() >= kMaxFrames) return {};
     const auto area = static_cast<double>(image.area());
     const int apart = std::max(1, static_cast<int>(std::ceil(std::sqrt(area / kEnough))));
@@ -231,7 +231,8 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
   };
   if (const auto* bytes = std::get_if<Image<Rgb8>>(&frame)) return take(*bytes, 8);
   if (const auto* words = std::get_if<Image<Rgb16>>(&frame)) return take(*words, 16);
-  return fail(ErrorCode::kInvalid, name, "float pixels have no camera's noise");
+  return fail(ErrorCode::kInvalid, name,
+              "has float pixels, which do not have the noise of a sensor");
 }
 
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
@@ -241,8 +242,8 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   std::size_t frames = 0;
   for (const StillSeries& s : still) frames = std::max(frames, s.frames());
   if (frames < kFewestFrames)
-    return undetermined(
-        fmt::format("{} frames of one exposure at most, {} are needed", frames, kFewestFrames));
+    return undetermined(fmt::format("has at most {} frames of one exposure, and {} are needed",
+                                    frames, kFewestFrames));
   NoiseCalibration out;
   out.black_level = black_level;
   std::vector<std::pair<double, Dark>> darks;  // gain
@@ -260,13 +261,14 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
     if (dark.variance > 0) out.points.push_back({0, gain, dark.variance, dark.samples});
   if (out.points.size() < 3)
     return undetermined(
-        "hardly any noise above the steps of the codes: raise the gain, or take raw frames");
+        "the noise hardly exceeds the quantisation of the codes: raise the gain, or take raw "
+        "frames");
   const auto fit = fit_model(out.points);
   const auto [dimmest, brightest] = std::ranges::minmax(out.points, {}, &NoisePoint::signal);
   const std::string more =
       "show it everything from dark to bright, at two exposures four stops apart";
   if (!fit || !(fit->a > 0) || brightest.signal < 8 * dimmest.signal)
-    return undetermined("all that is seen has about one brightness: " + more);
+    return undetermined("everything in the scene has about one brightness: " + more);
   if (std::sqrt(fit->var_a) > kMaxUncertain * fit->a)
     return undetermined(fmt::format("the full well stays uncertain by {:.0f} %: {}",
                                     100 * std::sqrt(fit->var_a) / fit->a, more));

@@ -15,6 +15,7 @@
 #include "core/image.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 /// Codes of some thirty thousand pixels, evenly over the picture, through many frames of one exposure.
@@ -62,3 +63,4 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
 /// "version = 1" and [noise]: full_well_electrons, read_noise, black_level, how sure they are.
 std::string print_noise_file(const NoiseCalibration& calibration);
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

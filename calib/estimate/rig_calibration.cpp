@@ -174,7 +174,7 @@ class Adjustment {
     for (int pass = 0; pass < kPasses; ++pass) {
       ceres::Problem problem;
       build(problem, true);
-      if (!solve(problem)) return undetermined("the solution does not converge");
+      if (!solve(problem)) return undetermined("the least-squares solution does not converge");
       sigma_px_ = std::max(.01, rms());
       if (pass < kPasses - 1) leave_out();
     }
@@ -185,7 +185,8 @@ class Adjustment {
     for (std::size_t c = 0; c < cameras.size(); ++c) {
       out.cameras.push_back({pose_of(cameras_[c]), {}, {}, rms(c), boards(c)});
       if (out.cameras[c].boards == 0)
-        return undetermined(fmt::format("no board of {} agrees with the others", cameras[c].name));
+        return undetermined(
+            fmt::format("no picture of the board by {} agrees with the others", cameras[c].name));
     }
     PENUMBRA_TRY(check_fit(out));
     set_boards(out);
@@ -287,18 +288,18 @@ class Adjustment {
     constexpr double kMax_px = 2, kMaxSigmas = 3;
     if (out.rms_px > kMax_px || 3 * out.left_out.size() > observed_.size())
       return undetermined(fmt::format(
-          "the boards contradict each other ({:.1f} px RMS, {} of {} left out): is --board's size "
-          "right, "
-          "were the frames of a moment taken at once, and are the lenses calibrated{}?",
+          "the pictures of the board contradict each other ({:.1f} px RMS, {} of {} left out): is "
+          "the size in --board right, were the frames of a moment taken at once, and are the "
+          "lenses calibrated{}?",
           out.rms_px, out.left_out.size(), observed_.size(),
-          tracked() ? ", did the board stand still, and are quaternions x, y, z, w" : ""));
+          tracked() ? ", did the board stand still, and are the quaternions x, y, z, w" : ""));
     const double sigmas = tracked() ? tracker_misfit() : 0;
     if (sigmas > kMaxSigmas)
-      return undetermined(fmt::format(
-          "the tracker contradicts the cameras by {:.1f} times its stated noise: are its metres "
-          "and "
-          "quaternions (x, y, z, w) right, is --board's size, and did the board stand still?",
-          sigmas));
+      return undetermined(
+          fmt::format("the tracker contradicts the cameras by {:.1f} times its stated noise: are "
+                      "its metres and quaternions (x, y, z, w) and the size in --board right, and "
+                      "did the board stand still?",
+                      sigmas));
     return {};
   }
   void set_boards(RigCalibration& out) const {
@@ -378,8 +379,8 @@ class Adjustment {
     out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance));
     if (out.tracker_offset_sigma_s > kMaxOffsetSigma)
       return undetermined(
-          fmt::format("the clocks' offset stays uncertain by {:.0f} ms: move the rig "
-                      "faster, half a metre and 30 degrees a second",
+          fmt::format("the offset between the clocks stays uncertain by {:.0f} ms: move the rig "
+                      "faster, by half a metre and 30 degrees a second",
                       1000 * out.tracker_offset_sigma_s));
     return {};
   }
@@ -397,9 +398,9 @@ class Adjustment {
     if (tracked()) wanted.emplace_back(&offset_s_, &offset_s_);
     if (wanted.empty()) return {};
     if (!covariance.Compute(wanted, &problem))
-      return undetermined(tracked() ? "the poses are left open: turn the rig about two axes, by 30 "
-                                      "degrees at least, while it sees the board"
-                                    : "the poses are left open: show the board closer");
+      return undetermined(tracked() ? "the poses are not determined: turn the rig about two axes, "
+                                      "by at least 30 degrees, while it sees the board"
+                                    : "the poses are not determined: show the board closer");
     if (tracked()) PENUMBRA_TRY(set_offset_sigma(covariance, out));
     for (std::size_t c = tracked() ? 0 : 1; c < cameras_.size(); ++c) {
       double block[36];
@@ -409,9 +410,9 @@ class Adjustment {
                    turn = glm::length(out.cameras[c].rotation_sigma_rad);
       if (place > kMaxPosition_m || turn > kMaxTurn)
         return undetermined(
-            fmt::format("a camera's place stays uncertain by {:.0f} mm and {:.1f} degrees: {}",
+            fmt::format("the pose of a camera stays uncertain by {:.0f} mm and {:.1f} degrees: {}",
                         1000 * place, turn * 180 / kPi,
-                        tracked() ? "turn the rig about two axes, by 30 degrees at least"
+                        tracked() ? "turn the rig about two axes, by at least 30 degrees"
                                   : "show the board closer, tilted, to both cameras at once"));
     }
     return {};
@@ -431,15 +432,15 @@ class Adjustment {
 Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options) {
-  if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig calibration", "no camera");
+  if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig calibration", "there is no camera");
   FLAGS_minloglevel = google::GLOG_FATAL;  // Ceres' own words; what matters comes back as errors
   for (const RigObservation& o : observations)
     if (o.camera >= cameras.size())
-      return fail(ErrorCode::kInvalid, o.view.name, "of a camera that is not there");
+      return fail(ErrorCode::kInvalid, o.view.name, "belongs to a camera that does not exist");
   for (std::size_t i = 1; i < options.tracker.size(); ++i)
     if (!(options.tracker[i].time_s > options.tracker[i - 1].time_s))
       return fail(ErrorCode::kInvalid, fmt::format("tracker pose {}", i + 1),
-                  "not later than the one before");
+                  "is not later than the one before");
   PENUMBRA_ASSIGN(start, start_rig(cameras, observations, options));
   Adjustment adjustment(cameras, start.views, options, start);
   return adjustment.run(cameras, start.views);

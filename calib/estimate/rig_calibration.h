@@ -12,6 +12,7 @@
 #include "calib/estimate/boards.h"
 #include "core/pose.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 struct RigCameraInput {
@@ -73,3 +74,4 @@ Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
 std::optional<Pose> board_pose(const CameraModel& projection, const BoardView& view);
 
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

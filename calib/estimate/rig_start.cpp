@@ -128,12 +128,12 @@ Result<double> find_offset(const std::vector<double>& times,
   }
   if (!std::isfinite(smallest))
     return undetermined(
-        "fewer than six pairs of frames, within a second of each other, show the board within the "
-        "tracker's times: film for longer, or look at more frames (--min-interval)");
+        "fewer than six pairs of frames within a second of each other show the board within the "
+        "tracker's times: film for longer, or use more frames (--min-interval)");
   if (std::abs(best) > options.max_offset_s - 1.5 * kStep)
     return undetermined(
-        fmt::format("the clocks differ by {} s or more, or the tracker follows another "
-                    "body: bring its times nearer to the frames'",
+        fmt::format("the clocks differ by {} s or more, or the tracker follows another body: shift "
+                    "its times closer to those of the frames",
                     options.max_offset_s));
   return best;
 }
@@ -161,8 +161,8 @@ Result<Pose> hand_eye(const std::vector<Pose>& world_from_body,
                       const std::vector<Pose>& first_from_board) {
   if (!turns_about_two_axes(world_from_body))
     return undetermined(
-        "the rig turns about one axis alone: turn it about two, by 30 degrees at "
-        "least, while it sees the board");
+        "the rig turns about one axis only: turn it about two, by at least 30 degrees, while it "
+        "sees the board");
   std::vector<cv::Mat> body_r, body_t, board_r, board_t;
   const auto vector = [](const glm::dvec3& v) { return cv::Mat(cv::Vec3d(v.x, v.y, v.z), true); };
   for (std::size_t m = 0; m < world_from_body.size(); ++m) {
@@ -175,7 +175,8 @@ Result<Pose> hand_eye(const std::vector<Pose>& world_from_body,
   try {
     cv::calibrateHandEye(body_r, body_t, board_r, board_t, r, t, cv::CALIB_HAND_EYE_PARK);
   } catch (const cv::Exception& e) {
-    return undetermined(fmt::format("no place of the camera on the body found ({})", e.err));
+    return undetermined(
+        fmt::format("the pose of a camera on the tracked body cannot be found ({})", e.err));
   }
   glm::dmat3 rotation;
   for (int row = 0; row < 3; ++row)
@@ -264,8 +265,8 @@ Result<void> check_tracker(std::span<const RigObservation> observations,
   constexpr std::size_t kFewest = 10;
   const auto& tracker = options.tracker;
   if (tracker.size() < kFewest)
-    return undetermined(
-        fmt::format("the tracker has {} poses, at least {} are needed", tracker.size(), kFewest));
+    return undetermined(fmt::format("the tracker has {} poses, and at least {} are needed",
+                                    tracker.size(), kFewest));
   if (observations.empty()) return {};
   const auto [first, last] = std::ranges::minmax(observations, {}, &RigObservation::time_s);
   const double from = tracker.front().time_s, to = tracker.back().time_s;
@@ -295,8 +296,8 @@ Result<RigStart> start_rig(std::span<const RigCameraInput> cameras,
       posed.push_back({&o, *pose});
   }
   if (posed.size() < kFewest)
-    return undetermined(fmt::format("the board has a pose in {} pictures, at least {} are needed",
-                                    posed.size(), kFewest));
+    return undetermined(fmt::format(
+        "the board has a pose in {} pictures, and at least {} are needed", posed.size(), kFewest));
   std::ranges::stable_sort(posed, {}, [](const Posed& p) { return p.view->time_s; });
   RigStart out;
   out.moment_of = number_moments(posed, options.simultaneous_s, out.times_s);

@@ -64,7 +64,8 @@ Result<std::vector<PixelBlock>> blocks_of(const EvenPicture& picture, const Came
       std::visit([](const auto& i) { return std::pair(i.width(), i.height()); }, picture.pixels);
   if (width != camera.width || height != camera.height)
     return fail(ErrorCode::kInvalid, picture.name,
-                fmt::format("{}x{}, expected {}x{}", width, height, camera.width, camera.height));
+                fmt::format("has {}x{} pixels instead of {}x{}", width, height, camera.width,
+                            camera.height));
   const auto undetermined = [&](const std::string& why) {
     return fail(ErrorCode::kUndetermined, picture.name, why);
   };
@@ -72,7 +73,7 @@ Result<std::vector<PixelBlock>> blocks_of(const EvenPicture& picture, const Came
   const int side = std::clamp(std::max(width, height) / kBlocks, 1, std::min(width, height));
   constexpr int kFewest = 12;  // blocks a side
   if (std::min(width, height) / side < kFewest)
-    return undetermined("is too small or too narrow to tell a lens from");
+    return undetermined("is too small or too narrow to show the fall-off of a lens");
   std::vector<PixelBlock> out;
   for (int y = 0; y + side <= height; y += side)
     for (int x = 0; x + side <= width; x += side) {
@@ -81,13 +82,13 @@ Result<std::vector<PixelBlock>> blocks_of(const EvenPicture& picture, const Came
             return sum_block(i, read, {x, y}, side);
           },
           picture.pixels);
-      if (!std::isfinite(mean)) return undetermined("has pixels that are no numbers");
+      if (!std::isfinite(mean)) return undetermined("has pixels that are NaN or infinite");
       if (mean <= 0 || (!is_linear && mean < kDark))
         return undetermined(
             "is too dark in places: expose longer, until the middle is at half of full scale");
       if (clipped > kMaxClipped)
         return undetermined(
-            "is clipped in places, in one colour at least: expose shorter, until the middle is at "
+            "is clipped in places, in at least one colour: expose shorter, until the middle is at "
             "half of full scale");
       const glm::dvec2 at(x + side / 2., y + side / 2.);
       out.push_back({(at - frame.centre_px) / frame.half_diagonal_px, std::log(mean)});
@@ -137,7 +138,8 @@ Result<FalloffFit> fit(std::span<const std::vector<PixelBlock>> pictures) {
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
   if (!summary.IsSolutionUsable())
-    return fail(ErrorCode::kUndetermined, "vignetting", "no lens explains these pictures");
+    return fail(ErrorCode::kUndetermined, "vignetting",
+                "no fall-off of a lens fits these pictures");
   double squares = 0;
   for (std::size_t i = 0; i < pictures.size(); ++i)
     for (const PixelBlock& b : pictures[i]) {
@@ -152,7 +154,8 @@ Result<FalloffFit> fit(std::span<const std::vector<PixelBlock>> pictures) {
       {out.terms.data(), out.terms.data()}};
   if (!covariance.Compute(wanted, &problem) ||
       !covariance.GetCovarianceBlock(out.terms.data(), out.terms.data(), c))
-    return fail(ErrorCode::kUndetermined, "vignetting", "these pictures do not determine a lens");
+    return fail(ErrorCode::kUndetermined, "vignetting",
+                "these pictures do not determine the fall-off");
   double sum = 0;  // V in the corner is 1 + a1 + a2 + a3
   for (const double v : c) sum += v;
   out.corner_sigma = out.residual * std::sqrt(std::max(0., sum));
@@ -171,8 +174,8 @@ Result<void> check_agreement(std::span<const EvenPicture> pictures,
     PENUMBRA_ASSIGN(alone, fit(blocks.subspan(i, 1)));
     if (std::abs(corner_of(alone.terms) - corner) > kMaxApart)
       return fail(ErrorCode::kUndetermined, pictures[i].name,
-                  fmt::format("says {:.0f} % in the corners where all together say {:.0f} %: the "
-                              "surface is not evenly lit",
+                  fmt::format("has {:.0f} % of the light in the corners where all pictures "
+                              "together have {:.0f} %: the surface is not evenly lit",
                               100 * corner_of(alone.terms), 100 * corner));
   }
   return {};
@@ -204,7 +207,7 @@ std::vector<VignettingCalibration::Ring> rings_of(std::span<const std::vector<Pi
 Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> pictures,
                                                    const CameraModel& camera,
                                                    const Response& response, double black_level) {
-  if (pictures.empty()) return fail(ErrorCode::kInvalid, "pictures", "none");
+  if (pictures.empty()) return fail(ErrorCode::kInvalid, "pictures", "there is none");
   VignettingCalibration out;
   out.vignetting = vignetting_of(camera, {});
   std::vector<std::vector<PixelBlock>> blocks;
@@ -214,16 +217,16 @@ Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> 
   }
   PENUMBRA_ASSIGN(fitted, fit(blocks));
   if (fitted.residual > kMaxUneven)
-    return fail(
-        ErrorCode::kUndetermined, pictures[0].name,
-        fmt::format("{:.1f} % are left that no lens explains: photograph something even, such as "
-                    "white paper out of focus",
-                    100 * fitted.residual));
+    return fail(ErrorCode::kUndetermined, pictures[0].name,
+                fmt::format("differs by {:.1f} % from any fall-off of a lens: photograph something "
+                            "even, such as white paper out of focus",
+                            100 * fitted.residual));
   PENUMBRA_TRY(check_agreement(pictures, blocks, corner_of(fitted.terms)));
   out.vignetting.terms = fitted.terms;
   if (!is_plausible(out.vignetting, camera))
     return fail(ErrorCode::kUndetermined, pictures[0].name,
-                "what is found is no lens: it leaves less than 2 % or more than 150 % somewhere");
+                "gives a fall-off that no lens has: less than 2 % or more than 150 % of the light "
+                "somewhere");
   out.corner = corner_of(fitted.terms);
   out.corner_sigma = fitted.corner_sigma;
   out.residual = fitted.residual;

@@ -15,6 +15,7 @@
 #include "calib/camera/vignetting.h"
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::calib {
 
 struct EvenPicture {
@@ -42,3 +43,4 @@ Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> 
 /// "version = 1" and [vignetting]: terms, corner, corner_sigma.
 std::string print_vignetting_file(const VignettingCalibration& calibration);
 }  // namespace penumbra::calib
+#pragma GCC visibility pop

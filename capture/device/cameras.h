@@ -11,6 +11,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 // ------------------------------------------------------------------------------ what is there
@@ -90,3 +91,4 @@ class CameraDevice {
 Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

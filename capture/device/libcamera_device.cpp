@@ -42,7 +42,7 @@ Result<std::shared_ptr<lc::CameraManager>> manager() {
     auto made = std::make_unique<lc::CameraManager>();
     if (const int e = made->start())
       return fail(ErrorCode::kUnavailable, "libcamera",
-                  fmt::format("does not start: {}", std::strerror(-e)));
+                  fmt::format("cannot be started: {}", std::strerror(-e)));
     running = made.release();
   }
   ++users;
@@ -107,7 +107,7 @@ Result<DeviceBuffer> map_buffer(const lc::FrameBuffer& buffer, const std::string
   for (const auto& plane : planes) {
     if (plane.fd.get() != planes[0].fd.get())
       return fail(ErrorCode::kUnavailable, device,
-                  "gives pictures in several memories, which are not read here");
+                  "delivers each picture in several buffers, which is not supported");
     end = std::max(end, std::size_t{plane.offset} + plane.length);
   }
   DeviceBuffer out{MappedBuffer(planes[0].fd.get(), end, 0), planes[0].fd.get(), planes[0].offset};
@@ -234,7 +234,7 @@ class LibcameraDevice : public CameraDevice {
 Result<void> LibcameraDevice::configure() {
   auto configuration = camera_->generateConfiguration({lc::StreamRole::VideoRecording});
   if (!configuration || configuration->empty())
-    return fail(ErrorCode::kUnavailable, settings_.device, "makes no video");
+    return fail(ErrorCode::kUnavailable, settings_.device, "has no video stream");
   lc::StreamConfiguration& stream = configuration->at(0);
   PENUMBRA_ASSIGN(mode, choose_mode(modes_of(stream), settings_));
   const auto formats = stream.formats().pixelformats();
@@ -252,7 +252,7 @@ Result<void> LibcameraDevice::configure() {
     return fail(ErrorCode::kUnavailable, settings_.device,
                 fmt::format("does not give {} {}x{}", mode.format, mode.width, mode.height));
   if (const int e = camera_->configure(configuration.get()))
-    return std::unexpected(error(ErrorCode::kUnavailable, "takes no format", e));
+    return std::unexpected(error(ErrorCode::kUnavailable, "refuses the format", e));
   stream_ = stream.stream();
   RawLayout layout{v4l2_fourcc_of(asked), mode.width, mode.height, static_cast<int>(stream.stride)};
   if (stream.colorSpace) {
@@ -285,25 +285,25 @@ Result<void> LibcameraDevice::start() {
   PENUMBRA_TRY(configure());
   allocator_ = std::make_unique<lc::FrameBufferAllocator>(camera_);
   if (const int e = allocator_->allocate(stream_); e < 0)
-    return std::unexpected(error(ErrorCode::kUnavailable, "gives no buffers", e));
+    return std::unexpected(error(ErrorCode::kUnavailable, "provides no buffers", e));
   for (const auto& buffer : allocator_->buffers(stream_)) {
     PENUMBRA_ASSIGN(picture, map_buffer(*buffer, settings_.device));
     pictures_.emplace(buffer.get(), std::move(picture));
     requests_.push_back(camera_->createRequest());
     if (!requests_.back() || requests_.back()->addBuffer(stream_, buffer.get()) != 0)
-      return fail(ErrorCode::kUnavailable, settings_.device, "takes no request");
+      return fail(ErrorCode::kUnavailable, settings_.device, "refuses a capture request");
   }
   camera_->requestCompleted.connect(this, &LibcameraDevice::completed);
   camera_->disconnected.connect(this, &LibcameraDevice::disconnected);
   lc::ControlList controls = without_automatics();
   if (const int e = camera_->start(&controls))
-    return std::unexpected(error(ErrorCode::kUnavailable, "does not start", e));
+    return std::unexpected(error(ErrorCode::kUnavailable, "cannot be started", e));
   started_ = true;
   for (const auto& request : requests_) {
     // Once more: some pipelines take no controls at the start. Exposures follow later, which automatics would refuse.
     request->controls().merge(controls);
     if (const int e = camera_->queueRequest(request.get()))
-      return std::unexpected(error(ErrorCode::kUnavailable, "takes no request", e));
+      return std::unexpected(error(ErrorCode::kUnavailable, "refuses a capture request", e));
   }
   return {};
 }
@@ -343,7 +343,7 @@ Result<void> LibcameraDevice::give_back(lc::Request* request) {
   request->reuse(lc::Request::ReuseBuffers);
   set_exposure(request->controls());
   if (const int e = camera_->queueRequest(request))
-    return std::unexpected(error(ErrorCode::kClosed, "takes no request", e));
+    return std::unexpected(error(ErrorCode::kClosed, "refuses a capture request", e));
   return {};
 }
 
@@ -364,7 +364,8 @@ Result<std::optional<CameraFrame>> LibcameraDevice::wait(Seconds timeout, Second
   const TimestampNs end = now() + timeout;
   while (true) {
     lc::Request* const request = completed_.wait(Seconds(std::max(0., (end - now()).count())));
-    if (completed_.ended()) return fail(ErrorCode::kClosed, settings_.device, "is gone");
+    if (completed_.ended())
+      return fail(ErrorCode::kClosed, settings_.device, "is not connected any more");
     if (!request) return std::nullopt;
     const lc::FrameMetadata& frame = request->findBuffer(stream_)->metadata();
     const TimestampNs time{static_cast<std::int64_t>(frame.timestamp)};
@@ -380,7 +381,7 @@ Result<std::optional<CameraFrame>> LibcameraDevice::wait(Seconds timeout, Second
 }
 
 Result<FramePixels> LibcameraDevice::pixels() {
-  if (!last_) return fail(ErrorCode::kUnreadable, settings_.device, "no frame at hand");
+  if (!last_) return fail(ErrorCode::kUnreadable, settings_.device, "has no frame to read");
   const lc::FrameBuffer* const buffer = last_->findBuffer(stream_);
   const DeviceBuffer& picture = pictures_.at(buffer);
   std::size_t used = 0;
@@ -410,7 +411,7 @@ void list_libcamera(CameraList& list) {
     const std::string device = std::string(kLibcamera) + camera->id();
     const auto configuration = camera->generateConfiguration({lc::StreamRole::VideoRecording});
     if (!configuration || configuration->empty()) {
-      list.rejected.push_back({ErrorCode::kUnavailable, device, "makes no video"});
+      list.rejected.push_back({ErrorCode::kUnavailable, device, "has no video stream"});
       continue;
     }
     const ControlLimits limits = limits_of(*camera);
@@ -423,7 +424,7 @@ Result<std::unique_ptr<CameraDevice>> open_libcamera(const CameraSettings& setti
   PENUMBRA_ASSIGN(cameras, manager());
   const std::string id = settings.device.substr(kLibcamera.size());
   auto camera = cameras->get(id);
-  if (!camera) return fail(ErrorCode::kNotFound, settings.device, "no such camera");
+  if (!camera) return fail(ErrorCode::kNotFound, settings.device, "is not a connected camera");
   if (const int e = camera->acquire())
     return fail(ErrorCode::kUnavailable, settings.device,
                 fmt::format("cannot be opened: {}", std::strerror(-e)));

@@ -112,7 +112,7 @@ Rig::~Rig() {
 }
 
 Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamera open) {
-  if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig", "no camera");
+  if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig", "has no camera");
   auto rig = std::unique_ptr<Rig>(new Rig);
   std::vector<std::unique_ptr<CameraDevice>> devices;
   for (RigCamera& camera : cameras) {

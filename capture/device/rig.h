@@ -10,6 +10,7 @@
 #include "capture/frames.h"
 #include "core/queues.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 struct RigCamera {
@@ -59,3 +60,4 @@ class Rig : public FrameSource {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -24,11 +24,14 @@ Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
     gains = given;
   }
   if (times.empty() || times.size() > kMax)
-    return keys.invalid("exposures_s", fmt::format("not \"auto\" or 1 to {} exposures", kMax));
+    return keys.invalid(
+        "exposures_s",
+        fmt::format("is neither \"auto\" nor a list of 1 to {} exposure times", kMax));
   for (std::size_t i = 0; i < times.size(); ++i) {
     if (!(times[i] > 0 && times[i] <= 60))
-      return keys.invalid("exposures_s", "not within 0..60 seconds");
-    if (!(gains[i] > 0 && gains[i] <= 1e4)) return keys.invalid("gains", "not within 0..10000");
+      return keys.invalid("exposures_s", "has a time that is not above 0 and at most 60 s");
+    if (!(gains[i] > 0 && gains[i] <= 1e4))
+      return keys.invalid("gains", "has a gain that is not above 0 and at most 10000");
     schedule.push_back({Seconds(times[i]), Gain(gains[i])});
   }
   return schedule;
@@ -38,18 +41,19 @@ Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
 Result<void> read_exposures(const TomlKeys& keys, RigCamera& camera) {
   const bool automatic = keys.text("exposures_s").value_or("") == "auto";
   if (!automatic) {
-    if (keys.has("light_error"))
-      return keys.invalid("light_error", "only with exposures_s = \"auto\"");
+    if (keys.has("light_error")) return keys.invalid("light_error", "needs exposures_s = \"auto\"");
     PENUMBRA_ASSIGN(schedule, read_schedule(keys));
     camera.schedule = std::move(schedule);
     return {};
   }
-  if (keys.has("gains")) return keys.invalid("gains", "not with exposures_s = \"auto\"");
+  if (keys.has("gains"))
+    return keys.invalid("gains",
+                        "belongs to a list of exposure times, not to exposures_s = \"auto\"");
   constexpr double kUsualError = .01;
   camera.light_error = kUsualError;
   if (!keys.has("light_error")) return {};
   PENUMBRA_ASSIGN(error, keys.number("light_error"));
-  if (!(error > 0 && error < 1)) return keys.invalid("light_error", "not within 0..1");
+  if (!(error > 0 && error < 1)) return keys.invalid("light_error", "is not above 0 and below 1");
   camera.light_error = error;
   return {};
 }
@@ -62,7 +66,7 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
   RigCamera camera;
   PENUMBRA_ASSIGN(info, read_camera_info(keys));
   camera.info = std::move(info);
-  if (!keys.has("response")) return keys.invalid("response", "missing");
+  if (!keys.has("response")) return keys.invalid("response", "is missing");
   PENUMBRA_ASSIGN(response, read_response(keys, {}));
   camera.info.response = response;
   PENUMBRA_TRY(read_white_balance(keys, camera.info.response));
@@ -74,12 +78,12 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
   }
   if (keys.has("fps")) {
     PENUMBRA_ASSIGN(fps, keys.number("fps"));
-    if (!(fps > 0 && fps <= 1000)) return keys.invalid("fps", "not within 0..1000");
+    if (!(fps > 0 && fps <= 1000)) return keys.invalid("fps", "is not above 0 and at most 1000");
     camera.settings.fps = fps;
   }
   if (keys.has("unit_gain")) {
     PENUMBRA_ASSIGN(unit, keys.number("unit_gain"));
-    if (!(unit > 0)) return keys.invalid("unit_gain", "not positive");
+    if (!(unit > 0)) return keys.invalid("unit_gain", "is not positive");
     camera.settings.unit_gain = unit;
   }
   if (keys.has("delay_frames")) {

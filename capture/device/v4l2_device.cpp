@@ -78,12 +78,12 @@ Result<void> V4l2Device::start() {
   v4l2_requestbuffers request{};
   request.count = kBuffers, request.type = kType, request.memory = V4L2_MEMORY_MMAP;
   if (const int e = node_.call(VIDIOC_REQBUFS, &request))
-    return std::unexpected(node_.error(ErrorCode::kUnavailable, "gives no buffers", e));
+    return std::unexpected(node_.error(ErrorCode::kUnavailable, "provides no buffers", e));
   for (std::uint32_t i = 0; i < request.count; ++i) {
     v4l2_buffer buffer{};
     buffer.index = i, buffer.type = kType, buffer.memory = V4L2_MEMORY_MMAP;
     if (const int e = node_.call(VIDIOC_QUERYBUF, &buffer))
-      return std::unexpected(node_.error(ErrorCode::kUnavailable, "describes no buffer", e));
+      return std::unexpected(node_.error(ErrorCode::kUnavailable, "does not describe a buffer", e));
     buffers_.emplace_back(node_.fd(), buffer.length, buffer.m.offset);
     if (!buffers_.back())
       return std::unexpected(node_.error(ErrorCode::kUnavailable, "cannot map a buffer", errno));
@@ -91,7 +91,7 @@ Result<void> V4l2Device::start() {
   }
   int type = kType;
   if (const int e = node_.call(VIDIOC_STREAMON, &type))
-    return std::unexpected(node_.error(ErrorCode::kUnavailable, "does not start", e));
+    return std::unexpected(node_.error(ErrorCode::kUnavailable, "cannot be started", e));
   streaming_ = true;
   return {};
 }
@@ -114,15 +114,15 @@ Result<void> V4l2Device::request(Exposure wanted) {
   if (!e && controls_.gain)
     e = node_.set(controls_.gain->id, snap(*controls_.gain, wanted.gain.value() * unit_gain_));
   if (!e) return {};
-  return std::unexpected(
-      node_.error(e == ENODEV ? ErrorCode::kClosed : ErrorCode::kInvalid, "takes no exposure", e));
+  return std::unexpected(node_.error(e == ENODEV ? ErrorCode::kClosed : ErrorCode::kInvalid,
+                                     "refuses the exposure", e));
 }
 
 Result<void> V4l2Device::give_back(std::uint32_t index) {
   v4l2_buffer buffer{};
   buffer.index = index, buffer.type = kType, buffer.memory = V4L2_MEMORY_MMAP;
   if (const int e = node_.call(VIDIOC_QBUF, &buffer))
-    return std::unexpected(node_.error(ErrorCode::kClosed, "takes no buffer back", e));
+    return std::unexpected(node_.error(ErrorCode::kClosed, "refuses a returned buffer", e));
   return {};
 }
 
@@ -158,7 +158,7 @@ Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout, Seconds old
         return std::nullopt;
       continue;
     } else if (e != 0) {
-      return std::unexpected(node_.error(ErrorCode::kClosed, "gives no more frames", e));
+      return std::unexpected(node_.error(ErrorCode::kClosed, "delivers no more frames", e));
     }
     const bool damaged = (buffer.flags & V4L2_BUF_FLAG_ERROR) || buffer.index >= buffers_.size();
     damaged_ += damaged;
@@ -172,7 +172,7 @@ Result<std::optional<CameraFrame>> V4l2Device::wait(Seconds timeout, Seconds old
 }
 
 Result<FramePixels> V4l2Device::pixels() {
-  if (!last_) return fail(ErrorCode::kUnreadable, node_.device(), "no frame at hand");
+  if (!last_) return fail(ErrorCode::kUnreadable, node_.device(), "has no frame to read");
   const auto bytes = buffers_[last_->index].bytes();
   const auto used = bytes.first(std::min<std::size_t>(last_->bytesused, bytes.size()));
   auto pixels = converter_.convert(used);
@@ -191,7 +191,7 @@ Result<RawLayout> negotiate(const V4l2Node& node, const CameraMode& mode, double
   format.fmt.pix.pixelformat = fourcc;
   format.fmt.pix.field = V4L2_FIELD_NONE;
   if (const int e = node.call(VIDIOC_S_FMT, &format))
-    return std::unexpected(node.error(ErrorCode::kUnavailable, "takes no format", e));
+    return std::unexpected(node.error(ErrorCode::kUnavailable, "refuses the format", e));
   const v4l2_pix_format& pix = format.fmt.pix;
   if (pix.pixelformat != fourcc || pix.width != static_cast<std::uint32_t>(mode.width) ||
       pix.height != static_cast<std::uint32_t>(mode.height))

@@ -66,13 +66,13 @@ Result<V4l2Node> V4l2Node::open(const std::string& device) {
   node.fd_ = UniqueFd(::open(device.c_str(), O_RDWR | O_NONBLOCK | O_CLOEXEC));
   if (!node.fd_) {
     const bool missing = errno == ENOENT || errno == ENODEV || errno == ENXIO;
-    if (missing) return fail(ErrorCode::kNotFound, device, "no such camera");
+    if (missing) return fail(ErrorCode::kNotFound, device, "is not a connected camera");
     return std::unexpected(node.error(ErrorCode::kUnavailable, "cannot be opened", errno));
   }
   v4l2_capability able{};
   if (const int e = node.call(VIDIOC_QUERYCAP, &able))
     return fail(ErrorCode::kUnavailable, device,
-                fmt::format("is no video device: {}", std::strerror(e)));
+                fmt::format("is not a video device: {}", std::strerror(e)));
   node.hardware_ = hardware_of(node.fd());
   node.name_ = text(able.card);
   node.driver_ = text(able.driver);
@@ -80,11 +80,11 @@ Result<V4l2Node> V4l2Node::open(const std::string& device) {
       able.capabilities & V4L2_CAP_DEVICE_CAPS ? able.device_caps : able.capabilities;
   if (caps & V4L2_CAP_VIDEO_CAPTURE_MPLANE)
     return fail(ErrorCode::kUnavailable, device,
-                "gives pictures in several planes, which are not read here");
+                "delivers each picture in several planes, which is not supported");
   if (!(caps & V4L2_CAP_VIDEO_CAPTURE))
-    return fail(ErrorCode::kInvalid, device, "captures no video");
+    return fail(ErrorCode::kInvalid, device, "does not capture video");
   if (!(caps & V4L2_CAP_STREAMING))
-    return fail(ErrorCode::kUnavailable, device, "has no streaming buffers");
+    return fail(ErrorCode::kUnavailable, device, "does not support streaming");
   return node;
 }
 
@@ -160,10 +160,9 @@ V4l2Exposure exposure_of(const V4l2Node& node) {
 namespace {
 
 Result<CameraListing> describe(const std::string& device) {
-  auto node = V4l2Node::open(device);
-  if (!node) return std::unexpected(node.error());
-  CameraListing out{device, node->name(), node->driver(), node->modes(), {}, {}};
-  const V4l2Exposure e = exposure_of(*node);
+  PENUMBRA_ASSIGN(node, V4l2Node::open(device));
+  CameraListing out{device, node.name(), node.driver(), node.modes(), {}, {}};
+  const V4l2Exposure e = exposure_of(node);
   if (e.time)
     out.exposure_s =
         ControlRange{e.time->low * V4l2Exposure::kUnit, e.time->high * V4l2Exposure::kUnit};

@@ -16,6 +16,7 @@
 #include "core/image.h"
 #include "core/pose.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 struct GatherSample;  // private: gather_kernel.h
@@ -55,3 +56,4 @@ class EnvironmentAssembler {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -35,7 +35,8 @@ void undo_vignetting(const calib::CameraModel& lens, const std::array<double, 3>
 }
 
 Result<StillPicture> merge_latest(const CameraInfo& camera, const Latest& frames) {
-  if (frames.empty()) return fail(ErrorCode::kUndetermined, camera.name, "no frame of it");
+  if (frames.empty())
+    return fail(ErrorCode::kUndetermined, camera.name, "has no frame in the capture");
   StillPicture out{camera, {}, {}};
   ExposureStack stack{{}, {}, camera.response, camera.noise, camera.black_level};
   for (const auto& [product, frame] : frames) {
@@ -109,7 +110,7 @@ Result<std::vector<StillPicture>> merge_still(FrameSource& source,
   for (const std::string& name : cameras) {
     const auto found = std::ranges::find(known, name, &CameraInfo::name);
     if (found == known.end())
-      return fail(ErrorCode::kNotFound, name, "no camera of that name in the capture");
+      return fail(ErrorCode::kNotFound, name, "is not a camera of the capture");
     frames[static_cast<int>(found - known.begin())];
   }
   while (true) {

@@ -6,6 +6,7 @@
 #include "calib/camera/colour.h"
 #include "capture/frames.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// A camera's light, merged from all the exposures of its still scene.
@@ -30,3 +31,4 @@ std::vector<CommonSurface> common_surfaces(const StillPicture& environment,
                                            const StillPicture& view, double turned_rad = 0);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -12,6 +12,7 @@
 #include "core/environment.h"
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Mean of several lat-long maps, each weighted by the square of how far from its rim it was seen, after gains that their
@@ -52,3 +53,4 @@ class EnvironmentBlend {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

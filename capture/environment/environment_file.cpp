@@ -22,21 +22,21 @@ std::optional<calib::ProjectionKind> kind_from_shape(int width, int height) {
 
 Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
                                          std::optional<calib::ProjectionKind> asked) {
-  auto image = codec::read_hdr(path);
-  if (!image) return std::unexpected(image.error());
+  PENUMBRA_ASSIGN(image, codec::read_hdr(path));
   EnvironmentFile out;
-  out.radiance = std::move(image->pixels);
-  out.non_finite = image->non_finite;
+  out.radiance = std::move(image.pixels);
+  out.non_finite = image.non_finite;
   const int w = out.radiance.width(), h = out.radiance.height();
   std::optional<calib::ProjectionKind> kind = asked;
-  if (image->environment)
-    kind = *image->environment == codec::EnvironmentAttribute::kCube
+  if (image.environment)
+    kind = *image.environment == codec::EnvironmentAttribute::kCube
                ? calib::ProjectionKind::kExrCube
                : calib::ProjectionKind::kExrLatLong;
   if (!kind) kind = kind_from_shape(w, h);
   if (!kind)
-    return fail(ErrorCode::kInvalid, path.string(),
-                fmt::format("cannot tell the projection of {}x{} pixels; give --projection", w, h));
+    return fail(
+        ErrorCode::kInvalid, path.string(),
+        fmt::format("has {}x{} pixels, which do not tell its projection: give --projection", w, h));
   auto projection = calib::make_projection(*kind, w, h);
   if (!projection) return fail(projection.error().code, path.string(), projection.error().detail);
   out.projection = *projection;

@@ -11,6 +11,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// An environment file in any supported projection as directions, solid angles and radiance. The
@@ -28,3 +29,4 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
 Result<Image<Rgb>> to_latlong(const EnvironmentFile& file);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

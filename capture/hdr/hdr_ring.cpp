@@ -65,9 +65,9 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   PENUMBRA_TRY(check_exposures({&frame.exposure, 1}));
   const int w = camera_.projection.width, h = camera_.projection.height;
   if (width(*frame.pixels) != w || height(*frame.pixels) != h)
-    return fail(
-        ErrorCode::kInvalid, fmt::format("{} frame {}", camera_.name, frame.sequence),
-        fmt::format("{}x{}, expected {}x{}", width(*frame.pixels), height(*frame.pixels), w, h));
+    return fail(ErrorCode::kInvalid, fmt::format("{} frame {}", camera_.name, frame.sequence),
+                fmt::format("has {}x{} pixels instead of {}x{}", width(*frame.pixels),
+                            height(*frame.pixels), w, h));
   std::optional<Frame> replaced;
   const double gain_log = std::log(frame.exposure.gain.value());
   if (RingSlot* const old = slot_of(frame.exposure)) {
@@ -186,9 +186,8 @@ Result<void> HdrRing::merge_all() {
   std::ranges::sort(stack.priority, [&](std::size_t a, std::size_t b) {
     return slots_[a].placed > slots_[b].placed;
   });
-  auto merged = capture::merge(stack);
-  if (!merged) return std::unexpected(merged.error());
-  to_half(*merged, slots_.back().frame.exposure.product(), merged_);
+  PENUMBRA_ASSIGN(merged, capture::merge(stack));
+  to_half(merged, slots_.back().frame.exposure.product(), merged_);
   return {};
 }
 

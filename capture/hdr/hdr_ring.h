@@ -14,6 +14,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 class TableMerger;  // private: table_merger.h
@@ -68,3 +69,4 @@ class HdrRing {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -24,12 +24,14 @@ Result<void> check_exposures(std::span<const Exposure> exposures) {
   for (std::size_t k = 0; k < exposures.size(); ++k) {
     const double t = exposures[k].time.count(), g = exposures[k].gain.value();
     if (!(std::isfinite(t) && t > 0) || !(std::isfinite(g) && g > 0))
-      return fail(ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
-                  fmt::format("{} s at gain {}: both must be positive and finite", t, g));
+      return fail(
+          ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
+          fmt::format("its time of {} s or its gain of {} is not positive and finite", t, g));
     constexpr double kLargest = 1e12;  // beyond, radiance leaves the range of floats
     if (t * g > kLargest || t * g < 1 / kLargest)
-      return fail(ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
-                  fmt::format("{} s at gain {}: no camera exposes so", t, g));
+      return fail(
+          ErrorCode::kInvalid, fmt::format("exposure {}", k + 1),
+          fmt::format("its time of {} s times its gain of {} is not within 1e-12..1e12 s", t, g));
   }
   return {};
 }
@@ -156,31 +158,31 @@ Result<void> check_stack(const ExposureStack& stack) {
   if (stack.frames.size() != stack.exposures.size())
     return fail(
         ErrorCode::kInvalid, "exposure stack",
-        fmt::format("{} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
+        fmt::format("has {} frames but {} exposures", stack.frames.size(), stack.exposures.size()));
   PENUMBRA_TRY(check_exposures(stack.exposures));
   std::vector<std::size_t> priority = stack.priority;
   std::ranges::sort(priority);
   for (std::size_t k = 0; k < priority.size(); ++k)
     if (priority[k] != k || priority.size() != stack.frames.size())
       return fail(ErrorCode::kInvalid, "exposure stack",
-                  "its order of trust is no order of its frames");
+                  "has an order of priority that does not name each frame once");
   if (!stack.valid.empty() && stack.valid.size() != stack.frames.size())
     return fail(ErrorCode::kInvalid, "exposure stack",
-                fmt::format("{} frames but {} masks", stack.frames.size(), stack.valid.size()));
+                fmt::format("has {} frames but {} masks", stack.frames.size(), stack.valid.size()));
   const FramePixels& first = *stack.frames[0];
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {
     const FramePixels& f = *stack.frames[k];
     if (f.index() != first.index())
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
-                  "another bit depth than the first");
+                  "has another bit depth than the first frame");
     if (width(f) != width(first) || height(f) != height(first))
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
-                  fmt::format("{}x{}, expected {}x{} as the first", width(f), height(f),
-                              width(first), height(first)));
+                  fmt::format("has {}x{} pixels, but the first frame has {}x{}", width(f),
+                              height(f), width(first), height(first)));
     if (!stack.valid.empty() && stack.valid[k].area() > 0 &&
         (stack.valid[k].width() != width(f) || stack.valid[k].height() != height(f)))
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1),
-                  "its mask is of another size");
+                  "has another size than its mask");
     if (width(f) == 0 || height(f) == 0)
       return fail(ErrorCode::kInvalid, fmt::format("frame {}", k + 1), "has no pixels");
   }
@@ -202,10 +204,10 @@ Result<MergedFloat> merge(const ExposureStack& stack) {
   }
   if (out.clipped_fraction == 1)
     return fail(ErrorCode::kUndetermined, "exposure stack",
-                "every pixel is clipped in every exposure; expose shorter");
+                "every pixel is clipped in every exposure: expose shorter");
   if (out.black_fraction == 1)
     return fail(ErrorCode::kUndetermined, "exposure stack",
-                "every pixel is black in every exposure; expose longer or open the lens");
+                "every pixel is black in every exposure: expose longer or open the lens");
   return out;
 }
 

@@ -15,6 +15,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Registered pictures of one camera at different exposures.
@@ -58,3 +59,4 @@ struct MergedFloat {
 Result<MergedFloat> merge(const ExposureStack& stack);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -8,6 +8,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Codes from here on count as clipped: 95 % of full scale.
@@ -67,3 +68,4 @@ inline double estimate_radiance(std::span<const Measurement> measured,
 Result<void> check_exposures(std::span<const Exposure> exposures);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

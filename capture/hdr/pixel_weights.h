@@ -6,6 +6,7 @@
 
 #include "calib/camera/camera_model.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Solid angles of the pixels of a projection, relative to each other, the same for a cell of pixels; 0 where the
@@ -28,3 +29,4 @@ class PixelWeights {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -9,6 +9,7 @@
 #include "calib/camera/vignetting.h"
 #include "capture/frames.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Radians that a pixel in the middle of the picture sees.
@@ -23,3 +24,4 @@ std::shared_ptr<const FramePixels> turned(const FramePixels& picture,
                                           Image<std::uint8_t>& valid);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

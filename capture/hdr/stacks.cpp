@@ -49,18 +49,18 @@ std::optional<LogRatio> log_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
 
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
                                               const ResponseTable& curve) {
-  if (!a.same_size(b)) return fail(ErrorCode::kInvalid, "exposure ratio", "pictures of two sizes");
+  if (!a.same_size(b))
+    return fail(ErrorCode::kInvalid, "exposure ratio", "the two pictures differ in size");
   std::vector<LogRatio> all;
   for (int y = 0; y + kBlock <= a.height(); y += kBlock)
     for (int x = 0; x + kBlock <= a.width(); x += kBlock)
       for (int c = 0; c < 3; ++c)
         if (const auto l = log_ratio(a, b, curve, c, x, y)) all.push_back(*l);
   if (all.size() < kFewestBlocks)
-    return fail(
-        ErrorCode::kUndetermined, "exposure ratio",
-        fmt::format("only {} of the pictures' patches are neither clipped nor dark in both; take "
-                    "exposures that lie closer together",
-                    all.size()));
+    return fail(ErrorCode::kUndetermined, "exposure ratio",
+                fmt::format("only {} blocks are neither clipped nor dark in both pictures: take "
+                            "exposures that lie closer together",
+                            all.size()));
   // Neighbours are alike: as many as are independent, evenly over the picture.
   std::vector<LogRatio> some;
   const std::size_t apart = (all.size() + kMaxBlocks - 1) / kMaxBlocks;
@@ -182,10 +182,12 @@ Warped warp(const Image<Rgb8>& picture, const cv::Mat& h) {
 Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference) {
   if (reference >= stack.frames.size())
     return fail(ErrorCode::kInvalid, "reference",
-                fmt::format("{} of {} pictures", reference + 1, stack.frames.size()));
+                fmt::format("is picture {}, but there are {} pictures", reference + 1,
+                            stack.frames.size()));
   for (const auto& f : stack.frames)
     if (!std::holds_alternative<Image<Rgb8>>(*f))
-      return fail(ErrorCode::kInvalid, "exposure stack", "pictures of 8 bits alone can be aligned");
+      return fail(ErrorCode::kInvalid, "exposure stack",
+                  "has pictures that are not 8-bit, and only those can be aligned");
   const auto picture = [&](std::size_t k) -> const Image<Rgb8>& {
     return std::get<Image<Rgb8>>(*stack.frames[k]);
   };
@@ -197,8 +199,8 @@ Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference) {
     const cv::Mat h = homography_between(first, find_features(picture(k)));
     if (h.empty())
       return fail(ErrorCode::kUndetermined, fmt::format("picture {}", k + 1),
-                  "too little in common with the reference to be aligned; take exposures that lie "
-                  "closer together");
+                  "has too little in common with the reference to be aligned: take exposures that "
+                  "lie closer together");
     out.moved_px[k] = mean_shift(h, picture(k).width(), picture(k).height());
     constexpr double kStill = .3;  // of a pixel: resampling would cost more than it mends
     if (out.moved_px[k] <= kStill) continue;

@@ -12,6 +12,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 struct ExposureStack;
@@ -42,3 +43,4 @@ struct Alignment {
 Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -51,8 +51,7 @@ Result<Size> read_size(const TomlKeys& keys) {
 Result<calib::CameraModel> read_own_projection(const TomlKeys& keys, const Size& size) {
   PENUMBRA_ASSIGN(name, keys.text("projection"));
   const auto kind = calib::projection_kind(name);
-  if (!kind)
-    return keys.invalid("projection", fmt::format("\"{}\": {}", name, kind.error().detail));
+  if (!kind) return keys.invalid("projection", fmt::format("\"{}\" {}", name, kind.error().detail));
   auto projection = calib::make_projection(*kind, size.width, size.height);
   if (!projection) return keys.invalid("projection", name + ": " + projection.error().detail);
   for (const std::string_view key : {"focal_px", "principal_px"}) {
@@ -60,7 +59,8 @@ Result<calib::CameraModel> read_own_projection(const TomlKeys& keys, const Size&
     if (!calib::has_intrinsics(*kind))
       return keys.invalid(key, "the projection " + name + " has none");
     PENUMBRA_ASSIGN(pair, read_pair(keys, key));
-    if (key == "focal_px" && (pair.x <= 0 || pair.y <= 0)) return keys.invalid(key, "not positive");
+    if (key == "focal_px" && (pair.x <= 0 || pair.y <= 0))
+      return keys.invalid(key, "is not positive");
     (key == "focal_px" ? projection->focal_px : projection->principal_px) = pair;
   }
   if (!keys.has("distortion")) return projection;
@@ -77,17 +77,19 @@ Result<calib::CameraModel> read_lens_file(const fs::path& path) {
   PENUMBRA_TRY(file.version(1));
   PENUMBRA_ASSIGN(list, file.tables("camera"));
   if (list.size() != 1)
-    return file.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
+    return file.invalid("camera", fmt::format("has {} cameras instead of one", list.size()));
   const TomlKeys keys(path, *list[0]);
   for (const std::string_view key : {"intrinsics", "lens"})
-    if (keys.has(key)) return keys.invalid(key, "a file of intrinsics has its own projection");
+    if (keys.has(key))
+      return keys.invalid(
+          key, "does not belong in a file of intrinsics, which has a projection of its own");
   PENUMBRA_ASSIGN(size, read_size(keys));
   return read_own_projection(keys, size);
 }
 
 Result<calib::CameraModel> read_intrinsics(const TomlKeys& keys) {
   for (const std::string_view key : {"projection", "focal_px", "principal_px", "distortion"})
-    if (keys.has(key)) return keys.invalid(key, "intrinsics has it already");
+    if (keys.has(key)) return keys.invalid(key, "is already in the file of intrinsics");
   PENUMBRA_ASSIGN(name, keys.text("intrinsics"));
   PENUMBRA_ASSIGN(projection, read_lens_file(keys.path().parent_path() / name));
   for (const auto& [key, size] :
@@ -95,7 +97,7 @@ Result<calib::CameraModel> read_intrinsics(const TomlKeys& keys) {
     if (!keys.has(key)) continue;
     PENUMBRA_ASSIGN(asked, keys.integer(key, 1, codec::kMaxSide));
     if (asked != size)
-      return keys.invalid(key, fmt::format("{}, but {} is for {}", asked, name, size));
+      return keys.invalid(key, fmt::format("is {}, but {} is for {}", asked, name, size));
   }
   return projection;
 }
@@ -116,25 +118,25 @@ Result<Pose> read_pose(const TomlKeys& keys, std::string_view key = "world_from_
   for (int a = 0; a < 3; ++a)
     for (int b = 0; b < 3; ++b)
       if (std::abs(glm::dot(r[a], r[b]) - (a == b ? 1 : 0)) > tolerance)
-        return keys.invalid(key, "not a rigid transform: its axes are not orthonormal");
-  if (glm::determinant(r) < 0) return keys.invalid(key, "not a rigid transform: it mirrors");
+        return keys.invalid(key, "is not a rigid transform: its axes are not orthonormal");
+  if (glm::determinant(r) < 0) return keys.invalid(key, "is not a rigid transform: it mirrors");
   return Pose{glm::normalize(glm::quat_cast(r)), {m[12], m[13], m[14]}};
 }
 
 Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
   PENUMBRA_ASSIGN(name, keys.text("name"));
-  if (name.empty()) return keys.invalid("name", "empty");
+  if (name.empty()) return keys.invalid("name", "is empty");
   if (std::ranges::any_of(name, [](unsigned char c) { return std::iscntrl(c); }))
     return keys.invalid("name", "has control characters");
   PENUMBRA_ASSIGN(role, keys.text("role"));
   if (role != "environment" && role != "view")
-    return keys.invalid("role", fmt::format("\"{}\", expected environment or view", role));
+    return keys.invalid("role", fmt::format("\"{}\" is neither environment nor view", role));
   info.name = name;
   info.role = role == "view" ? Role::kView : Role::kEnvironment;
   if (!keys.has("eye")) return {};
   PENUMBRA_ASSIGN(eye, keys.text("eye"));
   if (!eye.empty() && eye != "left" && eye != "right")
-    return keys.invalid("eye", fmt::format("\"{}\", expected left or right", eye));
+    return keys.invalid("eye", fmt::format("\"{}\" is neither left nor right", eye));
   info.eye = eye;
   return {};
 }
@@ -143,7 +145,7 @@ Result<void> read_identity(const TomlKeys& keys, CameraInfo& info) {
 Result<void> noise_in(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("noise")) return {};
   for (const std::string_view key : {"black_level", "full_well_electrons", "read_noise"})
-    if (keys.has(key)) return keys.invalid(key, "noise has it already");
+    if (keys.has(key)) return keys.invalid(key, "is already in the noise file");
   PENUMBRA_ASSIGN(name, keys.text("noise"));
   PENUMBRA_ASSIGN(bytes, read_bytes(keys.path().parent_path() / name));
   PENUMBRA_ASSIGN(
@@ -159,24 +161,26 @@ Result<void> read_sensor(const TomlKeys& keys, CameraInfo& info) {
   if (keys.has("black_level")) {
     PENUMBRA_ASSIGN(black, keys.number("black_level"));
     if (black < 0 || black >= 1)
-      return keys.invalid("black_level", "not within 0..1 of full scale");
+      return keys.invalid("black_level", "is not within 0..1 of full scale");
     info.black_level = black;
   }
   if (keys.has("full_well_electrons")) {
     PENUMBRA_ASSIGN(electrons, keys.number("full_well_electrons"));
-    if (electrons <= 0) return keys.invalid("full_well_electrons", "not positive");
+    if (electrons <= 0) return keys.invalid("full_well_electrons", "is not positive");
     info.noise.full_well_electrons = electrons;
     info.noise_known = true;
   }
   if (keys.has("read_noise")) {
     PENUMBRA_ASSIGN(read, keys.number("read_noise"));
-    if (read < 0 || read >= 1) return keys.invalid("read_noise", "not within 0..1 of full scale");
+    if (read < 0 || read >= 1)
+      return keys.invalid("read_noise", "is not within 0..1 of full scale");
     info.noise.read_noise = read;
   }
   if (keys.has("psf_sigma_px")) {
     PENUMBRA_ASSIGN(sigma, keys.number("psf_sigma_px"));
     if (!(sigma >= 0 && sigma <= kLargestPsfSigma))
-      return keys.invalid("psf_sigma_px", fmt::format("not within 0..{} pixels", kLargestPsfSigma));
+      return keys.invalid("psf_sigma_px",
+                          fmt::format("is not within 0..{} pixels", kLargestPsfSigma));
     info.psf_sigma_px = sigma;
   }
   return {};
@@ -220,7 +224,9 @@ Result<void> read_vignetting(const TomlKeys& keys, CameraInfo& info) {
 Result<void> read_colour(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("colour")) return {};
   if (info.role != Role::kEnvironment)
-    return keys.invalid("colour", "carries an environment camera's radiance to the view camera's");
+    return keys.invalid(
+        "colour",
+        "belongs to an environment camera: it maps that camera's colours to the view camera's");
   if (const auto name = keys.text("colour")) {
     PENUMBRA_ASSIGN(bytes, read_bytes(keys.path().parent_path() / *name));
     PENUMBRA_ASSIGN(matrix, calib::parse_colour_file(
@@ -239,7 +245,8 @@ Result<void> read_colour(const TomlKeys& keys, CameraInfo& info) {
 /// From a file of `calibrate rig`, by the camera's name.
 Result<void> read_pose_file(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("pose")) return {};
-  if (keys.has("world_from_camera")) return keys.invalid("pose", "world_from_camera is there, too");
+  if (keys.has("world_from_camera"))
+    return keys.invalid("pose", "is given besides world_from_camera: keep one of them");
   PENUMBRA_ASSIGN(name, keys.text("pose"));
   const fs::path path = keys.path().parent_path() / name;
   PENUMBRA_ASSIGN(root, parse_toml(path));
@@ -268,7 +275,7 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
                         crop[0] + crop[2] <= picture.width && crop[1] + crop[3] <= picture.height;
     if (!inside || std::ranges::any_of(crop, [](double c) { return c != std::floor(c); }))
       return keys.invalid("crop_px",
-                          fmt::format("x, y, width, height are not whole pixels of {} x {}",
+                          fmt::format("is not x, y, width, height in whole pixels inside {} x {}",
                                       picture.width, picture.height));
     lens.x_px = static_cast<int>(crop[0]), lens.y_px = static_cast<int>(crop[1]);
     size = {static_cast<int>(crop[2]), static_cast<int>(crop[3])};
@@ -280,11 +287,12 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
                         fmt::format("is for {} x {}, but the lens has {} x {}", projection.width,
                                     projection.height, size.width, size.height));
   if (!calib::has_intrinsics(projection.kind))
-    return keys.invalid("projection", "of a lens: equidistant, kb4, double-sphere or pinhole");
+    return keys.invalid(
+        "projection", "is none of equidistant, kb4, double-sphere and pinhole, which a lens needs");
   lens.projection = projection;
   PENUMBRA_ASSIGN(fov_deg, keys.number("fov_deg"));
   if (!(fov_deg > 0 && fov_deg <= 360))
-    return keys.invalid("fov_deg", "not within 0..360 degrees from edge to edge");
+    return keys.invalid("fov_deg", "is not above 0 and at most 360 degrees");
   lens.half_field_rad = fov_deg / 360 * kPi;
   if (!keys.has("camera_from_lens")) return lens;
   PENUMBRA_ASSIGN(pose, read_pose(keys, "camera_from_lens"));
@@ -297,10 +305,11 @@ Result<void> read_lenses(const TomlKeys& keys, CameraInfo& info) {
   constexpr std::size_t kMax = 16;
   for (const std::string_view key :
        {"projection", "intrinsics", "focal_px", "principal_px", "distortion"})
-    if (keys.has(key)) return keys.invalid(key, "each [[camera.lens]] has its own");
+    if (keys.has(key)) return keys.invalid(key, "belongs into each [[camera.lens]]");
   PENUMBRA_ASSIGN(tables, keys.tables("lens"));
   if (tables.empty() || tables.size() > kMax)
-    return keys.invalid("lens", fmt::format("{} lenses, not 1 to {}", tables.size(), kMax));
+    return keys.invalid("lens",
+                        fmt::format("has {} lenses instead of 1 to {}", tables.size(), kMax));
   PENUMBRA_ASSIGN(size, read_size(keys));
   for (const toml::table* table : tables) {
     PENUMBRA_ASSIGN(lens, read_lens(TomlKeys(keys.path(), *table), size));
@@ -318,12 +327,12 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
   Ball ball;
   if (keys.has("outline_px") == keys.has("centre_m"))
     return keys.invalid(keys.has("centre_m") ? "centre_m" : "ball",
-                        "a ball needs either outline_px or centre_m and radius_m");
+                        "needs either outline_px, or centre_m and radius_m");
   if (keys.has("outline_px")) {
     PENUMBRA_ASSIGN(o, keys.numbers("outline_px", 3));
     if (keys.has("radius_m"))
-      return keys.invalid("radius_m", "goes with centre_m: an outline needs none");
-    if (!(o[2] > 0)) return keys.invalid("outline_px", "its radius is not positive");
+      return keys.invalid("radius_m", "belongs to centre_m, not to outline_px");
+    if (!(o[2] > 0)) return keys.invalid("outline_px", "has a radius that is not positive");
     ball.outline_px = Ball::OutlinePixels{{o[0], o[1]}, o[2]};
     info.ball = ball;
     if (const auto seen = camera_regions(info, {}); !seen)
@@ -331,7 +340,7 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
   } else {
     PENUMBRA_ASSIGN(c, keys.numbers("centre_m", 3));
     PENUMBRA_ASSIGN(radius, keys.number("radius_m"));
-    if (!(radius > 0)) return keys.invalid("radius_m", "not positive");
+    if (!(radius > 0)) return keys.invalid("radius_m", "is not positive");
     ball.centre_m = {c[0], c[1], c[2]};
     ball.radius_m = radius;
   }
@@ -339,7 +348,8 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
   if (!keys.has("reflectance")) return {};
   PENUMBRA_ASSIGN(r, keys.numbers("reflectance", 3));
   for (const double c : r)
-    if (!(c > 0 && c <= 1)) return keys.invalid("reflectance", "not within 0..1");
+    if (!(c > 0 && c <= 1))
+      return keys.invalid("reflectance", "has a number that is not above 0 and at most 1");
   info.ball_reflectance = {static_cast<float>(r[0]), static_cast<float>(r[1]),
                            static_cast<float>(r[2])};
   return {};
@@ -349,13 +359,14 @@ Result<void> read_ball(const TomlKeys& keys, CameraInfo& info) {
 Result<void> read_regions(const TomlKeys& keys, CameraInfo& info) {
   if (keys.has("lens")) {
     PENUMBRA_TRY(read_lenses(keys, info));
-    if (info.role != Role::kEnvironment) return keys.invalid("lens", "is for environment cameras");
+    if (info.role != Role::kEnvironment)
+      return keys.invalid("lens", "belongs to environment cameras only");
   } else {
     PENUMBRA_ASSIGN(projection, read_projection(keys));
     info.projection = projection;
   }
   if (!keys.has("ball")) return {};
-  if (info.role != Role::kView) return keys.invalid("ball", "stands in a view camera's picture");
+  if (info.role != Role::kView) return keys.invalid("ball", "belongs to view cameras only");
   PENUMBRA_ASSIGN(ball, keys.table("ball"));
   return read_ball(ball, info);
 }
@@ -365,7 +376,7 @@ Result<void> read_regions(const TomlKeys& keys, CameraInfo& info) {
 Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<FrameRow>& rows) {
   if (!keys.has("response")) {
     if (std::ranges::all_of(rows, is_float_file)) return calib::Response::linear();
-    return keys.invalid("response", "missing");
+    return keys.invalid("response", "is missing");
   }
   PENUMBRA_ASSIGN(text, keys.text("response"));
   auto response = calib::parse_response(text, keys.path().parent_path());

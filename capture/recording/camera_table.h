@@ -12,6 +12,7 @@
 #include "capture/recording/folder_format.h"
 #include "core/toml_keys.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 inline constexpr std::array<std::string_view, 24> kCameraKeys{"name",
@@ -49,3 +50,4 @@ Result<calib::Response> read_response(const TomlKeys& keys, const std::vector<Fr
 Result<void> read_white_balance(const TomlKeys& keys, calib::Response& response);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

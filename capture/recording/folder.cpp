@@ -52,7 +52,7 @@ class FolderSource final : public FrameSource {
     PENUMBRA_ASSIGN(pixels, codec::read_frame(path));
     if (width(pixels) != camera.projection.width || height(pixels) != camera.projection.height)
       return fail(ErrorCode::kInvalid, path.string(),
-                  fmt::format("{}x{}, expected {}x{}", width(pixels), height(pixels),
+                  fmt::format("has {}x{} pixels instead of {}x{}", width(pixels), height(pixels),
                               camera.projection.width, camera.projection.height));
     return Frame{static_cast<int>(entry.camera),
                  entry.row,
@@ -108,15 +108,16 @@ Result<void> write_picture(const fs::path& path, const FramePixels& pixels) {
 }  // namespace
 
 Result<void> check_cameras(const std::vector<CameraInfo>& cameras) {
-  if (cameras.empty()) return fail(ErrorCode::kInvalid, "capture folder", "no cameras");
+  if (cameras.empty()) return fail(ErrorCode::kInvalid, "capture folder", "has no cameras");
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const std::string& name = cameras[i].name;
     if (!is_file_name(name))
       return fail(ErrorCode::kInvalid, "camera \"" + name + "\"",
-                  "the name is not made of letters, digits, '-' and '_'");
+                  "has a name with other characters than letters, digits, '-' and '_'");
     for (std::size_t j = 0; j < i; ++j)
       if (cameras[j].name == name)
-        return fail(ErrorCode::kInvalid, "camera \"" + name + "\"", "the name is used twice");
+        return fail(ErrorCode::kInvalid, "camera \"" + name + "\"",
+                    "has a name that is used twice");
   }
   return {};
 }
@@ -127,12 +128,12 @@ Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
     return fail(ErrorCode::kInvalid, fmt::format("{}, frame {}", camera.name, frame.sequence),
                 std::move(detail));
   };
-  if (!frame.pixels) return invalid("no picture");
+  if (!frame.pixels) return invalid("has no pixels");
   const int w = width(*frame.pixels), h = height(*frame.pixels);
   if (w != camera.projection.width || h != camera.projection.height)
-    return invalid(fmt::format("{}x{}, expected {}x{}", w, h, camera.projection.width,
+    return invalid(fmt::format("has {}x{} pixels instead of {}x{}", w, h, camera.projection.width,
                                camera.projection.height));
-  if (last && frame.time < *last) return invalid("its time is before the previous frame's");
+  if (last && frame.time < *last) return invalid("has a time before the previous frame's");
   return {};
 }
 
@@ -151,7 +152,8 @@ Result<CaptureFolderWriter> CaptureFolderWriter::create(const fs::path& folder,
                                                         std::vector<CameraInfo> cameras) {
   PENUMBRA_TRY(check_cameras(cameras));
   if (holds_capture(folder))
-    return fail(ErrorCode::kUnwritable, folder.string(), "already holds a capture");
+    return fail(ErrorCode::kUnwritable, folder.string(),
+                "already holds a capture: remove it, or choose another folder");
   for (const CameraInfo& camera : cameras) PENUMBRA_TRY(make_folder(folder / camera.name));
   CaptureFolderWriter writer;
   writer.folder_ = folder;
@@ -163,7 +165,8 @@ Result<CaptureFolderWriter> CaptureFolderWriter::create(const fs::path& folder,
 Result<void> CaptureFolderWriter::write(const Frame& frame) {
   const auto n = static_cast<std::size_t>(frame.camera);
   if (frame.camera < 0 || n >= cameras_.size())
-    return fail(ErrorCode::kInvalid, "capture folder", fmt::format("no camera {}", frame.camera));
+    return fail(ErrorCode::kInvalid, "capture folder",
+                fmt::format("has no camera {}", frame.camera));
   const auto last = last_row(rows_[n]);
   PENUMBRA_TRY(check_frame(frame, cameras_[n], last ? std::optional(last->time) : std::nullopt));
   const bool linear = std::holds_alternative<Image<Rgb>>(*frame.pixels);

@@ -10,6 +10,7 @@
 #include "capture/frames.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// Opens a folder with capture.toml (design in docs/reference/capture-folder.md). Everything that can be
@@ -44,3 +45,4 @@ class CaptureFolderWriter {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

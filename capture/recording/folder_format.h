@@ -13,6 +13,7 @@
 #include "calib/camera/response.h"
 #include "capture/frames.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// One line of a camera's frame list.
@@ -73,3 +74,4 @@ Result<void> check_frame(const Frame& frame, const CameraInfo& camera,
 bool stays_inside(const std::filesystem::path& path);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -74,14 +74,14 @@ Result<Pose> parse_pose(std::span<const std::string_view> fields, const std::str
     const auto number = to_number(fields[i]);
     if (!number)
       return fail(ErrorCode::kInvalid, where,
-                  fmt::format("{} is \"{}\", not a finite number", names[i], fields[i]));
+                  fmt::format("{} is \"{}\" and not a finite number", names[i], fields[i]));
     v[i] = *number;
   }
   Pose pose{glm::dquat(v[6], v[3], v[4], v[5]), {v[0], v[1], v[2]}};
   const double length = glm::length(pose.rotation);
   if (std::abs(length - 1) > 1e-3)
     return fail(ErrorCode::kInvalid, where,
-                fmt::format("qx,qy,qz,qw has length {:.4g}, expected 1", length));
+                fmt::format("qx,qy,qz,qw has length {:.4g} instead of 1", length));
   // What is already as good as a double allows keeps its bits.
   if (std::abs(length - 1) > 1e-12) pose.rotation = glm::normalize(pose.rotation);
   return pose;
@@ -97,7 +97,7 @@ Result<bool> parse_header(std::string_view line, const std::string& where) {
   if (compact == kListHeader) return false;
   if (compact == full) return true;
   return fail(ErrorCode::kInvalid, where,
-              fmt::format("header is \"{}\", expected \"{}\" or \"{}\"", line, kListHeader, full));
+              fmt::format("header is \"{}\" instead of \"{}\" or \"{}\"", line, kListHeader, full));
 }
 
 Result<void> check_after(const FrameRow& row, const std::vector<FrameRow>& rows,
@@ -111,7 +111,7 @@ Result<void> check_after(const FrameRow& row, const std::vector<FrameRow>& rows,
 Result<void> check_present(const fs::path& folder, const FrameRow& row, const std::string& where) {
   std::error_code ignored;
   if (fs::is_regular_file(folder / row.file, ignored)) return {};
-  return fail(ErrorCode::kNotFound, where, row.file + ": no such file");
+  return fail(ErrorCode::kNotFound, where, row.file + " does not exist");
 }
 
 }  // namespace
@@ -130,20 +130,21 @@ Result<FrameRow> parse_row(std::string_view line, bool with_pose, const std::str
   const auto fields = split(line);
   const std::size_t expected = with_pose ? 11 : 4;
   if (fields.size() != expected)
-    return invalid(fmt::format("{} fields, expected {}", fields.size(), expected));
+    return invalid(fmt::format("has {} fields instead of {}", fields.size(), expected));
   FrameRow row;
   row.file = std::string(fields[0]);
   if (!stays_inside(row.file))
     return invalid(fmt::format("file \"{}\" is not a path inside the folder", row.file));
   const auto time = to_time(fields[1]);
-  if (!time) return invalid(fmt::format("time_s is \"{}\", not a number within 9e9", fields[1]));
+  if (!time)
+    return invalid(fmt::format("time_s is \"{}\" and not a number within -9e9..9e9", fields[1]));
   row.time = *time;
   const auto seconds = to_number(fields[2]);
   if (!seconds || *seconds <= 0)
-    return invalid(fmt::format("exposure_s is \"{}\", not a positive number", fields[2]));
+    return invalid(fmt::format("exposure_s is \"{}\" and not a positive number", fields[2]));
   const auto gain = to_number(fields[3]);
   if (!gain || *gain <= 0)
-    return invalid(fmt::format("gain is \"{}\", not a positive number", fields[3]));
+    return invalid(fmt::format("gain is \"{}\" and not a positive number", fields[3]));
   row.exposure = {Seconds(*seconds), Gain(*gain)};
   if (!with_pose) return row;
   PENUMBRA_ASSIGN(pose, parse_pose(std::span(fields).subspan(4), where));
@@ -184,7 +185,7 @@ Result<std::vector<FrameRow>> read_frame_list(const fs::path& folder, const std:
   }
   if (!with_pose)
     return fail(ErrorCode::kInvalid, path.string() + ":1",
-                fmt::format("header is missing, expected \"{}\"", kListHeader));
+                fmt::format("header is missing: it is \"{}\"", kListHeader));
   return rows;
 }
 

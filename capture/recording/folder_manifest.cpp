@@ -40,7 +40,7 @@ Result<std::vector<FolderCamera>> read_manifest(const fs::path& folder) {
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   PENUMBRA_ASSIGN(list, keys.tables("camera"));
-  if (list.empty()) return keys.invalid("camera", "no [[camera]]");
+  if (list.empty()) return keys.invalid("camera", "needs at least one table [[camera]]");
   std::vector<FolderCamera> cameras;
   for (const toml::table* table : list) {
     const TomlKeys camera_keys(path, *table);
@@ -59,7 +59,7 @@ Result<std::vector<CameraInfo>> read_cameras(const toml::table& root, const fs::
                                              const FindResponse& response) {
   const TomlKeys keys(path, root);
   PENUMBRA_ASSIGN(list, keys.tables("camera"));
-  if (list.empty()) return keys.invalid("camera", "no [[camera]]");
+  if (list.empty()) return keys.invalid("camera", "needs at least one table [[camera]]");
   std::vector<CameraInfo> cameras;
   for (const toml::table* table : list) {
     const TomlKeys camera_keys(path, *table);
@@ -84,7 +84,7 @@ Result<CameraInfo> read_camera_file(const fs::path& path) {
   PENUMBRA_TRY(keys.version(1));
   PENUMBRA_ASSIGN(list, keys.tables("camera"));
   if (list.size() != 1)
-    return keys.invalid("camera", fmt::format("{} cameras, expected one", list.size()));
+    return keys.invalid("camera", fmt::format("has {} cameras instead of one", list.size()));
   const TomlKeys camera_keys(path, *list[0]);
   PENUMBRA_TRY(camera_keys.only(kCameraKeys));
   return read_camera_info(camera_keys);

@@ -10,6 +10,7 @@
 #include "capture/frames.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// How a camera's pictures are kept. All three replay to the same pixels.
@@ -59,3 +60,4 @@ Result<std::unique_ptr<FrameSource>> open_recording(const std::filesystem::path&
 Result<std::unique_ptr<FrameSource>> open_capture(const std::filesystem::path& path);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -81,7 +81,8 @@ Result<PictureTrack> PictureTrack::open(const AVStream& stream, const CameraInfo
   const AVCodecParameters& c = *stream.codecpar;
   if (c.width != out.width_ || c.height != out.height_)
     return fail(ErrorCode::kInvalid, camera.name,
-                fmt::format("{}x{}, expected {}x{}", c.width, c.height, out.width_, out.height_));
+                fmt::format("has pictures of {}x{} pixels instead of {}x{}", c.width, c.height,
+                            out.width_, out.height_));
   if (c.codec_id == AV_CODEC_ID_MJPEG) {
     PENUMBRA_ASSIGN(
         converter, RawConverter::make(
@@ -92,7 +93,7 @@ Result<PictureTrack> PictureTrack::open(const AVStream& stream, const CameraInfo
   if (c.codec_id != AV_CODEC_ID_FFVHUFF)
     return fail(
         ErrorCode::kInvalid, camera.name,
-        fmt::format("coded as {}, expected ffvhuff or mjpeg", avcodec_get_name(c.codec_id)));
+        fmt::format("is coded as {} instead of ffvhuff or mjpeg", avcodec_get_name(c.codec_id)));
   PENUMBRA_TRY(out.open_decoder(stream));
   return out;
 }
@@ -124,7 +125,8 @@ Result<FramePixels> PictureTrack::decode(const AVPacket& packet) {
 Result<FramePixels> PictureTrack::from_frame() {
   const AVFrame& f = *frame_;
   if (f.width != width_ || f.height != height_)
-    return fail(ErrorCode::kUnreadable, "picture", fmt::format("{}x{}", f.width, f.height));
+    return fail(ErrorCode::kUnreadable, "picture",
+                fmt::format("has {}x{} pixels, unlike its camera", f.width, f.height));
   if (f.format == AV_PIX_FMT_GBRP16LE) {
     Image<Rgb16> out(width_, height_);
     for (int y = 0; y < height_; ++y) {
@@ -142,7 +144,7 @@ Result<FramePixels> PictureTrack::from_frame() {
                                  SWS_POINT, nullptr, nullptr, nullptr));
     scaled_format_ = f.format;
   }
-  if (!to_rgb_) return fail(ErrorCode::kUnreadable, "picture", "no RGB");
+  if (!to_rgb_) return fail(ErrorCode::kUnreadable, "picture", "cannot be converted to RGB");
   Image<Rgb8> out(width_, height_);
   std::uint8_t* const to[] = {&out.pixels()[0].r};
   const int stride[] = {3 * width_};
@@ -203,7 +205,7 @@ Result<void> Recording::open_container() {
   if (const int r =
           avformat_open_input(&opened, ("file:" + path_.string()).c_str(), matroska, nullptr);
       r < 0)
-    return unreadable(r == AVERROR_INVALIDDATA ? "not a Matroska file, or its head is damaged"
+    return unreadable(r == AVERROR_INVALIDDATA ? "is not a Matroska file, or its header is damaged"
                       : r == AVERROR_EOF || r == AVERROR(EIO) ? "ends before its first frame"
                                                               : av_reason(r));
   container_.reset(opened);
@@ -221,8 +223,9 @@ Result<void> Recording::read_cameras() {
   }
   const auto manifest = attached.find(std::string(kCamerasAttachment));
   if (manifest == attached.end())
-    return fail(ErrorCode::kInvalid, path_.string(),
-                fmt::format("not a recording of penumbra: no {} in it", kCamerasAttachment));
+    return fail(
+        ErrorCode::kInvalid, path_.string(),
+        fmt::format("is not a recording by penumbra: it has no attachment {}", kCamerasAttachment));
   const fs::path named = path_ / manifest->first;
   PENUMBRA_ASSIGN(root, parse_toml_text(manifest->second, named));
   const TomlKeys keys(named, root);
@@ -230,7 +233,7 @@ Result<void> Recording::read_cameras() {
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   PENUMBRA_ASSIGN(rate, keys.number("view_rate_fps"));
-  if (rate < 0 || rate > 1e4) return keys.invalid("view_rate_fps", "not within 0..10000");
+  if (rate < 0 || rate > 1e4) return keys.invalid("view_rate_fps", "is not within 0..10000");
   view_rate_ = rate;
   PENUMBRA_ASSIGN(cameras, capture::read_cameras(root, named, [&](const std::string& name) {
                     const auto file = attached.find(name);
@@ -249,7 +252,8 @@ Result<void> Recording::find_tracks() {
   for (unsigned i = 0; i < container_->nb_streams; ++i) {
     const AVStream& s = *container_->streams[i];
     if (s.codecpar->codec_type == AVMEDIA_TYPE_VIDEO) {
-      if (tracks_.size() == cameras_.size()) return unreadable("more picture tracks than cameras");
+      if (tracks_.size() == cameras_.size())
+        return unreadable("has more video tracks than cameras");
       auto track = PictureTrack::open(s, cameras_[tracks_.size()]);
       if (!track)
         return fail(track.error().code, path_.string(),
@@ -259,7 +263,7 @@ Result<void> Recording::find_tracks() {
   }
   if (tracks_.size() != cameras_.size())
     return unreadable(
-        fmt::format("{} picture tracks for {} cameras", tracks_.size(), cameras_.size()));
+        fmt::format("has {} video tracks for {} cameras", tracks_.size(), cameras_.size()));
   for (std::size_t n = 0; n < tracks_.size(); ++n) {
     for (unsigned i = 0; i < container_->nb_streams; ++i) {
       const AVStream& s = *container_->streams[i];
@@ -267,7 +271,7 @@ Result<void> Recording::find_tracks() {
           text_of(s.metadata, "title") == label_title(cameras_[n].name))
         tracks_[n].labels = s.index;
     }
-    if (tracks_[n].labels < 0) return unreadable("no labels of " + cameras_[n].name);
+    if (tracks_[n].labels < 0) return unreadable("has no labels of camera " + cameras_[n].name);
   }
   return {};
 }
@@ -286,7 +290,7 @@ Result<void> Recording::keep_picture(Packet packet) {
   for (PictureTrack& track : tracks_) {
     if (track.stream() != packet->stream_index) continue;
     if (track.waiting.size() == kMaxWaiting)
-      return fail(ErrorCode::kUnreadable, at(*packet), "pictures without labels");
+      return fail(ErrorCode::kUnreadable, at(*packet), "has pictures without labels");
     track.waiting.push_back(std::move(packet));
     break;
   }
@@ -305,7 +309,7 @@ Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   if (slash == std::string::npos || row.file.substr(0, slash) != cameras_[n].name ||
       std::from_chars(row.file.data() + slash + 1, end, sequence).ptr != end)
     return fail(ErrorCode::kUnreadable, at(label),
-                fmt::format("\"{}\" is no frame of {}", row.file, cameras_[n].name));
+                fmt::format("\"{}\" is not a frame of {}", row.file, cameras_[n].name));
   auto& waiting = tracks_[n].waiting;
   while (!waiting.empty() && waiting.front()->pts < label.pts) waiting.pop_front();
   if (waiting.empty() || waiting.front()->pts != label.pts) return {};
@@ -369,7 +373,7 @@ Result<std::unique_ptr<FrameSource>> open_recording(const fs::path& path) {
 Result<std::unique_ptr<FrameSource>> open_capture(const fs::path& path) {
   std::error_code ignored;
   if (!fs::exists(path, ignored))
-    return fail(ErrorCode::kNotFound, path.string(), "no such recording or capture folder");
+    return fail(ErrorCode::kNotFound, path.string(), "is neither a recording nor a capture folder");
   return fs::is_regular_file(path, ignored) ? open_recording(path) : open_capture_folder(path);
 }
 

@@ -66,11 +66,11 @@ void fill_packed(const Image<Rgb8>& from, AVFrame& to) {
 
 Result<Coding> coding_of(const Frame& frame) {
   if (frame.jpeg) return Coding::kJpeg;
-  if (!frame.pixels) return fail(ErrorCode::kInvalid, "frame", "no picture");
+  if (!frame.pixels) return fail(ErrorCode::kInvalid, "frame", "has no pixels");
   if (std::holds_alternative<Image<Rgb8>>(*frame.pixels)) return Coding::kRgb8;
   if (std::holds_alternative<Image<Rgb16>>(*frame.pixels)) return Coding::kRgb16;
   return fail(ErrorCode::kInvalid, "frame",
-              "float pixels are not recorded; a capture folder keeps them");
+              "has float pixels, which a recording cannot hold: write a capture folder");
 }
 
 struct RecordingWriter::Impl {
@@ -143,7 +143,8 @@ Result<void> RecordingWriter::Impl::open_file() {
   file = UniqueFd(::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644));
   if (file.get() < 0)
     return fail(ErrorCode::kUnwritable, path.string(),
-                errno == EEXIST ? "exists already" : std::strerror(errno));
+                errno == EEXIST ? "exists already: remove it, or choose another name"
+                                : std::strerror(errno));
   auto* const buffer = static_cast<unsigned char*>(av_malloc(kBufferBytes));
   container->pb = avio_alloc_context(buffer, kBufferBytes, 1, this, nullptr, write_bytes, seek);
   if (container->pb) return {};
@@ -153,7 +154,9 @@ Result<void> RecordingWriter::Impl::open_file() {
 
 Result<void> RecordingWriter::Impl::open_encoder(VideoTrack& track, const CameraInfo& camera) {
   const AVCodec* codec = avcodec_find_encoder(AV_CODEC_ID_FFVHUFF);
-  if (!codec) return fail(ErrorCode::kUnavailable, path.string(), "FFmpeg has no FFVHUFF coder");
+  if (!codec)
+    return fail(ErrorCode::kUnavailable, path.string(),
+                "cannot be written: FFmpeg has no FFVHUFF encoder");
   track.encoder = avcodec_alloc_context3(codec);
   AVCodecContext& e = *track.encoder;
   e.width = camera.projection.width;
@@ -317,14 +320,14 @@ Result<RecordingWriter> RecordingWriter::create(const std::filesystem::path& pat
 Result<void> RecordingWriter::write(const Frame& frame) {
   const auto n = static_cast<std::size_t>(frame.camera);
   if (frame.camera < 0 || n >= impl_->tracks.size())
-    return fail(ErrorCode::kInvalid, "recording", fmt::format("no camera {}", frame.camera));
+    return fail(ErrorCode::kInvalid, "recording", fmt::format("has no camera {}", frame.camera));
   VideoTrack& track = impl_->tracks[n];
   const CameraInfo& camera = impl_->cameras[n];
   PENUMBRA_TRY(check_frame(frame, camera, track.last));
   PENUMBRA_ASSIGN(coding, coding_of(frame));
   if (coding != track.coding)
     return fail(ErrorCode::kInvalid, fmt::format("{}, frame {}", camera.name, frame.sequence),
-                fmt::format("{}, but the recording has {}", coding_name(coding),
+                fmt::format("is {}, but the recording holds {}", coding_name(coding),
                             coding_name(track.coding)));
   PENUMBRA_TRY(impl_->code(frame, track));
   track.last = frame.time;

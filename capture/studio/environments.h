@@ -7,6 +7,7 @@
 #include "capture/frames.h"
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// The built-in interior: a white room with a window, two ceiling panels, a warm wall and a lamp.
@@ -17,3 +18,4 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
 Image<Rgb> make_random_environment(int width, int height, std::uint32_t seed);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -10,6 +10,7 @@
 #include "core/image.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// From radiance to codes: blur of the optics, exposure, vignetting, shot and read noise, black
@@ -34,3 +35,4 @@ void expose(const Sensor& sensor, const Image<Rgb>& radiance, Exposure exposure,
             FramePixels& out);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -17,6 +17,7 @@
 #include "core/result.h"
 #include "core/units.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 struct StudioOptions {
@@ -72,3 +73,4 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
 Pose look_at(const glm::dvec3& eye, const glm::dvec3& target);
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -8,6 +8,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::capture {
 
 /// What the studio's cameras look at.
@@ -47,3 +48,4 @@ class FloorWorld : public RadianceWorld {
 };
 
 }  // namespace penumbra::capture
+#pragma GCC visibility pop

@@ -29,7 +29,7 @@ std::string encode_radiance(const Image<Rgb>& pixels);
 /// The one place where the limits of codec.h are applied.
 /// errors: kInvalid, kUnreadable (no area)
 inline Result<void> check_size(std::int64_t width, std::int64_t height, const std::string& name) {
-  if (width <= 0 || height <= 0) return fail(ErrorCode::kUnreadable, name, "picture without area");
+  if (width <= 0 || height <= 0) return fail(ErrorCode::kUnreadable, name, "has no pixels");
   if (width > kMaxSide || height > kMaxSide || static_cast<std::size_t>(width * height) > kMaxArea)
     return fail(ErrorCode::kInvalid, name,
                 "picture of " + std::to_string(width) + " x " + std::to_string(height) +

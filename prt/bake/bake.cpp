@@ -11,8 +11,8 @@
 #include <utility>
 
 #include "core/parallel.h"
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/bake_rules.h"
 #include "prt/bake/internal/visibility_bake.h"
@@ -442,8 +442,7 @@ std::uint64_t Baker::trace_all(const RayScene& scene, std::vector<PointResult>& 
 
 Result<BakedObject> Baker::run(Mesh mesh) {
   const auto start = std::chrono::steady_clock::now();
-  auto scene = RayScene::build(mesh_);
-  if (!scene) return std::unexpected(scene.error());
+  PENUMBRA_ASSIGN(scene, RayScene::build(mesh_));
   channels_ = options_.bounces > 0 && !grey() ? 3 : 1;
   const std::size_t floats = points_.size() * static_cast<std::size_t>(channels_) * coefficients_;
   shadowed_.resize(floats);
@@ -455,7 +454,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
           static_cast<float>(lighting::cosine_coefficient(l) / kPi * up[sh_index(l, m)]));
 
   std::vector<PointResult> results(points_.size());
-  const std::uint64_t rays = trace_all(*scene, results);
+  const std::uint64_t rays = trace_all(scene, results);
   const auto parallel = [&](auto&& body) {
     parallel_for(std::size_t{0}, points_.size(), kChunk, body);
   };
@@ -496,7 +495,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
   if (mesh.normals.size() != mesh.positions.size() || mesh.albedo.size() != mesh.positions.size())
-    return fail(ErrorCode::kInvalid, "mesh", "positions, normals and albedo differ in number");
+    return fail(ErrorCode::kInvalid, "mesh",
+                "has different numbers of positions, normals and albedos");
   for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
     const glm::vec3 sum = mesh.positions[i] + mesh.normals[i];
     if (!std::isfinite(sum.x + sum.y + sum.z))
@@ -506,22 +506,23 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
     const GroundGrid& g = o.receiver->grid;
     if (g.size < 2 || g.size > 4096 || !(g.half_extent > 0) ||
         !std::isfinite(g.half_extent + g.height + g.centre.x + g.centre.y))
-      return fail(ErrorCode::kInvalid, "receiver",
-                  "size not within 2..4096, or extent not positive and finite");
+      return fail(
+          ErrorCode::kInvalid, "receiver",
+          "has a size that is not within 2..4096, or an extent that is not positive and finite");
   }
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands",
-                fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
+                fmt::format("{} is not within 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
-    return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
+    return fail(ErrorCode::kInvalid, "rays", "are not a positive multiple of 64");
   if (o.indirect_bands < 1 || o.indirect_bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands of reflected light",
-                fmt::format("{} is not in 1..{}", o.indirect_bands, kMaxBands));
+                fmt::format("{} is not within 1..{}", o.indirect_bands, kMaxBands));
   if (!o.ray_frames.empty() && o.ray_frames.size() != mesh.positions.size())
-    return fail(ErrorCode::kInvalid, "ray frames", "and vertices differ in number");
+    return fail(ErrorCode::kInvalid, "ray frames", "are not as many as the vertices");
   if (o.bounces < 0 || o.bounces > kMaxBounces)
     return fail(ErrorCode::kInvalid, "bounces",
-                fmt::format("{} is not in 0..{}", o.bounces, kMaxBounces));
+                fmt::format("{} is not within 0..{}", o.bounces, kMaxBounces));
   return Baker(mesh, o).run(std::move(mesh));
 }
 

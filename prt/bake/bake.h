@@ -17,6 +17,7 @@
 #include "prt/transfer/transfer.h"
 #include "prt/transfer/visibility_map.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 inline constexpr int kMaxBounces = 256;
@@ -82,3 +83,4 @@ struct BakedObject {
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

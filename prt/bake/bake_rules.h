@@ -5,6 +5,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// In radii of the object: rays start clear of their own surface.
@@ -26,3 +27,4 @@ inline bool is_grey(const Rgb& albedo) {
 }
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

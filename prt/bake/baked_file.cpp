@@ -318,30 +318,33 @@ const Value* own_extras(const Model& m) {
 
 Result<BakedObject> from_model(const Model& m, const std::string& file) {
   const Value* extras = own_extras(m);
-  if (!extras) return fail(ErrorCode::kInvalid, file, "glTF without baked transfer; bake it first");
+  if (!extras)
+    return fail(ErrorCode::kInvalid, file, "is a glTF without baked transfer: bake it first");
   if (get(*extras, "version") != kVersion)
     return fail(ErrorCode::kInvalid, file,
-                fmt::format("baked by another version, expected {}", kVersion));
+                fmt::format("is not of version {}: bake it again", kVersion));
   const double bands = get(*extras, "bands"), channels = get(*extras, "channels");
   if (!(bands >= 1 && bands <= kMaxBands) || !(channels == 1 || channels == 3))
-    return fail(ErrorCode::kUnreadable, file, "damaged: bands or channels out of range");
+    return fail(ErrorCode::kUnreadable, file, "is damaged: its bands or channels are out of range");
   if (m.meshes.size() != 1 || m.meshes[0].primitives.size() != 1)
-    return fail(ErrorCode::kUnreadable, file, "damaged: one mesh with one primitive expected");
+    return fail(ErrorCode::kUnreadable, file,
+                "is damaged: it does not have one mesh with one primitive");
   BakedObject o;
   const auto& primitive = m.meshes[0].primitives[0];
-  if (!read_mesh(m, primitive, o.mesh)) return fail(ErrorCode::kUnreadable, file, "damaged mesh");
+  if (!read_mesh(m, primitive, o.mesh))
+    return fail(ErrorCode::kUnreadable, file, "has a damaged mesh");
   if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
-    return fail(ErrorCode::kUnreadable, file, "damaged transfer");
+    return fail(ErrorCode::kUnreadable, file, "has damaged transfer");
   const double indirect_bands = get(*extras, "indirect_bands");
   if (!(indirect_bands >= 1 && indirect_bands <= kMaxBands) ||
       !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
                    o.transfer.channels, o.transfer.points, o.indirect))
-    return fail(ErrorCode::kUnreadable, file, "damaged reflected transfer");
+    return fail(ErrorCode::kUnreadable, file, "has damaged indirect transfer");
   if (extras->Has("vertex_sight") &&
       !read_visibility(m, extras->Get("vertex_sight"), o.transfer.points, o.visibility))
-    return fail(ErrorCode::kUnreadable, file, "the visibility map is damaged");
+    return fail(ErrorCode::kUnreadable, file, "has a damaged visibility map");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
-    return fail(ErrorCode::kUnreadable, file, "damaged receiver");
+    return fail(ErrorCode::kUnreadable, file, "has a damaged receiver");
   const auto figure = [&](const char* key) {  // reports only: absent or damaged ones are 0
     const double v = get(*extras, key);
     return v >= 0 && v < 1e18 ? v : 0;
@@ -369,25 +372,24 @@ Result<void> write_baked(const std::filesystem::path& path, const BakedObject& o
     Model model = to_model(object);
     if (!tinygltf::TinyGLTF().WriteGltfSceneToFile(&model, temporary.string(), true, true, false,
                                                    true))
-      return fail(ErrorCode::kUnwritable, path.string(), "cannot write the file");
+      return fail(ErrorCode::kUnwritable, path.string(), "cannot be written");
     if (!is_whole(temporary))
       return fail(ErrorCode::kUnwritable, path.string(),
-                  "cannot write all of the file; is the disk full?");
+                  "cannot be written completely: is the disk full?");
     return {};
   });
 }
 
 Result<BakedObject> read_baked(const std::filesystem::path& path) {
-  auto bytes = read_bytes(path);
-  if (!bytes) return std::unexpected(bytes.error());
+  PENUMBRA_ASSIGN(bytes, read_bytes(path));
   Model model;
   std::string error, warning;
   try {
-    if (!tinygltf::TinyGLTF().LoadBinaryFromMemory(&model, &error, &warning, bytes->data(),
-                                                   static_cast<unsigned>(bytes->size()))) {
+    if (!tinygltf::TinyGLTF().LoadBinaryFromMemory(&model, &error, &warning, bytes.data(),
+                                                   static_cast<unsigned>(bytes.size()))) {
       std::ranges::replace(error, '\n', ' ');
       return fail(ErrorCode::kUnreadable, path.string(),
-                  error.empty() ? "not a binary glTF" : error);
+                  error.empty() ? "is not a binary glTF" : error);
     }
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, path.string(), e.what());

@@ -7,6 +7,7 @@
 #include "core/result.h"
 #include "prt/bake/bake.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// The baked file: binary glTF that any viewer opens, transfer in underscore attributes.
@@ -17,3 +18,4 @@ Result<BakedObject> read_baked(const std::filesystem::path& path);
 bool is_baked_file(const std::filesystem::path& path);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

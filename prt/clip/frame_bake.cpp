@@ -1,7 +1,7 @@
 #include "prt/clip/internal/frame_bake.h"
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
+#include "lighting/sh/rotation.h"
 #include "prt/geometry/ground_grid.h"
 
 #include <fmt/format.h>
@@ -70,36 +70,37 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
     return fail(ErrorCode::kInvalid, "animation", fmt::format("there is no clip {}", clip));
   if (c.triangles.empty()) return fail(ErrorCode::kInvalid, "character", "has no triangles");
   if (!(o.frames_per_second > 0 && o.frames_per_second <= 1000))
-    return fail(ErrorCode::kInvalid, "frames per second", "not within 0..1000");
+    return fail(ErrorCode::kInvalid, "frames per second", "are not above 0 and at most 1000");
   const double seconds = c.clips[static_cast<std::size_t>(clip)].seconds;
   if (!(seconds * o.frames_per_second <= kMaxFrames))
     return fail(ErrorCode::kInvalid, "animation",
-                fmt::format("{:.1f} s at {} frames a second are more than {} frames", seconds,
-                            o.frames_per_second, kMaxFrames));
+                fmt::format("has {:.1f} s, which at {} frames a second are more than {} frames",
+                            seconds, o.frames_per_second, kMaxFrames));
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands",
-                fmt::format("{} is not in 1..{}", o.bands, kMaxBands));
+                fmt::format("{} is not within 1..{}", o.bands, kMaxBands));
   if (o.map_width < 0 || o.map_width > 4096 || o.map_height < 0 || o.map_height > 4096 ||
       (o.map_width == 0) != (o.map_height == 0))
-    return fail(ErrorCode::kInvalid, "light map", "its sides are not within 1..4096 texels");
+    return fail(ErrorCode::kInvalid, "light map", "has sides that are not within 1..4096 texels");
   if (o.map_width > 0 && !has_light_coordinates(c))
-    return fail(ErrorCode::kInvalid, "light map", "the asset has no texture coordinates for one");
+    return fail(ErrorCode::kInvalid, "light map",
+                "needs texture coordinates, which the asset does not have");
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
-    return fail(ErrorCode::kInvalid, "rays", "must be a positive multiple of 64");
+    return fail(ErrorCode::kInvalid, "rays", "are not a positive multiple of 64");
   if (o.bounces < 0 || o.bounces > kMaxBounces)
     return fail(ErrorCode::kInvalid, "bounces",
-                fmt::format("{} is not in 0..{}", o.bounces, kMaxBounces));
+                fmt::format("{} is not within 0..{}", o.bounces, kMaxBounces));
   const auto is_albedo = [](const Rgb& a) {
     return a.r >= 0 && a.r <= 1 && a.g >= 0 && a.g <= 1 && a.b >= 0 && a.b <= 1;
   };
   if (!is_albedo(o.ground_albedo) || !std::ranges::all_of(c.albedo, is_albedo))
-    return fail(ErrorCode::kInvalid, "albedo", "not within 0..1");
+    return fail(ErrorCode::kInvalid, "albedo", "is not within 0..1");
   if (o.ground_size && (*o.ground_size < 2 || *o.ground_size > 4096))
-    return fail(ErrorCode::kInvalid, "receiver", "size not within 2..4096");
+    return fail(ErrorCode::kInvalid, "receiver", "has a size that is not within 2..4096");
   if (!(o.error > 0 && o.error < 1))
-    return fail(ErrorCode::kInvalid, "error", "of compression is not within 0..1");
+    return fail(ErrorCode::kInvalid, "error", "is not above 0 and below 1");
   if (!(o.between >= 0 && o.between < 1))
-    return fail(ErrorCode::kInvalid, "between", "the error between key frames is not within 0..1");
+    return fail(ErrorCode::kInvalid, "interpolation error", "is not at least 0 and below 1");
   return FrameBaker(c, clip, o);
 }
 
@@ -423,28 +424,27 @@ Result<FrameRecord> FrameBaker::bake(int position,
   o.receiver = receiver_;
   o.ray_frames = frames;
   o.progress = progress;
-  auto baked = prt::bake(std::move(mesh), o);
-  if (!baked) return std::unexpected(baked.error());
+  PENUMBRA_ASSIGN(baked, prt::bake(std::move(mesh), o));
   // In one frame, where neighbours on different bones can be compared.
   if (options_.denoise && !layout_.texels.empty())
-    denoise(baked->report, baked->mesh, baked->transfer);
-  equalise_seams(baked->report, baked->transfer, baked->indirect);
-  for (Transfer* t : {&baked->transfer, &baked->indirect}) {
+    denoise(baked.report, baked.mesh, baked.transfer);
+  equalise_seams(baked.report, baked.transfer, baked.indirect);
+  for (Transfer* t : {&baked.transfer, &baked.indirect}) {
     to_materials(layout_, bones, *t);
-    mark_hidden(baked->report, *t);
+    mark_hidden(baked.report, *t);
   }
   FrameRecord out;
   out.frame = static_cast<std::uint32_t>(position);
-  out.rays = baked->report.rays;
-  out.seconds = baked->report.seconds;
+  out.rays = baked.report.rays;
+  out.seconds = baked.report.seconds;
   for (std::size_t p = 0; p < layout_.points(); ++p) {
-    if (baked->report.quality[p].behind > kHiddenFraction) continue;
+    if (baked.report.quality[p].behind > kHiddenFraction) continue;
     ++out.seen;
-    out.mean += baked->transfer.value(0, 0, p);
-    out.error_variance += std::pow(double(baked->report.quality[p].standard_error) * kOpenT0, 2);
+    out.mean += baked.transfer.value(0, 0, p);
+    out.error_variance += std::pow(double(baked.report.quality[p].standard_error) * kOpenT0, 2);
   }
   for (const Transfer* t :
-       {&baked->transfer, &baked->indirect, &baked->ground_deficit, &baked->ground_indirect})
+       {&baked.transfer, &baked.indirect, &baked.ground_deficit, &baked.ground_indirect})
     out.values.insert(out.values.end(), t->values.begin(), t->values.end());
   out.values.resize(offset(kStreams));
   return out;

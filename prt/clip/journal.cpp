@@ -31,15 +31,15 @@ template <class Visit>
 Result<std::uintmax_t> scan(const std::filesystem::path& path, const JournalKey& key,
                             const Visit& visit) {
   std::ifstream in(path, std::ios::binary);
-  if (!in) return fail(ErrorCode::kNotFound, path.string(), "no such journal of a bake");
+  if (!in) return fail(ErrorCode::kNotFound, path.string(), "is missing: bake this shard first");
   JournalHead head{};
   in.read(reinterpret_cast<char*>(&head), sizeof head);
   if (!in || std::memcmp(head.magic, kMagic, sizeof kMagic) != 0)
     return fail(ErrorCode::kUnreadable, path.string(), "is not a journal of a bake");
   if (JournalKey{head.bake, head.frames, head.values} != key)
     return fail(ErrorCode::kInvalid, path.string(),
-                "is the journal of a bake of another asset, clip or setting: remove it, or choose "
-                "another output");
+                "is the journal of another bake, with another asset, clip or setting: remove it, "
+                "or choose another output");
   std::uintmax_t good = sizeof head;
   FrameRecord record;
   record.values.resize(static_cast<std::size_t>(key.values));
@@ -77,15 +77,15 @@ Result<Journal> Journal::open(const std::filesystem::path& path, const JournalKe
     head.values = key.values;
     out.out_.write(reinterpret_cast<const char*>(&head), sizeof head);
   } else {
-    const auto good =
-        scan(path, key, [&](const FrameRecord& r) { out.frames_.push_back(r.frame); });
-    if (!good) return std::unexpected(good.error());
-    std::filesystem::resize_file(path, *good, error);
+    PENUMBRA_ASSIGN(good,
+                    scan(path, key, [&](const FrameRecord& r) { out.frames_.push_back(r.frame); }));
+    std::filesystem::resize_file(path, good, error);
     out.out_.open(path, std::ios::binary | std::ios::app);
   }
   out.out_.flush();
   if (error || !out.out_)
-    return fail(ErrorCode::kUnwritable, path.string(), "cannot keep the bake's frames there");
+    return fail(ErrorCode::kUnwritable, path.string(),
+                "cannot be written to, and baked frames are kept there");
   return out;
 }
 
@@ -107,8 +107,7 @@ Result<void> Journal::add(const FrameRecord& record) {
 Result<std::vector<FrameRecord>> read_journal(const std::filesystem::path& path,
                                               const JournalKey& key) {
   std::vector<FrameRecord> out;
-  const auto read = scan(path, key, [&](const FrameRecord& r) { out.push_back(r); });
-  if (!read) return std::unexpected(read.error());
+  PENUMBRA_TRY(scan(path, key, [&](const FrameRecord& r) { out.push_back(r); }));
   return out;
 }
 

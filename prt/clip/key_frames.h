@@ -8,6 +8,7 @@
 
 #include "prt/transfer/transfer.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct Transfer;
@@ -42,3 +43,4 @@ inline double allowed_between(double asked, double standard_error) {
 }
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -8,6 +8,7 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct Mesh;
@@ -57,3 +58,4 @@ SurfaceLayout lay_out(const Character& character, int width, int height);
 void add_texels(const Character& character, const SurfaceLayout& layout, Mesh& mesh);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -12,9 +12,9 @@
 #include <numeric>
 
 #include "core/parallel.h"
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
-#include "lighting/rotation.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
+#include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/bake_rules.h"
 #include "prt/clip/light_map.h"
@@ -345,15 +345,15 @@ void LiveBake::Impl::write(BakedObject& out) const {
 Result<LiveBake> LiveBake::create(const Character& character, const LiveBakeOptions& options) {
   if (options.bands < 1 || options.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands",
-                fmt::format("{} is not in 1..{}", options.bands, kMaxBands));
+                fmt::format("{} is not within 1..{}", options.bands, kMaxBands));
   if (options.receiver && (options.receiver->grid.size < 2 || options.receiver->grid.size > 4096 ||
                            !(options.receiver->grid.half_extent > 0)))
-    return fail(ErrorCode::kInvalid, "receiver", "size not within 2..4096, or extent not positive");
+    return fail(ErrorCode::kInvalid, "receiver",
+                "has a size that is not within 2..4096, or an extent that is not positive");
   Mesh form;
   deform(character, rest_pose(character), form);
-  auto scene = RayScene::build(form);
-  if (!scene) return std::unexpected(scene.error());
-  return LiveBake(std::make_unique<Impl>(character, options, std::move(*scene), form));
+  PENUMBRA_ASSIGN(scene, RayScene::build(form));
+  return LiveBake(std::make_unique<Impl>(character, options, std::move(scene), form));
 }
 
 LiveBake::LiveBake(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -396,14 +396,6 @@ LiveBake::Cost LiveBake::update(const CharacterPose& pose, std::size_t visits, B
   s.write(out);
   cost.fixed_s = seconds_since(begin) - cost.rays_s;
   return cost;
-}
-
-double LiveBake::rays_kept() const {
-  double sum = 0;
-  for (std::size_t p = 0; p < impl_->size(); ++p)
-    sum += double(impl_->counts[p]) *
-           std::exp((impl_->visited_at[p] - impl_->travelled) / impl_->memory(p));
-  return kRays * sum / static_cast<double>(impl_->size());
 }
 
 }  // namespace penumbra::prt

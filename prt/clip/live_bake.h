@@ -12,6 +12,7 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/receiver.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct BakedObject;
@@ -44,8 +45,6 @@ class LiveBake {
     double rays_s = 0, fixed_s = 0;  // of the visits, and of what every update does
   };
   Cost update(const CharacterPose& pose, std::size_t visits, BakedObject& out);
-  /// Rays that an estimate still rests on, mean over all points.
-  double rays_kept() const;
 
  private:
   struct Impl;
@@ -54,3 +53,4 @@ class LiveBake {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

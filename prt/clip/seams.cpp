@@ -157,15 +157,4 @@ void Seams::equalise(std::span<const char> hidden, std::size_t stride,
   });
 }
 
-double Seams::jump(std::span<const float> map) const {
-  if (empty()) return 0;
-  double sum = 0;
-  for (const Lookup& l : lookups_) {
-    double apart = 0;
-    for (std::size_t i = 0; i < 8; ++i) apart += double(l.weight[i]) * map[l.point[i]];
-    sum += apart * apart;
-  }
-  return std::sqrt(sum / static_cast<double>(lookups_.size()));
-}
-
 }  // namespace penumbra::prt

@@ -7,8 +7,8 @@
 #include <map>
 #include <set>
 
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/clip/internal/frame_bake.h"
 #include "prt/clip/internal/journal.h"
 #include "prt/clip/internal/sequence_codec.h"
@@ -37,10 +37,9 @@ Result<void> bake_positions(const FrameBaker& baker, std::span<const int> wanted
     };
     fraction(0);
     if (done.contains(static_cast<std::uint32_t>(wanted[i]))) continue;
-    auto record = baker.bake(wanted[i], fraction);
-    if (!record) return std::unexpected(record.error());
-    PENUMBRA_TRY(journal.add(*record));
-    visit(std::move(*record));
+    PENUMBRA_ASSIGN(record, baker.bake(wanted[i], fraction));
+    PENUMBRA_TRY(journal.add(record));
+    visit(std::move(record));
   }
   if (progress) progress(1);
   return {};
@@ -52,27 +51,23 @@ Result<void> bake_frames(const Character& character, int clip, const SequenceOpt
                          Shard shard, const std::filesystem::path& journal_path) {
   if (shard.count < 1 || shard.index < 0 || shard.index >= shard.count)
     return fail(ErrorCode::kInvalid, "shard",
-                fmt::format("{}/{} is not one of a whole", shard.index + 1, shard.count));
-  auto baker = FrameBaker::create(character, clip, options);
-  if (!baker) return std::unexpected(baker.error());
-  auto journal = Journal::open(journal_path, baker->key());
-  if (!journal) return std::unexpected(journal.error());
+                fmt::format("{}/{} is not i/n with i in 1..n", shard.index + 1, shard.count));
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  PENUMBRA_ASSIGN(journal, Journal::open(journal_path, baker.key()));
   std::vector<int> wanted;
-  for (int f = shard.index; f < baker->frames(); f += shard.count)
+  for (int f = shard.index; f < baker.frames(); f += shard.count)
     wanted.push_back(f * FrameBaker::kSplit);
-  PENUMBRA_TRY(bake_positions(*baker, wanted, *journal, options.progress, [](auto&&) {}));
+  PENUMBRA_TRY(bake_positions(baker, wanted, journal, options.progress, [](auto&&) {}));
   if (shard.count > 1) return {};
   const std::filesystem::path journals[] = {journal_path};
-  const auto between = bake_between(character, clip, options, journals, journal_path);
-  if (!between) return std::unexpected(between.error());
+  PENUMBRA_TRY(bake_between(character, clip, options, journals, journal_path));
   return {};
 }
 
 Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options) {
-  auto baker = FrameBaker::create(character, clip, options);
-  if (!baker) return std::unexpected(baker.error());
-  return baker->key().bake;
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  return baker.key().bake;
 }
 
 namespace {
@@ -83,14 +78,13 @@ using Records = std::map<std::uint32_t, FrameRecord>;  // by position
 Result<Records> gather(const FrameBaker& baker, std::span<const std::filesystem::path> journals) {
   Records out;
   for (const std::filesystem::path& path : journals) {
-    auto records = read_journal(path, baker.key());
-    if (!records) return std::unexpected(records.error());
-    for (FrameRecord& r : *records) out[r.frame] = std::move(r);
+    PENUMBRA_ASSIGN(records, read_journal(path, baker.key()));
+    for (FrameRecord& r : records) out[r.frame] = std::move(r);
   }
   for (int f = 0; f < baker.frames(); ++f)
     if (!out.contains(static_cast<std::uint32_t>(f * FrameBaker::kSplit)))
       return fail(ErrorCode::kInvalid, journals.empty() ? "journals" : journals[0].string(),
-                  fmt::format("frame {} of {} is not baked yet, in none of {} journals", f,
+                  fmt::format("frame {} of {} is in none of the {} journals: bake it first", f,
                               baker.frames(), journals.size()));
   return out;
 }
@@ -207,9 +201,9 @@ Result<Records> gather_all(const FrameBaker& baker, double bound,
   PENUMBRA_ASSIGN(known, gather(baker, journals));
   Chosen chosen = choose(baker, std::move(known), bound);
   if (chosen.missing.empty()) return std::move(chosen.records);
-  return fail(
-      ErrorCode::kInvalid, journals[0].string(),
-      fmt::format("{} frames between those of the rate are not baked yet", chosen.missing.size()));
+  return fail(ErrorCode::kInvalid, journals[0].string(),
+              fmt::format("{} key frames between those of the frame rate are not baked yet",
+                          chosen.missing.size()));
 }
 
 }  // namespace
@@ -217,23 +211,21 @@ Result<Records> gather_all(const FrameBaker& baker, double bound,
 Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,
                           const std::filesystem::path& journal_path) {
-  auto baker = FrameBaker::create(character, clip, options);
-  if (!baker) return std::unexpected(baker.error());
-  PENUMBRA_ASSIGN(known, gather(*baker, journals));
-  if (options.between == 0 || !baker->moves()) return false;
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  PENUMBRA_ASSIGN(known, gather(baker, journals));
+  if (options.between == 0 || !baker.moves()) return false;
   std::error_code ignored;
   const bool other = std::ranges::find(journals, journal_path) == journals.end();
   if (other && std::filesystem::exists(journal_path, ignored)) {
-    PENUMBRA_ASSIGN(kept, read_journal(journal_path, baker->key()));
+    PENUMBRA_ASSIGN(kept, read_journal(journal_path, baker.key()));
     for (FrameRecord& r : kept) known.try_emplace(r.frame, std::move(r));
   }
-  Chosen chosen = choose(*baker, std::move(known), options.between);
+  Chosen chosen = choose(baker, std::move(known), options.between);
   while (!chosen.missing.empty()) {
-    auto journal = Journal::open(journal_path, baker->key());
-    if (!journal) return std::unexpected(journal.error());
-    PENUMBRA_TRY(bake_positions(*baker, chosen.missing, *journal, options.progress,
+    PENUMBRA_ASSIGN(journal, Journal::open(journal_path, baker.key()));
+    PENUMBRA_TRY(bake_positions(baker, chosen.missing, journal, options.progress,
                                 [&](FrameRecord&& r) { chosen.records[r.frame] = std::move(r); }));
-    chosen = choose(*baker, std::move(chosen.records), options.between);
+    chosen = choose(baker, std::move(chosen.records), options.between);
   }
   return other && std::filesystem::exists(journal_path, ignored);
 }
@@ -241,28 +233,27 @@ Result<bool> bake_between(const Character& character, int clip, const SequenceOp
 Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,
                                       std::span<const std::filesystem::path> journals) {
-  auto baker = FrameBaker::create(character, clip, options);
-  if (!baker) return std::unexpected(baker.error());
-  PENUMBRA_ASSIGN(records, gather_all(*baker, options.between, journals));
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  PENUMBRA_ASSIGN(records, gather_all(baker, options.between, journals));
   BakedSequence out;
-  out.keys = keys_of(*baker, records);
+  out.keys = keys_of(baker, records);
   out.clip = character.clips[static_cast<std::size_t>(clip)].name;
   out.seconds = character.clips[static_cast<std::size_t>(clip)].seconds;
   out.map_width = options.map_width;
   out.map_height = options.map_height;
-  out.receiver = baker->receiver();
+  out.receiver = baker.receiver();
   for (const auto& [position, r] : records) {
     out.report.rays += r.rays;
     out.report.seconds += r.seconds;
   }
   out.report.standard_error = standard_error(records);
-  if (out.seconds > 0) tell_interpolation(errors_between(*baker, out.keys, records), out);
-  const StreamLayout surface = layout_of_surface(baker->layout());
+  if (out.seconds > 0) tell_interpolation(errors_between(baker, out.keys, records), out);
+  const StreamLayout surface = layout_of_surface(baker.layout());
   const StreamLayout ground = layout_of_ground(out.receiver ? out.receiver->grid.size : 0);
   // The budget is one of the picture: a part of the light that is faint beside the whole may err by more of itself.
   double allowed = 0;
   const auto encode = [&](FrameBaker::Stream stream, const StreamLayout& layout) {
-    const std::vector<Transfer> frames = frames_of(*baker, records, stream);
+    const std::vector<Transfer> frames = frames_of(baker, records, stream);
     if (stream == FrameBaker::kSurface) {
       const double rms = SequenceCodec::rendered_rms(frames);
       allowed = options.error * rms;
@@ -283,10 +274,9 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
 Result<std::vector<Transfer>> baked_surface(const Character& character, int clip,
                                             const SequenceOptions& options,
                                             std::span<const std::filesystem::path> journals) {
-  auto baker = FrameBaker::create(character, clip, options);
-  if (!baker) return std::unexpected(baker.error());
-  PENUMBRA_ASSIGN(records, gather_all(*baker, options.between, journals));
-  return frames_of(*baker, records, FrameBaker::kSurface);
+  PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
+  PENUMBRA_ASSIGN(records, gather_all(baker, options.between, journals));
+  return frames_of(baker, records, FrameBaker::kSurface);
 }
 
 CompressedSurface compress_surface(const SurfaceLayout& layout, std::span<const Transfer> frames,

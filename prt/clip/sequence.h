@@ -20,6 +20,7 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/receiver.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct BakedObject;
@@ -233,3 +234,4 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
                                       const std::string& name);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -502,24 +502,26 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
                                              const StreamLayout& layout, const std::string& name) {
   ByteReader in(bytes);
   const auto damaged = [&](const std::string& what) {
-    return fail(ErrorCode::kUnreadable, name, fmt::format("damaged at byte {}: {}", in.at(), what));
+    return fail(ErrorCode::kUnreadable, name,
+                fmt::format("is damaged at byte {}: {}", in.at(), what));
   };
   StreamHead head{};
   if (!in.get(head)) return damaged("a stream of transfer is cut off");
   TransferSequence s;
   if (head.points == 0) return s;
   if (head.points != layout.bone.size())
-    return damaged(fmt::format("{} points instead of {}", head.points, layout.bone.size()));
+    return damaged(fmt::format("it has {} points instead of {}", head.points, layout.bone.size()));
   if (head.bands < 1 || head.bands > kMaxBands || (head.channels != 1 && head.channels != 3) ||
       head.frames < 1)
-    return damaged("bands, channels or frames out of range");
+    return damaged("bands, channels or frames are out of range");
   s.points_ = head.points;
   s.frames_ = head.frames;
   s.bands_ = head.bands;
   s.channels_ = head.channels;
   for (int l = 0; l < s.bands_; ++l) {
     float step = 0;
-    if (!in.get(step) || !(step >= 0 && step < 1e6f)) return damaged("a step is no number");
+    if (!in.get(step) || !(step >= 0 && step < 1e6f))
+      return damaged("a quantisation step is not a number");
     s.step_.push_back(step);
   }
   s.order_ = order_by_bone(layout);
@@ -531,7 +533,7 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
       for (const FrameSpan& span : spans) {
         std::uint8_t components = 0;
         if (!in.get(components) || components < 1 || components > span.count)
-          return damaged("number of components out of range");
+          return damaged("the number of components is out of range");
         g.components.insert(g.components.end(), components, {span.first, span.count, {}, {}});
       }
       int before = -1;
@@ -541,7 +543,7 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
           std::uint16_t half = 0;
           if (!in.get(half)) return damaged("weights over time are cut off");
           const float w = float_from_half(half);
-          if (!std::isfinite(w)) return damaged("a weight over time is no number");
+          if (!std::isfinite(w)) return damaged("a weight over time is not a number");
           c.weight.push_back(w);
         }
       }
@@ -551,7 +553,7 @@ Result<TransferSequence> SequenceCodec::read(std::span<const unsigned char> byte
   for (const TransferSequence::BoneGroup& g : s.groups_)
     largest += g.components.size() * static_cast<std::size_t>(coefficient_count(s.bands_)) *
                padded(g.count);
-  if (largest > kMaxValues) return damaged("more values than any bake has");
+  if (largest > kMaxValues) return damaged("it has more values than any bake");
   const std::vector<std::uint32_t> place = places_in_groups(s.order_, groups);
   MapCoder coder(layout, s.order_, place);
   auto models = std::make_unique<ValueModels>();

@@ -119,9 +119,10 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
   if (head.asset != prt::fingerprint(character, clip))
     return fail(ErrorCode::kInvalid, name, "was baked from another mesh, albedo or clip");
   if (!sizes_are_valid(head))
-    return fail(ErrorCode::kUnreadable, name, "damaged at byte 24: sizes out of range");
+    return fail(ErrorCode::kUnreadable, name, "is damaged at byte 24: its sizes are out of range");
   if (head.map_width > 0 && !has_light_coordinates(character))
-    return fail(ErrorCode::kInvalid, name, "has a light map, and the asset no texture coordinates");
+    return fail(ErrorCode::kInvalid, name,
+                "has a light map, but the asset has no texture coordinates");
   const SurfaceLayout layout =
       lay_out(character, static_cast<int>(head.map_width), static_cast<int>(head.map_height));
   const auto fraction = [](double v) { return v >= 0 && v < 1e6; };  // NaN is none
@@ -130,9 +131,10 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
       !fraction(head.interpolation_error) || !fraction(head.worst_interpolation) ||
       !fraction(head.ground_albedo[0]) || !fraction(head.ground_albedo[1]) ||
       !fraction(head.ground_albedo[2]))
-    return fail(ErrorCode::kUnreadable, name, "damaged: its figures are out of range");
+    return fail(ErrorCode::kUnreadable, name, "is damaged: its figures are out of range");
   if (head.layout != fingerprint(layout))
-    return fail(ErrorCode::kInvalid, name, "lays its texels out otherwise than this program does");
+    return fail(ErrorCode::kInvalid, name,
+                "has a light map with another layout than this version makes: bake it again");
   BakedSequence out;
   out.clip = character.clips[static_cast<std::size_t>(clip)].name;
   out.seconds = head.seconds;
@@ -146,7 +148,7 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
                  head.ground_height};
     if (head.ground_size < 2 || !(g.half_extent > 0) ||
         !std::isfinite(g.half_extent + g.height + g.centre.x + g.centre.y))
-      return fail(ErrorCode::kUnreadable, name, "damaged: the receiver's grid is none");
+      return fail(ErrorCode::kUnreadable, name, "is damaged: its receiver is out of range");
     out.receiver =
         Receiver{g, {head.ground_albedo[0], head.ground_albedo[1], head.ground_albedo[2]}};
   }
@@ -157,31 +159,31 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
   std::size_t at = sizeof head;
   if (head.key_frames > (bytes.size() - at) / sizeof(std::uint32_t))
     return fail(ErrorCode::kUnreadable, name,
-                fmt::format("damaged at byte {}: the key frames are cut off", at));
+                fmt::format("is damaged at byte {}: the key frames are cut off", at));
   out.keys.parts = head.parts;
   out.keys.at.resize(static_cast<std::size_t>(head.key_frames));
   std::memcpy(out.keys.at.data(), bytes.data() + at, sizeof(std::uint32_t) * out.keys.at.size());
   if (!are_valid(out.keys))
     return fail(ErrorCode::kUnreadable, name,
-                fmt::format("damaged at byte {}: the key frames do not rise from 0", at));
+                fmt::format("is damaged at byte {}: the key frames do not rise from 0", at));
   at += sizeof(std::uint32_t) * out.keys.at.size();
   for (std::size_t i = 0; i < 4; ++i) {
     if (head.bytes[i] > bytes.size() - at)
       return fail(ErrorCode::kUnreadable, name,
-                  fmt::format("damaged at byte {}: a stream of transfer is cut off", at));
-    auto read =
-        SequenceCodec::read(bytes.subspan(at, head.bytes[i]), i < 2 ? surface : ground, name);
-    if (!read) return std::unexpected(read.error());
-    *streams[i] = std::move(*read);
+                  fmt::format("is damaged at byte {}: a stream of transfer is cut off", at));
+    PENUMBRA_ASSIGN(read, SequenceCodec::read(bytes.subspan(at, head.bytes[i]),
+                                              i < 2 ? surface : ground, name));
+    *streams[i] = std::move(read);
     at += head.bytes[i];
   }
   if (out.surface.points() == 0 || out.surface_indirect.points() == 0 ||
       (out.receiver && (out.ground_deficit.points() == 0 || out.ground_indirect.points() == 0)))
-    return fail(ErrorCode::kUnreadable, name, "damaged: a stream of transfer is empty");
+    return fail(ErrorCode::kUnreadable, name, "is damaged: a stream of transfer is empty");
   for (const TransferSequence* s : streams)
     if (s->points() > 0 && (static_cast<std::size_t>(s->frames()) != out.keys.at.size() ||
                             s->channels() != out.surface.channels()))
-      return fail(ErrorCode::kUnreadable, name, "damaged: streams of different clips");
+      return fail(ErrorCode::kUnreadable, name,
+                  "is damaged: its streams belong to different clips");
   return out;
 }
 
@@ -193,7 +195,8 @@ Result<SequenceInfo> read_sequence_info(const std::filesystem::path& path) {
       std::memcmp(head.magic, kMagic, sizeof kMagic) != 0)
     return fail(ErrorCode::kInvalid, path.string(), "is not a baked clip of this version");
   if (!sizes_are_valid(head))
-    return fail(ErrorCode::kUnreadable, path.string(), "damaged at byte 24: sizes out of range");
+    return fail(ErrorCode::kUnreadable, path.string(),
+                "is damaged at byte 24: its sizes are out of range");
   return SequenceInfo{static_cast<int>(head.map_width),          static_cast<int>(head.map_height),
                       static_cast<int>(head.ground_size),        head.seconds,
                       static_cast<std::size_t>(head.key_frames), report_of(head)};
@@ -201,18 +204,17 @@ Result<SequenceInfo> read_sequence_info(const std::filesystem::path& path) {
 
 Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,
                                     int clip) {
-  auto bytes = read_bytes(path);
-  if (!bytes) return std::unexpected(bytes.error());
+  PENUMBRA_ASSIGN(bytes, read_bytes(path));
   std::uint64_t sum = 0;
-  if (bytes->size() < sizeof(FileHead) + sizeof sum ||
-      std::memcmp(bytes->data(), kMagic, sizeof kMagic) != 0)
+  if (bytes.size() < sizeof(FileHead) + sizeof sum ||
+      std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
     return fail(ErrorCode::kInvalid, path.string(), "is not a baked clip of this version");
-  const std::size_t body = bytes->size() - sizeof sum;
-  std::memcpy(&sum, bytes->data() + body, sizeof sum);
-  if (sum != Fnv1a().add(bytes->data(), body).value())
+  const std::size_t body = bytes.size() - sizeof sum;
+  std::memcpy(&sum, bytes.data() + body, sizeof sum);
+  if (sum != Fnv1a().add(bytes.data(), body).value())
     return fail(ErrorCode::kUnreadable, path.string(),
-                fmt::format("damaged: the checksum at byte {} does not fit", body));
-  return decode_sequence(std::span(*bytes).first(body), character, clip, path.string());
+                fmt::format("is damaged: the checksum at byte {} does not match", body));
+  return decode_sequence(std::span(bytes).first(body), character, clip, path.string());
 }
 
 }  // namespace penumbra::prt

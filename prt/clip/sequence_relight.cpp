@@ -12,7 +12,7 @@
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 
-#include "lighting/rotation.h"
+#include "lighting/sh/rotation.h"
 #include "prt/clip/sequence.h"
 #include "prt/transfer/transfer.h"
 

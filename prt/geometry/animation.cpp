@@ -237,8 +237,8 @@ Result<int> find_clip(const Character& character, const std::string& wanted) {
   std::string names;
   for (const Clip& clip : character.clips) names += (names.empty() ? "" : ", ") + clip.name;
   return fail(ErrorCode::kNotFound, "animation",
-              fmt::format("no \"{}\"; there are {} (or 0 to {})", wanted, names,
-                          character.clips.size() - 1));
+              fmt::format("\"{}\" is not a clip of the asset; it has {} (or 0 to {})", wanted,
+                          names, character.clips.size() - 1));
 }
 
 }  // namespace penumbra::prt

@@ -19,6 +19,7 @@
 #include "core/result.h"
 #include "prt/geometry/mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct Mesh;
@@ -139,3 +140,4 @@ void subdivide(Character& character, float longest_edge, std::size_t triangle_li
 Result<int> find_clip(const Character& character, const std::string& name_or_index);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

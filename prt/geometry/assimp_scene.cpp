@@ -56,10 +56,10 @@ Result<void> check_ply(const std::filesystem::path& path) {
   if (!head.starts_with("ply")) return {};
   const std::size_t end = head.find("end_header");
   if (end == std::string::npos)
-    return fail(ErrorCode::kUnreadable, path.string(), "its PLY header has no end");
+    return fail(ErrorCode::kUnreadable, path.string(), "has a PLY header without an end");
   if (head.find("element tristrips") < end)
     return fail(ErrorCode::kInvalid, path.string(),
-                "holds triangle strips, which are not read; save it with faces");
+                "has triangle strips, which are not supported: save it with faces");
   return {};
 }
 
@@ -74,14 +74,14 @@ Result<const aiScene*> open_scene(Assimp::Importer& importer, const std::filesys
   std::error_code error;
   if (!std::filesystem::is_regular_file(path, error))
     return fail(ErrorCode::kNotFound, file,
-                std::filesystem::exists(path, error) ? "not a file" : "no such file");
+                std::filesystem::exists(path, error) ? "is not a file" : "no such file");
   PENUMBRA_TRY(check_ply(path));
   std::string kind = path.extension().string();
   std::ranges::transform(kind, kind.begin(),
                          [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (std::ranges::find(kKinds, kind) == std::end(kKinds))
     return fail(ErrorCode::kInvalid, file,
-                "not a kind that is read: glTF, OBJ, PLY, STL, FBX or COLLADA");
+                "is none of the mesh formats glTF, OBJ, PLY, STL, FBX and COLLADA");
   // Wide smoothing angle: scanned meshes come without normals and are smooth.
   importer.SetPropertyFloat(AI_CONFIG_PP_GSN_MAX_SMOOTHING_ANGLE, 80.f);
   const aiScene* scene = importer.ReadFile(

@@ -5,6 +5,7 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// The grid that an object needs: out to five radii of its bounding sphere, where an upright object
@@ -12,3 +13,4 @@ namespace penumbra::prt {
 GroundGrid fit_ground_grid(const Mesh& mesh, float plane_height, int size = 128);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -24,9 +24,11 @@ Result<void> add_vertices(const aiMesh& in, const aiMatrix4x4& to_world, Rgb alb
       return fail(ErrorCode::kNonFinite, file,
                   fmt::format("vertex {} of mesh \"{}\" is not finite", i, in.mName.C_Str()));
     if (std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) > kFarthest)
-      return fail(ErrorCode::kInvalid, file,
-                  fmt::format("vertex {} of mesh \"{}\" lies {:.2g} units away, more than {:.0g}",
-                              i, in.mName.C_Str(), p.Length(), kFarthest));
+      return fail(
+          ErrorCode::kInvalid, file,
+          fmt::format(
+              "vertex {} of mesh \"{}\" is {:.2g} units from the origin, and {:.0g} are the limit",
+              i, in.mName.C_Str(), p.Length(), kFarthest));
     if (!std::isfinite(n.x + n.y + n.z) || n.SquareLength() < 1e-20f) n = aiVector3D(0, 1, 0);
     n.Normalize();
     out.positions.emplace_back(p.x, p.y, p.z);
@@ -101,14 +103,13 @@ Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo
   const std::string file = path.string();
   try {
     Assimp::Importer importer;
-    auto scene = open_scene(importer, path);
-    if (!scene) return std::unexpected(scene.error());
+    PENUMBRA_ASSIGN(scene, open_scene(importer, path));
     Import out;
-    PENUMBRA_TRY(add_node(**scene, *(*scene)->mRootNode, aiMatrix4x4(), default_albedo, file, out));
+    PENUMBRA_TRY(add_node(*scene, *scene->mRootNode, aiMatrix4x4(), default_albedo, file, out));
     if (out.mesh.triangles.empty())
       return fail(
           ErrorCode::kInvalid, file,
-          out.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
+          out.degenerate_triangles > 0 ? "has only degenerate triangles" : "has no triangles");
     weld(out.mesh);
     return out;
   } catch (const std::exception& e) {

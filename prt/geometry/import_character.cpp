@@ -99,10 +99,10 @@ class Importer {
     if (out_.triangles.empty())
       return fail(
           ErrorCode::kInvalid, file_,
-          out_.degenerate_triangles > 0 ? "all its triangles are degenerate" : "has no triangles");
+          out_.degenerate_triangles > 0 ? "has only degenerate triangles" : "has no triangles");
     if (out_.bones.size() > kMaxBones)
       return fail(ErrorCode::kInvalid, file_,
-                  fmt::format("has {} bones, more than {}", out_.bones.size(), kMaxBones));
+                  fmt::format("has {} bones, and {} are the limit", out_.bones.size(), kMaxBones));
     if (!one_texture_) out_.texture.reset();
     if (!out_.texture) out_.tint.clear();
     for (unsigned i = 0; i < scene_.mNumAnimations; ++i)
@@ -117,8 +117,9 @@ class Importer {
     node.mTransformation.Decompose(scale, rotation, position);
     const NodePose rest{to_glm(position), to_glm(rotation), to_glm(scale)};
     if (!finite(rest.translation) || !finite(rest.rotation) || !finite(rest.scale))
-      return fail(ErrorCode::kNonFinite, file_,
-                  fmt::format("node \"{}\" has no finite place", node.mName.C_Str()));
+      return fail(
+          ErrorCode::kNonFinite, file_,
+          fmt::format("node \"{}\" has a transform that is not finite", node.mName.C_Str()));
     const int index = static_cast<int>(out_.nodes.size());
     out_.nodes.push_back({node.mName.C_Str(), parent, rest});
     by_name_.try_emplace(node.mName.C_Str(), index);
@@ -152,9 +153,11 @@ class Importer {
       const glm::vec3 p = to_glm(in.mVertices[i]);
       glm::vec3 n = in.mNormals ? to_glm(in.mNormals[i]) : glm::vec3(0, 1, 0);
       if (!finite(p) || std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) > kFarthest)
-        return fail(ErrorCode::kNonFinite, file_,
-                    fmt::format("vertex {} of mesh \"{}\" is not finite, or further than {:.0g}", i,
-                                in.mName.C_Str(), kFarthest));
+        return fail(
+            ErrorCode::kNonFinite, file_,
+            fmt::format(
+                "vertex {} of mesh \"{}\" is not finite, or more than {:.0g} units from the origin",
+                i, in.mName.C_Str(), kFarthest));
       if (!finite(n) || glm::length(n) < 1e-10f) n = {0, 1, 0};
       out_.positions.push_back(p);
       out_.normals.push_back(glm::normalize(n));
@@ -228,7 +231,7 @@ class Importer {
       const auto node = by_name_.find(bone.mName.C_Str());
       if (node == by_name_.end())
         return fail(ErrorCode::kInvalid, file_,
-                    fmt::format("no node is joint \"{}\"", bone.mName.C_Str()));
+                    fmt::format("has no node for joint \"{}\"", bone.mName.C_Str()));
       const auto index = static_cast<std::uint16_t>(std::min(out_.bones.size(), kMaxBones));
       out_.bones.push_back({node->second, to_glm(bone.mOffsetMatrix)});
       for (unsigned w = 0; w < bone.mNumWeights; ++w) {
@@ -255,7 +258,8 @@ class Importer {
     }
     return out_.influences.size() == first + in.mNumVertices
                ? Result<void>{}
-               : fail(ErrorCode::kInvalid, file_, "skins and vertices differ in number");
+               : fail(ErrorCode::kInvalid, file_,
+                      "has a different number of skin weights and vertices");
   }
 
   void add_triangles(const aiMesh& in, std::size_t first) {
@@ -375,9 +379,8 @@ class Importer {
 Result<Character> import_character(const std::filesystem::path& path, Rgb default_albedo) {
   try {
     Assimp::Importer importer;
-    auto scene = open_scene(importer, path);
-    if (!scene) return std::unexpected(scene.error());
-    return Importer(**scene, path, default_albedo).run();
+    PENUMBRA_ASSIGN(scene, open_scene(importer, path));
+    return Importer(*scene, path, default_albedo).run();
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnreadable, path.string(), e.what());
   }

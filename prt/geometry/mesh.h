@@ -14,6 +14,7 @@
 #include "core/image.h"
 #include "core/result.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct Mesh {
@@ -61,3 +62,4 @@ struct Import {
 Result<Import> import_mesh(const std::filesystem::path& path, Rgb default_albedo);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -5,6 +5,7 @@
 
 #include "core/pose.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct PinholeView {
@@ -15,3 +16,4 @@ struct PinholeView {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -6,6 +6,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// An infinite real plane. `texture` scales the albedo by position where given.
@@ -16,3 +17,4 @@ struct Plane {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -7,6 +7,7 @@
 
 #include "prt/geometry/rays.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// One of several fixed patterns of N points on the unit square. A point keeps the pattern and the
@@ -49,3 +50,4 @@ class RayPatterns {
 glm::mat3 frame_around(const glm::vec3& axis);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

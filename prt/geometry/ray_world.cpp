@@ -91,7 +91,7 @@ RayWorld& RayWorld::operator=(RayWorld&&) noexcept = default;
 Result<RayWorld> RayWorld::create() {
   auto impl = std::make_unique<Impl>();
   impl->device = rtcNewDevice(nullptr);
-  if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot make a device");
+  if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot create a device");
   return RayWorld(std::move(impl));
 }
 

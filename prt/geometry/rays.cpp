@@ -63,7 +63,7 @@ Result<RayScene> RayScene::build(const Mesh& mesh) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
   auto impl = std::make_unique<Impl>();
   impl->device = rtcNewDevice(nullptr);
-  if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot make a device");
+  if (!impl->device) return fail(ErrorCode::kUnavailable, "Embree", "cannot create a device");
   // Robust: no ray slips through the shared edge of two triangles.
   impl->scene = build_embree_scene(impl->device, mesh, RTC_SCENE_FLAG_ROBUST);
   if (!impl->scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");

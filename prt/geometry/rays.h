@@ -12,6 +12,7 @@
 #include "core/result.h"
 #include "prt/geometry/mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct Hit {
@@ -92,3 +93,4 @@ class RayWorld {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -5,6 +5,7 @@
 
 #include "core/image.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// Sample points of a receiving plane around an object: size x size texels, dense near the centre.
@@ -28,3 +29,4 @@ struct Receiver {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

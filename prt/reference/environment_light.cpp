@@ -3,8 +3,8 @@
 #include <cmath>
 
 #include "core/conventions.h"
-#include "lighting/basis.h"
-#include "lighting/irradiance.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/reference/environment_light.h"
 
 namespace penumbra::prt {

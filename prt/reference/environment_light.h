@@ -11,6 +11,7 @@
 #include "core/sh.h"
 #include "prt/geometry/animation.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// Radiance arriving from a direction, with a sampler when it is peaky.
@@ -41,3 +42,4 @@ class EnvironmentLight {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

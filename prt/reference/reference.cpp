@@ -64,9 +64,8 @@ class Tracer {
   static Result<Tracer> make(const ReferenceWorld& world, int longest_path) {
     Tracer tracer(world, longest_path);
     if (!world.mesh.triangles.empty()) {
-      auto scene = RayScene::build(world.mesh);
-      if (!scene) return std::unexpected(scene.error());
-      tracer.scene_ = std::make_shared<RayScene>(std::move(*scene));
+      PENUMBRA_ASSIGN(scene, RayScene::build(world.mesh));
+      tracer.scene_ = std::make_shared<RayScene>(std::move(scene));
       tracer.near_ = 1e-4f * radius_around(world.mesh, bounds_of(world.mesh).centre());
     }
     return tracer;
@@ -241,20 +240,20 @@ Result<Reference> render_reference(const ReferenceWorld& world, const PinholeVie
                                    const ReferenceOptions& options) {
   if (view.width < 1 || view.height < 1 || !(view.focal_px.x > 0) || !(view.focal_px.y > 0) ||
       !std::isfinite(view.focal_px.x + view.focal_px.y + view.principal_px.x + view.principal_px.y))
-    return fail(ErrorCode::kInvalid, "camera", "size and focal length must be positive and finite");
+    return fail(ErrorCode::kInvalid, "camera",
+                "has a size or focal length that is not positive and finite");
   if (options.max_samples < 2)
-    return fail(ErrorCode::kInvalid, "samples", "two at least, one for each half");
+    return fail(ErrorCode::kInvalid, "samples", "are fewer than two, one for each half");
   if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
-  auto tracer = Tracer::make(world, options.longest_path);
-  if (!tracer) return std::unexpected(tracer.error());
+  PENUMBRA_ASSIGN(tracer, Tracer::make(world, options.longest_path));
   Reference out;
   out.half_a = out.half_b = Image<Rgb>(view.width, view.height);
   int done = 0;
   double error = 1;
   for (int pass = 4; done < options.max_samples / 2; pass = std::min(pass * 2, 64)) {
     const int count = std::min(pass, options.max_samples / 2 - done);
-    render_half(*tracer, view, 2 * options.seed, done, count, out.half_a);
-    render_half(*tracer, view, 2 * options.seed + 1, done, count, out.half_b);
+    render_half(tracer, view, 2 * options.seed, done, count, out.half_a);
+    render_half(tracer, view, 2 * options.seed + 1, done, count, out.half_b);
     done += count;
     error = half_difference(out.half_a, out.half_b, done);
     if (options.progress)
@@ -279,15 +278,14 @@ Result<std::vector<Rgb>> reference_irradiance(const ReferenceWorld& world,
                                               std::span<const IrradiancePoint> points, int samples,
                                               std::uint64_t seed) {
   if (world.light == nullptr) return fail(ErrorCode::kInvalid, "world", "has no light");
-  auto tracer = Tracer::make(world, ReferenceOptions{}.longest_path);
-  if (!tracer) return std::unexpected(tracer.error());
+  PENUMBRA_ASSIGN(tracer, Tracer::make(world, ReferenceOptions{}.longest_path));
   std::vector<Rgb> out(points.size());
   parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
     double sum[3] = {};
     const SurfacePoint at{glm::vec3(points[i].position), glm::vec3(points[i].normal), {1, 1, 1}};
     for (int s = 0; s < samples; ++s) {
       PathNumbers numbers(seed * 0x100000001b3ull + i, s);
-      const Rgb v = tracer->gather(at, numbers);
+      const Rgb v = tracer.gather(at, numbers);
       for (int c = 0; c < 3; ++c) sum[c] += v[c];
     }
     for (int c = 0; c < 3; ++c) out[i][c] = static_cast<float>(kPi * sum[c] / samples);

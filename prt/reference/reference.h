@@ -15,6 +15,7 @@
 #include "prt/geometry/plane.h"
 #include "prt/reference/environment_light.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// A sphere of even radiance that nothing sees but by its light.
@@ -62,3 +63,4 @@ Result<std::vector<Rgb>> reference_irradiance(const ReferenceWorld& world,
                                               std::uint64_t seed);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

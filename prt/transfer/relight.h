@@ -7,6 +7,7 @@
 #include "core/sh.h"
 #include "prt/transfer/transfer.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo (times pi:
@@ -15,3 +16,4 @@ namespace penumbra::prt {
 void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out);
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

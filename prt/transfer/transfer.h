@@ -8,6 +8,7 @@
 
 #include "core/sh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 inline constexpr int kIndirectBands = 9;
@@ -35,3 +36,4 @@ struct Transfer {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

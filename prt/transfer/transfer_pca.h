@@ -12,6 +12,7 @@
 #include "prt/transfer/relight.h"
 #include "prt/transfer/transfer.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// A transfer, or two over the same points, as sums of few patterns over these points: their principal components. Light reaches a
@@ -44,3 +45,4 @@ class TransferPca {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

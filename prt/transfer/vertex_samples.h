@@ -8,6 +8,7 @@
 
 #include "prt/geometry/mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 struct Mesh;
@@ -38,3 +39,4 @@ class VertexSamples {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

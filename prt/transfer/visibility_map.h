@@ -13,6 +13,7 @@
 #include "prt/geometry/mesh.h"
 #include "prt/transfer/vertex_samples.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::prt {
 
 /// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets nothing of the mesh. Where the
@@ -125,3 +126,4 @@ class VisibilityLookup {
 };
 
 }  // namespace penumbra::prt
+#pragma GCC visibility pop

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "core/conventions.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
 #include "runtime/pipeline/single_thread_time.h"
@@ -55,8 +55,7 @@ lighting::ShadowProbes shadow_probes(const PreparedScene& scene) {
 }
 
 Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
-  auto lights = DirectLightStage::create(scene, {});
-  if (!lights) return std::unexpected(lights.error());
+  PENUMBRA_ASSIGN(lights, DirectLightStage::create(scene, {}));
   const OcclusionProbes alone(
       scene);  // nothing looked at yet: what stands around costs the same for any plan
   lighting::CostModel costs;
@@ -79,7 +78,7 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   sun.radiance = {1, 1, 1};
   const auto move = [&](int run) {
     sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
-    lights->update({&sun, 1}, 1, alone);
+    lights.update({&sun, 1}, 1, alone);
   };
   costs.per_light_ms = reflected_ms + time_single_threaded(3, move).p50_ms;
   return costs;
@@ -91,9 +90,8 @@ Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene
   out.limits.budget = budget;
   out.probes = shadow_probes(scene);
   if (!fitted) return out;
-  auto costs = fit_costs(scene);
-  if (!costs) return std::unexpected(costs.error());
-  out.costs = *costs;
+  PENUMBRA_ASSIGN(costs, fit_costs(scene));
+  out.costs = costs;
   return out;
 }
 

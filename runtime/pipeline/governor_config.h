@@ -6,6 +6,7 @@
 #include "lighting/governor.h"
 #include "runtime/scene/scene.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// The baked probes of all objects on a floor.
@@ -22,3 +23,4 @@ Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene
                                                       bool fitted);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

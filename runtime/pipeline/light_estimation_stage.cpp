@@ -11,7 +11,7 @@
 #include "capture/hdr/merge.h"
 #include "capture/warp_grid.h"
 #include "core/conventions.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 
 namespace penumbra::runtime {
 
@@ -158,13 +158,14 @@ Result<void> LightEstimationStage::follow(const capture::Frame& frame) {
   const capture::CameraInfo& info = cameras_[static_cast<std::size_t>(frame.camera)];
   const int w = capture::width(*frame.pixels), h = capture::height(*frame.pixels);
   if (w != info.projection.width || h != info.projection.height)
-    return fail(
-        ErrorCode::kInvalid, fmt::format("{} frame {}", info.name, frame.sequence),
-        fmt::format("{}x{}, expected {}x{}", w, h, info.projection.width, info.projection.height));
+    return fail(ErrorCode::kInvalid, fmt::format("{} frame {}", info.name, frame.sequence),
+                fmt::format("has {}x{} pixels instead of {}x{}", w, h, info.projection.width,
+                            info.projection.height));
   const auto& view = *std::ranges::find(views_, frame.camera, &RegionView::camera);
   if (stands(info, frame.world_from_camera)) {
     if (view.region) return {};
-    return fail(ErrorCode::kUndetermined, info.name, "the mirror ball is not whole in its picture");
+    return fail(ErrorCode::kUndetermined, info.name,
+                "the mirror ball is partly outside the picture");
   }
   const auto looked = look(frame.camera, frame.world_from_camera);
   lay_out();
@@ -185,7 +186,7 @@ Result<void> LightEstimationStage::merge(RegionView& view, const capture::Frame&
     const StageTimer timer(times_, "merge");
     merged = view.ring->add(part);
   }
-  if (!merged) return std::unexpected(merged.error());
+  PENUMBRA_TRY(merged);
   const StageTimer timer(times_, "assemble");
   view.assembler->assemble(**merged, view.map);
   view.map.time = frame.time;
@@ -241,8 +242,8 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
         views_, [](const RegionView& v) { return v.fresh && v.map.clipped_fraction > 0; });
     const RegionView& view = clips == views_.end() ? views_[0] : *clips;
     spdlog::warn(
-        "{}: a light source is saturated in every exposure; its light is a lower bound until a "
-        "floor completes it",
+        "{}: a light is saturated in every exposure: its power is a lower bound until it is "
+        "recovered from a floor of known albedo",
         cameras_[static_cast<std::size_t>(view.camera)].name);
   }
   if (!blend_ || told_gains_ || !ready()) return;
@@ -252,10 +253,11 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
     const auto& [camera, g, known] = views[i];
     if (known)
       spdlog::info(
-          "{}: view {} of the surroundings counts {:.3f} {:.3f} {:.3f} times by its overlaps",
+          "{}: view {} of the surroundings has the gain {:.3f} {:.3f} {:.3f} against view 1, by "
+          "their overlaps",
           camera, i + 1, g.r, g.g, g.b);
     else
-      spdlog::warn("{}: view {} of the surroundings overlaps no other: its gain counts as 1",
+      spdlog::warn("{}: view {} of the surroundings overlaps no other view: its gain counts as 1",
                    camera, i + 1);
   }
 }
@@ -273,9 +275,10 @@ void LightEstimationStage::complete(std::span<const lighting::SaturationRecovery
   for (const lighting::SaturationRecovery& c : completions) {
     const auto taken = estimator_.complete(c);
     if (taken)
-      spdlog::info("light: source {} completed from the floor", c.source);
+      spdlog::info("light: the power of saturated light {} is recovered from the floor", c.source);
     else  // it has moved on, or the floor says less than the camera
-      spdlog::warn("light: source {} not completed: {}", c.source, taken.error().detail);
+      spdlog::warn("light: the power of saturated light {} is not recovered from the floor: it {}",
+                   c.source, taken.error().detail);
   }
 }
 

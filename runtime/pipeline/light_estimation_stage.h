@@ -20,6 +20,7 @@
 #include "lighting/light_estimate.h"
 #include "lighting/saturation_recovery.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class LightEstimationStage {
@@ -96,3 +97,4 @@ class LightEstimationStage {
 };
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

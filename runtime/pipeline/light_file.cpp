@@ -14,25 +14,23 @@ Result<FileLight> read_light(const std::string& path,
                              const std::optional<std::string>& projection) {
   std::optional<calib::ProjectionKind> kind;
   if (projection) {
-    auto parsed = calib::projection_kind(*projection);
-    if (!parsed) return std::unexpected(parsed.error());
-    kind = *parsed;
+    PENUMBRA_ASSIGN(parsed, calib::projection_kind(*projection));
+    kind = parsed;
   }
-  auto file = capture::read_environment(path, kind);
-  if (!file) return std::unexpected(file.error());
+  PENUMBRA_ASSIGN(file, capture::read_environment(path, kind));
   FileLight out;
-  if (file->non_finite > 0)
+  if (file.non_finite > 0)
     spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path,
-                 file->non_finite);
-  const calib::ProjectionTable& t = file->table;
+                 file.non_finite);
+  const calib::ProjectionTable& t = file.table;
   const bool plain =
-      file->projection.kind == calib::ProjectionKind::kLatLong && file->non_finite == 0;
-  auto light = plain ? lighting::project_latlong(file->radiance, kMaxBands)
+      file.projection.kind == calib::ProjectionKind::kLatLong && file.non_finite == 0;
+  auto light = plain ? lighting::project_latlong(file.radiance, kMaxBands)
                      : lighting::project_samples(
-                           {t.direction, t.solid_angle_sr, {}, file->radiance.pixels()}, kMaxBands);
+                           {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
   if (!light) return fail(light.error().code, path, light.error().detail);
   out.light = *light;
-  out.file = std::move(*file);
+  out.file = std::move(file);
   return out;
 }
 

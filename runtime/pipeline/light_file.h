@@ -6,10 +6,11 @@
 
 #include "capture/environment/environment_file.h"
 #include "lighting/governor.h"
-#include "lighting/light_extraction.h"
-#include "lighting/projection.h"
+#include "lighting/lights/light_extraction.h"
+#include "lighting/sh/projection.h"
 #include "runtime/scene/scene.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 struct FileLight {
@@ -22,3 +23,4 @@ struct FileLight {
 Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

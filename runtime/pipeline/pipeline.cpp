@@ -31,11 +31,11 @@ lighting::EstimateOptions estimate_options(const PipelineOptions& options) {
 
 Result<void> check(const PipelineOptions& options) {
   if (options.bands < 1 || options.bands > kMaxBands)
-    return fail(ErrorCode::kInvalid, "bands", fmt::format("not within 1..{}", kMaxBands));
+    return fail(ErrorCode::kInvalid, "bands", fmt::format("is not within 1..{}", kMaxBands));
   if (options.max_lights < 0 || options.max_lights > 64)
-    return fail(ErrorCode::kInvalid, "max_lights", "not within 0..64");
+    return fail(ErrorCode::kInvalid, "max_lights", "is not within 0..64");
   if (!(options.max_shadow_error > 0 && options.max_shadow_error <= 1))
-    return fail(ErrorCode::kInvalid, "max_shadow_error", "not above 0 and at most 1");
+    return fail(ErrorCode::kInvalid, "max_shadow_error", "is not above 0 and at most 1");
   if (!options.progress) return fail(ErrorCode::kInvalid, "progress", "is empty");
   return {};
 }
@@ -62,8 +62,9 @@ struct Pipeline::Impl {
   // A frame of a camera that the pipeline was made for; its size is the stages' business.
   Result<void> check(const capture::Frame& frame) const {
     if (frame.camera < 0 || static_cast<std::size_t>(frame.camera) >= cameras.size())
-      return fail(ErrorCode::kInvalid, "frame",
-                  fmt::format("is of camera {}, of {}", frame.camera, cameras.size()));
+      return fail(
+          ErrorCode::kInvalid, "frame",
+          fmt::format("belongs to camera {}, but there are {}", frame.camera, cameras.size()));
     if (!frame.pixels) return fail(ErrorCode::kInvalid, "frame", "has no pixels");
     return {};
   }
@@ -86,8 +87,7 @@ Pipeline& Pipeline::operator=(Pipeline&&) noexcept = default;
 
 Result<void> Pipeline::check(const std::vector<capture::CameraInfo>& cameras) {
   StageTimes times;
-  const auto light = runtime::LightEstimationStage::create(cameras, {}, times);
-  if (!light) return std::unexpected(light.error());
+  PENUMBRA_TRY(runtime::LightEstimationStage::create(cameras, {}, times));
   return {};
 }
 
@@ -127,7 +127,7 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
     if (auto windowed = composite_on(Compositor::Surface::kWindow))
       impl->composite = std::move(*windowed);
     else
-      spdlog::warn("{}: {}; going on without a window", windowed.error().where,
+      spdlog::warn("{}: {}; the run goes on without a window", windowed.error().where,
                    windowed.error().detail);
   }
   if (!impl->composite) {
@@ -146,7 +146,8 @@ Result<bool> Pipeline::add_environment(const capture::Frame& frame) {
   if (!impl_->light) return std::unexpected(no_environment_camera());
   PENUMBRA_TRY(impl_->check(frame));
   if (!impl_->light->takes(frame.camera))
-    return fail(ErrorCode::kInvalid, "frame", "is of a camera that shows no surroundings");
+    return fail(ErrorCode::kInvalid, "frame",
+                "belongs to a camera that does not show the surroundings");
   const auto measured = impl_->light->process(frame, impl_->estimate);
   if (measured) return true;
   if (measured.error().code == ErrorCode::kUndetermined) return false;
@@ -161,7 +162,7 @@ void Pipeline::set_light(const lighting::LightEstimate& light) {
 Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
   PENUMBRA_TRY(impl_->check(view));
   if (impl_->cameras[static_cast<std::size_t>(view.camera)].role != capture::Role::kView)
-    return fail(ErrorCode::kInvalid, "frame", "is of no view camera");
+    return fail(ErrorCode::kInvalid, "frame", "does not belong to a view camera");
   runtime::Composited out;
   if (!impl_->estimate.valid) {
     out.pixels = *view.pixels;

@@ -19,6 +19,7 @@
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composite_stage.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 struct PipelineOptions {
@@ -103,3 +104,4 @@ class Pipeline {
 };
 
 }  // namespace penumbra
+#pragma GCC visibility pop

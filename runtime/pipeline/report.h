@@ -7,11 +7,12 @@
 
 #include "core/image.h"
 #include "core/stage_times.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 inline nlohmann::json to_json(const Rgb& c) {
@@ -77,3 +78,4 @@ inline nlohmann::json to_json(const StageTimes& times) {
 }
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

@@ -14,7 +14,7 @@
 
 #include "capture/frames.h"
 #include "core/background_task.h"
-#include "lighting/distant_light.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
 #include "lighting/saturation_recovery.h"
 #include "runtime/pipeline/internal/frame_budget.h"
@@ -54,9 +54,8 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
     go_on = sink({frame, frame.pixels, light});
     return {};
   }
-  auto composited = compose.process(frame, light);
-  if (!composited) return std::unexpected(composited.error());
-  go_on = deliver(frame, light, std::move(*composited), sink, counts);
+  PENUMBRA_ASSIGN(composited, compose.process(frame, light));
+  go_on = deliver(frame, light, std::move(composited), sink, counts);
   return {};
 }
 
@@ -345,7 +344,7 @@ void keep_pace(FrameBudget& pace, double busy_ms, const lighting::LightEstimate&
   pace.add(busy_ms, static_cast<int>(
                         std::ranges::count(light.lights, false, &lighting::DistantLight::clipped)));
   if (pace.max_lights() == before) return;
-  spdlog::info("light: a frame's time allows {} distant lights", pace.max_lights());
+  spdlog::info("light: the frame budget allows {} distant lights", pace.max_lights());
   live.affordable_lights = pace.max_lights();
 }
 

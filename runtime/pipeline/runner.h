@@ -13,6 +13,7 @@
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/shading/composite_stage.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 struct RunCounts {
@@ -52,3 +53,4 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
                            const std::atomic<bool>& stop);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

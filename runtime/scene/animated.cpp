@@ -75,13 +75,14 @@ double Animation::longest_clip_s() const {
 Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
   if (asset == "builtin:walker") return prt::make_walker(albedo);
   if (asset.starts_with("builtin:"))
-    return fail(ErrorCode::kNotFound, asset, "does not move; builtin:walker does");
+    return fail(ErrorCode::kNotFound, asset, "has no animation; builtin:walker has");
   auto character = prt::import_character(asset, albedo);
   if (!character) return character;
   if (character->degenerate_triangles > 0)
-    spdlog::warn("{}: {} degenerate triangles dropped", asset, character->degenerate_triangles);
+    spdlog::warn("{}: {} degenerate triangles are left out", asset,
+                 character->degenerate_triangles);
   if (character->unbound_vertices > 0)
-    spdlog::warn("{}: {} vertices hang on no joint and follow the first", asset,
+    spdlog::warn("{}: {} vertices have no skin weights and follow the first joint", asset,
                  character->unbound_vertices);
   return character;
 }
@@ -179,16 +180,15 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
   if (plane && up.y < .9999)
-    return fail(
-        ErrorCode::kInvalid, o.name,
-        "its clip is baked for standing upright and cannot be tilted; leave `transfer` out");
+    return fail(ErrorCode::kInvalid, o.name,
+                "has a clip that is baked upright and cannot be tilted: leave transfer out");
   // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the middle.
   const glm::vec4 middle = -standing_frame[3];
   const glm::dvec3 aside =
       o.place_on_floor ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
   out.world_from_bake = {o.rotation, frame.translation + aside};
   if (plane && std::abs(glm::dot(o.position - plane->point, plane->normal)) > 1e-3)
-    spdlog::warn("{}: its clip is baked for standing on the floor, and there it stands", o.name);
+    spdlog::warn("{}: its clip is baked for standing on the floor, so it is placed there", o.name);
   if (std::optional<prt::Receiver>& receiver = animation->sequence.receiver) {
     const auto k = static_cast<float>(scale);
     receiver->grid.centre *= k;
@@ -247,8 +247,9 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   if (plane)
     out.baked.receiver =
         prt::Receiver{prt::fit_ground_grid(room_of(*animation), 0, kLiveGroundSize), plane->albedo};
-  spdlog::info("{}: transfer of {} vertices is traced while it plays, {:g} ms a frame", o.name,
-               animation->layout.points(), o.transfer_ms);
+  spdlog::info(
+      "{}: the transfer of {} vertices is traced while the clip plays, for {:g} ms in each frame",
+      o.name, animation->layout.points(), o.transfer_ms);
   out.animation = std::move(animation);
   out.frame = kNone;
   PENUMBRA_TRY(out.begin_live());
@@ -265,11 +266,10 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
                                         const std::function<void(double)>& progress) {
   if (o.live || !o.blend.empty()) return prepare_live(o, planes, settings);
   if (!o.transfer.empty()) return place_baked_clip(o, planes);
-  auto standing =
-      standing_character(o.asset, o.albedo, o.animation, o.light_map[0], o.light_map[1]);
-  if (!standing) return std::unexpected(standing.error());
+  PENUMBRA_ASSIGN(
+      standing, standing_character(o.asset, o.albedo, o.animation, o.light_map[0], o.light_map[1]));
   auto animation =
-      std::make_shared<Animation>(playing(std::move(standing->character), standing->clip));
+      std::make_shared<Animation>(playing(std::move(standing.character), standing.clip));
   PreparedObject out;
   const prt::Plane* const plane = place(o, planes, *animation, out);
   prt::SequenceOptions options = sequence_options(settings);
@@ -280,10 +280,9 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
     options.ground_albedo = plane->albedo;
   }
   options.progress = progress;
-  auto sequence =
-      bake_or_recall(o.name, animation->character, animation->clip, options, settings.use_cache);
-  if (!sequence) return std::unexpected(sequence.error());
-  animation->sequence = std::move(*sequence);
+  PENUMBRA_ASSIGN(sequence, bake_or_recall(o.name, animation->character, animation->clip, options,
+                                           settings.use_cache));
+  animation->sequence = std::move(sequence);
   PENUMBRA_TRY(start(std::move(animation), out));
   return out;
 }

@@ -12,6 +12,7 @@
 #include "prt/geometry/plane.h"
 #include "runtime/scene/scene.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// World frame of a plane's bake frame: y along the normal, at the foot of `position`.
@@ -45,3 +46,4 @@ Result<PreparedObject> prepare_animated(const SceneObject& object,
                                         const std::function<void(double)>& progress);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

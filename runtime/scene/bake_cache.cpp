@@ -84,13 +84,16 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
     }
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, name, baked.error().detail);
-  spdlog::info("{}: baked {} vertices, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of t_0",
-               name, baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
-               baked->report.seconds, 100 * baked->report.standard_error);
+  spdlog::info(
+      "{}: baked {} vertices with {:.1f} million rays in {:.1f} s, standard error {:.2f} % of the "
+      "first coefficient",
+      name, baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
+      baked->report.seconds, 100 * baked->report.standard_error);
   if (folder && make_folder(*folder)) {
     // A cache that cannot be written costs time, not the result.
     if (const auto written = prt::write_baked(file, *baked); !written)
-      spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
+      spdlog::warn("the bake is not kept in the cache: {}: {}", written.error().where,
+                   written.error().detail);
     prune_cache(*folder, kCacheBytes);
   }
   return baked;
@@ -166,7 +169,7 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
       return recalled;
     }
   Result<prt::BakedSequence> sequence =
-      fail(ErrorCode::kUnwritable, name, "there is no room to keep frames in");
+      fail(ErrorCode::kUnwritable, name, "cannot keep its baked frames");
   bool ours = false;
   {
     const std::optional<Lock> lock =
@@ -184,14 +187,15 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   if (!sequence) return named(sequence.error());
   const prt::SequenceReport& r = sequence->report;
   spdlog::info(
-      "{}: baked {} frames of {} points, {:.1f} M rays in {:.1f} s, standard error {:.2f} % of "
-      "t_0, compressed within {:.2f} %",
+      "{}: baked {} key frames of {} points with {:.1f} million rays in {:.1f} s, standard error "
+      "{:.2f} % of the first coefficient, error of compression {:.2f} %",
       name, sequence->surface.frames(), sequence->surface.points(),
       static_cast<double>(r.rays) * 1e-6, r.seconds, 100 * r.standard_error,
       100 * r.compression_error);
   if (!folder) return sequence;
   if (const auto written = prt::write_sequence(file, character, clip, *sequence); !written)
-    spdlog::warn("bake cache: {}: {}", written.error().where, written.error().detail);
+    spdlog::warn("the bake is not kept in the cache: {}: {}", written.error().where,
+                 written.error().detail);
   prune_cache(*folder, kCacheBytes);
   return sequence;
 }

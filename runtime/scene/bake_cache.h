@@ -9,6 +9,7 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and put there. The folder
@@ -29,3 +30,4 @@ inline constexpr std::uintmax_t kCacheBytes = std::uintmax_t{1} << 30;
 void prune_cache(const std::filesystem::path& folder, std::uintmax_t max_bytes);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

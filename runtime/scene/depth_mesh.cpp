@@ -57,8 +57,8 @@ Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeV
                                   Rgb albedo) {
   if (depth.width() != view.width || depth.height() != view.height)
     return fail(ErrorCode::kInvalid, "depth",
-                fmt::format("{}x{} pixels, but its camera has {}x{}", depth.width(), depth.height(),
-                            view.width, view.height));
+                fmt::format("has {}x{} pixels, but its camera has {}x{}", depth.width(),
+                            depth.height(), view.width, view.height));
   const int step = (std::max(view.width, view.height) + kDepthVertices - 1) / kDepthVertices;
   const int columns = (view.width + step - 1) / step, rows = (view.height + step - 1) / step;
   prt::Mesh mesh;
@@ -93,7 +93,9 @@ Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeV
       add(a, c, a + 1);
       add(a + 1, c, c + 1);
     }
-  if (mesh.triangles.empty()) return fail(ErrorCode::kUndetermined, "depth", "holds no surface");
+  if (mesh.triangles.empty())
+    return fail(ErrorCode::kUndetermined, "depth",
+                "shows no surface: every depth is 0 or unknown, or the surface is seen edge-on");
   mesh.albedo.assign(mesh.positions.size(), albedo);
   set_normals(mesh, eye);
   return mesh;
@@ -101,27 +103,25 @@ Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeV
 
 Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo) {
-  auto camera = capture::read_camera_file(camera_file);
-  if (!camera) return std::unexpected(camera.error());
-  const calib::CameraModel& p = camera->projection;
+  PENUMBRA_ASSIGN(camera, capture::read_camera_file(camera_file));
+  const calib::CameraModel& p = camera.projection;
   PENUMBRA_TRY(calib::check_drawable(p, camera_file.string()));
-  auto frame = codec::read_frame(depth_file);
-  if (!frame) return std::unexpected(frame.error());
+  PENUMBRA_ASSIGN(frame, codec::read_frame(depth_file));
   Image<float> depth;
   const auto take = [&](const auto& pixels, float metres) {
     depth = Image<float>(pixels.width(), pixels.height());
     std::ranges::transform(pixels.pixels(), depth.pixels().begin(),
                            [&](const auto& c) { return metres * static_cast<float>(c.r); });
   };
-  if (const auto* linear = std::get_if<Image<Rgb>>(&*frame))
+  if (const auto* linear = std::get_if<Image<Rgb>>(&frame))
     take(*linear, 1);
-  else if (const auto* millimetres = std::get_if<Image<Rgb16>>(&*frame))
+  else if (const auto* millimetres = std::get_if<Image<Rgb16>>(&frame))
     take(*millimetres, .001f);
   else
     return fail(ErrorCode::kInvalid, depth_file.string(),
-                "depth in 8 bits; give an .exr in metres or 16 bits in millimetres");
+                "has 8 bits; a depth picture is OpenEXR in metres, or has 16 bits in millimetres");
   auto mesh = mesh_from_depth(
-      depth, {p.width, p.height, p.focal_px, p.principal_px, camera->world_from_camera}, albedo);
+      depth, {p.width, p.height, p.focal_px, p.principal_px, camera.world_from_camera}, albedo);
   if (!mesh) return fail(mesh.error().code, depth_file.string(), mesh.error().detail);
   return mesh;
 }

@@ -8,6 +8,7 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that the longer side has at
@@ -26,3 +27,4 @@ Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

@@ -62,32 +62,31 @@ namespace {
 // A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
 // and shifting its frame is all.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
-  auto baked = prt::read_baked(o.asset);
-  if (!baked) return std::unexpected(baked.error());
-  const prt::Bounds b = bounds_of(baked->mesh);
+  PENUMBRA_ASSIGN(baked, prt::read_baked(o.asset));
+  const prt::Bounds b = bounds_of(baked.mesh);
   const glm::vec3 size = b.high - b.low;
   const double scale =
       o.place_on_floor ? o.fit_size_m / std::max({size.x, size.y, size.z, 1e-9f}) : o.scale;
   glm::dvec3 shift(0);
   if (o.place_on_floor) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
-  if (baked->receiver) shift.y = -double(baked->receiver->grid.height);
+  if (baked.receiver) shift.y = -double(baked.receiver->grid.height);
   glm::dmat4 place{glm::dmat3(scale)};
   place[3] = glm::dvec4(scale * shift, 1);
-  prt::transform(baked->mesh, place);
-  if (baked->receiver) {
-    prt::GroundGrid& g = baked->receiver->grid;
+  prt::transform(baked.mesh, place);
+  if (baked.receiver) {
+    prt::GroundGrid& g = baked.receiver->grid;
     const auto k = static_cast<float>(scale);
     g.centre = k * (g.centre + glm::vec2(shift.x, shift.z));
     g.half_extent *= k;
     g.height = 0;
   }
-  if (!plane) baked->receiver.reset();  // nothing there to take the shadow
+  if (!plane) baked.receiver.reset();  // nothing there to take the shadow
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
   if (plane && up.y < .9999)
     return fail(ErrorCode::kInvalid, o.name,
-                "is baked for standing upright and cannot be tilted; use the asset itself");
-  return PreparedObject{o.name, std::move(*baked), Pose{o.rotation, frame.translation}, o.spin_rpm,
+                "is baked upright and cannot be tilted: use the mesh that it was baked from");
+  return PreparedObject{o.name, std::move(baked), Pose{o.rotation, frame.translation}, o.spin_rpm,
                         nullptr};
 }
 
@@ -100,15 +99,14 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
   constexpr float kEdgeFraction =
       .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
-  auto mesh = load_asset(o.asset, o.albedo, kEdgeFraction);
-  if (!mesh) return std::unexpected(mesh.error());
-  prt::transform(*mesh, world_from_mesh(o, *mesh));
-  const prt::Plane* plane = plane_under(scene.planes, bounds_of(*mesh));
+  PENUMBRA_ASSIGN(mesh, load_asset(o.asset, o.albedo, kEdgeFraction));
+  prt::transform(mesh, world_from_mesh(o, mesh));
+  const prt::Plane* plane = plane_under(scene.planes, bounds_of(mesh));
   PreparedObject out;
   out.name = o.name;
   out.spin_rpm = o.spin_rpm;
   out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
-  prt::transform(*mesh, out.world_from_bake.inverse().matrix());
+  prt::transform(mesh, out.world_from_bake.inverse().matrix());
   prt::BakeOptions options;
   options.bands = settings.bands;
   options.bounces = settings.bounces;
@@ -116,10 +114,9 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   options.ground_rays = settings.ground_rays;
   options.visibility = settings.visibility;
   options.progress = progress;
-  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(*mesh, 0), plane->albedo};
-  auto baked = bake_or_recall(o.name, std::move(*mesh), options, settings.use_cache);
-  if (!baked) return std::unexpected(baked.error());
-  out.baked = std::move(*baked);
+  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};
+  PENUMBRA_ASSIGN(baked, bake_or_recall(o.name, std::move(mesh), options, settings.use_cache));
+  out.baked = std::move(baked);
   return out;
 }
 
@@ -148,7 +145,7 @@ Pose PreparedObject::pose_at(double seconds) const {
 
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
   prt::Mesh mesh;
-  if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "has no name");
+  if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "is an empty name");
   if (asset == "builtin:knot") {
     mesh = prt::make_knot(.5f, 480, 80, albedo);
   } else if (asset == "builtin:twist") {
@@ -160,14 +157,14 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
     prt::deform(walker, prt::rest_pose(walker), mesh);
   } else if (asset.starts_with("builtin:")) {
     return fail(ErrorCode::kNotFound, asset,
-                "no such built-in asset; there are builtin:knot, builtin:twist, builtin:box and "
+                "is not a built-in asset, which are builtin:knot, builtin:twist, builtin:box and "
                 "builtin:walker");
   } else {
-    auto imported = prt::import_mesh(asset, albedo);
-    if (!imported) return std::unexpected(imported.error());
-    if (imported->degenerate_triangles > 0)
-      spdlog::warn("{}: {} degenerate triangles dropped", asset, imported->degenerate_triangles);
-    mesh = std::move(imported->mesh);
+    PENUMBRA_ASSIGN(imported, prt::import_mesh(asset, albedo));
+    if (imported.degenerate_triangles > 0)
+      spdlog::warn("{}: {} degenerate triangles are left out", asset,
+                   imported.degenerate_triangles);
+    mesh = std::move(imported.mesh);
   }
   if (edge_fraction > 0)
     prt::subdivide(mesh, edge_fraction * prt::radius_around(mesh, prt::bounds_of(mesh).centre()));
@@ -212,9 +209,9 @@ Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
   options.ground_rays = settings.ground_rays;
   options.progress = progress;
   if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};
-  auto baked = bake_or_recall("real geometry", std::move(mesh), options, settings.use_cache);
-  if (!baked) return std::unexpected(baked.error());
-  out.baked = std::move(*baked);
+  PENUMBRA_ASSIGN(baked,
+                  bake_or_recall("real geometry", std::move(mesh), options, settings.use_cache));
+  out.baked = std::move(baked);
   scene.real = std::make_shared<const PreparedReal>(std::move(out));
   return {};
 }
@@ -234,16 +231,15 @@ Result<PreparedScene> prepare(
       continue;
     }
     const Rgb albedo = real.albedo.value_or(Rgb{.5f, .5f, .5f});
-    auto mesh = real.depth.empty() ? load_asset(real.mesh, albedo, 0)
-                                   : read_depth_mesh(real.depth, real.camera, albedo);
-    if (!mesh) return std::unexpected(mesh.error());
-    if (real.depth.empty()) prt::transform(*mesh, world_from_mesh(real, *mesh));
-    append(out.real_mesh, *mesh);
+    PENUMBRA_ASSIGN(mesh, real.depth.empty() ? load_asset(real.mesh, albedo, 0)
+                                             : read_depth_mesh(real.depth, real.camera, albedo));
+    if (real.depth.empty()) prt::transform(mesh, world_from_mesh(real, mesh));
+    append(out.real_mesh, mesh);
   }
   for (const SceneObject& object : scene.objects) {
-    auto prepared = prepare_object(object, out, settings, progress("bake " + object.name));
-    if (!prepared) return std::unexpected(prepared.error());
-    out.objects.push_back(std::move(*prepared));
+    PENUMBRA_ASSIGN(prepared,
+                    prepare_object(object, out, settings, progress("bake " + object.name)));
+    out.objects.push_back(std::move(prepared));
   }
   if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;
   PENUMBRA_TRY(prepare_receivers(out, progress));

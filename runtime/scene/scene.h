@@ -21,6 +21,7 @@
 #include "shadows/field/occlusion_field.h"
 #include "shadows/visibility/lamp.h"
 
+#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// Where a mesh stands in the world.
@@ -164,3 +165,4 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
 prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);
 
 }  // namespace penumbra::runtime
+#pragma GCC visibility pop

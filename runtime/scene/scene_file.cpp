@@ -23,22 +23,22 @@ Result<glm::dvec3> read_point(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(p, keys.numbers(key, 3));
   for (const double c : p)
     if (!(std::abs(c) <= kFarthest))
-      return keys.invalid(key, fmt::format("not within {} m of the origin", kFarthest));
+      return keys.invalid(key, fmt::format("is not within {} m of the origin", kFarthest));
   return glm::dvec3(p[0], p[1], p[2]);
 }
 
 Result<double> read_size(const TomlKeys& keys, std::string_view key) {
   PENUMBRA_ASSIGN(s, keys.number(key));
-  if (s <= 0) return keys.invalid(key, "not positive");
+  if (s <= 0) return keys.invalid(key, "is not positive");
   if (!(s >= kMinScale && s <= kLargestScale))
-    return keys.invalid(key, fmt::format("not within {}..{}", kMinScale, kLargestScale));
+    return keys.invalid(key, fmt::format("is not within {}..{}", kMinScale, kLargestScale));
   return s;
 }
 
 Result<Rgb> read_albedo(const TomlKeys& keys) {
   PENUMBRA_ASSIGN(v, keys.numbers("albedo", 3));
   for (double c : v)
-    if (c < 0 || c > 1) return keys.invalid("albedo", "not within 0..1");
+    if (c < 0 || c > 1) return keys.invalid("albedo", "is not within 0..1");
   return Rgb{static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
 }
 
@@ -57,7 +57,7 @@ Result<void> read_placement(const TomlKeys& keys, Placement& o) {
     PENUMBRA_ASSIGN(q, keys.numbers("rotation", 4));
     const glm::dquat r(q[3], q[0], q[1], q[2]);
     if (std::abs(glm::length(r) - 1) > 1e-3)
-      return keys.invalid("rotation", "not a unit quaternion x, y, z, w");
+      return keys.invalid("rotation", "is not a unit quaternion x, y, z, w");
     o.rotation = glm::normalize(r);
   }
   if (keys.has("scale")) {
@@ -65,7 +65,8 @@ Result<void> read_placement(const TomlKeys& keys, Placement& o) {
     o.scale = s;
   }
   if (keys.has("fit_size_m")) {
-    if (keys.has("scale")) return keys.invalid("fit_size_m", "cannot stand beside scale");
+    if (keys.has("scale"))
+      return keys.invalid("fit_size_m", "excludes scale: give only one of them");
     PENUMBRA_ASSIGN(s, read_size(keys, "fit_size_m"));
     o.place_on_floor = true;
     o.fit_size_m = s;
@@ -76,23 +77,26 @@ Result<void> read_placement(const TomlKeys& keys, Placement& o) {
 Result<void> read_blend(const TomlKeys& keys, SceneObject& o) {
   if (keys.has("blend")) {
     PENUMBRA_ASSIGN(blend, keys.text("blend"));
-    if (blend.empty()) return keys.invalid("blend", "names no clip");
+    if (blend.empty()) return keys.invalid("blend", "is empty: name a clip of the asset");
     if (!o.transfer.empty())
-      return keys.invalid("transfer", "with blend only \"live\" is possible");
-    if (keys.has("light_map")) return keys.invalid("light_map", "does not go with blend");
+      return keys.invalid("transfer", "must be \"live\" or left out, since a blend is traced live");
+    if (keys.has("light_map"))
+      return keys.invalid("light_map", "excludes blend, whose transfer is kept at vertices");
     o.blend = blend;
     o.live = true;
   }
   if (keys.has("blend_weight")) {
     if (o.blend.empty()) return keys.invalid("blend_weight", "needs blend");
     PENUMBRA_ASSIGN(fraction, keys.number("blend_weight"));
-    if (!(fraction >= 0 && fraction <= 1)) return keys.invalid("blend_weight", "not within 0..1");
+    if (!(fraction >= 0 && fraction <= 1))
+      return keys.invalid("blend_weight", "is not within 0..1");
     o.blend_weight = fraction;
   }
   if (keys.has("transfer_ms")) {
     if (!o.live) return keys.invalid("transfer_ms", "needs transfer = \"live\" or blend");
     PENUMBRA_ASSIGN(ms, keys.number("transfer_ms"));
-    if (!(ms > 0 && ms <= 1000)) return keys.invalid("transfer_ms", "not above 0, or above 1000");
+    if (!(ms > 0 && ms <= 1000))
+      return keys.invalid("transfer_ms", "is not above 0 and at most 1000");
     o.transfer_ms = ms;
   }
   return {};
@@ -116,12 +120,12 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
   if (keys.has("spin_rpm")) {
     PENUMBRA_ASSIGN(spin, keys.number("spin_rpm"));
     if (!(std::abs(spin) <= kFastest_rpm))
-      return keys.invalid("spin_rpm", fmt::format("not within +-{}", kFastest_rpm));
+      return keys.invalid("spin_rpm", fmt::format("is not within -{0}..{0}", kFastest_rpm));
     o.spin_rpm = spin;
   }
   if (keys.has("animation")) {
     PENUMBRA_ASSIGN(animation, keys.text("animation"));
-    if (animation.empty()) return keys.invalid("animation", "names no clip");
+    if (animation.empty()) return keys.invalid("animation", "is empty: name a clip of the asset");
     o.animation = animation;
   }
   for (const std::string_view key :
@@ -131,8 +135,9 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     PENUMBRA_ASSIGN(transfer, keys.text("transfer"));
     o.live = transfer == "live";
     if (keys.has("light_map"))
-      return keys.invalid("light_map", o.live ? "does not go with transfer = \"live\""
-                                              : "comes from the transfer file: remove it");
+      return keys.invalid("light_map",
+                          o.live ? "excludes transfer = \"live\", which is kept at vertices"
+                                 : "is part of the transfer file: leave it out");
     if (!o.live) o.transfer = resolve(transfer, folder);
   }
   PENUMBRA_TRY(read_blend(keys, o));
@@ -140,7 +145,7 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     PENUMBRA_ASSIGN(size, keys.numbers("light_map", 2));
     for (std::size_t i = 0; i < 2; ++i) {
       if (!(size[i] >= 8 && size[i] <= 4096 && size[i] == std::floor(size[i])))
-        return keys.invalid("light_map", "not two whole numbers of texels within 8..4096");
+        return keys.invalid("light_map", "is not two whole numbers within 8..4096");
       o.light_map[i] = static_cast<int>(size[i]);
     }
   }
@@ -153,11 +158,12 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   PENUMBRA_TRY(keys.only(kRealKeys));
   RealGeometry real;
   if (keys.has("plane") + keys.has("mesh") + keys.has("depth") != 1)
-    return keys.invalid("plane", "give a plane, a mesh or a depth picture, one of them");
+    return keys.invalid("plane", "exactly one of plane, mesh and depth is needed");
   if (keys.has("depth") != keys.has("camera"))
-    return keys.invalid("depth", "goes together with the camera that saw it");
+    return keys.invalid("depth", "needs camera, and camera needs depth");
   for (const std::string_view key : kPlacementKeys)
-    if (keys.has(key) && !keys.has("mesh")) return keys.invalid(key, "applies to mesh only");
+    if (keys.has(key) && !keys.has("mesh"))
+      return keys.invalid(key, "needs mesh: planes and depth pictures are not moved");
   if (keys.has("albedo")) {
     PENUMBRA_ASSIGN(albedo, read_albedo(keys));
     real.albedo = albedo;
@@ -176,7 +182,8 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
     return real;
   }
   const toml::table* plane = table["plane"].as_table();
-  if (!plane) return keys.invalid("plane", "not a table { point = [..], normal = [..] }");
+  if (!plane)
+    return keys.invalid("plane", "is not a table { point = [x, y, z], normal = [x, y, z] }");
   const TomlKeys plane_keys(path, *plane);
   constexpr std::string_view known[] = {"point", "normal"};
   PENUMBRA_TRY(plane_keys.only(known));
@@ -184,7 +191,7 @@ Result<RealGeometry> read_real(const fs::path& path, const toml::table& table,
   PENUMBRA_ASSIGN(n, plane_keys.numbers("normal", 3));
   const glm::dvec3 normal(n[0], n[1], n[2]);
   if (!(glm::length(normal) >= 1e-6 && glm::length(normal) < 1e100))
-    return plane_keys.invalid("normal", "has no length");
+    return plane_keys.invalid("normal", "is a vector without length");
   real.plane = RealPlane{p, glm::normalize(normal)};
   return real;
 }
@@ -197,12 +204,13 @@ Result<shadows::Lamp> read_lamp(const TomlKeys& keys) {
   lamp.position = p;
   if (keys.has("radius_m")) {
     PENUMBRA_ASSIGN(radius, keys.number("radius_m"));
-    if (radius < 0 || radius > 10) return keys.invalid("radius_m", "not within 0..10");
+    if (radius < 0 || radius > 10) return keys.invalid("radius_m", "is not within 0..10 m");
     lamp.radius_m = radius;
   }
   PENUMBRA_ASSIGN(e, keys.numbers("irradiance_at_1m", 3));
   for (const double c : e)
-    if (c < 0 || c > 1e9) return keys.invalid("irradiance_at_1m", "not within 0..1e9");
+    if (c < 0 || c > 1e9)
+      return keys.invalid("irradiance_at_1m", "has a number that is not within 0..1e9");
   lamp.irradiance_at_1m = {static_cast<float>(e[0]), static_cast<float>(e[1]),
                            static_cast<float>(e[2])};
   return lamp;

@@ -54,19 +54,17 @@ Result<std::shared_ptr<RealMeshWorld>> RealMeshWorld::make(
     const std::function<void(double)>& progress) {
   constexpr float kEdge = .05f;  // of the radius: holds the penumbra of a window
   prt::subdivide(props, kEdge * prt::radius_around(props, prt::bounds_of(props).centre()));
-  auto rays = prt::RayScene::build(props);
-  if (!rays) return std::unexpected(rays.error());
+  PENUMBRA_ASSIGN(rays, prt::RayScene::build(props));
   auto world = std::shared_ptr<RealMeshWorld>(
-      new RealMeshWorld(std::move(floor), std::move(props), std::move(*rays)));
+      new RealMeshWorld(std::move(floor), std::move(props), std::move(rays)));
   PENUMBRA_TRY(world->light(progress));
   return world;
 }
 
 Result<void> RealMeshWorld::light(const std::function<void(double)>& progress) {
-  auto far = prt::EnvironmentLight::from_map(floor_->environment());
-  if (!far) return std::unexpected(far.error());
+  PENUMBRA_ASSIGN(far, prt::EnvironmentLight::from_map(floor_->environment()));
   const prt::ReferenceWorld world{
-      props_, {{{0, 0, 0}, {0, 1, 0}, floor_->mean_floor_albedo(), {}}}, &*far, {}};
+      props_, {{{0, 0, 0}, {0, 1, 0}, floor_->mean_floor_albedo(), {}}}, &far, {}};
   std::vector<prt::IrradiancePoint> points;
   // A point on the floor itself would look past it; what lies below goes on as it is at the floor line.
   constexpr double kOverFloor_m = 1e-3;
@@ -86,10 +84,10 @@ Result<void> RealMeshWorld::light(const std::function<void(double)>& progress) {
   for (std::size_t slice = 0; slice < kSlices; ++slice) {
     const std::size_t first = points.size() * slice / kSlices,
                       last = points.size() * (slice + 1) / kSlices;
-    auto part = prt::reference_irradiance(world, std::span(points).subspan(first, last - first),
-                                          samples, slice);
-    if (!part) return std::unexpected(part.error());
-    found.insert(found.end(), part->begin(), part->end());
+    PENUMBRA_ASSIGN(part,
+                    prt::reference_irradiance(world, std::span(points).subspan(first, last - first),
+                                              samples, slice));
+    found.insert(found.end(), part.begin(), part.end());
     if (progress) progress(double(slice + 1) / kSlices);
   }
   const auto on_floor = found.begin() + static_cast<std::ptrdiff_t>(irradiance_.size());

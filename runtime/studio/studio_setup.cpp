@@ -33,10 +33,9 @@ std::string name_of(const std::string& asset) {
 Result<std::shared_ptr<const capture::RadianceWorld>> with_real_mesh(
     std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& prop,
     const std::function<void(double)>& progress) {
-  auto mesh = load_asset(prop.mesh, *prop.albedo, 0);
-  if (!mesh) return std::unexpected(mesh.error());
-  prt::transform(*mesh, world_from_mesh(prop, *mesh));
-  auto world = RealMeshWorld::make(std::move(floor), std::move(*mesh), progress);
+  PENUMBRA_ASSIGN(mesh, load_asset(prop.mesh, *prop.albedo, 0));
+  prt::transform(mesh, world_from_mesh(prop, mesh));
+  auto world = RealMeshWorld::make(std::move(floor), std::move(mesh), progress);
   if (!world) return fail(world.error().code, prop.mesh, world.error().detail);
   return std::move(*world);
 }
@@ -49,11 +48,9 @@ Result<StudioSetup> set_up_studio(
   StudioSetup out;
   Image<Rgb> map;
   if (r.environment) {
-    auto light = read_light(*r.environment, std::nullopt);
-    if (!light) return std::unexpected(light.error());
-    auto latlong = capture::to_latlong(light->file);
-    if (!latlong) return std::unexpected(latlong.error());
-    map = std::move(*latlong);
+    PENUMBRA_ASSIGN(light, read_light(*r.environment, std::nullopt));
+    PENUMBRA_ASSIGN(latlong, capture::to_latlong(light.file));
+    map = std::move(latlong);
   } else {
     map = capture::make_room_environment(4096, 2048);
   }
@@ -80,10 +77,9 @@ Result<StudioSetup> set_up_studio(
   out.scene.real.push_back(floor);
   if (r.real_mesh) {
     out.scene.real.push_back(place_real_mesh(*r.real_mesh, r.animated));
-    auto furnished =
-        with_real_mesh(floor_world, out.scene.real.back(), progress("light on the real mesh"));
-    if (!furnished) return std::unexpected(furnished.error());
-    out.world = std::move(*furnished);
+    PENUMBRA_ASSIGN(furnished, with_real_mesh(floor_world, out.scene.real.back(),
+                                              progress("light on the real mesh")));
+    out.world = std::move(furnished);
   }
   SceneObject still;
   still.asset = r.asset.value_or(r.animation ? "builtin:walker" : "builtin:knot");

@@ -144,17 +144,17 @@ TEST(EstimateResponse, RefusesBadArguments) {
   expect_refused(b.estimate(), ErrorCode::kInvalid, "fewer than 2 pictures");
   b = good;
   b.times.pop_back();
-  expect_refused(b.estimate(), ErrorCode::kInvalid, "7 pictures, but 6 times");
+  expect_refused(b.estimate(), ErrorCode::kInvalid, "7 pictures but 6 exposure times");
   b = good;
   b.pictures[2] = Image<Rgb8>(10, 10);
-  expect_refused(b.estimate(), ErrorCode::kInvalid, "picture 2 is 10x10");
+  expect_refused(b.estimate(), ErrorCode::kInvalid, "picture 3 is 10x10");
   b = good;
   b.pictures[0] = {};
-  expect_refused(b.estimate(), ErrorCode::kInvalid, "picture 0 is empty");
+  expect_refused(b.estimate(), ErrorCode::kInvalid, "picture 1 is empty");
   for (const double t : {0., -1., std::nan(""), std::numeric_limits<double>::infinity()}) {
     b = good;
     b.times[3] = Seconds(t);
-    expect_refused(b.estimate(), ErrorCode::kInvalid, "exposure time 3");
+    expect_refused(b.estimate(), ErrorCode::kInvalid, "exposure time 4");
   }
 }
 
@@ -179,20 +179,20 @@ TEST(EstimateResponse, RefusesBlackClippedAndMaskedPictures) {
   expect_refused(constant({{255, 255, 255}, {255, 255, 255}}).estimate(), ErrorCode::kUndetermined,
                  "every picture is clipped");
   expect_refused(constant({{0, 0, 255}, {0, 0, 255}}).estimate(), ErrorCode::kUndetermined,
-                 "nothing but registration borders");
+                 "outside one of the aligned pictures");
 }
 
 TEST(EstimateResponse, RefusesPicturesWithoutOverlap) {
   expect_refused(constant({{0, 0, 0}, {255, 255, 255}}).estimate(), ErrorCode::kUndetermined,
-                 "no overlap");
+                 "do not overlap");
   // Ten stops apart: nothing is well exposed in both.
   expect_refused(simulate(gamma22, {1. / 1024, 1024}).estimate(), ErrorCode::kUndetermined,
-                 "no overlap");
+                 "do not overlap");
 }
 
 TEST(EstimateResponse, RefusesOneColour) {
   expect_refused(constant({{50, 50, 50}, {90, 90, 90}, {150, 150, 150}}).estimate(),
-                 ErrorCode::kUndetermined, "one colour");
+                 ErrorCode::kUndetermined, "too even");
 }
 
 TEST(EstimateResponse, RefusesPicturesThatDoNotFollowTheirTimes) {

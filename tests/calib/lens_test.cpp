@@ -169,13 +169,13 @@ TEST(Lens, ImpossibleDistortionIsRefused) {
     const auto p = with_distortion(projection(kind, 100, 80), k);
     return p ? std::string() : p.error().detail;
   };
-  EXPECT_NE(reason(kKannalaBrandt, {1, 2, 3, 4, 5}).find("5 numbers"), std::string::npos);
+  EXPECT_NE(reason(kKannalaBrandt, {1, 2, 3, 4, 5}).find("5 distortion coefficients"), std::string::npos);
   EXPECT_NE(reason(kEquidistant, {.1}).find("at most 0"), std::string::npos);
   EXPECT_NE(reason(kPinhole, {NAN}).find("not finite"), std::string::npos);
   EXPECT_NE(reason(kDoubleSphere, {0, 1.5}).find("alpha"), std::string::npos);
   EXPECT_NE(reason(kDoubleSphere, {-1, .5}).find("xi"), std::string::npos);
-  EXPECT_NE(reason(kKannalaBrandt, {-9}).find("folds back"), std::string::npos);
-  EXPECT_NE(reason(kPinhole, {-9}).find("folds back"), std::string::npos);
+  EXPECT_NE(reason(kKannalaBrandt, {-9}).find("not monotone"), std::string::npos);
+  EXPECT_NE(reason(kPinhole, {-9}).find("not monotone"), std::string::npos);
   EXPECT_EQ(reason(kPinhole, {-.3, .1}), "");
 }
 

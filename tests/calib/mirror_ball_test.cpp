@@ -9,6 +9,7 @@
 
 #include "calib/calib.h"
 #include "core/conventions.h"
+#include "tests/support/ball_pictures.h"
 
 namespace penumbra::calib {
 namespace {
@@ -42,7 +43,7 @@ TEST(MirrorBall, RayAndLightObeyTheLawOfReflectionAtAnyDistance) {
       EXPECT_NEAR(glm::length(glm::normalize(light - ray->ray) - normal), 0, 2e-5) << distance;
       ASSERT_TRUE(ray->from_rim >= 0 && ray->from_rim <= 1);
       if (ray->from_rim < 1e-4) continue;
-      const auto back = ball->light_from_ray(2. * ray->ray);
+      const auto back = test::reflected(*ball, 2. * ray->ray);
       ASSERT_TRUE(back);
       EXPECT_NEAR(glm::length(*back - light), 0, 1e-7);
     }

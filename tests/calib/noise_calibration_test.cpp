@@ -125,7 +125,7 @@ TEST(NoiseCalibration, RefusesWhatCannotTellTheAnswer) {
   refused(film(raw, scene(), 5, 1), raw.response, "8 are needed");
   refused(film(raw, Image<Rgb>(160, 96, {.3f, .3f, .3f}), 16, 1), raw.response, "noise");
   const auto quiet = sensor(8, Response::srgb(), {1e9, 1e-7}, 0);
-  refused(film(quiet, scene(), 16, 1), quiet.response, "steps of the codes");
+  refused(film(quiet, scene(), 16, 1), quiet.response, "quantisation of the codes");
   StillSeries series(1);
   EXPECT_TRUE(series.add(FramePixels(Image<Rgb8>(8, 8)), "a"));
   EXPECT_FALSE(series.add(FramePixels(Image<Rgb8>(9, 8)), "b"));

@@ -204,7 +204,7 @@ TEST(ParseResponse, BadFilesNameFileAndLine) {
            Case{"version = 1\ndecode = [[0, 1], 2, 3]\n", "r.toml:2", "not a list of numbers"},
            Case{"version = 1\ndecode = [[0, 1], [0, 1]]\n", "r.toml:2", "2 lists"},
            Case{"version = 1\ndecode = [1, 0]\n", "r.toml:2", "not monotone"},
-           Case{"version = 1\ndecode = [0, nan]\n", "r.toml:2", "not within 0..1"},
+           Case{"version = 1\ndecode = [0, nan]\n", "r.toml:2", "within 0..1"},
            Case{"version = 1\ndecode = [0, 1\n", "r.toml:", ""},
        }) {
     write_text(folder.path() / "r.toml", c.text);

@@ -266,7 +266,7 @@ TEST(RigCalibration, RefusesWhatCannotTellTheAnswerAndSaysWhatToDo) {
   const Scene hasty = moving_rig(7, 1, .4);
   loose.tracker = hasty.tracker;
   loose.tracker_sigma_m = .05, loose.tracker_sigma_rad = .05;
-  refused(hasty.views, loose, "clocks' offset stays uncertain");
+  refused(hasty.views, loose, "between the clocks stays uncertain");
   // Another order of the quaternion, another clock, a silent tracker.
   RigOptions wrong;
   wrong.tracker = hasty.tracker;

@@ -75,8 +75,8 @@ TEST(Vignetting, PicturesThatTellNothingAreRefusedByName) {
   };
   refuse(paper(.02, {0, 0}, 6), "too dark");
   refuse(paper(1.1, {0, 0}, 7), "clipped");
-  refuse({"small", Image<Rgb8>(64, 48, {99, 99, 99})}, "expected 640x480");
-  refuse({"narrow", Image<Rgb8>(4000, 1, {99, 99, 99})}, "expected 640x480");
+  refuse({"small", Image<Rgb8>(64, 48, {99, 99, 99})}, "instead of 640x480");
+  refuse({"narrow", Image<Rgb8>(4000, 1, {99, 99, 99})}, "instead of 640x480");
   EvenPicture warm = paper(.5, {0, 0}, 9);
   for (Rgb8& p : std::get<Image<Rgb8>>(warm.pixels).pixels())
     p.r = static_cast<std::uint8_t>(std::min(255, p.r * 3 / 2));
@@ -86,7 +86,7 @@ TEST(Vignetting, PicturesThatTellNothingAreRefusedByName) {
   for (int y = 0; y < kHeight; ++y)
     for (int x = 0; x < kWidth; ++x)
       if (x / 60 % 2 == 0) image.at(x, y) = {90, 90, 90};
-  refuse(std::move(stripes), "no lens explains");
+  refuse(std::move(stripes), "fall-off of a lens");
   EXPECT_FALSE(calibrate_vignetting({}, lens(), Response::srgb(), 0));
 }
 

@@ -150,39 +150,42 @@ TEST(CaptureFolder, RefusesBadLensesAndBalls) {
     EXPECT_NE(source.error().where.find(".toml:"), std::string::npos);
     EXPECT_NE(source.error().detail.find(detail), std::string::npos) << source.error().detail;
   };
-  expect_refused(with_lenses("[8, 0, 8, 8]", "[9, 0, 8, 8]"), "crop_px: x, y, width, height");
-  expect_refused(with_lenses("[8, 0, 8, 8]", "[8, 0, 7.5, 8]"), "crop_px: x, y, width, height");
-  expect_refused(with_lenses("fov_deg = 190", "fov_deg = 0"), "fov_deg: not within");
-  expect_refused(with_lenses("fov_deg = 190", ""), "fov_deg: missing");
+  expect_refused(with_lenses("[8, 0, 8, 8]", "[9, 0, 8, 8]"),
+                 "crop_px: is not x, y, width, height");
+  expect_refused(with_lenses("[8, 0, 8, 8]", "[8, 0, 7.5, 8]"),
+                 "crop_px: is not x, y, width, height");
+  expect_refused(with_lenses("fov_deg = 190", "fov_deg = 0"), "fov_deg: is not above 0");
+  expect_refused(with_lenses("fov_deg = 190", ""), "fov_deg: is missing");
   expect_refused(with_lenses("\"kb4\"", "\"latlong\""), "projection");
   expect_refused(with_lenses("fov_deg = 190", "fov_deg = 190\nname = \"x\""), "unknown key");
   expect_refused(with_lenses("height = 8", "height = 8\nprojection = \"latlong\""),
-                 "projection: each [[camera.lens]] has its own");
+                 "projection: belongs into each [[camera.lens]]");
   expect_refused(with_lenses("height = 8", "height = 8\nfocal_px = [3, 3]"),
-                 "focal_px: each [[camera.lens]] has its own");
-  expect_refused(with_lenses("role = \"environment\"", "role = \"view\""), "lens: is for");
+                 "focal_px: belongs into each [[camera.lens]]");
+  expect_refused(with_lenses("role = \"environment\"", "role = \"view\""),
+                 "lens: belongs to environment cameras");
   const auto ball = [](const std::string& keys) {
     return replaced(replaced(kManifest, "\"latlong\"", "\"pinhole\""), "role = \"environment\"",
                     "role = \"view\"") +
            "\n[camera.ball]\n" + keys;
   };
-  expect_refused(ball(""), "either outline_px or centre_m");
+  expect_refused(ball(""), "either outline_px, or centre_m");
   expect_refused(ball("outline_px = [4, 4, 2]\ncentre_m = [0, 0, 0]"), "either outline_px");
-  expect_refused(ball("outline_px = [4, 4]"), "outline_px: 2 numbers, expected 3");
-  expect_refused(ball("outline_px = [4, 4, -2]"), "outline_px: its radius is not positive");
-  expect_refused(ball("outline_px = [4, 4, 1e9]"), "outline_px: the mirror ball is not to be seen");
+  expect_refused(ball("outline_px = [4, 4]"), "outline_px: has 2 numbers instead of 3");
+  expect_refused(ball("outline_px = [4, 4, -2]"), "outline_px: has a radius that is not positive");
+  expect_refused(ball("outline_px = [4, 4, 1e9]"), "outline_px: the mirror ball cannot be found");
   expect_refused(ball("outline_px = [8, 4, 0.5]"), "pixels large");
-  expect_refused(ball("outline_px = [4, 4, 2]\nradius_m = 1"), "radius_m: goes with centre_m");
-  expect_refused(ball("centre_m = [0, 0, 0]"), "radius_m: missing");
-  expect_refused(ball("centre_m = [0, 0, 0]\nradius_m = 0"), "radius_m: not positive");
+  expect_refused(ball("outline_px = [4, 4, 2]\nradius_m = 1"), "radius_m: belongs to centre_m");
+  expect_refused(ball("centre_m = [0, 0, 0]"), "radius_m: is missing");
+  expect_refused(ball("centre_m = [0, 0, 0]\nradius_m = 0"), "radius_m: is not positive");
   expect_refused(ball("centre_m = [0, 0, 0]\nradius_m = 1\nreflectance = [1, 1, 1.1]"),
-                 "reflectance: not");
+                 "reflectance: has a number that is not");
   write_text(made.path() / "self.toml",
              replaced(kManifest, "projection = \"latlong\"", "intrinsics = \"self.toml\""));
   expect_refused(replaced(kManifest, "projection = \"latlong\"", "intrinsics = \"self.toml\""),
-                 "has its own projection");
+                 "has a projection of its own");
   expect_refused(std::string(kManifest) + "\n[camera.ball]\noutline_px = [4, 4, 2]",
-                 "ball: stands in a view camera");
+                 "ball: belongs to view cameras");
 }
 
 TEST(CaptureFolder, TimesInAnyDecimalFormAreNanoseconds) {
@@ -209,52 +212,52 @@ TEST(CaptureFolder, RefusesABadManifestNamingFileLineAndKey) {
   };
   const HandMade made;
   for (const Case& c : std::vector<Case>{
-           {"version = 1", "version = 2", ":1", "version: expected 1"},
-           {"version = 1", "# none", ":", "version: missing"},
+           {"version = 1", "version = 2", ":1", "version: is not 1"},
+           {"version = 1", "# none", ":", "version: is missing"},
            {"version = 1", "version = 1\ncolour = 3", ":2", "unknown key \"colour\""},
            {"black_level = 0.0", "blacklevel = 0.0", ":9", "unknown key \"blacklevel\""},
-           {"[[camera]]", "[camera]", ":", "no [[camera]]"},
-           {"name = \"environment\"\n", "", ":2", "name: missing"},
-           {"name = \"environment\"", "name = \"\"", ":3", "name: empty"},
-           {"name = \"environment\"", "name = 3", ":3", "name: not a text"},
+           {"[[camera]]", "[camera]", ":", "tables [[camera]]"},
+           {"name = \"environment\"\n", "", ":2", "name: is missing"},
+           {"name = \"environment\"", "name = \"\"", ":3", "name: is empty"},
+           {"name = \"environment\"", "name = 3", ":3", "name: is not text"},
            {"role = \"environment\"", "role = \"light\"", ":4", "role: \"light\""},
            {"role = \"environment\"", "role = \"view\"\neye = \"third\"", ":5", "eye: \"third\""},
-           {"width = 16", "width = 0", ":5", "width: not a whole number"},
-           {"width = 16", "width = 16.5", ":5", "width: not a whole number"},
-           {"height = 8", "height = 100000", ":6", "height: not a whole number"},
-           {"projection = \"latlong\"", "projection = \"fishy\"", ":7", "known are latlong"},
+           {"width = 16", "width = 0", ":5", "width: is not a whole number"},
+           {"width = 16", "width = 16.5", ":5", "width: is not a whole number"},
+           {"height = 8", "height = 100000", ":6", "height: is not a whole number"},
+           {"projection = \"latlong\"", "projection = \"fishy\"", ":7", "which are latlong"},
            {"projection = \"latlong\"", "projection = \"vertical-cross\"", ":7", "3 x 4 squares"},
            {"projection = \"latlong\"", "projection = \"latlong\"\nfocal_px = [1, 1]", ":8",
             "focal_px: the projection latlong has none"},
            {"projection = \"latlong\"", "projection = \"pinhole\"\nfocal_px = [1]", ":8",
-            "focal_px: 1 numbers, expected 2"},
+            "focal_px: has 1 numbers instead of 2"},
            {"projection = \"latlong\"", "projection = \"pinhole\"\nfocal_px = [0, 5]", ":8",
-            "focal_px: not positive"},
+            "focal_px: is not positive"},
            {"projection = \"latlong\"", "projection = \"pinhole\"\nfocal_px = [nan, 5]", ":8",
-            "focal_px: not a finite number"},
+            "focal_px: is not a finite number"},
            {"projection = \"latlong\"", "projection = \"equidistant\"\ndistortion = [0.1]", ":8",
-            "distortion: 1 numbers of distortion, at most 0"},
+            "distortion: has 1 distortion coefficients instead of at most 0"},
            {"projection = \"latlong\"", "projection = \"kb4\"\ndistortion = [-9]", ":8",
-            "folds back"},
+            "not monotone"},
            {"response = \"srgb\"", "response = \"gamma:x\"", ":8", "response: \"gamma:x\""},
-           {"response = \"srgb\"\n", "", ":2", "response: missing"},
-           {"black_level = 0.0", "black_level = 1.0", ":9", "black_level: not within 0..1"},
-           {"black_level = 0.0", "vignetting = [-1, 0]", ":9", "vignetting: 2 numbers"},
+           {"response = \"srgb\"\n", "", ":2", "response: is missing"},
+           {"black_level = 0.0", "black_level = 1.0", ":9", "black_level: is not within 0..1"},
+           {"black_level = 0.0", "vignetting = [-1, 0]", ":9", "vignetting: has 2 numbers"},
            {"black_level = 0.0", "vignetting = [0, 0, 0]", ":9",
             "vignetting: the projection latlong has none"},
            {"projection = \"latlong\"", "projection = \"pinhole\"\nvignetting = [-1.5, 0, 0]", ":8",
             "vignetting: leaves less"},
            {"black_level = 0.0", "full_well_electrons = 0", ":9",
-            "full_well_electrons: not positive"},
-           {"black_level = 0.0", "read_noise = -1", ":9", "read_noise: not within"},
-           {"0,1.5,0,1]", "0,1.5,0]", ":10", "world_from_camera: 15 numbers"},
+            "full_well_electrons: is not positive"},
+           {"black_level = 0.0", "read_noise = -1", ":9", "read_noise: is not within"},
+           {"0,1.5,0,1]", "0,1.5,0]", ":10", "world_from_camera: has 15 numbers"},
            {"0,1.5,0,1]", "0,1.5,0,2]", ":10", "last row"},
            {"0,1.5,0,1]", "0,inf,0,1]", ":10", "not a finite number"},
            {"[1,0,0,0,", "[1.1,0,0,0,", ":10", "not a rigid transform: its axes"},
            {"[1,0,0,0,", "[-1,0,0,0,", ":10", "not a rigid transform: it mirrors"},
            {"frames = \"environment.csv\"", "frames = \"../x.csv\"", ":11", "not a path inside"},
            {"frames = \"environment.csv\"", "frames = \"/x.csv\"", ":11", "not a path inside"},
-           {"frames = \"environment.csv\"\n", "", ":2", "frames: missing"},
+           {"frames = \"environment.csv\"\n", "", ":2", "frames: is missing"},
        }) {
     write_text(made.path() / "capture.toml", replaced(kManifest, c.from, c.to));
     expect_error(made.path(), ErrorCode::kInvalid, "capture.toml" + c.line, c.detail);
@@ -273,8 +276,8 @@ TEST(CaptureFolder, RefusesABadListNamingFileAndLine) {
   for (const Case& c : std::vector<Case>{
            {"file,time_s", "name,time_s", ":1", "header is"},
            {"gain\n", "gain,tx\n", ":1", "header is"},
-           {"0.01,1\n", "0.01\n", ":2", "3 fields, expected 4"},
-           {"0.01,1\n", "0.01,1,2\n", ":2", "5 fields, expected 4"},
+           {"0.01,1\n", "0.01\n", ":2", "3 fields instead of 4"},
+           {"0.01,1\n", "0.01,1,2\n", ":2", "5 fields instead of 4"},
            {"0.01,1\n", "0,1\n", ":2", "exposure_s is \"0\""},
            {"0.01,1\n", "-0.01,1\n", ":2", "exposure_s is \"-0.01\""},
            {"0.01,1\n", "nan,1\n", ":2", "exposure_s is \"nan\""},
@@ -308,7 +311,7 @@ TEST(CaptureFolder, RefusesABadPose) {
   write_text(made.path() / "environment.csv", header + "environment/0.png,0,1,1,0,0,0,0,0,0,2\n");
   expect_error(made.path(), ErrorCode::kInvalid, "environment.csv:2", "has length 2");
   write_text(made.path() / "environment.csv", header + "environment/0.png,0,1,1\n");
-  expect_error(made.path(), ErrorCode::kInvalid, "environment.csv:2", "4 fields, expected 11");
+  expect_error(made.path(), ErrorCode::kInvalid, "environment.csv:2", "4 fields instead of 11");
 }
 
 TEST(CaptureFolder, RefusesMissingFiles) {
@@ -318,13 +321,13 @@ TEST(CaptureFolder, RefusesMissingFiles) {
   const HandMade made;
   fs::remove(made.path() / "environment" / "1.png");
   expect_error(made.path(), ErrorCode::kNotFound, "environment.csv:3",
-               "environment/1.png: no such file");
+               "environment/1.png does not exist");
   fs::remove(made.path() / "environment.csv");
   expect_error(made.path(), ErrorCode::kNotFound, "environment.csv", "no such file");
   write_text(made.path() / "environment.csv",
              "file,time_s,exposure_s,gain\nenvironment/0.png,0,1,1\n");
   write_text(made.path() / "capture.toml", replaced(kManifest, "\"srgb\"", "\"curve.toml\""));
-  expect_error(made.path(), ErrorCode::kNotFound, "curve.toml", "no such");
+  expect_error(made.path(), ErrorCode::kNotFound, "curve.toml", "neither a response nor a file");
   write_text(made.path() / "curve.toml", "version = 1\ndecode = [1, 0]\n");
   expect_error(made.path(), ErrorCode::kInvalid, "curve.toml:2", "not monotone");
 }
@@ -338,7 +341,7 @@ TEST(CaptureFolder, APictureOfTheWrongSizeIsOneErrorAndTheNextOneFollows) {
   ASSERT_FALSE(bad.has_value());
   EXPECT_EQ(bad.error().code, ErrorCode::kInvalid);
   EXPECT_NE(bad.error().where.find("environment/0.png"), std::string::npos);
-  EXPECT_EQ(bad.error().detail, "6x5, expected 16x8");
+  EXPECT_EQ(bad.error().detail, "has 6x5 pixels instead of 16x8");
   const auto good = (*source)->next();
   ASSERT_TRUE(good.has_value());
   EXPECT_TRUE(good->has_value());

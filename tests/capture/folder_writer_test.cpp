@@ -187,7 +187,7 @@ TEST(CaptureFolderWriter, RefusesAFolderThatHoldsACapture) {
   const auto again = CaptureFolderWriter::create(temp.path(), three_cameras());
   ASSERT_FALSE(again.has_value());
   EXPECT_EQ(again.error().code, ErrorCode::kUnwritable);
-  EXPECT_EQ(again.error().detail, "already holds a capture");
+  EXPECT_EQ(again.error().detail, "already holds a capture: remove it, or choose another folder");
 }
 
 TEST(CaptureFolderWriter, AnUnfinishedFolderIsNoCapture) {
@@ -234,9 +234,9 @@ TEST(CaptureFolderWriter, RefusesBadFramesAndWritesNothing) {
   };
   refused([](Frame& f) { f.camera = 3; }, "no camera 3");
   refused([](Frame& f) { f.camera = -1; }, "no camera -1");
-  refused([](Frame& f) { f.pixels = nullptr; }, "no picture");
+  refused([](Frame& f) { f.pixels = nullptr; }, "has no pixels");
   refused([](Frame& f) { f.pixels = std::make_shared<const FramePixels>(Image<Rgb8>(3, 2)); },
-          "3x2, expected 16x8");
+          "has 3x2 pixels instead of 16x8");
   for (const double t : {0., -1., std::nan(""), std::numeric_limits<double>::infinity()})
     refused([t](Frame& f) { f.exposure.time = Seconds(t); }, "exposure_s");
   refused([](Frame& f) { f.exposure.gain = Gain(0); }, "gain");

@@ -276,14 +276,15 @@ TEST_F(RecordingTest, RefusesWhatItCannotKeep) {
     ASSERT_TRUE(writer);
     ASSERT_TRUE(writer->write(frame(0, 5, 1, noise<Rgb8>(1))));
     const auto reason = [&](const Frame& f) { return writer->write(f).error().detail; };
-    EXPECT_THAT(reason(frame(0, 6, .5, noise<Rgb8>(1))), HasSubstr("time is before"));
-    EXPECT_THAT(reason(frame(0, 6, 2, noise<Rgb8>(1, 47))), HasSubstr("47x32, expected 48x32"));
+    EXPECT_THAT(reason(frame(0, 6, .5, noise<Rgb8>(1))), HasSubstr("time before"));
+    EXPECT_THAT(reason(frame(0, 6, 2, noise<Rgb8>(1, 47))),
+                HasSubstr("47x32 pixels instead of 48x32"));
     EXPECT_THAT(reason(frame(0, 6, 2, noise<Rgb16>(1))), HasSubstr("16 bits"));
     EXPECT_THAT(reason(frame(0, 6, 2, Image<Rgb>(kWidth, kHeight))), HasSubstr("capture folder"));
     EXPECT_THAT(reason(frame(1, 6, 2, noise<Rgb8>(1))), HasSubstr("no camera 1"));
   }
   const auto again = RecordingWriter::create(path_, {camera("view", Role::kView)}, codings, 60);
-  EXPECT_EQ(again.error().detail, "exists already");
+  EXPECT_EQ(again.error().detail, "exists already: remove it, or choose another name");
   EXPECT_EQ(frames_of(path_)->size(), 1u);
   const auto nowhere = RecordingWriter::create(folder_.path() / "no" / "a.mkv",
                                                {camera("view", Role::kView)}, codings, 60);
@@ -299,7 +300,7 @@ TEST_F(RecordingTest, OtherFilesAreRefusedByName) {
       "ffmpeg -v error -f lavfi -i testsrc=s=64x32 -frames:v 2 " + movie.string();
   if (std::system(make.c_str()) != 0)
     GTEST_SKIP() << "no ffmpeg program to make a film with (package ffmpeg)";
-  EXPECT_THAT(open_recording(movie).error().detail, HasSubstr("not a recording of penumbra"));
+  EXPECT_THAT(open_recording(movie).error().detail, HasSubstr("not a recording by penumbra"));
 }
 
 // ------------------------------------------------------------------------------- kill -9

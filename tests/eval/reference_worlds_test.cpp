@@ -132,7 +132,7 @@ TEST_P(ReferenceWorld, CompositeFollowsTheWorldWithTheObjectInIt) {
     ASSERT_TRUE(ours);
     const Accuracy a = compare_pictures(*ours, *truth, *empty, *masks),
                    naive = compare_pictures(*empty, *truth, *empty, *masks);
-    std::printf("%s %d: %zu discs, shadow %.4f (none %.2f), object %.2f %%, bias %.2f %%\n",
+    std::printf("%s %d: %zu lights, shadow %.4f (none %.2f), object %.2f %%, bias %.2f %%\n",
                 world.name, map_index, light->lights.size(), a.shadow_rmse, naive.shadow_rmse,
                 100 * a.object_without_noise, 100 * a.object_bias);
     EXPECT_LT(a.shadow_rmse, world.shadow_bar);

@@ -295,6 +295,75 @@ class Files(CliTest):
                            ("capture", "capture folder")):
             self.assertEqual(self.run_json("inspect", self.root / name)["kind"], kind, name)
         self.assertEqual([c["frames"] for c in self.run_json("inspect", self.root / "capture")["cameras"]], [2, 3])
+        manifest = self.run_json("inspect", self.root / "capture" / "capture.toml")
+        self.assertEqual([c["frames"] for c in manifest["cameras"]], [2, 3])
+
+    def test_inspect_reads_every_kind_of_mesh_that_an_object_may_be(self):
+        corners = ("0 0 0", "1 0 0", "0 0 1")
+        stl = "facet normal 0 1 0\nouter loop\n" + "".join(f"vertex {c}\n" for c in corners) + "endloop\nendfacet\n"
+        axes = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+        dae = ('<?xml version="1.0"?>\n<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+               '<asset><up_axis>Y_UP</up_axis></asset><library_geometries><geometry id="g"><mesh><source id="p">'
+               f'<float_array id="a" count="9">{" ".join(corners)}</float_array><technique_common>'
+               f'<accessor source="#a" count="3" stride="3">{axes}</accessor></technique_common></source>'
+               '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="1">'
+               '<input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>'
+               '</library_geometries><library_visual_scenes><visual_scene id="s"><node id="n">'
+               '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes><scene>'
+               '<instance_visual_scene url="#s"/></scene></COLLADA>\n')
+        for name, text in (("one.stl", f"solid one\n{stl}endsolid one\n"), ("ONE.STL", f"solid one\n{stl}endsolid one\n"),
+                           ("one.dae", dae)):
+            (self.root / name).write_text(text)
+            mesh = self.run_json("inspect", self.root / name)
+            self.assertEqual((mesh["kind"], mesh["triangles"], mesh["size_m"]), ("mesh", 1, [1, 0, 1]), name)
+
+    def test_inspect_tells_the_figures_of_calibrations(self):
+        pose = "[1,0,0,0, 0,1,0,0, 0,0,1,0, 0.5,0.8,1.75,1]"
+        cases = (
+            ("lens", '[[camera]]\nname = "lens"\nrole = "environment"\nwidth = 640\nheight = 480\nprojection = "kb4"\n'
+             "focal_px = [218, 217]\ndistortion = [0.04, -0.01, 0, 0]\n[calibration]\nrms_px = 0.25\n",
+             {"kind": "camera", "focal_px": [218, 217], "principal_px": [320, 240],
+              "distortion": [0.04, -0.01, 0, 0], "rms_px": 0.25}),
+            ("response", "decode = [0, 0.25, 1]\n",
+             {"kind": "response", "channels": 1, "light_at_half_code": [0.25, 0.25, 0.25]}),
+            ("noise", "[noise]\nfull_well_electrons = 15400\nread_noise = 0.0005\nblack_level = 0.0625\n",
+             {"kind": "noise", "full_well_electrons": 15400, "read_noise": 0.0005, "black_level": 0.0625}),
+            ("vignetting", "[vignetting]\nterms = [-0.5, 0.25, 0]\n",
+             {"kind": "vignetting", "terms": [-0.5, 0.25, 0], "corner": 0.75}),
+            ("colour", "[colour]\nmatrix = [1, 0, 0.5, 0, 1, 0, 0, 0, 2]\nrms = 0.01\n",
+             {"kind": "colour", "matrix": [[1, 0, 0.5], [0, 1, 0], [0, 0, 2]], "rms": 0.01}),
+            ("poses", f'[rig]\nframe = "board"\nrms_px = 0.2\n[[camera]]\nname = "left"\nworld_from_camera = {pose}\n',
+             {"kind": "poses", "frame": "board", "rms_px": 0.2,
+              "cameras": [{"name": "left", "position_m": [0.5, 0.8, 1.75]}]}))
+        for name, text, figures in cases:
+            path = self.root / f"{name}-figures.toml"
+            path.write_text("version = 1\n" + text)
+            told = self.run_json("inspect", path)
+            self.assertEqual({key: told.get(key) for key in figures}, figures)
+            path.write_text("version = 2\n" + text)
+            self.expect_refusal([path.name, "version"], "inspect", path)
+
+    def test_inspect_knows_a_rig_with_and_without_a_scene(self):
+        camera = ('[[camera]]\nname = "webcam"\nrole = "view"\ndevice = "/dev/video7"\nwidth = 64\nheight = 48\n'
+                  'projection = "pinhole"\nresponse = "srgb"\nexposures_s = [0.01]\n')
+        path = self.root / "rig-alone.toml"
+        for capture, source in (('[capture]\nsource = "cameras"\n', "cameras"), ("", None)):
+            path.write_text("version = 1\n" + capture + camera)
+            rig = self.run_json("inspect", path)
+            self.assertEqual((rig["kind"], rig.get("source"), rig["scene"]), ("rig", source, None))
+            self.assertEqual([(c["name"], c["device"], c["exposures_s"]) for c in rig["cameras"]],
+                             [("webcam", "/dev/video7", [0.01])])
+        path.write_text('version = 1\n[capture]\nsource = "studio"\n[scene]\nfile = "scene.toml"\n')
+        rig = self.run_json("inspect", path)
+        self.assertEqual((rig["kind"], rig["source"], rig["scene"], rig["cameras"]), ("rig", "studio", "scene.toml", []))
+
+    def test_inspect_names_what_it_understands(self):
+        (self.root / "notes.txt").write_text("nothing of ours")
+        self.expect_refusal(["notes.txt", "a picture (PNG", "a mesh (glTF", "a recording"], "inspect",
+                            self.root / "notes.txt")
+        (self.root / "other.toml").write_text("version = 1\n[package]\nname = \"x\"\n")
+        self.expect_refusal(["other.toml", "scene, rig", "noise"], "inspect", self.root / "other.toml")
+        self.expect_refusal(["absent.txt", "no such file"], "inspect", self.root / "absent.txt")
 
     def test_compare_measures_the_difference(self):
         keys = {"rel_rmse", "log10_rmse", "psnr_db", "max_abs", "flip"}
@@ -492,7 +561,7 @@ class Calibrate(CliTest):
                        'name = "env"\nrole = "environment"\ndevice = "/dev/none"\nresponse = "srgb"\n'
                        'intrinsics = "fisheye.toml"\n[[camera]]\nname = "view"\nrole = "view"\ndevice = "/dev/nothing"\n'
                        'response = "srgb"\nprojection = "pinhole"\nwidth = 64\nheight = 48\n')
-        self.assertEqual(self.run_json("inspect", rig)["kind"], "service configuration")
+        self.assertEqual(self.run_json("inspect", rig)["kind"], "rig")
         rig.write_text(rig.read_text().replace('role = "environment"\n', 'role = "environment"\nwidth = 640\n'))
         self.expect_refusal(["rig.toml", "width", "1000"], "inspect", rig)
 
@@ -536,6 +605,7 @@ class Calibrate(CliTest):
         top = float(rows[240][2])
         for code in (40, 90, 180):
             self.assertAlmostEqual(float(rows[code][2]) / top, (code / 240) ** 2.2, delta=.01)
+        self.assertEqual(self.run_json("inspect", out)["kind"], "response")
         self.run_well("hdr", "merge", *pictures, *given, "--response", out, "-o", self.root / "m.exr")
         self.expect_refusal(["equal"], "calibrate", "response", *pictures, "--times", "1,1,1", "-o",
                             self.root / "no.toml")
@@ -607,6 +677,7 @@ class Calibrate(CliTest):
                                 "--report", report)
         self.assertAlmostEqual(printed["corner"], .6, delta=.01)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["vignetting.csv", "vignetting.svg"])
+        self.assertAlmostEqual(self.run_json("inspect", out)["corner"], printed["corner"], delta=1e-3)
         camera = self.root / "camera.toml"
         camera.write_text('version = 1\n[[camera]]\nname = "c"\nrole = "view"\nwidth = 160\nheight = 120\n'
                           'projection = "pinhole"\nvignetting = "vignetting.toml"\n')
@@ -639,11 +710,12 @@ class Calibrate(CliTest):
         self.assertAlmostEqual(printed["full_well_electrons"], full_well, delta=.1 * full_well)
         self.assertAlmostEqual(printed["read_noise"], read, delta=.25 * read)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["noise.csv", "noise.svg"])
+        self.assertEqual(self.run_json("inspect", out)["kind"], "noise")
         (folder / "noise.toml").write_text(out.read_text())
         (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\n')
         self.run_json("inspect", folder)
         (folder / "capture.toml").write_text(manifest + 'noise = "noise.toml"\nread_noise = 0.1\n')
-        self.expect_refusal(["capture.toml", "read_noise", "noise has it"], "inspect", folder)
+        self.expect_refusal(["capture.toml", "read_noise", "noise file"], "inspect", folder)
         (folder / "capture.toml").write_text(manifest)
         (folder / "camera.csv").write_text("\n".join(rows[:5]) + "\n")
         self.expect_refusal(["8 are needed"], "calibrate", "noise", folder, "-o", self.root / "no.toml")
@@ -691,6 +763,7 @@ class Calibrate(CliTest):
                 self.assertAlmostEqual(value, truth, delta=.03)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["colours.csv", "colours.svg"])
         manifest = (capture / "capture.toml").read_text()
+        self.assertEqual(self.run_json("inspect", out)["kind"], "colour")
         (capture / "colour.toml").write_text(out.read_text())
         (capture / "capture.toml").write_text(manifest.replace('role = "environment"\n',
                                                                'role = "environment"\ncolour = "colour.toml"\n'))
@@ -703,8 +776,8 @@ class Calibrate(CliTest):
         capture, out = self.two_cameras(self.root / "even", lambda x, y, z: (.3 + .02 * y, .3, .28)), self.root / "e.toml"
         self.expect_refusal(["colour", "chart"], "calibrate", "colour", capture, "-o", out)
         self.expect_refusal(["environment", "ColorChecker"], "calibrate", "colour", capture, "--chart", "-o", out)
-        self.expect_refusal(["side", "no camera"], "calibrate", "colour", capture, "--view", "side", "-o", out)
-        self.expect_refusal(["tint", "matrix, gains or scale"], "calibrate", "colour", capture, "--model", "tint", "-o",
+        self.expect_refusal(["side", "not a camera"], "calibrate", "colour", capture, "--view", "side", "-o", out)
+        self.expect_refusal(["tint", "matrix, gains and scale"], "calibrate", "colour", capture, "--model", "tint", "-o",
                             out)
         self.assertFalse(out.exists())
 
@@ -763,6 +836,7 @@ class Calibrate(CliTest):
         for found, truth in zip(right["rotation_xyzw"], (0, math.sin(math.radians(3)), 0, math.cos(math.radians(3)))):
             self.assertAlmostEqual(abs(found), truth, delta=.004)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["rig.csv", "rig.svg"])
+        self.assertEqual([c["name"] for c in self.run_json("inspect", out)["cameras"]], ["left", "right"])
         (capture / "poses.toml").write_text(out.read_text())
         manifest = (capture / "capture.toml").read_text()
         (capture / "capture.toml").write_text(manifest.replace('role = "view"\n', 'role = "view"\npose = "poses.toml"\n'))
@@ -783,9 +857,9 @@ class Calibrate(CliTest):
         self.expect_refusal(["tracker.csv:3", "later"], *refused, "--tracker", tracker)
         tracker.write_text("time_s,tx,ty,tz,qx,qy,qz,qw\n0,0,0,0,0,0,0,2\n")
         self.expect_refusal(["tracker.csv:2", "quaternion"], *refused, "--tracker", tracker)
-        self.expect_refusal(["--board-plane", "floor or wall"], *refused, "--board-plane", "table")
+        self.expect_refusal(["--board-plane", "floor nor wall"], *refused, "--board-plane", "table")
         self.expect_refusal(["none of 8 pictures"], *refused[:3], "--board", "chessboard:11x8:0.04", *refused[5:])
-        self.expect_refusal(["middle", "no camera"], *refused, "--cameras", "left,middle")
+        self.expect_refusal(["middle", "not a camera"], *refused, "--cameras", "left,middle")
         self.assertFalse((self.root / "no.toml").exists())
 
     def test_what_cannot_be_calibrated_is_refused(self):
@@ -797,7 +871,7 @@ class Calibrate(CliTest):
         self.expect_refusal(["chessboard:9", "expected"], "calibrate", "camera", grey, "--board", "chessboard:9", "-o",
                             out)
         self.expect_refusal(["either pictures or --capture"], "calibrate", "camera", *board, "-o", out)
-        self.expect_refusal(["latlong", "nothing to calibrate"], "calibrate", "camera", grey, *board, "--projection",
+        self.expect_refusal(["latlong", "no intrinsics to calibrate"], "calibrate", "camera", grey, *board, "--projection",
                             "latlong", "-o", out)
         self.assertFalse(out.exists())
 

@@ -6,7 +6,7 @@
 #include <limits>
 #include <random>
 
-#include "lighting/internal/latlong_kernel.h"
+#include "lighting/sh/latlong_kernel.h"
 #include "lighting/lighting.h"
 
 namespace penumbra::lighting {

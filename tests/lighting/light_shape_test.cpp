@@ -1,5 +1,5 @@
 // Points of equal energy in place of a source's pixels.
-#include "lighting/internal/light_shape.h"
+#include "lighting/lights/internal/light_shape.h"
 
 #include <gtest/gtest.h>
 

@@ -340,19 +340,19 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
   const auto has = [](const std::string& text, const char* part) {
     EXPECT_NE(text.find(part), std::string::npos) << text;
   };
-  has(error(light, {}), "0 for 2 clipped sources");
-  has(error(light, {up}), "1 for 2 clipped sources");
-  has(error(light, {up, up, up}), "too alike");
-  has(error(light, {down, down}), "none sees");
+  has(error(light, {}), "are 0, too few for 2 saturated lights");
+  has(error(light, {up}), "are 1, too few for 2 saturated lights");
+  has(error(light, {up, up, up}), "too similar");
+  has(error(light, {down, down}), "do not face");
   auto lower = unlit, lower_side = unlit_side;
   lower.radiance = lower.radiance * .8f, lower_side.radiance = lower_side.radiance * .8f;
-  has(error(light, {lower, lower_side}), "get nothing");
+  has(error(light, {lower, lower_side}), "get no light");
   auto bad = up;
   bad.albedo.g = 0;
-  has(error(light, {up, bad}), "invalid its albedo");
+  has(error(light, {up, bad}), "invalid has an albedo");
   bad = up, bad.normal = {0, 2, 0};
-  has(error(light, {up, bad}), "invalid its normal");
-  has(error(estimate(clip(map, 1e9f)), {up, side}), "invalid has no clipped source");
+  has(error(light, {up, bad}), "invalid has a normal");
+  has(error(estimate(clip(map, 1e9f)), {up, side}), "invalid has no saturated light");
 
   const int id = light.lights[0].id;
   const auto edge_error = [&](int source, const ShadowEdge& edge) {
@@ -362,7 +362,7 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
   has(edge_error(99, {kUp, {2, 2, 2}, {1, 1, 1}}), "is not saturated");
   has(edge_error(id, {kUp, {1, 1, 1}, {2, 2, 2}}), "not brighter");
   has(edge_error(id, {kUp, {1, 1, 1}, {0, 0, 0}}), "black");
-  has(edge_error(id, {-kUp, {2, 2, 2}, {1, 1, 1}}), "does not see");
+  has(edge_error(id, {-kUp, {2, 2, 2}, {1, 1, 1}}), "does not face");
 }
 
 // ------------------------------------------------------------------------------------ memory

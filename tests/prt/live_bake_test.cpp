@@ -94,7 +94,7 @@ TEST(LiveBake, ConvergesToTheBakeOfAPoseThatHolds) {
   EXPECT_LT(at_once, .3);  // no reflected light yet
   EXPECT_LT(rendered_error(out.transfer, truth), .02);
   EXPECT_LT(shadow_error(out, truth), .02);
-  EXPECT_GT(live.rays_kept(), 400);
+  EXPECT_LT(rendered_error(out.transfer, truth), .2 * at_once);  // rays of all visits count
 }
 
 // A second of walking and waving at 60 frames a second, every point visited in every other frame.
@@ -111,7 +111,6 @@ TEST(LiveBake, FollowsAMovingCharacterWhereItsPastAloneWouldNot) {
   const double follows = rendered_error(out.transfer, truth);
   RecordProperty("error_percent", std::to_string(100 * follows));
   RecordProperty("shadow_error_of_another_pose", std::to_string(shadow_error(stale, truth)));
-  RecordProperty("rays_kept", std::to_string(live.rays_kept()));
   RecordProperty("error_of_another_pose_percent",
                  std::to_string(100 * rendered_error(stale.transfer, truth)));
   RecordProperty("shadow_error", std::to_string(shadow_error(out, truth)));

@@ -16,7 +16,7 @@
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"
 #include "tools/chart/accuracy.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::runtime {
 
@@ -402,10 +402,13 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
   o.animation = hurried;
   ASSERT_TRUE(o.begin_live());
   o.move_to(0, true, true);
-  const double kept = o.live->bake.rays_kept();
+  const auto before = o.baked.transfer.values;
   for (int frame = 1; frame < 4; ++frame) o.move_to(frame / 60., true, true);
-  EXPECT_LT(o.live->bake.rays_kept(), kept);  // forgets faster than it traces
-  EXPECT_GT(o.live->bake.rays_kept(), 0);
+  // What it has keeps its place, but for the few points that were visited.
+  std::size_t same = 0;
+  for (std::size_t i = 0; i < before.size(); ++i) same += before[i] == o.baked.transfer.values[i];
+  EXPECT_GT(same, before.size() / 100);
+  EXPECT_GT(*std::ranges::max_element(o.baked.transfer.values), 0);
 }
 
 // Without probes the governor predicts nothing of what left-out bands would have done.

@@ -16,6 +16,7 @@
 #include "runtime/pipeline/light_file.h"
 #include "runtime/studio/studio_setup.h"
 #include "shadows/shadows.h"
+#include "tests/support/ball_pictures.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -103,7 +104,7 @@ class BallInView : public capture::FrameSource {
     for (int y = 0; y < 64; ++y)
       for (int x = 0; x < 96; ++x) {
         const auto ray = calib::direction_from_pixel(view.projection, {x + .5, y + .5});
-        if (const auto d = ball.light_from_ray(*ray))
+        if (const auto d = test::reflected(ball, *ray))
           light.at(x, y) =
               bench().world->far_radiance(view.world_from_camera.rotation * *d) * (1 / 60.f);
       }

@@ -9,6 +9,7 @@
 #include "prt/prt.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/shading/composite_stage.h"
+#include "tests/support/leaning_wall.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -31,22 +32,17 @@ class WallWorld : public capture::RadianceWorld {
 };
 
 PreparedScene wall_scene() {
-  const auto at = [&](double along, double across) {
-    return glm::vec3(std::cos(kLean) * across + std::sin(kLean) * along,
-                     -std::sin(kLean) * across + std::cos(kLean) * along, -2);
-  };
-  prt::Mesh m;
-  m.positions = {at(-9, 0), at(-9, 9), at(9, 9), at(9, 0)};
-  m.normals.assign(4, {0, 0, 1});
-  m.albedo.assign(4, {1, 1, 1});
-  m.triangles = {{0, 1, 2}, {0, 2, 3}};
-  prt::BakeOptions bake;
-  bake.bands = 3;
-  bake.bounces = 0;
-  bake.rays = 64;
   PreparedScene scene;
-  scene.objects.push_back({"wall", *prt::bake(std::move(m), bake), {}, 0});
+  scene.objects.push_back({"wall", test::leaning_wall(kLean), {}, 0});
   return scene;
+}
+
+/// What inserts the wall into the pictures of these cameras.
+Result<std::unique_ptr<CompositeStage>> wall_stage(const std::vector<capture::CameraInfo>& cameras,
+                                                   StageTimes& times) {
+  static const PreparedScene scene = wall_scene();
+  return CompositeStage::create(cameras, scene, compositor::Compositor::Surface::kOffscreen, times,
+                                4);
 }
 
 lighting::LightEstimate white_light() {
@@ -121,13 +117,10 @@ Result<Clip> film(const capture::StudioOptions& options, bool inserted, bool wit
   capture::Studio studio(std::make_shared<WallWorld>(!inserted), options);
   std::vector<capture::CameraInfo> cameras = studio.cameras();
   if (!with_effects) cameras[1].noise_known = false, cameras[1].psf_sigma_px = 0;
-  static const PreparedScene scene = wall_scene();
   StageTimes times;
   std::unique_ptr<CompositeStage> stage;
   if (inserted) {
-    PENUMBRA_ASSIGN(
-        made, CompositeStage::create(cameras, scene, compositor::Compositor::Surface::kOffscreen,
-                                     times, 4));
+    PENUMBRA_ASSIGN(made, wall_stage(cameras, times));
     stage = std::move(made);
   }
   const lighting::LightEstimate light = white_light();
@@ -191,10 +184,8 @@ TEST(SensorEffects, InsertedWallHasTheWhiteBalanceOfTheCamera) {
   std::array<double, 3> seen[2];
   for (const bool inserted : {false, true}) {
     capture::Studio studio(std::make_shared<WallWorld>(!inserted), options);
-    static const PreparedScene scene = wall_scene();
     StageTimes times;
-    auto stage = CompositeStage::create(studio.cameras(), scene,
-                                        compositor::Compositor::Surface::kOffscreen, times, 4);
+    auto stage = wall_stage(studio.cameras(), times);
     if (!stage && stage.error().code == ErrorCode::kUnavailable)
       GTEST_SKIP() << "no OpenGL ES 3.1 here: " << stage.error().detail;
     auto light = *LightEstimationStage::create(studio.cameras(), {3, {0, .02}}, times);

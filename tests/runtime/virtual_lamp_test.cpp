@@ -9,7 +9,7 @@
 #include "prt/prt.h"
 #include "tests/support/worlds.h"
 #include "tools/chart/accuracy.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::runtime {
 

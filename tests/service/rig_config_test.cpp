@@ -40,13 +40,13 @@ TEST_F(RigConfigFile, StudioNeedsOneLineAndHasSafeDefaults) {
 }
 
 TEST_F(RigConfigFile, EveryKeyIsRead) {
-  const auto c = read(
-      "version = 1\n[capture]\nsource = \"rec\"\nenvironment = \"sky.hdr\"\nasset = "
-      "\"builtin:knot\"\n"
-      "fps = 59.94\nwidth = 320\nheight = 180\n[scene]\nfile = \"/abs/scene.toml\"\n"
-      "[light]\nbands = 3\nstale_after_s = 0.25\n[http]\naddress = \"::1\"\nport = 0\n");
+  const auto c =
+      read(kStudio +
+           "environment = \"sky.hdr\"\nasset = \"builtin:knot\"\nreal_mesh = \"box.obj\"\n"
+           "fps = 59.94\nwidth = 320\nheight = 180\n[scene]\nfile = \"/abs/scene.toml\"\n"
+           "[light]\nbands = 3\nstale_after_s = 0.25\n[http]\naddress = \"::1\"\nport = 0\n");
   ASSERT_TRUE(c) << c.error().detail;
-  EXPECT_EQ(c->source, (folder_.path() / "rec").string())
+  EXPECT_EQ(c->real_mesh, (folder_.path() / "box.obj").string())
       << "paths are meant from the file's folder";
   EXPECT_EQ(c->environment, (folder_.path() / "sky.hdr").string());
   EXPECT_EQ(c->asset, "builtin:knot");
@@ -101,11 +101,25 @@ TEST_F(RigConfigFile, AddressesThatAreNotLoopbackAreRefused) {
     EXPECT_TRUE(read(kStudio + "[http]\naddress = \"" + address + "\"\n")) << address;
 }
 
+TEST_F(RigConfigFile, KeysOfTheStudioAreRefusedBesideAnotherSource) {
+  for (const std::string source : {"cameras", "rec", "rec.mkv"})
+    for (const std::string line :
+         {"environment = \"sky.hdr\"", "asset = \"builtin:knot\"", "real_mesh = \"builtin:box\"",
+          "fps = 30", "width = 640", "height = 480"})
+      expect_invalid("version = 1\n[capture]\nsource = \"" + source + "\"\n" + line +
+                         "\n[scene]\nfile = \"scene.toml\"\n",
+                     4, line.substr(0, line.find(' ')) + ": belongs to source = \"studio\"");
+}
+
 TEST_F(RigConfigFile, CaptureFolderNeedsAScene) {
   const auto c = read("version = 1\n[capture]\nsource = \"recording\"\n");
   ASSERT_FALSE(c);
   EXPECT_EQ(c.error().code, ErrorCode::kInvalid);
   EXPECT_NE(c.error().detail.find("scene"), std::string::npos);
+  const auto placed =
+      read("version = 1\n[capture]\nsource = \"recording\"\n[scene]\nfile = \"scene.toml\"\n");
+  ASSERT_TRUE(placed) << placed.error().detail;
+  EXPECT_EQ(placed->source, (folder_.path() / "recording").string());
 }
 
 const std::string kCameras =

@@ -6,7 +6,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
-#include "tools/common/still.h"
+#include "tools/pictures/still.h"
 
 namespace penumbra::runtime {
 

@@ -156,8 +156,12 @@ TEST(VirtualShadow, OverARealOneTakesOnlyWhatLightIsLeft) {
   std::vector<bool> dark = masks->floor;
   for (std::size_t i = 0; i < dark.size(); ++i)
     if (luminance(seen->empty.radiance.pixels()[i]) > .6f * open) dark[i] = false;
-  EXPECT_LT(rms_over(seen->ours, seen->truth, open, dark), .03);
-  EXPECT_GT(rms_over(seen->naive, seen->truth, open, dark), .06) << "the sun taken twice";
+  const double shadow = rms_over(seen->ours, seen->truth, open, dark),
+               naive_shadow = rms_over(seen->naive, seen->truth, open, dark);
+  std::printf("virtual shadow in a real one: off by %.4f in s, as if no wall stood there %.3f\n",
+              shadow, naive_shadow);
+  EXPECT_LT(shadow, .03);
+  EXPECT_GT(naive_shadow, .06) << "the sun taken twice";
   // The object itself: in the wall's shadow, not in the sun.
   const double mean = mean_luminance(seen->truth, masks->object),
                ours = rms_over(seen->ours, seen->truth, mean, masks->object),

@@ -24,8 +24,6 @@ class Seams {
   /// Values of all of the layout's points, one map after another `stride` apart. Points for which `hidden` is not 0 neither
   /// change nor pull.
   void equalise(std::span<const char> hidden, std::size_t stride, std::span<float> maps) const;
-  /// RMS difference of a map's two sides.
-  double jump(std::span<const float> map) const;
 
  private:
   // Of one place, seen from both sides: 0 = sum of weights times values.
