@@ -505,7 +505,7 @@ Result<void> chart(const ChartOptions& o) {
         "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} "
         "{:>7} "
         "{:>7} {:>7} {:>8}\n",
-        "environment", "mesh", "method", "n", "K", "tap", "map", "rows", "rays", "rate", "object %",
+        "environment", "mesh", "method", "n", "K", "smp", "map", "rows", "rays", "rate", "object %",
         "bias %", "shadow s", "bias s", "FLIP", "edge %", "F %", "ms");
   for (const std::string& asset : assets) {
     PENUMBRA_ASSIGN(bench, ChartScene::make(asset, o.truncated ? kTruncatedBakeRays : kBakeRays));
