@@ -2,15 +2,15 @@
 #include <cmath>
 #include <utility>
 
-#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
-#include "lighting/sh/sh_inpainting.h"
-#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
-#include "lighting/lights/light_extraction.h"
 #include "lighting/light_filter.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/lights/light_extraction.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/sh/projection.h"
+#include "lighting/sh/sh_inpainting.h"
 
 namespace penumbra::lighting {
 

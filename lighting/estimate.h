@@ -12,15 +12,15 @@
 #include "core/result.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "lighting/lights/light_extraction.h"
 #include "lighting/light_filter.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/lights/light_extraction.h"
 #include "lighting/lights/light_tracker.h"
+#include "lighting/saturation_recovery.h"
 #include "lighting/sh/map_luminance.h"
 #include "lighting/sh/projection.h"
-#include "lighting/saturation_recovery.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {

@@ -3,9 +3,9 @@
 #include <memory_resource>
 
 #include "core/scratch.h"
-#include "lighting/sh/basis.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "lighting/sh/projection.h"
 

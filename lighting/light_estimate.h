@@ -8,8 +8,8 @@
 #include "core/image.h"
 #include "core/sh.h"
 #include "core/units.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/sh/projection.h"
 
 #pragma GCC visibility push(default)

@@ -5,11 +5,11 @@
 #include <cmath>
 #include <functional>
 
-#include "lighting/sh/basis.h"
-#include "lighting/lights/distant_light.h"
-#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 
 namespace penumbra::lighting {
 

@@ -11,8 +11,8 @@
 #include "core/image.h"
 #include "core/result.h"
 #include "core/units.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "lighting/sh/basis.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 
 namespace penumbra::lighting {

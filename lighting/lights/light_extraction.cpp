@@ -7,9 +7,9 @@
 #include "core/background_task.h"
 #include "core/scratch.h"
 #include "lighting/lights/distant_light.h"
-#include "lighting/sh/latlong_kernel.h"
 #include "lighting/lights/internal/light_shape.h"
 #include "lighting/lights/light_extraction.h"
+#include "lighting/sh/latlong_kernel.h"
 #include "lighting/sh/map_luminance.h"
 #include "lighting/sh/row_overlay.h"
 

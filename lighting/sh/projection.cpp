@@ -10,11 +10,11 @@
 #include "core/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/latlong_kernel.h"
-#include "lighting/sh/sh_inpainting.h"
 #include "lighting/sh/map_luminance.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"
 #include "lighting/sh/row_overlay.h"
+#include "lighting/sh/sh_inpainting.h"
 
 namespace penumbra::lighting {
 

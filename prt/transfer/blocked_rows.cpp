@@ -89,7 +89,8 @@ void sum_rows(const BlockedRows& from, int used, std::span<const float> weights,
         continue;
       }
       for (std::size_t c = 0; c < 3; ++c) HWY_DYNAMIC_DISPATCH(SumChannel)
-      (values + c * rows, ahead, used, weights.data() + c, to + c * stride, stride);
+      (values + c * rows, ahead, used, weights.empty() ? nullptr : weights.data() + c,
+       to + c * stride, stride);
     }
   });
 }

@@ -7,10 +7,10 @@
 
 #include "core/image.h"
 #include "core/stage_times.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {

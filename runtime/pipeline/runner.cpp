@@ -14,8 +14,8 @@
 
 #include "capture/frames.h"
 #include "core/background_task.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
 #include "runtime/pipeline/internal/frame_budget.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"

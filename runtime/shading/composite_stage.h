@@ -13,10 +13,10 @@
 #include "compositor/compositor.h"
 #include "core/result.h"
 #include "core/stage_times.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
-#include "lighting/sh/rotation.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
+#include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer_pca.h"
 #include "runtime/scene/scene.h"
@@ -114,10 +114,10 @@ class CompositeStage {
     const PreparedObject* prepared;
     int handle;
     std::optional<ObjectLight> light_used{};
-    std::optional<RelightBases> patterns{};                           // none of an animation
-    std::vector<float> relit{};                                       // exit radiance of the object
-    std::vector<float> taken{};  // of the receiver's irradiance/pi
-    std::vector<float> more{};   // scratch: what is added to either
+    std::optional<RelightBases> patterns{};  // none of an animation
+    std::vector<float> relit{};              // exit radiance of the object
+    std::vector<float> taken{};              // of the receiver's irradiance/pi
+    std::vector<float> more{};               // scratch: what is added to either
     // Alone, without what real things take already, and without what other objects take.
     shadows::PlanarShadow shadow{}, behind_real{}, shared{};
   };

@@ -4,10 +4,10 @@
 
 #include "core/background_task.h"
 #include "core/conventions.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
-#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/mesh.h"
@@ -186,7 +186,7 @@ void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size
     const auto vertices = surroundings_.vertices(index, k);
     if (!(light.side[s] == light.open)) {
       o.prepared->relight(TransferPart::kSurface,
-                   difference(light.side[s], light.open).with_bands(kSideBands), o.more);
+                          difference(light.side[s], light.open).with_bands(kSideBands), o.more);
       add_to_side(vertices, o.more, {}, o.relit);
     }
     // Of what object and floor reflect to each other, the floor that is hidden or in shade is missing.

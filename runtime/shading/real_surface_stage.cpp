@@ -3,11 +3,11 @@
 #include <algorithm>
 
 #include "core/conventions.h"
-#include "lighting/sh/basis.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
-#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/mesh.h"

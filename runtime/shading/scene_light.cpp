@@ -1,7 +1,7 @@
 #include "runtime/shading/scene_light.h"
 
-#include "lighting/sh/basis.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"

@@ -5,8 +5,8 @@
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/sh.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
 

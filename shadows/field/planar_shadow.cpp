@@ -1,8 +1,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "lighting/sh/basis.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "prt/transfer/relight.h"
 #include "shadows/field/planar_shadow.h"

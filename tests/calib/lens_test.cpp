@@ -169,7 +169,8 @@ TEST(Lens, ImpossibleDistortionIsRefused) {
     const auto p = with_distortion(projection(kind, 100, 80), k);
     return p ? std::string() : p.error().detail;
   };
-  EXPECT_NE(reason(kKannalaBrandt, {1, 2, 3, 4, 5}).find("5 distortion coefficients"), std::string::npos);
+  EXPECT_NE(reason(kKannalaBrandt, {1, 2, 3, 4, 5}).find("5 distortion coefficients"),
+            std::string::npos);
   EXPECT_NE(reason(kEquidistant, {.1}).find("at most 0"), std::string::npos);
   EXPECT_NE(reason(kPinhole, {NAN}).find("not finite"), std::string::npos);
   EXPECT_NE(reason(kDoubleSphere, {0, 1.5}).find("alpha"), std::string::npos);

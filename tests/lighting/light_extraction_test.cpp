@@ -6,8 +6,8 @@
 #include <limits>
 #include <random>
 
-#include "lighting/sh/latlong_kernel.h"
 #include "lighting/lighting.h"
+#include "lighting/sh/latlong_kernel.h"
 
 namespace penumbra::lighting {
 namespace {

@@ -3,7 +3,7 @@
 #include <cstdlib>
 #include <new>
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#ifndef PENUMBRA_SANITIZED
 void* operator new(std::size_t bytes) {
   penumbra::test::allocations.fetch_add(1, std::memory_order_relaxed);
   penumbra::test::allocated_bytes.fetch_add(bytes, std::memory_order_relaxed);

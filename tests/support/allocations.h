@@ -7,6 +7,13 @@
 namespace penumbra::test {
 /// Sanitizers bring an operator new of their own, which must stay.
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define PENUMBRA_SANITIZED
+#elif defined(__has_feature)  // clang
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define PENUMBRA_SANITIZED
+#endif
+#endif
+#ifdef PENUMBRA_SANITIZED
 inline constexpr bool kCountsAllocations = false;
 #else
 inline constexpr bool kCountsAllocations = true;

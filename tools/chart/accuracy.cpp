@@ -5,10 +5,10 @@
 #include <limits>
 
 #include "core/conventions.h"
-#include "lighting/sh/basis.h"
-#include "lighting/lights/distant_light.h"
-#include "lighting/sh/irradiance.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/plane.h"
 #include "runtime/scene/scene.h"

@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "core/conventions.h"
-#include "lighting/sh/basis.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "lighting/sh/projection.h"
 #include "prt/bake/bake.h"

@@ -9,9 +9,9 @@
 
 #include "capture/studio/studio.h"
 #include "core/conventions.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 #include "lighting/lights/light_extraction.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"

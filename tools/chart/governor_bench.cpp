@@ -5,10 +5,10 @@
 
 #include "capture/studio/environments.h"
 #include "core/conventions.h"
-#include "lighting/sh/basis.h"
 #include "lighting/lights/distant_light.h"
-#include "lighting/sh/irradiance.h"
 #include "lighting/lights/light_extraction.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "lighting/sh/projection.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"

@@ -3,9 +3,9 @@
 
 #include "calib/camera/camera_model.h"
 #include "capture/environment/environment_file.h"
-#include "lighting/lights/distant_light.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
+#include "lighting/lights/distant_light.h"
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
