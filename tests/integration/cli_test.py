@@ -871,7 +871,7 @@ class Calibrate(CliTest):
         self.expect_refusal(["chessboard:9", "expected"], "calibrate", "camera", grey, "--board", "chessboard:9", "-o",
                             out)
         self.expect_refusal(["either pictures or --capture"], "calibrate", "camera", *board, "-o", out)
-        self.expect_refusal(["latlong", "no intrinsics to calibrate"], "calibrate", "camera", grey, *board, "--projection",
+        self.expect_refusal(["latlong", "has nothing to calibrate"], "calibrate", "camera", grey, *board, "--projection",
                             "latlong", "-o", out)
         self.assertFalse(out.exists())
 
