@@ -35,8 +35,6 @@ bool is_wide(const lighting::DistantLight& source) {
   return largest_angle(source) >= kFrom;
 }
 
-namespace {}  // namespace
-
 bool penumbra_exceeds_edges(const lighting::DistantLight& source,
                             const SilhouetteMesh& silhouette) {
   constexpr double kEdges = 1.75;

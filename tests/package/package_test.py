@@ -26,6 +26,7 @@ def main(build, examples, program, compiler):
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         prefix, tree = folder / "prefix", folder / "build"
+        run("cmake", "--build", build, "--target", "penumbra_shared")
         run("cmake", "--install", build, "--prefix", prefix)
         environment = os.environ | {"CXX": compiler}
 
@@ -41,8 +42,11 @@ def main(build, examples, program, compiler):
             check(library not in linked, f"light.cpp links {library}:\n{linked}")
 
         # pkg-config serves the same example.
-        flags = run("pkg-config", "--cflags", "--libs", "penumbra-lighting", env=os.environ | {
-            "PKG_CONFIG_PATH": str(next(prefix.rglob("pkgconfig")))}).split()
+        def flags_of(package):
+            return run("pkg-config", "--cflags", "--libs", package, env=os.environ | {
+                "PKG_CONFIG_PATH": str(next(prefix.rglob("pkgconfig")))}).split()
+
+        flags = flags_of("penumbra-lighting")
         run(compiler, Path(examples) / "light.cpp", "-o", folder / "light", *flags)
         check(run(folder / "light").splitlines() == lines, "pkg-config builds another light")
 
@@ -62,6 +66,18 @@ def main(build, examples, program, compiler):
         check(picture[:8] == b"\x89PNG\r\n\x1a\n", "composite.cpp writes a picture")
         check(picture == (folder / "out" / "still.png").read_bytes(),
               "composite.cpp draws what the demo drew last")
+
+        # The shared library shows what public headers declare, and draws the same picture.
+        library = next(prefix.rglob("libpenumbra.so"))
+        shown = run("nm", "-DC", "--defined-only", library)
+        check("penumbra::Pipeline::create(" in shown, "libpenumbra.so shows no Pipeline")
+        check("penumbra::compositor::Layers" not in shown, "libpenumbra.so shows a private class")
+        check("tinygltf::" not in shown, "libpenumbra.so shows another library's code")
+        run(compiler, Path(examples) / "composite.cpp", "-o", folder / "shared", *flags_of("penumbra"))
+        run(folder / "shared", folder / "capture", folder / "capture" / "scene.toml",
+            folder / "shared.png", env=cache | {"LD_LIBRARY_PATH": str(library.parent)})
+        check((folder / "shared.png").read_bytes() == picture,
+              "the shared library draws another picture")
 
         # Programs come with their manual and completion.
         manual = next(prefix.rglob("penumbra.1")).read_text()

@@ -110,6 +110,12 @@ TEST(GnuplotQuoted, LeavesNothingToSubstitute) {
   EXPECT_EQ(gnuplot_quoted("K\xc3\xb6ln\x7f"), "'K?ln '");
 }
 
+TEST(GnuplotBlock, NoRowEndsItOrIsRun) {
+  EXPECT_EQ(gnuplot_block("data", "1,2\nEND_OF_BLOCK\n`id`,3"),
+            "$data << END_OF_BLOCK\n1,2\n?END_OF_BLOCK\n?id?,3\nEND_OF_BLOCK\n");
+  EXPECT_EQ(gnuplot_cell("a\"b\n`c` 'd'"), "\"a?b ?c? 'd'\"");
+}
+
 // PATH for the length of a test.
 class ScopedPath {
  public:
