@@ -51,16 +51,22 @@ if(PENUMBRA_TESTS)
   target_precompile_headers(penumbra_test_pch PRIVATE <gtest/gtest.h> <gmock/gmock.h>)
 endif()
 
-# penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ... [INTERNAL]): one folder, one library
-# penumbra::NAME. It is installed unless it is INTERNAL.
+# penumbra_module(NAME SOURCES ... PUBLIC ... PRIVATE ... [INTERNAL [QUICK]]): one folder, one library
+# penumbra::NAME. It is installed unless it is INTERNAL; QUICK is built as programs are.
 function(penumbra_module name)
-  cmake_parse_arguments(ARG "INTERNAL" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  cmake_parse_arguments(ARG "INTERNAL;QUICK" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
   add_library(penumbra_${name} STATIC ${ARG_SOURCES})
   add_library(penumbra::${name} ALIAS penumbra_${name})
   # Position independent: the archives may go into somebody's shared library.
   set_target_properties(penumbra_${name} PROPERTIES EXPORT_NAME ${name} POSITION_INDEPENDENT_CODE ON)
   target_link_libraries(penumbra_${name} PUBLIC penumbra_options ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
-  target_precompile_headers(penumbra_${name} REUSE_FROM penumbra_pch)
+  if(ARG_QUICK)
+    set_target_properties(penumbra_${name} PROPERTIES POSITION_INDEPENDENT_CODE OFF)
+    target_compile_options(penumbra_${name} PRIVATE ${penumbra_quick_options})
+    target_precompile_headers(penumbra_${name} REUSE_FROM penumbra_quick_pch)
+  else()
+    target_precompile_headers(penumbra_${name} REUSE_FROM penumbra_pch)
+  endif()
   if(NOT ARG_INTERNAL)
     install(TARGETS penumbra_${name} EXPORT penumbra COMPONENT dev)
     set_property(GLOBAL APPEND PROPERTY penumbra_rooms penumbra_${name})

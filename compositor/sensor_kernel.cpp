@@ -120,27 +120,30 @@ namespace {
 
 constexpr std::size_t kQuantiles = 4096;  // the kernel takes the hash's upper 12 bits
 
-// Quantiles of the normal distribution at the middles of equal shares, scaled to unit variance.
-const float* normal_quantiles() {
-  static const std::array<float, kQuantiles> table = [] {
-    std::array<double, kQuantiles> q;
-    double square = 0;
-    for (std::size_t i = 0; i < kQuantiles / 2; ++i) {
-      const double fraction = (static_cast<double>(i) + .5) / kQuantiles;
-      double low = -10, high = 0;
-      for (int k = 0; k < 50; ++k) {  // bisection on erfc: once, at start
-        const double middle = (low + high) / 2;
-        (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
-      }
-      q[i] = low;
-      q[kQuantiles - 1 - i] = -low;
-      square += 2 * low * low;
+// Quantiles of the normal distribution at the middles of equal fractions, scaled to unit variance.
+// No lambda: a compiler would spend seconds on trying to know the table itself.
+std::array<float, kQuantiles> make_normal_quantiles() {
+  std::array<double, kQuantiles> q;
+  double square = 0;
+  for (std::size_t i = 0; i < kQuantiles / 2; ++i) {
+    const double fraction = (static_cast<double>(i) + .5) / kQuantiles;
+    double low = -10, high = 0;
+    for (int k = 0; k < 50; ++k) {  // bisection on erfc: once, at start
+      const double middle = (low + high) / 2;
+      (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
     }
-    std::array<float, kQuantiles> out;
-    for (std::size_t i = 0; i < kQuantiles; ++i)
-      out[i] = static_cast<float>(q[i] * std::sqrt(kQuantiles / square));
-    return out;
-  }();
+    q[i] = low;
+    q[kQuantiles - 1 - i] = -low;
+    square += 2 * low * low;
+  }
+  std::array<float, kQuantiles> out;
+  for (std::size_t i = 0; i < kQuantiles; ++i)
+    out[i] = static_cast<float>(q[i] * std::sqrt(kQuantiles / square));
+  return out;
+}
+
+const float* normal_quantiles() {
+  static const std::array<float, kQuantiles> table = make_normal_quantiles();
   return table.data();
 }
 

@@ -1,6 +1,6 @@
 #include <fmt/format.h>
 
-#include <Eigen/Dense>
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -15,9 +15,9 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr double kMinCosine = .05;    // mean over a light, of a surface that sees it
-constexpr double kMinContrast = .05;  // smallest over largest singular value
-constexpr double kMinPower = .9;      // of the measured lower bound: noise of the patches
+constexpr double kMinCosine = .05;   // mean over a light, of a surface that sees it
+constexpr double kMinContrast = .1;  // sine of the angle between a column and those before it
+constexpr double kMinPower = .9;     // of the measured lower bound: noise of the patches
 constexpr std::size_t kMaxKnown = 16;
 
 Rgb power(const DistantLight& source) {
@@ -54,8 +54,8 @@ Result<void> check(const ReflectancePatch& patch, std::size_t index) {
   return {};
 }
 
-// Whether the patches can tell the sources apart: the spread of the singular values of columns of
-// unit length.
+// Whether the patches can tell the sources apart: what is left of a column of unit length where the
+// others are taken away, which is what a pivoted Cholesky factorisation has on its diagonal.
 Result<void> check(const Eigen::MatrixXd& seen, std::span<const DistantLight* const> lights) {
   if (seen.rows() < seen.cols())
     return fail(ErrorCode::kUndetermined, "patches",
@@ -65,15 +65,16 @@ Result<void> check(const Eigen::MatrixXd& seen, std::span<const DistantLight* co
       return fail(
           ErrorCode::kUndetermined, "patches",
           fmt::format("do not face saturated light {}", lights[static_cast<std::size_t>(j)]->id));
-  const Eigen::VectorXd values = seen.colwise().normalized().jacobiSvd().singularValues();
-  if (values.minCoeff() < kMinContrast * values.maxCoeff())
+  const Eigen::MatrixXd columns = seen.colwise().normalized();
+  const Eigen::LDLT<Eigen::MatrixXd> factors(columns.transpose() * columns);
+  if (factors.vectorD().minCoeff() < kMinContrast * kMinContrast)
     return fail(
         ErrorCode::kUndetermined, "patches",
         fmt::format("face too similar directions to tell {} saturated lights apart", seen.cols()));
   return {};
 }
 
-// min |a x - b|, x >= 0; a of full column rank.
+// min |a x - b|, x >= 0; columns of a apart (check above), so that the normal equations serve.
 // source: Lawson & Hanson 1974, algorithm NNLS (23.10)
 Eigen::VectorXd non_negative_least_squares(const Eigen::MatrixXd& a, const Eigen::VectorXd& b) {
   Eigen::VectorXd x = Eigen::VectorXd::Zero(a.cols());
@@ -87,7 +88,8 @@ Eigen::VectorXd non_negative_least_squares(const Eigen::MatrixXd& a, const Eigen
     free.push_back(*best);
     bound.erase(best);
     while (!free.empty()) {
-      const Eigen::VectorXd s = a(Eigen::all, free).colPivHouseholderQr().solve(b);
+      const Eigen::MatrixXd part = a(Eigen::all, free);
+      const Eigen::VectorXd s = (part.transpose() * part).ldlt().solve(part.transpose() * b);
       double stride = 1;
       for (std::size_t k = 0; k < free.size(); ++k) {
         const double here = x[free[k]], there = s[static_cast<Eigen::Index>(k)];

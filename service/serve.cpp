@@ -1,11 +1,11 @@
-#include <spdlog/spdlog.h>
 
+#include "service/serve.h"
+#include "core/log.h"
 #include "core/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
 #include "service/http_api.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
-#include "service/serve.h"
 
 namespace penumbra::service {
 
@@ -27,15 +27,15 @@ Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, rig.scene, options));
 
   const std::atomic<bool>& stop = catch_stop_signals();
-  spdlog::info("listening on http://{}:{}", config.address, api->port());
+  log_info("listening on http://{}:{}", config.address, api->port());
   const auto publish = [&](const runtime::Output& out) {
     state.publish(out.light, out.source.time, out.pixels);
     state.publish_cameras(cameras, rig.source->counts());
     return true;
   };
   PENUMBRA_ASSIGN(counts, pipeline.run_live(*rig.source, publish, stop));
-  spdlog::info("stopped after {} frames in {:.1f} s, {} dropped", counts.frames, counts.seconds,
-               counts.dropped);
+  log_info("stopped after {} frames in {:.1f} s, {} dropped", counts.frames, counts.seconds,
+           counts.dropped);
   return {};
 }
 

@@ -24,29 +24,31 @@ std::uint64_t mix(std::uint64_t z) {  // SplitMix64, Steele et al. 2014
   return z ^ (z >> 31);
 }
 
-// Quantiles of the normal distribution at the middles of 65536 equal shares, scaled to unit
-// variance.
-const std::vector<float>& normal_quantiles() {
-  static const std::vector<float> table = [] {
-    std::vector<double> q(65536);
-    double square = 0;
-    for (std::size_t i = 0; i < q.size() / 2; ++i) {
-      // Bisection on erfc: once, at start.
-      const double fraction = (static_cast<double>(i) + .5) / 65536;
-      double low = -10, high = 0;
-      for (int k = 0; k < 60; ++k) {
-        const double middle = (low + high) / 2;
-        (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
-      }
-      q[i] = low;
-      q[q.size() - 1 - i] = -low;
-      square += 2 * low * low;
+// Quantiles of the normal distribution at the middles of 65536 equal fractions, scaled to unit
+// variance. No lambda: a compiler would spend seconds on trying to know the table itself.
+std::vector<float> make_normal_quantiles() {
+  std::vector<double> q(65536);
+  double square = 0;
+  for (std::size_t i = 0; i < q.size() / 2; ++i) {
+    // Bisection on erfc: once, at start.
+    const double fraction = (static_cast<double>(i) + .5) / 65536;
+    double low = -10, high = 0;
+    for (int k = 0; k < 60; ++k) {
+      const double middle = (low + high) / 2;
+      (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
     }
-    const double scale = std::sqrt(65536 / square);
-    std::vector<float> out;
-    for (double v : q) out.push_back(static_cast<float>(v * scale));
-    return out;
-  }();
+    q[i] = low;
+    q[q.size() - 1 - i] = -low;
+    square += 2 * low * low;
+  }
+  const double scale = std::sqrt(65536 / square);
+  std::vector<float> out;
+  for (double v : q) out.push_back(static_cast<float>(v * scale));
+  return out;
+}
+
+const std::vector<float>& normal_quantiles() {
+  static const std::vector<float> table = make_normal_quantiles();
   return table;
 }
 

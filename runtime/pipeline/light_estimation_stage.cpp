@@ -1,7 +1,6 @@
 #include "runtime/pipeline/light_estimation_stage.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cmath>
@@ -11,6 +10,7 @@
 #include "capture/hdr/merge.h"
 #include "capture/warp_grid.h"
 #include "core/conventions.h"
+#include "core/log.h"
 #include "lighting/lights/distant_light.h"
 
 namespace penumbra::runtime {
@@ -241,7 +241,7 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
     const auto clips = std::ranges::find_if(
         views_, [](const RegionView& v) { return v.fresh && v.map.clipped_fraction > 0; });
     const RegionView& view = clips == views_.end() ? views_[0] : *clips;
-    spdlog::warn(
+    log_warning(
         "{}: a light is saturated in every exposure: its power is a lower bound until it is "
         "recovered from a floor of known albedo",
         cameras_[static_cast<std::size_t>(view.camera)].name);
@@ -252,13 +252,13 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
   for (std::size_t i = 1; i < views.size(); ++i) {
     const auto& [camera, g, known] = views[i];
     if (known)
-      spdlog::info(
+      log_info(
           "{}: view {} of the surroundings has the gain {:.3f} {:.3f} {:.3f} against view 1, by "
           "their overlaps",
           camera, i + 1, g.r, g.g, g.b);
     else
-      spdlog::warn("{}: view {} of the surroundings overlaps no other view: its gain counts as 1",
-                   camera, i + 1);
+      log_warning("{}: view {} of the surroundings overlaps no other view: its gain counts as 1",
+                  camera, i + 1);
   }
 }
 
@@ -275,10 +275,10 @@ void LightEstimationStage::complete(std::span<const lighting::SaturationRecovery
   for (const lighting::SaturationRecovery& c : completions) {
     const auto taken = estimator_.complete(c);
     if (taken)
-      spdlog::info("light: the power of saturated light {} is recovered from the floor", c.source);
+      log_info("light: the power of saturated light {} is recovered from the floor", c.source);
     else  // it has moved on, or the floor says less than the camera
-      spdlog::warn("light: the power of saturated light {} is not recovered from the floor: it {}",
-                   c.source, taken.error().detail);
+      log_warning("light: the power of saturated light {} is not recovered from the floor: it {}",
+                  c.source, taken.error().detail);
   }
 }
 

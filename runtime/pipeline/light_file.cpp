@@ -1,12 +1,11 @@
 #include "runtime/pipeline/light_file.h"
 
-#include <spdlog/spdlog.h>
-
 #include <algorithm>
 #include <charconv>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/projection_table.h"
+#include "core/log.h"
 
 namespace penumbra::runtime {
 
@@ -20,8 +19,8 @@ Result<FileLight> read_light(const std::string& path,
   PENUMBRA_ASSIGN(file, capture::read_environment(path, kind));
   FileLight out;
   if (file.non_finite > 0)
-    spdlog::warn("{}: {} pixels are NaN or infinite and are left out of the light", path,
-                 file.non_finite);
+    log_warning("{}: {} pixels are NaN or infinite and are left out of the light", path,
+                file.non_finite);
   const calib::ProjectionTable& t = file.table;
   const bool plain =
       file.projection.kind == calib::ProjectionKind::kLatLong && file.non_finite == 0;

@@ -1,13 +1,13 @@
 #include "runtime/pipeline/pipeline.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cstdlib>
 #include <utility>
 
 #include "capture/camera_regions.h"
+#include "core/log.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 
@@ -127,8 +127,8 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
     if (auto windowed = composite_on(Compositor::Surface::kWindow))
       impl->composite = std::move(*windowed);
     else
-      spdlog::warn("{}: {}; the run goes on without a window", windowed.error().where,
-                   windowed.error().detail);
+      log_warning("{}: {}; the run goes on without a window", windowed.error().where,
+                  windowed.error().detail);
   }
   if (!impl->composite) {
     PENUMBRA_ASSIGN(composite, composite_on(Compositor::Surface::kOffscreen));

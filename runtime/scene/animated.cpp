@@ -1,12 +1,11 @@
 #include "runtime/scene/animated.h"
 
-#include <spdlog/spdlog.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <limits>
 
+#include "core/log.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/live_bake.h"
@@ -79,11 +78,10 @@ Result<prt::Character> load_character(const std::string& asset, Rgb albedo) {
   auto character = prt::import_character(asset, albedo);
   if (!character) return character;
   if (character->degenerate_triangles > 0)
-    spdlog::warn("{}: {} degenerate triangles are left out", asset,
-                 character->degenerate_triangles);
+    log_warning("{}: {} degenerate triangles are left out", asset, character->degenerate_triangles);
   if (character->unbound_vertices > 0)
-    spdlog::warn("{}: {} vertices have no skin weights and follow the first joint", asset,
-                 character->unbound_vertices);
+    log_warning("{}: {} vertices have no skin weights and follow the first joint", asset,
+                character->unbound_vertices);
   return character;
 }
 
@@ -188,7 +186,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
       o.place_on_floor ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
   out.world_from_bake = {o.rotation, frame.translation + aside};
   if (plane && std::abs(glm::dot(o.position - plane->point, plane->normal)) > 1e-3)
-    spdlog::warn("{}: its clip is baked for standing on the floor, so it is placed there", o.name);
+    log_warning("{}: its clip is baked for standing on the floor, so it is placed there", o.name);
   if (std::optional<prt::Receiver>& receiver = animation->sequence.receiver) {
     const auto k = static_cast<float>(scale);
     receiver->grid.centre *= k;
@@ -247,7 +245,7 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   if (plane)
     out.baked.receiver =
         prt::Receiver{prt::fit_ground_grid(room_of(*animation), 0, kLiveGroundSize), plane->albedo};
-  spdlog::info(
+  log_info(
       "{}: the transfer of {} vertices is traced while the clip plays, for {:g} ms in each frame",
       o.name, animation->layout.points(), o.transfer_ms);
   out.animation = std::move(animation);

@@ -1,7 +1,6 @@
 #include "runtime/scene/bake_cache.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <fcntl.h>
 #include <sys/file.h>
@@ -14,6 +13,7 @@
 
 #include "core/files.h"
 #include "core/hash.h"
+#include "core/log.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/receiver.h"
 
@@ -84,7 +84,7 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
     }
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, name, baked.error().detail);
-  spdlog::info(
+  log_info(
       "{}: baked {} vertices with {:.1f} million rays in {:.1f} s, standard error {:.2f} % of the "
       "first coefficient",
       name, baked->mesh.positions.size(), static_cast<double>(baked->report.rays) * 1e-6,
@@ -92,8 +92,8 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
   if (folder && make_folder(*folder)) {
     // A cache that cannot be written costs time, not the result.
     if (const auto written = prt::write_baked(file, *baked); !written)
-      spdlog::warn("the bake is not kept in the cache: {}: {}", written.error().where,
-                   written.error().detail);
+      log_warning("the bake is not kept in the cache: {}: {}", written.error().where,
+                  written.error().detail);
     prune_cache(*folder, kCacheBytes);
   }
   return baked;
@@ -186,7 +186,7 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   }
   if (!sequence) return named(sequence.error());
   const prt::SequenceReport& r = sequence->report;
-  spdlog::info(
+  log_info(
       "{}: baked {} key frames of {} points with {:.1f} million rays in {:.1f} s, standard error "
       "{:.2f} % of the first coefficient, error of compression {:.2f} %",
       name, sequence->surface.frames(), sequence->surface.points(),
@@ -194,8 +194,8 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
       100 * r.compression_error);
   if (!folder) return sequence;
   if (const auto written = prt::write_sequence(file, character, clip, *sequence); !written)
-    spdlog::warn("the bake is not kept in the cache: {}: {}", written.error().where,
-                 written.error().detail);
+    log_warning("the bake is not kept in the cache: {}: {}", written.error().where,
+                written.error().detail);
   prune_cache(*folder, kCacheBytes);
   return sequence;
 }

@@ -1,7 +1,6 @@
 #include "runtime/scene/scene.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,6 +8,7 @@
 #include <glm/gtx/quaternion.hpp>
 
 #include "core/conventions.h"
+#include "core/log.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/receiver.h"
@@ -162,8 +162,7 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
   } else {
     PENUMBRA_ASSIGN(imported, prt::import_mesh(asset, albedo));
     if (imported.degenerate_triangles > 0)
-      spdlog::warn("{}: {} degenerate triangles are left out", asset,
-                   imported.degenerate_triangles);
+      log_warning("{}: {} degenerate triangles are left out", asset, imported.degenerate_triangles);
     mesh = std::move(imported.mesh);
   }
   if (edge_fraction > 0)

@@ -148,7 +148,7 @@ struct PreparedScene {
   std::vector<shadows::Lamp> lamps{};
 };
 
-/// Loads, places and bakes. Log lines (what is baked, dropped triangles) go to spdlog.
+/// Loads, places and bakes. What is baked and which triangles are left out goes to the log (core/log.h).
 /// errors: what the assets say
 Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,

@@ -1,7 +1,5 @@
 #include "runtime/shading/composite_stage.h"
 
-#include <spdlog/spdlog.h>
-
 #include <algorithm>
 #include <cmath>
 
@@ -12,6 +10,7 @@
 #include "calib/camera/vignetting.h"
 #include "capture/hdr/merge.h"
 #include "core/background_task.h"
+#include "core/log.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/geometry/animation.h"
@@ -302,8 +301,8 @@ std::vector<lighting::SaturationRecovery> CompositeStage::complete(
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
   if (found) return std::move(*found);
   if (!std::exchange(could_not_complete_, true))
-    spdlog::warn("{}: saturated lights are not recovered from the floor: it {}",
-                 found.error().where, found.error().detail);
+    log_warning("{}: saturated lights are not recovered from the floor: it {}", found.error().where,
+                found.error().detail);
   return {};
 }
 

@@ -1,7 +1,6 @@
 #include "tools/calibrate/calibration_report.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <cmath>
 #include <initializer_list>
@@ -9,6 +8,7 @@
 #include "calib/camera/colour.h"
 #include "calib/camera/response.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "tools/calibrate/plots.h"
 #include "tools/common/gnuplot.h"
 
@@ -106,7 +106,7 @@ Result<void> draw(const std::filesystem::path& folder, std::initializer_list<Dra
         run_gnuplot(d.settings + gnuplot_block("data", d.rows) + d.script, folder / d.name);
     if (drawn) continue;
     if (drawn.error().code != ErrorCode::kUnavailable) return drawn;
-    spdlog::warn("no plots: {}", drawn.error().detail);
+    log_warning("no plots: {}", drawn.error().detail);
     return {};
   }
   return {};

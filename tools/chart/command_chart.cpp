@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
@@ -11,6 +10,7 @@
 #include "capture/studio/environments.h"
 #include "core/conventions.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
@@ -517,7 +517,7 @@ Result<void> chart(const ChartOptions& o) {
   PENUMBRA_TRY(write_bytes(output.file("accuracy.csv"), chart_csv(points)));
   if (!o.truncated)
     if (const auto plots = write_chart_plots(output.work(), points); !plots)
-      spdlog::warn("the plots are not written: {}: {}", plots.error().where, plots.error().detail);
+      log_warning("the plots are not written: {}: {}", plots.error().where, plots.error().detail);
   PENUMBRA_TRY(output.keep());
   if (o.json) {
     print_json({{"rows", chart_json(points)}});

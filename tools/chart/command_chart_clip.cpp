@@ -1,6 +1,5 @@
 // Bytes against rendered error of ways to code transfer over a clip.
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,6 +8,7 @@
 #include "capture/studio/environments.h"
 #include "codec/codec.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"
 #include "prt/clip/light_map.h"
@@ -289,7 +289,7 @@ Result<void> chart_clip(const ChartOptions& o) {
       bench.coefficients(), static_cast<double>(bench.raw_bytes()) * 1e-6);
   if (const auto plot = run_gnuplot(plot_of(points, title), output.file("rate-distortion.svg"));
       !plot)
-    spdlog::warn("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
+    log_warning("the plot is not written: {}: {}", plot.error().where, plot.error().detail);
   PENUMBRA_TRY(output.keep());
   if (o.json) {
     nlohmann::json rows = nlohmann::json::array();

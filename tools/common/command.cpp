@@ -7,6 +7,7 @@
 #include <span>
 #include <string_view>
 
+#include "core/log.h"
 #include "core/renamed.h"
 #include "tools/common/manual.h"
 
@@ -45,8 +46,11 @@ void add_json(CLI::App* app, bool& json) {
 int run_program(int argc, char** argv, const std::string& name, const std::string& description,
                 const std::function<void(CLI::App&, Action&)>& add_commands,
                 std::span<const Sibling> siblings) {
-  spdlog::set_default_logger(spdlog::stderr_color_mt(name));
-  spdlog::set_pattern("%^%l%$: %v");
+  const auto logger = spdlog::stderr_color_mt(name);
+  logger->set_pattern("%^%l%$: %v");
+  set_log_sink([logger](LogLevel level, std::string_view line) {
+    logger->log(level == LogLevel::kInfo ? spdlog::level::info : spdlog::level::warn, "{}", line);
+  });
   CLI::App app(description, name);
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
   Action action;

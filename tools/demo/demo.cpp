@@ -1,7 +1,6 @@
 #include "tools/demo/demo.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
 #include <filesystem>
@@ -13,6 +12,7 @@
 #include "codec/display.h"
 #include "compositor/compositor.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "core/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
 #include "runtime/pipeline/report.h"
@@ -137,8 +137,8 @@ Result<void> demo(const DemoOptions& o) {
   capture::Studio studio(setup.world, setup.options);
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(studio.cameras(), setup.scene, pipeline_options(o)));
   for (const Exposure& e : studio.schedule())
-    spdlog::info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
-                 e.gain.value());
+    log_info("environment camera: exposure {:.3g} ms at gain {}", 1e3 * e.time.count(),
+             e.gain.value());
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(output.begin());
   PENUMBRA_ASSIGN(writer, FrameWriter::create({output.work(), false, o.video, o.fps, o.live},

@@ -1,11 +1,11 @@
 #include <fmt/format.h>
 #include <oneapi/tbb/global_control.h>
-#include <spdlog/spdlog.h>
 
 #include <charconv>
 #include <filesystem>
 
 #include "core/files.h"
+#include "core/log.h"
 #include "prt/clip/key_frames.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"
@@ -79,17 +79,17 @@ void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
       o.between > 0 ? r.worst_interpolation > prt::allowed_between(o.between, r.standard_error)
                     : r.interpolation_error > 2 * o.error;
   if (coarse)
-    spdlog::warn(
+    log_warning(
         "{}: the clip moves fast, or jumps: interpolation between key frames errs by {:.1f} % at "
         "worst and by {:.1f} % RMS; a higher --fps lowers it",
         o.output, 100 * r.worst_interpolation, 100 * r.interpolation_error);
   if (r.compression_error > 1.02 * o.error)
-    spdlog::warn(
+    log_warning(
         "{}: --error {:.2g} % is not reached: the error is {:.2f} % with as many 16-bit values as "
         "a file can hold; fewer texels or bands, or a shorter clip, lower it",
         o.output, 100 * o.error, 100 * r.compression_error);
   if (r.interpolation_error == 0 && s.surface.frames() < 4 && s.seconds > 0)
-    spdlog::warn(
+    log_warning(
         "{}: there are too few key frames to measure the error between them; a higher --fps bakes "
         "more",
         o.output);

@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
@@ -12,6 +11,7 @@
 #include "capture/hdr/stacks.h"
 #include "codec/codec.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
@@ -42,7 +42,7 @@ Result<calib::Response> find_response(const HdrMergeOptions& o,
                 "has 16 bits, for which the response is not estimated: give --response");
   const EightBitBracket bracket = eight_bit_bracket(stack);
   auto response = calib::estimate_response(bracket.pictures, bracket.times);
-  if (response) spdlog::info("response estimated from the bracket: {}", response->describe());
+  if (response) log_info("response estimated from the bracket: {}", response->describe());
   return response;
 }
 
@@ -79,11 +79,11 @@ Result<void> report_times(capture::ExposureStack& stack, const std::vector<std::
         "blocks)",
         c.ratio.ratio, images[c.against], c.ratio.low, c.ratio.high, c.ratio.blocks);
     if (c.told == 0)
-      spdlog::info("{}: {}: {:.4g} s", images[c.picture], by_overlap,
-                   stack.exposures[c.picture].time.count());
+      log_info("{}: {}: {:.4g} s", images[c.picture], by_overlap,
+               stack.exposures[c.picture].time.count());
     else if (c.ratio.fraction > kEnough && std::abs(c.ratio.ratio / c.told - 1) > kFarOff &&
              (c.told < c.ratio.low || c.told > c.ratio.high))
-      spdlog::warn("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap, c.told);
+      log_warning("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap, c.told);
   }
   return {};
 }
@@ -105,8 +105,8 @@ Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
     PENUMBRA_ASSIGN(alignment, capture::align_stack(stack, reference));
     for (std::size_t k = 0; k < o.images.size(); ++k)
       if (k != reference)
-        spdlog::info("{}: moved by {:.1f} px against {}", o.images[k], alignment.moved_px[k],
-                     o.images[reference]);
+        log_info("{}: moved by {:.1f} px against {}", o.images[k], alignment.moved_px[k],
+                 o.images[reference]);
   }
   PENUMBRA_ASSIGN(response, find_response(o, stack));
   stack.response = response;

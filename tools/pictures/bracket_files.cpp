@@ -1,7 +1,6 @@
 #include "tools/pictures/bracket_files.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,6 +8,7 @@
 #include "calib/camera/response_table.h"
 #include "capture/frames.h"
 #include "codec/codec.h"
+#include "core/log.h"
 #include "tools/pictures/camera_film.h"
 
 namespace penumbra::tools {
@@ -141,7 +141,7 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
     if (const auto* linear = std::get_if<Image<Rgb>>(&frame))
       if (const auto bad = std::ranges::count_if(
               linear->pixels(), [](const Rgb& c) { return !std::isfinite(c.r + c.g + c.b); }))
-        spdlog::warn("{}: {} pixels are NaN or infinite and are left out", images[k], bad);
+        log_warning("{}: {} pixels are NaN or infinite and are left out", images[k], bad);
     stack.frames.push_back(std::make_shared<const FramePixels>(std::move(frame)));
     stack.exposures.push_back({Seconds((times)[k]), Gain(1)});
   }
