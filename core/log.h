@@ -1,0 +1,32 @@
+// Messages of a running library: what was left out, what takes long. The program decides where they
+// go.
+#pragma once
+
+#include <fmt/format.h>
+
+#include <functional>
+#include <string_view>
+#include <utility>
+
+namespace penumbra {
+
+enum class LogLevel { kInfo, kWarning };
+
+/// Gets a line without its end. threads: any, one call at a time
+using LogSink = std::function<void(LogLevel level, std::string_view line)>;
+
+/// Where messages go from now on; an empty sink drops them. Until it is called: standard error.
+void set_log_sink(LogSink sink);
+
+void log(LogLevel level, std::string_view line);
+
+template <class... Args>
+void log_info(fmt::format_string<Args...> format, Args&&... args) {
+  log(LogLevel::kInfo, fmt::format(format, std::forward<Args>(args)...));
+}
+template <class... Args>
+void log_warning(fmt::format_string<Args...> format, Args&&... args) {
+  log(LogLevel::kWarning, fmt::format(format, std::forward<Args>(args)...));
+}
+
+}  // namespace penumbra
