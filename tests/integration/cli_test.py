@@ -26,7 +26,7 @@ SUMMARY_KEYS = {"frames", "dropped", "seconds", "fps", "stages", "configuration"
 class DemoAndComposite(CliTest):
     def check_summary(self, summary):
         self.assertLessEqual(SUMMARY_KEYS, set(summary))
-        self.assertEqual(summary["frames"], 12)
+        self.assertEqual(summary["frames"], 6)
         self.assertEqual(summary["dropped"], 0)
         self.assertTrue(0 < summary["touched_fraction"] < 1)
         self.assertTrue(summary["stages"])
@@ -37,8 +37,8 @@ class DemoAndComposite(CliTest):
 
     def test_recorded_demo_replays_to_the_same_pictures_and_bytes(self):
         demo, record = self.root / "demo", self.root / "record"
-        printed = self.run_json("demo", "--fine", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out", demo,
-                                "--real-mesh", "builtin:box", "--record", record)
+        printed = self.run_json("demo", "--fine", "--headless", "--frames", 6, "--width", 160, "--height", 90, "--out", demo,
+                                "--asset", "builtin:box", "--real-mesh", "builtin:box", "--record", record)
         self.check_summary(printed)
         self.check_summary(json.loads((demo / "summary.json").read_text()))
         runs = [self.root / "first", self.root / "second"]
@@ -47,7 +47,7 @@ class DemoAndComposite(CliTest):
                                              "--out", run))
             self.check_summary(json.loads((run / "summary.json").read_text()))
         names = sorted(p.name for p in runs[0].iterdir())
-        frames = [f"frame_{i:06}.png" for i in range(12)]
+        frames = [f"frame_{i:06}.png" for i in range(6)]
         self.assertEqual(names, sorted(frames + ["summary.json", "video.mp4"]))
         self.assertEqual(names, sorted(p.name for p in runs[1].iterdir()))
         for name in frames + ["video.mp4"]:
@@ -84,8 +84,8 @@ class DemoAndComposite(CliTest):
 
     def test_stopped_composite_leaves_the_earlier_results_alone(self):
         record, out = self.root / "long", self.root / "kept"
-        self.run_well("demo", "--headless", "--frames", 90, "--width", 320, "--height", 180, "--out", self.root / "d",
-                      "--record", record)
+        self.run_well("demo", "--fine", "--headless", "--frames", 90, "--width", 320, "--height", 180, "--out",
+                      self.root / "d", "--asset", "builtin:box", "--no-turntable", "--record", record)
         out.mkdir()
         for name in ("video.mp4", "frame_000000.png", "summary.json"):
             (out / name).write_text("earlier")
@@ -389,8 +389,8 @@ class Window(CliTest):
         xvfb = shutil.which("xvfb-run")
         if not xvfb:
             self.skipTest("xvfb-run is not installed")
-        done = subprocess.run([xvfb, "-a", program(), "demo", "--live", "--no-turntable", "--frames", "12", "--width", "320",
-                               "--height", "180", "--out", str(self.root / "out")],
+        done = subprocess.run([xvfb, "-a", program(), "demo", "--live", "--asset", "builtin:box", "--no-turntable", "--frames",
+                               "12", "--width", "320", "--height", "180", "--out", str(self.root / "out")],
                               env=self.environment, capture_output=True, text=True, timeout=300 * PATIENCE, check=False)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertNotIn("without a window", done.stderr)
@@ -495,8 +495,8 @@ class Record(CliTest):
 
     def test_recording_of_a_capture_replays_to_the_same_bytes(self):
         folder = self.root / "folder"
-        self.run_well("demo", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out",
-                      self.root / "demo", "--record", folder)
+        self.run_well("demo", "--fine", "--headless", "--frames", 12, "--width", 320, "--height", 180, "--out",
+                      self.root / "demo", "--asset", "builtin:box", "--no-turntable", "--record", folder)
         frames = sum(len((folder / f"{name}.csv").read_text().splitlines()) - 1 for name in ("environment", "view"))
         rig = self.rig(f'[capture]\nsource = "{folder}"\n[scene]\nfile = "{folder}/scene.toml"\n')
         recording = self.root / "a.mkv"
