@@ -33,6 +33,7 @@ install(TARGETS penumbra_options EXPORT penumbra)
 # The standard library is nine tenths of what each file parses: once for what must be fast, once for
 # commands and tests, which are optimised little.
 set(penumbra_quick_options $<$<CONFIG:Release>:-O1>)
+set(penumbra_test_options ${penumbra_quick_options} $<$<BOOL:${PENUMBRA_FUZZ}>:-O0>)
 function(penumbra_precompiled name)
   file(WRITE ${CMAKE_BINARY_DIR}/${name}.cpp.in "// Carries the precompiled header.\n")
   configure_file(${CMAKE_BINARY_DIR}/${name}.cpp.in ${CMAKE_BINARY_DIR}/${name}.cpp COPYONLY)
@@ -47,7 +48,7 @@ target_compile_options(penumbra_quick_pch PRIVATE ${penumbra_quick_options})
 target_precompile_headers(penumbra_quick_pch PRIVATE <CLI/CLI.hpp> <nlohmann/json.hpp>)
 if(PENUMBRA_TESTS)
   penumbra_precompiled(penumbra_test_pch GTest::gtest GTest::gmock)
-  target_compile_options(penumbra_test_pch PRIVATE ${penumbra_quick_options})
+  target_compile_options(penumbra_test_pch PRIVATE ${penumbra_test_options})
   target_precompile_headers(penumbra_test_pch PRIVATE <gtest/gtest.h> <gmock/gmock.h>)
 endif()
 

@@ -108,7 +108,7 @@ std::optional<std::size_t> damaged_attribute(Bytes bytes) {
 Result<void> check_header(const Imf::Header& header, const std::string& name) {
   if (header.hasType() && Imf::isDeepData(header.type()))
     return fail(ErrorCode::kUnreadable, name, "deep pictures are not supported");
-  const Imath::Box2i window = header.dataWindow();
+  const Imath::Box2i& window = header.dataWindow();
   const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
   const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
   PENUMBRA_TRY(check_size(width, height, name));
@@ -224,7 +224,7 @@ Result<HdrImage> decode_checked(Bytes bytes, const std::string& name) {
     return fail(
         ErrorCode::kUnreadable, name,
         "has no colour channels (R G B, Y, or one alone), but:" + channel_names(header.channels()));
-  const Imath::Box2i window = header.dataWindow();
+  const Imath::Box2i& window = header.dataWindow();
   HdrImage out;
   out.pixels = Image<Rgb>(window.max.x - window.min.x + 1, window.max.y - window.min.y + 1);
   if (channels->luminance_chroma)

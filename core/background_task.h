@@ -47,15 +47,15 @@ class BackgroundTask {
   void wait_quietly() noexcept {
     try {
       wait();
-    } catch (...) {  // nobody is left who would be told
+    } catch (...) {  // NOLINT(bugprone-empty-catch): nobody is left who would be told
     }
   }
 };
 
-// work(), whose parallel loops take up nothing from outside it while they wait for their last parts: what they are timed
-// by is their own.
+// work(), whose parallel loops take up nothing from outside it while they wait for their last parts:
+// what they are timed by is their own.
 template <class Work>
-auto apart(const Work& work) {
+auto isolate(const Work& work) {
 #if defined(__SANITIZE_THREAD__)
   return work();
 #else

@@ -200,7 +200,7 @@ std::vector<double> face_lines(int size, bool centres_on_edges) {
 
 void fill_faces(ProjectionTable& table, const CameraModel& p) {
   const bool cross = p.kind == ProjectionKind::kVerticalCross;
-  const int size = cross ? p.width / 3 : p.width;
+  const int size = std::max(1, cross ? p.width / 3 : p.width);
   const std::vector<double> lines = face_lines(size, !cross);
   const std::vector<double> cells = plane_cells(lines, lines);
   for (int y = 0; y < p.height; ++y) {

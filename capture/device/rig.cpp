@@ -108,7 +108,7 @@ struct Rig::Station {
 
 Rig::Rig() : frames_(kQueued) {}
 Rig::~Rig() {
-  close();
+  Rig::close();
 }
 
 Result<std::unique_ptr<Rig>> Rig::open(std::vector<RigCamera> cameras, OpenCamera open) {

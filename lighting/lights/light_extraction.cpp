@@ -300,7 +300,8 @@ void Peeler::cut_clipped(float level) {
     double solid_angle = 0;
     for (const Run& r : region.runs)
       solid_angle += grid_.weight[static_cast<std::size_t>(r.y)] * r.length();
-    cut(region, std::min(level, static_cast<float>(.5 * flux_of(region) / solid_angle)), true);
+    if (solid_angle > 0)
+      cut(region, std::min(level, static_cast<float>(.5 * flux_of(region) / solid_angle)), true);
   }
 }
 
@@ -436,7 +437,7 @@ void Peeler::choose() {
     for (int k = 0; k < 3; ++k) source.radiance[k] = static_cast<float>(c.power[k] / c.solid_angle);
     source.shape = shape_of(c);
     source.clipped = c.clipped;
-    lights_.push_back(std::move(source));
+    lights_.push_back(source);
   }
 }
 

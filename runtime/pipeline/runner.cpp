@@ -289,7 +289,7 @@ class LiveFrames {
     now.frame = frame;
     now.light = light;
     // The loops in there must not take up the other frame's end, which what is traced live would count as its own time.
-    const auto begun = apart([&] { return compose_.begin(frame, light, now.begun); });
+    const auto begun = isolate([&] { return compose_.draw(frame, light, now.begun); });
     finish_last();
     if (!begun) return begun;
     if (!go_on_) return {};

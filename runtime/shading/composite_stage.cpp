@@ -338,8 +338,8 @@ Result<void> CompositeStage::process(const capture::Frame& frame,
   return {};
 }
 
-Result<void> CompositeStage::begin(const capture::Frame& frame,
-                                   const lighting::LightEstimate& light, PendingFrame& out) {
+Result<void> CompositeStage::draw(const capture::Frame& frame, const lighting::LightEstimate& light,
+                                  PendingFrame& out) {
   out.relit_ = shade(light, (frame.time - TimestampNs{0}).count());
   const Stopwatch watch;
   out.camera_ = frame.pixels;

@@ -85,8 +85,8 @@ class CompositeStage {
     return out;
   }
   /// process() but for what needs the stage no more. The stage must outlive the frame.
-  Result<void> begin(const capture::Frame& frame, const lighting::LightEstimate& light,
-                     PendingFrame& out);
+  Result<void> draw(const capture::Frame& frame, const lighting::LightEstimate& light,
+                    PendingFrame& out);
   compositor::Compositor& output() { return *compositor_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can tell; empty where
   /// it cannot.
