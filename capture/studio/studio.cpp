@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "calib/camera/camera_model.h"
@@ -60,11 +61,50 @@ Image<Rgb> film_view(const RadianceWorld& world, const CameraInfo& camera) {
   return out;
 }
 
-double mean_luminance(const Image<Rgb>& image, int first_row, int last_row) {
+using Gains = std::array<double, 3>;
+
+Rgb gained(const Rgb& c, const Gains& g) {
+  return {c.r * static_cast<float>(g[0]), c.g * static_cast<float>(g[1]),
+          c.b * static_cast<float>(g[2])};
+}
+
+double mean_luminance(const Image<Rgb>& image, int first_row, const Gains& gains) {
   double sum = 0;
-  for (int y = first_row; y < last_row; ++y)
-    for (const Rgb& c : image.row(y)) sum += luminance(c);
-  return sum / (static_cast<double>(last_row - first_row) * image.width());
+  for (int y = first_row; y < image.height(); ++y)
+    for (const Rgb& c : image.row(y)) sum += luminance(gained(c, gains));
+  return sum / (static_cast<double>(image.height() - first_row) * image.width());
+}
+
+// Gains under which a white sheet on the floor is white: what balances the light, not the picture,
+// so that a lawn stays green and a white thing on it white.
+Gains white_gains(const Image<Rgb>& environment) {
+  Gains sum{};
+  for (int y = 0; y < environment.height() / 2; ++y) {
+    const double facing = std::cos(kPi * (y + .5) / environment.height()) *
+                          latlong_solid_angle(y, environment.width(), environment.height());
+    for (const Rgb& c : environment.row(y))
+      for (int k = 0; k < 3; ++k) sum[static_cast<std::size_t>(k)] += facing * double(c[k]);
+  }
+  // A channel with no light at all would have no gain.
+  const double least = .01 * (sum[0] + sum[1] + sum[2]) + 1e-30;
+  Gains gains;
+  for (std::size_t k = 0; k < 3; ++k) gains[k] = 1 / std::max(sum[k], least);
+  return gains;
+}
+
+// Full scale that clips this fraction of the rows from `first_row` on, in any channel as its gain
+// leaves it.
+double full_scale(const Image<Rgb>& picture, int first_row, const Gains& gains, double clipped) {
+  std::vector<float> largest;
+  for (int y = first_row; y < picture.height(); ++y)
+    for (const Rgb& c : picture.row(y)) {
+      const Rgb g = gained(c, gains);
+      largest.push_back(std::max({g.r, g.g, g.b}));
+    }
+  const auto at = largest.begin() + static_cast<std::ptrdiff_t>(
+                                        (1 - clipped) * static_cast<double>(largest.size() - 1));
+  std::ranges::nth_element(largest, at);
+  return *at;
 }
 
 std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
@@ -146,12 +186,7 @@ Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options
   options_.sensor.psf_sigma_px = 0;
   if (options_.schedule.empty())
     options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
-  if (!options_.view_exposure) {
-    // The lower third shows the floor.
-    const int h = view_radiance_.height();
-    options_.view_exposure =
-        Exposure{Seconds(.3 / mean_luminance(view_radiance_, 2 * h / 3, h)), Gain(1)};
-  }
+  expose_view();
   for (int i = 0; i < options_.clip; ++i) {
     const std::uint64_t seed = options_.seed + 1000003 * static_cast<std::uint64_t>(i);
     view_clip_.push_back(film(kViewCamera, *options_.view_exposure, seed));
@@ -161,11 +196,31 @@ Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options
   }
 }
 
+void Studio::expose_view() {
+  view_sensor_ = options_.sensor;
+  const int h = view_radiance_.height();
+  Gains gains{1, 1, 1};
+  if (options_.balance_white) {
+    view_sensor_.response =
+        *view_sensor_.response.with_white_balance(white_gains(environment_radiance_));
+    gains = view_sensor_.response.white_balance();
+    cameras_[kViewCamera].response = view_sensor_.response;
+  }
+  if (options_.view_exposure) return;
+  // The lower third shows the floor.
+  double full = mean_luminance(view_radiance_, 2 * h / 3, gains) / .3;
+  constexpr double kClipped = .02;
+  if (options_.balance_white)
+    full = std::max(full, full_scale(view_radiance_, h / 2, gains, kClipped));
+  options_.view_exposure = Exposure{Seconds(1 / full), Gain(1)};
+}
+
 std::shared_ptr<const FramePixels> Studio::film(int camera, const Exposure& exposure,
                                                 std::uint64_t seed) const {
   FramePixels pixels;
-  expose(options_.sensor, camera == kViewCamera ? view_radiance_ : environment_radiance_, exposure,
-         seed, pixels);
+  const bool view = camera == kViewCamera;
+  expose(view ? view_sensor_ : options_.sensor, view ? view_radiance_ : environment_radiance_,
+         exposure, seed, pixels);
   return std::make_shared<const FramePixels>(std::move(pixels));
 }
 

@@ -29,7 +29,11 @@ struct StudioOptions {
   std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
   std::optional<Exposure>
       view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
-  Sensor sensor;      // of both cameras; the blur is the view camera's alone
+  /// The view camera balances white and exposes as a person with a camera would: a white sheet on the
+  /// floor is white, and of the picture's lower half at most 2 % are clipped. Its response carries
+  /// the gains.
+  bool balance_white = false;
+  Sensor sensor;  // of both cameras; the blur is the view camera's alone
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;
   int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none
@@ -57,7 +61,10 @@ class Studio : public FrameSource {
                                           std::uint64_t seed) const;
   Frame environment_frame(std::uint64_t index);
   Frame view_frame(std::uint64_t index);
+  void expose_view();
+
   StudioOptions options_;
+  Sensor view_sensor_;  // of the options, with the white balance of the view camera
   std::shared_ptr<const RadianceWorld> world_;
   std::vector<CameraInfo> cameras_;
   Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras

@@ -59,10 +59,11 @@ float floor_detail(double x, double z) {
 
 // Largest albedo a floor may show: beyond, it would reflect more than it gets.
 constexpr float kWhitest = .92f, kBlackest = .02f;
+constexpr float kStone = .3f;
 
 }  // namespace
 
-Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map) {
+Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map, Ground ground) {
   if (map.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
   double mean = 0, irradiance[3] = {};
   for (int y = 0; y < map.height(); ++y) {
@@ -101,6 +102,9 @@ Result<std::shared_ptr<FloorWorld>> FloorWorld::make(Image<Rgb> map) {
   const float found = luminance(mean_near());
   world->albedo_scale_ = std::clamp(found, .15f, .6f) / found;
   world->mean_albedo_ = mean_near();
+  world->grey_ =
+      ground == Ground::kGreyUnderSky && world->mean_albedo_.b > kSkyBlue * world->mean_albedo_.r;
+  if (world->grey_) world->mean_albedo_ = mean_near();
   return world;
 }
 
@@ -109,8 +113,8 @@ Rgb FloorWorld::floor_albedo(const glm::dvec3& p) const {
   // The correction fades out towards the horizon, where the floor meets the environment's own
   // picture.
   const double far = std::clamp((std::hypot(p.x, p.z) - 2) / 8, 0., 1.);
-  const auto scale =
-      static_cast<float>(albedo_scale_ + (1 - albedo_scale_) * far * far * (3 - 2 * far));
+  const auto outside = static_cast<float>(far * far * (3 - 2 * far));
+  const float scale = albedo_scale_ + (1 - albedo_scale_) * outside;
   const float detail = scale * floor_detail(p.x, p.z);
   // Far out the plane stands for walls and lamps of the picture, which may be brighter than any
   // floor.
@@ -118,7 +122,9 @@ Rgb FloorWorld::floor_albedo(const glm::dvec3& p) const {
   Rgb albedo;
   for (int c = 0; c < 3; ++c) {
     const float e = std::max(irradiance_[c], 1e-6f);
-    albedo[c] = std::clamp(static_cast<float>(kPi) * ground[c] / e * detail, kBlackest, whitest);
+    const float of_map = static_cast<float>(kPi) * ground[c] / e * detail;
+    const float found = grey_ ? kStone * detail / scale * (1 - outside) + of_map * outside : of_map;
+    albedo[c] = std::clamp(found, kBlackest, whitest);
   }
   return albedo;
 }

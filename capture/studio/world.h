@@ -30,8 +30,13 @@ class RadianceWorld {
 class FloorWorld : public RadianceWorld {
  public:
   static constexpr double kCaptureHeight = .8, kMeanLuminance = 60;
+  /// A map of the sky alone has sky below its horizon too. No ground is as blue: with
+  /// kGreyUnderSky the floor near the origin is then grey stone.
+  enum class Ground { kOfTheMap, kGreyUnderSky };
+  static constexpr float kSkyBlue = 2;  // blue over red of such a ground
   /// errors: kInvalid (no pixels), kNonFinite, kUndetermined (black)
-  static Result<std::shared_ptr<FloorWorld>> make(Image<Rgb> latlong);
+  static Result<std::shared_ptr<FloorWorld>> make(Image<Rgb> latlong,
+                                                  Ground ground = Ground::kOfTheMap);
   Rgb radiance(const glm::dvec3& origin, const glm::dvec3& direction) const override;
   Rgb far_radiance(const glm::dvec3& direction) const override;
 
@@ -45,6 +50,7 @@ class FloorWorld : public RadianceWorld {
   Image<Rgb> map_;
   Rgb irradiance_, mean_albedo_;
   float albedo_scale_ = 1;
+  bool grey_ = false;
 };
 
 }  // namespace penumbra::capture

@@ -54,7 +54,8 @@ Result<StudioSetup> set_up_studio(
   } else {
     map = capture::make_room_environment(4096, 2048);
   }
-  auto world = capture::FloorWorld::make(std::move(map));
+  auto world =
+      capture::FloorWorld::make(std::move(map), capture::FloorWorld::Ground::kGreyUnderSky);
   if (!world)
     return fail(world.error().code, r.environment.value_or("environment"), world.error().detail);
   const std::shared_ptr<const capture::FloorWorld> floor_world = std::move(*world);
@@ -70,6 +71,7 @@ Result<StudioSetup> set_up_studio(
   o.view_frames = r.frames;
   o.clip = r.clip;
   o.sensor.response = calib::Response::srgb();
+  o.balance_white = true;
 
   RealGeometry floor;
   floor.plane = RealPlane{};
