@@ -35,6 +35,14 @@ void add_distant_lights(std::span<const DistantLight> lights, ShProjection& proj
   }
 }
 
+// Whether part of the light is known from below alone. What is clipped and found no place among the
+// lights is in the harmonics, as dark as it was measured.
+bool holds_a_lower_bound(const Environment& environment, std::span<const DistantLight> lights) {
+  if (environment.clipped.empty()) return false;
+  return std::ranges::none_of(lights, &DistantLight::clipped) ||
+         std::ranges::any_of(lights, &DistantLight::is_lower_bound);
+}
+
 }  // namespace
 
 LightEstimator::LightEstimator(const EstimateOptions& options) : options_(options) {}
@@ -155,6 +163,10 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
                   without_lights ? measure_whole(environment) : measure_split(environment));
   make_estimate(projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
+  if (out.plan && holds_a_lower_bound(environment, out.lights)) {
+    out.plan->lower_bound = true;
+    out.plan->within_budget = false;
+  }
   out.time = environment.time;
   out.clipped_fraction = environment.clipped_fraction;
   return {};

@@ -266,7 +266,11 @@ void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantL
     const Rgb full = *known->radiance * static_cast<float>(known->solid_angle_sr);
     const float fraction = luminance(whole) > 0 ? luminance(power(source)) / luminance(whole) : 1;
     source = completed(source, full * fraction);
-    if (residual != unused.end()) *residual = completed(*residual, full * (1 - fraction));
+    source.recovered = true;
+    if (residual != unused.end()) {
+      *residual = completed(*residual, full * (1 - fraction));
+      residual->recovered = true;
+    }
     changed = true;
   }
   if (changed)

@@ -25,8 +25,11 @@ struct DistantLight {
   /// Where a round light would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
   /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
   Shape shape{};
-  bool clipped = false;  // saturated in every exposure: its radiance is a lower bound, or completed
+  bool clipped = false;    // saturated in every exposure
+  bool recovered = false;  // clipped, and its power is known from elsewhere (saturation_recovery.h)
 
+  /// The light sends at least this radiance, nobody knows how much more.
+  bool is_lower_bound() const { return clipped && !recovered; }
   double solid_angle_sr() const;
   /// Of a surface that faces the round light: L pi sin^2 a.
   Rgb irradiance() const;

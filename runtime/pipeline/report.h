@@ -31,10 +31,15 @@ inline nlohmann::json to_json(const lighting::DistantLight& d) {
           {"radius_rad", d.radius.value()},
           {"solid_angle_sr", d.solid_angle_sr()},
           {"radiance", to_json(d.radiance)},
-          {"clipped", d.clipped}};
+          {"clipped", d.clipped},
+          {"recovered", d.recovered},
+          {"lower_bound", d.is_lower_bound()}};
 }
 
 inline const char* reason_of(const lighting::Plan& p) {
+  if (p.lower_bound)
+    return "a light is saturated in every exposure and not recovered: it sends at least what was "
+           "measured, and the error is unknown";
   if (p.within_budget) return "the cheapest whose predicted shadow error is within the limit";
   if (p.time_limited) return "the most accurate that a frame's time allows";
   return "the most accurate there is; none is within the limit";
@@ -44,10 +49,11 @@ inline const char* reason_of(const lighting::Plan& p) {
 inline nlohmann::json to_json(const lighting::Plan& p) {
   return {{"bands", p.bands},
           {"lights", p.lights},
-          {"predicted_error", p.error},
+          {"predicted_error", p.lower_bound ? nlohmann::json() : nlohmann::json(p.error)},
           {"predicted_ms", p.ms},
           {"within_budget", p.within_budget},
           {"time_limited", p.time_limited},
+          {"lower_bound", p.lower_bound},
           {"why", reason_of(p)}};
 }
 

@@ -1,12 +1,16 @@
 #include "runtime/shading/floor_recovery.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <functional>
+#include <utility>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
+#include "core/median.h"
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
@@ -17,30 +21,74 @@ namespace {
 
 constexpr int kStep_px = 6;  // between the pixels that are read
 constexpr std::size_t kMinPixels = 200;
-constexpr double kMaxClipped = .25;  // of the floor that is looked at
-constexpr float kShadowed = .5f;     // of the median: darker pixels lie in a real shadow
+constexpr float kShadowed = .5f;  // of the median: darker pixels lie in a real shadow
+
+// A pixel of the floor; a saturated channel has at least that radiance.
+struct FloorPixel {
+  Rgb radiance;
+  std::array<bool, 3> saturated{};
+
+  bool any_saturated() const { return saturated[0] || saturated[1] || saturated[2]; }
+};
 
 struct PixelReader {
   const ResponseTable* curve;
   float radiance_per_signal;
 
-  // Nothing where a channel is saturated.
+  // Nothing where a value is not finite.
   template <class Pixel>
-  std::optional<Rgb> operator()(const Image<Pixel>& image, int x, int y) const {
+  std::optional<FloorPixel> operator()(const Image<Pixel>& image, int x, int y) const {
     const Pixel& p = image.at(x, y);
+    FloorPixel out;
     if constexpr (std::is_same_v<Pixel, Rgb>) {
-      return is_finite(p) ? std::optional(p * radiance_per_signal) : std::nullopt;
+      if (!is_finite(p)) return std::nullopt;
+      out.radiance = p * radiance_per_signal;
     } else {
       const unsigned codes[] = {p.r, p.g, p.b};
-      Rgb out;
       for (int c = 0; c < 3; ++c) {
-        if (codes[c] >= curve->largest_code()) return std::nullopt;
-        out[c] = curve->decode(c, codes[c]) * radiance_per_signal;
+        out.saturated[static_cast<std::size_t>(c)] = codes[c] >= curve->largest_code();
+        out.radiance[c] = curve->decode(c, codes[c]) * radiance_per_signal;
       }
-      return out;
     }
+    return out;
   }
 };
+
+std::optional<float> median_luminance(std::span<const FloorPixel> pixels) {
+  std::vector<CensoredValue> values;
+  for (const FloorPixel& p : pixels) values.push_back({luminance(p.radiance), p.any_saturated()});
+  return censored_median(values);
+}
+
+// The mean, or the median where part is saturated: a mean of what is not would be too dark.
+std::optional<float> middle_of_channel(std::span<const FloorPixel> pixels, int channel) {
+  const auto saturated = [&](const FloorPixel& p) {
+    return p.saturated[static_cast<std::size_t>(channel)];
+  };
+  if (std::ranges::any_of(pixels, saturated)) {
+    std::vector<CensoredValue> values;
+    for (const FloorPixel& p : pixels) values.push_back({p.radiance[channel], saturated(p)});
+    return censored_median(values);
+  }
+  float sum = 0;
+  for (const FloorPixel& p : pixels) sum += p.radiance[channel];
+  return sum / static_cast<float>(pixels.size());
+}
+
+// Of what is not in a real shadow. Nothing where the floor is overexposed as a whole.
+std::optional<Rgb> lit_radiance(std::vector<FloorPixel>& pixels) {
+  const auto middle = median_luminance(pixels);
+  if (!middle) return std::nullopt;
+  std::erase_if(pixels,
+                [&](const FloorPixel& p) { return luminance(p.radiance) < kShadowed * *middle; });
+  Rgb out;
+  for (int c = 0; c < 3; ++c) {
+    const auto found = middle_of_channel(pixels, c);
+    if (!found) return std::nullopt;
+    out[c] = *found;
+  }
+  return out;
+}
 
 }  // namespace
 
@@ -78,8 +126,7 @@ std::optional<lighting::ReflectancePatch> FloorRecovery::measure(const capture::
   const glm::dvec3 eye = frame.world_from_camera.translation;
   const double height = glm::dot(eye - floor_->point, floor_->normal);
   if (!(height > 0)) return std::nullopt;  // its underside
-  std::vector<Rgb> seen;
-  std::size_t clipped = 0;
+  std::vector<FloorPixel> seen;
   for (int y = kStep_px / 2; y < p.height; y += kStep_px)
     for (int x = kStep_px / 2; x < p.width; x += kStep_px) {
       const auto ray = calib::direction_from_pixel(p, {x + .5, y + .5});
@@ -89,22 +136,18 @@ std::optional<lighting::ReflectancePatch> FloorRecovery::measure(const capture::
       if (!(distance > 0) || !is_near_an_object(eye + distance * d)) continue;
       if (real_ && real_->occluded(glm::vec3(eye), glm::vec3(d), 0, static_cast<float>(distance)))
         continue;
-      const auto radiance =
-          std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
+      auto pixel = std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
+      if (!pixel) continue;
       const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
-      radiance ? seen.push_back(*radiance * (1 / left)) : static_cast<void>(++clipped);
+      pixel->radiance = pixel->radiance * (1 / left);
+      seen.push_back(*pixel);
     }
-  if (seen.size() < kMinPixels ||
-      static_cast<double>(clipped) > kMaxClipped * static_cast<double>(seen.size() + clipped))
+  if (std::cmp_less(std::ranges::count_if(seen, std::not_fn(&FloorPixel::any_saturated)),
+                    kMinPixels))
     return std::nullopt;
-  const auto middle = seen.begin() + static_cast<std::ptrdiff_t>(seen.size() / 2);
-  std::ranges::nth_element(seen, middle, {}, luminance);
-  const float dark = kShadowed * luminance(*middle);
-  Rgb sum;
-  float count = 0;
-  for (const Rgb& c : seen)
-    if (luminance(c) >= dark) sum += c, ++count;
-  return lighting::ReflectancePatch{floor_->normal, sum * (1 / count), floor_->albedo};
+  const auto radiance = lit_radiance(seen);
+  if (!radiance) return std::nullopt;
+  return lighting::ReflectancePatch{floor_->normal, *radiance, floor_->albedo};
 }
 
 bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found) const {

@@ -398,6 +398,35 @@ TEST(RecoveryMemory, KeepsTheEnergyWhileTheSourceStaysClipped) {
   }
 }
 
+// The governor's prediction starts from the light as it was measured: over a lower bound it is none.
+TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
+  const auto map = room_with({&kSun, 1});
+  LightEstimator estimator({});
+  GovernorConfig config;
+  config.limits.budget = .9;  // any prediction would keep to it
+  config.probes.deficit.assign(kMaxCoefficients, 0);
+  estimator.set_governor(config);
+  const auto first = estimator.estimate(at(clip(map, 8), 0));
+  ASSERT_TRUE(first && first->plan && first->lights.size() == 1);
+  EXPECT_TRUE(first->lights[0].is_lower_bound());
+  EXPECT_TRUE(first->plan->lower_bound);
+  EXPECT_FALSE(first->plan->within_budget);
+  ASSERT_TRUE(estimator.complete({first->lights[0].id, kSun.power()}));
+  const auto second = estimator.estimate(at(clip(map, 8), 1));
+  ASSERT_TRUE(second && second->lights.size() == 1);
+  EXPECT_TRUE(second->lights[0].recovered);
+  EXPECT_FALSE(second->plan->lower_bound);
+  EXPECT_TRUE(second->plan->within_budget);
+  // Harmonics alone have no place for it.
+  EstimateOptions alone;
+  alone.lights.max_count = 0;
+  LightEstimator harmonics(alone);
+  harmonics.set_governor(config);
+  const auto blurred = harmonics.estimate(clip(map, 8));
+  ASSERT_TRUE(blurred && blurred->plan);
+  EXPECT_TRUE(blurred->plan->lower_bound);
+}
+
 TEST(RecoveryMemory, RefusesLessThanWasMeasuredAndUnknownLights) {
   LightEstimator estimator({});
   const auto light = estimator.estimate(clip(room_with({&kSun, 1}), 8));

@@ -113,6 +113,28 @@ TEST(FloorRecovery, OverexposedFloorSaysSoAndLeavesTheLight) {
   EXPECT_NEAR(sun_fraction(w.last, c.truth), sun_fraction(w.first, c.truth), .02f);
 }
 
+// Two fifths and more of the floor are blown out, which is no reason to give the sun up.
+TEST(FloorRecovery, PartlyOverexposedFloorStillTells) {
+  ClippedSun c;
+  const capture::Studio studio(c.world, c.options);
+  const Image<Rgb>& floor = studio.view_radiance();
+  std::vector<float> brightest;
+  for (int y = floor.height() / 2; y < floor.height(); ++y)
+    for (const Rgb& p : floor.row(y)) brightest.push_back(std::max({p.r, p.g, p.b}));
+  const auto full = brightest.begin() + static_cast<std::ptrdiff_t>(brightest.size() * 55 / 100);
+  std::ranges::nth_element(brightest, full);
+  c.options.view_exposure = Exposure{Seconds(1 / double(*full)), Gain(1)};
+  auto recovery = *FloorRecovery::create(c.scene);
+  double saturated = 0, count = 0;
+  const Watched w = watch(c, recovery, [&](Image<Rgb8>& picture) {
+    for (int y = picture.height() / 2; y < picture.height(); ++y)
+      for (const Rgb8& p : picture.row(y)) saturated += std::max({p.r, p.g, p.b}) == 255, ++count;
+  });
+  ASSERT_GT(saturated, .3 * count);
+  EXPECT_FALSE(w.error) << w.error->detail;
+  EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
+}
+
 TEST(FloorRecovery, BlackFloorIsNoMeasurement) {
   ClippedSun c;
   auto recovery = *FloorRecovery::create(c.scene);

@@ -24,5 +24,15 @@ TEST(Report, APlanSaysWhyItWasTaken) {
   EXPECT_NE(why(false, false).find("none is within the limit"), std::string::npos);
 }
 
+TEST(Report, NoErrorIsPromisedOverALowerBound) {
+  lighting::Plan plan;
+  plan.error = .03, plan.lower_bound = true, plan.within_budget = false;
+  const nlohmann::json said = to_json(plan);
+  EXPECT_TRUE(said["predicted_error"].is_null());
+  EXPECT_EQ(said["lower_bound"], true);
+  EXPECT_EQ(said["within_budget"], false);
+  EXPECT_NE(said["why"].get<std::string>().find("at least"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace penumbra::runtime

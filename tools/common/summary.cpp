@@ -39,8 +39,11 @@ void print_summary(const nlohmann::json& s) {
              c["bands"].get<int>(), c["lights"].get<int>(), c["exposures"].get<int>(),
              c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())
-    fmt::print("governor: {} bands, {} lights, predicted error {:.3f}, {:.1f} ms: {}\n",
-               p["bands"].get<int>(), p["lights"].get<int>(), p["predicted_error"].get<double>(),
+    fmt::print("governor: {} bands, {} lights, predicted error {}, {:.1f} ms: {}\n",
+               p["bands"].get<int>(), p["lights"].get<int>(),
+               p["predicted_error"].is_null()
+                   ? "unknown"
+                   : fmt::format("{:.3f}", p["predicted_error"].get<double>()),
                p["predicted_ms"].get<double>(), p["why"].get<std::string>());
   fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
