@@ -27,11 +27,11 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
   out.radiance = std::move(image.pixels);
   out.non_finite = image.non_finite;
   const int w = out.radiance.width(), h = out.radiance.height();
-  std::optional<calib::ProjectionKind> kind = asked;
   if (image.environment)
-    kind = *image.environment == codec::EnvironmentAttribute::kCube
-               ? calib::ProjectionKind::kExrCube
-               : calib::ProjectionKind::kExrLatLong;
+    out.attribute = *image.environment == codec::EnvironmentAttribute::kCube
+                        ? calib::ProjectionKind::kExrCube
+                        : calib::ProjectionKind::kExrLatLong;
+  std::optional<calib::ProjectionKind> kind = asked ? asked : out.attribute;
   if (!kind) kind = kind_from_shape(w, h);
   if (!kind)
     return fail(
@@ -50,8 +50,15 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
   return out;
 }
 
+void turn(EnvironmentFile& file, Radians angle) {
+  const glm::dquat turned = glm::angleAxis(angle.value(), glm::dvec3(0, 1, 0));
+  file.world_from_file = turned * file.world_from_file;
+  for (glm::vec3& d : file.table.direction) d = glm::vec3(turned * glm::dvec3(d));
+}
+
 Result<Image<Rgb>> to_latlong(const EnvironmentFile& file) {
-  if (file.projection.kind == calib::ProjectionKind::kLatLong) return file.radiance;
+  const bool whole_turn = file.projection.kind == calib::ProjectionKind::kLatLong;
+  if (whole_turn && file.world_from_file == glm::dquat(1, 0, 0, 0)) return file.radiance;
   // As many rows as the source has over half a turn.
   int height = file.projection.height;
   if (file.projection.kind == calib::ProjectionKind::kExrCube) height = 2 * file.projection.width;
@@ -60,16 +67,21 @@ Result<Image<Rgb>> to_latlong(const EnvironmentFile& file) {
   height = std::max(4, height / 2 * 2);
   Image<Rgb> out(2 * height, height);
   const int w = file.radiance.width(), h = file.radiance.height();
+  const glm::dquat file_from_world = glm::conjugate(file.world_from_file);
   for (int y = 0; y < height; ++y)
     for (int x = 0; x < 2 * height; ++x) {
       const auto p = calib::pixel_from_direction(
-          file.projection, latlong_direction(x + .5, y + .5, 2 * height, height));
+          file.projection, file_from_world * latlong_direction(x + .5, y + .5, 2 * height, height));
       if (!p) continue;
-      const double px = std::clamp(p->x - .5, 0., w - 1.), py = std::clamp(p->y - .5, 0., h - 1.);
-      const int ix = std::min(static_cast<int>(px), std::max(0, w - 2));
+      // A lat-long map goes on behind its edges.
+      const double px = whole_turn ? std::max(0., p->x - .5 + (p->x < .5 ? w : 0))
+                                   : std::clamp(p->x - .5, 0., w - 1.),
+                   py = std::clamp(p->y - .5, 0., h - 1.);
+      const int ix = std::min(static_cast<int>(px), whole_turn ? w - 1 : std::max(0, w - 2));
       const int iy = std::min(static_cast<int>(py), std::max(0, h - 2));
       const auto fx = static_cast<float>(px - ix), fy = static_cast<float>(py - iy);
-      const int jx = std::min(ix + 1, w - 1), jy = std::min(iy + 1, h - 1);
+      const int jx = whole_turn ? (ix + 1) % w : std::min(ix + 1, w - 1),
+                jy = std::min(iy + 1, h - 1);
       out.at(x, y) =
           (file.radiance.at(ix, iy) * (1 - fx) + file.radiance.at(jx, iy) * fx) * (1 - fy) +
           (file.radiance.at(ix, jy) * (1 - fx) + file.radiance.at(jx, jy) * fx) * fy;

@@ -9,21 +9,27 @@
 
 namespace penumbra::runtime {
 
-Result<FileLight> read_light(const std::string& path,
-                             const std::optional<std::string>& projection) {
+Result<FileLight> read_light(const std::string& path, const EnvironmentOrientation& orientation) {
+  if (!(std::abs(orientation.rotation_deg) <= 360))
+    return fail(ErrorCode::kInvalid, "--rotate-environment", "is not within -360..360 degrees");
   std::optional<calib::ProjectionKind> kind;
-  if (projection) {
-    PENUMBRA_ASSIGN(parsed, calib::projection_kind(*projection));
+  if (orientation.projection) {
+    PENUMBRA_ASSIGN(parsed, calib::projection_kind(*orientation.projection));
     kind = parsed;
   }
   PENUMBRA_ASSIGN(file, capture::read_environment(path, kind));
+  if (file.attribute && *file.attribute != file.projection.kind)
+    log_info("{}: read as {}, as asked; its OpenEXR attribute says {}", path,
+             calib::projection_name(file.projection.kind), calib::projection_name(*file.attribute));
+  if (orientation.rotation_deg != 0)
+    capture::turn(file, Radians(orientation.rotation_deg * kPi / 180));
   FileLight out;
   if (file.non_finite > 0)
     log_warning("{}: {} pixels are NaN or infinite and are left out of the light", path,
                 file.non_finite);
   const calib::ProjectionTable& t = file.table;
-  const bool plain =
-      file.projection.kind == calib::ProjectionKind::kLatLong && file.non_finite == 0;
+  const bool plain = file.projection.kind == calib::ProjectionKind::kLatLong &&
+                     file.non_finite == 0 && orientation.rotation_deg == 0;
   auto light = plain ? lighting::project_latlong(file.radiance, kMaxBands)
                      : lighting::project_samples(
                            {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);

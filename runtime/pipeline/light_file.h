@@ -18,9 +18,17 @@ struct FileLight {
   lighting::ShProjection light{RadianceSh(kMaxBands), RadianceSh(kMaxBands), 1};
 };
 
+/// How an environment file is to be read.
+struct EnvironmentOrientation {
+  std::optional<std::string> projection{};  // instead of what the file or its shape says
+  double rotation_deg = 0;                  // about the vertical, counter-clockwise seen from above
+};
+
 /// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are
-/// reported in the log and left out.
-Result<FileLight> read_light(const std::string& path, const std::optional<std::string>& projection);
+/// reported in the log and left out; a projection against the file's own word is said there too.
+/// errors: as capture::read_environment; kInvalid (unknown projection, rotation not in -360..360)
+Result<FileLight> read_light(const std::string& path,
+                             const EnvironmentOrientation& orientation = {});
 
 }  // namespace penumbra::runtime
 #pragma GCC visibility pop

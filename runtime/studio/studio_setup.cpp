@@ -48,7 +48,8 @@ Result<StudioSetup> set_up_studio(
   StudioSetup out;
   Image<Rgb> map;
   if (r.environment) {
-    PENUMBRA_ASSIGN(light, read_light(*r.environment, std::nullopt));
+    PENUMBRA_ASSIGN(light,
+                    read_light(*r.environment, {.rotation_deg = r.environment_rotation_deg}));
     PENUMBRA_ASSIGN(latlong, capture::to_latlong(light.file));
     map = std::move(latlong);
   } else {

@@ -20,6 +20,7 @@ struct StudioSetup {
 
 struct StudioRequest {
   std::optional<std::string> environment{}, asset{}, animation{}, real_mesh{};
+  double environment_rotation_deg = 0;  // about the vertical, counter-clockwise seen from above
   bool animated = true;
   int width = 1280, height = 720;
   double fps = 30;

@@ -131,20 +131,46 @@ TEST_F(EnvironmentFileTest, ShapeTellsTheProjection) {
   EXPECT_NE(odd.error().where.find("odd.exr"), std::string::npos);
 }
 
-TEST_F(EnvironmentFileTest, AttributeOfTheFileTellsMoreThanItsShapeOrTheCaller) {
+TEST_F(EnvironmentFileTest, AttributeOfTheFileTellsMoreThanItsShape) {
   using codec::EnvironmentAttribute;
-  const auto cube = write("cube.exr", 16, 96, EnvironmentAttribute::kCube);
-  const auto latlong = write("latlong.exr", 64, 32, EnvironmentAttribute::kLatLong);
-  for (const std::optional<ProjectionKind> asked :
-       {std::optional<ProjectionKind>(), std::optional(ProjectionKind::kAngular)}) {
-    const auto a = read_environment(cube, asked), b = read_environment(latlong, asked);
-    ASSERT_TRUE(a) << a.error().detail;
-    ASSERT_TRUE(b) << b.error().detail;
-    EXPECT_EQ(a->projection.kind, ProjectionKind::kExrCube);
-    EXPECT_EQ(b->projection.kind, ProjectionKind::kExrLatLong);
-    EXPECT_NEAR(solid_angle(*a), 4 * kPi, 1e-4);
-    EXPECT_NEAR(solid_angle(*b), 4 * kPi, 1e-4);
-  }
+  const auto a = read_environment(write("cube.exr", 16, 96, EnvironmentAttribute::kCube), {}),
+             b = read_environment(write("latlong.exr", 64, 32, EnvironmentAttribute::kLatLong), {});
+  ASSERT_TRUE(a) << a.error().detail;
+  ASSERT_TRUE(b) << b.error().detail;
+  EXPECT_EQ(a->projection.kind, ProjectionKind::kExrCube);
+  EXPECT_EQ(b->projection.kind, ProjectionKind::kExrLatLong);
+  EXPECT_NEAR(solid_angle(*a), 4 * kPi, 1e-4);
+  EXPECT_NEAR(solid_angle(*b), 4 * kPi, 1e-4);
+}
+
+// Programs write the attribute and mean the other handedness: whoever looks at the map knows.
+TEST_F(EnvironmentFileTest, CallerTellsMoreThanTheAttribute) {
+  const auto path = write("mirrored.exr", 64, 32, codec::EnvironmentAttribute::kLatLong);
+  const auto file = read_environment(path, ProjectionKind::kLatLong);
+  ASSERT_TRUE(file);
+  EXPECT_EQ(file->projection.kind, ProjectionKind::kLatLong);
+  EXPECT_EQ(file->attribute, ProjectionKind::kExrLatLong);
+  EXPECT_EQ(to_latlong(*file)->pixels()[5], file->radiance.pixels()[5]);
+}
+
+TEST_F(EnvironmentFileTest, TurnsCounterClockwiseSeenFromAbove) {
+  // A lamp straight ahead, -z, in a map whose columns a quarter turn moves by a whole number.
+  Image<Rgb> map(64, 32);
+  map.at(32, 15) = {1, 2, 3};
+  const auto path = folder_.path() / "lamp.exr";
+  ASSERT_TRUE(codec::write_hdr(path, map, codec::Depth::kFloat));
+  auto file = read_environment(path, std::nullopt);
+  ASSERT_TRUE(file);
+  const auto lamp = static_cast<std::size_t>(15 * 64 + 32);
+  ASSERT_LT(file->table.direction[lamp].z, -.9);
+  turn(*file, Radians(kPi / 2));
+  EXPECT_LT(file->table.direction[lamp].x, -.9) << "ahead becomes left";
+  const auto turned = to_latlong(*file);
+  ASSERT_TRUE(turned);
+  for (int y = 0; y < 32; ++y)
+    for (int x = 0; x < 64; ++x)
+      for (int c = 0; c < 3; ++c)
+        ASSERT_NEAR(turned->at(x, y)[c], map.at((x + 16) % 64, y)[c], 1e-5f) << x << ' ' << y;
 }
 
 TEST_F(EnvironmentFileTest, CallerTellsMoreThanTheShape) {

@@ -81,7 +81,7 @@ TEST(RealLight, GraceInFourContainersGivesThePublishedCoefficients) {
   const RadianceSh published = published_grace(numbers);
   for (const char* name : {"grace_probe_angular.hdr", "grace_cathedral_latlong.hdr",
                            "grace_latlong_pbrt.exr", "grace_cross.hdr"}) {
-    const auto light = read_light((angular.parent_path() / name).string(), std::nullopt);
+    const auto light = read_light((angular.parent_path() / name).string());
     ASSERT_TRUE(light) << light.error().detail;
     const RadianceSh upright = upright_axes(light->light.light.with_bands(3),
                                             std::string_view(name) == "grace_latlong_pbrt.exr");
@@ -101,7 +101,7 @@ TEST(RealLight, GraceWithPixelCornersGivesThePublishedCoefficientsWithoutATurn) 
   PENUMBRA_NEED_SHARED(numbers, "reference/sh_lighting_published.json");
   PENUMBRA_NEED_SHARED(angular, "eval-only/probes/grace_probe_angular.hdr");
   const RadianceSh published = published_grace(numbers);
-  const auto light = read_light(angular.string(), std::nullopt);
+  const auto light = read_light(angular.string());
   ASSERT_TRUE(light) << light.error().detail;
   const Image<Rgb>& picture = light->file.radiance;
   const double half = picture.width() / 2.;
@@ -128,8 +128,7 @@ TEST(RealLight, GraceWithPixelCornersGivesThePublishedCoefficientsWithoutATurn) 
 TEST(RealLight, KernerLatLongAndCubeAgree) {
   PENUMBRA_NEED_SHARED(latlong, "envmaps/KernerEnvLatLong.exr");
   PENUMBRA_NEED_SHARED(cube, "envmaps/KernerEnvCube.exr");
-  const auto a = read_light(latlong.string(), std::nullopt),
-             b = read_light(cube.string(), std::nullopt);
+  const auto a = read_light(latlong.string()), b = read_light(cube.string());
   ASSERT_TRUE(a && b);
   double largest = 0, worst = 0;
   for (int n = 0; n < 25; ++n)
@@ -142,7 +141,7 @@ TEST(RealLight, KernerLatLongAndCubeAgree) {
 
 TEST(RealLight, NonFinitePixelsAreReportedAndNeverReachTheLight) {
   PENUMBRA_NEED_SHARED(rings, "hdr-images/BrightRingsNanInf.exr");
-  const auto light = read_light(rings.string(), "angular");
+  const auto light = read_light(rings.string(), {.projection = "angular"});
   ASSERT_TRUE(light) << light.error().detail;
   EXPECT_EQ(light->file.non_finite, 12u);
   for (const Rgb& c : light->light.light.terms()) EXPECT_TRUE(is_finite(c));

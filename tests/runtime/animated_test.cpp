@@ -155,7 +155,7 @@ TEST(AnimatedGroundTruth, TwentyMomentsUnderEightEnvironments) {
     if (!file.path().string().ends_with("_1k.hdr")) continue;
     const std::string_view only = std::getenv("PENUMBRA_LONG");
     if (only != "1" && file.path().string().find(only) == std::string::npos) continue;
-    const auto light = read_light(file.path(), std::nullopt);
+    const auto light = read_light(file.path());
     ASSERT_TRUE(light);
     const auto map = capture::to_latlong(light->file);
     const Figures f = compare_with_reference(*scene, *map, 20, .015);

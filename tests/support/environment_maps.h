@@ -19,7 +19,7 @@ inline Result<Image<Rgb>> environment_map(const std::string& name) {
   if (!path)
     return fail(ErrorCode::kNotFound, "shared data file absent: " + file,
                 "set PENUMBRA_SHARED_DATA to the folder that holds it");
-  auto light = runtime::read_light(path->string(), std::nullopt);
+  auto light = runtime::read_light(path->string());
   if (!light) return std::unexpected(light.error());
   return capture::to_latlong(light->file);
 }

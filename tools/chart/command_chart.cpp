@@ -54,7 +54,7 @@ struct ChartEnvironment {
 Result<std::vector<ChartEnvironment>> read_environments(const ChartOptions& o) {
   std::vector<ChartEnvironment> out;
   for (const std::string& path : o.environments) {
-    PENUMBRA_ASSIGN(light, runtime::read_light(path, std::nullopt));
+    PENUMBRA_ASSIGN(light, runtime::read_light(path));
     PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
     out.push_back({std::filesystem::path(path).stem().string(), std::move(map)});
   }

@@ -63,7 +63,7 @@ class ClipBench {
 Result<std::vector<RadianceSh>> read_lights(const ChartOptions& o) {
   std::vector<RadianceSh> out;
   for (const std::string& path : o.environments) {
-    PENUMBRA_ASSIGN(light, runtime::read_light(path, std::nullopt));
+    PENUMBRA_ASSIGN(light, runtime::read_light(path));
     out.push_back(light.light.light);
   }
   if (!out.empty() && !o.with_procedural) return out;

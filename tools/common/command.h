@@ -29,8 +29,12 @@ inline constexpr const char* kBandsOfMapHelp =
     "irradiance within 0.5 %";
 inline constexpr const char* kProjectionHelp =
     "Projection of the environment map: latlong, angular, mirror-ball, equidistant, pinhole, "
-    "vertical-cross, exr-latlong or exr-cube; what an OpenEXR file states wins over it; without "
-    "both the shape decides";
+    "vertical-cross, exr-latlong or exr-cube; by default what an OpenEXR file states, else what "
+    "the "
+    "shape says";
+inline constexpr const char* kRotationHelp =
+    "Turn the environment map about the vertical by this many degrees, counter-clockwise seen from "
+    "above, -360 to 360";
 
 /// A command that is a program of its own, standing beside this one.
 struct Sibling {

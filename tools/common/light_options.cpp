@@ -3,6 +3,7 @@
 #include <charconv>
 
 #include "lighting/estimate.h"
+#include "tools/common/command.h"
 
 namespace penumbra::tools {
 
@@ -21,6 +22,12 @@ Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text) {
 Result<void> check_budget(double budget) {
   if (budget > 0 && budget <= 1) return {};
   return fail(ErrorCode::kInvalid, "--max-shadow-error", "is not above 0 and at most 1");
+}
+
+void add_orientation(CLI::App& app, runtime::EnvironmentOrientation& orientation) {
+  app.add_option("--projection", orientation.projection, kProjectionHelp);
+  app.add_option("--rotate-environment", orientation.rotation_deg, kRotationHelp)
+      ->capture_default_str();
 }
 
 Result<int> choose_bands(const std::string& text, const lighting::ShProjection& nine_bands) {

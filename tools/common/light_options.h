@@ -2,11 +2,13 @@
 // threads: reentrant
 #pragma once
 
+#include <CLI/CLI.hpp>
 #include <string>
 
 #include "core/result.h"
 #include "lighting/lights/light_extraction.h"
 #include "lighting/sh/projection.h"
+#include "runtime/pipeline/light_file.h"
 
 namespace penumbra::tools {
 
@@ -20,5 +22,8 @@ Result<void> check_budget(double budget);
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid
 Result<int> choose_bands(const std::string& text, const lighting::ShProjection& nine_bands);
+
+/// --projection and --rotate-environment.
+void add_orientation(CLI::App& app, runtime::EnvironmentOrientation& orientation);
 
 }  // namespace penumbra::tools

@@ -37,7 +37,7 @@ struct DemoOptions {
   double fps = 30;
   int bands = 5;
   std::string lights = "auto";
-  double budget = kDefaultMaxShadowError;
+  double budget = kDefaultMaxShadowError, rotation_deg = 0;
 };
 
 using compositor::Compositor;
@@ -98,6 +98,7 @@ Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
 Result<runtime::StudioSetup> set_up(const DemoOptions& o) {
   runtime::StudioRequest request;
   request.environment = o.environment;
+  request.environment_rotation_deg = o.rotation_deg;
   request.asset = o.asset;
   request.animation = o.animation;
   request.real_mesh = o.real_mesh;
@@ -195,6 +196,8 @@ void add_demo(CLI::App& app, Action& action) {
   app.add_option("--out", demo_options.output, "Folder for the results")->capture_default_str();
   app.add_option("--environment", demo_options.environment,
                  "HDR environment map, .exr or .hdr; by default the built-in room");
+  app.add_option("--rotate-environment", demo_options.rotation_deg, kRotationHelp)
+      ->capture_default_str();
   app.add_option(
       "--asset", demo_options.asset,
       "Mesh of the still object; by default builtin:knot, with --animation builtin:walker");

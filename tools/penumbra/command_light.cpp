@@ -19,7 +19,7 @@ namespace {
 
 struct LightEstimateOptions {
   std::string environment;
-  std::optional<std::string> projection;
+  runtime::EnvironmentOrientation orientation;
   std::string bands = "auto", lights = "auto";
   bool json = false;
 };
@@ -27,7 +27,7 @@ struct LightEstimateOptions {
 }  // namespace
 
 Result<void> light_estimate(const LightEstimateOptions& o) {
-  PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.projection));
+  PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.orientation));
   PENUMBRA_ASSIGN(bands, choose_bands(o.bands, light.light));
   PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
   PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
@@ -72,7 +72,7 @@ void add_light_estimate(CLI::App& parent, Action& action) {
       "estimate", "Estimate spherical harmonics and distant lights of an HDR environment map");
   c->add_option("environment", estimate.environment, "HDR environment map, .exr or .hdr")
       ->required();
-  c->add_option("--projection", estimate.projection, kProjectionHelp);
+  add_orientation(*c, estimate.orientation);
   c->add_option("--bands", estimate.bands, kBandsOfMapHelp)->capture_default_str();
   c->add_option("--max-lights", estimate.lights, kMaxLightsHelp)->capture_default_str();
   add_json(c, estimate.json);

@@ -27,7 +27,7 @@ namespace {
 
 struct RenderOptions {
   std::string scene, environment, camera, output;
-  std::optional<std::string> projection;
+  runtime::EnvironmentOrientation orientation;
   std::string bands = "auto", lights = "auto";
   bool reference = false, without_objects = false;
   double error = .01, time_s = 0;
@@ -56,7 +56,7 @@ Result<void> render(const RenderOptions& o) {
   if (!(std::abs(o.time_s) < 1e6))
     return fail(ErrorCode::kInvalid, "--time", "is not within -1e6..1e6 s");
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.projection));
+  PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.orientation));
   PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
   PENUMBRA_ASSIGN(view, read_view(o.camera));
   PENUMBRA_ASSIGN(bands, choose_bands(o.bands, light.light));
@@ -111,7 +111,7 @@ void add_render(CLI::App& parent, Action& action) {
   c->add_option("--scene", render_options.scene, "Scene to render, scene.toml")->required();
   c->add_option("--environment", render_options.environment, "HDR environment map, .exr or .hdr")
       ->required();
-  c->add_option("--projection", render_options.projection, kProjectionHelp);
+  add_orientation(*c, render_options.orientation);
   c->add_option("--camera", render_options.camera,
                 "Camera file of a pinhole without distortion, with its pose")
       ->required();
