@@ -208,7 +208,8 @@ const prt::Plane* place(const SceneObject& o, const std::vector<prt::Plane>& pla
   prt::Character& character = animation.character;
   character.frame = glm::mat4(1);
   const prt::Mesh room = room_of(animation);
-  character.frame = glm::mat4(world_from_mesh(o, room)) * character.frame;
+  character.frame =
+      glm::mat4(world_from_mesh(o, room, floor_normal(planes, o.position))) * character.frame;
   const prt::Plane* const plane = plane_under(planes, prt::bounds_of(room_of(animation)));
   out.name = o.name;
   out.spin_rpm = o.spin_rpm;

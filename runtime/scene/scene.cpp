@@ -100,7 +100,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   constexpr float kEdgeFraction =
       .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
   PENUMBRA_ASSIGN(mesh, load_asset(o.asset, o.albedo, kEdgeFraction));
-  prt::transform(mesh, world_from_mesh(o, mesh));
+  prt::transform(mesh, world_from_mesh(o, mesh, floor_normal(scene.planes, o.position)));
   const prt::Plane* plane = plane_under(scene.planes, bounds_of(mesh));
   PreparedObject out;
   out.name = o.name;
@@ -122,19 +122,33 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
 
 }  // namespace
 
-glm::dmat4 world_from_mesh(const Placement& p, const prt::Mesh& mesh) {
+glm::dmat4 world_from_mesh(const Placement& p, const prt::Mesh& mesh, const glm::dvec3& up) {
   Pose pose{p.rotation, p.position};
   double scale = p.scale;
   glm::dvec3 shift(0);
   if (p.place_on_floor) {
     const prt::Bounds b = bounds_of(mesh);
-    const glm::dvec3 size(b.high - b.low);
+    const glm::dvec3 size(b.high - b.low), centre(b.centre());
     scale = p.fit_size_m / std::max({size.x, size.y, size.z, 1e-9});
-    shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
+    // Upright its lowest point is known; turned, each vertex may be it.
+    const glm::dvec3 own_up = glm::conjugate(p.rotation) * up;
+    if (own_up.y > 1 - 1e-12) {
+      shift = -glm::dvec3(centre.x, b.low.y, centre.z);
+    } else {
+      double lowest = HUGE_VAL;
+      for (const glm::vec3& v : mesh.positions)
+        lowest = std::min(lowest, glm::dot(glm::dvec3(v) - centre, own_up));
+      shift = -centre - lowest * own_up;
+    }
   }
   return pose.matrix() * glm::dmat4(glm::dmat3(scale)) *
          glm::dmat4(glm::dvec4(1, 0, 0, 0), glm::dvec4(0, 1, 0, 0), glm::dvec4(0, 0, 1, 0),
                     glm::dvec4(shift, 1));
+}
+
+glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3& position) {
+  const prt::Plane* const plane = plane_under(planes, {glm::vec3(position), glm::vec3(position)});
+  return plane ? plane->normal : glm::dvec3(0, 1, 0);
 }
 
 Pose PreparedObject::pose_at(double seconds) const {

@@ -154,8 +154,13 @@ Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,
     const std::function<std::function<void(double)>(const std::string&)>& progress);
 
-/// From the mesh's frame to the world.
-glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh);
+/// From the mesh's frame to the world. With fit_size_m the mesh, turned as it is, touches the floor of
+/// normal `up` through the position.
+glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh,
+                           const glm::dvec3& up = {0, 1, 0});
+
+/// Of the plane under a position; without one, the vertical.
+glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3& position);
 
 /// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision, as a
 /// fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.

@@ -256,6 +256,37 @@ TEST_F(SceneFile, RealMeshesStandWhereTheyArePlaced) {
   EXPECT_EQ(prepare({{}, {box}}, quick(), kNoProgress).error().code, ErrorCode::kInvalid);
 }
 
+// Every mesh whose own z points up needs a rotation: it must stand on the floor, not in it.
+TEST(WorldFromMesh, ATurnedObjectOfAGivenSizeTouchesItsFloor) {
+  prt::Mesh cone;  // a tip at +z, a base off the origin
+  cone.positions = {{1, 1, 5}, {0, 0, 2}, {2, 0, 2}, {0, 2, 2}, {2, 2, 2}};
+  const auto lowest = [&](const Placement& p, const glm::dvec3& up) {
+    const glm::dmat4 place = world_from_mesh(p, cone, up);
+    double least = HUGE_VAL;
+    for (const glm::vec3& v : cone.positions)
+      least = std::min(least, glm::dot(glm::dvec3(place * glm::dvec4(v, 1)) - p.position, up));
+    return least;
+  };
+  Placement p;
+  p.place_on_floor = true;
+  p.fit_size_m = .6;
+  p.position = {.3, .25, -1};
+  const glm::dvec3 up(0, 1, 0), slope = glm::normalize(glm::dvec3(.2, 1, .1));
+  for (const glm::dquat& turned :
+       {glm::dquat(1, 0, 0, 0), glm::angleAxis(-kPi / 2, glm::dvec3(1, 0, 0)),
+        glm::angleAxis(2., glm::normalize(glm::dvec3(1, 2, -.5)))}) {
+    p.rotation = turned;
+    EXPECT_NEAR(lowest(p, up), 0, 1e-6);
+    EXPECT_NEAR(lowest(p, slope), 0, 1e-6);
+  }
+  // z up: the tip is above the middle of the base.
+  p.rotation = glm::angleAxis(-kPi / 2, glm::dvec3(1, 0, 0));
+  const glm::dvec3 tip(world_from_mesh(p, cone) * glm::dvec4(1, 1, 5, 1));
+  EXPECT_NEAR(tip.x, .3, 1e-6);
+  EXPECT_NEAR(tip.y, .85, 1e-6);
+  EXPECT_NEAR(tip.z, -1, 1e-6);
+}
+
 TEST_F(SceneFile, FlatOnAndHalfInTheFloorStandOnItAndBelowItDoesNot) {
   prt::Mesh decal;
   decal.positions = {{-.2f, 0, -.2f}, {-.2f, 0, .2f}, {.2f, 0, .2f}, {.2f, 0, -.2f}};
