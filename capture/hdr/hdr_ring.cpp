@@ -61,6 +61,25 @@ HdrRing::RingSlot* HdrRing::slot_of(const Exposure& exposure) {
   return nearest;
 }
 
+// A bracket of more exposures than there are slots would push each one out just before it comes again,
+// and the light would pulse with it.
+Result<void> HdrRing::make_room(const Frame& frame) {
+  if (slots_.size() < max_slots_) return {};
+  std::erase_if(left_, [&](const LeftExposure& l) { return l.left + 4 * max_slots_ < taken_; });
+  const double product = frame.exposure.product();
+  const auto comes_again = [&](const LeftExposure& l) {
+    return std::abs(l.exposure.product() / product - 1) < .01;
+  };
+  if (std::ranges::any_of(left_, comes_again))
+    return fail(ErrorCode::kInvalid, camera_.name,
+                fmt::format("takes more than {} exposures in turn, which is as many as are merged",
+                            max_slots_));
+  const auto oldest = std::ranges::min_element(slots_, {}, &RingSlot::placed);
+  left_.push_back({oldest->nominal, taken_});
+  slots_.erase(oldest);
+  return {};
+}
+
 Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   PENUMBRA_TRY(check_exposures({&frame.exposure, 1}));
   const int w = camera_.projection.width, h = camera_.projection.height;
@@ -76,8 +95,7 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
     old->placed = taken_++;
     old->gain_log += .1 * (gain_log - old->gain_log);
   } else {
-    if (slots_.size() >= max_slots_)
-      slots_.erase(std::ranges::min_element(slots_, {}, &RingSlot::placed));
+    PENUMBRA_TRY(make_room(frame));
     slots_.push_back({frame, frame.exposure, gain_log, taken_++});
     std::ranges::stable_sort(slots_, [](const RingSlot& a, const RingSlot& b) {
       return a.nominal.product() > b.nominal.product();

@@ -27,11 +27,14 @@ class TableMerger;  // private: table_merger.h
 /// source: sample rejection at 3.5 sigma, Granados et al. 2010
 class HdrRing {
  public:
-  HdrRing(CameraInfo camera, int slots);
+  static constexpr int kMaxSlots = 16;
+  /// in: slots 1..kMaxSlots
+  HdrRing(CameraInfo camera, int slots = kMaxSlots);
   ~HdrRing();
   HdrRing(HdrRing&&) noexcept;
   HdrRing& operator=(HdrRing&&) noexcept;
-  /// errors: kInvalid (size changed, bad exposure), kUndetermined as merge()
+  /// errors: kInvalid (size changed, bad exposure, more exposures in turn than slots), kUndetermined as
+  ///         merge()
   Result<const MergedImage*> add(const Frame& frame);
   /// Different exposures that stand in the ring.
   std::size_t exposures() const { return slots_.size(); }
@@ -55,6 +58,7 @@ class HdrRing {
   bool turn_to(const Frame& newest);
   void fill_unseen(RingSlot& slot, const Frame& newest) const;
   RingSlot* slot_of(const Exposure& exposure);
+  Result<void> make_room(const Frame& frame);
   Result<void> merge_now(const std::optional<Frame>& replaced);
   Result<void> merge_all();
   CameraInfo camera_;
@@ -63,6 +67,11 @@ class HdrRing {
   bool was_turned_ = false;  // some slot, at the last merge
   std::uint64_t taken_ = 0;
   std::vector<RingSlot> slots_;  // longest exposure first
+  struct LeftExposure {
+    Exposure exposure;
+    std::uint64_t left;  // frames that the ring had taken before
+  };
+  std::vector<LeftExposure> left_;  // of late, for want of room
   std::vector<Exposure> table_exposures_;
   std::unique_ptr<TableMerger> table_;
   MergedImage merged_;

@@ -17,7 +17,7 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr int kRingSlots = 8;
+constexpr int kRingSlots = capture::HdrRing::kMaxSlots;
 constexpr int kLongestSide = 1024;  // rows: above, a light estimate of 9 bands gains nothing
 constexpr std::uint64_t kPatience =
     16;  // frames a camera: then light is shown without those that are silent

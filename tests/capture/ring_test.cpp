@@ -113,6 +113,43 @@ TEST(HdrRing, OldestFrameLeavesWhenTheSlotsAreFull) {
   EXPECT_LT(farthest(**image, .3), .02);
 }
 
+// With fewer slots than exposures the picture would pulse: a bright one leaves as the dark one comes.
+TEST(HdrRing, ElevenExposuresAreAllMergedAndMoreThanFitAreRefusedByName) {
+  const Sensor sensor = sensor_of(8);
+  const auto round = [&](HdrRing& ring, int exposures, std::uint64_t from) {
+    Result<const MergedImage*> last = nullptr;
+    for (int i = 0; i < exposures && last; ++i)
+      last = ring.add(frame(sensor, .2f, std::pow(.7, i), from + static_cast<std::uint64_t>(i)));
+    return last;
+  };
+  HdrRing ring(camera(sensor));
+  for (std::uint64_t k = 0; k < 3; ++k) {
+    const auto image = round(ring, 11, 11 * k);
+    ASSERT_TRUE(image) << image.error().detail;
+    EXPECT_LT(farthest(**image, .2), .02) << k;
+  }
+  EXPECT_EQ(ring.exposures(), 11U);
+  HdrRing few(camera(sensor), 8);
+  ASSERT_TRUE(round(few, 8, 0));
+  const auto refused = [&] {
+    Result<const MergedImage*> last = nullptr;
+    for (std::uint64_t k = 0; k < 2 && last; ++k) last = round(few, 11, 100 + 11 * k);
+    return last;
+  }();
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(refused.error().where, camera(sensor).name);
+  EXPECT_NE(refused.error().detail.find("8 exposures"), std::string::npos);
+}
+
+// A camera that finds its exposure takes a new one with every frame: none comes again.
+TEST(HdrRing, ARampOfExposuresIsNoBracket) {
+  const Sensor sensor = sensor_of(8);
+  HdrRing ring(camera(sensor), 4);
+  for (std::uint64_t i = 0; i < 60; ++i)
+    ASSERT_TRUE(ring.add(frame(sensor, .4f, std::pow(.96, double(i)), i))) << i;
+}
+
 TEST(HdrRing, FrameOfTheWrongSizeIsRefusedByNameAndChangesNothing) {
   const Sensor sensor = sensor_of(8);
   HdrRing ring(camera(sensor), 4);
