@@ -16,6 +16,7 @@
 #include "core/files.h"
 #include "core/renamed.h"
 #include "core/result.h"
+#include "core/spelling.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra {
@@ -44,13 +45,15 @@ class TomlKeys {
       if (std::ranges::find(known, key.str()) == known.end())
         return fail(ErrorCode::kInvalid,
                     fmt::format("{}:{}", path_.string(), key.source().begin.line),
-                    unknown(key.str()));
+                    unknown(key.str(), known));
     return {};
   }
 
-  static std::string unknown(std::string_view key) {
+  static std::string unknown(std::string_view key, std::span<const std::string_view> known = {}) {
     if (const auto now = new_name(kRenamedKeys, key))
       return fmt::format("\"{}\" is now \"{}\"", key, *now);
+    if (const auto near = nearest_word(key, known))
+      return fmt::format("unknown key \"{}\": did you mean \"{}\"?", key, *near);
     return fmt::format("unknown key \"{}\"", key);
   }
 

@@ -137,6 +137,14 @@ class BadConfiguration(CliTest):
         self.expect_refusal(["--discs", "--max-lights"], "demo", "--discs", 3)
         self.expect_refusal(["--budget", "--max-shadow-error"], "composite", "--budget=0.1")
 
+    def test_mistyped_words_get_the_nearest_known_one(self):
+        self.expect_refusal(["lihgt", "did you mean light?"], "lihgt", "estimate", self.root / "even.hdr")
+        self.expect_refusal(["mergge", "did you mean merge?"], "hdr", "mergge")
+        self.expect_refusal(["--band", "did you mean --bands?"], "light", "estimate", self.root / "even.hdr", "--band", 3)
+        self.expect_refusal(["teapot", "inspect"], "teapot")
+        rig = self.spoiled("near.toml", 'version = 1\n[capture]\nsourse = "studio"\n')
+        self.expect_refusal(["near.toml:3", 'did you mean "source"?'], "serve", "--config", rig)
+
     def test_missing_and_damaged_files(self):
         self.expect_refusal(["nowhere.toml"], "serve", "--config", self.root / "nowhere.toml")
         broken = self.spoiled("broken.toml", "version = 1\n[capture\n")
@@ -149,7 +157,7 @@ class BadConfiguration(CliTest):
         self.expect_refusal(["open.toml:5", "loopback"], "serve", "--config", rig)
 
     def test_arguments_that_do_not_exist(self):
-        self.expect_refusal(["arguments"], "demo", "--headles")
+        self.expect_refusal(["--headles", "did you mean --headless?"], "demo", "--headles")
         self.expect_refusal(["arguments"], "dance")
         self.expect_refusal(["arguments"])
 

@@ -1,14 +1,19 @@
 #include "tools/common/command.h"
 
+#include <fmt/ranges.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cstdio>
+#include <optional>
 #include <span>
 #include <string_view>
+#include <vector>
 
 #include "core/log.h"
 #include "core/renamed.h"
+#include "core/spelling.h"
 #include "tools/common/manual.h"
 
 namespace penumbra::tools {
@@ -31,6 +36,49 @@ Result<void> check_flags(std::span<char* const> arguments) {
       return fail(ErrorCode::kInvalid, std::string(flag), fmt::format("is now {}", *now));
   }
   return {};
+}
+
+// The command that the first words name, and the word after them that is none of its commands.
+struct FoundCommand {
+  const CLI::App* app;
+  std::string_view unknown;
+};
+
+FoundCommand command_of(const CLI::App& app, std::span<char* const> arguments) {
+  const CLI::App* at = &app;
+  for (const std::string_view word : arguments) {
+    const auto commands = at->get_subcommands([](const CLI::App*) { return true; });
+    const auto next = std::ranges::find(commands, word, &CLI::App::get_name);
+    if (next == commands.end())
+      return {at, commands.empty() || word.starts_with('-') ? std::string_view() : word};
+    at = *next;
+  }
+  return {at, {}};
+}
+
+// What a mistyped command or flag should have been, where something is near.
+std::optional<Error> misspelling(const CLI::App& app, std::span<char* const> arguments) {
+  const auto [command, unknown] = command_of(app, arguments);
+  if (!unknown.empty()) {
+    std::vector<std::string> names;
+    for (const CLI::App* c : command->get_subcommands([](const CLI::App*) { return true; }))
+      names.push_back(c->get_name());
+    const auto near = nearest_word(unknown, names);
+    return Error{ErrorCode::kInvalid, std::string(unknown),
+                 near ? fmt::format("is no command: did you mean {}?", *near)
+                      : fmt::format("is no command: there are {}", fmt::join(names, ", "))};
+  }
+  std::vector<std::string> flags;
+  for (const CLI::Option* option : command->get_options())
+    for (const std::string& name : option->get_lnames()) flags.push_back("--" + name);
+  for (const std::string_view argument : arguments) {
+    const std::string_view flag = argument.substr(0, argument.find('='));
+    if (!flag.starts_with("--") || std::ranges::find(flags, flag) != flags.end()) continue;
+    if (const auto near = nearest_word(flag, flags))
+      return Error{ErrorCode::kInvalid, std::string(flag),
+                   fmt::format("is no flag here: did you mean {}?", *near)};
+  }
+  return std::nullopt;
 }
 
 }  // namespace
@@ -71,7 +119,8 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   } catch (const CLI::Success& e) {
     return app.exit(e);  // help and version
   } catch (const CLI::ParseError& e) {
-    return report({ErrorCode::kInvalid, "arguments", e.what()});
+    const auto meant = misspelling(app, std::span(argv, static_cast<std::size_t>(argc)).subspan(1));
+    return report(meant ? *meant : Error{ErrorCode::kInvalid, "arguments", e.what()});
   }
   try {
     if (const auto result = action(); !result) return report(result.error());
