@@ -288,6 +288,7 @@ double Peeler::flux_of(const BrightRegion& region) const {
 // Clipped pixels come first, so that the light is where they are and what they lack is not spread
 // over the glow around them. Down to half of their own mean where that is not six times the rest.
 void Peeler::cut_clipped(float level) {
+  if (map_.width() == 0) return;
   Vector<Run> parts(memory_);
   for (const std::uint32_t i : clipped_) {
     const int y = static_cast<int>(i) / map_.width(), x = static_cast<int>(i) % map_.width();

@@ -123,7 +123,8 @@ TextureUse texture_use(const Character& c, int width, int height) {
 }
 
 Character for_light_map(Character c, int width, int height) {
-  return texture_use(c, width, height).usable() ? c : with_atlas(c, width, height);
+  if (texture_use(c, width, height).usable()) return c;
+  return with_atlas(c, width, height);
 }
 
 namespace {

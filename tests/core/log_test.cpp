@@ -25,8 +25,8 @@ class Log : public testing::Test {
 TEST_F(Log, LinesReachTheSinkWithTheirLevel) {
   log_info("bakes {} vertices", 12);
   log_warning("{}: {} triangles are left out", "a.obj", 3);
-  EXPECT_EQ(lines_, (std::vector<std::string>{"i bakes 12 vertices",
-                                              "w a.obj: 3 triangles are left out"}));
+  EXPECT_EQ(lines_,
+            (std::vector<std::string>{"i bakes 12 vertices", "w a.obj: 3 triangles are left out"}));
 }
 
 TEST_F(Log, AnEmptySinkDropsThem) {

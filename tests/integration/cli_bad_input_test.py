@@ -158,7 +158,7 @@ class BadConfiguration(CliTest):
 
     def test_arguments_that_do_not_exist(self):
         self.expect_refusal(["--headles", "did you mean --headless?"], "demo", "--headles")
-        self.expect_refusal(["arguments"], "dance")
+        self.expect_refusal(["dance", "no command"], "dance")
         self.expect_refusal(["arguments"])
 
 
