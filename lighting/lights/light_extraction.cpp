@@ -288,10 +288,10 @@ double Peeler::flux_of(const BrightRegion& region) const {
 // Clipped pixels come first, so that the light is where they are and what they lack is not spread
 // over the glow around them. Down to half of their own mean where that is not six times the rest.
 void Peeler::cut_clipped(float level) {
-  if (map_.width() == 0) return;
   Vector<Run> parts(memory_);
+  const int width = std::max(1, map_.width());
   for (const std::uint32_t i : clipped_) {
-    const int y = static_cast<int>(i) / map_.width(), x = static_cast<int>(i) % map_.width();
+    const int y = static_cast<int>(i) / width, x = static_cast<int>(i) % width;
     if (parts.empty() || parts.back().y != y || parts.back().x1 != x) parts.push_back({y, x, x});
     ++parts.back().x1;
   }
