@@ -1,10 +1,10 @@
 #include <algorithm>
-#include <array>
 #include <bit>
 #include <cmath>
-#include <numbers>
+#include <vector>
 
 #include "compositor/internal/sensor_effects.h"
+#include "core/normal_quantiles.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "compositor/sensor_kernel.cpp"
@@ -120,30 +120,8 @@ namespace {
 
 constexpr std::size_t kQuantiles = 4096;  // the kernel takes the hash's upper 12 bits
 
-// Quantiles of the normal distribution at the middles of equal fractions, scaled to unit variance.
-// No lambda: a compiler would spend seconds on trying to know the table itself.
-std::array<float, kQuantiles> make_normal_quantiles() {
-  std::array<double, kQuantiles> q;
-  double square = 0;
-  for (std::size_t i = 0; i < kQuantiles / 2; ++i) {
-    const double fraction = (static_cast<double>(i) + .5) / kQuantiles;
-    double low = -10, high = 0;
-    for (int k = 0; k < 50; ++k) {  // bisection on erfc: once, at start
-      const double middle = (low + high) / 2;
-      (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
-    }
-    q[i] = low;
-    q[kQuantiles - 1 - i] = -low;
-    square += 2 * low * low;
-  }
-  std::array<float, kQuantiles> out;
-  for (std::size_t i = 0; i < kQuantiles; ++i)
-    out[i] = static_cast<float>(q[i] * std::sqrt(kQuantiles / square));
-  return out;
-}
-
-const float* normal_quantiles() {
-  static const std::array<float, kQuantiles> table = make_normal_quantiles();
+const float* quantiles() {
+  static const std::vector<float> table = normal_quantiles(kQuantiles);
   return table.data();
 }
 
@@ -157,7 +135,7 @@ void weighted_sum(const float* const* rows, const float* weights, std::size_t sa
 void add_with_noise(const NoisyRow& row, float shot_gain, float read_variance, std::size_t count,
                     float* out) {
   HWY_DYNAMIC_DISPATCH(AddWithNoise)
-  (row, normal_quantiles(), shot_gain, read_variance, count, out);
+  (row, quantiles(), shot_gain, read_variance, count, out);
 }
 
 std::pair<std::size_t, std::size_t> mark_touched(const float* planes, std::size_t stride,

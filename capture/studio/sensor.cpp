@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
-#include <numbers>
 #include <numeric>
 #include <vector>
 
@@ -10,6 +9,7 @@
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"
+#include "core/normal_quantiles.h"
 #include "core/parallel.h"
 
 namespace penumbra::capture {
@@ -24,31 +24,8 @@ std::uint64_t mix(std::uint64_t z) {  // SplitMix64, Steele et al. 2014
   return z ^ (z >> 31);
 }
 
-// Quantiles of the normal distribution at the middles of 65536 equal fractions, scaled to unit
-// variance. No lambda: a compiler would spend seconds on trying to know the table itself.
-std::vector<float> make_normal_quantiles() {
-  std::vector<double> q(65536);
-  double square = 0;
-  for (std::size_t i = 0; i < q.size() / 2; ++i) {
-    // Bisection on erfc: once, at start.
-    const double fraction = (static_cast<double>(i) + .5) / 65536;
-    double low = -10, high = 0;
-    for (int k = 0; k < 60; ++k) {
-      const double middle = (low + high) / 2;
-      (.5 * std::erfc(-middle / std::numbers::sqrt2) < fraction ? low : high) = middle;
-    }
-    q[i] = low;
-    q[q.size() - 1 - i] = -low;
-    square += 2 * low * low;
-  }
-  const double scale = std::sqrt(65536 / square);
-  std::vector<float> out;
-  for (double v : q) out.push_back(static_cast<float>(v * scale));
-  return out;
-}
-
-const std::vector<float>& normal_quantiles() {
-  static const std::vector<float> table = make_normal_quantiles();
+const std::vector<float>& quantiles() {
+  static const std::vector<float> table = normal_quantiles(std::size_t{1} << 16);
   return table;
 }
 
@@ -70,7 +47,7 @@ struct Exposer {
   const ResponseTable curve;
   float signal_per_radiance, shot_variance, read_variance, electrons;
   std::uint64_t seed;
-  const float* normal = normal_quantiles().data();
+  const float* normal = quantiles().data();
 
   /// Few photons, whose noise no normal distribution has.
   static constexpr float kFewPhotons = 30;
