@@ -15,6 +15,7 @@
 #include "capture/hdr/pose_warp.h"
 #include "core/background_task.h"
 #include "core/half.h"
+#include "core/log.h"
 #include "core/scratch.h"
 
 namespace penumbra::capture {
@@ -42,7 +43,8 @@ void to_half(const MergedFloat& in, double shortest, MergedImage& out) {
 }  // namespace
 
 HdrRing::HdrRing(CameraInfo camera, int slots)
-    : camera_(std::move(camera)), max_slots_(static_cast<std::size_t>(std::max(1, slots))) {}
+    : camera_(std::move(camera)),
+      max_slots_(static_cast<std::size_t>(std::clamp(slots, 1, kMaxSlots))) {}
 HdrRing::~HdrRing() = default;
 HdrRing::HdrRing(HdrRing&&) noexcept = default;
 HdrRing& HdrRing::operator=(HdrRing&&) noexcept = default;
@@ -62,18 +64,23 @@ HdrRing::RingSlot* HdrRing::slot_of(const Exposure& exposure) {
 }
 
 // A bracket of more exposures than there are slots would push each one out just before it comes again,
-// and the light would pulse with it.
+// and the light would pulse with it. A camera that seeks its exposure comes back to some as well, but
+// not frame after frame for two brackets.
 Result<void> HdrRing::make_room(const Frame& frame) {
   if (slots_.size() < max_slots_) return {};
   std::erase_if(left_, [&](const LeftExposure& l) { return l.left + 4 * max_slots_ < taken_; });
   const double product = frame.exposure.product();
-  const auto comes_again = [&](const LeftExposure& l) {
+  const auto is_this = [&](const LeftExposure& l) {
     return std::abs(l.exposure.product() / product - 1) < .01;
   };
-  if (std::ranges::any_of(left_, comes_again))
+  came_again_ = std::ranges::any_of(left_, is_this) ? came_again_ + 1 : 0;
+  if (came_again_ > 2 * max_slots_)
     return fail(ErrorCode::kInvalid, camera_.name,
                 fmt::format("takes more than {} exposures in turn, which is as many as are merged",
                             max_slots_));
+  if (!std::exchange(told_, true))
+    log_warning("{}: takes more than {} different exposures: the oldest are left out", camera_.name,
+                max_slots_);
   const auto oldest = std::ranges::min_element(slots_, {}, &RingSlot::placed);
   left_.push_back({oldest->nominal, taken_});
   slots_.erase(oldest);
@@ -91,6 +98,7 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   const double gain_log = std::log(frame.exposure.gain.value());
   if (RingSlot* const old = slot_of(frame.exposure)) {
     came_back_ = true;
+    came_again_ = 0;
     replaced = std::exchange(old->frame, frame);
     old->placed = taken_++;
     old->gain_log += .1 * (gain_log - old->gain_log);

@@ -33,8 +33,8 @@ class HdrRing {
   ~HdrRing();
   HdrRing(HdrRing&&) noexcept;
   HdrRing& operator=(HdrRing&&) noexcept;
-  /// errors: kInvalid (size changed, bad exposure, more exposures in turn than slots), kUndetermined as
-  ///         merge()
+  /// errors: kInvalid (size changed, bad exposure, more exposures in turn than slots, as soon as they
+  ///         are seen to come again), kUndetermined as merge()
   Result<const MergedImage*> add(const Frame& frame);
   /// Different exposures that stand in the ring.
   std::size_t exposures() const { return slots_.size(); }
@@ -72,6 +72,8 @@ class HdrRing {
     std::uint64_t left;  // frames that the ring had taken before
   };
   std::vector<LeftExposure> left_;  // of late, for want of room
+  std::size_t came_again_ = 0;      // frames in a row whose exposure had left
+  bool told_ = false;               // that exposures leave
   std::vector<Exposure> table_exposures_;
   std::unique_ptr<TableMerger> table_;
   MergedImage merged_;

@@ -133,7 +133,7 @@ TEST(HdrRing, ElevenExposuresAreAllMergedAndMoreThanFitAreRefusedByName) {
   ASSERT_TRUE(round(few, 8, 0));
   const auto refused = [&] {
     Result<const MergedImage*> last = nullptr;
-    for (std::uint64_t k = 0; k < 2 && last; ++k) last = round(few, 11, 100 + 11 * k);
+    for (std::uint64_t k = 0; k < 5 && last; ++k) last = round(few, 11, 100 + 11 * k);
     return last;
   }();
   ASSERT_FALSE(refused);
@@ -148,6 +148,19 @@ TEST(HdrRing, ARampOfExposuresIsNoBracket) {
   HdrRing ring(camera(sensor), 4);
   for (std::uint64_t i = 0; i < 60; ++i)
     ASSERT_TRUE(ring.add(frame(sensor, .4f, std::pow(.96, double(i)), i))) << i;
+}
+
+// One that seeks goes up and down through the same exposures.
+TEST(HdrRing, ASeekingCameraIsNoBracket) {
+  const Sensor sensor = sensor_of(8);
+  for (const std::uint64_t steps : {5, 9, 12, 30}) {
+    HdrRing ring(camera(sensor), 4);
+    for (std::uint64_t i = 0; i < 6 * steps; ++i) {
+      const std::uint64_t k = i % (2 * steps), step = k < steps ? k : 2 * steps - k;
+      ASSERT_TRUE(ring.add(frame(sensor, .4f, std::pow(.96, double(step)), i)))
+          << steps << " steps, frame " << i;
+    }
+  }
 }
 
 TEST(HdrRing, FrameOfTheWrongSizeIsRefusedByNameAndChangesNothing) {

@@ -47,6 +47,30 @@ TEST(LightEstimationStage, FloatFramesKeepTheirBrightPixels) {
   EXPECT_NEAR(estimate->mean_radiance.g, expected, .002 * expected);
 }
 
+// With fewer places than exposures the light of a still scene pulses with the bracket.
+TEST(LightEstimationStage, ElevenExposuresOfAStillSceneGiveOneLight) {
+  capture::StudioOptions o;
+  o.environment_width = 128, o.environment_height = 64;
+  o.view_width = 64, o.view_height = 36, o.view_focal_px = 60;
+  o.view_frames = 60;
+  for (int k = 0; k < 11; ++k) o.schedule.push_back({Seconds(2e-2 * std::pow(.5, k)), Gain(1)});
+  capture::Studio studio(*capture::FloorWorld::make(capture::make_room_environment(128, 64)), o);
+  StageTimes times;
+  auto light = *LightEstimationStage::create(studio.cameras(), {}, times);
+  double least = HUGE_VAL, most = 0;
+  int frames = 0;
+  while (auto frame = *studio.next()) {
+    if (!light.takes(frame->camera)) continue;
+    const auto estimate = light.process(*frame);
+    ASSERT_TRUE(estimate) << estimate.error().detail;
+    if (++frames <= 22) continue;
+    const auto now = double(luminance(estimate->mean_radiance));
+    least = std::min(least, now), most = std::max(most, now);
+  }
+  ASSERT_GT(frames, 44);
+  EXPECT_LT(most / least, 1.005);
+}
+
 TEST(LightEstimationStage, NonFinitePixelsAreLeftOutAndDoNotEndTheRun) {
   Stage s(camera_of(calib::ProjectionKind::kLatLong, 64, 32));
   Image<Rgb> map(64, 32, {1, 1, 1});

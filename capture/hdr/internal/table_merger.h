@@ -11,6 +11,7 @@
 #include "calib/camera/noise.h"
 #include "calib/camera/response_table.h"
 #include "capture/frames.h"
+#include "capture/hdr/hdr_ring.h"
 #include "capture/hdr/internal/contradiction.h"
 #include "capture/hdr/internal/table_kernel.h"
 #include "capture/hdr/merge.h"
@@ -48,7 +49,7 @@ class TableMerger {
     bool undecided =
         false;  // holds pixels brighter than the newest exposure can tell, which others contradict
   };
-  static constexpr std::size_t kMaxExposures = 16;
+  static constexpr std::size_t kMaxExposures = HdrRing::kMaxSlots;
   /// What an update knows of all blocks.
   struct MergeJob {
     std::array<const std::uint8_t*, kMaxExposures> codes{};
