@@ -75,20 +75,12 @@ double mean_luminance(const Image<Rgb>& image, int first_row, const Gains& gains
   return sum / (static_cast<double>(image.height() - first_row) * image.width());
 }
 
-// Gains under which a white sheet on the floor is white: what balances the light, not the picture,
-// so that a lawn stays green and a white thing on it white.
-Gains white_gains(const Image<Rgb>& environment) {
-  Gains sum{};
-  for (int y = 0; y < environment.height() / 2; ++y) {
-    const double facing = std::cos(kPi * (y + .5) / environment.height()) *
-                          latlong_solid_angle(y, environment.width(), environment.height());
-    for (const Rgb& c : environment.row(y))
-      for (int k = 0; k < 3; ++k) sum[static_cast<std::size_t>(k)] += facing * double(c[k]);
-  }
-  // A channel with no light at all would have no gain.
-  const double least = .01 * (sum[0] + sum[1] + sum[2]) + 1e-30;
+// A channel with no light at all would have no gain.
+Gains white_gains(const Rgb& white) {
+  const float least = .01f * std::max({white.r, white.g, white.b, 1e-30f});
   Gains gains;
-  for (std::size_t k = 0; k < 3; ++k) gains[k] = 1 / std::max(sum[k], least);
+  for (int c = 0; c < 3; ++c)
+    gains[static_cast<std::size_t>(c)] = 1 / double(std::max(white[c], least));
   return gains;
 }
 
@@ -200,9 +192,8 @@ void Studio::expose_view() {
   view_sensor_ = options_.sensor;
   const int h = view_radiance_.height();
   Gains gains{1, 1, 1};
-  if (options_.balance_white) {
-    view_sensor_.response =
-        *view_sensor_.response.with_white_balance(white_gains(environment_radiance_));
+  if (options_.white) {
+    view_sensor_.response = *view_sensor_.response.with_white_balance(white_gains(*options_.white));
     gains = view_sensor_.response.white_balance();
     cameras_[kViewCamera].response = view_sensor_.response;
   }
@@ -210,8 +201,7 @@ void Studio::expose_view() {
   // The lower third shows the floor.
   double full = mean_luminance(view_radiance_, 2 * h / 3, gains) / .3;
   constexpr double kClipped = .02;
-  if (options_.balance_white)
-    full = std::max(full, full_scale(view_radiance_, h / 2, gains, kClipped));
+  if (options_.white) full = std::max(full, full_scale(view_radiance_, h / 2, gains, kClipped));
   options_.view_exposure = Exposure{Seconds(1 / full), Gain(1)};
 }
 

@@ -29,10 +29,10 @@ struct StudioOptions {
   std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
   std::optional<Exposure>
       view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
-  /// The view camera balances white and exposes as a person with a camera would: a white sheet on the
-  /// floor is white, and of the picture's lower half at most 2 % are clipped. Its response carries
-  /// the gains.
-  bool balance_white = false;
+  /// Light under which the view camera shows white as white. It then also exposes as a person with a
+  /// camera would: of the picture's lower half at most 2 % are clipped. Its response carries the
+  /// gains.
+  std::optional<Rgb> white;
   Sensor sensor;  // of both cameras; the blur is the view camera's alone
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;

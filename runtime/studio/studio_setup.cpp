@@ -72,7 +72,7 @@ Result<StudioSetup> set_up_studio(
   o.view_frames = r.frames;
   o.clip = r.clip;
   o.sensor.response = calib::Response::srgb();
-  o.balance_white = true;
+  o.white = floor_world->floor_irradiance();
 
   RealGeometry floor;
   floor.plane = RealPlane{};

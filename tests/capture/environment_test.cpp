@@ -92,6 +92,29 @@ TEST(SkyEnvironment, SunHasItsPowerOnAnyGrid) {
     }
 }
 
+// A map of the sky alone shows sky below as well, which is no ground to put things on.
+TEST(FloorWorld, SkyBelowTheHorizonBecomesGreyStoneWhereThatIsAskedFor) {
+  const Image<Rgb> sky(64, 32, {.3f, .8f, 1.2f});
+  Image<Rgb> meadow = sky;
+  for (int y = 16; y < 32; ++y)
+    for (Rgb& c : meadow.row(y)) c = {.08f, .16f, .05f};
+  const auto near_origin = [](const Image<Rgb>& map, FloorWorld::Ground ground) {
+    return (*FloorWorld::make(map, ground))->mean_floor_albedo();
+  };
+  // The same light from everywhere is reflected by everything white, in each channel alike: what is
+  // blue over red is the ground of a sky under a neutral sun.
+  Image<Rgb> sunny = sky;
+  sunny.at(20, 4) = {2000, 1500, 900};
+  const Rgb blue = near_origin(sunny, FloorWorld::Ground::kOfTheMap),
+            grey = near_origin(sunny, FloorWorld::Ground::kGreyUnderSky);
+  ASSERT_GT(blue.b, FloorWorld::kSkyBlue * blue.r);
+  EXPECT_NEAR(grey.r, .3f, .02f);
+  EXPECT_NEAR(grey.g, grey.r, 1e-3f);
+  EXPECT_NEAR(grey.b, grey.r, 1e-3f);
+  EXPECT_EQ(near_origin(meadow, FloorWorld::Ground::kGreyUnderSky),
+            near_origin(meadow, FloorWorld::Ground::kOfTheMap));
+}
+
 // ------------------------------------------------------------------------------------- files
 
 class EnvironmentFileTest : public testing::Test {

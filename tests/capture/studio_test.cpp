@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 
@@ -65,6 +66,45 @@ TEST(Studio, FramesComeInOrderOfTimeFromBothCameras) {
   EXPECT_EQ(count[1], 12U);
   EXPECT_GE(count[0], 12U);
   EXPECT_EQ(frames.front().camera, 0) << "light comes before the first view frame";
+}
+
+// Under a lamp's orange light: white is white in the codes, and the light is what it was.
+TEST(Studio, WhiteBalanceIsOfThePictureAndNotOfTheLight) {
+  Image<Rgb> map(64, 32, {3, 1.4f, .5f});
+  for (int y = 16; y < 32; ++y)
+    for (Rgb& c : map.row(y)) c = c * .3f;
+  const auto world = *FloorWorld::make(std::move(map));
+  StudioOptions o = small_options();
+  o.view_width = 160, o.view_height = 90, o.view_focal_px = 120;
+  o.world_from_view = look_at({.25, .8, 1.75}, {.02, .3, 0});
+  o.sensor.response = calib::Response::srgb();
+  o.view_exposure.reset();
+  o.white = world->floor_irradiance();
+  Studio studio(world, o);
+  const CameraInfo& view = studio.cameras()[1];
+  const auto& gains = view.response.white_balance();
+  const Rgb white = world->floor_irradiance();
+  for (int c = 1; c < 3; ++c)
+    EXPECT_NEAR(double(white[c]) * gains[static_cast<std::size_t>(c)], double(white[0]) * gains[0],
+                1e-3 * double(white[0]));
+  EXPECT_EQ(studio.cameras()[0].response.white_balance(), (std::array<double, 3>{1, 1, 1}));
+  const auto frames = all_frames(studio);
+  const auto shot = std::ranges::find(frames, 1, &Frame::camera);
+  ASSERT_NE(shot, frames.end());
+  const auto& codes = std::get<Image<Rgb8>>(*shot->pixels);
+  double clipped = 0, count = 0, sum[3] = {}, truth[3] = {};
+  for (int y = 45; y < 90; ++y)
+    for (int x = 0; x < 160; ++x) {
+      const unsigned p[] = {codes.at(x, y).r, codes.at(x, y).g, codes.at(x, y).b};
+      clipped += std::max({p[0], p[1], p[2]}) == 255;
+      ++count;
+      for (int c = 0; c < 3; ++c) {
+        sum[c] += view.response.decode(p[c] / 255., c) / shot->exposure.product();
+        truth[c] += double(studio.view_radiance().at(x, y)[c]);
+      }
+    }
+  EXPECT_LT(clipped, .025 * count);
+  for (int c = 0; c < 3; ++c) EXPECT_NEAR(sum[c] / truth[c], 1, .01) << c;
 }
 
 TEST(Studio, LabelsSayTheExposureThatWasAppliedWhateverTheDelay) {

@@ -142,6 +142,7 @@ class BadConfiguration(CliTest):
         self.expect_refusal(["mergge", "did you mean merge?"], "hdr", "mergge")
         self.expect_refusal(["--band", "did you mean --bands?"], "light", "estimate", self.root / "even.hdr", "--band", 3)
         self.expect_refusal(["teapot", "inspect"], "teapot")
+        self.expect_refusal(["--rotate-environment", "--environment"], "demo", "--rotate-environment", 90)
         rig = self.spoiled("near.toml", 'version = 1\n[capture]\nsourse = "studio"\n')
         self.expect_refusal(["near.toml:3", 'did you mean "source"?'], "serve", "--config", rig)
 

@@ -72,6 +72,9 @@ Result<void> check(const DemoOptions& o) {
     return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
   PENUMBRA_TRY(choose_max_lights(o.lights));
   PENUMBRA_TRY(check_budget(o.budget));
+  if (o.rotation_deg != 0 && !o.environment)
+    return fail(ErrorCode::kInvalid, "--rotate-environment",
+                "turns a map: give --environment as well");
   if (o.live && o.record)
     return fail(ErrorCode::kInvalid, "--record",
                 "excludes --live: only a replayed demo is recorded");
