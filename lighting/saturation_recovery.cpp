@@ -236,12 +236,13 @@ Result<void> RecoveryMemory::remember(const SaturationRecovery& recovery) {
   if (known == nullptr) return fail(ErrorCode::kInvalid, where, "is not a saturated light");
   if (!is_finite(recovery.power))
     return fail(ErrorCode::kNonFinite, where, "has a recovered power that is not finite");
-  const float smallest = luminance(known->power), now = luminance(recovery.power);
+  const Rgb whole = recovery.power + known->in_harmonics;
+  const float smallest = luminance(known->power), now = luminance(whole);
   if (!(now >= static_cast<float>(kMinPower) * smallest))
     return fail(ErrorCode::kUndetermined, where,
                 fmt::format("has a recovered power of {:.3g}, which is below the measured {:.3g}",
                             now, smallest));
-  known->radiance = recovery.power * static_cast<float>(1 / known->solid_angle_sr);
+  known->radiance = whole * static_cast<float>(1 / known->solid_angle_sr);
   return {};
 }
 
@@ -254,13 +255,15 @@ void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantL
     }
     // A light that is fading in is in two parts.
     const auto residual = std::ranges::find(unused, source.id, &DistantLight::id);
-    const Rgb whole = power(source) + (residual == unused.end() ? Rgb{} : power(*residual));
+    const Rgb left = residual == unused.end() ? Rgb{} : power(*residual),
+              whole = power(source) + left;
     RecoveredLight* known = find(source.id);
     if (known == nullptr) {
       if (known_.size() == kMaxKnown) known_.erase(known_.begin());
-      known = &known_.emplace_back(source.id, whole, 0., std::nullopt);
+      known = &known_.emplace_back(source.id, whole, Rgb{}, 0., std::nullopt);
     }
     known->power = whole;
+    known->in_harmonics = left;
     known->solid_angle_sr = source.solid_angle_sr();
     if (!known->radiance) continue;
     const Rgb full = *known->radiance * static_cast<float>(known->solid_angle_sr);
@@ -270,6 +273,7 @@ void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantL
     if (residual != unused.end()) {
       *residual = completed(*residual, full * (1 - fraction));
       residual->recovered = true;
+      known->in_harmonics = power(*residual);
     }
     changed = true;
   }

@@ -70,6 +70,7 @@ DistantLight completed(const DistantLight& measured, const Rgb& power);
 /// threads: thread-bound
 class RecoveryMemory {
  public:
+  /// What the harmonics still have of a light that is fading in comes on top of the recovery.
   /// errors: kInvalid (not a clipped light of the newest map), kNonFinite, kUndetermined (less than
   ///         was measured)
   Result<void> remember(const SaturationRecovery& recovery);
@@ -79,7 +80,8 @@ class RecoveryMemory {
  private:
   struct RecoveredLight {
     int source;
-    Rgb power;  // measured, a lower bound
+    Rgb power;         // measured, a lower bound
+    Rgb in_harmonics;  // of a light that is fading in: what the list does not have yet
     double solid_angle_sr;
     std::optional<Rgb> radiance;
   };

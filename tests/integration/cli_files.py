@@ -71,6 +71,16 @@ def write_hdr(path, width, height, rgb):
     Path(path).write_bytes(head + pixel * (width * height))
 
 
+def write_sun_hdr(path, width, height, sun):
+    """Radiance 1 everywhere but in one pixel, high to the right, as flat RGBE."""
+    mantissa, exponent = math.frexp(sun)
+    pixels = bytearray(bytes([128, 128, 128, 129]) * (width * height))
+    at = 4 * (height // 4 * width + width * 5 // 8)
+    pixels[at:at + 4] = bytes([int(mantissa * 256)] * 3 + [exponent + 128])
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    Path(path).write_bytes(head + bytes(pixels))
+
+
 CUBE = """v -0.2 0 -0.2
 v 0.2 0 -0.2
 v 0.2 0 0.2

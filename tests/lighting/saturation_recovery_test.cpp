@@ -427,6 +427,32 @@ TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
   EXPECT_TRUE(blurred->plan->lower_bound);
 }
 
+// A sun that comes out is handed over to the lights bit by bit; what a floor misses at that time is
+// what neither part has.
+TEST(RecoveryMemory, ALightThatIsFadingInIsRecoveredWhole) {
+  std::mt19937 rng(9);
+  // Clipped at a third: what the harmonics still have of it counts.
+  const Lamp veiled{kSun.direction, 3 * kDegree, {100, 95, 90}};
+  const auto map = room_with({&veiled, 1});
+  LightEstimator estimator({});
+  ASSERT_TRUE(estimator.estimate(at(clip(room_with({}), 30), 0)));
+  const auto fading = estimator.estimate(at(clip(map, 30), 2));
+  ASSERT_TRUE(fading && fading->lights.size() == 1);
+  const auto whole = LightEstimator({}).estimate(clip(map, 30));
+  ASSERT_LT(luminance(power(fading->lights[0])), .8f * luminance(power(whole->lights[0])))
+      << "not fading: the test shows nothing";
+  const ReflectancePatch patches[] = {patch(map, kUp, rng), patch(map, dvec3(0, .6, -.8), rng)};
+  const auto got = recover_from_patches(*fading, patches);
+  ASSERT_TRUE(got);
+  const auto taken = estimator.complete((*got)[0]);
+  ASSERT_TRUE(taken) << taken.error().detail;
+  for (int k = 3; k < 60; ++k) {
+    const auto later = estimator.estimate(at(clip(map, 30), k));
+    ASSERT_TRUE(later && later->lights.size() == 1);
+    if (k == 59) expect_power(power(later->lights[0]), veiled.power(), .15);
+  }
+}
+
 TEST(RecoveryMemory, RefusesLessThanWasMeasuredAndUnknownLights) {
   LightEstimator estimator({});
   const auto light = estimator.estimate(clip(room_with({&kSun, 1}), 8));
