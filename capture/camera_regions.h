@@ -1,5 +1,5 @@
-// The ways in which a camera shows its surroundings: its whole picture, parts of it behind lenses of their own (a
-// 360-degree camera), or a mirror ball that stands in it.
+// The ways in which a camera shows its surroundings: its whole picture, parts of it behind lenses
+// of their own (a 360-degree camera), or a mirror ball that stands in it.
 // threads: reentrant
 #pragma once
 
@@ -44,13 +44,14 @@ CameraRegion plain_region(const calib::CameraModel& projection,
 /// Whether light can be measured with it.
 bool shows_surroundings(const CameraInfo& camera);
 
-/// All regions of a camera that shows_surroundings(). A ball that has its place in the world is looked for from `world_from_camera`.
+/// All regions of a camera that shows_surroundings(). A ball that has its place in the world is
+/// looked for from `world_from_camera`.
 /// errors: kInvalid (fewer than two pixels a side), kUndetermined (the ball is not in the picture)
 Result<std::vector<CameraRegion>> camera_regions(const CameraInfo& camera,
                                                  const Pose& world_from_camera);
 
-/// Where in the whole picture a direction of the camera's frame is seen: of several regions, in the one whose rim is
-/// farthest from it.
+/// Where in the whole picture a direction of the camera's frame is seen: of several regions, in the
+/// one whose rim is farthest from it.
 std::optional<glm::dvec2> find_in_picture(std::span<const CameraRegion> regions,
                                           const glm::dvec3& direction);
 

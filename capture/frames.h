@@ -40,8 +40,8 @@ struct Ball {
     glm::dvec2 centre;
     double radius;
   };
-  std::optional<OutlinePixels>
-      outline_px;                // in the camera's picture, which does not move; else by its place:
+  // In the camera's picture, which does not move; else by its place:
+  std::optional<OutlinePixels> outline_px;
   glm::dvec3 centre_m{0, 0, 0};  // in the world
   double radius_m = 0;
 };
@@ -62,8 +62,8 @@ struct CameraInfo {
   std::array<double, 3> vignetting{};  // terms of Vignetting, of each lens's own picture
   Pose world_from_camera;
   glm::dmat3 colour{1};  // of an environment camera: radiance of the view camera = colour * its own
-  std::vector<Lens>
-      lenses;  // parts of the picture that count; empty: all of it. `projection` is then the first one's
+  // Parts of the picture that count; empty: all of it. `projection` is then the first one's
+  std::vector<Lens> lenses;
   std::optional<Ball> ball;  // shows the surroundings in a view camera's picture
   Rgb ball_reflectance{1, 1, 1};
 };
@@ -76,8 +76,8 @@ struct Frame {
   Exposure exposure;  // APPLIED, not requested
   Pose world_from_camera;
   std::shared_ptr<const FramePixels> pixels;
-  std::shared_ptr<const std::vector<std::byte>>
-      jpeg{};  // the same as the camera coded it, if it did
+  // The same as the camera coded it, if it did
+  std::shared_ptr<const std::vector<std::byte>> jpeg{};
 };
 
 int width(const FramePixels& pixels);
@@ -94,8 +94,8 @@ struct CameraCounts {
   std::optional<int> delay_frames;  // between a request and the first frame that shows it
   bool ignores_controls = false;    // its pictures do not follow the exposures that it is asked for
   std::vector<Exposure> exposures;  // that it is asked for in turn
-  std::optional<double>
-      light_error;  // that they leave, of an irradiance; nothing: they were not chosen
+  // That they leave, of an irradiance; nothing: they were not chosen
+  std::optional<double> light_error;
 };
 
 /// A stream of frames of several cameras in order of time.
@@ -109,9 +109,11 @@ class FrameSource {
   virtual double view_rate() const = 0;
   /// True when next() returns as frames are taken; else a live run waits for each frame's time.
   virtual bool is_live() const { return false; }
-  /// Ends a next() under way, and all later ones. threads: thread-safe
+  /// Ends a next() under way, and all later ones.
+  /// threads: thread-safe
   virtual void close() {}
-  /// What became of the frames of real cameras, in the order of cameras(); empty for other sources. threads: thread-safe
+  /// What became of the frames of real cameras, in the order of cameras(); empty for other sources.
+  /// threads: thread-safe
   virtual std::vector<CameraCounts> counts() const { return {}; }
 };
 

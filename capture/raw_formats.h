@@ -27,11 +27,12 @@ std::string fourcc_name(std::uint32_t fourcc);
 /// errors: kInvalid (not one to four characters)
 Result<std::uint32_t> fourcc_from(std::string_view name);
 
-/// 0 for what cannot be read; larger keeps more of the light: raw sensor codes, then RGB, YUV, JPEG, grey.
+/// 0 for what cannot be read; larger keeps more of the light: raw sensor codes, then RGB, YUV,
+/// JPEG, grey.
 int format_rank(std::uint32_t fourcc);
 
-/// Turns pictures of one layout into RGB codes: 8 bits where the format has 8, else 16 (codes spread over the range).
-/// Bayer patterns are interpolated.
+/// Turns pictures of one layout into RGB codes: 8 bits where the format has 8, else 16 (codes
+/// spread over the range). Bayer patterns are interpolated.
 /// threads: thread-bound
 class RawConverter {
  public:

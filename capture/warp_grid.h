@@ -14,9 +14,11 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-/// Calls put(x, y, const PixelHit*) for every pixel of a width x height picture, null where exact() gives nothing. exact(centre) is
-/// asked at the corners of cells of up to eight pixels and interpolated where the cell's middle agrees within a
-/// tenth of a pixel; cells of which nothing is seen at five points count as not seen, those that a rim or a seam crosses are asked pixel by pixel.
+/// Calls put(x, y, const PixelHit*) for every pixel of a width x height picture, null where exact()
+/// gives nothing. exact(centre) is asked at the corners of cells of up to eight pixels and
+/// interpolated where the cell's middle agrees within a tenth of a pixel; cells of which nothing is
+/// seen at five points count as not seen, those that a rim or a seam crosses are asked pixel by
+/// pixel.
 /// threads: internally parallel, rows of cells apart
 template <class Exact, class Put>
 void warp_grid(int width, int height, const Exact& exact, const Put& put) {

@@ -112,8 +112,8 @@ class RangeDecoder {
   std::uint32_t code_ = 0, range_ = 0xffffffffu;
 };
 
-/// Whole numbers that are mostly near 0: is it 0, its sign, how far (unary, then Elias gamma), each bit with a model of its
-/// own.
+/// Whole numbers that are mostly near 0: is it 0, its sign, how far (unary, then Elias gamma), each
+/// bit with a model of its own.
 struct NumberModel {
   static constexpr int kUnary = 14, kMaxBits = 28;  // beyond what any coder here writes
   BitModel zero, sign;

@@ -209,7 +209,8 @@ Result<Rect> Compositor::Impl::draw(const View& view) {
   return receiver_area;
 }
 
-// Without a GPU drawing begins on one core alone: another one copies the frame and composites what no layer reaches.
+// Without a GPU drawing begins on one core alone: another one copies the frame and composites what
+// no layer reaches.
 Result<CompositeStats> Compositor::Impl::composite_while_drawing(const View& view,
                                                                  const FramePixels& camera,
                                                                  FramePixels& out) {

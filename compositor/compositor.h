@@ -54,18 +54,19 @@ struct View {
   float signal_per_radiance = 1;  // sensor signal (fraction of full scale) per unit of radiance
   SensorEffects look{};
   Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
-  /// What the largest code stands for, in signal, where a shadow falls on it or an object's edge lies over it: what the code says, or
-  /// more where it is known that the surface is brighter. Not for float frames.
+  /// What the largest code stands for, in signal, where a shadow falls on it or an object's edge
+  /// lies over it: what the code says, or more where it is known that the surface is brighter. Not
+  /// for float frames.
   Rgb clipped_signal{};
 };
 
 /// How an object looks beyond its vertices.
 struct Appearance {
-  /// Some of the forms that it will take: where all of them allow, fewer triangles are drawn. None: every triangle is as soon as
-  /// it takes one.
+  /// Some of the forms that it will take: where all of them allow, fewer triangles are drawn. None:
+  /// every triangle is as soon as it takes one.
   std::span<const prt::Mesh> forms{};
-  /// A picture of its albedo, coded in sRGB, and where each vertex lies in it. `tint` is what else there is of albedo, by
-  /// vertex.
+  /// A picture of its albedo, coded in sRGB, and where each vertex lies in it. `tint` is what else
+  /// there is of albedo, by vertex.
   const Image<Rgb8>* texture = nullptr;
   std::span<const glm::vec2> texture_coordinates{};
   std::span<const Rgb> tint{};
@@ -83,9 +84,10 @@ struct CompositeStats {
 /// A light's shadow and what it is a part of.
 struct ShadowMapOnPlane {
   const shadows::ShadowMap* shadow;
-  Rgb part;  // E_light/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
-  /// What real things take of the same light further around (its `taken`), one map for all shadows of the light on that plane;
-  /// null without real things.
+  // E_light/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
+  Rgb part;
+  /// What real things take of the same light further around (its `taken`), one map for all shadows
+  /// of the light on that plane; null without real things.
   const shadows::ShadowMap* real = nullptr;
 };
 
@@ -112,8 +114,9 @@ class Compositor {
  public:
   enum class Surface { kOffscreen, kWindow };
 
-  /// oversampling: samples a pixel along each axis, 4 for stills or 2 for video, which draws only the triangles that form and
-  /// light need, and takes one sample a pixel where contours make edges as good
+  /// oversampling: samples a pixel along each axis, 4 for stills or 2 for video, which draws only
+  /// the triangles that form and light need, and takes one sample a pixel where contours make edges
+  /// as good
   /// errors: kUnavailable (no EGL, no OpenGL ES 3.1, no display)
   static Result<std::unique_ptr<Compositor>> create(int width, int height, Surface surface,
                                                     int oversampling = 2,
@@ -122,15 +125,17 @@ class Compositor {
 
   /// Uploads geometry once; the number names the object from then on.
   int add_object(const prt::BakedObject& object, const Appearance& appearance = {});
-  /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of them are drawn.
+  /// Another form of an object's mesh: as many vertices, the same triangles. From then on all of
+  /// them are drawn.
   void update_vertices(int object, const prt::Mesh& mesh);
   /// Rigid placement of the bake frame in the world.
   void set_pose(int object, const Pose& world_from_bake);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
-  /// A plane that real things shade: its grid and place, once, and what they take of the light beside the lights. The picture
-  /// shows that already; what virtual things take is taken from what is left.
+  /// A plane that real things shade: its grid and place, once, and what they take of the light
+  /// beside the lights. The picture shows that already; what virtual things take is taken from what
+  /// is left.
   void add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid);
   void set_real_shadow(const shadows::PlanarShadow& shadow);
   /// The lights' shadows on real planes, all at once; none after creation. Copies the maps.
@@ -148,16 +153,17 @@ class Compositor {
   /// and with sensor effects
   ///   z' = f(V + T B + n), V = PSF * a e L_v, T = PSF * (1 - a) s,
   ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
-  /// in:     camera: a frame of the size given at creation; `out` may be the same object, which copies nothing
-  /// errors: kInvalid (size, missing curve, depth, look; `out` is left alone), kUnavailable (GL lost; `out` may have
-  /// its shadows already)
+  /// in:     camera: a frame of the size given at creation; `out` may be the same object, which
+  /// copies nothing
+  /// errors: kInvalid (size, missing curve, depth, look; `out` is left alone), kUnavailable (GL
+  /// lost; `out` may have its shadows already)
   /// source: Debevec 1998 in the ratio form
   Result<CompositeStats> composite(const View& view, const FramePixels& camera, FramePixels& out);
   Result<CompositeStats> composite(const View& view, FramePixels& frame) {
     return composite(view, frame, frame);
   }
-  /// composite() in two steps, the second on any thread while this one goes on. What view.curve points to must stay until
-  /// then. `out` keeps its room.
+  /// composite() in two steps, the second on any thread while this one goes on. What view.curve
+  /// points to must stay until then. `out` keeps its room.
   /// in, errors: as composite
   Result<void> draw(const View& view, const FramePixels& frame, Drawn& out);
 

@@ -100,7 +100,8 @@ void Contour::project(std::span<const glm::vec3> positions, const glm::dmat4& cl
   }
 }
 
-// A triangle's edge, the triangle at its left hand; the next one there that goes on alike ends its being a line.
+// A triangle's edge, the triangle at its left hand; the next one there that goes on alike ends its
+// being a line.
 void Contour::meet(std::uint32_t from, std::uint32_t to, bool front) {
   std::int32_t& first = first_[std::min(place_[from], place_[to])];
   for (std::int32_t i = first; i != kNone; i = edges_[static_cast<std::size_t>(i)].next) {
@@ -115,7 +116,8 @@ void Contour::meet(std::uint32_t from, std::uint32_t to, bool front) {
 
 // False where a triangle reaches behind the camera.
 bool Contour::see_facings(std::span<const ContourTriangle> triangles) {
-  // Seen so nearly from its side a triangle may have either facing for GL, which snaps corners to a part of a pixel.
+  // Seen so nearly from its side a triangle may have either facing for GL, which snaps corners to a
+  // part of a pixel.
   constexpr float kSliver_px2 = 1.f / 256;  // twice its area
   constexpr float kNearest = 1 / static_cast<float>(kNearPlane);
   around_ = rim_;

@@ -62,7 +62,8 @@ std::vector<EGLDisplay> candidate_displays() {
   return hardware;
 }
 
-// An OpenGL ES 3.1 context without a surface. errors: kUnavailable
+// An OpenGL ES 3.1 context without a surface.
+// errors: kUnavailable
 Result<std::unique_ptr<GlContext>> make_context(EGLDisplay display) {
   EGLint major = 0, minor = 0;
   if (display == EGL_NO_DISPLAY || !eglInitialize(display, &major, &minor))

@@ -30,7 +30,8 @@ out vec4 colour;
 void main() { colour = vec4(gl_FrontFacing ? min(signal, 1000.0) : vec3(0), 1); }
 )";
 
-// With pictures of albedo, of light, or of both; what is not a picture is white, or comes by vertex.
+// With pictures of albedo, of light, or of both; what is not a picture is white, or comes by
+// vertex.
 constexpr const char* kTexturedVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 radiance;
@@ -86,8 +87,8 @@ void attribute(GLuint location, int components, std::size_t offset_bytes) {
                         reinterpret_cast<const void*>(offset_bytes));
 }
 
-// The surface that is drawn may leave the baked one by this fraction of the object's radius, while that is less than so
-// many pixels.
+// The surface that is drawn may leave the baked one by this fraction of the object's radius, while
+// that is less than so many pixels.
 constexpr float kFormTolerance = 1.5e-3f;
 constexpr double kMaxMoved_px = .5;
 

@@ -11,7 +11,8 @@ namespace penumbra::compositor {
 
 namespace {
 
-// Of all triangles in the mean, as they are seen, whatever the light: rougher surfaces need the samples.
+// Of all triangles in the mean, as they are seen, whatever the light: rougher surfaces need the
+// samples.
 constexpr double kMinTriangle_px2 = .35;
 // What is hidden by a plane may end there without a smooth edge.
 constexpr double kMaxHidden_px = .5;
@@ -88,8 +89,8 @@ bool Layers::one_sample_does(const DrawnObject& o, const prt::PinholeView& camer
   });
 }
 
-// And the triangles that can be seen: half of them, which is half of what their vertices cost. False where an object reaches
-// behind the camera.
+// And the triangles that can be seen: half of them, which is half of what their vertices cost.
+// False where an object reaches behind the camera.
 bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& clip_from_world) {
   lines_.clear();
   glBindVertexArray(0);

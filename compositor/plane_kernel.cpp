@@ -29,8 +29,8 @@ HWY_INLINE hn::Vec<D> Texel(hn::Vec<D> p, float size) {
 
 using DU = hn::RebindToUnsigned<D>;
 
-// Pixels are looked up some at a time: places first, then their cells, one by one, which takes a third of the time of
-// gathers; then what lies between the cells' corners.
+// Pixels are looked up some at a time: places first, then their cells, one by one, which takes a
+// third of the time of gathers; then what lies between the cells' corners.
 constexpr std::size_t kPiece = 64;
 static_assert(kPiece % (HWY_MAX_BYTES / sizeof(float)) == 0);
 
@@ -39,7 +39,8 @@ HWY_INLINE void ForPieces(std::size_t total, const Work& work) {
   for (std::size_t i = 0; i < total; i += kPiece) work(i, total - i < kPiece ? total - i : kPiece);
 }
 
-// Where pixels lie between the corners of cells; outside a cell's first corner is 0 and `inside` too.
+// Where pixels lie between the corners of cells; outside a cell's first corner is 0 and `inside`
+// too.
 struct Cells {
   HWY_ALIGN std::int32_t at[kPiece];
   HWY_ALIGN float fx[kPiece], fy[kPiece], inside[kPiece];
@@ -180,7 +181,8 @@ HWY_INLINE hn::Mask<D> Holds(const ShadowMapLookup& t, hn::Vec<D> px, float py) 
                                           hn::And(hn::Ge(z, zero), hn::Lt(z, last_z))));
 }
 
-// Adds `fraction` times the map's value at (dx into the pixel, py of the picture), 0 outside, for all pixels of a piece.
+// Adds `fraction` times the map's value at (dx into the pixel, py of the picture), 0 outside, for
+// all pixels of a piece.
 HWY_INLINE void AddSamples(const ShadowMapLookup& t, int x0, float dx, float py, float fraction,
                            std::size_t total, float* sum) {
   const D d;

@@ -68,9 +68,9 @@ void Receivers::set_shadow_maps(std::span<const ShadowMapOnPlane> lights) {
 
 namespace {
 
-// Ray through pixel (px, py): d = R (a px + b, c py + e, -1) in the map's frame, all linear in the pixel. It
-// meets the plane y = height at o + d (height - o.y)/d.y, hence x = (o.x d.y + (height - o.y) d.x)/d.y. In
-// units of `unit_m` from (x0, z0).
+// Ray through pixel (px, py): d = R (a px + b, c py + e, -1) in the map's frame, all linear in the
+// pixel. It meets the plane y = height at o + d (height - o.y)/d.y, hence x = (o.x d.y + (height -
+// o.y) d.x)/d.y. In units of `unit_m` from (x0, z0).
 Homography homography(const prt::PinholeView& v, const Pose& map_from_camera, double height,
                       glm::dvec2 origin, double unit_m) {
   const glm::dmat3 r = map_from_camera.rotation_matrix();
@@ -177,8 +177,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   return all;
 }
 
-// 1/t along the ray of a pixel to a plane is (n.d)/(n.(p - eye)): linear in the pixel, and largest for the
-// nearest plane.
+// 1/t along the ray of a pixel to a plane is (n.d)/(n.(p - eye)): linear in the pixel, and largest
+// for the nearest plane.
 void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& point,
                              const glm::dvec3& normal) {
   constexpr double kSame = 1e-6;
@@ -202,8 +202,8 @@ void Receivers::find_visible(const prt::PinholeView& view, const glm::dvec3& poi
   }
 }
 
-// (x, z) = (X, Z)/W is at or past a side where X - side W >= 0 in front of the camera: linear in the pixel. Half a pixel
-// more, for those that a side passes through.
+// (x, z) = (X, Z)/W is at or past a side where X - side W >= 0 in front of the camera: linear in
+// the pixel. Half a pixel more, for those that a side passes through.
 void Receivers::add_sides(const Homography& at, const glm::dvec2& low, const glm::dvec2& high) {
   const auto past = [&](int axis, double side, double sign) {
     const auto term = [&](int k) { return sign * (at.h[axis][k] - side * at.h[2][k]); };

@@ -48,7 +48,8 @@ HWY_ATTR void WeightedSum(const float* const* rows, const float* weights, std::s
   }
 }
 
-// 32 bits of a column and a key. source: C. Wellons, hash-prospector (triple32's multipliers)
+// 32 bits of a column and a key.
+// source: C. Wellons, hash-prospector (triple32's multipliers)
 HWY_INLINE hn::Vec<DU> Hash(hn::Vec<DU> column, std::uint32_t key0, std::uint32_t key1) {
   const DU du;
   auto h = hn::Add(column, hn::Set(du, key0));

@@ -33,7 +33,8 @@ Roundings<Code> roundings_of(const Codec&, Code) {
   return {};
 }
 
-// Rows of one worker: six planes of V and 1 - T, then three each of real signal, its rounding and the result.
+// Rows of one worker: six planes of V and 1 - T, then three each of real signal, its rounding and
+// the result.
 struct SensorBuffers {
   RowBuffers layers;
   std::vector<float> planes, real, rounding, out;

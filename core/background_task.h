@@ -52,8 +52,8 @@ class BackgroundTask {
   }
 };
 
-// work(), whose parallel loops take up nothing from outside it while they wait for their last parts:
-// what they are timed by is their own.
+// work(), whose parallel loops take up nothing from outside it while they wait for their last
+// parts: what they are timed by is their own.
 template <class Work>
 auto isolate(const Work& work) {
 #if defined(__SANITIZE_THREAD__)

@@ -28,7 +28,8 @@ Result<void> write_bytes(const std::filesystem::path& target, std::string_view b
 Result<std::vector<unsigned char>> read_bytes(const std::filesystem::path& path,
                                               std::size_t limit_bytes = std::size_t{1} << 31);
 
-/// Whether a file could be made there: asked before long work, so that a wrong path costs no time. Leaves nothing.
+/// Whether a file could be made there: asked before long work, so that a wrong path costs no time.
+/// Leaves nothing.
 /// errors: kUnwritable
 Result<void> check_writable(const std::filesystem::path& target);
 

@@ -27,8 +27,8 @@ struct Rgb {
   Rgb& operator+=(Rgb o) { return *this = *this + o; }
 };
 
-/// Sensor codes after the camera's response. Trivial, as the standard library copies images of trivial pixels at once, and
-/// others one by one: write Rgb8{} for black.
+/// Sensor codes after the camera's response. Trivial, as the standard library copies images of
+/// trivial pixels at once, and others one by one: write Rgb8{} for black.
 struct Rgb8 {
   std::uint8_t r, g, b;
   friend bool operator==(const Rgb8&, const Rgb8&) = default;

@@ -1,4 +1,5 @@
-// A list of at most so many elements that takes nothing from the heap (as std::inplace_vector of C++26).
+// A list of at most so many elements that takes nothing from the heap (as std::inplace_vector of
+// C++26).
 #pragma once
 
 #include <algorithm>

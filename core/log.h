@@ -12,7 +12,8 @@ namespace penumbra {
 
 enum class LogLevel { kInfo, kWarning };
 
-/// Gets a line without its end. threads: any, one call at a time
+/// Gets a line without its end.
+/// threads: any, one call at a time
 using LogSink = std::function<void(LogLevel level, std::string_view line)>;
 
 /// Where messages go from now on; an empty sink drops them. Until it is called: standard error.

@@ -24,9 +24,9 @@ struct CensoredValue {
   bool at_least = false;
 };
 
-/// Where the product-limit estimate of the fraction above falls to one half: with bounds alone a plain
-/// median would be too low, and one without them too low as well. Nothing where bounds leave it open.
-/// Reorders the values.
+/// Where the product-limit estimate of the fraction above falls to one half: with bounds alone a
+/// plain median would be too low, and one without them too low as well. Nothing where bounds leave
+/// it open. Reorders the values.
 /// source: Kaplan & Meier 1958
 inline std::optional<float> censored_median(std::vector<CensoredValue>& values) {
   std::ranges::sort(values, {},

@@ -17,8 +17,8 @@ namespace penumbra::detail {
 
 #if defined(__SANITIZE_THREAD__)
 
-// The thread sanitizer can't see libtbb hand work from thread to thread and would call every loop a race. In its build
-// loops run on threads that it sees, so that it judges the bodies.
+// The thread sanitizer can't see libtbb hand work from thread to thread and would call every loop a
+// race. In its build loops run on threads that it sees, so that it judges the bodies.
 void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
                LoopBody part) {
   assert(grain > 0);

@@ -4,8 +4,9 @@
 #include <cstdint>
 #include <type_traits>
 
-// Loops spread over the machine's cores by TBB. The call returns when all is done; an exception of a body ends the
-// loop and comes out of the call. Bodies run at the same time on several threads and share no mutable state.
+// Loops spread over the machine's cores by TBB. The call returns when all is done; an exception of
+// a body ends the loop and comes out of the call. Bodies run at the same time on several threads
+// and share no mutable state.
 #pragma GCC visibility push(default)
 namespace penumbra {
 
@@ -20,7 +21,8 @@ struct Indices {
 
 namespace detail {
 using LoopBody = void (*)(const void* body, std::int64_t first, std::int64_t last);
-// What is the same for all loops stands in parallel.cpp: TBB's headers cost every file that loops a second and a half.
+// What is the same for all loops stands in parallel.cpp: TBB's headers cost every file that loops a
+// second and a half.
 void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
                LoopBody part);
 }  // namespace detail

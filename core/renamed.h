@@ -1,4 +1,5 @@
-// Names of flags and keys that files and scripts of before may still use: refused, with the new name.
+// Names of flags and keys that files and scripts of before may still use: refused, with the new
+// name.
 // threads: reentrant
 #pragma once
 

@@ -1,4 +1,5 @@
-// Memory for the temporaries of one call, kept for the next: after the largest call nothing comes from the heap.
+// Memory for the temporaries of one call, kept for the next: after the largest call nothing comes
+// from the heap.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +12,8 @@
 namespace penumbra {
 
 /// A stack of bytes for std::pmr containers. What a Scope handed out is gone with it.
-/// threads: each thread has its own; scopes nest. A thread that waits in TBB inside a scope may open another one on top
+/// threads: each thread has its own; scopes nest. A thread that waits in TBB inside a scope may
+/// open another one on top
 class Scratch final : public std::pmr::memory_resource {
  public:
   class Scope {

@@ -31,7 +31,8 @@ inline std::size_t spelling_distance(std::string_view a, std::string_view b) {
   return last[b.size()];
 }
 
-/// The nearest of `known` that differs by at most a third of the word's letters, and by one at least.
+/// The nearest of `known` that differs by at most a third of the word's letters, and by one at
+/// least.
 template <class Words>
 std::optional<std::string> nearest_word(std::string_view word, const Words& known) {
   std::optional<std::string> best;

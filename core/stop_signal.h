@@ -9,7 +9,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra {
 
-/// Takes the two signals over from here on and returns the flag they set. A second signal ends the program at once.
+/// Takes the two signals over from here on and returns the flag they set. A second signal ends the
+/// program at once.
 const std::atomic<bool>& catch_stop_signals();
 
 /// The error of a run that a signal ended before its results were whole.

@@ -39,10 +39,11 @@ class LightEstimator {
   ~LightEstimator();
   LightEstimator(LightEstimator&&) noexcept;
   LightEstimator& operator=(LightEstimator&&) noexcept;
-  /// From now on bands and lights are the governor's choice within the options'; estimates carry the plan.
+  /// From now on bands and lights are the governor's choice within the options'; estimates carry
+  /// the plan.
   void set_governor(const GovernorConfig& governor_config);
-  /// As Governor::allow_lights; nothing without a governor. With none the map is split only now and then, for the
-  /// prediction, unless something in it is clipped.
+  /// As Governor::allow_lights; nothing without a governor. With none the map is split only now and
+  /// then, for the prediction, unless something in it is clipped.
   void allow_lights(int max_count);
   /// in:  radiance 0 where the confidence is 0
   /// out: keeps its memory; as it was after an error
@@ -89,8 +90,8 @@ class LightEstimator {
   std::unique_ptr<LatLongProjector> projector_;
 };
 
-/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs. `lights` come
-/// on top of the projection.
+/// A light estimate from a projection on nine bands: truncates and predicts what truncation costs.
+/// `lights` come on top of the projection.
 LightEstimate make_estimate(const ShProjection& nine_bands, int bands,
                             std::vector<DistantLight> lights = {});
 /// in: lights other than out's own

@@ -17,18 +17,20 @@ constexpr double kNegligible_ms = .25;
 constexpr double kOwnSteps = .008;  // of bake, maps and interpolation, whatever the light
 constexpr double kTraced =
     .035;  // of samples and the form of a light, as a fraction of its fraction of the light
-// Error that a point-like source causes when nine bands hold it, as a fraction of its own fraction of the light; wider
-// ones less, by what of their energy lies beyond band 8.
+// Error that a point-like source causes when nine bands hold it, as a fraction of its own fraction
+// of the light; wider ones less, by what of their energy lies beyond band 8.
 constexpr double kBeyondNineBands = .28;
 
-// Share of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a point.
+// Share of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a
+// point.
 double narrowness(const DistantLight& source) {
   constexpr double kHeldByNine = .37;  // radians: 21 degrees, where 81 coefficients suffice
   const double t = source.radius.value() / kHeldByNine;
   return t >= 1 ? 0 : (1 - t) * (1 - t);
 }
 
-// s at the probes under harmonics `light`, with `traced` irradiance that is taken care of elsewhere.
+// s at the probes under harmonics `light`, with `traced` irradiance that is taken care of
+// elsewhere.
 void add_ratio(const ShadowProbes& probes, const RadianceSh& light, double open, double sign,
                std::span<double> out) {
   if (!(open > 0)) return;
@@ -103,7 +105,8 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget, int lights_allo
       best = plan;
       found = true;
     }
-  // Bands that cost next to nothing also serve the objects' own shading, which the prediction does not see.
+  // Bands that cost next to nothing also serve the objects' own shading, which the prediction does
+  // not see.
   while (found && best.bands < std::min(errors.max_bands(), limits_.max_bands) &&
          costs_.ms(best.bands + 1, best.lights) < best.ms + kNegligible_ms) {
     ++best.bands;

@@ -30,15 +30,17 @@ struct SplitLight {
   std::span<const DistantLight> lights;  // by falling irradiance
 };
 
-/// pi S_n of a scene at points of its floor: [point][n], nine bands (prt::BakedObject::shadow_probes).
+/// pi S_n of a scene at points of its floor: [point][n], nine bands
+/// (prt::BakedObject::shadow_probes).
 struct ShadowProbes {
   std::vector<float> deficit;
   std::size_t count() const { return deficit.size() / kMaxCoefficients; }
 };
 
-/// Predicted RMS error of the shadow ratio s for every plan with up to `max_bands` bands and `max_lights` traced
-/// lights: what the bands left out would have done at the probes, the fraction of a light that is too narrow even
-/// for nine bands, and what our own steps cost.
+/// Predicted RMS error of the shadow ratio s for every plan with up to `max_bands` bands and
+/// `max_lights` traced
+/// lights: what the bands left out would have done at the probes, the fraction of a light that is
+/// too narrow even for nine bands, and what our own steps cost.
 class ErrorTable {
  public:
   ErrorTable() = default;
@@ -64,20 +66,22 @@ struct Plan {
   double ms = 0;
   bool within_budget = true;  // false: the most accurate there is
   bool time_limited = false;  // another light would be needed, and there is no time for it
-  /// A light is saturated in every exposure and not recovered: `error` is that of the light as it was
-  /// measured, the true one is unknown, and nothing is within the budget.
+  /// A light is saturated in every exposure and not recovered: `error` is that of the light as it
+  /// was measured, the true one is unknown, and nothing is within the budget.
   bool lower_bound = false;
 };
 
-/// Chooses the cheapest bands and lights whose predicted error, times `kConformalFactor`, is within the budget.
-/// More at once, less only after two seconds in which four fifths of the budget would have sufficed; lights that there is
-/// no time for go at once.
+/// Chooses the cheapest bands and lights whose predicted error, times `kConformalFactor`, is within
+/// the budget. More at once, less only after two seconds in which four fifths of the budget would
+/// have sufficed; lights that there is no time for go at once.
 /// threads: thread-bound
-/// source: split conformal prediction; factor measured by `chart --governor`, limits in docs/methods/governor.md
+/// source: split conformal prediction; factor measured by `chart --governor`, limits in
+/// docs/methods/governor.md
 class Governor {
  public:
-  /// What it is more than the promise of the shadow needs (docs/results.md) pays for the objects' own shading, which
-  /// the prediction does not see: with 2.15 one of the room's lamps was left in harmonics and an object 3.5 % off.
+  /// What it is more than the promise of the shadow needs (docs/results.md) pays for the objects'
+  /// own shading, which the prediction does not see: with 2.15 one of the room's lamps was left in
+  /// harmonics and an object 3.5 % off.
   static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;

@@ -42,20 +42,22 @@ struct ShadowEdge {
 /// All clipped lights at once, channel by channel, not negative:
 /// E_p - E_unclipped,p = sum_j b_j Int cos+ over light j.
 /// errors:  kInvalid (no clipped light, bad patch: which), kNonFinite, kUndetermined (fewer patches
-///          than clipped lights, no patch sees a light, patches that do not tell lights apart, nothing
-///          left for a light)
+///          than clipped lights, no patch sees a light, patches that do not tell lights apart,
+///          nothing left for a light)
 /// source:  Debevec, Graham, Busch & Bolas 2012; least squares of Lawson & Hanson 1974
 Result<std::vector<SaturationRecovery>> recover_from_patches(
     const LightEstimate& light, std::span<const ReflectancePatch> patches);
-/// What one patch says of several clipped lights: they send what it misses, each in proportion to what was measured of
-/// it. Where some are sun-like, those alone: a sun or a bulb exceeds what saturates by orders of magnitude, a window by
-/// little. The light on the patch comes out right, its fraction between the lights is a guess.
-/// errors:  kInvalid, kNonFinite as recover_from_patches, kUndetermined (the patch sees none of them, nothing left)
+/// What one patch says of several clipped lights: they send what it misses, each in proportion to
+/// what was measured of it. Where some are sun-like, those alone: a sun or a bulb exceeds what
+/// saturates by orders of magnitude, a window by little. The light on the patch comes out right,
+/// its fraction between the lights is a guess.
+/// errors:  kInvalid, kNonFinite as recover_from_patches, kUndetermined (the patch sees none of
+/// them, nothing left)
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch);
 /// E_light = E_others (lit / shadowed - 1).
-/// errors:  kInvalid (not a clipped light, bad edge), kNonFinite, kUndetermined (the surface does not
-///          see the light, the lit side is not brighter)
+/// errors:  kInvalid (not a clipped light, bad edge), kNonFinite, kUndetermined (the surface does
+///          not see the light, the lit side is not brighter)
 Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int source,
                                                 const ShadowEdge& edge);
 
@@ -65,8 +67,8 @@ inline constexpr Radians kSunLike{2 * kPi / 180};
 /// The light with that power, in no channel less than was measured; with the sun's radius if small.
 DistantLight completed(const DistantLight& measured, const Rgb& power);
 
-/// Completions of tracked lights. Remembered is the radiance over the measured solid angle, so that a
-/// source that is half covered later has half the power, and other exposures change nothing.
+/// Completions of tracked lights. Remembered is the radiance over the measured solid angle, so that
+/// a source that is half covered later has half the power, and other exposures change nothing.
 /// threads: thread-bound
 class RecoveryMemory {
  public:

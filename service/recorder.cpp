@@ -23,7 +23,8 @@ constexpr std::size_t kQueued = 8;  // frames a camera: an eighth of a second at
 constexpr std::size_t kMaxEarly = 64;
 constexpr Seconds kPatience(10);
 
-// What ends a live recording while next() waits for a camera: a signal, or a camera that stays silent.
+// What ends a live recording while next() waits for a camera: a signal, or a camera that stays
+// silent.
 class Watch {
  public:
   Watch(capture::FrameSource& source, const std::atomic<bool>& stop, double seconds)

@@ -25,11 +25,11 @@ struct RecordCounts {
   std::uint64_t bytes = 0;
 };
 
-/// Begins when each camera has shown a frame, so that all tracks are known. A live source is never held up: what is
-/// not coded in time is dropped and counted; any other source waits.
+/// Begins when each camera has shown a frame, so that all tracks are known. A live source is never
+/// held up: what is not coded in time is dropped and counted; any other source waits.
 /// on_progress: about once a second, from the calling thread.
-/// errors: of source.next(); kUnwritable (the reason and what is kept); kUnavailable (a camera that shows nothing within
-/// 10 s; only live)
+/// errors: of source.next(); kUnwritable (the reason and what is kept); kUnavailable (a camera that
+/// shows nothing within 10 s; only live)
 Result<RecordCounts> record_frames(capture::FrameSource& source, const std::filesystem::path& path,
                                    RecordLimits limits, const std::atomic<bool>& stop,
                                    const std::function<void(const RecordCounts&)>& on_progress);

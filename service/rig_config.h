@@ -28,7 +28,8 @@ struct RigConfig {
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key; an address that is not loopback)
-/// to_composite: with a scene, an environment camera and a view camera; else any cameras do, and a scene is not looked at.
+/// to_composite: with a scene, an environment camera and a view camera; else any cameras do, and a
+/// scene is not looked at.
 Result<RigConfig> read_rig_config(const std::filesystem::path& path, bool to_composite = true);
 
 }  // namespace penumbra::service

@@ -1,4 +1,5 @@
-// What a rig.toml names as the source of frames: cameras, the studio, or a capture played in a loop.
+// What a rig.toml names as the source of frames: cameras, the studio, or a capture played in a
+// loop.
 #pragma once
 
 #include <functional>

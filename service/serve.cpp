@@ -11,7 +11,8 @@ namespace penumbra::service {
 
 Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   PENUMBRA_ASSIGN(config, read_rig_config(o.config));
-  // The port first: whether it is free should not be learnt after the bake, and clients see "starting".
+  // The port first: whether it is free should not be learnt after the bake, and clients see
+  // "starting".
   PipelineOptions options;
   options.bands = config.bands;
   options.max_lights = config.max_lights;

@@ -14,7 +14,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// errors: kInvalid (line, key; as check_colour_matrix), kUnreadable; `path` names the text in errors
+/// errors: kInvalid (line, key; as check_colour_matrix), kUnreadable; `path` names the text in
+/// errors
 Result<glm::dmat3> parse_colour_file(std::string_view text, const std::filesystem::path& path);
 
 struct NoiseFile {

@@ -21,7 +21,8 @@ enum class ProjectionKind {
   kAngular,  // whole sphere, radius proportional to the angle from -z; inscribed circle (Debevec)
   kMirrorBall,   // orthographic mirror ball, r = R sin(th/2); inscribed circle; exactly equal area
   kEquidistant,  // fisheye r = f th
-  kKannalaBrandt,  // fisheye r = f (th + k1 th^3 + k2 th^5 + k3 th^7 + k4 th^9); Kannala & Brandt 2006
+  // Fisheye r = f (th + k1 th^3 + k2 th^5 + k3 th^7 + k4 th^9); Kannala & Brandt 2006
+  kKannalaBrandt,
   kDoubleSphere,   // fisheye of parameters xi, alpha; Usenko, Demmel & Cremers 2018
   kPinhole,        // with k1, k2, p1, p2, k3 of Brown 1966, if any
   kVerticalCross,  // 3 x 4 faces: top; left front right; bottom; back turned by 180 degrees
@@ -35,8 +36,8 @@ enum class ProjectionKind {
 Result<ProjectionKind> projection_kind(std::string_view name);
 std::string_view projection_name(ProjectionKind kind);
 
-/// How many numbers `distortion` has: kb4 k1..k4, double-sphere xi, alpha; pinhole k1 k2 p1 p2 k3, in the order and
-/// meaning of OpenCV.
+/// How many numbers `distortion` has: kb4 k1..k4, double-sphere xi, alpha; pinhole k1 k2 p1 p2 k3,
+/// in the order and meaning of OpenCV.
 int distortion_count(ProjectionKind kind);
 /// Whether the kind has focal_px and principal_px.
 bool has_intrinsics(ProjectionKind kind);
@@ -63,8 +64,8 @@ Result<CameraModel> make_projection(ProjectionKind kind, int width, int height);
 std::optional<glm::dvec3> direction_from_pixel(const CameraModel& projection, glm::dvec2 pixel);
 
 /// Sets the distortion; missing numbers at the end are 0, and zeros too many do no harm.
-/// errors: kInvalid (too many, not finite, xi not within -1..1 or alpha not within 0..1, a lens whose picture folds back
-/// before 30 degrees off the axis)
+/// errors: kInvalid (too many, not finite, xi not within -1..1 or alpha not within 0..1, a lens
+/// whose picture folds back before 30 degrees off the axis)
 Result<CameraModel> with_distortion(CameraModel projection, std::span<const double> distortion);
 
 /// Inverse; nothing where the camera does not look (behind a pinhole, outside a fisheye's picture).

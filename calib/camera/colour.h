@@ -15,7 +15,8 @@ struct ColourPair {
   Rgb source, target;
 };
 
-/// Whether a matrix carries colours: finite, white stays positive, no colour becomes its mirror image.
+/// Whether a matrix carries colours: finite, white stays positive, no colour becomes its mirror
+/// image.
 /// errors: kInvalid
 Result<void> check_colour_matrix(const glm::dmat3& matrix);
 

@@ -30,7 +30,8 @@ Result<MirrorBall> MirrorBall::at(const glm::dvec3& centre, double radius) {
   return MirrorBall(centre / distance, radius / distance);
 }
 
-// In the plane through the picture's axis the outline's nearest and farthest points part by the cone's whole angle.
+// In the plane through the picture's axis the outline's nearest and farthest points part by the
+// cone's whole angle.
 Result<MirrorBall> MirrorBall::from_outline(const CameraModel& camera, const glm::dvec2& centre_px,
                                             double radius_px) {
   const glm::dvec2 off = centre_px - camera.principal_px;

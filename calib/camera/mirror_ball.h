@@ -15,10 +15,10 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// Reflection of far light in a ball whose centre and radius are known in the frame of the camera, which sits at the
-/// origin. Only the ratio of radius and distance matters.
-/// source: law of reflection. With the normal at the angle t from the line to the camera and the ray at b(t) from that
-/// line, light comes from 2 t + b, which grows with t
+/// Reflection of far light in a ball whose centre and radius are known in the frame of the camera,
+/// which sits at the origin. Only the ratio of radius and distance matters.
+/// source: law of reflection. With the normal at the angle t from the line to the camera and the
+/// ray at b(t) from that line, light comes from 2 t + b, which grows with t
 class MirrorBall {
  public:
   /// errors: kInvalid (not finite, no radius, the camera inside)
@@ -33,10 +33,11 @@ class MirrorBall {
 
   struct BallHit {
     glm::dvec3 ray;  // unit
-    double
-        from_rim;  // 1 in the middle, 0 on the outline: fraction of the normal's angle that is left
+    // 1 in the middle, 0 on the outline: fraction of the normal's angle that is left
+    double from_rim;
   };
-  /// The ray that shows the light of a direction; nothing for light from behind the ball, which grazes it.
+  /// The ray that shows the light of a direction; nothing for light from behind the ball, which
+  /// grazes it.
   std::optional<BallHit> ray_from_light(const glm::dvec3& light) const;
 
  private:
@@ -56,9 +57,11 @@ struct BallOutline {
 struct BallPlace {
   glm::dvec3 centre_m, sigma_m;  // in the world; one standard deviation along each axis
 };
-/// Where a ball of known radius stands: each outline tells its direction and, less well, its distance.
+/// Where a ball of known radius stands: each outline tells its direction and, less well, its
+/// distance.
 /// sigma_px: of the outlines' centres and radii
-/// errors: kInvalid (no outline, as MirrorBall::from_outline), kUndetermined (outlines that contradict each other)
+/// errors: kInvalid (no outline, as MirrorBall::from_outline), kUndetermined (outlines that
+/// contradict each other)
 Result<BallPlace> locate_ball(std::span<const BallOutline> outlines, double radius_m,
                               double sigma_px = 1);
 

@@ -25,8 +25,8 @@ class Response {
   /// errors: kInvalid
   static Result<Response> from_table(std::array<std::vector<float>, 3> decode);
 
-  /// The same behind gains per channel between sensor and response. Only their ratios matter: the smallest
-  /// counts as 1, the exposure has the rest.
+  /// The same behind gains per channel between sensor and response. Only their ratios matter: the
+  /// smallest counts as 1, the exposure has the rest.
   /// errors: kInvalid (not positive and finite)
   Result<Response> with_white_balance(const std::array<double, 3>& gains) const;
   const std::array<double, 3>& white_balance() const { return white_balance_; }

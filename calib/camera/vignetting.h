@@ -7,7 +7,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra {
 
-/// V = 1 + a1 p^2 + a2 p^4 + a3 p^6 with the distance p from the centre in half diagonals of the picture.
+/// V = 1 + a1 p^2 + a2 p^4 + a3 p^6 with the distance p from the centre in half diagonals of the
+/// picture.
 struct Vignetting {
   std::array<double, 3> terms{};
   glm::dvec2 centre_px{0, 0};

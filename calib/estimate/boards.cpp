@@ -60,8 +60,8 @@ glm::dvec2 from_border(const cv::Point2f& p) {
 void find_chessboard(const cv::Mat& grey, const Board& board, BoardView& view) {
   std::vector<cv::Point2f> corners;
   const cv::Size size(board.columns, board.rows);
-  // The detector that stands strong distortion, first without its long search; the older one, refined, sees some boards
-  // that it does not.
+  // The detector that stands strong distortion, first without its long search; the older one,
+  // refined, sees some boards that it does not.
   const int usual = cv::CALIB_CB_NORMALIZE_IMAGE | cv::CALIB_CB_ACCURACY;
   if (!cv::findChessboardCornersSB(grey, size, corners, usual) &&
       !cv::findChessboardCornersSB(grey, size, corners, usual | cv::CALIB_CB_EXHAUSTIVE)) {

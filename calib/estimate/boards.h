@@ -17,15 +17,14 @@ namespace penumbra::calib {
 struct Board {
   enum class Kind { kChessboard, kCharuco, kAprilTag };
   Kind kind = Kind::kChessboard;
-  int columns = 0,
-      rows =
-          0;  // inner corners of a chessboard; squares of a ChArUco board; tags of an AprilTag grid
+  // Inner corners of a chessboard; squares of a ChArUco board; tags of an AprilTag grid
+  int columns = 0, rows = 0;
   double square_m = 0;  // side of a square, of a tag for AprilTag
   double marker_m = 0;  // side of a ChArUco marker; gap between two AprilTags
 };
 
-/// "chessboard:15x9:0.026", "charuco:8x6:0.04:0.03" (4x4_50 markers), "apriltag:6x6:0.088:0.0264" (36h11, ids row by
-/// row from 0).
+/// "chessboard:15x9:0.026", "charuco:8x6:0.04:0.03" (4x4_50 markers), "apriltag:6x6:0.088:0.0264"
+/// (36h11, ids row by row from 0).
 /// errors: kInvalid
 Result<Board> parse_board(std::string_view text);
 
@@ -36,7 +35,8 @@ struct BoardView {
   std::vector<glm::dvec2> on_board_m;  // x to the right, y down, from the first corner
 };
 
-/// Nothing when the board is not there; of a board with markers a part is enough (six corners at least).
+/// Nothing when the board is not there; of a board with markers a part is enough (six corners at
+/// least).
 std::optional<BoardView> find_board(const FramePixels& picture, const Board& board,
                                     std::string name);
 

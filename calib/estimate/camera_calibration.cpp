@@ -1,5 +1,5 @@
-// Inside this file the camera looks along +z with y down, and so does the board: the pictures' own axes. Calls OpenCV
-// for the first guess of a board's pose; its exceptions end here.
+// Inside this file the camera looks along +z with y down, and so does the board: the pictures' own
+// axes. Calls OpenCV for the first guess of a board's pose; its exceptions end here.
 #include "calib/estimate/camera_calibration.h"
 
 #include <ceres/ceres.h>
@@ -56,8 +56,8 @@ struct DoubleSphere {
   static void normalised(const T* k, const T* p, T* q) {
     const T r2 = p[0] * p[0] + p[1] * p[1];
     const T z = k[0] * sqrt(r2 + p[2] * p[2]) + p[2];
-    // Times 1 + xi: the slope at the centre is 1, so that the focal length found does not hang on xi, which alone is
-    // loosely known (of_paper() turns it back).
+    // Times 1 + xi: the slope at the centre is 1, so that the focal length found does not hang on
+    // xi, which alone is loosely known (of_paper() turns it back).
     const T scale = (1. + k[0]) / (k[1] * sqrt(r2 + z * z) + (1. - k[1]) * z);
     q[0] = p[0] * scale;
     q[1] = p[1] * scale;
@@ -105,7 +105,8 @@ struct LensGuess {
   double cost = HUGE_VAL;  // of the corners near the axis, in pixels
 };
 
-// A board's pose from its corners within 70 degrees of the axis, as if a pinhole had seen their directions.
+// A board's pose from its corners within 70 degrees of the axis, as if a pinhole had seen their
+// directions.
 std::optional<std::pair<Pose6, double>> guess_pose(const BoardView& view, ProjectionKind kind,
                                                    glm::dvec2 centre, double focal) {
   constexpr double kWidest = 70 * kPi / 180;

@@ -37,8 +37,8 @@ struct CameraCalibrationOptions {
   bool undistorted = false;  // keep the distortion at 0
 };
 
-/// kind: pinhole, equidistant, kb4 or double-sphere. Needs corners that reach outwards and boards that are tilted; boards
-/// whose corners contradict the rest are left out and named.
+/// kind: pinhole, equidistant, kb4 or double-sphere. Needs corners that reach outwards and boards
+/// that are tilted; boards whose corners contradict the rest are left out and named.
 /// errors: kInvalid (kind), kUndetermined (says what to capture instead)
 Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, ProjectionKind kind,
                                            int width, int height,

@@ -18,7 +18,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// How many numbers stand between two cameras: sensors of one make need a scale, of one kind gains, others a matrix.
+/// How many numbers stand between two cameras: sensors of one make need a scale, of one kind gains,
+/// others a matrix.
 enum class ColourModel { kMatrix, kGains, kScale };
 
 /// "matrix", "gains", "scale".
@@ -33,15 +34,16 @@ struct ColourCalibration {
   std::vector<bool> used;         // false: too far off to show the same surface
 };
 
-/// Least squares of relative residuals, with Tukey's weights from a start by medians: pairs that do not show the same
-/// surface (parallax, something that moved, a reflection) have no say while they are clearly fewer than a half.
-/// errors: kUndetermined (fewer than 8 pairs; too few colours for the model: which number stays unknown; the pairs
-/// disagree by more than a tenth), kNonFinite (a pair)
+/// Least squares of relative residuals, with Tukey's weights from a start by medians: pairs that do
+/// not show the same surface (parallax, something that moved, a reflection) have no say while they
+/// are clearly fewer than a half.
+/// errors: kUndetermined (fewer than 8 pairs; too few colours for the model: which number stays
+/// unknown; the pairs disagree by more than a tenth), kNonFinite (a pair)
 /// source: IRLS with Tukey's biweight, Beaton & Tukey 1974; scale by the median absolute deviation
 Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, ColourModel model);
 
-/// Mean radiance of the 24 patches of a ColorChecker in a picture, dark skin first, row by row; nothing where a patch is
-/// clipped or black. `clipped` may be empty.
+/// Mean radiance of the 24 patches of a ColorChecker in a picture, dark skin first, row by row;
+/// nothing where a patch is clipped or black. `clipped` may be empty.
 /// errors: kUndetermined (no chart, one too small or cut off)
 Result<std::vector<std::optional<Rgb>>> find_colour_chart(const Image<Rgb>& radiance,
                                                           const Image<std::uint8_t>& clipped,

@@ -64,7 +64,8 @@ std::vector<std::optional<Rgb>> patch_means(const Image<Rgb>& radiance,
 
 }  // namespace
 
-// The detector's exceptions end here. It brings the short side to a size of its own: of a strip it would make a huge picture.
+// The detector's exceptions end here. It brings the short side to a size of its own: of a strip it
+// would make a huge picture.
 Result<std::vector<std::optional<Rgb>>> find_colour_chart(const Image<Rgb>& radiance,
                                                           const Image<std::uint8_t>& clipped,
                                                           const std::string& picture) {

@@ -1,11 +1,13 @@
 // Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", eq. 3:
 //   min sum_ik w(Z_ik) (g(Z_ik) - ln E_i - ln t_k)^2 + lambda (smoothness of g).
-// Differs from the paper, and from OpenCV's CalibrateDebevec (whose hat weight is 1, not 0, on clipped codes: a bracket
-// of seven stops then comes out 20 % wrong), in three points:
+// Differs from the paper, and from OpenCV's CalibrateDebevec (whose hat weight is 1, not 0, on
+// clipped codes: a bracket of seven stops then comes out 20 % wrong), in three points:
 // - codes that may be clipped or black have weight 0;
-// - the curve has a dozen terms, its local exponent dg/d(ln z) at a few codes, none of which may fall: a power of the
-//   code, whatever its exponent, costs no smoothness, and neither a toe nor a shoulder is bent;
-// - the ln E_i are eliminated beforehand (Schur complement), so that any number of samples costs the same to solve.
+// - the curve has a dozen terms, its local exponent dg/d(ln z) at a few codes, none of which may
+//   fall: a power of the code, whatever its exponent, costs no smoothness, and neither a toe nor a
+//   shoulder is bent;
+// - the ln E_i are eliminated beforehand (Schur complement), so that any number of samples costs
+// the same to solve.
 //
 // Calls OpenCV for the linear solver; its exceptions end here.
 #include <fmt/format.h>
@@ -32,8 +34,8 @@ using Pictures = std::span<const Picture* const>;
 constexpr int kCodes = 256;
 // A code this close to either end may be clipped or buried in noise.
 constexpr int kBlack = 3, kClipped = 252;
-// Above it the curve is known least (a hat's weight is a tenth) and films glow around bright things: full scale is put a
-// twentieth above it, so that a merge takes such codes as clipped.
+// Above it the curve is known least (a hat's weight is a tenth) and films glow around bright
+// things: full scale is put a twentieth above it, so that a merge takes such codes as clipped.
 constexpr int kLastTrusted = 240;
 constexpr double kClipLevel = .95;  // the merge's
 // Fewer pixels than this do not make a curve; more than that only cost time.
@@ -232,9 +234,9 @@ void add_pixel(Equations& equations, std::span<const std::pair<int, double>> cod
   }
 }
 
-/// The curves that are looked for, as Grossberg & Nayar 2004 look within a few terms: the local exponent
-/// e = dg/d(ln z) is piecewise linear over the code between these knots. Column j holds g(z) for e_j = 1 and all others
-/// 0, with g(128) = 0 for the scale that no bracket can tell.
+/// The curves that are looked for, as Grossberg & Nayar 2004 look within a few terms: the local
+/// exponent e = dg/d(ln z) is piecewise linear over the code between these knots. Column j holds
+/// g(z) for e_j = 1 and all others 0, with g(128) = 0 for the scale that no bracket can tell.
 constexpr std::array<double, 13> kKnots{0, 5, 10, 18, 32, 64, 112, 160, 200, 224, 240, 248, 255};
 constexpr int kTerms = static_cast<int>(kKnots.size());
 
@@ -267,8 +269,8 @@ cv::Mat smoothness_of_terms(double total_weight) {
   return out;
 }
 
-/// The solution of `matrix` x = `right` with no x below a least slope: what would fall is held there and the rest solved
-/// again (an active set, Lawson & Hanson 1974). Nothing when singular.
+/// The solution of `matrix` x = `right` with no x below a least slope: what would fall is held
+/// there and the rest solved again (an active set, Lawson & Hanson 1974). Nothing when singular.
 std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
   constexpr double kMin = .1;  // twice the code is at least a tenth of an octave more light
   std::vector<bool> held(static_cast<std::size_t>(kTerms), false);
@@ -380,7 +382,8 @@ Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
 
 namespace {
 
-// Every second row or column of squares of a picture: parts that see the same scene, or different places of it.
+// Every second row or column of squares of a picture: parts that see the same scene, or different
+// places of it.
 enum class PictureHalf { kEvenRows, kOddRows, kLeft, kRight };
 
 Picture part_of(const Picture& whole, PictureHalf part) {

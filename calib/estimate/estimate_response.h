@@ -14,16 +14,18 @@
 namespace penumbra::calib {
 
 /// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes
-/// left out, made monotone; masked pixels are pure blue (0,0,255) registration borders. errors:
-/// kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one colour)
+/// left out, made monotone; masked pixels are pure blue (0,0,255) registration borders.
+/// errors: kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one
+/// colour)
 Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
                                    std::span<const Seconds> times);
 
 struct ResponseCalibration {
   Response response;
   double sigma = 0;  // one standard deviation of the curve, RMS over the codes, of full scale
-  std::optional<double>
-      between_places;  // RMS difference between the curves of the left and the right half over the codes that both hold
+  // RMS difference between the curves of the left and the right half over the codes that both
+  // hold
+  std::optional<double> between_places;
 };
 
 /// estimate_response with how sure it is.

@@ -47,8 +47,8 @@ struct PixelNoise {
   double mean, variance, step;
 };
 
-// How bright each frame is against the mean of all, by the usual pixel: lamps and clouds are no noise of the camera, and
-// who walks through is no lamp.
+// How bright each frame is against the mean of all, by the usual pixel: lamps and clouds are no
+// noise of the camera, and who walks through is no lamp.
 std::vector<double> brightness_of_frames(const StillSeries& series, const Curve& green,
                                          double black_level) {
   constexpr double kBright = .03;
@@ -94,8 +94,9 @@ std::optional<PixelNoise> sample_of(const StillSeries& series, std::size_t i, co
   return PixelNoise{mean, (square - sum * mean) / (n - 1), curve.step(mean + black_level)};
 }
 
-// Above it something moved: chance explains five standard deviations. The quietest quarter tells the scale, whatever happens to
-// the others. source: quantiles of chi squared, Wilson & Hilferty 1931
+// Above it something moved: chance explains five standard deviations. The quietest quarter tells
+// the scale, whatever happens to the others.
+// source: quantiles of chi squared, Wilson & Hilferty 1931
 double largest_variance(std::vector<PixelNoise>& samples, double freedom) {
   constexpr double kQuarter = -.6745;  // standard deviations, of a normal distribution
   const auto quarter = samples.begin() + std::ssize(samples) / 4;

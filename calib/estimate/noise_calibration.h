@@ -18,7 +18,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// Codes of some thirty thousand pixels, evenly over the picture, through many frames of one exposure.
+/// Codes of some thirty thousand pixels, evenly over the picture, through many frames of one
+/// exposure.
 class StillSeries {
  public:
   explicit StillSeries(double gain) : gain_(gain) {}
@@ -52,10 +53,12 @@ struct NoiseCalibration {
   std::vector<NoisePoint> points;
 };
 
-/// From series of a still scene, best with everything from dark to bright, and of the capped lens if there are any: those tell
-/// the black level, which is `black_level` without them. Slow changes of the light are taken out, and samples that are
-/// clipped, at code 0 or too quiet for their codes (a third of a step) are left out.
-/// errors: kUndetermined (says what to capture instead: fewer than 8 frames, one brightness, no noise above the codes)
+/// From series of a still scene, best with everything from dark to bright, and of the capped lens
+/// if there are any: those tell the black level, which is `black_level` without them. Slow changes
+/// of the light are taken out, and samples that are clipped, at code 0 or too quiet for their codes
+/// (a third of a step) are left out.
+/// errors: kUndetermined (says what to capture instead: fewer than 8 frames, one brightness, no
+/// noise above the codes)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level);

@@ -1,4 +1,5 @@
-// Corners are compared as directions, weighted by the lens's pixels per radian: one residual serves every projection.
+// Corners are compared as directions, weighted by the lens's pixels per radian: one residual serves
+// every projection.
 #include "calib/estimate/rig_calibration.h"
 
 #include <ceres/ceres.h>
@@ -332,7 +333,8 @@ class Adjustment {
     return out;
   }
 
-  // Boards three times as far off as the usual one; of a moment the farthest, for it bends the others.
+  // Boards three times as far off as the usual one; of a moment the farthest, for it bends the
+  // others.
   void leave_out() {
     constexpr double kTimes = 3, kMin_px = .5;
     std::vector<double> all;
@@ -351,7 +353,8 @@ class Adjustment {
       if (worst.first > largest) used_[worst.second] = false;
   }
 
-  // Along the rig's axes. A small turn of the angle-axis numbers is turned into one of the rotation by differences.
+  // Along the rig's axes. A small turn of the angle-axis numbers is turned into one of the rotation
+  // by differences.
   static void set_sigmas(const Block& block, const double* covariance, RigCameraPose& out) {
     const Pose pose = pose_of(block);
     glm::dmat3 turn;

@@ -1,5 +1,6 @@
 // where the cameras of a rig stand, from a board that several of them see at once.
-// source: bundle adjustment, Triggs et al. 2000; hand-eye start, Park & Martin 1994; time offset, Furgale et al. 2013
+// source: bundle adjustment, Triggs et al. 2000; hand-eye start, Park & Martin 1994; time offset,
+// Furgale et al. 2013
 // threads: reentrant
 #pragma once
 
@@ -54,18 +55,18 @@ struct RigCalibration {
     Pose rig_from_board;  // the board's axes: x right, y up, z towards who looks at it
   };
   std::vector<BoardAt> rig_from_board;  // at each moment that counted
-  std::optional<double>
-      tracker_offset_s;  // a frame of camera time t was taken at t + offset of the tracker's
+  // a frame of camera time t was taken at t + offset of the tracker's
+  std::optional<double> tracker_offset_s;
   double tracker_offset_sigma_s = 0;
   double rms_px = 0;
   std::vector<std::string> left_out;  // boards whose corners contradict the rest
 };
 
-/// The rig's frame is the first camera's; with tracker poses it is the tracked body, and the board must stand still.
-/// Without, the board or the rig may move. The lenses are taken as exact.
-/// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (says what to capture instead: a camera
-/// that never sees the board together with the others, a rig that turns about one axis alone or too slowly, boards or a
-/// tracker that contradict the rest)
+/// The rig's frame is the first camera's; with tracker poses it is the tracked body, and the board
+/// must stand still. Without, the board or the rig may move. The lenses are taken as exact.
+/// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (says what to
+/// capture instead: a camera that never sees the board together with the others, a rig that turns
+/// about one axis alone or too slowly, boards or a tracker that contradict the rest)
 Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options = {});

@@ -208,8 +208,8 @@ Result<void> place_on_body(const RigOptions& options, RigStart& start) {
 
 }  // namespace
 
-// A parabola through the poses around the time: differences of neighbours would be mostly noise. Poses far off are no help,
-// since a hand does not move along a parabola for long.
+// A parabola through the poses around the time: differences of neighbours would be mostly noise.
+// Poses far off are no help, since a hand does not move along a parabola for long.
 TrackerReading read_tracker(std::span<const TrackerPose> tracker, double time_s) {
   constexpr double kReach = .04;       // seconds to both sides
   constexpr double kLongestGap = .25;  // seconds that the tracker may be silent for

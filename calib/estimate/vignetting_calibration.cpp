@@ -96,7 +96,8 @@ Result<std::vector<PixelBlock>> blocks_of(const EvenPicture& picture, const Came
   return out;
 }
 
-// log I = brightness + log(1 + slope . off) + log V: a slope is a slanted light, and even about the centre is the lens.
+// log I = brightness + log(1 + slope . off) + log V: a slope is a slanted light, and even about the
+// centre is the lens.
 struct Residual {
   glm::dvec2 off;
   double seen;
@@ -166,7 +167,8 @@ double corner_of(const std::array<double, 3>& terms) {
   return 1 + terms[0] + terms[1] + terms[2];
 }
 
-// Light that is brighter in its middle looks like a lens, but not in every picture of a turned camera.
+// Light that is brighter in its middle looks like a lens, but not in every picture of a turned
+// camera.
 Result<void> check_agreement(std::span<const EvenPicture> pictures,
                              std::span<const std::vector<PixelBlock>> blocks, double corner) {
   constexpr double kMaxApart = .03;

@@ -27,15 +27,18 @@ struct VignettingCalibration {
   Vignetting vignetting;
   double corner = 1, corner_sigma = 0;  // V in the corners, and one standard deviation of it
   double residual = 0;                  // RMS of the blocks, relative
-  /// By distance from the centre in half diagonals: what was seen, evened out by each picture's own slope.
+  /// By distance from the centre in half diagonals: what was seen, evened out by each picture's own
+  /// slope.
   struct Ring {
     double distance = 0, seen = 0;
   };
   std::vector<Ring> rings;
 };
 
-/// From pictures of a surface that is lit evenly, or evenly slanted: each picture may have a brightness and a slope of its own.
-/// errors: kInvalid (sizes, none), kUndetermined (dark, clipped, not even: says which and what to do)
+/// From pictures of a surface that is lit evenly, or evenly slanted: each picture may have a
+/// brightness and a slope of its own.
+/// errors: kInvalid (sizes, none), kUndetermined (dark, clipped, not even: says which and what to
+/// do)
 Result<VignettingCalibration> calibrate_vignetting(std::span<const EvenPicture> pictures,
                                                    const CameraModel& camera,
                                                    const Response& response, double black_level);

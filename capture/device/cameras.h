@@ -36,8 +36,8 @@ struct CameraListing {
   std::optional<ControlRange> gain;        // in the driver's own unit
 };
 
-/// All cameras that can stream, by V4L2 and then by libcamera, which may show the same ones; what cannot be opened is left out with its reason in
-/// `rejected`.
+/// All cameras that can stream, by V4L2 and then by libcamera, which may show the same ones; what
+/// cannot be opened is left out with its reason in `rejected`.
 struct CameraList {
   std::vector<CameraListing> cameras;
   std::vector<Error> rejected;
@@ -51,8 +51,8 @@ struct CameraSettings {
   std::string format;         // empty: the best that reaches `fps`
   int width = 0, height = 0;  // as the camera offers it
   double fps = 30;
-  double unit_gain =
-      0;  // the driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
+  // The driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
+  double unit_gain = 0;
 };
 
 /// The driver's account of a frame.
@@ -74,7 +74,8 @@ class CameraDevice {
   /// Asks for an exposure; it shows some frames later.
   /// errors: kInvalid (no such control), kClosed (the camera is gone)
   virtual Result<void> request(Exposure wanted) = 0;
-  /// Waits for a frame whose time is at most `oldest` ago; what nobody took in time is gone. Nothing when none came.
+  /// Waits for a frame whose time is at most `oldest` ago; what nobody took in time is gone.
+  /// Nothing when none came.
   /// errors: kClosed (the camera is gone)
   virtual Result<std::optional<CameraFrame>> wait(Seconds timeout, Seconds oldest) = 0;
   /// The picture of the frame that wait() gave last, once.
@@ -86,8 +87,10 @@ class CameraDevice {
   virtual TimestampNs now() const = 0;
 };
 
-/// Opens, negotiates and starts. Automatic exposure, gain and white balance are switched off where there are such.
-/// errors: kNotFound, kUnavailable (busy, not a capture device, no streaming), kInvalid (format or size not offered)
+/// Opens, negotiates and starts. Automatic exposure, gain and white balance are switched off where
+/// there are such.
+/// errors: kNotFound, kUnavailable (busy, not a capture device, no streaming), kInvalid (format or
+/// size not offered)
 Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings);
 
 }  // namespace penumbra::capture

@@ -135,7 +135,8 @@ std::optional<Exposure> ExposureLabels::in_force(std::uint64_t frame, int delay)
   return std::nullopt;
 }
 
-// Mean distance between neighbouring frames' changes of brightness and those that the delay explains, without the worst
+// Mean distance between neighbouring frames' changes of brightness and those that the delay
+// explains, without the worst
 // fifth: single slips, and frames from before the first request.
 double ExposureLabels::disagreement(int delay) const {
   constexpr double kFar = 2;
@@ -155,7 +156,8 @@ double ExposureLabels::disagreement(int delay) const {
          static_cast<double>(kept);
 }
 
-// The shortest delay that explains the frames about as well as any: a schedule that repeats hides whole turns of it.
+// The shortest delay that explains the frames about as well as any: a schedule that repeats hides
+// whole turns of it.
 void ExposureLabels::find_delay() {
   constexpr double kTie = .03;
   double smallest = 2;
@@ -221,7 +223,8 @@ ExposureLabels::Label ExposureLabels::judge(std::uint64_t frame, TimestampNs tim
   return {Verdict::kRefused, *label};
 }
 
-// Uniform offsets that come and go within a second are the mains' or the metadata's: the exposure takes them.
+// Uniform offsets that come and go within a second are the mains' or the metadata's: the exposure
+// takes them.
 ExposureLabels::Label ExposureLabels::accept(const Exposure& exposure, TimestampNs time,
                                              const Brightness& seen, double offset) {
   const double passed = std::clamp((time - last_).count(), 0., 1.);

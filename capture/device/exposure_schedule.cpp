@@ -17,15 +17,16 @@ constexpr double kClearly = .25;  // of the budget
 constexpr double kHeadroom =
     .8;  // under the clip level: noise and small changes need no new schedule
 constexpr double kHalfStop = 1.4142135623730951;
-// The mean square cosine over the sphere's lit half, against the mean cosine: noise of an irradiance over that of the
-// mean radiance.
+// The mean square cosine over the sphere's lit half, against the mean cosine: noise of an
+// irradiance over that of the mean radiance.
 constexpr double kIrradianceNoise = 1.63;
 constexpr double kSigmas = 2;  // of noise count as its error
 constexpr int kEnough =
     960;  // pixels of a row that are looked at: the sun is two or three wide in a fisheye
 
-// What a whole wall may be off by when its radiance lies anywhere between two codes: noise turns the error of rounding
-// into noise. source: first harmonic of the rounding error under Gaussian dither, Widrow & Kollar 2008
+// What a whole wall may be off by when its radiance lies anywhere between two codes: noise turns
+// the error of rounding into noise.
+// source: first harmonic of the rounding error under Gaussian dither, Widrow & Kollar 2008
 double rounding_bias(double step, double sigma) {
   const double r = sigma / step;
   return step > 0 ? step / kPi * std::exp(-2 * kPi * kPi * r * r) : 0;
@@ -39,7 +40,8 @@ double bias_at_zero(double y, double sigma) {
          y * std::erfc(z / std::numbers::sqrt2) / 2;
 }
 
-// What the sphere would send if all of it were like its darker half: what faces away from the light sees no less.
+// What the sphere would send if all of it were like its darker half: what faces away from the light
+// sees no less.
 double darker_half(const std::vector<RadianceBin>& light) {
   double whole = 0, seen = 0, sum = 0;
   for (const RadianceBin& bin : light) whole += bin.solid_angle;

@@ -30,7 +30,8 @@ namespace {
 constexpr unsigned kBuffers = 4;
 constexpr double kMicrosecond = 1e-6;  // seconds of libcamera's ExposureTime
 
-// One a process, as libcamera wants it; it stops when nobody uses it any more, and the next begins only then.
+// One a process, as libcamera wants it; it stops when nobody uses it any more, and the next begins
+// only then.
 Result<std::shared_ptr<lc::CameraManager>> manager() {
   static std::mutex mutex;
   static lc::CameraManager* running = nullptr;  // guarded by mutex, like users
@@ -54,7 +55,8 @@ Result<std::shared_ptr<lc::CameraManager>> manager() {
   });
 }
 
-// libcamera names formats as DRM does, which orders RGB the other way round and counts from the lowest bits.
+// libcamera names formats as DRM does, which orders RGB the other way round and counts from the
+// lowest bits.
 std::uint32_t v4l2_fourcc_of(const lc::PixelFormat& format) {
   const std::uint32_t drm = format.fourcc();
   if (format.modifier() != 0) return 0;  // packed raw formats
@@ -300,7 +302,8 @@ Result<void> LibcameraDevice::start() {
     return std::unexpected(error(ErrorCode::kUnavailable, "cannot be started", e));
   started_ = true;
   for (const auto& request : requests_) {
-    // Once more: some pipelines take no controls at the start. Exposures follow later, which automatics would refuse.
+    // Once more: some pipelines take no controls at the start. Exposures follow later, which
+    // automatics would refuse.
     request->controls().merge(controls);
     if (const int e = camera_->queueRequest(request.get()))
       return std::unexpected(error(ErrorCode::kUnavailable, "refuses a capture request", e));

@@ -18,7 +18,8 @@ constexpr Seconds kTurn{.1}, kRetry{.25};
 constexpr Seconds kSilence{
     2};  // and four exposures: a stream that gives nothing for so long is opened anew
 
-// The camera as it was configured, or the same one under another device: after a replug the number may have changed.
+// The camera as it was configured, or the same one under another device: after a replug the number
+// may have changed.
 Result<std::unique_ptr<CameraDevice>> find_again(const CameraSettings& settings,
                                                  const std::string& name, OpenCamera open) {
   auto device = open(settings);

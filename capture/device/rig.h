@@ -1,4 +1,5 @@
-// Real cameras as one source of frames: each on a thread of its own, opened again when it comes back.
+// Real cameras as one source of frames: each on a thread of its own, opened again when it comes
+// back.
 #pragma once
 
 #include <filesystem>
@@ -16,10 +17,10 @@ namespace penumbra::capture {
 struct RigCamera {
   CameraInfo info;  // the projection has the size that is asked of the camera
   CameraSettings settings;
-  std::vector<Exposure>
-      schedule;  // in turn; one: fixed; none: as the camera stands, counted as one second
-  std::optional<double>
-      light_error;  // instead: the fewest exposures that keep the light's error below this
+  // In turn; one: fixed; none: as the camera stands, counted as one second
+  std::vector<Exposure> schedule;
+  // Instead: the fewest exposures that keep the light's error below this
+  std::optional<double> light_error;
   std::optional<int> delay_frames;  // between a request and its effect; nothing: measured
 };
 
@@ -39,8 +40,8 @@ class Rig : public FrameSource {
   ~Rig() override;
 
   const std::vector<CameraInfo>& cameras() const override { return infos_; }
-  /// Waits for a frame of any camera; nothing after close(). A camera that has gone only stays silent: it is looked for
-  /// four times a second until it is back.
+  /// Waits for a frame of any camera; nothing after close(). A camera that has gone only stays
+  /// silent: it is looked for four times a second until it is back.
   /// errors: kUnavailable (a camera's thread failed)
   Result<std::optional<Frame>> next() override;
   double view_rate() const override { return view_rate_; }

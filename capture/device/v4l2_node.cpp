@@ -43,9 +43,10 @@ std::filesystem::path hardware_of(int fd) {
 
 }  // namespace
 
-// Linux 6.1 dereferences null when the last file of an unplugged camera closes while uvc_disconnect() still takes its
-// media device down: __media_device_unregister_entity() reads the entity's device again after waiting for its lock.
-// The folder of the hardware goes once the driver has returned.
+// Linux 6.1 dereferences null when the last file of an unplugged camera closes while
+// uvc_disconnect() still takes its media device down: __media_device_unregister_entity() reads the
+// entity's device again after waiting for its lock. The folder of the hardware goes once the driver
+// has returned.
 V4l2Node::~V4l2Node() {
   using namespace std::chrono_literals;
   v4l2_capability able{};

@@ -77,8 +77,8 @@ void EnvironmentBlend::pair_views() {
   paired_ = true;
 }
 
-// Log gains by least squares of log g_a + log a = log g_b + log b over all overlaps, by Gauss-Seidel with the first fixed;
-// nothing for a view that no overlap ties to it.
+// Log gains by least squares of log g_a + log a = log g_b + log b over all overlaps, by
+// Gauss-Seidel with the first fixed; nothing for a view that no overlap ties to it.
 std::vector<std::optional<Channels>> EnvironmentBlend::solve(
     std::span<const Environment* const> views) const {
   struct Tie {

@@ -15,13 +15,16 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-/// Mean of several lat-long maps, each weighted by the square of how far from its rim it was seen, after gains that their
-/// overlaps tell. What is clipped in one and not in another counts there alone.
-/// source: gains from overlaps, Brown & Lowe 2007, section 6, here the median ratio of each pair and channel
+/// Mean of several lat-long maps, each weighted by the square of how far from its rim it was seen,
+/// after gains that their overlaps tell. What is clipped in one and not in another counts there
+/// alone.
+/// source: gains from overlaps, Brown & Lowe 2007, section 6, here the median ratio of each pair
+/// and channel
 class EnvironmentBlend {
  public:
   explicit EnvironmentBlend(std::size_t views);
-  /// How a view sees each pixel of the map from now on, 0 (not) to 1; all of one size, empty: not at all. Gains stay.
+  /// How a view sees each pixel of the map from now on, 0 (not) to 1; all of one size, empty: not
+  /// at all. Gains stay.
   void set_view(std::size_t view, Image<float> from_rim);
 
   /// One map a view, in their order; null: nothing of it yet.

@@ -108,7 +108,8 @@ HWY_INLINE Four Sample(const std::uint16_t* rgba, int source_width, const Gather
   return Bilinear(p, p + 4 * static_cast<std::ptrdiff_t>(source_width), sample.right, sample.down);
 }
 
-// A row of the environment is a curve in the source: where it goes is known, so its lines are asked for in time.
+// A row of the environment is a curve in the source: where it goes is known, so its lines are asked
+// for in time.
 HWY_INLINE void FetchAhead(const std::uint16_t* rgba, int source_width, const GatherSample* samples,
                            int i, int count) {
   constexpr int kAhead = 40;  // samples

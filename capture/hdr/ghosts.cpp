@@ -1,4 +1,5 @@
-// The part of the table merge that sees to what moved: samples that contradict newer ones are left out.
+// The part of the table merge that sees to what moved: samples that contradict newer ones are left
+// out.
 #include <algorithm>
 
 #include "capture/hdr/internal/table_kernel.h"
@@ -10,7 +11,8 @@ namespace penumbra::capture {
 
 namespace {
 
-// Alpha of a pixel until keep_energy(): minus zero and, in its last bits, which channels are undecided.
+// Alpha of a pixel until keep_energy(): minus zero and, in its last bits, which channels are
+// undecided.
 constexpr std::uint16_t kUndecided = 0x8000;
 constexpr std::uint16_t kChannelBits = 7;
 bool is_undecided(std::uint16_t alpha) {
@@ -20,8 +22,8 @@ constexpr float kLargestHalf = 65504;
 
 }  // namespace
 
-// Samples from the newest back; each must agree with all newer ones that stayed. What is left out counts as clipped:
-// the merge passes over it.
+// Samples from the newest back; each must agree with all newer ones that stayed. What is left out
+// counts as clipped: the merge passes over it.
 bool TableMerger::leave_out_contradicted(const BlockJob& job, LeftOut& left) const {
   const std::size_t steps = nominal_.size();
   bool any = false;
@@ -95,7 +97,8 @@ void TableMerger::merge_mixed(const BlockJob& job, MergeBlock& block) const {
                            static_cast<double>(sums[run][c]);
 }
 
-// Light that went out of visibility while something became too bright to tell is taken to be the same light, evenly spread.
+// Light that went out of visibility while something became too bright to tell is taken to be the
+// same light, evenly spread.
 void TableMerger::keep_energy(MergedImage& out) {
   std::array<double, 3> vanished{};
   for (const MergeBlock& block : blocks_)

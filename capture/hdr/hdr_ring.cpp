@@ -49,7 +49,8 @@ HdrRing::~HdrRing() = default;
 HdrRing::HdrRing(HdrRing&&) noexcept = default;
 HdrRing& HdrRing::operator=(HdrRing&&) noexcept = default;
 
-// The slot of this exposure. Flicker moves the gain that a frame is given, by less than half a stop around its mean.
+// The slot of this exposure. Flicker moves the gain that a frame is given, by less than half a stop
+// around its mean.
 HdrRing::RingSlot* HdrRing::slot_of(const Exposure& exposure) {
   constexpr double kHalfStop = .3;
   const auto apart = [&](const RingSlot& s) {
@@ -63,9 +64,9 @@ HdrRing::RingSlot* HdrRing::slot_of(const Exposure& exposure) {
   return nearest;
 }
 
-// A bracket of more exposures than there are slots would push each one out just before it comes again,
-// and the light would pulse with it. A camera that seeks its exposure comes back to some as well, but
-// not frame after frame for two brackets.
+// A bracket of more exposures than there are slots would push each one out just before it comes
+// again, and the light would pulse with it. A camera that seeks its exposure comes back to some as
+// well, but not frame after frame for two brackets.
 Result<void> HdrRing::make_room(const Frame& frame) {
   if (slots_.size() < max_slots_) return {};
   std::erase_if(left_, [&](const LeftExposure& l) { return l.left + 4 * max_slots_ < taken_; });
@@ -145,8 +146,8 @@ bool HdrRing::turn_to(const Frame& newest) {
   return any;
 }
 
-// Tables have no place for what was not seen: there a slot says what the newest frame makes one expect, and that it is clipped
-// where that is.
+// Tables have no place for what was not seen: there a slot says what the newest frame makes one
+// expect, and that it is clipped where that is.
 void HdrRing::fill_unseen(RingSlot& slot, const Frame& newest) const {
   const auto* now = std::get_if<Image<Rgb8>>(newest.pixels.get());
   const auto* seen = std::get_if<Image<Rgb8>>(slot.turned.get());

@@ -19,11 +19,13 @@ namespace penumbra::capture {
 
 class TableMerger;  // private: table_merger.h
 
-/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new image. What moved or
-/// changed since an older exposure was taken leaves no ghost: older samples that contradict newer ones by the noise
-/// model are left out, and light that thereby vanished from one place while another became brighter than the newest
-/// exposure can tell stays whole (a lamp that moves; frames of 8 bits) until a shorter exposure has seen it. When the camera
-/// turns (Frame::world_from_camera) older exposures are turned with it; what they did not see is taken from the newest.
+/// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new
+/// image. What moved or changed since an older exposure was taken leaves no ghost: older samples
+/// that contradict newer ones by the noise model are left out, and light that thereby vanished from
+/// one place while another became brighter than the newest exposure can tell stays whole (a lamp
+/// that moves; frames of 8 bits) until a shorter exposure has seen it. When the camera turns
+/// (Frame::world_from_camera) older exposures are turned with it; what they did not see is taken
+/// from the newest.
 /// source: sample rejection at 3.5 sigma, Granados et al. 2010
 class HdrRing {
  public:
@@ -33,12 +35,13 @@ class HdrRing {
   ~HdrRing();
   HdrRing(HdrRing&&) noexcept;
   HdrRing& operator=(HdrRing&&) noexcept;
-  /// errors: kInvalid (size changed, bad exposure, more exposures in turn than slots, as soon as they
-  ///         are seen to come again), kUndetermined as merge()
+  /// errors: kInvalid (size changed, bad exposure, more exposures in turn than slots, as soon as
+  ///         they are seen to come again), kUndetermined as merge()
   Result<const MergedImage*> add(const Frame& frame);
   /// Different exposures that stand in the ring.
   std::size_t exposures() const { return slots_.size(); }
-  /// False while a shorter exposure may still come: until one came back, or so many different ones stand in the ring.
+  /// False while a shorter exposure may still come: until one came back, or so many different ones
+  /// stand in the ring.
   bool bracket_complete() const { return came_back_ || slots_.size() >= kUsualBracket; }
 
  private:

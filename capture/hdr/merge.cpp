@@ -72,8 +72,8 @@ class Stack {
     double radiance;
     bool clipped, black;
   };
-  /// The exposures that count: all that show the pixel or, with an order of trust, from the most trusted on those whose
-  /// samples agree with all before, in every channel.
+  /// The exposures that count: all that show the pixel or, with an order of trust, from the most
+  /// trusted on those whose samples agree with all before, in every channel.
   void counting(std::size_t i, std::vector<std::size_t>& out) const {
     out.clear();
     for (const std::size_t k : order_) {

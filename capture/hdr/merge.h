@@ -25,7 +25,8 @@ struct ExposureStack {
   calib::Response response;  // unused for float frames, which are linear
   calib::NoiseModel noise;
   double black_level = 0;
-  /// Most trusted first: samples that contradict a more trusted one by more than the noise explains are left out.
+  /// Most trusted first: samples that contradict a more trusted one by more than the noise explains
+  /// are left out.
   /// Empty: nothing moved between the exposures, and all count.
   std::vector<std::size_t> priority{};
   bool noise_known = true;  // of a guess, more has to be explained

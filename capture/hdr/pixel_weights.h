@@ -9,8 +9,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-/// Solid angles of the pixels of a projection, relative to each other, the same for a cell of pixels; 0 where the
-/// cell's middle is not seen.
+/// Solid angles of the pixels of a projection, relative to each other, the same for a cell of
+/// pixels; 0 where the cell's middle is not seen.
 class PixelWeights {
  public:
   static constexpr int kCell = 16;  // pixels a side

@@ -82,7 +82,8 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
   }
   std::ranges::sort(medians);
   out.low = medians[kDraws / 40], out.high = medians[kDraws - 1 - kDraws / 40];
-  // Under a wrong curve the dark third and the bright third tell two ratios: then both are possible.
+  // Under a wrong curve the dark third and the bright third tell two ratios: then both are
+  // possible.
   std::ranges::sort(some, {}, &LogRatio::signal);
   const std::size_t third = some.size() / 3;
   for (const std::size_t first : {std::size_t{0}, some.size() - third}) {
@@ -102,7 +103,8 @@ cv::Mat as_matrix(const Image<Rgb8>& picture) {
   return {picture.height(), picture.width(), CV_8UC3, const_cast<Rgb8*>(picture.pixels().data())};
 }
 
-// Grey pictures of about one brightness, whatever the exposure: features are found in what both show.
+// Grey pictures of about one brightness, whatever the exposure: features are found in what both
+// show.
 cv::Mat features_of(const Image<Rgb8>& picture) {
   cv::Mat grey, even;
   cv::cvtColor(as_matrix(picture), grey, cv::COLOR_RGB2GRAY);
@@ -152,7 +154,8 @@ double mean_shift(const cv::Mat& h, int width, int height) {
   return sum / static_cast<double>(grid.size());
 }
 
-// Resampled, and where the picture shows anything. A resampled pixel to which a clipped one contributes is clipped.
+// Resampled, and where the picture shows anything. A resampled pixel to which a clipped one
+// contributes is clipped.
 struct Warped {
   Image<Rgb8> picture;
   Image<std::uint8_t> valid;

@@ -1,4 +1,5 @@
-// Stacks of pictures as people take them: by hand, with exposures that the metadata tells wrong or not at all.
+// Stacks of pictures as people take them: by hand, with exposures that the metadata tells wrong or
+// not at all.
 #pragma once
 
 #include <cstddef>
@@ -24,9 +25,10 @@ struct ExposureRatio {
   double fraction = 0;       // of the pictures' patches
   std::size_t blocks = 0;    // of 4x4 pixels that took part
 };
-/// Median over blocks of 4x4 pixels in which neither clips nor is dark, so that what moved has no say; its interval by
-/// resampling the blocks, and wider where the dark and the bright of the pictures disagree: the curve does not fit. The
-/// ratio holds under the given curve: another curve, another ratio.
+/// Median over blocks of 4x4 pixels in which neither clips nor is dark, so that what moved has no
+/// say; its interval by resampling the blocks, and wider where the dark and the bright of the
+/// pictures disagree: the curve does not fit. The ratio holds under the given curve: another curve,
+/// another ratio.
 /// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell)
 /// source: Hanji & Mantiuk 2023 (ratios from overlaps); gauge: Grossberg & Nayar 2003
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
@@ -36,9 +38,11 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
 struct Alignment {
   std::vector<double> moved_px;
 };
-/// Brings the pictures (8 bits) of a stack onto the reference by a homography each; what a picture does not show
-/// is marked as not valid. Parallax and what moved on its own remain: a merge with an order of trust leaves them out.
-/// errors: kInvalid (not 8 bits, no such reference), kUndetermined (too little in common: the picture's number)
+/// Brings the pictures (8 bits) of a stack onto the reference by a homography each; what a picture
+/// does not show is marked as not valid. Parallax and what moved on its own remain: a merge with an
+/// order of trust leaves them out.
+/// errors: kInvalid (not 8 bits, no such reference), kUndetermined (too little in common: the
+/// picture's number)
 /// source: SIFT, Lowe 2004; consensus, Fischler & Bolles 1981
 Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference);
 

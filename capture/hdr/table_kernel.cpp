@@ -98,7 +98,8 @@ HWY_ATTR BlockCounts MergeBlock(const TableView& t, const std::uint8_t* const* c
   return counts;
 }
 
-// Few enough by chance that a block of 768 samples of a still scene hardly ever has more beyond 3.5 sigma.
+// Few enough by chance that a block of 768 samples of a still scene hardly ever has more beyond 3.5
+// sigma.
 constexpr std::size_t kFewByChance = 6;
 
 HWY_ATTR bool BlockChanged(const CodeTolerance& tolerance, const std::uint8_t* now,

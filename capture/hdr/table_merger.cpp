@@ -100,8 +100,8 @@ void TableMerger::fill_tables() {
   tables_ = nominal_tables_;
 }
 
-// Flicker moves exposures by a few per cent, each frame by another amount. To first order a pair's radiance moves by
-// its members' changes, weighted by their fraction of the light.
+// Flicker moves exposures by a few per cent, each frame by another amount. To first order a pair's
+// radiance moves by its members' changes, weighted by their fraction of the light.
 void TableMerger::scale_step(std::size_t step) {
   const std::size_t last = nominal_.size() - 1, k = std::min(step, last);
   const auto change = [&](std::size_t i) { return nominal_[i].product() / current_[i].product(); };

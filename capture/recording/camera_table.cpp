@@ -70,7 +70,8 @@ Result<calib::CameraModel> read_own_projection(const TomlKeys& keys, const Size&
   return distorted;
 }
 
-/// A file of `calibrate camera`: one camera with a projection of its own; its other keys are its own, too.
+/// A file of `calibrate camera`: one camera with a projection of its own; its other keys are its
+/// own, too.
 Result<calib::CameraModel> read_lens_file(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys file(path, root);
@@ -300,7 +301,8 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
   return lens;
 }
 
-/// Where a camera has them; its projection is then the first lens's, in the coordinates of the whole picture.
+/// Where a camera has them; its projection is then the first lens's, in the coordinates of the
+/// whole picture.
 Result<void> read_lenses(const TomlKeys& keys, CameraInfo& info) {
   constexpr std::size_t kMax = 16;
   for (const std::string_view key :

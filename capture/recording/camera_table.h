@@ -40,8 +40,8 @@ inline constexpr std::array<std::string_view, 24> kCameraKeys{"name",
                                                               "ball",
                                                               "vignetting"};
 
-/// All of a camera but its frames and, since that may depend on them, its response and its white balance. Keys are the
-/// caller's to check.
+/// All of a camera but its frames and, since that may depend on them, its response and its white
+/// balance. Keys are the caller's to check.
 /// errors: kNotFound, kUnreadable, kInvalid (file, line, key)
 Result<CameraInfo> read_camera_info(const TomlKeys& keys);
 

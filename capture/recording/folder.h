@@ -13,9 +13,9 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-/// Opens a folder with capture.toml (design in docs/reference/capture-folder.md). Everything that can be
-/// checked without decoding a picture is checked here: keys, sizes, exposures (positive, finite),
-/// times (non-decreasing), files present.
+/// Opens a folder with capture.toml (design in docs/reference/capture-folder.md). Everything that
+/// can be checked without decoding a picture is checked here: keys, sizes, exposures (positive,
+/// finite), times (non-decreasing), files present.
 /// errors: kNotFound, kInvalid (unknown key, bad value: file
 /// and line), kUnreadable
 Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder);

@@ -41,12 +41,13 @@ Result<std::vector<FolderCamera>> read_manifest(const std::filesystem::path& fol
 std::string print_manifest(const std::vector<CameraInfo>& cameras,
                            const std::vector<std::string>& responses);
 
-/// One [[camera]]. `response`: what its response key says; `frames`: the name of its frame list, if it has one.
+/// One [[camera]]. `response`: what its response key says; `frames`: the name of its frame list, if
+/// it has one.
 std::string print_camera(const CameraInfo& camera, const std::string& response,
                          const std::string& frames = {});
 
-/// The cameras of a manifest without frame lists; `response` finds what a camera's key names. `path` names the text in
-/// errors. Other keys of the root are the caller's.
+/// The cameras of a manifest without frame lists; `response` finds what a camera's key names.
+/// `path` names the text in errors. Other keys of the root are the caller's.
 /// errors: kUnreadable, kInvalid (file, line, key)
 using FindResponse = std::function<Result<calib::Response>(const std::string& name)>;
 Result<std::vector<CameraInfo>> read_cameras(const toml::table& root,

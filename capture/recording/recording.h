@@ -1,5 +1,6 @@
-// Recordings: Matroska with a track of pictures and one of labels for each camera, so that any player shows them and a
-// replay knows each frame's time, exposure and pose. docs/reference/recording.md
+// Recordings: Matroska with a track of pictures and one of labels for each camera, so that any
+// player shows them and a replay knows each frame's time, exposure and pose.
+// docs/reference/recording.md
 #pragma once
 
 #include <filesystem>
@@ -22,13 +23,15 @@ enum class Coding {
 /// errors: kInvalid (no picture, float pixels: they belong into a capture folder)
 Result<Coding> coding_of(const Frame& frame);
 
-/// Writes a recording under its own name from the first frame on. A frame whose write() returned can be replayed,
-/// whatever ends the program.
-/// threads: write() thread-safe, one thread at a time for each camera (coding runs in parallel); the rest thread-bound
+/// Writes a recording under its own name from the first frame on. A frame whose write() returned
+/// can be replayed, whatever ends the program.
+/// threads: write() thread-safe, one thread at a time for each camera (coding runs in parallel);
+/// the rest thread-bound
 class RecordingWriter {
  public:
   /// codings: one a camera. view_rate: what FrameSource says, frames a second; 0 = unknown.
-  /// errors: kUnwritable (exists already, no such folder), kInvalid (cameras' names), kUnavailable (coder)
+  /// errors: kUnwritable (exists already, no such folder), kInvalid (cameras' names), kUnavailable
+  /// (coder)
   static Result<RecordingWriter> create(const std::filesystem::path& path,
                                         std::vector<CameraInfo> cameras,
                                         std::span<const Coding> codings, double view_rate);
@@ -36,7 +39,8 @@ class RecordingWriter {
   RecordingWriter(RecordingWriter&&) noexcept;
   RecordingWriter& operator=(RecordingWriter&&) noexcept;
 
-  /// errors: kUnwritable (the system's reason: disk full), kInvalid (size, kind of pixels, time before the last one's)
+  /// errors: kUnwritable (the system's reason: disk full), kInvalid (size, kind of pixels, time
+  /// before the last one's)
   Result<void> write(const Frame& frame);
   /// Index and length, for players. Without it the recording lacks only these.
   /// errors: kUnwritable
@@ -51,8 +55,8 @@ class RecordingWriter {
 };
 
 /// Frames in order of time. What a killed writer left behind ends with the last whole frame.
-/// errors: kNotFound, kUnreadable (damaged, no Matroska), kInvalid (made by another program). next(): kUnreadable names
-/// the frame; the next call goes on behind it.
+/// errors: kNotFound, kUnreadable (damaged, no Matroska), kInvalid (made by another program).
+/// next(): kUnreadable names the frame; the next call goes on behind it.
 Result<std::unique_ptr<FrameSource>> open_recording(const std::filesystem::path& path);
 
 /// A capture folder or a recording, whichever stands there.

@@ -27,10 +27,11 @@ namespace penumbra::capture {
 namespace fs = std::filesystem;
 namespace {
 
-// Cameras are coded side by side, so that one's frame may stand behind the other's later ones. So many frames are read
-// ahead to hand them on in order of time.
+// Cameras are coded side by side, so that one's frame may stand behind the other's later ones. So
+// many frames are read ahead to hand them on in order of time.
 constexpr std::size_t kAhead = 64;
-// Pictures of one camera that wait for their labels; more in a row without one are no recording of ours.
+// Pictures of one camera that wait for their labels; more in a row without one are no recording of
+// ours.
 constexpr std::size_t kMaxWaiting = 64;
 
 struct FreePacket {
@@ -297,8 +298,8 @@ Result<void> Recording::keep_picture(Packet packet) {
   return {};
 }
 
-// The label's picture came just before it, at the same time. Damage in the file may have taken either: a picture is
-// never given another one's label.
+// The label's picture came just before it, at the same time. Damage in the file may have taken
+// either: a picture is never given another one's label.
 Result<void> Recording::keep_label(const AVPacket& label, std::size_t n) {
   const std::string_view text(reinterpret_cast<const char*>(label.data),
                               static_cast<std::size_t>(label.size));

@@ -136,8 +136,8 @@ Image<Rgb> make_sky_environment(int width, int height, double sun_elevation_rad)
     return Rgb{.11f, .21f, .46f} + Rgb{.35f, .33f, .26f} * low +
            Rgb{.5f, .45f, .35f} * std::pow(gamma, 60.f);
   });
-  // Points of equal area on the light, each giving its energy to the pixel that it falls on: the energy does
-  // not depend on the grid.
+  // Points of equal area on the light, each giving its energy to the pixel that it falls on: the
+  // energy does not depend on the grid.
   constexpr int kPoints = 20000;
   const Rgb radiance{46000, 43000, 38000};
   const double cap = 1 - std::cos(kSunRadius);

@@ -52,8 +52,8 @@ struct Exposer {
   /// Few photons, whose noise no normal distribution has.
   static constexpr float kFewPhotons = 30;
 
-  // Signal after noise, in fractions of full scale, without black level, where there are few photons. `bits` are the
-  // pixel's, 16 a channel.
+  // Signal after noise, in fractions of full scale, without black level, where there are few
+  // photons. `bits` are the pixel's, 16 a channel.
   float noisy_in_the_dark(float signal, std::uint64_t bits, int channel) const {
     const float photons = signal * electrons;
     const float read = normal[bits >> (16 * channel) & 0xffff] * std::sqrt(read_variance);
@@ -67,7 +67,9 @@ struct Exposer {
     if constexpr (sizeof(Code) == 1)
       return curve.encode8(channel, signal);
     else
-      return static_cast<Code>(curve.encode(channel, signal));
+      return static_cast<Code>(
+          (curve.encode(channel, signal) * 0xffffu + curve.largest_code() / 2) /
+          curve.largest_code());
   }
 };
 

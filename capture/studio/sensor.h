@@ -21,7 +21,7 @@ struct Sensor {
   double black_level = 0;
   double vignetting = 0;    // relative loss of light in the corners
   double psf_sigma_px = 0;  // Gaussian blur in linear light, before noise
-  int bits = 8;             // 8 or 16
+  int bits = 8;             // 8..16; above 8 codes are spread over those of 16 bits
   bool noisy = true;
 };
 

@@ -119,6 +119,7 @@ std::vector<CameraInfo> make_cameras(const StudioOptions& o) {
                      {o.view_focal_px, o.view_focal_px},
                      {o.view_width / 2., o.view_height / 2.}};
   view.psf_sigma_px = o.sensor.psf_sigma_px;
+  view.vignetting = {-o.sensor.vignetting, 0, 0};
   view.world_from_camera = o.world_from_view;
   return {environment, view};
 }
@@ -131,8 +132,9 @@ Pose look_at(const glm::dvec3& eye, const glm::dvec3& target) {
   return {glm::normalize(glm::quat_cast(glm::dmat3(right, glm::cross(back, right), back))), eye};
 }
 
-std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor) {
-  constexpr double kLongest = 1. / 30, kShortest = 1. / 64000, kFull = .9;
+std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor,
+                                      Seconds shortest_there_is) {
+  constexpr double kLongest = 1. / 30, kFull = .9;
   double brightest = 0, mean = 0, area = 0;
   for (int y = 0; y < environment.height(); ++y) {
     const double w = latlong_solid_angle(y, environment.width(), environment.height());
@@ -156,7 +158,7 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
       break;
     }
   }
-  const double shortest = std::clamp(kFull / brightest, kShortest, kLongest);
+  const double shortest = std::clamp(kFull / brightest, shortest_there_is.count(), kLongest);
   const double longest = std::clamp(low / darkest, shortest, kLongest);
   // Each exposure covers the range from `low` to full scale; they share the range evenly.
   const int count =
@@ -170,12 +172,16 @@ std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Senso
 }
 
 Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options)
-    : options_(std::move(options)), world_(std::move(world)), cameras_(make_cameras(options_)) {
+    : options_(std::move(options)),
+      view_sensor_(options_.sensor),
+      world_(std::move(world)),
+      cameras_(make_cameras(options_)) {
   environment_radiance_ =
       film_environment(*world_, options_.environment_width, options_.environment_height);
   view_radiance_ = film_view(*world_, cameras_[kViewCamera]);
   blur(view_radiance_, options_.sensor.psf_sigma_px);  // once: it stands still
-  options_.sensor.psf_sigma_px = 0;
+  options_.sensor.psf_sigma_px = view_sensor_.psf_sigma_px = 0;
+  options_.sensor.vignetting = 0;
   if (options_.schedule.empty())
     options_.schedule = choose_schedule(environment_radiance_, options_.sensor);
   expose_view();
@@ -189,7 +195,6 @@ Studio::Studio(std::shared_ptr<const RadianceWorld> world, StudioOptions options
 }
 
 void Studio::expose_view() {
-  view_sensor_ = options_.sensor;
   const int h = view_radiance_.height();
   Gains gains{1, 1, 1};
   if (options_.white) {

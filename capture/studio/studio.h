@@ -27,19 +27,21 @@ struct StudioOptions {
   double view_focal_px = 1100;
   double environment_fps = 30, view_fps = 30;
   std::vector<Exposure> schedule;  // of the environment camera; empty: chosen from the light
-  std::optional<Exposure>
-      view_exposure;  // nothing: chosen so that the floor is at 30 % of full scale
-  /// Light under which the view camera shows white as white. It then also exposes as a person with a
+  // Nothing: chosen so that the floor is at 30 % of full scale
+  std::optional<Exposure> view_exposure;
+  /// Light under which the view camera shows white as white. It then also exposes as a person with
+  /// a
   /// camera would: of the picture's lower half at most 2 % are clipped. Its response carries the
   /// gains.
   std::optional<Rgb> white;
-  Sensor sensor;  // of both cameras; the blur is the view camera's alone
+  Sensor sensor;  // of both cameras; blur and vignetting are the view camera's alone
   /// Frames between a requested exposure and its effect; labels always say what was applied.
   int control_delay_frames = 0;
   int drop_every = 0;  // every n-th frame of each camera never arrives; 0 = none
   int view_frames = 120;
   std::uint64_t seed = 1;
-  /// Distinct noise patterns of either camera (of every exposure), filmed before the first frame; 0: each frame new.
+  /// Distinct noise patterns of either camera (of every exposure), filmed before the first frame;
+  /// 0: each frame new.
   int clip = 0;
 };
 
@@ -72,9 +74,10 @@ class Studio : public FrameSource {
   std::uint64_t next_environment_ = 0, next_view_ = 0;
 };
 
-/// The fewest exposures that cover the light's range (docs/methods/exposures.md), longest first, times in
-/// seconds within [1/64000, 1/30] at gain 1.
-std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor);
+/// The fewest exposures that cover the light's range (docs/methods/exposures.md), longest first,
+/// times within `shortest`, at most 1/30 s, and 1/30 s, at gain 1.
+std::vector<Exposure> choose_schedule(const Image<Rgb>& environment, const Sensor& sensor,
+                                      Seconds shortest = Seconds(1. / 64000));
 
 /// A camera at `eye` that looks at `target`, +y up.
 Pose look_at(const glm::dvec3& eye, const glm::dvec3& target);

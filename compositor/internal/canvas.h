@@ -39,13 +39,15 @@ struct CommonLayer {
   }
 };
 
-/// Follows the rectangle's size, since clearing all of a framebuffer is much faster than a part of it.
+/// Follows the rectangle's size, since clearing all of a framebuffer is much faster than a part of
+/// it.
 class Canvas {
  public:
   /// oversampling: samples a pixel along each axis, a power of two.
   explicit Canvas(int oversampling) : oversampling_(oversampling) {}
 
-  /// Cleared to nothing, with the viewport of a frame of that size placed so that the rectangle lies in the corner.
+  /// Cleared to nothing, with the viewport of a frame of that size placed so that the rectangle
+  /// lies in the corner.
   Result<void> begin(const Rect& rect, int frame_width, int frame_height);
   /// The mean of each pixel's samples.
   void finish(Layer& out);

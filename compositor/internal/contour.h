@@ -1,5 +1,5 @@
-// Lines in the picture where what is seen of an object ends, and the pixels that they cut shared out by area: edges as
-// smooth as of many samples a pixel where GL took one.
+// Lines in the picture where what is seen of an object ends, and the pixels that they cut shared
+// out by area: edges as smooth as of many samples a pixel where GL took one.
 #pragma once
 
 #include <array>
@@ -15,8 +15,8 @@
 
 namespace penumbra::compositor {
 
-/// An edge of a surface, in pixels of the frame, x to the right and y down. Who goes from `from` to `to` in the picture has the
-/// surface at the left hand.
+/// An edge of a surface, in pixels of the frame, x to the right and y down. Who goes from `from` to
+/// `to` in the picture has the surface at the left hand.
 struct ContourLine {
   glm::vec2 from, to;
 };
@@ -29,12 +29,14 @@ class Contour {
   /// Vertices in one place count as one, in every form.
   explicit Contour(const prt::Mesh& mesh);
 
-  /// False of meshes with edges that no triangle has, where parts of different albedo may go through each other (looked at in
-  /// the form given here, and so taken of more than 256 parts), or with so many creases that finding lines takes too long.
+  /// False of meshes with edges that no triangle has, where parts of different albedo may go
+  /// through each other (looked at in the form given here, and so taken of more than 256 parts), or
+  /// with so many creases that finding lines takes too long.
   bool serves() const { return serves_; }
 
-  /// Appends the edges of `triangles` between front and back, at borders and at creases (where the two sides have vertices of
-  /// their own); those that other surfaces hide too. False, and nothing seen, where a triangle reaches behind the camera.
+  /// Appends the edges of `triangles` between front and back, at borders and at creases (where the
+  /// two sides have vertices of their own); those that other surfaces hide too. False, and nothing
+  /// seen, where a triangle reaches behind the camera.
   /// fronts_only: triangles seen from behind are not drawn
   bool find(std::span<const glm::vec3> positions, std::span<const ContourTriangle> triangles,
             bool fronts_only, const glm::dmat4& clip_from_object, int frame_width, int frame_height,
@@ -67,14 +69,14 @@ class Contour {
   bool serves_ = true;
 };
 
-/// Lines pass between the middles of neighbouring pixels: of the pixel that one cuts, the neighbour across gets what lies
-/// beyond, by its length on the column (or row, for steep lines) through the middles. Of several lines in one gap the
-/// outermost counts. The layer holds one sample a pixel.
+/// Lines pass between the middles of neighbouring pixels: of the pixel that one cuts, the neighbour
+/// across gets what lies beyond, by its length on the column (or row, for steep lines) through the
+/// middles. Of several lines in one gap the outermost counts. The layer holds one sample a pixel.
 /// source: Persson 2011, Geometric Post-process Anti-Aliasing
 class ContourSmoother {
  public:
-  /// False, the layer being good for nothing, where parts before the background are so thin that samples missed too much of
-  /// them.
+  /// False, the layer being good for nothing, where parts before the background are so thin that
+  /// samples missed too much of them.
   bool smooth(std::span<const ContourLine> lines, Layer& layer);
 
  private:

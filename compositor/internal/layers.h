@@ -34,10 +34,11 @@ class Layers {
   bool has_occluders() const { return !occluders_.empty(); }
   /// The rectangle that draw() gives the layer of objects.
   Rect reach_of_objects(const prt::PinholeView& camera) const;
-  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, averaged over each pixel: of samples, or
-  /// where that shows no worse of one sample and the objects' contours. hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
-  /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when nothing changed since the last call; the caller
-  /// keeps them.
+  /// objects: premultiplied signal (radiance times signal_per_radiance) and coverage, averaged over
+  /// each pixel: of samples, or where that shows no worse of one sample and the objects' contours.
+  /// hidden: real geometry inside `receiver_area` and wherever it is shaded itself: what is taken
+  /// of its light, premultiplied, and coverage; empty without any. Both are left as they are when
+  /// nothing changed since the last call; the caller keeps them.
   Result<void> draw(const View& view, const Rect& receiver_area, CommonLayer& objects,
                     CommonLayer& hidden);
 

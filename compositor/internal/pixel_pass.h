@@ -11,7 +11,8 @@ struct Layered;
 
 /// Two regions of a frame that together are all of it and have no pixel in common.
 enum class FrameRegion {
-  kBeside,  // what the layer of objects does not reach: of that layer only its rectangle is asked for
+  // What the layer of objects does not reach: of that layer only its rectangle is asked for
+  kBeside,
   kObjects,  // its rectangle
 };
 

@@ -34,8 +34,9 @@ struct Sides {
   std::size_t first = 0, count = 0;
 };
 
-/// A shadow ratio of 0 to 1.5 in one word: a pixel reads four instead of twelve, which is most of what it costs. What is
-/// missing from 1 in steps of 1/1364 (red, green) and 1/682 (blue), so that an open plane is exactly 1.
+/// A shadow ratio of 0 to 1.5 in one word: a pixel reads four instead of twelve, which is most of
+/// what it costs. What is missing from 1 in steps of 1/1364 (red, green) and 1/682 (blue), so that
+/// an open plane is exactly 1.
 struct PackedRatio {
   static constexpr int kOne11 = 1364, kOne10 = 682;
   static constexpr std::uint32_t pack(const Rgb& s) {
@@ -88,12 +89,13 @@ class Receivers {
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
   /// The ratios s of row y, pixels [area.x0, area.x1), into r, g, b, which hold 1
-  /// on entry: s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j m_j), q_j what
-  /// virtual things take of light j, m_j what real things take of it anyway and r what they leave of the rest. False when
-  /// no shadow reaches the row.
+  /// on entry: s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j
+  /// m_j), q_j what virtual things take of light j, m_j what real things take of it anyway and r
+  /// what they leave of the rest. False when no shadow reaches the row.
   /// area: may be narrower; reach_in_row alone is shaded
   bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
-  /// The pixels of row y that any shadow can reach: seen slantwise they are far fewer than the rectangle holds.
+  /// The pixels of row y that any shadow can reach: seen slantwise they are far fewer than the
+  /// rectangle holds.
   Rect reach_in_row(int y) const;
 
  private:
@@ -157,7 +159,8 @@ class Receivers {
 void multiply_plane_ratios(const PlaneLookup& plane, int y, int x0, int x1, float* r, float* g,
                            float* b);
 
-/// Writes the value of pixels [x0, x1) of row y that the map holds wholly to out[0 .. x1-x0); leaves the others.
+/// Writes the value of pixels [x0, x1) of row y that the map holds wholly to out[0 .. x1-x0);
+/// leaves the others.
 void load_shadow_values(const ShadowMapLookup& shadow_map, int y, int x0, int x1, float* out);
 
 /// Subtracts fraction * value of pixels [x0, x1) of row y from r, g, b; nothing outside the map.

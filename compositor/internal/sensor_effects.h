@@ -41,8 +41,9 @@ struct NoisyRow {
 void add_with_noise(const NoisyRow& row, float shot_gain, float read_variance, std::size_t count,
                     float* out);
 
-/// Of six planes, `stride` apart: 0 where all are 0. Returns the pixels [first, last) outside which all are; empty where
-/// nothing is touched. Up to kSensorLanes - 1 floats past the width are read, whatever they are, and written.
+/// Of six planes, `stride` apart: 0 where all are 0. Returns the pixels [first, last) outside which
+/// all are; empty where nothing is touched. Up to kSensorLanes - 1 floats past the width are read,
+/// whatever they are, and written.
 std::pair<std::size_t, std::size_t> mark_touched(const float* planes, std::size_t stride,
                                                  std::size_t width, std::uint32_t* touched);
 
@@ -62,8 +63,8 @@ class BlurPlanes {
   /// threads: rows may come from different threads
   void set_row(int y, const float* in, std::size_t stride);
   /// Second pass, when all rows are set: planes to `out`, from the area's first column on; each
-  /// takes up to kSensorLanes - 1 samples more than the area is wide. False, and nothing written, when
-  /// the row is empty.
+  /// takes up to kSensorLanes - 1 samples more than the area is wide. False, and nothing written,
+  /// when the row is empty.
   bool load_row(int y, float* out, std::size_t stride) const;
 
  private:

@@ -12,8 +12,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
-/// A source above the low-frequency residual: uniform radiance over a spherical cap, or over another form of the same
-/// solid angle.
+/// A source above the low-frequency residual: uniform radiance over a spherical cap, or over
+/// another form of the same solid angle.
 struct DistantLight {
   static constexpr int kShapePoints = 64;
   using Shape = InplaceVector<glm::dvec3, kShapePoints>;
@@ -22,8 +22,9 @@ struct DistantLight {
   glm::dvec3 direction{0, 1, 0};  // to the centre of its energy, unit
   Radians radius{0};              // half angle
   Rgb radiance;                   // mean over the cap, on top of the residual
-  /// Where a round light would misplace its energy (bands of windows, long lamps): kShapePoints unit directions
-  /// of equal energy, neighbours in neighbouring places at every power of two; else empty.
+  /// Where a round light would misplace its energy (bands of windows, long lamps): kShapePoints
+  /// unit directions of equal energy, neighbours in neighbouring places at every power of two; else
+  /// empty.
   Shape shape{};
   bool clipped = false;    // saturated in every exposure
   bool recovered = false;  // clipped, and its power is known from elsewhere (saturation_recovery.h)

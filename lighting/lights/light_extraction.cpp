@@ -239,8 +239,8 @@ Vector<BrightRegion> Peeler::regions_above(float level) {
   return regions_of(runs_above(level, bright_parts(level)));
 }
 
-// Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the seam; and
-// all pixels of the first row, or the last, meet at the pole.
+// Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the
+// seam; and all pixels of the first row, or the last, meet at the pole.
 Vector<BrightRegion> Peeler::regions_of(std::span<const Run> runs) const {
   DisjointSets sets(runs.size(), memory_);
   const int width = map_.width();
@@ -306,8 +306,9 @@ void Peeler::cut_clipped(float level) {
   }
 }
 
-// Cuts the region down to the level and turns what was above into a candidate. The level, not a fraction of the
-// region's own mean: a window that dims slowly then leaves the list with nothing left in it.
+// Cuts the region down to the level and turns what was above into a candidate. The level, not a
+// fraction of the region's own mean: a window that dims slowly then leaves the list with nothing
+// left in it.
 void Peeler::cut(const BrightRegion& region, float level, bool clipped) {
   RegionCut c(memory_);
   c.runs.assign(region.runs.begin(), region.runs.end());
@@ -393,15 +394,16 @@ Vector<EnergyPiece> Peeler::fractions_of(const RegionCut& c) const {
 
 // Where the energy lies when a round light would misplace it.
 DistantLight::Shape Peeler::shape_of(const RegionCut& c) const {
-  // Mean square distance from the centre; of an even light of that solid angle: a^2/2 with pi a^2 = the solid angle.
+  // Mean square distance from the centre; of an even light of that solid angle: a^2/2 with pi a^2 =
+  // the solid angle.
   const double spread = 2 - 2 * glm::dot(c.moment, c.centre) / c.flux;
   if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};
   Vector<EnergyPiece> pieces = fractions_of(c);
   return shape_points(pieces);
 }
 
-// The steps of one small source (a sun and its glow within a degree) are one light: its second moment is the
-// mean of theirs.
+// The steps of one small source (a sun and its glow within a degree) are one light: its second
+// moment is the mean of theirs.
 void Peeler::join_concentric() {
   for (std::size_t i = 0; i < candidates_.size(); ++i)
     for (std::size_t k = candidates_.size(); k-- > i + 1;) {

@@ -28,13 +28,14 @@ struct LightExtraction {
   double mean_luminance = 0;         // of the whole map
 };
 
-/// Blob peeling: connected regions brighter than six times the mean of what is not one (8-neighbours, across
-/// the seam, and around the poles), each cut down to that level. A region of a
-/// thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of residual and lights
-/// together is the map's, channel by channel. Works on the full map: reduced to 64 rows a sun would move by up to 1.4
-/// degrees.
+/// Blob peeling: connected regions brighter than six times the mean of what is not one
+/// (8-neighbours, across the seam, and around the poles), each cut down to that level. A region of
+/// a thousandfold range (a sun in its glow) is peeled in steps, the core first. The energy of
+/// residual and lights together is the map's, channel by channel. Works on the full map: reduced to
+/// 64 rows a sun would move by up to 1.4 degrees.
 /// in:      luminance: of this map, see LatLongProjector::read
-/// out:     split.residual refers to the map, which must outlive it, and keeps its memory between calls
+/// out:     split.residual refers to the map, which must outlive it, and keeps its memory between
+/// calls
 /// errors:  kInvalid (empty), kNonFinite
 /// Every connected region of `clipped` pixels (Environment::clipped) is a light of its own whatever
 /// its fraction, and before all others where there are more than max_count.

@@ -22,8 +22,9 @@ glm::dvec3 longest_axis(std::span<const EnergyPiece> pieces, const glm::dvec3& m
   return {axis.x(), axis.y(), axis.z()};
 }
 
-// Puts those of the lower half of the weight first and returns how many they are: not none, not all. By halving the number again
-// and again, of which each part is looked at once: sorting takes three times as long.
+// Puts those of the lower half of the weight first and returns how many they are: not none, not
+// all. By halving the number again and again, of which each part is looked at once: sorting takes
+// three times as long.
 std::size_t halve(std::span<EnergyPiece> pieces, double weight) {
   std::size_t first = 0, last = pieces.size();
   double before = 0;  // weight of those ahead of `first`

@@ -89,7 +89,8 @@ void LightTracker::update(TimestampNs time, double min_irradiance_fraction, doub
       unclaimed[k] -= part;
       carried += part;
     }
-    // A source that only brightened keeps its weight; one that a neighbour joined has what both had.
+    // A source that only brightened keeps its weight; one that a neighbour joined has what both
+    // had.
     const bool joined = carried > own;
     const double weight =
         before && !joined ? known_[*before].weight : carried / std::max(flux(source), 1e-30);

@@ -13,17 +13,19 @@
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
-/// Gives the same source the same number from map to map, and lets a source enter the list over kFade: what it
-/// does not carry yet stays in the harmonics, so energy never jumps, only sharpness fades in. A source
-/// enters at `ExtractionOptions::min_irradiance_fraction` and leaves below half of it; where sources part or join, what was in the
-/// list stays in it.
+/// Gives the same source the same number from map to map, and lets a source enter the list over
+/// kFade: what it does not carry yet stays in the harmonics, so energy never jumps, only sharpness
+/// fades in. A source enters at `ExtractionOptions::min_irradiance_fraction` and leaves below half
+/// of it; where sources part or join, what was in the list stays in it.
 /// threads: thread-bound
 class LightTracker {
  public:
   static constexpr Seconds kFade{.2};
 
-  /// in:  what extract_lights found at half of min_irradiance_fraction, mean_irradiance = pi times the mean radiance
-  /// out: `lights` holds what is used, its radiance times its weight; unused the rest of it, as lights
+  /// in:  what extract_lights found at half of min_irradiance_fraction, mean_irradiance = pi times
+  /// the mean radiance
+  /// out: `lights` holds what is used, its radiance times its weight; unused the rest of it, as
+  /// lights
   void update(TimestampNs time, double min_irradiance_fraction, double mean_irradiance,
               std::vector<DistantLight>& lights, std::vector<DistantLight>& unused);
 

@@ -19,8 +19,8 @@ struct RowTables {
 void row_fourier_sums(const RowTables& tables, const float* rgb, double (*out_cos)[3],
                       double (*out_sin)[3]);
 
-/// The sum of a row's luminance, not finite where a pixel is not. peaks: the largest value, at least 0, of each
-/// kPeakBlock pixels; peak_blocks(width) of them.
+/// The sum of a row's luminance, not finite where a pixel is not. peaks: the largest value, at
+/// least 0, of each kPeakBlock pixels; peak_blocks(width) of them.
 double row_luminance(const float* rgb, int width, float* peaks);
 /// The sum of what is above the level.
 double row_luminance_above(const float* rgb, int width, float level);
@@ -33,8 +33,9 @@ struct CutSums {
   double square = 0;    // of luminance over its unit
   double x = 0, z = 0;  // luminance times the column's direction
 };
-/// Cuts brighter pixels down to a luminance `level`, at least 0. column_x, column_z: a direction for each pixel. unit: about the
-/// largest luminance, of which squares must neither vanish nor overflow.
+/// Cuts brighter pixels down to a luminance `level`, at least 0. column_x, column_z: a direction
+/// for each pixel. unit: about the largest luminance, of which squares must neither vanish nor
+/// overflow.
 /// out: what was cut off, 0 of darker pixels; adds it to `sums`
 void cut_row(float* rgb, int width, float level, float unit, const float* column_x,
              const float* column_z, float* excess_rgb, float* excess_luminance, CutSums& sums);

@@ -141,8 +141,8 @@ Result<ShProjection> LatLongProjector::sum_up(const Map& map) const {
   ShSums all, upper_moments;
   const double* legendre = t.legendre.data();
   for (int j = 0; j < t.height; ++j) {
-    // Rows are summed from the zenith; at the horizon the sum so far is the upper hemisphere's. The middle
-    // row of an odd number lies half above.
+    // Rows are summed from the zenith; at the horizon the sum so far is the upper hemisphere's. The
+    // middle row of an odd number lies half above.
     if (t.height % 2 == 0 && j == t.height / 2) upper_moments = all;
     const bool is_middle = t.height % 2 == 1 && j == t.height / 2;
     if (is_middle) upper_moments = all;

@@ -15,19 +15,21 @@
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
-/// Light in spherical harmonics: of the whole sphere, and of the hemisphere above the horizon alone.
+/// Light in spherical harmonics: of the whole sphere, and of the hemisphere above the horizon
+/// alone.
 struct ShProjection {
   RadianceSh light;
-  RadianceSh
-      upper_moments;    // sum over directions with y > 0 only: moments, not a function to evaluate
+  // Sum over directions with y > 0 only: moments, not a function to evaluate
+  RadianceSh upper_moments;
   double coverage = 1;  // seen part of the sphere's solid angle
 };
 
-/// The light for what stands on a horizontal floor. Such a thing gets nothing from below but the floor's own
-/// reflection, which the bake accounts for, so the lower hemisphere is free. The coefficients are the
-/// least-squares fit of the upper hemisphere, with the weight kBelowWeight on its mirror image below, which
-/// is continuous at the horizon. It leaves a half to a tenth of the truncation error of the whole-sphere
-/// projection and hardly any bias (docs/results.md), for one small matrix product.
+/// The light for what stands on a horizontal floor. Such a thing gets nothing from below but the
+/// floor's own reflection, which the bake accounts for, so the lower hemisphere is free. The
+/// coefficients are the least-squares fit of the upper hemisphere, with the weight kBelowWeight on
+/// its mirror image below, which is continuous at the horizon. It leaves a half to a tenth of the
+/// truncation error of the whole-sphere projection and hardly any bias (docs/results.md), for one
+/// small matrix product.
 inline constexpr double kBelowWeight =
     .03;  // lower weights win little and blow the coefficients up
 RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands);
@@ -48,9 +50,10 @@ class LatLongProjector {
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
   /// threads: internally parallel, the same bits on any number of cores; no allocation
   Result<ShProjection> project(const Image<Rgb>& map);
-  /// The same in two steps, for who looks for sources in between and cuts them out: a map is read once, and of `changed`,
-  /// which refers to that map, the changed rows alone. Nothing else is read or projected in between. What is not finite is
-  /// found by project_read, and by who looks at the luminance. `luminance` keeps its memory.
+  /// The same in two steps, for who looks for sources in between and cuts them out: a map is read
+  /// once, and of `changed`, which refers to that map, the changed rows alone. Nothing else is read
+  /// or projected in between. What is not finite is found by project_read, and by who looks at the
+  /// luminance. `luminance` keeps its memory.
   Result<void> read(const Image<Rgb>& map, MapLuminance& luminance);
   Result<ShProjection> project_read(const RowOverlay& changed);
 
@@ -76,8 +79,9 @@ struct LightSamples {
 };
 
 /// ShProjection of pixels that may leave holes. Without holes: l_n = sum w L Y_n. With holes:
-/// weighted least squares with the smoothness penalty mu l^2 (l+1)^2 (docs/methods/environment-assembly.md), so a
-/// constant environment stays exactly constant under any hole.
+/// weighted least squares with the smoothness penalty mu l^2 (l+1)^2
+/// (docs/methods/environment-assembly.md), so a constant environment stays exactly constant under
+/// any hole.
 /// errors:  kInvalid (lengths),
 /// kNonFinite, kUndetermined (coverage below 2 %)
 Result<ShProjection> project_samples(const LightSamples& samples, int bands);

@@ -11,8 +11,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {
 
-/// Refers to the map, which must outlive it. A row that was asked for before its first change is the map's own.
-/// Memory grows once.
+/// Refers to the map, which must outlive it. A row that was asked for before its first change is
+/// the map's own. Memory grows once.
 /// threads: const members reentrant
 class RowOverlay {
  public:

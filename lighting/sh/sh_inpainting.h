@@ -15,7 +15,8 @@ class ShInpainting {
 
   const Image<float>& confidence() const { return confidence_; }
   double coverage() const { return coverage_; }
-  /// From the moments of the map with its holes black. errors: kUndetermined (coverage below 2 %)
+  /// From the moments of the map with its holes black.
+  /// errors: kUndetermined (coverage below 2 %)
   Result<ShProjection> fill(const RadianceSh& moments) const;
 
  private:

@@ -144,8 +144,8 @@ std::uint32_t Baker::ground_mask(const RayScene::RayPacket& packet) const {
   return mask;
 }
 
-// Of many rays one of the four groups stands for all (null: all are kept): reflected light is a small and smooth part, and every hit is read
-// again in every bounce.
+// Of many rays one of the four groups stands for all (null: all are kept): reflected light is a
+// small and smooth part, and every hit is read again in every bounce.
 void Baker::keep_hits(const RayScene::RayPacket& packet, const glm::vec3& origin,
                       const float* weight, const std::uint8_t* groups, bool ground_point,
                       std::uint32_t blocked, PointResult& out) const {
@@ -312,8 +312,9 @@ std::array<double, 3> Baker::added_by_last_bounce() const {
   return sum;
 }
 
-// The bounces that are not traced: each is the one before, fainter by the same share. Power iteration: what a bounce
-// adds soon has the form of the scene's largest eigenvector, whatever the light.
+// The bounces that are not traced: each is the one before, fainter by the same share. Power
+// iteration: what a bounce adds soon has the form of the scene's largest eigenvector, whatever the
+// light.
 void Baker::add_further_bounces(const std::array<double, 3>& fraction) {
   const auto channels = static_cast<std::size_t>(channels_);
   parallel_for(std::size_t{0}, points_.size(), [&](std::size_t p) {

@@ -1,6 +1,6 @@
 // Precomputed radiance transfer of an object on its receiver.
-// Frames: a mesh lives in its bake frame (y up = the receiver's normal, metres); the light is rotated into that frame.
-// Back faces are black, in the bake and in the reference alike.
+// Frames: a mesh lives in its bake frame (y up = the receiver's normal, metres); the light is
+// rotated into that frame. Back faces are black, in the bake and in the reference alike.
 // threads: reentrant and internally parallel (TBB)
 #pragma once
 
@@ -24,8 +24,8 @@ inline constexpr int kMaxBounces = 256;
 
 struct BakeOptions {
   int bands = 5;
-  /// Of light between the object's parts, and between object and receiver. From the second on, what comes after the
-  /// last is continued as a geometric series.
+  /// Of light between the object's parts, and between object and receiver. From the second on, what
+  /// comes after the last is continued as a geometric series.
   int bounces = 4;
   int rays = 1024;          // per vertex, a multiple of 64
   int ground_rays = 1024;   // per receiver texel, a multiple of 64
@@ -33,8 +33,9 @@ struct BakeOptions {
   std::optional<Receiver> receiver;
   /// Bands of what comes by reflection (BakedObject::indirect).
   int indirect_bands = kIndirectBands;
-  /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places. Turned with the
-  /// material they give what only turns the same transfer in all poses, but for single rays that graze an edge.
+  /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places.
+  /// Turned with the material they give what only turns the same transfer in all poses, but for
+  /// single rays that graze an edge.
   std::span<const glm::mat3> ray_frames{};
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
 };
@@ -42,8 +43,8 @@ struct BakeOptions {
 /// How well a vertex is known; not kept in files.
 struct PointQuality {
   float standard_error = 0;  // of t_0, fraction of an open point's
-  float behind =
-      0;  // fraction of its rays that met a surface from behind: it lies within something
+  // Fraction of its rays that met a surface from behind: it lies within something
+  float behind = 0;
 };
 
 struct BakeReport {
@@ -62,11 +63,13 @@ struct BakedObject {
   /// (E0_n - E_n)/pi at the receiver's texels, row by row: what the object takes of an unshadowed
   /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
   Transfer ground_deficit;
-  /// The fraction of `transfer`, and of the receiver's irradiance/pi, that came by reflection between object and
+  /// The fraction of `transfer`, and of the receiver's irradiance/pi, that came by reflection
+  /// between object and
   /// receiver: smooth, so at most kIndirectBands, and what a light needs beside its direct light.
   Transfer indirect, ground_indirect;
-  /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform sky would darken by
-  /// 5 %: what the governor predicts truncation from. No points without receiver or bounces.
+  /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform
+  /// sky would darken by 5 %: what the governor predicts truncation from. No points without
+  /// receiver or bounces.
   static constexpr int kShadowProbes = 64;
   Transfer shadow_probes;
   /// Of the mesh alone: what the receiver hides counts as open.

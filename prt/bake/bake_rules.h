@@ -10,13 +10,16 @@ namespace penumbra::prt {
 
 /// In radii of the object: rays start clear of their own surface.
 inline constexpr float kRayNear = 1e-4f;
-/// In radii from the object's middle: receiver points beyond send their rays into the cone that it fills, others all around.
+/// In radii from the object's middle: receiver points beyond send their rays into the cone that it
+/// fills, others all around.
 inline constexpr float kConeFrom = 1.15f;
 /// A point that sees a larger fraction of back faces lies within something.
 inline constexpr float kHiddenFraction = .25f;
 
-/// Bands of a character's reflected light. It is smooth, but where lights are split off their whole reflection comes from
-/// these bands: under a sharp sun three leave 3.4 % of the light out, five 1.2 %, seven none (walker, rustig_koppie).
+/// Bands of a character's reflected light. It is smooth, but where lights are split off their whole
+/// reflection comes from
+/// these bands: under a sharp sun three leave 3.4 % of the light out, five 1.2 %, seven none
+/// (walker, rustig_koppie).
 constexpr int reflected_bands(int bands) {
   return bands > 3 ? 6 : bands;
 }

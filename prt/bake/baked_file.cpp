@@ -18,8 +18,9 @@
 
 // Layout: one mesh with POSITION, NORMAL, COLOR_0 (albedo) and _TRANSFER_0.. as float vectors of
 // four: value number channel * bands^2 + n stands in component (number % 4) of attribute (number /
-// 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are accessors of
-// half-float bits in the order of prt::Transfer, the vertices' visibility three of words.
+// 4). asset.extras.penumbra holds the rest; the reflected part and the receiver's texels are
+// accessors of half-float bits in the order of prt::Transfer, the vertices' visibility three of
+// words.
 
 namespace penumbra::prt {
 namespace {

@@ -51,7 +51,8 @@ class Eye {
   glm::vec3 origin_;
 };
 
-// By place of positions the vertices that share a triangle with one there, each once: seams are no rims.
+// By place of positions the vertices that share a triangle with one there, each once: seams are no
+// rims.
 std::vector<std::vector<std::uint32_t>> neighbours(const Mesh& mesh,
                                                    std::span<const std::uint32_t> place) {
   std::vector<std::vector<std::uint32_t>> out(mesh.positions.size());

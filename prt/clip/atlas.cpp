@@ -111,7 +111,8 @@ float cell_of(const std::vector<glm::vec3>& area_normals) {
       1e-9f, static_cast<float>(std::sqrt(sum / static_cast<double>(area_normals.size())) / 4));
 }
 
-// Grown from the largest triangle left, as far as all face about one way at rest and none covers another.
+// Grown from the largest triangle left, as far as all face about one way at rest and none covers
+// another.
 std::vector<Chart> find_charts(const Character& c) {
   const auto neighbours = neighbours_of(c);
   std::vector<std::uint32_t> order(c.triangles.size());

@@ -235,8 +235,8 @@ void FrameBaker::mark_hidden(const BakeReport& report, Transfer& transfer) const
         transfer.values[k] = kHidden;
 }
 
-// Lookups beside a point that is hidden for a while still touch it: it goes straight from what it was before to what it
-// will be, and if it never shows it continues what is around it.
+// Lookups beside a point that is hidden for a while still touch it: it goes straight from what it
+// was before to what it will be, and if it never shows it continues what is around it.
 void FrameBaker::complete_hidden(std::span<Transfer> frames, const KeyFrames& keys) const {
   parallel_for(std::size_t{0}, layout_.points(), 64, [&](const auto& range) {
     for (std::size_t p = range.begin(); p < range.end(); ++p) complete_in_time(p, frames, keys);
@@ -246,8 +246,8 @@ void FrameBaker::complete_hidden(std::span<Transfer> frames, const KeyFrames& ke
     if (frames[0].values[p] == kHidden) left.push_back(p);
   while (!left.empty()) {
     std::vector<std::uint32_t> still;
-    std::vector<std::pair<std::uint32_t, std::uint32_t>>
-        known;  // a point and one that it takes after
+    // a point and one that it takes after
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> known;
     for (const std::uint32_t p : left) {
       const auto from = std::ranges::find_if(
           links_.begin() + link_begin_[p], links_.begin() + link_begin_[p + 1], [&](auto q) {
@@ -297,9 +297,10 @@ void FrameBaker::complete_in_time(std::size_t p, std::span<Transfer> frames,
   }
 }
 
-// A joint bilateral step on what is blocked (the open part is exact). Neighbours count as far as their t_0 differs by no
-// more than their noise explains, so where there is none nothing changes. Texels alone: vertices lie too far apart to tell
-// noise from form (64 rays a point: texels' error falls by a fifth, that of vertices by a twentieth or grows).
+// A joint bilateral step on what is blocked (the open part is exact). Neighbours count as far as
+// their t_0 differs by no more than their noise explains, so where there is none nothing changes.
+// Texels alone: vertices lie too far apart to tell noise from form (64 rays a point: texels' error
+// falls by a fifth, that of vertices by a twentieth or grows).
 // source: a-trous weights of Dammertz et al. 2010 with the variance of Schied et al. 2017
 void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const {
   constexpr float kSigmas = .7f, kNormalPower = 256;
@@ -351,7 +352,8 @@ void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& t
   });
 }
 
-// Before the materials' frames, which may differ across a seam. Points within others would pull it dark.
+// Before the materials' frames, which may differ across a seam. Points within others would pull it
+// dark.
 void FrameBaker::equalise_seams(const BakeReport& report, Transfer& transfer,
                                 Transfer& indirect) const {
   if (seams_.empty()) return;
@@ -391,7 +393,8 @@ void to_materials(const SurfaceLayout& layout, const std::vector<glm::mat3>& tur
 
 }  // namespace
 
-// The patterns at rest turned with the bones, and by no more than needed onto normals that skins or morphs turn further.
+// The patterns at rest turned with the bones, and by no more than needed onto normals that skins or
+// morphs turn further.
 std::vector<glm::mat3> FrameBaker::ray_frames(const Mesh& mesh,
                                               const std::vector<glm::mat3>& bones) const {
   Mesh rest{character_.positions, character_.normals, character_.albedo, {}};

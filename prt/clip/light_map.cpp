@@ -167,7 +167,8 @@ void add_light_map(const Character& c, SurfaceLayout& out) {
     }
 }
 
-// Vertices from those of lower number that they share an edge with, texels from left, above, and between.
+// Vertices from those of lower number that they share an edge with, texels from left, above, and
+// between.
 void find_neighbours(const Character& c, SurfaceLayout& out) {
   constexpr auto kNone = SurfaceLayout::kNone;
   out.neighbours.assign(out.points(), {kNone, kNone, kNone});

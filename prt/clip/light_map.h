@@ -27,14 +27,16 @@ struct TextureUse {
 };
 TextureUse texture_use(const Character& character, int width, int height);
 
-/// The same character with coordinates of its own for a light map: charts of triangles that face one way,
-/// flattened along it, side by side with room between. Vertices on charts' borders stand once for each chart.
+/// The same character with coordinates of its own for a light map: charts of triangles that face
+/// one way, flattened along it, side by side with room between. Vertices on charts' borders stand
+/// once for each chart.
 /// errors: none; very small charts share texels when the map is too small for all
 Character with_atlas(const Character& character, int width, int height);
 /// With an atlas where its texture coordinates are not usable.
 Character for_light_map(Character character, int width, int height);
 
-/// Every texel that bilinear lookups on the surface can touch stands for the nearest point of the surface.
+/// Every texel that bilinear lookups on the surface can touch stands for the nearest point of the
+/// surface.
 struct SurfaceLayout {
   struct Texel {
     std::uint16_t x, y;
@@ -45,15 +47,16 @@ struct SurfaceLayout {
   std::size_t vertices = 0;
   std::vector<Texel> texels;        // row by row
   std::vector<std::uint16_t> bone;  // of every point (vertices, then texels): its strongest
-  std::vector<std::array<std::uint32_t, 3>>
-      neighbours;  // of every point, earlier ones to predict it from; kNone
+  // Of every point, earlier ones to predict it from; kNone
+  std::vector<std::array<std::uint32_t, 3>> neighbours;
   static constexpr std::uint32_t kNone = 0xffffffffu;
   std::size_t points() const { return vertices + texels.size(); }
 };
 SurfaceLayout lay_out(const Character& character, int width, int height);
 
-/// Puts texels behind the deformed mesh's vertices as points that no triangle uses. Where a coarse triangle stands for a
-/// curved surface they are lifted onto the curve, so that it doesn't shade itself.
+/// Puts texels behind the deformed mesh's vertices as points that no triangle uses. Where a coarse
+/// triangle stands for a curved surface they are lifted onto the curve, so that it doesn't shade
+/// itself.
 /// source: Hanika 2021, Hacking the Shadow Terminator
 void add_texels(const Character& character, const SurfaceLayout& layout, Mesh& mesh);
 

@@ -31,8 +31,8 @@ namespace {
 
 constexpr int kLanes = RayScene::kPacket;
 constexpr std::size_t kChunk = 32;  // points a task takes at once
-// After vertices went so far (RMS, radii) an estimate counts 1/e: the material's own transfer, and what the floor sees of
-// feet that step over it.
+// After vertices went so far (RMS, radii) an estimate counts 1/e: the material's own transfer, and
+// what the floor sees of feet that step over it.
 constexpr double kMemory = .1, kGroundMemory = .02;
 constexpr float kMaxVisits = RayPatterns::kVariants;  // then rays repeat: 1024 a point
 constexpr float kFirstGuess = 1e-3f;  // what a hidden point's counts until the point is seen
@@ -42,7 +42,8 @@ constexpr float kFirstGuess = 1e-3f;  // what a hidden point's counts until the 
 struct LiveBake::Impl {
   Impl(const Character& c, const LiveBakeOptions& o, RayScene s, const Mesh& form);
 
-  // What a visit finds at a point in the bake frame: light that is blocked, then by channel light that comes instead.
+  // What a visit finds at a point in the bake frame: light that is blocked, then by channel light
+  // that comes instead.
   struct VisitResult {
     std::vector<float> sums;
     float behind;
@@ -271,7 +272,8 @@ void LiveBake::Impl::remember(std::size_t p, const VisitResult& found) {
   const bool hidden = found.behind > kHiddenFraction;
   if (hidden && counts[p] > 0) return;
   const float before = counts[p];
-  // Older visits count less, the first not at all in the end: they gathered from estimates that lacked further bounces.
+  // Older visits count less, the first not at all in the end: they gathered from estimates that
+  // lacked further bounces.
   const float aged = before > .5f ? std::min(1 - .5f / before, 1 - 1 / kMaxVisits) : 0;
   const auto keep = aged * static_cast<float>(std::exp((visited_at[p] - travelled) / memory(p)));
   visited_at[p] = travelled;

@@ -22,11 +22,13 @@ struct LiveBakeOptions {
   std::optional<Receiver> receiver;
 };
 
-/// A running estimate of a character's transfer. Some points at a time are visited with a few rays; what they find is kept in
-/// the material's frame, where it stays true for a while, and forgotten as the character moves. So a pose that holds
-/// converges to what bake() gives with 1024 rays, and one that moves is noisy or late, never of another pose.
-/// Light that is reflected is gathered from the estimate itself: each update adds a bounce.
-/// source: as bake(); running means after Nehab et al. 2007, reverse reprojection, which the material makes exact here
+/// A running estimate of a character's transfer. Some points at a time are visited with a few rays;
+/// what they find is kept in the material's frame, where it stays true for a while, and forgotten
+/// as the character moves. So a pose that holds converges to what bake() gives with 1024 rays, and
+/// one that moves is noisy or late, never of another pose. Light that is reflected is gathered from
+/// the estimate itself: each update adds a bounce.
+/// source: as bake(); running means after Nehab et al. 2007, reverse reprojection, which the
+/// material makes exact here
 class LiveBake {
  public:
   /// `character` must outlive it.
@@ -38,9 +40,9 @@ class LiveBake {
   static constexpr int kRays = 32;  // a visit
   /// Vertices and the receiver's texels.
   std::size_t points() const;
-  /// Brings `out` to a pose: mesh, transfer, and with a receiver what the character takes from it. Points take turns;
-  /// points() visits reach each of them once.
-  /// A pose that is not finite is not taken: the one before holds.
+  /// Brings `out` to a pose: mesh, transfer, and with a receiver what the character takes from it.
+  /// Points take turns; points() visits reach each of them once. A pose that is not finite is not
+  /// taken: the one before holds.
   struct Cost {
     double rays_s = 0, fixed_s = 0;  // of the visits, and of what every update does
   };

@@ -170,7 +170,8 @@ std::vector<std::uint32_t> positions_between(const FrameBaker& baker, const Reco
   return out;
 }
 
-// What a bake consists of: the frames of the rate, and those between that are asked for besides, round by round.
+// What a bake consists of: the frames of the rate, and those between that are asked for besides,
+// round by round.
 struct Chosen {
   Records records;
   std::vector<int> missing;  // positions of the first round that is not known as a whole
@@ -250,7 +251,8 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
   if (out.seconds > 0) tell_interpolation(errors_between(baker, out.keys, records), out);
   const StreamLayout surface = layout_of_surface(baker.layout());
   const StreamLayout ground = layout_of_ground(out.receiver ? out.receiver->grid.size : 0);
-  // The budget is one of the picture: a part of the light that is faint beside the whole may err by more of itself.
+  // The budget is one of the picture: a part of the light that is faint beside the whole may err by
+  // more of itself.
   double allowed = 0;
   const auto encode = [&](FrameBaker::Stream stream, const StreamLayout& layout) {
     const std::vector<Transfer> frames = frames_of(baker, records, stream);

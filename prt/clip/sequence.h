@@ -1,6 +1,7 @@
-// Transfer over an animation: baked frame by frame, compressed for rendered error, relit at any time.
-// A surface point's transfer is kept in the frame of its strongest bone, where it hardly changes; so the light is what is
-// turned. threads: free functions reentrant and internally parallel; a TransferSequence's queries reentrant
+// Transfer over an animation: baked frame by frame, compressed for rendered error, relit at any
+// time. A surface point's transfer is kept in the frame of its strongest bone, where it hardly
+// changes; so the light is what is turned.
+// threads: free functions reentrant and internally parallel; a TransferSequence's queries reentrant
 #pragma once
 
 #include <array>
@@ -26,8 +27,9 @@ namespace penumbra::prt {
 struct BakedObject;
 struct Transfer;
 
-/// What relighting a clip comes to at one moment, for whoever does the sums: point i of a part, which is point
-/// order()[first_point + i], shines with the sum of colour times values()[offset + i] over the part's terms.
+/// What relighting a clip comes to at one moment, for whoever does the sums: point i of a part,
+/// which is point order()[first_point + i], shines with the sum of colour times values()[offset +
+/// i] over the part's terms.
 struct RelightPlan {
   struct Term {
     std::uint32_t offset;
@@ -48,11 +50,14 @@ struct TermEnergy {
 };
 
 /// Transfer at points over the frames of a clip, compressed.
-///   t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green, red - green and
-///   blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks. A long
-///   clip has several spans of frames with an m and U_k each; from one to the next the sums are mixed.
-/// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and the cut of components
-///         by reverse water-filling (Cover & Thomas 2006, 10.3.3)
+/// t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green,
+/// red - green and
+/// blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean
+/// energy in it asks. A long
+/// clip has several spans of frames with an m and U_k each; from one to the next the sums are
+/// mixed.
+/// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and
+///         the cut of components by reverse water-filling (Cover & Thomas 2006, 10.3.3)
 class TransferSequence {
  public:
   int bands() const { return bands_; }
@@ -63,14 +68,16 @@ class TransferSequence {
   /// Most components of any group at a time, the mean not counted.
   int max_components() const;
 
-  /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo, as prt::relight.
-  /// in: frame 0..frames(), between frames on a straight line, beyond the last to the first; light in the bake frame;
-  ///     turns as bone_turns at that time
-  /// out: 3 * stride() floats. No allocation after the first call of a thread. Parallel inside: not from within a parallel loop.
+  /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo, as
+  /// prt::relight.
+  /// in: frame 0..frames(), between frames on a straight line, beyond the last to the first; light
+  ///     in the bake frame; turns as bone_turns at that time
+  /// out: 3 * stride() floats. No allocation after the first call of a thread. Parallel inside: not
+  /// from within a parallel loop.
   void relight(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
                std::span<float> out) const;
-  /// The sums of relight(), not done; terms that together are below kUnseen of the whole are left out. No allocation once
-  /// `out` has its size.
+  /// The sums of relight(), not done; terms that together are below kUnseen of the whole are left
+  /// out. No allocation once `out` has its size.
   void plan(double frame, const RadianceSh& light, std::span<const glm::mat3> turns,
             RelightPlan& out) const;
   /// Maps over a part's points, each padded to kLanes.
@@ -79,8 +86,8 @@ class TransferSequence {
   /// All coefficients at a time, in the bake frame. No allocation once `out` has its size.
   void decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const;
 
-  /// RMS over a part's points, relative to the root of its terms' summed squares: a fifth of what compression may cost, and
-  /// half of the work.
+  /// RMS over a part's points, relative to the root of its terms' summed squares: a fifth of what
+  /// compression may cost, and half of the work.
   static constexpr float kUnseen = .001f;
   /// Points that kernels take at once: what a map is padded to.
   static constexpr std::size_t kLanes = 32;
@@ -123,12 +130,12 @@ class TransferSequence {
   std::vector<std::uint32_t> order_;  // points by bone
   std::vector<BoneGroup> groups_;
   std::vector<std::int16_t> values_;  // padded to kernels' width a map
-  std::vector<std::int8_t>
-      narrow_;  // the same once more where a map fits: relighting waits for memory
+  // The same once more where a map fits: relighting waits for memory
+  std::vector<std::int8_t> narrow_;
 };
 
-/// Mean square of a coefficient of light in band l, beside that of band 0, over the eight measured environments of
-/// docs/results.md, suns and lamps counted in. What transfer in a band is worth.
+/// Mean square of a coefficient of light in band l, beside that of band 0, over the eight measured
+/// environments of docs/results.md, suns and lamps counted in. What transfer in a band is worth.
 std::span<const float> mean_band_energy();
 
 struct SequenceOptions {
@@ -140,11 +147,12 @@ struct SequenceOptions {
   std::optional<int> ground_size;     // texels of the receiver's side; none: no receiver
   Rgb ground_albedo;
   bool denoise = true;
-  /// Rendered error that compression may add: RMS over points and frames of the exit radiance under light of
-  /// mean_band_energy, relative.
+  /// Rendered error that compression may add: RMS over points and frames of the exit radiance under
+  /// light of mean_band_energy, relative.
   double error = .005;
-  /// The same measure that a straight line between two key frames may be off by: where it is more than allowed_between of
-  /// it, further frames are baked between them, up to KeyFrames::kSplit - 1. 0: none are.
+  /// The same measure that a straight line between two key frames may be off by: where it is more
+  /// than allowed_between of it, further frames are baked between them, up to KeyFrames::kSplit -
+  /// 1. 0: none are.
   double between = .02;
   std::function<void(double done)> progress;  // 0..1
 };
@@ -176,14 +184,15 @@ struct BakedSequence {
 struct Shard {
   int index = 0, count = 1;
 };
-/// Bakes a clip's frames into `journal`: a bake that was cut off goes on where it stopped, and shards are baked apart. The
-/// whole of them (one shard) with what bake_between adds.
+/// Bakes a clip's frames into `journal`: a bake that was cut off goes on where it stopped, and
+/// shards are baked apart. The whole of them (one shard) with what bake_between adds.
 /// errors: kInvalid (options, clip, a journal of another bake), kUnwritable, kUnavailable
 Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
                          Shard shard, const std::filesystem::path& journal);
-/// Bakes the frames that options.between asks for besides those of `journals`, which hold the others, into `journal`, round
-/// by round: progress begins anew with each. What is baked does not depend on how frames were shared out, nor on kills.
-/// True when compress_frames needs `journal` besides `journals`.
+/// Bakes the frames that options.between asks for besides those of `journals`, which hold the
+/// others, into `journal`, round
+/// by round: progress begins anew with each. What is baked does not depend on how frames were
+/// shared out, nor on kills. True when compress_frames needs `journal` besides `journals`.
 /// errors: as bake_frames, as compress_frames
 Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,
@@ -192,14 +201,16 @@ Result<bool> bake_between(const Character& character, int clip, const SequenceOp
 /// errors: as bake_frames
 Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options);
-/// Joins journals that together hold every frame of the rate that was asked for, and those of bake_between. Others that they
-/// hold besides, as of another options.between, are left out. The result does not depend on how frames were shared out.
+/// Joins journals that together hold every frame of the rate that was asked for, and those of
+/// bake_between. Others that they hold besides, as of another options.between, are left out. The
+/// result does not depend on how frames were shared out.
 /// errors: kNotFound, kUnreadable, kInvalid (frames missing: which; a journal of another bake)
 Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,
                                       std::span<const std::filesystem::path> journals);
 
-/// The surface's frames as baked, in the materials' frames, and what their compression alone comes to: for charts.
+/// The surface's frames as baked, in the materials' frames, and what their compression alone comes
+/// to: for charts.
 /// errors: as compress_frames
 Result<std::vector<Transfer>> baked_surface(const Character& character, int clip,
                                             const SequenceOptions& options,
@@ -212,13 +223,14 @@ CompressedSurface compress_surface(const SurfaceLayout& layout, std::span<const 
                                    double relative_error);
 
 /// The baked file of a clip. It belongs to its asset, which is needed to read it.
-/// errors: kUnwritable / kNotFound, kUnreadable (damaged: offset), kInvalid (not ours, another version, baked from
-/// another mesh or clip)
+/// errors: kUnwritable / kNotFound, kUnreadable (damaged: offset), kInvalid (not ours, another
+/// version, baked from another mesh or clip)
 Result<void> write_sequence(const std::filesystem::path& path, const Character& character, int clip,
                             const BakedSequence& sequence);
 Result<BakedSequence> read_sequence(const std::filesystem::path& path, const Character& character,
                                     int clip);
-/// What a baked clip's file tells without its asset, which has to be prepared for the light map before it can be read.
+/// What a baked clip's file tells without its asset, which has to be prepared for the light map
+/// before it can be read.
 struct SequenceInfo {
   int map_width = 0, map_height = 0;  // of the light map, texels; 0 without one
   int ground_size = 0;                // texels of the receiver's side; 0 without one

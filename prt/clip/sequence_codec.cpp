@@ -17,7 +17,8 @@ namespace penumbra::prt {
 
 namespace {
 
-// A walk's transfer has some thirty components that are worth their bytes; a clip of many moves has as many for each.
+// A walk's transfer has some thirty components that are worth their bytes; a clip of many moves has
+// as many for each.
 constexpr int kLongestSpan = 128;  // frames
 constexpr std::size_t kPad = TransferSequence::kLanes;
 constexpr std::size_t kMaxValues = std::size_t{1} << 28;
@@ -118,7 +119,8 @@ class SequenceCodec::Encoder {
     const double samples =
         3. * static_cast<double>(frames_.size()) * static_cast<double>(frames_[0].points);
     const double allowed = error_ * error_ * samples;
-    // No value may leave its sixteen bits; and where the components end, so does what finer steps can win.
+    // No value may leave its sixteen bits; and where the components end, so does what finer steps
+    // can win.
     float low = finest_step(), high = std::max(1.f, 2 * low);
     const double reachable = std::max(allowed, 1.1 * error_at(low));
     while (error_at(high) < reachable && high < 1e3f) high *= 2;
@@ -137,8 +139,8 @@ class SequenceCodec::Encoder {
     FrameSpan span;
     Eigen::MatrixXf maps;     // column 0: the mean; k: U_k, by row = coefficient * count + point
     Eigen::MatrixXf weights;  // frames x components, of mean square 1
-    std::vector<double>
-        energy;  // of each component and, last, of all further ones; over the span's frames
+    // Of each component and, last, of all further ones; over the span's frames
+    std::vector<double> energy;
   };
 
   // An error of green, or of grey, is one of all three colours.

@@ -21,8 +21,8 @@ namespace penumbra::prt {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// out[p] = sum over terms of colour times map[p], for three colours, two vectors at a time. `count` is a multiple of
-// TransferSequence::kLanes.
+// out[p] = sum over terms of colour times map[p], for three colours, two vectors at a time. `count`
+// is a multiple of TransferSequence::kLanes.
 HWY_ATTR void SumTerms(const std::int16_t* values, const std::int8_t* narrow,
                        const RelightPlan::Term* terms, std::size_t wide_count,
                        std::size_t term_count, std::size_t count, float* r, float* g, float* b) {
@@ -120,7 +120,8 @@ void TransferSequence::finish_maps() {
 
 namespace {
 
-// The energy below which terms can go that together are at most `share` of all; in steps of a quarter of an octave.
+// The energy below which terms can go that together are at most `share` of all; in steps of a
+// quarter of an octave.
 float unseen_energy(std::span<const TermEnergy> terms, float fraction) {
   constexpr int kShift = 21;
   constexpr std::uint32_t kBuckets = 0x7f800000u >> kShift;  // up to infinity

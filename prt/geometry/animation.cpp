@@ -148,7 +148,8 @@ std::vector<glm::mat3> bone_turns(const Character& c, const CharacterPose& pose)
   bone_matrices(c, pose, bones);
   std::vector<glm::mat3> turns;
   for (const glm::mat4& m : bones) {
-    // Gram-Schmidt: a rotation for every matrix, and the bone's own where it has neither scale nor shear.
+    // Gram-Schmidt: a rotation for every matrix, and the bone's own where it has neither scale nor
+    // shear.
     const auto unit = [](const glm::vec3& v, const glm::vec3& otherwise) {
       return glm::length(v) > 1e-20f ? glm::normalize(v) : otherwise;
     };
@@ -194,8 +195,8 @@ Character::Influence mean_influence(const Character::Influence& a, const Charact
 
 }  // namespace
 
-// Morph targets and their bases are linear in the vertices; a target that covers part of them covers the middles of its
-// own edges only, so it is widened to all.
+// Morph targets and their bases are linear in the vertices; a target that covers part of them
+// covers the middles of its own edges only, so it is widened to all.
 void subdivide(Character& c, float longest_edge, std::size_t triangle_limit) {
   Mesh mesh{c.positions, c.normals, c.albedo, c.triangles};
   const auto ends = subdivide(mesh, longest_edge, triangle_limit);

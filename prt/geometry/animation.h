@@ -39,7 +39,8 @@ struct CharacterPose {
   friend bool operator==(const CharacterPose&, const CharacterPose&) = default;
 };
 
-/// Keys in order of time; values between two keys lie on the straight line (rotations: on the arc) between them.
+/// Keys in order of time; values between two keys lie on the straight line (rotations: on the arc)
+/// between them.
 struct Clip {
   template <class T>
   struct Key {
@@ -63,7 +64,8 @@ struct Clip {
   std::vector<MorphTrack> morphs;
 };
 
-/// Vertices and triangles of a character at rest in their own frames; only deform() brings them to one.
+/// Vertices and triangles of a character at rest in their own frames; only deform() brings them to
+/// one.
 struct Character {
   static constexpr int kInfluences = 4;
 
@@ -93,8 +95,8 @@ struct Character {
   std::vector<Rgb> albedo;
   std::vector<glm::vec2> texture_coordinates;  // v down; empty where the asset has none
   std::vector<glm::vec2> light_coordinates;    // of a light map; empty: as texture_coordinates
-  /// Base colour, coded in sRGB, where one picture serves the whole asset; `albedo` are its means then. What colours the
-  /// picture further is in `tint`.
+  /// Base colour, coded in sRGB, where one picture serves the whole asset; `albedo` are its means
+  /// then. What colours the picture further is in `tint`.
   std::shared_ptr<const Image<Rgb8>> texture;
   std::vector<Rgb> tint;  // by vertex; empty without texture
   std::vector<std::array<std::uint32_t, 3>> triangles;
@@ -106,17 +108,17 @@ struct Character {
   glm::mat4 frame{1};  // placed: from the nodes' common frame to the one wanted
 
   std::size_t degenerate_triangles = 0;  // removed
-  std::size_t unbound_vertices =
-      0;  // of a skin but without weights: they follow the skin's first joint
+  // Of a skin but without weights: they follow the skin's first joint
+  std::size_t unbound_vertices = 0;
 };
 
-/// glTF, FBX or COLLADA with joints, clips and base colour textures, which become an albedo a vertex. A mesh that has
-/// nothing to move it is a character of one bone.
+/// glTF, FBX or COLLADA with joints, clips and base colour textures, which become an albedo a
+/// vertex. A mesh that has nothing to move it is a character of one bone.
 /// errors: as import_mesh; kInvalid (more than 65535 bones)
 Result<Character> import_character(const std::filesystem::path& path, Rgb default_albedo);
 
-/// The built-in mannequin, 1.75 m tall, with the clips "Walk" (in place, 1.1 s a cycle, feet on y = 0), "Wave" and
-/// "Rest" (one pose).
+/// The built-in mannequin, 1.75 m tall, with the clips "Walk" (in place, 1.1 s a cycle, feet on y =
+/// 0), "Wave" and "Rest" (one pose).
 Character make_walker(Rgb albedo);
 
 CharacterPose rest_pose(const Character& character);
@@ -125,14 +127,15 @@ CharacterPose sample(const Character& character, const Clip& clip, double second
 /// 0: a, 1: b. Both of one character.
 CharacterPose blend(const CharacterPose& a, const CharacterPose& b, float fraction);
 
-/// The character's mesh at a pose, by linear blend skinning. Vertex i is vertex i in every pose. Allocates nothing once
-/// `out` has its size.
+/// The character's mesh at a pose, by linear blend skinning. Vertex i is vertex i in every pose.
+/// Allocates nothing once `out` has its size.
 void deform(const Character& character, const CharacterPose& pose, Mesh& out);
-/// How each bone is turned against the vertices' own frame, without scale and shear: a vector of the strongest bone's
-/// material, times this, is in the deformed mesh's frame.
+/// How each bone is turned against the vertices' own frame, without scale and shear: a vector of
+/// the strongest bone's material, times this, is in the deformed mesh's frame.
 std::vector<glm::mat3> bone_turns(const Character& character, const CharacterPose& pose);
 
-/// Splits edges of the mesh at rest as prt::subdivide does; everything a vertex has is its ends' mean.
+/// Splits edges of the mesh at rest as prt::subdivide does; everything a vertex has is its ends'
+/// mean.
 void subdivide(Character& character, float longest_edge, std::size_t triangle_limit = 400'000);
 
 /// The clip of that name, or of that number.

@@ -47,7 +47,8 @@ Rgb albedo_of(const aiScene& scene, const aiMesh& mesh, Rgb fallback) {
 
 namespace {
 
-// Assimp's PLY reader never returns from a text header without its end, and reads one triangle of a strip.
+// Assimp's PLY reader never returns from a text header without its end, and reads one triangle of a
+// strip.
 Result<void> check_ply(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   std::string head(1 << 16, '\0');

@@ -43,7 +43,8 @@ float linear_from_srgb(float v) {  // IEC 61966-2-1
   return v <= .04045f ? v / 12.92f : std::pow((v + .055f) / 1.055f, 2.4f);
 }
 
-// A texture's albedo as coarse as vertices can show it: each texel a mean, so that no vertex picks a single speck.
+// A texture's albedo as coarse as vertices can show it: each texel a mean, so that no vertex picks
+// a single speck.
 class CoarseTexture {
  public:
   CoarseTexture(const FramePixels& pixels, std::size_t vertices) {

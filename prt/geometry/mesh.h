@@ -18,8 +18,8 @@
 namespace penumbra::prt {
 
 struct Mesh {
-  std::vector<glm::vec3>
-      positions;  // those that no triangle uses are points to be baked and lit, e.g. texels
+  // Those that no triangle uses are points to be baked and lit, e.g. texels
+  std::vector<glm::vec3> positions;
   std::vector<glm::vec3> normals;                       // unit, one per position
   std::vector<Rgb> albedo;                              // 0..1, one per position
   std::vector<std::array<std::uint32_t, 3>> triangles;  // counter-clockwise seen from outside
@@ -30,8 +30,8 @@ struct Bounds {
   glm::vec3 centre() const { return .5f * (low + high); }
 };
 Bounds bounds_of(const Mesh& mesh);
-/// By vertex, the first one in the same place, to the bit (0 and -0 are one): normals and the like split vertices where the
-/// surface goes on.
+/// By vertex, the first one in the same place, to the bit (0 and -0 are one): normals and the like
+/// split vertices where the surface goes on.
 std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions);
 /// Largest distance of a vertex from `centre`.
 float radius_around(const Mesh& mesh, const glm::vec3& centre);

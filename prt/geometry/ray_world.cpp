@@ -11,8 +11,8 @@ namespace penumbra::prt {
 
 namespace {
 
-// Rays into the frame of a mesh. RayPacket traversal looks at the bounds of all lanes: unused ones repeat
-// the first ray.
+// Rays into the frame of a mesh. RayPacket traversal looks at the bounds of all lanes: unused ones
+// repeat the first ray.
 void turn_rays(const RayWorld::Rays& in, int count, const glm::mat3& turn, const glm::vec3& shift,
                RTCRay16& out) {
   for (int i = 0; i < RayWorld::kPacket; ++i) {
@@ -38,9 +38,10 @@ std::uint32_t near_sphere(const RTCRay16& rays, const glm::vec3& centre, float r
 
 }  // namespace
 
-// One scene a mesh and no instancing: a handful of meshes costs a turn of the rays each, which a sphere around the
-// mesh often spares. Shadow rays to a light scatter along silhouettes, so packets are declared incoherent:
-// twice as fast for wide lights (and coherent packets of Embree 3.13 do not end in instanced scenes).
+// One scene a mesh and no instancing: a handful of meshes costs a turn of the rays each, which a
+// sphere around the mesh often spares. Shadow rays to a light scatter along silhouettes, so packets
+// are declared incoherent: twice as fast for wide lights (and coherent packets of Embree 3.13 do
+// not end in instanced scenes).
 struct RayWorld::Impl {
   struct Body {
     RTCScene scene;
@@ -97,7 +98,8 @@ Result<RayWorld> RayWorld::create() {
 
 Result<int> RayWorld::add(const Mesh& mesh) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");
-  // Not robust, a quarter faster: one ray in a million may slip through an edge, of sixteen that are averaged.
+  // Not robust, a quarter faster: one ray in a million may slip through an edge, of sixteen that
+  // are averaged.
   RTCScene scene = build_embree_scene(impl_->device, mesh, RTC_SCENE_FLAG_NONE);
   if (!scene) return fail(ErrorCode::kUnavailable, "Embree", "cannot build the ray scene");
   const glm::vec3 centre = bounds_of(mesh).centre();

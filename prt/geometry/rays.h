@@ -30,7 +30,8 @@ class RayScene {
   RayScene(RayScene&&) noexcept;
   RayScene& operator=(RayScene&&) noexcept;
 
-  /// Another form of the same mesh: as many vertices, the same triangles. Only while no ray is under way.
+  /// Another form of the same mesh: as many vertices, the same triangles. Only while no ray is
+  /// under way.
   void update_vertices(const Mesh& form);
 
   std::optional<Hit> intersect(const glm::vec3& origin, const glm::vec3& direction, float near,

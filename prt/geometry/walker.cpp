@@ -1,4 +1,5 @@
-// The built-in mannequin: tubes along limbs, joined by skin weights, each with a field of its own in the texture plane.
+// The built-in mannequin: tubes along limbs, joined by skin weights, each with a field of its own
+// in the texture plane.
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>

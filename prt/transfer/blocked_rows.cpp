@@ -14,8 +14,8 @@ namespace hn = hwy::HWY_NAMESPACE;
 static_assert(2 * HWY_MAX_BYTES <= kBlock * sizeof(float));
 static_assert(kBlock * sizeof(hwy::float16_t) == 64, "a row of a block fills a cache line");
 
-// One block under three colours of light, or under one: two vectors of points at a time. What is `ahead` is asked for, since
-// memory is what it waits for.
+// One block under three colours of light, or under one: two vectors of points at a time. What is
+// `ahead` is asked for, since memory is what it waits for.
 template <int kColours>
 HWY_ATTR void SumBlock(const std::uint16_t* rows, std::size_t ahead, int used, const float* weights,
                        float* out, std::size_t stride) {

@@ -13,9 +13,10 @@ namespace penumbra::prt {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// Sums of points [first, last), kept in `out` between coefficients. Four coefficients at a time: memory is then read in
-// few long streams, which a processor fetches ahead, and sums are loaded and stored once for twelve products.
-// The first count % 4 coefficients (one, or none: counts are squares) begin the sums.
+// Sums of points [first, last), kept in `out` between coefficients. Four coefficients at a time:
+// memory is then read in few long streams, which a processor fetches ahead, and sums are loaded and
+// stored once for twelve products. The first count % 4 coefficients (one, or none: counts are
+// squares) begin the sums.
 
 // One grey transfer under three colours of light: each half is read once for three products.
 HWY_ATTR void RelightGrey(const std::uint16_t* values, std::size_t stride, std::size_t first,

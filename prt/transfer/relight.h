@@ -12,7 +12,8 @@ namespace penumbra::prt {
 
 /// out[channel * stride + point] = sum_n l_n t_n(point): exit radiance for a unit albedo (times pi:
 /// irradiance). `light` must be in the bake frame; further bands than baked are ignored.
-/// out: 3 * transfer.stride floats. threads: reentrant, no allocation
+/// out: 3 * transfer.stride floats.
+/// threads: reentrant, no allocation
 void relight(const Transfer& transfer, const RadianceSh& light, std::span<float> out);
 
 }  // namespace penumbra::prt

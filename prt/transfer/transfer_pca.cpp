@@ -19,8 +19,8 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::MatrixXf;
 
-// A transfer's coefficients by strips: blocks of points, channel by channel. One channel serves as three where there are
-// to be so many.
+// A transfer's coefficients by strips: blocks of points, channel by channel. One channel serves as
+// three where there are to be so many.
 class Strips {
  public:
   Strips(const Transfer& t, int channels)
@@ -63,13 +63,14 @@ class Strips {
   std::size_t channels_;
 };
 
-// A light of irradiance 1 from direction w has the coefficients Y_n(w), whose products are in the mean over all
-// directions 1/(4 pi) for n = m, else 0; what faces it sends back 1/pi.
+// A light of irradiance 1 from direction w has the coefficients Y_n(w), whose products are in the
+// mean over all directions 1/(4 pi) for n = m, else 0; what faces it sends back 1/pi.
 double error_without(double moment) {
   return kPi * std::sqrt(std::max(0., moment) / (4 * kPi));
 }
 
-// A column for each of the fewest orthogonal mixtures of coefficients that leave less than `error`, strongest first.
+// A column for each of the fewest orthogonal mixtures of coefficients that leave less than `error`,
+// strongest first.
 MatrixXf principal(const MatrixXd& moments, double error) {
   if (moments.size() == 0) return {};
   const Eigen::SelfAdjointEigenSolver<MatrixXd> found(moments);

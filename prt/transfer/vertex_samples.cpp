@@ -44,7 +44,8 @@ double mean_edge(const Mesh& mesh) {
   return mesh.triangles.empty() ? 0 : sum / (3 * static_cast<double>(mesh.triangles.size()));
 }
 
-// Those beside it lie near and look the same way, so that they see what it does: not so in a dent, nor at the end of long edges.
+// Those beside it lie near and look the same way, so that they see what it does: not so in a dent,
+// nor at the end of long edges.
 bool is_like_its_neighbours(const Mesh& mesh, const Neighbours& near, std::uint32_t vertex,
                             double longest) {
   constexpr float kAlike = .7f;  // cosine

@@ -13,8 +13,8 @@ namespace penumbra::prt {
 
 struct Mesh;
 
-/// Of each vertex and those beside it at least three are samples, or all; so are those with sharp or long edges. About half of a
-/// smooth mesh's vertices.
+/// Of each vertex and those beside it at least three are samples, or all; so are those with sharp
+/// or long edges. About half of a smooth mesh's vertices.
 /// threads: const members reentrant
 class VertexSamples {
  public:
@@ -28,7 +28,8 @@ class VertexSamples {
     const std::uint32_t first = around_[vertex][0];
     return first < vertices_.size() && vertices_[first] == vertex;
   }
-  /// Places in vertices() of samples at and beside the vertex, its own first, kMax of many; of none: vertices().size().
+  /// Places in vertices() of samples at and beside the vertex, its own first, kMax of many; of
+  /// none: vertices().size().
   const std::array<std::uint32_t, kMax>& around(std::size_t vertex) const {
     return around_[vertex];
   }

@@ -1,4 +1,5 @@
-// What each vertex of a mesh sees past the mesh itself, kept from its bake: a look-up where a ray would be asked.
+// What each vertex of a mesh sees past the mesh itself, kept from its bake: a look-up where a ray
+// would be asked.
 #pragma once
 
 #include <cmath>
@@ -16,8 +17,9 @@
 #pragma GCC visibility push(default)
 namespace penumbra::prt {
 
-/// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets nothing of the mesh. Where the
-/// vertex or those around it see an edge there are bits of cells half as wide.
+/// By vertex a bit for each cell of a square that maps to its hemisphere: whether a ray there meets
+/// nothing of the mesh. Where the vertex or those around it see an edge there are bits of cells
+/// half as wide.
 struct VisibilityMap {
   static constexpr int kCells = 32, kFineCells = 64;  // along a side of the square
   static constexpr int kBlocks = 8;                   // of cells, along a side
@@ -26,7 +28,8 @@ struct VisibilityMap {
   std::vector<std::uint32_t> open;
   /// By vertex, bit by block: whether it has finer cells. All cells of others are alike.
   std::vector<std::uint64_t> refined;
-  /// Eight by eight finer cells of a refined block in each: those of the first vertex, then of the next one.
+  /// Eight by eight finer cells of a refined block in each: those of the first vertex, then of the
+  /// next one.
   std::vector<std::uint64_t> fine;
 
   VisibilityMap() = default;
@@ -39,7 +42,8 @@ struct VisibilityMap {
   static double blur(int cells) { return std::sqrt(std::numbers::pi / 3) / cells; }
 };
 
-/// Where a vertex's square lies. From one to the next it is turned, and rays go through other places of their cells.
+/// Where a vertex's square lies. From one to the next it is turned, and rays go through other
+/// places of their cells.
 /// source: hemi-octahedral map, Cigolle, Donow, Evangelakos, Mara, McGuire & Meyer 2014
 struct HemiOctFrame {
   glm::vec3 first, second, normal;
@@ -77,7 +81,8 @@ class VisibilitySamples {
   static constexpr std::size_t kMax = 16, kFew = 8;  // a vertex
 
   /// threads: thread-bound; memory grows once
-  /// in: cells kCells, or kFineCells: half as blurred, and slower; each kMax, or in finer cells kFew
+  /// in: cells kCells, or kFineCells: half as blurred, and slower; each kMax, or in finer cells
+  /// kFew
   void clear(int cells, std::size_t each = kMax) {
     cells_ = cells, each_ = each;
     x_.clear(), y_.clear(), z_.clear(), counts_.clear();
@@ -106,7 +111,8 @@ class VisibilitySamples {
 class VisibilityLookup {
  public:
   /// The visibility must outlive it, unchanged.
-  /// in: a visibility map that is not empty, with all of its finer cells, and the mesh that was baked
+  /// in: a visibility map that is not empty, with all of its finer cells, and the mesh that was
+  /// baked
   VisibilityLookup(const VisibilityMap& visibility, const Mesh& mesh);
 
   const VertexSamples& samples() const { return samples_; }

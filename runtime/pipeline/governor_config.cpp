@@ -68,7 +68,8 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
     };
     return time_single_threaded(5, all).p50_ms;
   };
-  // What is baked is read whole, whatever the bands of the light; the first light brings reflected light.
+  // What is baked is read whole, whatever the bands of the light; the first light brings reflected
+  // light.
   costs.per_coefficient_ms = 0;
   costs.base_ms = relight(nullptr);
   const double reflected_ms = std::max(0., relight(&light) - costs.base_ms);

@@ -30,11 +30,12 @@ class LightEstimationStage {
                                              const lighting::EstimateOptions& options,
                                              StageTimes& times);
 
-  /// Whether a camera's frames are for process(). threads: thread-safe
+  /// Whether a camera's frames are for process().
+  /// threads: thread-safe
   bool takes(int camera) const { return takes_[static_cast<std::size_t>(camera)]; }
-  /// Whether the light may be shown: false while exposures that the bracket still owes could resolve what is saturated so
-  /// far, or a camera has shown nothing yet, for a few frames at the start. Half a bracket's light is too dim, and the
-  /// picture would jump when it is whole.
+  /// Whether the light may be shown: false while exposures that the bracket still owes could
+  /// resolve what is saturated so far, or a camera has shown nothing yet, for a few frames at the
+  /// start. Half a bracket's light is too dim, and the picture would jump when it is whole.
   bool ready() const;
   /// Different exposures that the light comes from.
   std::size_t exposures() const;
@@ -43,8 +44,8 @@ class LightEstimationStage {
   }
   void allow_lights(int max_count) { estimator_.allow_lights(max_count); }
   /// The time of the light is that of its stalest camera.
-  /// errors: as HdrRing::add and capture::camera_regions (kUndetermined is an ordinary state: all black or all clipped, a ball
-  /// out of the picture)
+  /// errors: as HdrRing::add and capture::camera_regions (kUndetermined is an ordinary state: all
+  /// black or all clipped, a ball out of the picture)
   /// out: keeps its memory; as it was after an error
   Result<void> process(const capture::Frame& frame, lighting::LightEstimate& out);
   Result<lighting::LightEstimate> process(const capture::Frame& frame) {
@@ -52,7 +53,8 @@ class LightEstimationStage {
     PENUMBRA_TRY(process(frame, out));
     return out;
   }
-  /// The map that the newest light came from, lat-long in world directions; as process() left it, also when it failed.
+  /// The map that the newest light came from, lat-long in world directions; as process() left it,
+  /// also when it failed.
   const Environment& environment() const { return blend_ ? environment_ : views_[0].map; }
   struct ViewGain {
     std::string camera;

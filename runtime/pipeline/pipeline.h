@@ -1,5 +1,5 @@
-// The front door: cameras, a scene and options in; then environment frames and view frames in, light
-// and composited pictures out.
+// The front door: cameras, a scene and options in; then environment frames and view frames in,
+// light and composited pictures out.
 // threads: thread-bound, parallel inside
 #pragma once
 
@@ -43,8 +43,8 @@ struct PipelineOptions {
 
 class Pipeline {
  public:
-  /// Whether these cameras give an environment that light can be measured from: before long work that
-  /// would be lost.
+  /// Whether these cameras give an environment that light can be measured from: before long work
+  /// that would be lost.
   /// errors: kInvalid (says what is wrong with them)
   static Result<void> check(const std::vector<capture::CameraInfo>& cameras);
 
@@ -63,8 +63,8 @@ class Pipeline {
   Pipeline(Pipeline&&) noexcept;
   Pipeline& operator=(Pipeline&&) noexcept;
 
-  /// Whether frames of this camera go to add_environment(). A mirror ball in its picture makes a view
-  /// camera both.
+  /// Whether frames of this camera go to add_environment(). A mirror ball in its picture makes a
+  /// view camera both.
   bool shows_surroundings(int camera) const;
   /// Merges an exposure into the environment and measures its light anew.
   /// out: false where the frame tells nothing yet (all black, all saturated)
@@ -76,12 +76,13 @@ class Pipeline {
   /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)
   Result<runtime::Composited> composite(const capture::Frame& view);
 
-  /// All frames of a source in order of time on this thread: with a new pipeline the same input gives
-  /// the same bytes. light() stays as it was before.
+  /// All frames of a source in order of time on this thread: with a new pipeline the same input
+  /// gives the same bytes. light() stays as it was before.
   /// errors: as runtime::run_replay, kInvalid (no camera shows the surroundings)
   Result<runtime::RunCounts> replay(capture::FrameSource& source, const runtime::Sink& sink);
-  /// The source at its own pace and the light on threads of their own, compositing on this one, until
-  /// the source ends, the sink returns false or `stop` is set. light() stays as it was before.
+  /// The source at its own pace and the light on threads of their own, compositing on this one,
+  /// until the source ends, the sink returns false or `stop` is set. light() stays as it was
+  /// before.
   /// errors: as runtime::run_live, kInvalid (no camera shows the surroundings)
   Result<runtime::RunCounts> run_live(capture::FrameSource& source, const runtime::Sink& sink,
                                       const std::atomic<bool>& stop);
@@ -89,7 +90,8 @@ class Pipeline {
   const lighting::LightEstimate& light() const;
   std::optional<lighting::Plan> plan() const { return light().plan; }
   const StageTimes& timings() const;
-  /// For stages of the caller's own, beside the pipeline's. threads: thread-safe
+  /// For stages of the caller's own, beside the pipeline's.
+  /// threads: thread-safe
   StageTimes& timings();
   const runtime::PreparedScene& scene() const;
   /// For measurements of its parts.

@@ -57,7 +57,8 @@ inline nlohmann::json to_json(const lighting::Plan& p) {
           {"why", reason_of(p)}};
 }
 
-/// The whole light in harmonics, and beside it the split for engines with lights of their own: `residual` plus `lights` is all.
+/// The whole light in harmonics, and beside it the split for engines with lights of their own:
+/// `residual` plus `lights` is all.
 inline nlohmann::json to_json(const lighting::LightEstimate& e) {
   nlohmann::json lights = nlohmann::json::array();
   for (const lighting::DistantLight& d : e.lights) lights.push_back(to_json(d));

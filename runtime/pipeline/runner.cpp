@@ -234,8 +234,8 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
 
 void measure(Live& live, LightEstimationStage& light) noexcept {
   try {
-    std::optional<lighting::LightEstimate>
-        held;  // until the bracket is whole, or nothing more comes
+    // Until the bracket is whole, or nothing more comes
+    std::optional<lighting::LightEstimate> held;
     while (true) {
       auto frame = live.environment.wait(Seconds(.5));
       if (!frame) {
@@ -262,8 +262,8 @@ void measure(Live& live, LightEstimationStage& light) noexcept {
   }
 }
 
-// View frames of a live run. When the next one waits already, the last part of a frame is done beside the begin of that
-// one; otherwise at once, so that nothing comes later than it has to.
+// View frames of a live run. When the next one waits already, the last part of a frame is done
+// beside the begin of that one; otherwise at once, so that nothing comes later than it has to.
 class LiveFrames {
  public:
   LiveFrames(CompositeStage& compose, const Sink& sink, RunCounts& counts)
@@ -288,7 +288,8 @@ class LiveFrames {
     UnderWay& now = last_ == &slots_[0] ? slots_[1] : slots_[0];
     now.frame = frame;
     now.light = light;
-    // The loops in there must not take up the other frame's end, which what is traced live would count as its own time.
+    // The loops in there must not take up the other frame's end, which what is traced live would
+    // count as its own time.
     const auto begun = isolate([&] { return compose_.draw(frame, light, now.begun); });
     finish_last();
     if (!begun) return begun;

@@ -20,8 +20,8 @@ struct RunCounts {
   std::uint64_t frames = 0;         // view frames handed out
   std::uint64_t without_light = 0;  // of them passed through, since no light was measured yet
   std::uint64_t dropped = 0;        // view and environment frames that were overtaken
-  std::uint64_t unusable =
-      0;               // environment frames all black or all clipped; live also damaged frames
+  // Environment frames all black or all clipped; live also damaged frames
+  std::uint64_t unusable = 0;
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
   int lights = 0;                      // most that lit a frame
@@ -45,9 +45,9 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
                              CompositeStage& compose, const Sink& sink, StageTimes& times);
 
 /// The source on one thread (paced to its timestamps), the light on another, compositing on this
-/// one; they meet in mailboxes, one slot a camera and exposure. Where frames take longer than the source's view_rate allows, the governor's lights are given
-/// up one by one, and taken back when there is time (FrameBudget). Stops when the source ends, the sink says so, or `stop` is
-/// set.
+/// one; they meet in mailboxes, one slot a camera and exposure. Where frames take longer than the
+/// source's view_rate allows, the governor's lights are given up one by one, and taken back when
+/// there is time (FrameBudget). Stops when the source ends, the sink says so, or `stop` is set.
 Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& light,
                            CompositeStage& compose, const Sink& sink, StageTimes& times,
                            const std::atomic<bool>& stop);

@@ -126,7 +126,8 @@ prt::SequenceOptions sequence_options(const BakeSettings& settings) {
 
 namespace {
 
-// What the governor predicts truncation from: the floor under the first pose, which few rays tell well enough.
+// What the governor predicts truncation from: the floor under the first pose, which few rays tell
+// well enough.
 Result<void> add_shadow_probes(PreparedObject& o) {
   if (!o.baked.receiver) return {};
   prt::BakeOptions options;
@@ -152,7 +153,8 @@ Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
   return add_shadow_probes(out);
 }
 
-// A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling is all.
+// A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling
+// is all.
 Result<PreparedObject> place_baked_clip(const SceneObject& o,
                                         const std::vector<prt::Plane>& planes) {
   PENUMBRA_ASSIGN(file, prt::read_sequence_info(o.transfer));
@@ -180,7 +182,8 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   if (plane && up.y < .9999)
     return fail(ErrorCode::kInvalid, o.name,
                 "has a clip that is baked upright and cannot be tilted: leave transfer out");
-  // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the middle.
+  // Where the scene's own bake would put it: by the asset's origin, unless it is stood in the
+  // middle.
   const glm::vec4 middle = -standing_frame[3];
   const glm::dvec3 aside =
       o.place_on_floor ? glm::dvec3(0) : o.rotation * (scale * glm::dvec3(middle.x, 0, middle.z));
@@ -304,7 +307,8 @@ Result<void> PreparedObject::begin_live() {
 
 namespace {
 
-// As many as the time allows after what every frame costs; some at least, or nothing would ever change.
+// As many as the time allows after what every frame costs; some at least, or nothing would ever
+// change.
 std::size_t visits_within(double seconds, const LiveTransfer& live) {
   const auto points = static_cast<double>(live.bake.points());
   const double wanted = live.seconds_a_visit > 0

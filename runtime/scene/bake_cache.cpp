@@ -179,7 +179,8 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
     if (ours) fs::remove(*folder / (stem + ".lock"), ignored);
   }
   if (!sequence) {
-    // Without a cache, beside another program that bakes the same, or past a journal that cannot be used.
+    // Without a cache, beside another program that bakes the same, or past a journal that cannot be
+    // used.
     if (ours) fs::remove(*folder / (stem + kJournalKind), ignored);
     const PrivateFolder own;
     sequence = bake_into(own.path() / (stem + kJournalKind), character, clip, options);

@@ -12,8 +12,9 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and put there. The folder
-/// keeps what was used last, at most `kCacheBytes`; one that cannot be written costs time, not the result.
+/// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and
+/// put there. The folder keeps what was used last, at most `kCacheBytes`; one that cannot be
+/// written costs time, not the result.
 /// errors: of prt::bake, naming `name`
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
                                         const prt::BakeOptions& options, bool use_cache);

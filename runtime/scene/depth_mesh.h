@@ -11,17 +11,18 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that the longer side has at
-/// most `kDepthVertices`, each at the nearest depth around it that is known; no triangle where neighbours lie further
-/// apart than 5 % of their distance, where a depth is not positive and finite, or where the surface is seen edge-on.
+/// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that
+/// the longer side has at most `kDepthVertices`, each at the nearest depth around it that is known;
+/// no triangle where neighbours lie further apart than 5 % of their distance, where a depth is not
+/// positive and finite, or where the surface is seen edge-on.
 /// in:     depth along the camera's axis, metres, of the view's size
 /// errors: kInvalid (size), kUndetermined (no surface)
 Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeView& view,
                                   Rgb albedo);
 inline constexpr int kDepthVertices = 320;
 
-/// A linear .exr in metres (one channel, or the first of three) or a 16 bit picture in millimetres, seen by the pinhole of
-/// `camera_file`.
+/// A linear .exr in metres (one channel, or the first of three) or a 16 bit picture in millimetres,
+/// seen by the pinhole of `camera_file`.
 /// errors: of the two readers, kInvalid (8 bit, another size, no pinhole)
 Result<prt::Mesh> read_depth_mesh(const std::filesystem::path& depth_file,
                                   const std::filesystem::path& camera_file, Rgb albedo);

@@ -59,8 +59,8 @@ const prt::Plane* plane_under(const std::vector<prt::Plane>& planes, const prt::
 
 namespace {
 
-// A file that is baked already stands on the plane that it was baked on; transfer has no length, so scaling
-// and shifting its frame is all.
+// A file that is baked already stands on the plane that it was baked on; transfer has no length, so
+// scaling and shifting its frame is all.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
   PENUMBRA_ASSIGN(baked, prt::read_baked(o.asset));
   const prt::Bounds b = bounds_of(baked.mesh);
@@ -205,7 +205,8 @@ Result<void> prepare_receivers(
   return {};
 }
 
-// What real things hide from and reflect onto each other and the floor: few rays, it is a fraction of what objects take.
+// What real things hide from and reflect onto each other and the floor: few rays, it is a fraction
+// of what objects take.
 Result<void> bake_real(PreparedScene& scene, const BakeSettings& settings,
                        const std::function<void(double)>& progress) {
   constexpr int kMaxRays = 1024, kMaxBounces = 2;

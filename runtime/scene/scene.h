@@ -75,7 +75,8 @@ struct BakeSettings {
   bool use_cache = true;
 };
 
-/// A character in its bake frame, what it plays, and the clip's transfer unless that is traced live.
+/// A character in its bake frame, what it plays, and the clip's transfer unless that is traced
+/// live.
 struct Animation {
   prt::Character character;
   int clip = 0;
@@ -102,7 +103,8 @@ struct LiveTransfer {
 /// An object ready to be drawn. The bake frame stands on the receiver, y along its normal.
 struct PreparedObject {
   std::string name;
-  /// Of an animation as it is at `frame`: mesh, receiver and transfer; the latter is kept up to date by move_to on demand.
+  /// Of an animation as it is at `frame`: mesh, receiver and transfer; the latter is kept up to
+  /// date by move_to on demand.
   prt::BakedObject baked;
   Pose world_from_bake;  // at time 0
   double spin_rpm = 0;
@@ -117,14 +119,15 @@ struct PreparedObject {
   Pose pose_at(double seconds) const;
   /// In the bake frame.
   prt::Mesh mesh_at(double seconds) const;
-  /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what relight() needs alone.
-  /// Returns false where nothing moved.
+  /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what
+  /// relight() needs alone. Returns false where nothing moved.
   bool move_to(double seconds, bool transfer, bool keep_time = false);
-  /// A copy's own live transfer: two copies never share one. `keep_time`, above: its rays keep to the time that the animation
-  /// allows them, else their number is always the same.
+  /// A copy's own live transfer: two copies never share one. `keep_time`, above: its rays keep to
+  /// the time that the animation allows them, else their number is always the same.
   /// errors: kUnavailable (Embree)
   Result<void> begin_live();
-  /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and its reflected part.
+  /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and
+  /// its reflected part.
   enum class TransferPart { kSurface, kReflected, kGround, kGroundReflected };
   static constexpr std::size_t kParts = 4;
   /// Of a baked animation.
@@ -133,7 +136,8 @@ struct PreparedObject {
   void relight(TransferPart part, const RadianceSh& light, std::span<float> out) const;
 };
 
-/// The real meshes as one, baked like an object on the plane that they stand on: vertex i is that of real_mesh.
+/// The real meshes as one, baked like an object on the plane that they stand on: vertex i is that
+/// of real_mesh.
 struct PreparedReal {
   prt::BakedObject baked;
   Pose world_from_bake;
@@ -143,27 +147,28 @@ struct PreparedScene {
   std::vector<PreparedObject> objects;
   std::vector<prt::Plane> planes;
   prt::Mesh real_mesh;  // world frame; empty without real meshes
-  std::shared_ptr<const PreparedReal>
-      real{};  // null without real meshes, or nothing virtual beside them
+  // Null without real meshes, or nothing virtual beside them
+  std::shared_ptr<const PreparedReal> real{};
   std::vector<shadows::Lamp> lamps{};
 };
 
-/// Loads, places and bakes. What is baked and which triangles are left out goes to the log (core/log.h).
+/// Loads, places and bakes. What is baked and which triangles are left out goes to the log
+/// (core/log.h).
 /// errors: what the assets say
 Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,
     const std::function<std::function<void(double)>(const std::string&)>& progress);
 
-/// From the mesh's frame to the world. With fit_size_m the mesh, turned as it is, touches the floor of
-/// normal `up` through the position.
+/// From the mesh's frame to the world. With fit_size_m the mesh, turned as it is, touches the floor
+/// of normal `up` through the position.
 glm::dmat4 world_from_mesh(const Placement& placement, const prt::Mesh& mesh,
                            const glm::dvec3& up = {0, 1, 0});
 
 /// Of the plane under a position; without one, the vertical.
 glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3& position);
 
-/// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision, as a
-/// fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
+/// An asset in its own frame, or a built-in one. `edge_fraction`: longest edge after subdivision,
+/// as a fraction of the bounding radius (vertex transfer needs short edges); 0 leaves the mesh.
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction);
 
 /// All meshes of a scene in the world frame at a time, for the reference.

@@ -51,7 +51,8 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
   return look;
 }
 
-// Poses over what it plays: the drawn triangles must serve all of them. With pictures every triangle is drawn anyway.
+// Poses over what it plays: the drawn triangles must serve all of them. With pictures every
+// triangle is drawn anyway.
 std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
   constexpr int kForms = 8;
   std::vector<prt::Mesh> forms;
@@ -62,11 +63,12 @@ std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
   return forms;
 }
 
-// Error of patterns under a small light. Twice as much shows: 2.18 instead of 2.04 % on the knot under rustig_koppie, where all
-// coefficients give 2.05.
+// Error of patterns under a small light. Twice as much shows: 2.18 instead of 2.04 % on the knot
+// under rustig_koppie, where all coefficients give 2.05.
 constexpr double kPatternsError = 5e-4;
 
-// What the floor sends where nothing shades it, if it is all that is real; 0 where its albedo is not known.
+// What the floor sends where nothing shades it, if it is all that is real; 0 where its albedo is
+// not known.
 Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
   if (scene.planes.size() != 1 || !scene.real_mesh.triangles.empty()) return {};
   return scene.planes[0].albedo * open[0] * static_cast<float>(1 / kPi);
@@ -132,7 +134,8 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
   return stage;
 }
 
-// Brings all that moves by itself to a time. Where shadows can meet others their coefficients are needed.
+// Brings all that moves by itself to a time. Where shadows can meet others their coefficients are
+// needed.
 bool CompositeStage::move_to(double seconds) {
   if (!moving_) return false;
   const StageTimer timer(times_, "animation");
@@ -182,7 +185,8 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     measured = real_.measure(light, lights_, lights_changed);
   }
   bool relit = false;
-  // What objects reflect onto each other is known from the last update, at first from a round of its own.
+  // What objects reflect onto each other is known from the last update, at first from a round of
+  // its own.
   const int rounds = !lit_before_ && objects_.size() > 1 ? 2 : 1;
   for (int round = 0; round < rounds; ++round)
     for (std::size_t i = 0; i < objects_.size(); ++i)
@@ -218,7 +222,8 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 
 }  // namespace
 
-// First what real things take, which is in the picture already, then what objects take of each other's.
+// First what real things take, which is in the picture already, then what objects take of each
+// other's.
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
   const bool behind_real = real_.any() && real_.shadow();
   for (std::size_t k = 0; behind_real && k < objects_.size(); ++k) {

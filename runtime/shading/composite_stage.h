@@ -1,6 +1,6 @@
 // The way of one frame, in two stages that meet in a LightEstimate: the light at environment-camera
-// rate, the composite at view-camera rate. Live and replay call the same two functions. threads:
-// each stage is thread-bound; CompositeStage owns the GL context of its thread
+// rate, the composite at view-camera rate. Live and replay call the same two functions.
+// threads: each stage is thread-bound; CompositeStage owns the GL context of its thread
 #pragma once
 
 #include <memory>
@@ -40,7 +40,8 @@ struct Composited {
 /// A frame that has been begun, apart from the stage.
 class PendingFrame {
  public:
-  /// The rest of its composite. threads: any, while the stage goes on
+  /// The rest of its composite.
+  /// threads: any, while the stage goes on
   Composited finish();
 
  private:
@@ -52,7 +53,8 @@ class PendingFrame {
   StageTimes* times_ = nullptr;
 };
 
-/// What a thing that keeps its form is relit by: its transfer and what comes to it by reflection, and both of its receiver.
+/// What a thing that keeps its form is relit by: its transfer and what comes to it by reflection,
+/// and both of its receiver.
 struct RelightBases {
   prt::TransferPca surface, ground;
   explicit RelightBases(const prt::BakedObject& baked);
@@ -61,8 +63,8 @@ struct RelightBases {
 /// View frames and light in, composited frames out.
 class CompositeStage {
  public:
-  /// Light whose largest possible effect, by a bound that is loose two to ten times, is below this fraction of the
-  /// mean cannot be seen in 8 bits.
+  /// Light whose largest possible effect, by a bound that is loose two to ten times, is below this
+  /// fraction of the mean cannot be seen in 8 bits.
   static constexpr double kVisibleChange = .01;
 
   /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
@@ -72,11 +74,13 @@ class CompositeStage {
       compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2,
       const ShadowSampling& sampling = {});
 
-  /// Draws once and throws it away: drivers compile shaders at the first draw, which costs a live run frames.
+  /// Draws once and throws it away: drivers compile shaders at the first draw, which costs a live
+  /// run frames.
   void warm_up();
   /// Composites one view frame under `light`.
   /// errors: as Compositor::composite
-  /// out: keeps its memory: once it has had a frame nothing comes from the heap, without real meshes, lamps and clips
+  /// out: keeps its memory: once it has had a frame nothing comes from the heap, without real
+  /// meshes, lamps and clips
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light) {
@@ -88,13 +92,15 @@ class CompositeStage {
   Result<void> draw(const capture::Frame& frame, const lighting::LightEstimate& light,
                     PendingFrame& out);
   compositor::Compositor& output() { return *compositor_; }
-  /// What sources of `light` that are saturated in every exposure really send, where this frame can tell; empty where
-  /// it cannot.
+  /// What sources of `light` that are saturated in every exposure really send, where this frame can
+  /// tell; empty where it cannot.
   std::vector<lighting::SaturationRecovery> complete(const capture::Frame& frame,
                                                      const lighting::LightEstimate& light);
-  /// The part of process() that depends on the light: relights objects and renews shadows where something changed visibly.
+  /// The part of process() that depends on the light: relights objects and renews shadows where
+  /// something changed visibly.
   bool shade(const lighting::LightEstimate& light, double seconds);
-  /// From now on time counts: what is traced live keeps to its own. Before, results are the same on every machine.
+  /// From now on time counts: what is traced live keeps to its own. Before, results are the same on
+  /// every machine.
   void keep_time() { keeps_time_ = true; }
 
  private:
@@ -102,8 +108,8 @@ class CompositeStage {
   struct ObjectLight {
     RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
     std::array<RadianceSh, kProbeDirections> side;
-    std::array<float, kProbeDirections>
-        floor_hidden{};                           // of the floor that the side would see alone
+    // Of the floor that the side would see alone
+    std::array<float, kProbeDirections> floor_hidden{};
     std::array<Rgb, kProbeDirections> instead{};  // exit radiance of a white side by what hides it
     RadianceSh lights{1};  // for the light that object and floor reflect; 1 band without lights
     std::array<RadianceSh, kProbeDirections> side_lights;

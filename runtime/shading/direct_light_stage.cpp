@@ -17,14 +17,15 @@ namespace penumbra::runtime {
 
 namespace {
 
-// A light is traced anew when it moved by a tenth of its radius and this much: half a millimetre of shadow from half a
-// metre's height.
+// A light is traced anew when it moved by a tenth of its radius and this much: half a millimetre of
+// shadow from half a metre's height.
 constexpr double kMinMove = 1e-3;
 constexpr double kVisibleFraction = .005;
-// Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an eighth under light from above. As
-// much of the larger cells, about, for broad lights.
+// Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an
+// eighth under light from above. As much of the larger cells, about, for broad lights.
 constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
-// Radii of an object within which it matters what real things leave: as far as its planar shadow goes.
+// Radii of an object within which it matters what real things leave: as far as its planar shadow
+// goes.
 constexpr double kAround = shadows::kFieldReach;
 const shadows::ShadowMap kNoShadow;
 
@@ -167,8 +168,8 @@ void DirectLightStage::follow_forms() {
     }
 }
 
-// Of the floor that a side would see alone, and that the object itself does not shade: what of its light light is there and
-// in visibility.
+// Of the floor that a side would see alone, and that the object itself does not shade: what of its
+// light light is there and in visibility.
 std::array<float, kProbeDirections> DirectLightStage::floor_fraction(
     std::size_t object, const lighting::DistantLight& source, const OcclusionProbes& around) const {
   std::array<float, kProbeDirections> out;
@@ -241,7 +242,8 @@ void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool
     if (!all && !may_have_changed(i, t.source)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
-    // What knows nothing of its own visibility asks rays everywhere, and texels do not share them: half would show (walker: 3.2 %).
+    // What knows nothing of its own visibility asks rays everywhere, and texels do not share them:
+    // half would show (walker: 3.2 %).
     const int sampling =
         virtual_casters_[i].visibility ? t.detail.object_samples : sampling_.object;
     shadows::trace_direct_light(rays(), casters(), virtual_casters_[i],
@@ -250,7 +252,8 @@ void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool
   trace_planes(t);
 }
 
-// More at once, less only when a good deal less would do: a light at the limit must not change back and forth.
+// More at once, less only when a good deal less would do: a light at the limit must not change back
+// and forth.
 DirectLightStage::TracedDetail DirectLightStage::detail_for(const lighting::DistantLight& source,
                                                             const OpenLight& open,
                                                             const TracedDetail& before) const {
@@ -265,7 +268,8 @@ DirectLightStage::TracedDetail DirectLightStage::detail_for(const lighting::Dist
   }
   TracedDetail out{sampling_.object, of_plane(fraction)};
   if (before.plane > out.plane) out.plane = std::min(before.plane, of_plane(fraction / kGoodDeal));
-  // Two rays are the fewest that are soft. (Under immenstadter's sun the knot is 1.91 instead of 1.86 % off.)
+  // Two rays are the fewest that are soft. (Under immenstadter's sun the knot is 1.91 instead of
+  // 1.86 % off.)
   const bool was_strong = before.object_samples == sampling_.object;
   const double limit = (was_strong ? kGoodDeal : 1) * open.mean_irradiance;
   if (luminance(source.irradiance()) < limit && sampling_.object > 2)

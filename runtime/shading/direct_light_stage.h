@@ -24,8 +24,9 @@
 namespace penumbra::runtime {
 
 struct ShadowSampling {
-  /// Rays a vertex and light; on what knows its visibility half of them, at least two, for one that sends who faces it less than the
-  /// mean light of all normals (a fill light too, on the side that the others do not reach). By one its shadow is hard.
+  /// Rays a vertex and light; on what knows its visibility half of them, at least two, for one that
+  /// sends who faces it less than the mean light of all normals (a fill light too, on the side that
+  /// the others do not reach). By one its shadow is hard.
   int object = 4;
   shadows::ShadowMapOptions plane;
 };
@@ -40,33 +41,36 @@ class DirectLightStage {
   void set_pose(std::size_t object, const Pose& world_from_bake);
   /// Follows the mesh of an object that moves by itself.
   void update_vertices(std::size_t object);
-  /// Brings everything up to date with the lights and with what stands around. True when anything was traced or a radiance
-  /// changed visibly, relative to `mean_irradiance`. `open_irradiance[p]` is the light of open plane p, lights included: shadows
-  /// of what brings little of it are drawn less finely; none: all finely.
+  /// Brings everything up to date with the lights and with what stands around. True when anything
+  /// was traced or a radiance changed visibly, relative to `mean_irradiance`. `open_irradiance[p]`
+  /// is the light of open plane p, lights included: shadows of what brings little of it are drawn
+  /// less finely; none: all finely.
   bool update(std::span<const lighting::DistantLight> lights, double mean_irradiance,
               const OcclusionProbes& around, std::span<const Rgb> open_irradiance = {});
 
-  /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there is one; planes follow, where
-  /// there are several.
+  /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there
+  /// is one; planes follow, where there are several.
   shadows::RayOccluders occluders() {
     follow_forms();
     return rays();
   }
-  /// How much of a distant light (by its place in update()'s list) reaches the floor before a side of an object
-  /// past everything else: what there is for the two to reflect.
+  /// How much of a distant light (by its place in update()'s list) reaches the floor before a side
+  /// of an object past everything else: what there is for the two to reflect.
   float reflected_fraction(std::size_t source, std::size_t object, int side) const {
     return traced_[source].floor_fraction[object][static_cast<std::size_t>(side)];
   }
 
   /// Adds the lights' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
-  /// E0 - E at points of real geometry and what is really left there of all distant lights, relative irradiance.
+  /// E0 - E at points of real geometry and what is really left there of all distant lights,
+  /// relative irradiance.
   struct AtVertices {
     std::vector<Rgb> open, taken, missing;
   };
   AtVertices at_vertices(const prt::Mesh& mesh) const;
 
-  /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, lights included.
+  /// The shadows on every plane; `open_irradiance[p]` is the light of open plane p, lights
+  /// included.
   void shadows(std::span<const Rgb> open_irradiance,
                std::vector<compositor::ShadowMapOnPlane>& out) const;
 
@@ -104,9 +108,11 @@ class DirectLightStage {
   Result<void> add_real_mesh();
   void add_caster(const prt::Mesh& mesh, const Pose& pose, std::vector<shadows::Caster>& to);
   float smallest_radius() const;  // of the objects, of which there is one
-  /// Building a moved mesh for rays takes a millisecond, which a frame without lights need not spend.
+  /// Building a moved mesh for rays takes a millisecond, which a frame without lights need not
+  /// spend.
   void follow_forms();
-  /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have changed.
+  /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have
+  /// changed.
   void trace(TracedLight& traced, const OcclusionProbes& around, bool all);
   void trace_planes(TracedLight& traced);
   TracedDetail detail_for(const lighting::DistantLight& source, const OpenLight& open,
@@ -119,8 +125,8 @@ class DirectLightStage {
   const PreparedScene* scene_;
   ShadowSampling sampling_;
   prt::RayWorld virtual_, real_;
-  std::vector<char>
-      other_form_;  // by object: neither rays nor silhouettes know its present mesh yet
+  // By object: neither rays nor silhouettes know its present mesh yet
+  std::vector<char> other_form_;
   std::vector<Pose> poses_;
   std::vector<TracedLight> traced_, before_;
   std::vector<prt::Mesh> quads_;  // as much of each plane as a shadow can come from
@@ -128,8 +134,8 @@ class DirectLightStage {
   std::vector<shadows::SilhouetteMesh> coarse_;       // of those that keep their form
   std::vector<prt::VisibilityLookup> visibilities_;   // of those of which it was baked
   std::vector<shadows::Caster> virtual_casters_, real_casters_;
-  // What planes get shadows from, coarse where that is known: under lights that are not broad, and that are. Of real things, by
-  // plane, all but the plane itself.
+  // What planes get shadows from, coarse where that is known: under lights that are not broad, and
+  // that are. Of real things, by plane, all but the plane itself.
   std::array<std::vector<shadows::Caster>, 2> virtual_on_planes_;
   std::vector<std::vector<shadows::Caster>> real_on_;
   std::vector<shadows::Neighbourhood> around_;

@@ -1,5 +1,5 @@
-// What sources that are saturated in every exposure really send, read off a real floor of known albedo in the view
-// camera's picture.
+// What sources that are saturated in every exposure really send, read off a real floor of known
+// albedo in the view camera's picture.
 // threads: thread-bound
 #pragma once
 
@@ -25,13 +25,16 @@ class FloorRecovery {
   static constexpr Seconds kAgain{1};
   static constexpr float kMinChange = .03f;
 
-  /// Idle in a scene without a plane of known albedo that an object stands on. The scene must outlive it.
+  /// Idle in a scene without a plane of known albedo that an object stands on. The scene must
+  /// outlive it.
   /// errors: kUnavailable (Embree)
   static Result<FloorRecovery> create(const PreparedScene& scene);
 
-  /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as compositor::View
+  /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
+  /// compositor::View
   /// out: completions of the light's clipped lights; empty when there is nothing (new) to say
-  /// errors: as recover_jointly; kUndetermined when too little of the floor is in view or it is overexposed
+  /// errors: as recover_jointly; kUndetermined when too little of the floor is in view or it is
+  /// overexposed
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
   Result<std::vector<lighting::SaturationRecovery>> observe(const capture::Frame& frame,
                                                             const capture::CameraInfo& camera,

@@ -1,4 +1,5 @@
-// The light of a scene's virtual lamps on objects, planes and real meshes; traced when something moved.
+// The light of a scene's virtual lamps on objects, planes and real meshes; traced when something
+// moved.
 // threads: thread-bound, parallel inside
 #pragma once
 
@@ -26,7 +27,8 @@ class LampStage {
   void add_light(std::size_t object, std::span<float> relit) const;
   /// At the vertices of the real mesh, beside everything else; empty without lamps or mesh.
   std::span<const Rgb> on_real_mesh() const { return on_real_mesh_; }
-  /// Appends what lamps add to every plane, as shadows of negative share; `open_irradiance[p]` as DirectLightStage::shadows.
+  /// Appends what lamps add to every plane, as shadows of negative share; `open_irradiance[p]` as
+  /// DirectLightStage::shadows.
   void append(std::span<const Rgb> open_irradiance,
               std::vector<compositor::ShadowMapOnPlane>& out) const;
 

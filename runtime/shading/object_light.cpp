@@ -1,4 +1,5 @@
-// The part of CompositeStage that brings the world's light to one object, past whatever stands around it.
+// The part of CompositeStage that brings the world's light to one object, past whatever stands
+// around it.
 #include <algorithm>
 #include <cmath>
 
@@ -26,7 +27,8 @@ void add(RadianceSh& sum, const RadianceSh& other, float factor) {
   for (int n = 0; n < sum.size(); ++n) sum[n] += factor * other[n];
 }
 
-// What stands beside an object takes broad parts of its light: so many bands of the difference are seen.
+// What stands beside an object takes broad parts of its light: so many bands of the difference are
+// seen.
 constexpr int kSideBands = 3, kFloorBands = 5;
 
 // out[v] += w(v) (in[v] + glow) for all three colours.
@@ -145,7 +147,8 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
       add(side[static_cast<std::size_t>(k)], own, lights_.reflected_fraction(i, index, k));
     out.distant_irradiance += lighting::irradiance(d, up);
   }
-  // What object and floor reflect of a lamp: as if it were as far for all of them as for the object's middle.
+  // What object and floor reflect of a lamp: as if it were as far for all of them as for the
+  // object's middle.
   glm::dvec3 centre(0);
   if (!scene_.lamps.empty())
     centre = pose * glm::dvec3(prt::bounds_of(objects_[index].prepared->baked.mesh).centre());
@@ -189,7 +192,8 @@ void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size
                           difference(light.side[s], light.open).with_bands(kSideBands), o.more);
       add_to_side(vertices, o.more, {}, o.relit);
     }
-    // Of what object and floor reflect to each other, the floor that is hidden or in shade is missing.
+    // Of what object and floor reflect to each other, the floor that is hidden or in shade is
+    // missing.
     const bool shaded = lights && !(light.side_lights[s] == light.lights);
     if (!shaded && light.floor_hidden[s] == 0) continue;
     RadianceSh missing = shaded ? difference(light.side_lights[s], light.lights) : no_lights;

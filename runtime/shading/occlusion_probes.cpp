@@ -121,7 +121,8 @@ class SideEyes {
   prt::RayWorld::Rays ray_;
 };
 
-// Several vertices are tried until one is open to the direction: how likely that is, the transfer knows.
+// Several vertices are tried until one is open to the direction: how likely that is, the transfer
+// knows.
 void look_up(SideEyes& eyes, int k, const glm::dvec3& d, ProbeView& out) {
   for (int attempt = 0; attempt < kTries; ++attempt) {
     const double place = std::fmod((k * kTries + attempt) * .6180339887498949, 1.);

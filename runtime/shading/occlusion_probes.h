@@ -1,5 +1,6 @@
-// What stands around each virtual object: the directions that other objects and real geometry hide from it, and
-// how brightly they shine there instead. Low frequencies alone; lights have their own rays.
+// What stands around each virtual object: the directions that other objects and real geometry hide
+// from it, and how brightly they shine there instead. Low frequencies alone; lights have their own
+// rays.
 // threads: thread-bound
 #pragma once
 
@@ -26,8 +27,9 @@ struct BlockedSh {
   float fraction = 0;  // of the sphere
 };
 
-/// An object has ten sides: up and down its bake frame's y, and eight around it from +x over +z. A normal n belongs to
-/// up or down by n_y^2, with the rest to the two sides around that it lies between. The weights sum to 1.
+/// An object has ten sides: up and down its bake frame's y, and eight around it from +x over +z. A
+/// normal n belongs to up or down by n_y^2, with the rest to the two sides around that it lies
+/// between. The weights sum to 1.
 inline constexpr int kProbeDirections = 10;
 inline float direction_weight(const glm::vec3& normal, int side) {
   const float n = normal.y;
@@ -56,8 +58,8 @@ struct FloorPoint {
 /// What one side of an object sees of other things.
 struct ProbeView {
   BlockedSh by_real, by_virtual;  // above the floor
-  /// Shares of the side's irradiance under even light from everywhere (a form factor): what of the floor it sees, and what
-  /// other things hide of it.
+  /// Shares of the side's irradiance under even light from everywhere (a form factor): what of the
+  /// floor it sees, and what other things hide of it.
   float floor = 0, floor_behind_real = 0, floor_behind_virtual = 0;
   std::vector<FloorPoint> floor_points;  // weights sum to `floor`
 };
@@ -73,8 +75,8 @@ class OcclusionProbes {
            scene_->planes.size() > 1;
   }
 
-  /// Looks around from every object, with rays from all over its surface that it does not block itself. The same again
-  /// when nothing has moved costs nothing.
+  /// Looks around from every object, with rays from all over its surface that it does not block
+  /// itself. The same again when nothing has moved costs nothing.
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
   void look(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
 

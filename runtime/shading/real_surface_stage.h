@@ -1,5 +1,5 @@
-// Real meshes: what light really arrives on them and on the floor past them, what of it goes on to objects, and what virtual
-// things take.
+// Real meshes: what light really arrives on them and on the floor past them, what of it goes on to
+// objects, and what virtual things take.
 // threads: thread-bound, parallel inside
 #pragma once
 
@@ -22,13 +22,15 @@ class RealSurfaceStage {
 
   bool any() const { return !scene_->real_mesh.triangles.empty(); }
 
-  /// Renews what depends on the light where that changed visibly, or `lights_changed`. True when it did.
+  /// Renews what depends on the light where that changed visibly, or `lights_changed`. True when it
+  /// did.
   bool measure(const lighting::LightEstimate& light, const DirectLightStage& lights,
                bool lights_changed);
 
   /// Exit radiance of the real mesh's vertices as last measured.
   std::span<const Rgb> exit() const { return exit_; }
-  /// What the real mesh takes of the floor's light beside the lights; null where it stands on no plane.
+  /// What the real mesh takes of the floor's light beside the lights; null where it stands on no
+  /// plane.
   const shadows::PlanarShadow* shadow() const { return shadow_.ratio.empty() ? nullptr : &shadow_; }
 
   /// Ratios at the vertices: s = 1 - (what virtual things take)/(what really arrives).

@@ -15,7 +15,8 @@ namespace penumbra::runtime {
 
 /// A plane counts as level when its normal's y is larger: within a quarter of a degree.
 inline constexpr double kLevel = .99999;
-/// A baked thing that stands on a level floor takes the floor's light (lighting::upper_hemisphere_light), any other the sphere's.
+/// A baked thing that stands on a level floor takes the floor's light
+/// (lighting::upper_hemisphere_light), any other the sphere's.
 inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_bake) {
   return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
 }
@@ -23,7 +24,8 @@ inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_b
 const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
 RadianceSh reflected_for(const lighting::DistantLight& source, bool level);
 /// A sum of reflected_for turned into the bake frame.
-/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave out part of its own
+/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave
+/// out part of its own
 RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
                                    int bands = prt::kIndirectBands);
 /// Irradiance of an open plane of this orientation, lights included.

@@ -66,7 +66,8 @@ Result<void> RealMeshWorld::light(const std::function<void(double)>& progress) {
   const prt::ReferenceWorld world{
       props_, {{{0, 0, 0}, {0, 1, 0}, floor_->mean_floor_albedo(), {}}}, &far, {}};
   std::vector<prt::IrradiancePoint> points;
-  // A point on the floor itself would look past it; what lies below goes on as it is at the floor line.
+  // A point on the floor itself would look past it; what lies below goes on as it is at the floor
+  // line.
   constexpr double kOverFloor_m = 1e-3;
   for (std::size_t i = 0; i < props_.positions.size(); ++i) {
     glm::dvec3 at(props_.positions[i]);

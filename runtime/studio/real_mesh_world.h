@@ -12,13 +12,15 @@
 
 namespace penumbra::runtime {
 
-/// A floor world in which matte things stand. Their light and the floor's around them is path traced once: at their
-/// vertices, and on a grid of the floor (prt::GroundGrid) with cells of 1 cm beside something half a metre large and
-/// 3 cm two radii further. Sharper real shadows come out that soft.
+/// A floor world in which matte things stand. Their light and the floor's around them is path
+/// traced once: at their vertices, and on a grid of the floor (prt::GroundGrid) with cells of 1 cm
+/// beside something half a metre large and 3 cm two radii further. Sharper real shadows come out
+/// that soft.
 /// threads: reentrant
 class RealMeshWorld : public capture::RadianceWorld {
  public:
-  /// `props`: world frame, metres. Floor and things light each other; to them the floor is evenly of its mean colour.
+  /// `props`: world frame, metres. Floor and things light each other; to them the floor is evenly
+  /// of its mean colour.
   /// errors: kInvalid (no triangles), kUnavailable (Embree), as EnvironmentLight::from_map
   static Result<std::shared_ptr<RealMeshWorld>> make(
       std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh props,

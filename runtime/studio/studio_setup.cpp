@@ -13,7 +13,8 @@ namespace penumbra::runtime {
 
 namespace {
 
-// A real thing as a rig's owner would describe it: about as large as the objects, where they leave room.
+// A real thing as a rig's owner would describe it: about as large as the objects, where they leave
+// room.
 RealGeometry place_real_mesh(const std::string& asset, bool behind) {
   RealGeometry prop;
   prop.mesh = asset;

@@ -34,8 +34,8 @@ bool is_finite(const glm::vec3& v) {
 constexpr float kClear = 1e-4f;     // points are put this far outside of a surface
 constexpr float kConeFrom = 1.02f;  // from here on rays are aimed at the bounding sphere
 
-// Blocked fraction of the sphere from which on a point counts as inside: a hole between two triangles
-// or the mouth of a bottle does not make it a place for a receiver.
+// Blocked fraction of the sphere from which on a point counts as inside: a hole between two
+// triangles or the mouth of a bottle does not make it a place for a receiver.
 constexpr float kEnclosed = .98f;
 
 // One set of directions for all points, in packets that lie together.

@@ -105,10 +105,10 @@ struct FieldReceiver {
   std::span<const Rgb> distant_irradiance;
 };
 
-/// s = 1 - deficit/E0 of every point, clamped to 0..1.5, where E0 counts the lights; what the object
-/// blocks of them is not in it. It is 1 exactly beyond the object's reach, where E0 has no footing
-/// (below kMinIrradiance of the mean; faded in up to twice that, since normals vary), and where a
-/// point or normal is not finite. Several objects: smooth_ratios, then multiply.
+/// s = 1 - deficit/E0 of every point, clamped to 0..1.5, where E0 counts the lights; what the
+/// object blocks of them is not in it. It is 1 exactly beyond the object's reach, where E0 has no
+/// footing (below kMinIrradiance of the mean; faded in up to twice that, since normals vary), and
+/// where a point or normal is not finite. Several objects: smooth_ratios, then multiply.
 /// errors: kInvalid (lengths, light made for other bands)
 Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
                           const Pose& bake_from_world, const FieldReceiver& receiver,
@@ -119,8 +119,9 @@ struct PlacedField {
   Pose world_from_bake;
 };
 
-/// As combine_shadows, for ratios at points: changes the second's so that the product with the first's counts once what both
-/// block. threads: reentrant, parallel inside; no allocation
+/// As combine_shadows, for ratios at points: changes the second's so that the product with the
+/// first's counts once what both block.
+/// threads: reentrant, parallel inside; no allocation
 void smooth_ratios(const PlacedField& first, const PlacedField& second,
                    std::span<const glm::vec3> positions, std::span<const Rgb> first_ratios,
                    std::span<Rgb> ratios);

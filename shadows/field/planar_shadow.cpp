@@ -16,7 +16,8 @@ float smooth_step(float t) {
   return t * t * (3 - 2 * t);
 }
 
-// 1 inside, 0 at the rim, by distance from the grid's centre in texture coordinates: the lesser one of column and row.
+// 1 inside, 0 at the rim, by distance from the grid's centre in texture coordinates: the lesser one
+// of column and row.
 void rim_fades(int size, std::vector<float>& out) {
   out.clear();
   for (int i = 0; i < size; ++i) {

@@ -27,8 +27,8 @@ struct PlanarShadow {
 /// Ratios closer to 1 than this are 1 (a third of an 8-bit sRGB code at most); up to twice as far
 /// they are faded in, so that the border cannot be seen. This is what keeps the touched area small.
 inline constexpr float kInvisibleRatio = .003f;
-/// Where E0 is below this fraction of the mean over all directions, the ratio form has no footing: s
-/// = 1.
+/// Where E0 is below this fraction of the mean over all directions, the ratio form has no footing:
+/// s = 1.
 inline constexpr float kMinIrradiance = .05f;
 
 /// Light on a receiver, in its bake frame.
@@ -41,8 +41,8 @@ struct ReceiverLight {
   Rgb distant_irradiance;  // E of all lights on the open receiver, W/m^2 relative
 };
 
-/// What the object takes of the receiver's irradiance/pi at its grid's texels under the residual, less what it reflects of `lights`, in
-/// prt::relight's layout.
+/// What the object takes of the receiver's irradiance/pi at its grid's texels under the residual,
+/// less what it reflects of `lights`, in prt::relight's layout.
 struct ReceiverChange {
   const prt::GroundGrid& grid;
   int bands;  // of the deficit
@@ -52,9 +52,10 @@ struct ReceiverChange {
 void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
                            PlanarShadow& out);
 
-/// s = 1 - (sum l_n S_n - light reflected from lights)/E0 from the baked deficit basis S_n, clamped to 0..1.5,
-/// faded to 1 over the outer tenth of the grid. E0 counts the lights; what of them the object blocks is
-/// ShadowMap's. `light` in the bake frame: a yaw of the object is a rotation of the light.
+/// s = 1 - (sum l_n S_n - light reflected from lights)/E0 from the baked deficit basis S_n, clamped
+/// to 0..1.5, faded to 1 over the outer tenth of the grid. E0 counts the lights; what of them the
+/// object blocks is ShadowMap's. `light` in the bake frame: a yaw of the object is a rotation of
+/// the light.
 /// in:     object with a receiver
 /// errors: kInvalid (no receiver)
 Result<void> compose_planar_shadow(const prt::BakedObject& object, const ReceiverLight& light,
@@ -66,11 +67,11 @@ struct PlacedShadow {
   const PlanarShadow* shadow;
 };
 
-/// Shadows of two objects are multiplied where they meet, which darkens twice where both block the same
-/// directions. This changes the second's ratio (`out`, a copy of second.shadow) so that the product is 1 - (d_a + d_b -
-/// what they block in common), the common part from the correlation of their deficits over all directions. It
-/// lies within max(d) .. min(1, sum d); equal objects in one place darken once, separate directions add up. So with
-/// what both brighten by reflected light.
+/// Shadows of two objects are multiplied where they meet, which darkens twice where both block the
+/// same directions. This changes the second's ratio (`out`, a copy of second.shadow) so that the
+/// product is 1 - (d_a + d_b - what they block in common), the common part from the correlation of
+/// their deficits over all directions. It lies within max(d) .. min(1, sum d); equal objects in one
+/// place darken once, separate directions add up. So with what both brighten by reflected light.
 /// threads: reentrant, parallel inside; no allocation
 void combine_shadows(const PlacedShadow& first, const PlacedShadow& second, PlanarShadow& out);
 

@@ -37,8 +37,8 @@ bool sample(const prt::BakedObject& object, const PlanarShadow& shadow, glm::vec
   return true;
 }
 
-// Share of b's blocked directions that a blocks too, and the other way round: <a,b>/<b,b> would be exact for
-// visibilities of 0 and 1.
+// Share of b's blocked directions that a blocks too, and the other way round: <a,b>/<b,b> would be
+// exact for visibilities of 0 and 1.
 struct Overlap {
   float of_a, of_b;
 };
@@ -57,7 +57,8 @@ float without_common(float first, float second, const Overlap& shared) {
   const float a = 1 - first, b = 1 - second;
   if (a * b <= 0 || first < kDarkest) return second;  // one takes what the other brings
   const float size_a = std::abs(a), size_b = std::abs(b);
-  // Both estimates of the common part agree for even light; either keeps inside the proven interval.
+  // Both estimates of the common part agree for even light; either keeps inside the proven
+  // interval.
   const float largest = std::min(size_a, size_b),
               smallest = std::min(std::max(0.f, a + b - 1), largest);
   const float common =

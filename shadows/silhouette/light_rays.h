@@ -21,8 +21,8 @@ inline constexpr int kMaxSamples = 64;
 double largest_angle(const lighting::DistantLight& source);
 double rms_angle(const lighting::DistantLight& source);
 
-/// Whether a light's penumbras on an object, of parts as far as its radius, are wider than a few edges, so that neighbours may share
-/// the light of their rays.
+/// Whether a light's penumbras on an object, of parts as far as its radius, are wider than a few
+/// edges, so that neighbours may share the light of their rays.
 bool penumbra_exceeds_edges(const lighting::DistantLight& source, const SilhouetteMesh& silhouette);
 
 /// All of a light's directions, and those so many radians off it.
@@ -44,8 +44,9 @@ inline bool behind(const prt::Plane* plane, const glm::vec3& d) {
   return plane && glm::dot(glm::vec3(plane->normal), d) <= 0;
 }
 
-/// Directions over a light in `turns` copies, each turned about its axis by another angle; of a form each takes other points,
-/// as long as there are more points than samples. A single sample in a single turn is the light's middle.
+/// Directions over a light in `turns` copies, each turned about its axis by another angle; of a
+/// form each takes other points, as long as there are more points than samples. A single sample in
+/// a single turn is the light's middle.
 /// threads: thread-bound; memory grows once
 class SamplePattern {
  public:

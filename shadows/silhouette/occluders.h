@@ -16,8 +16,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
-/// Whether a light reaches .05 radians (2.9 degrees) or more from its middle: many vertices lie in its penumbras, which need
-/// more directions and less detail than a sun's.
+/// Whether a light reaches .05 radians (2.9 degrees) or more from its middle: many vertices lie in
+/// its penumbras, which need more directions and less detail than a sun's.
 bool is_wide(const lighting::DistantLight& source);
 
 struct BoundingSphere {
@@ -46,7 +46,8 @@ struct Caster {
 struct ShadowCasters {
   std::span<const Caster> virtual_things, real_things;
   float near_m = 1e-4f;  // what stands lower throws none
-  /// Of this light; null: every call looks for silhouettes by itself. Two threads must not use one at a time.
+  /// Of this light; null: every call looks for silhouettes by itself. Two threads must not use one
+  /// at a time.
   SilhouetteCache* memo = nullptr;
 };
 

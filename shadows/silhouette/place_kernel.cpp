@@ -41,7 +41,8 @@ HWY_INLINE Points Place(const Points& p, const AffineTransform& placing) {
           Along(p, t[0].z, t[1].z, t[2].z, hn::Set(d, placing.shift.z))};
 }
 
-// f(first) for vectors that cover all of 0..count, in part twice. in: as many as a vector holds, or none
+// f(first) for vectors that cover all of 0..count, in part twice. in: as many as a vector holds, or
+// none
 template <class F>
 HWY_INLINE void EachVector(std::size_t count, F f) {
   const std::size_t lanes = hn::Lanes(kFloats);

@@ -25,7 +25,8 @@ struct Orientation {
 };
 
 /// Positions that are equal come out equal, bit for bit.
-/// in: as many positions, normals, places and sides. threads: reentrant
+/// in: as many positions, normals, places and sides.
+/// threads: reentrant
 void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
                     const AffineTransform& placing, const Orientation& facing,
                     std::span<glm::vec3> places, std::span<std::uint8_t> sides);
@@ -36,14 +37,15 @@ struct DirectionSet {
   glm::vec3 middle, mean;
   float reach;
 };
-/// out = the mean over the directions of max(n.w, 0), in the normals' frame. Where no direction is behind the surface it is a product with
-/// their mean.
-/// in: unit normals; at least one direction. threads: reentrant
+/// out = the mean over the directions of max(n.w, 0), in the normals' frame. Where no direction is
+/// behind the surface it is a product with their mean.
+/// in: unit normals; at least one direction.
+/// threads: reentrant
 void mean_cosines(std::span<const glm::vec3> normals, const DirectionSet& light,
                   std::span<float> out);
 
-/// Bounds over x and z of what is on or above a plane, y up: of its feet, and of its shadows, which go from p.y * reach_low to
-/// p.y * reach_high beyond them.
+/// Bounds over x and z of what is on or above a plane, y up: of its feet, and of its shadows, which
+/// go from p.y * reach_low to p.y * reach_high beyond them.
 struct Footprint {
   glm::vec2 low{1e30f}, high{-1e30f};
   glm::vec2 shadow_low{1e30f}, shadow_high{-1e30f};

@@ -33,7 +33,8 @@ HWY_ATTR std::uint64_t FindFacing(float x, float y, float z, const Directions& d
   return out & bits_of(directions.count);
 }
 
-// A normal faces all of the cone, or none, where it is off the rim's plane by more than the cone's angle.
+// A normal faces all of the cone, or none, where it is off the rim's plane by more than the cone's
+// angle.
 HWY_ATTR void FindFacingAll(const NormalSpans& normals, const Cone& cone,
                             std::span<std::uint8_t> out) {
   const hn::ScalableTag<float> d;

@@ -43,7 +43,8 @@ struct SegmentSpan {
 struct Shifts {
   alignas(64) float x[kGroup], z[kGroup];
 };
-/// A stretch on the plane, by direction: its lower end, and the rows before which its two ends lie, 0..height.
+/// A stretch on the plane, by direction: its lower end, and the rows before which its two ends lie,
+/// 0..height.
 struct ProjectedEdge {
   alignas(64) float x[kGroup], z[kGroup], slope[kGroup];
   alignas(64) int row[kGroup], last[kGroup];
@@ -55,8 +56,8 @@ std::uint16_t fall(const SegmentSpan& span_along, const Shifts& shifts, int heig
 struct alignas(32) Counts {
   std::int16_t of[kGroup];
 };
-/// Of a row of steps the running sums: bit k of blocked[i] is set where that of direction k is not zero. The steps are
-/// zero afterwards.
+/// Of a row of steps the running sums: bit k of blocked[i] is set where that of direction k is not
+/// zero. The steps are zero afterwards.
 void sum_steps(Counts* steps, std::size_t nodes, std::uint16_t* blocked);
 
 }  // namespace penumbra::shadows

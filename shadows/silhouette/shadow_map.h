@@ -16,31 +16,34 @@
 namespace penumbra::shadows {
 
 struct ShadowMapOptions {
-  /// Directions of the light, 1..64; four times as many, 4 to 64, for a broad one. One of another is its middle: a hard shadow.
+  /// Directions of the light, 1..64; four times as many, 4 to 64, for a broad one. One of another
+  /// is its middle: a hard shadow.
   int samples = 16;
   /// Cells along the longer side, at least 16; five eighths of them for a broad light.
   int size = 256;
-  /// Of a broad light so many of these directions are taken, and (1 + resolution_scale)/2 of these cells: 1, 1/2 or 1/4. Steps in the shadow
-  /// of what brings little light are small.
+  /// Of a broad light so many of these directions are taken, and (1 + resolution_scale)/2 of these
+  /// cells: 1, 1/2 or 1/4. Steps in the shadow of what brings little light are small.
   double resolution_scale = 1;
 };
 
-/// The fraction of one light that virtual things take from a real plane, on a rectangle that holds the whole
-/// shadow. 0 at the rim, so that nothing ends abruptly.
+/// The fraction of one light that virtual things take from a real plane, on a rectangle that holds
+/// the whole shadow. 0 at the rim, so that nothing ends abruptly.
 struct ShadowMap {
   /// Plane frame: y the normal, x away from the light along the plane, origin at node (0, 0); node
   /// (i, j) lies at (i, 0, j) * cell_m.
   Pose world_from_map;
   float cell_m = 0;
   Image<float> taken;  // nodes: real visibility times the fraction blocked by virtual things, 0..1
-  Image<float>
-      missing;  // nodes: fraction of the light that real things block; empty without real things
+  // Nodes: fraction of the light that real things block; empty without real things
+  Image<float> missing;
   bool empty() const { return taken.empty(); }
 };
 
-/// Exact at every node, for the casters as their silhouettes have them, for each of the light's directions that is 1.15 degrees above the plane. Shadows longer than ten radii
-/// of the caster are cut off softly.
-/// errors: none; an empty shadow when none of the light reaches the plane's front, or nothing stands above it
+/// Exact at every node, for the casters as their silhouettes have them, for each of the light's
+/// directions that is 1.15 degrees above the plane. Shadows longer than ten radii of the caster are
+/// cut off softly.
+/// errors: none; an empty shadow when none of the light reaches the plane's front, or nothing
+/// stands above it
 /// threads: reentrant
 void render_shadow_map(const ShadowCasters& casters, const prt::Plane& plane,
                        const lighting::DistantLight& source, const ShadowMapOptions& options,
@@ -52,15 +55,16 @@ struct Neighbourhood {
   double radius;  // metres
 };
 
-/// What real things take of a light around the given places (`taken`; `missing` stays empty): coarser than the maps of what
-/// virtual things take, and wider, since the light that is left counts for the shadow of every other light.
+/// What real things take of a light around the given places (`taken`; `missing` stays empty):
+/// coarser than the maps of what virtual things take, and wider, since the light that is left
+/// counts for the shadow of every other light.
 /// in: at least one real thing; virtual ones do not count
 void render_real_shadow_map(const ShadowCasters& casters, std::span<const Neighbourhood> around,
                             const prt::Plane& plane, const lighting::DistantLight& source,
                             const ShadowMapOptions& options, ShadowMap& out);
 
-/// A map for each group of virtual casters whose shadows' rectangles meet, so that objects far apart do not share one
-/// map's cells. `out` keeps its maps' memory; those not needed are empty.
+/// A map for each group of virtual casters whose shadows' rectangles meet, so that objects far
+/// apart do not share one map's cells. `out` keeps its maps' memory; those not needed are empty.
 void render_shadow_maps(const ShadowCasters& casters, const prt::Plane& plane,
                         const lighting::DistantLight& source, const ShadowMapOptions& options,
                         std::vector<ShadowMap>& out);

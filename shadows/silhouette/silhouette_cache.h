@@ -20,8 +20,8 @@ struct DirectionCone {
 
 /// What a mesh shows of itself to a beam. Valid until the memo is cleared.
 struct ConeSilhouette {
-  /// The places in SilhouetteMesh::edges(), in their order, of all edges that are a silhouette for some direction, and of open ones.
-  /// Others may be among them.
+  /// The places in SilhouetteMesh::edges(), in their order, of all edges that are a silhouette for
+  /// some direction, and of open ones. Others may be among them.
   std::span<const std::uint32_t> edges;
   /// By triangle: kFacesNone of the directions, kFacesAll, or kUnsure.
   std::span<const std::uint8_t> faces;

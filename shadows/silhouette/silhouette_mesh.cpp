@@ -59,7 +59,8 @@ std::vector<SilhouetteMesh::Triangle> simplified(
   return out;
 }
 
-// Of the triangles at one edge those that go forth with those that go back, two by two; the others alone.
+// Of the triangles at one edge those that go forth with those that go back, two by two; the others
+// alone.
 void pair_up(std::span<const HalfEdge> at_edge, std::vector<SilhouetteMesh::Edge>& out) {
   const auto middle = std::ranges::find(at_edge, true, &HalfEdge::back) - at_edge.begin();
   const std::span forth = at_edge.first(static_cast<std::size_t>(middle)),
@@ -147,7 +148,8 @@ void SilhouetteMesh::find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world
       const glm::vec3 from = above(edges_[first + i].from),
                       way = above(edges_[first + i].to) - from;
       const float length = glm::length(way);
-      // A little farther at both ends, since what goes through may do so at a vertex; less than walls of a fold are away.
+      // A little farther at both ends, since what goes through may do so at a vertex; less than
+      // walls of a fold are away.
       const float more = .25f * lift;
       const glm::vec3 d = way / std::max(length, 1e-12f), o = from - more * d;
       rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;

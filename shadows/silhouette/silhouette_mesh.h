@@ -18,8 +18,8 @@ class SilhouetteMesh {
  public:
   static constexpr std::uint32_t kOpen = 0xffffffffu;
 
-  /// The left triangle goes along the edge from `from` to `to`, the right one goes back. Where none goes back (a rim, a
-  /// third triangle, one that is wound the wrong way) right is kOpen.
+  /// The left triangle goes along the edge from `from` to `to`, the right one goes back. Where none
+  /// goes back (a rim, a third triangle, one that is wound the wrong way) right is kOpen.
   struct Edge {
     std::uint32_t from, to;  // positions of the mesh
     std::uint32_t left, right;
@@ -27,9 +27,11 @@ class SilhouetteMesh {
   using Triangle = std::array<std::uint32_t, 3>;
 
   SilhouetteMesh() = default;
-  /// Vertices in one place count as one, in every form: seams of normals or texture coordinates are no rims.
-  /// `max_off_m`: triangles are joined where the surface moves by no more (by meshoptimizer's estimate) and keep
-  /// vertices of the mesh. Not for meshes that will take other forms: what is even now may bend then.
+  /// Vertices in one place count as one, in every form: seams of normals or texture coordinates are
+  /// no rims.
+  /// `max_off_m`: triangles are joined where the surface moves by no more (by meshoptimizer's
+  /// estimate) and keep vertices of the mesh. Not for meshes that will take other forms: what is
+  /// even now may bend then.
   /// source: Garland & Heckbert 1997, "Surface Simplification Using Quadric Error Metrics"
   explicit SilhouetteMesh(const prt::Mesh& mesh, float max_off_m = 0);
   /// Another form of the same mesh: as many vertices, the same triangles.
@@ -56,8 +58,8 @@ class SilhouetteMesh {
   struct Patch {
     glm::vec3 centre{0};  // of a sphere around the edges
     float radius_m = 0;
-    /// Around the normals of the triangles at them. A sine of kAnywhere where one is off the axis by a right angle or more,
-    /// or where an edge is open.
+    /// Around the normals of the triangles at them. A sine of kAnywhere where one is off the axis
+    /// by a right angle or more, or where an edge is open.
     glm::vec3 axis{0};
     float sine = kAnywhere, cosine = 0;
   };
@@ -70,8 +72,8 @@ class SilhouetteMesh {
     return edges().subspan(first, std::min(kTogether, edges_.size() - first));
   }
 
-  /// Finds the edges through which another part of the mesh goes, some .2 us each. Another form forgets them. Edges that end in
-  /// a fold may count as cut.
+  /// Finds the edges through which another part of the mesh goes, some .2 us each. Another form
+  /// forgets them. Edges that end in a fold may count as cut.
   /// in: the mesh that was given last, with normals; in `world` as `index`, not moved
   void find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index);
   bool knows_cuts() const { return !cut_.empty(); }

@@ -23,7 +23,8 @@ using Sums = std::vector<prt::CosineSums>;
 constexpr float kSeenAtAll = .002f;  // mean cosine: less of the light is not worth a ray
 constexpr int kOpenSamples = 16;     // of the whole light, for the cosine of an open vertex
 
-// Whether some of a light may be behind the plane: then how much is a question for all of its directions.
+// Whether some of a light may be behind the plane: then how much is a question for all of its
+// directions.
 bool is_cut(const prt::Plane* plane, const lighting::DistantLight& source) {
   return plane && glm::dot(plane->normal, source.direction) <= std::sin(largest_angle(source));
 }
@@ -36,8 +37,9 @@ std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> di
   return out;
 }
 
-// A light's directions in the normals' frame. Of one that throws hard shadows its middle, as long as the mean of all is: what
-// faces all of the light has its light, and where the middle sets the light is zero.
+// A light's directions in the normals' frame. Of one that throws hard shadows its middle, as long
+// as the mean of all is: what faces all of the light has its light, and where the middle sets the
+// light is zero.
 class UnoccludedLight {
  public:
   UnoccludedLight(std::span<const glm::vec3> directions, const glm::vec3& middle,
@@ -149,10 +151,10 @@ std::size_t probe_of(std::size_t part, std::size_t vertices) {
   return vertices * part + (x ^ x >> 16) % vertices;
 }
 
-// Calls tell(vertex, lit) for vertices whose group tells their light; the others that are not turned away are `own`. Some of
-// each group's vertices ask for it by `scouts` rays; where they do not agree that all or that none arrives every vertex has
-// its own. Where surfaces may cut through a group a part that is cut off and holds no probe, of some dozen vertices, stays
-// wrong.
+// Calls tell(vertex, lit) for vertices whose group tells their light; the others that are not
+// turned away are `own`. Some of each group's vertices ask for it by `scouts` rays; where they do
+// not agree that all or that none arrives every vertex has its own. Where surfaces may cut through
+// a group a part that is cut off and holds no probe, of some dozen vertices, stays wrong.
 template <class Tell>
 void ask_groups(const VertexTracer& tracer, const VisibilityGroups& visibility, std::size_t scouts,
                 Sums& sums, Tell tell, std::vector<std::uint32_t>& own) {
@@ -190,8 +192,9 @@ void ask_groups(const VertexTracer& tracer, const VisibilityGroups& visibility, 
   }
 }
 
-// kInside for vertices that agree with those around them that all, or that none, of the light arrives. Not so at edges of
-// shadows, and for points that no triangle joins to others (texels of a light map).
+// kInside for vertices that agree with those around them that all, or that none, of the light
+// arrives. Not so at edges of shadows, and for points that no triangle joins to others (texels of a
+// light map).
 constexpr char kInside = 1, kEdge = 2;
 void find_edges(const prt::Mesh& mesh, const Sums& sums, std::vector<char>& place) {
   // Turned away says nothing about what stands in the way.
@@ -209,8 +212,8 @@ void find_edges(const prt::Mesh& mesh, const Sums& sums, std::vector<char>& plac
   }
 }
 
-// The light of vertices that see all of a light or nothing. Only the part of it counts, unless neighbours share it or the plane
-// hides some of the light.
+// The light of vertices that see all of a light or nothing. Only the part of it counts, unless
+// neighbours share it or the plane hides some of the light.
 class Teller {
  public:
   /// `alike`: the directions of all vertices, where neighbours do not share theirs.
@@ -259,9 +262,10 @@ void trace_groups(const VertexTracer& tracer, const VisibilityGroups& visibility
   const auto last = static_cast<std::size_t>(samples);
   ask_groups(tracer, visibility, narrow ? 1 : last, sums, tell, own);
   tracer.ask(visibility.parts(), asked, static_cast<float>(last), sums);
-  // The penumbra of a narrow light is a line between vertices that see it and vertices that do not: one ray each finds it.
-  // To look at every triangle for that costs more than all rays of few vertices.
-  // (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on an object under adams.)
+  // The penumbra of a narrow light is a line between vertices that see it and vertices that do not:
+  // one ray each finds it. To look at every triangle for that costs more than all rays of few
+  // vertices. (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on
+  // an object under adams.)
   constexpr std::size_t kFew = 64;
   std::size_t traced = 0;
   if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {
@@ -273,7 +277,8 @@ void trace_groups(const VertexTracer& tracer, const VisibilityGroups& visibility
   tracer.trace(own, traced, last, sums);
 }
 
-// Rays where the object's visibility is not sure; where it may be, two ask whether there is a need for the others.
+// Rays where the object's visibility is not sure; where it may be, two ask whether there is a need
+// for the others.
 void trace_unsure(const VertexTracer& tracer, const Caster& object,
                   const lighting::DistantLight& source, int samples, const Teller& tell,
                   Sums& sums) {

@@ -13,27 +13,32 @@
 #pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
-/// out[v] = mean over the light of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit radiance of a
-/// white surface. `plane` is the one that the mesh stands on, or null: light from behind it is the bake's. `casters` are
-/// the same things as `occluders`, `object` among them, with the same near_m: their silhouettes tell which vertices share rays, and
-/// in a small light's penumbra which of sixteen directions, or of `samples` if those are more, a vertex sees. One sample is the light's
-/// middle, and the shadow hard; what faces all of the light keeps its light. Of a light that is wide beside the cells of the
-/// object's visibility this is asked instead of rays (up to eight; four for lamps of a few degrees), where nothing else may stand between the two.
-/// Under small lights its samples tell which vertices need rays.
-/// in: samples 1..64, rays a vertex at most; threads: reentrant, parallel inside
-/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a form's points by the golden
-/// ratio; Laine et al. 2005 (SoftShadowVolume)
+/// out[v] = mean over the light of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit
+/// radiance of a white surface. `plane` is the one that the mesh stands on, or null: light from
+/// behind it is the bake's. `casters` are the same things as `occluders`, `object` among them, with
+/// the same near_m: their silhouettes tell which vertices share rays, and in a small light's
+/// penumbra which of sixteen directions, or of `samples` if those are more, a vertex sees. One
+/// sample is the light's middle, and the shadow hard; what faces all of the light keeps its light.
+/// Of a light that is wide beside the cells of the object's visibility this is asked instead of
+/// rays (up to eight; four for lamps of a few degrees), where nothing else may stand between the
+/// two. Under small lights its samples tell which vertices need rays.
+/// in: samples 1..64, rays a vertex at most;
+/// threads: reentrant, parallel inside
+/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a
+/// form's points by the golden ratio; Laine et al. 2005 (SoftShadowVolume)
 void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& casters,
                         const Caster& object, const prt::Plane* plane,
                         const lighting::DistantLight& source, int samples, std::span<float> out);
 
-/// Fractions of one distant light at a mesh's vertices, as mean cosines over the light: of all of it, of what virtual things
-/// take, and of what real things take anyway. Times L Omega each is an irradiance.
+/// Fractions of one distant light at a mesh's vertices, as mean cosines over the light: of all of
+/// it, of what virtual things take, and of what real things take anyway. Times L Omega each is an
+/// irradiance.
 struct DirectLightAtVertices {
   std::vector<float> open, taken, missing;
 };
 /// Neighbours share the light of broad lights, whatever the lengths of edges.
-/// in: the mesh in the world frame; samples 1..64, one is the light's middle. threads: reentrant, parallel inside
+/// in: the mesh in the world frame; samples 1..64, one is the light's middle.
+/// threads: reentrant, parallel inside
 void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Mesh& mesh,
                                     const lighting::DistantLight& source, int samples,
                                     DirectLightAtVertices& out);

@@ -23,8 +23,8 @@ struct Lamp {
   Rgb irradiance_at_1m;  // of a surface that faces it, in the units of the environment's light
 };
 
-/// out[i] = mean over the lamp's face of V max(n.w, 0)/d^2: times irradiance_at_1m it is an irradiance. Points inside the
-/// lamp count as on its surface.
+/// out[i] = mean over the lamp's face of V max(n.w, 0)/d^2: times irradiance_at_1m it is an
+/// irradiance. Points inside the lamp count as on its surface.
 /// in: unit normals; samples 1..64 rays a point
 void trace_lamp_points(const RayOccluders& occluders, std::span<const glm::vec3> positions,
                        std::span<const glm::vec3> normals, const Lamp& lamp, int samples,
@@ -35,9 +35,9 @@ void trace_lamp_light(const RayOccluders& occluders, const prt::Mesh& mesh,
                       const Pose& world_from_mesh, const Lamp& lamp, int samples,
                       std::span<float> out);
 
-/// What the lamp sends to a real plane, as a map of its own brightest value: `out.taken` 0..1, which fades to 0 at the rim,
-/// five lamp heights out (1 % of the middle). Returns that value, as trace_lamp_points; 0 and an empty map for a lamp
-/// behind the plane.
+/// What the lamp sends to a real plane, as a map of its own brightest value: `out.taken` 0..1,
+/// which fades to 0 at the rim, five lamp heights out (1 % of the middle). Returns that value, as
+/// trace_lamp_points; 0 and an empty map for a lamp behind the plane.
 float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, const Lamp& lamp,
                      int samples, ShadowMap& out);
 

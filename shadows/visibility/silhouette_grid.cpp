@@ -32,8 +32,9 @@ glm::vec2 across(const glm::vec3& p) {
   return {p.x, p.z};
 }
 
-// Whether the line passes over the way from a to b. Ways that begin or end on it are not passed over: a silhouette's own
-// surface touches it. (Both come by the same sums from the same vertex, so that they are equal where they should be.)
+// Whether the line passes over the way from a to b. Ways that begin or end on it are not passed
+// over: a silhouette's own surface touches it. (Both come by the same sums from the same vertex, so
+// that they are equal where they should be.)
 bool passes_over(const SilhouetteLine& line, const glm::vec3& a, const glm::vec3& b) {
   const glm::vec2 from = across(line.from), along = across(line.to) - from, start = across(a),
                   way = across(b) - start;
@@ -132,8 +133,9 @@ bool SilhouetteGrid::pass_between(const glm::vec3& a, const glm::vec3& b) const 
   });
 }
 
-// f(cell, height, over): how near to the light something has to be there that the line does not pass between it and any
-// part of the light: where it is not over the cell itself only what is lower down is passed over.
+// f(cell, height, over): how near to the light something has to be there that the line does not
+// pass between it and any part of the light: where it is not over the cell itself only what is
+// lower down is passed over.
 template <class F>
 void SilhouetteGrid::each_cell(const SilhouetteLine& line, F f) const {
   const float height = std::max(line.from.y, line.to.y), reach = std::min(1.f, height / drop_);
@@ -155,16 +157,16 @@ void SilhouetteGrid::each_cell(const SilhouetteLine& line, F f) const {
     }
 }
 void SilhouetteGrid::list(std::uint32_t line, Where where, std::size_t cell, float height) {
-  constexpr std::size_t kMax =
-      32;  // over a cell in the mean: blinds of long slats would fill lists
+  // Over a cell in the mean: blinds of long slats would fill lists
+  constexpr std::size_t kMax = 32;
   // What is so high reaches farther than the cells in which it is listed.
   if (height >= drop_ || listed_.size() > kMax * height_.size()) last_.clear();
   if (last_.empty()) return;
   listed_.push_back({line, last_[2 * cell + where], height});
   last_[2 * cell + where] = static_cast<std::uint32_t>(listed_.size() - 1);
 }
-// Below a silhouette the light comes from aside as well: cells further off are passed over lower down. Steps go aslant too,
-// so that no cell is left out.
+// Below a silhouette the light comes from aside as well: cells further off are passed over lower
+// down. Steps go aslant too, so that no cell is left out.
 void SilhouetteGrid::spread() {
   for (int z = 0; z < depth_; ++z)
     for (int x = 0; x < width_; ++x) lift(x, z, -1);

@@ -11,7 +11,8 @@ namespace penumbra::shadows {
 
 namespace {
 
-// Seen from the place: what is at its height or lower is thrown away from the light, and cut off a little above.
+// Seen from the place: what is at its height or lower is thrown away from the light, and cut off a
+// little above.
 glm::vec2 seen(const glm::vec3& end, const glm::vec3& other) {
   constexpr float kMin = 1e-3f;  // of the other end's height
   const float smallest = kMin * other.y;
@@ -38,7 +39,8 @@ SoftShadowVolume::SoftShadowVolume(const SilhouetteGrid& silhouettes, const Ligh
     samples_.x[k] = d.x / (d.y * grid.cell_m), samples_.z[k] = d.z / (d.y * grid.cell_m);
     reach_ = std::max({reach_, std::abs(samples_.x[k]), std::abs(samples_.z[k])});
   }
-  // What is right above a place in a scene of right angles goes through the middle, and through samples beside it.
+  // What is right above a place in a scene of right angles goes through the middle, and through
+  // samples beside it.
   middle_ = reach_ * glm::vec2(.0371f, .0237f);
   for (std::size_t k = 0; k < samples_.count; ++k)
     samples_.x[k] -= middle_.x, samples_.z[k] -= middle_.y;

@@ -20,7 +20,8 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr float kMaxCells = 192;  // across an object seen from the light
-// Radians: of a wider light most vertices see a part, and looking for the others costs more than their rays.
+// Radians: of a wider light most vertices see a part, and looking for the others costs more than
+// their rays.
 constexpr double kWidest = .15;
 constexpr float kCosineRounding = 1e-5f;
 
@@ -71,7 +72,8 @@ class VertexView {
   std::span<std::uint8_t> sees_;
 };
 
-// A grid over an object as the light sees it. Silhouettes lower than its foot shade none of the object. Nothing for an object that is a point.
+// A grid over an object as the light sees it. Silhouettes lower than its foot shade none of the
+// object. Nothing for an object that is a point.
 std::optional<LightGrid> grid_over(const Caster& object, const glm::dvec3& towards) {
   const Pose light_from_world =
                  Pose{glm::rotation(glm::dvec3(0, 1, 0), towards), {0, 0, 0}}.inverse(),

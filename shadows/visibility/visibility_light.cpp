@@ -72,8 +72,9 @@ std::uint8_t says(const prt::CosineSums& here) {
 
 LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
                      const lighting::DistantLight& source, int directions_used) {
-  // RMS angles of the light, in those that look-ups are off: they add as squares do. From the first on the light looks less than a
-  // tenth wider, which is as good as eight rays a vertex; from the second on look-ups in finer cells are about as good as four.
+  // RMS angles of the light, in those that look-ups are off: they add as squares do. From the first
+  // on the light looks less than a tenth wider, which is as good as eight rays a vertex; from the
+  // second on look-ups in finer cells are about as good as four.
   constexpr double kCoarseFrom = 2.5, kFineFrom = 1.5;
   constexpr int kMaxRays = 8;
   if (!object.visibility || directions_used == 1 || directions_used > kMaxRays ||

@@ -128,8 +128,9 @@ BENCHMARK(merge_robertson)
     ->Name("capture/merge_4x2048x1024_vs_opencv_robertson")
     ->Apply(one_and_two_threads);
 
-// What a ring of four exposures does with each new 1920x1080 frame, beside streaming once what it may have to touch: all
-// frames and the one that was replaced in, half floats out. Over the given fraction of the columns something moves.
+// What a ring of four exposures does with each new 1920x1080 frame, beside streaming once what it
+// may have to touch: all frames and the one that was replaced in, half floats out. Over the given
+// fraction of the columns something moves.
 void ring(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   constexpr int kWidth = 1920, kHeight = 1080, kRounds = 3;
@@ -159,7 +160,8 @@ void ring(benchmark::State& state) {
   constexpr int kRound = 4;  // exposures cost differently: a round is timed as a whole
   for (int n = 0; n < 2 * kRound; ++n) add();
   const std::size_t area = std::size_t{kWidth} * kHeight;
-  // Words of eight bytes; as many different ones in turn as the ring gets, so that no cache holds them.
+  // Words of eight bytes; as many different ones in turn as the ring gets, so that no cache holds
+  // them.
   const std::size_t words = 3 * area / 8;
   std::vector<std::uint64_t> in(frames.size() * words, 1), out(area);
   std::size_t first = 0;
@@ -192,8 +194,8 @@ BENCHMARK(ring)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
 
-// A head-mounted fisheye of 1280x720 that turns by a degree a frame: the ring with its three older exposures turned, and where
-// each pixel of the map lies now.
+// A head-mounted fisheye of 1280x720 that turns by a degree a frame: the ring with its three older
+// exposures turned, and where each pixel of the map lies now.
 void turning_camera(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   constexpr int kWidth = 1280, kHeight = 720, kRows = 640;

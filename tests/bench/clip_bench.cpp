@@ -6,8 +6,9 @@
 namespace penumbra::bench {
 namespace {
 
-// The dissertation's size of setting: two maps of 128x128 texels, a hundred frames. Peer: the same frame's transfer
-// uncompressed, as a static object's, which the memory of a hundred frames would not hold.
+// The dissertation's size of setting: two maps of 128x128 texels, a hundred frames. Peer: the same
+// frame's transfer uncompressed, as a static object's, which the memory of a hundred frames would
+// not hold.
 void relight_clip(benchmark::State& state) {
   const int bands = static_cast<int>(state.range(1));
   const prt::Character walker = prt::make_walker({.6f, .6f, .6f});

@@ -1,4 +1,5 @@
-// A light that moves: what tracing its light anew costs, against every vertex and every node of the map with all rays.
+// A light that moves: what tracing its light anew costs, against every vertex and every node of the
+// map with all rays.
 #include <cmath>
 
 #include "bench/harness.h"

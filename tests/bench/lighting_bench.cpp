@@ -19,8 +19,8 @@ std::uint64_t sum_of(std::span<const std::uint64_t> words) {
   return sum;
 }
 
-// Peer: reading the map once, at the bandwidth of this run (eight independent sums), on as many threads. Maps in turn,
-// so that no cache holds them.
+// Peer: reading the map once, at the bandwidth of this run (eight independent sums), on as many
+// threads. Maps in turn, so that no cache holds them.
 void sh_projection(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   const int bands = static_cast<int>(state.range(1));

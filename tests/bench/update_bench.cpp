@@ -1,4 +1,5 @@
-// What a frame costs as a whole: a light update of one object with default settings, and compositing it.
+// What a frame costs as a whole: a light update of one object with default settings, and
+// compositing it.
 #include <cmath>
 
 #include "bench/harness.h"
@@ -128,7 +129,8 @@ BENCHMARK(light_update)
     ->UseManualTime()
     ->Unit(benchmark::kMillisecond);
 
-// A camera that moves with every frame over a standing light, without and with its blur and noise; peer: a copy of the frame.
+// A camera that moves with every frame over a standing light, without and with its blur and noise;
+// peer: a copy of the frame.
 void composite_frame(benchmark::State& state) {
   const Threads threads(static_cast<int>(state.range(0)));
   StageTimes times;

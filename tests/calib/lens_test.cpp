@@ -1,5 +1,5 @@
-// Lenses with distortion against OpenCV 4.6 (fisheye::projectPoints, projectPoints), the double sphere's own equations,
-// and solid angles by brute force.
+// Lenses with distortion against OpenCV 4.6 (fisheye::projectPoints, projectPoints), the double
+// sphere's own equations, and solid angles by brute force.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -21,7 +21,8 @@ dvec3 random_direction(std::mt19937& rng) {
   return glm::normalize(dvec3(g(rng), g(rng), g(rng)));
 }
 
-// The point where the ray meets the ball lies on both, and the mirrored ray has the same angle to the normal there.
+// The point where the ray meets the ball lies on both, and the mirrored ray has the same angle to
+// the normal there.
 TEST(MirrorBall, RayAndLightObeyTheLawOfReflectionAtAnyDistance) {
   std::mt19937 rng(1);
   for (const double distance : {1.05, 1.5, 4., 50.}) {
@@ -64,7 +65,8 @@ TEST(MirrorBall, OutlineInThePictureGivesItsDirectionAndSize) {
   auto camera = *make_projection(ProjectionKind::kPinhole, 1280, 720);
   const dvec3 centre(.3, -.2, -1.4);
   const auto truth = MirrorBall::at(centre, .1);
-  // The outline's ellipse, and the circle that someone would lay over it: its middle and half its longer axis.
+  // The outline's ellipse, and the circle that someone would lay over it: its middle and half its
+  // longer axis.
   const dvec3 axis = truth->direction();
   const dvec3 radial = glm::normalize(dvec3(axis.x, axis.y, 0));
   const dvec3 out = glm::normalize(radial - glm::dot(radial, axis) * axis);

@@ -28,8 +28,8 @@ double logarithm(double x, double k) {
   return std::log1p(k * x) / std::log1p(k);
 }
 
-// The shapes of the curves that Grossberg & Nayar 2004 collected: video gammas, films with a toe and a shoulder,
-// cameras with a knee, logarithmic sensors.
+// The shapes of the curves that Grossberg & Nayar 2004 collected: video gammas, films with a toe
+// and a shoulder, cameras with a knee, logarithmic sensors.
 std::vector<Curve> curves() {
   return {
       {"gamma 2.2", [](double x) { return std::pow(x, 1 / 2.2); }},

@@ -63,7 +63,8 @@ TEST(ResponseTable, EverySixteenBitCodeComesBack) {
       for (unsigned code = 0; code < 65536; code += code < 4096 ? 1 : 7) {
         const unsigned back = curve.encode(1, curve.decode(1, code));
         const unsigned off = back > code ? back - code : code - back;
-        // With a black level a float cannot hold the first codes of a steep curve: the sum rounds them away.
+        // With a black level a float cannot hold the first codes of a steep curve: the sum rounds
+        // them away.
         const unsigned allowed = black > 0 && code < 64 ? 8 : 0;
         wrong += off > allowed, farthest = std::max(farthest, off);
       }

@@ -185,7 +185,8 @@ TEST(ExposureLabels, AChangeOfLightIsNoSlip) {
   EXPECT_GT(quarter.good, 140);
 }
 
-// A lamp on 100 Hz mains under a camera at 30 frames a second and exposures much shorter than a period.
+// A lamp on 100 Hz mains under a camera at 30 frames a second and exposures much shorter than a
+// period.
 TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
   FakeCameraBehaviour b;
   b.light = [](double t) { return 1 + .1 * std::sin(2 * kPi * 100 * t + .3); };
@@ -220,7 +221,8 @@ TEST(ExposureLabels, FlickerOfTheMainsGoesIntoTheGain) {
   EXPECT_LT(flicker(true), .005);
 }
 
-// A camera whose times are not what it says: each by itself could be true, but their pictures tell the ratios.
+// A camera whose times are not what it says: each by itself could be true, but their pictures tell
+// the ratios.
 TEST(ExposureLabels, RatiosThatTheCameraGetsWrongAreFoundFromOverlaps) {
   FakeCameraBehaviour b;
   b.really = [](Exposure asked) {

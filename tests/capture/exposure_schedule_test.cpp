@@ -1,4 +1,5 @@
-// The schedule that follows the light: as few exposures as its error allows, within the sensor's limits.
+// The schedule that follows the light: as few exposures as its error allows, within the sensor's
+// limits.
 #include "capture/device/internal/exposure_schedule.h"
 #include "calib/calib.h"
 #include "capture/capture.h"
@@ -50,7 +51,8 @@ Image<Rgb> clear_sky() {
   return scaled(std::move(map), 2);
 }
 
-/// Irradiance's relative error of what `exposures` (any order) make of a scene; the worst of six directions.
+/// Irradiance's relative error of what `exposures` (any order) make of a scene; the worst of six
+/// directions.
 double irradiance_error(const Image<Rgb>& scene, const std::vector<Exposure>& exposures,
                         std::uint64_t seed) {
   Sensor sensor;

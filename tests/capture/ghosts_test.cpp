@@ -9,7 +9,8 @@
 #include "core/conventions.h"
 #include "tests/support/brackets.h"
 
-// What moves or changes between the exposures of a ring, frame by frame against the truth of that frame.
+// What moves or changes between the exposures of a ring, frame by frame against the truth of that
+// frame.
 namespace penumbra::capture {
 namespace {
 
@@ -63,7 +64,8 @@ double energy(const Image<Rgb>& image) {
   return energy([&](std::size_t i) { return image.pixels()[i]; });
 }
 
-/// A ring, and beside it the naive one: the newest frame of each exposure, merged as if nothing had moved.
+/// A ring, and beside it the naive one: the newest frame of each exposure, merged as if nothing had
+/// moved.
 struct Rings {
   explicit Rings(const Sensor& s, std::vector<double> bracket = kBracket)
       : sensor(s), times(std::move(bracket)), ring(camera_of(s), 8) {
@@ -180,8 +182,8 @@ TEST(Ghosts, LampSwitchedOnIsWholeOnceAnExposureHasSeenIt) {
 }
 
 TEST(Ghosts, PersonWhoWalksByLeavesNone) {
-  // Twice as bright as the wall behind, four pixels a frame. Where the newest exposure can tell, ghosts stay under the
-  // 5 % that show.
+  // Twice as bright as the wall behind, four pixels a frame. Where the newest exposure can tell,
+  // ghosts stay under the 5 % that show.
   for (const int bits : {8, 16}) {
     Rings rings(sensor_of(bits));
     double ghost = 0, ghost_naive = 0;

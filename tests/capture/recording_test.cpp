@@ -305,7 +305,8 @@ TEST_F(RecordingTest, OtherFilesAreRefusedByName) {
 
 // ------------------------------------------------------------------------------- kill -9
 
-// A process that records 60 frames a second, faster than they come, and tells each frame's number once it is written.
+// A process that records 60 frames a second, faster than they come, and tells each frame's number
+// once it is written.
 [[noreturn]] void record_until_killed(const fs::path& path, int tell) {
   const std::array codings{Coding::kRgb8, Coding::kRgb8};
   auto writer = RecordingWriter::create(
@@ -358,7 +359,8 @@ double resident_mb() {
 
 TEST_F(RecordingTest, AnHourReplaysWithConstantMemory) {
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-  // Sanitizers keep what was freed and take minutes for an hour: there the reader and the writer alone are judged.
+  // Sanitizers keep what was freed and take minutes for an hour: there the reader and the writer
+  // alone are judged.
   constexpr int kFrames = 3'000;
   constexpr bool kMemoryCounts = false;
 #else

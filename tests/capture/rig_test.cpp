@@ -1,4 +1,5 @@
-// Several cameras as one source: order, unplugging, closing; and the tables of rig.toml that name them.
+// Several cameras as one source: order, unplugging, closing; and the tables of rig.toml that name
+// them.
 
 #include <gtest/gtest.h>
 

@@ -113,7 +113,8 @@ TEST(HdrRing, OldestFrameLeavesWhenTheSlotsAreFull) {
   EXPECT_LT(farthest(**image, .3), .02);
 }
 
-// With fewer slots than exposures the picture would pulse: a bright one leaves as the dark one comes.
+// With fewer slots than exposures the picture would pulse: a bright one leaves as the dark one
+// comes.
 TEST(HdrRing, ElevenExposuresAreAllMergedAndMoreThanFitAreRefusedByName) {
   const Sensor sensor = sensor_of(8);
   const auto round = [&](HdrRing& ring, int exposures, std::uint64_t from) {

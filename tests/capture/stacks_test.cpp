@@ -1,4 +1,5 @@
-// Stacks as people take them: times that are not known, cameras held by hand, people who walk through.
+// Stacks as people take them: times that are not known, cameras held by hand, people who walk
+// through.
 #include "calib/calib.h"
 #include "capture/capture.h"
 
@@ -167,8 +168,8 @@ Result<calib::Response> response_of(const ExposureStack& stack) {
   return calib::estimate_response(pictures, times);
 }
 
-/// Contrast against the reference picture where that one is well exposed, by blocks of 16 pixels: the fraction of blocks
-/// beyond 5 %.
+/// Contrast against the reference picture where that one is well exposed, by blocks of 16 pixels:
+/// the fraction of blocks beyond 5 %.
 double ghosts(const Image<Rgb>& merged, const Image<Rgb8>& reference, const ResponseTable& curve,
               double time) {
   constexpr int kBlock = 16;

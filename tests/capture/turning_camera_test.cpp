@@ -220,7 +220,8 @@ TEST(TurningCamera, StandsStillAgain) {
   HdrRing ring(camera(), 8), still(camera(), 8);
   Result<const MergedImage*> merged = nullptr, expected = nullptr;
   for (std::size_t i = 0; i < 9; ++i) {
-    // Turned for two frames, then still: once each exposure is from here, nothing is left of the turn.
+    // Turned for two frames, then still: once each exposure is from here, nothing is left of the
+    // turn.
     const glm::dquat pose = i < 2 ? glm::angleAxis(.1, dvec3(0, 1, 0)) : glm::dquat(1, 0, 0, 0);
     Frame frame;
     frame.sequence = i;

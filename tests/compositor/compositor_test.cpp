@@ -211,13 +211,15 @@ TEST_F(CompositorTest, WhiteObjectUnderWhiteSkyShowsTheRadianceOfTheSky) {
   EXPECT_GT(inside, 1000);
 }
 
-// What real things leave of a light counts for every shadow, also in rows that the light's own does not reach.
+// What real things leave of a light counts for every shadow, also in rows that the light's own does
+// not reach.
 TEST_F(CompositorTest, LightThatRealThingsTakeCountsEverywhereOnThePlane) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   compositor_->add_plane({0, 0, 0}, {0, 1, 0});
   const Image<Rgb> white(kSceneWidth, kSceneHeight, {1, 1, 1});
   const auto open = composited_floats(white, view(nullptr, 1));
-  // A map with nothing in it beside the object, and half of the light lacking for ten metres around.
+  // A map with nothing in it beside the object, and half of the light lacking for ten metres
+  // around.
   constexpr float kFraction = .5f;
   shadows::ShadowMap own, real;
   own.world_from_map = {{1, 0, 0, 0}, {.5, 0, -.5}};
@@ -380,7 +382,8 @@ TEST_F(CompositorTest, RealGeometryInFrontHidesObjectAndShadow) {
   EXPECT_EQ(composited(frame, view(&curve8_)), frame);
 }
 
-// Behind the camera: real geometry that hides nothing, with which edges are drawn as they are with other real geometry.
+// Behind the camera: real geometry that hides nothing, with which edges are drawn as they are with
+// other real geometry.
 prt::Mesh wall_out_of_visibility() {
   return wall(30, -9);
 }
@@ -621,7 +624,8 @@ prt::BakedObject baked(const prt::Mesh& mesh) {
   return object ? std::move(*object) : prt::BakedObject{};
 }
 
-// Whether edges of the object are those of four samples, which real geometry out of visibility brings.
+// Whether edges of the object are those of four samples, which real geometry out of visibility
+// brings.
 bool has_four_samples(const prt::BakedObject& object, const Pose& pose, const View& v,
                       bool with_floor = false) {
   auto made = Compositor::create(kSceneWidth, kSceneHeight, Compositor::Surface::kOffscreen);

@@ -62,7 +62,8 @@ bool closed(std::span<const DrawTriangle> triangles) {
   });
 }
 
-// Edges of 1.8 hundredths of the radius: six times fewer triangles have the same form to a thousandth.
+// Edges of 1.8 hundredths of the radius: six times fewer triangles have the same form to a
+// thousandth.
 const prt::Mesh& ball() {
   static const prt::Mesh mesh = prt::make_sphere({0, 0, 0}, 1, 6, {.5f, .5f, .5f});
   return mesh;

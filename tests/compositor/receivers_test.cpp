@@ -20,7 +20,8 @@ prt::PinholeView view_from(const glm::dvec3& eye, const glm::dvec3& at) {
   return view;
 }
 
-// From high up, slantwise, along the ground with the horizon in visibility, from within the shadow, and past it.
+// From high up, slantwise, along the ground with the horizon in visibility, from within the shadow,
+// and past it.
 std::vector<prt::PinholeView> views() {
   return {view_from({.1, 3, .2}, {0, 0, .01}), view_from({1.5, 1.2, 2}, {0, 0, 0}),
           view_from({-2, .25, .4}, {3, .3, 0}), view_from({.2, .4, .1}, {.9, .1, -.6}),

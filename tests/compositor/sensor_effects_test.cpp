@@ -155,7 +155,8 @@ TEST_F(SensorEffectsTest, WithoutALookEveryPixelIsTheFormulaBitForBit) {
   EXPECT_GT(shadows, 500);
 }
 
-// An object in the border of the picture is as dim there as what is real; a shadow is a ratio and stays.
+// An object in the border of the picture is as dim there as what is real; a shadow is a ratio and
+// stays.
 TEST_F(SensorEffectsTest, VignettingDimsTheObjectAndNotItsShadow) {
   test::add_lit(*compositor_, test::baked_sphere(true), side_light());
   const View plain = view();

@@ -1,5 +1,5 @@
-// What the program takes by itself at its default budget, whole light on both sides, held against a world in which the object
-// really stands; beside it what others would show.
+// What the program takes by itself at its default budget, whole light on both sides, held against a
+// world in which the object really stands; beside it what others would show.
 #include <gtest/gtest.h>
 
 #include "lighting/lighting.h"

@@ -1,5 +1,5 @@
-// The composite against a world in which the object really stands, under the same truncated light: what bake,
-// shadow map, interpolation and composite cost, apart from truncation.
+// The composite against a world in which the object really stands, under the same truncated light:
+// what bake, shadow map, interpolation and composite cost, apart from truncation.
 #include <gtest/gtest.h>
 
 #include "capture/capture.h"

@@ -1,5 +1,5 @@
-// Suns and lamps as maps really hold them: what is left of a map without its sources, and the edge of a shadow under the pixels
-// that a light stands for.
+// Suns and lamps as maps really hold them: what is left of a map without its sources, and the edge
+// of a shadow under the pixels that a light stands for.
 #include <gtest/gtest.h>
 
 #include "lighting/lighting.h"
@@ -75,8 +75,8 @@ INSTANTIATE_TEST_SUITE_P(Light, MapSources,
 
 // ---------------------------------------------------------------------------------- the sun's edge
 
-// An edge at a height of one, along `aside`, which hides what crosses it at x > 0: the fraction of light
-// that it takes at x, from directions and how much each brings.
+// An edge at a height of one, along `aside`, which hides what crosses it at x > 0: the fraction of
+// light that it takes at x, from directions and how much each brings.
 class Edge {
  public:
   Edge(const dvec3& along, std::vector<std::pair<dvec3, double>> light) {
@@ -154,8 +154,8 @@ TEST_P(MapSun, ThrowsTheEdgeThatItsPixelsThrow) {
     const dvec3 along(std::cos(yaw), 0, -std::sin(yaw)), aside(std::sin(yaw), 0, std::cos(yaw));
     const Edge truth(along, pixels), naive(along, harmonic);
     for (double height = .02; height <= 2.0001; height += height < .1 ? .02 : .1) {
-      // Many times as large as the penumbra is wide, a half plane where it matters; and so large that the plane's end of long
-      // shadows, ten radii away, lies beyond.
+      // Many times as large as the penumbra is wide, a half plane where it matters; and so large
+      // that the plane's end of long shadows, ten radii away, lies beyond.
       const double away = height * std::hypot(sun.direction.x, sun.direction.z) / sun.direction.y,
                    size = std::max(10 * height * truth.width(), .25 * away);
       const auto s = static_cast<float>(size), h = static_cast<float>(height);

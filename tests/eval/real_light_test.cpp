@@ -95,8 +95,10 @@ TEST(RealLight, GraceInFourContainersGivesThePublishedCoefficients) {
   }
 }
 
-// Why the residual above is not smaller: the published numbers put a pixel's corner where its centre is.
-// source: Ramamoorthi & Hanrahan 2001; their angular map has u = (column - w/2)/(w/2) and dw = (2 pi/w)^2 sinc(pi r)
+// Why the residual above is not smaller: the published numbers put a pixel's corner where its
+// centre is.
+// source: Ramamoorthi & Hanrahan 2001; their angular map has u = (column - w/2)/(w/2) and dw = (2
+// pi/w)^2 sinc(pi r)
 TEST(RealLight, GraceWithPixelCornersGivesThePublishedCoefficientsWithoutATurn) {
   PENUMBRA_NEED_SHARED(numbers, "reference/sh_lighting_published.json");
   PENUMBRA_NEED_SHARED(angular, "eval-only/probes/grace_probe_angular.hdr");

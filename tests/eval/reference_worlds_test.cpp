@@ -1,4 +1,5 @@
-// Worlds that real rooms are made of, path traced with the virtual objects really in them, against the composite.
+// Worlds that real rooms are made of, path traced with the virtual objects really in them, against
+// the composite.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -44,7 +45,8 @@ Image<Rgb> dim_room() {
   return map;
 }
 
-// A dark room with a window of four panes, the sun behind the frame's cross so that half of it shows.
+// A dark room with a window of four panes, the sun behind the frame's cross so that half of it
+// shows.
 Image<Rgb> window_room() {
   Image<Rgb> map(2 * kRows, kRows, {.25f, .24f, .22f});
   Image<Rgb> outside = capture::make_sky_environment(2 * kRows, kRows, .6);

@@ -1,4 +1,5 @@
-// Baked objects. An even length: a whole file with bytes changed, three bytes a change and one the value; an odd one: a file.
+// Baked objects. An even length: a whole file with bytes changed, three bytes a change and one the
+// value; an odd one: a file.
 #include <cmath>
 #include <cstddef>
 #include <cstdint>

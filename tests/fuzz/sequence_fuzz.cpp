@@ -1,5 +1,5 @@
-// Baked clips and sequences of RGBE maps. The first byte chooses the reader; of a baked clip the head, which names its asset,
-// is put in, so that everything behind it is reached.
+// Baked clips and sequences of RGBE maps. The first byte chooses the reader; of a baked clip the
+// head, which names its asset, is put in, so that everything behind it is reached.
 #include <cmath>
 #include <cstddef>
 #include <cstdint>

@@ -1,4 +1,5 @@
-// The texts of captures, recordings and calibrations: cameras.toml, a line of a frame list, a response file, a colour file, a vignetting file, a board.
+// The texts of captures, recordings and calibrations: cameras.toml, a line of a frame list, a
+// response file, a colour file, a vignetting file, a board.
 #include <toml++/toml.h>
 
 #include <cmath>

@@ -103,7 +103,8 @@ TEST(CutRow, TakesWhatIsAboveTheLevelAndNothingElse) {
   }
 }
 
-// Sources over the border of two blocks of a row, in its last one, which is narrower, and over the seam.
+// Sources over the border of two blocks of a row, in its last one, which is narrower, and over the
+// seam.
 TEST(Peeling, FindsSourcesInEveryBlockOfARow) {
   Image<Rgb> map(200, 100);
   for (Rgb& c : map.pixels()) c = {1, 1, 1};
@@ -140,7 +141,8 @@ TEST(RowOverlay, ChangesRowsOfItsOwnAlone) {
   EXPECT_EQ(patched.row(4).data(), map.row(4).data());
 }
 
-// The same split again and again, of maps of other sizes between, gives the same; the map itself stays as it is.
+// The same split again and again, of maps of other sizes between, gives the same; the map itself
+// stays as it is.
 TEST(Peeling, RemembersNothingOfTheMapBefore) {
   const Image<Rgb> first = with_sun(noise(64, 32, 1), 4e4f),
                    second = with_sun(noise(50, 26, .2f), 900);
@@ -196,8 +198,9 @@ TEST(Peeling, ASourceIsAsWideInAnyUnit) {
   }
 }
 
-// A map that is read first and projected with its changes, again and again with other rows changed, is as that of a copy: what
-// the projector expects to change may stay, and what it does not expect may change.
+// A map that is read first and projected with its changes, again and again with other rows changed,
+// is as that of a copy: what the projector expects to change may stay, and what it does not expect
+// may change.
 TEST(Projector, OfAMapThatWasReadSumsTheChangesAlone) {
   constexpr int kWidth = 64, kHeight = 32;
   LatLongProjector projector(kWidth, kHeight, 5);

@@ -199,8 +199,8 @@ TEST(SaturationRecovery, TwoClippedLampsAreToldApart) {
   const auto map = room_with(lamps);
   const auto light = estimate(clip(map, 12));
   ASSERT_EQ(light.lights.size(), 2U);
-  // The weaker lamp gives a patch as little as a tenth of its light: half a percent of noise there is
-  // 4 % of the lamp. Hence the root mean square over trials, and the sum of both in each.
+  // The weaker lamp gives a patch as little as a tenth of its light: half a percent of noise there
+  // is 4 % of the lamp. Hence the root mean square over trials, and the sum of both in each.
   constexpr int kTrials = 50;
   double square[2][3] = {};
   for (int trial = 0; trial < kTrials; ++trial) {
@@ -282,7 +282,8 @@ TEST(SaturationRecovery, OnePatchSaysWhyItCannot) {
 }
 
 TEST(SaturationRecovery, NoChannelGetsNegativeLight) {
-  // A red and a blue lamp nearly in line: noise would give each a negative fraction of the other's colour.
+  // A red and a blue lamp nearly in line: noise would give each a negative fraction of the other's
+  // colour.
   std::mt19937 rng(3);
   const Lamp lamps[] = {{glm::normalize(dvec3(.3, 1, 0)), 4 * kDegree, {300, 2, 2}},
                         {glm::normalize(dvec3(-.1, 1, .2)), 4 * kDegree, {2, 2, 300}}};
@@ -398,7 +399,8 @@ TEST(RecoveryMemory, KeepsTheEnergyWhileTheSourceStaysClipped) {
   }
 }
 
-// The governor's prediction starts from the light as it was measured: over a lower bound it is none.
+// The governor's prediction starts from the light as it was measured: over a lower bound it is
+// none.
 TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
   const auto map = room_with({&kSun, 1});
   LightEstimator estimator({});

@@ -14,7 +14,8 @@ namespace {
 
 constexpr Rgb kGrey{.5f, .5f, .5f};
 
-// Every texel that a bilinear lookup at a random surface point reads stands for the surface near it.
+// Every texel that a bilinear lookup at a random surface point reads stands for the surface near
+// it.
 void expect_lookups_are_covered(const Character& c, int width, int height) {
   const SurfaceLayout layout = lay_out(c, width, height);
   Mesh mesh;
@@ -96,7 +97,8 @@ TEST(LightMap, TrianglesWithoutAreaInTheTextureAreNotLost) {
 }
 
 TEST(LightMap, ACoarseSphereDoesNotShadeItself) {
-  // Smooth normals on flat triangles: points of the flats see their neighbours above their own horizon.
+  // Smooth normals on flat triangles: points of the flats see their neighbours above their own
+  // horizon.
   const Mesh sphere = make_sphere({0, 0, 0}, 1, 1, kGrey);
   const Character c = for_light_map(test::resting(sphere), 96, 96);
   const SurfaceLayout layout = lay_out(c, 96, 96);

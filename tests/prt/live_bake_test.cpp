@@ -60,7 +60,8 @@ double rendered_error(const Transfer& is, const BakedObject& should) {
   return std::sqrt(wrong / all);
 }
 
-// RMS error of the fraction that the character takes of an even sky's light on the floor, where that is more than 5 %.
+// RMS error of the fraction that the character takes of an even sky's light on the floor, where
+// that is more than 5 %.
 double shadow_error(const BakedObject& is, const BakedObject& should) {
   constexpr double kOpen = .28209;
   double wrong = 0, count = 0;
@@ -130,7 +131,8 @@ TEST(LiveBake, GivesTheSameForTheSameVisits) {
   EXPECT_EQ(out[0].ground_deficit.values, out[1].ground_deficit.values);
 }
 
-// Few visits are late, not wrong in kind: what was not visited yet is lit as if nothing stood about it.
+// Few visits are late, not wrong in kind: what was not visited yet is lit as if nothing stood about
+// it.
 TEST(LiveBake, LightsWhatItHasNotVisitedYet) {
   LiveBake live = begin(options_with_floor());
   BakedObject out;

@@ -64,7 +64,8 @@ TEST(Seams, NoiseOnTheirTwoSidesMeets) {
   s.seams.equalise(s.all_seen(), after.size(), after);
   EXPECT_GT(moved(s, before), .1 * kNoise);
   EXPECT_LT(moved(s, after), .2 * moved(s, before));
-  // Two estimates of one place are brought together: what is left is nearer to the truth, not further.
+  // Two estimates of one place are brought together: what is left is nearer to the truth, not
+  // further.
   EXPECT_LT(rms_difference(after, s.smooth()), rms_difference(before, s.smooth()));
 }
 

@@ -106,7 +106,8 @@ Character spinning_knot() {
 TEST(Sequence, ARigidSpinLeavesTransferAsItIsInTheMaterial) {
   const Baked b = bake_clip(spinning_knot(), 0, quick(8));
   ASSERT_EQ(b.frames.size(), 8u);
-  // A ray in a hundred thousand grazes an edge and falls to the other side by the last bit of a float.
+  // A ray in a hundred thousand grazes an edge and falls to the other side by the last bit of a
+  // float.
   double sum = 0, values = 0, away = 0;
   for (const Transfer& t : b.frames)
     for (int n = 0; n < 9; ++n)
@@ -119,7 +120,8 @@ TEST(Sequence, ARigidSpinLeavesTransferAsItIsInTheMaterial) {
   EXPECT_LT(std::sqrt(sum / values), 1e-3);
   EXPECT_LT(away / values, 2e-3);
   EXPECT_EQ(b.sequence.surface.max_components(), 0);
-  // Without the material's frame the same light map would turn with the knot: two frames differ by all there is.
+  // Without the material's frame the same light map would turn with the knot: two frames differ by
+  // all there is.
   const CharacterPose pose = sample(spinning_knot(), spinning_knot().clips[0], .5);
   const auto turns = bone_turns(spinning_knot(), pose);
   std::vector<float> with(3 * b.sequence.surface.stride()), without(with.size());
@@ -205,7 +207,8 @@ struct Moment {
 };
 
 TEST(Sequence, ALongClipOfManyMovesKeepsItsErrorToo) {
-  // Three hundred frames that have hardly anything in common: more components than one span may have frames.
+  // Three hundred frames that have hardly anything in common: more components than one span may
+  // have frames.
   constexpr std::size_t kFrames = 300, kPoints = 900;
   SurfaceLayout layout;
   layout.bone.assign(kPoints, 0);
@@ -606,7 +609,8 @@ TEST(Sequence, KeyFramesThatMakeNoSenseAreTold) {
 }
 
 TEST(Sequence, WhatLiesWithinAnotherPartDoesNotFlicker) {
-  // A ball that dips into a box and comes out again: while it is inside its points see only backs of walls.
+  // A ball that dips into a box and comes out again: while it is inside its points see only backs
+  // of walls.
   Mesh mesh = make_box({-1, -1, -1}, {1, 1, 1}, 6, kGrey);
   const std::size_t box = mesh.positions.size();
   append(mesh, make_sphere({0, 0, 0}, .5f, 2, kGrey));

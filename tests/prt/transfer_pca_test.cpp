@@ -75,7 +75,8 @@ std::vector<float> relit(const Transfer& t, const RadianceSh& light) {
   return out;
 }
 
-// RMS over points, colours and lights from everywhere of what components change, as a fraction of what faces the light.
+// RMS over points, colours and lights from everywhere of what components change, as a fraction of
+// what faces the light.
 double error_of(const TransferPca& components, Which which, const Transfer& transfer) {
   double sum = 0;
   const std::vector<glm::dvec3> from = directions(400);

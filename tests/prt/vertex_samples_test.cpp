@@ -66,7 +66,8 @@ TEST(VertexSamples, WhatLooksAnotherWayLooksForItself) {
   EXPECT_GT(left_out, 0u) << "others look for some of them as long as they are not";
 }
 
-// Nobody can look for a point that no triangle joins to others, nor for the corners of a triangle alone.
+// Nobody can look for a point that no triangle joins to others, nor for the corners of a triangle
+// alone.
 TEST(VertexSamples, WhatHasTooFewNeighboursLooksForItself) {
   Mesh mesh;
   mesh.positions.assign(5, glm::vec3(0));

@@ -55,7 +55,8 @@ constexpr Way kWays[] = {{VisibilityMap::kCells, VisibilitySamples::kMax},
                          {VisibilityMap::kFineCells, VisibilitySamples::kMax},
                          {VisibilityMap::kFineCells, VisibilitySamples::kFew}};
 
-// Each vertex looks along rays of its own, of random cells; the receiver, which its rays cross, does not count.
+// Each vertex looks along rays of its own, of random cells; the receiver, which its rays cross,
+// does not count.
 TEST(VisibilityMap, AlongItsRaysALookUpIsTheRay) {
   const BakedObject o = baked_knot(true);
   const ReferenceWorld world(o);
@@ -116,8 +117,8 @@ TEST(VisibilityMap, RaysAreNearToEveryDirection) {
   }
 }
 
-// Of one vertex or another one ray alone is open: the nearest one. The map is skewed, so that a look-up between two rays may take
-// the farther one.
+// Of one vertex or another one ray alone is open: the nearest one. The map is skewed, so that a
+// look-up between two rays may take the farther one.
 TEST(VisibilityMap, LooksAlongTheNearestRay) {
   std::mt19937 rng(5);
   std::normal_distribution<float> normal;
@@ -183,7 +184,8 @@ TEST(VisibilityMap, AnOpenSurfaceSeesEverything) {
   }
 }
 
-// Normals that only differ in the sign of a zero are one, whatever files and placements make of them.
+// Normals that only differ in the sign of a zero are one, whatever files and placements make of
+// them.
 TEST(VisibilityMap, ANegativeZeroTurnsNothing) {
   for (const glm::vec3& n : {glm::vec3(1, 0, 0), {0, 1, 0}, {0, 0, 1}}) {
     const HemiOctFrame plus = HemiOctFrame::of(3, n),

@@ -1,4 +1,5 @@
-// Characters in scenes: against the path tracer, through files, and with everything else that a scene has.
+// Characters in scenes: against the path tracer, through files, and with everything else that a
+// scene has.
 #include "runtime/scene/animated.h"
 #include "capture/capture.h"
 #include "lighting/lighting.h"
@@ -121,7 +122,8 @@ TEST(AnimatedGroundTruth, TheWalkerIsLitAsIfItStoodThere) {
     const Figures f = compare_with_reference(*scene, map, 3, .02);
     std::printf("%s: object %.2f %%, bias %.2f %%, shadow %.4f\n", name, 100 * f.object,
                 100 * f.bias, f.shadow);
-    // Creases between limbs are narrower than the vertices stand apart: a light map shows them better.
+    // Creases between limbs are narrower than the vertices stand apart: a light map shows them
+    // better.
     EXPECT_LT(f.object, .04) << name;
     EXPECT_LT(std::abs(f.bias), .02) << name;
     EXPECT_LT(f.shadow, .05) << name;
@@ -142,8 +144,8 @@ TEST(AnimatedGroundTruth, ALightMapIsAsGoodAsVertices) {
   }
 }
 
-// Twenty moments under eight real environments take nine minutes: PENUMBRA_LONG=1 asks for them, another word for those whose
-// names hold it.
+// Twenty moments under eight real environments take nine minutes: PENUMBRA_LONG=1 asks for them,
+// another word for those whose names hold it.
 TEST(AnimatedGroundTruth, TwentyMomentsUnderEightEnvironments) {
   if (!std::getenv("PENUMBRA_LONG")) GTEST_SKIP() << "long: set PENUMBRA_LONG=1";
   PENUMBRA_NEED_SHARED(folder, "envmaps");

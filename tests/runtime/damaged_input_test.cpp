@@ -1,4 +1,5 @@
-// Every reader of outside bytes sees damaged files in every run: an error or a value, never a crash.
+// Every reader of outside bytes sees damaged files in every run: an error or a value, never a
+// crash.
 #include <gtest/gtest.h>
 
 #include <cstring>

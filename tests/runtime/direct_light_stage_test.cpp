@@ -114,7 +114,8 @@ TEST(DirectLightStage, TheShadowOnAPlaneGoesWithItsObject) {
   }
 }
 
-// Look-ups find what rays find, which neighbours share on so coarse a mesh; where the other object may stand before the lamp rays are asked.
+// Look-ups find what rays find, which neighbours share on so coarse a mesh; where the other object
+// may stand before the lamp rays are asked.
 TEST(DirectLightStage, WhatObjectsWereBakedToSeeIsAsked) {
   const prt::Mesh knot = prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f});
   const PreparedScene plain = two_of(knot, false), known = two_of(knot, true);
@@ -143,7 +144,8 @@ TEST(DirectLightStage, WhatObjectsWereBakedToSeeIsAsked) {
   }
 }
 
-// Rays and cells go where the light is: a source among much other light has fewer, and no other shadow than it had.
+// Rays and cells go where the light is: a source among much other light has fewer, and no other
+// shadow than it had.
 TEST(DirectLightStage, WeakSourcesAreAskedLess) {
   const prt::Mesh knot = prt::make_knot(.4f, 160, 32, {.6f, .6f, .6f});
   const PreparedScene known = two_of(knot, true), plain = two_of(knot, false);
@@ -178,8 +180,8 @@ TEST(DirectLightStage, WeakSourcesAreAskedLess) {
       << "cells of its map";
 }
 
-// A lamp that is switched on fades in: what was found while it was faint does not do when it is all of the light. A little up and
-// down at a limit changes nothing.
+// A lamp that is switched on fades in: what was found while it was faint does not do when it is all
+// of the light. A little up and down at a limit changes nothing.
 TEST(DirectLightStage, ALampThatFadesInIsTracedAnew) {
   const PreparedScene scene = two_of(prt::make_knot(.4f, 120, 24, {.6f, .6f, .6f}), false);
   const OcclusionProbes around(scene);
@@ -247,7 +249,8 @@ TEST(DirectLightStage, CreepingSunIsFollowedWhileObjectsMove) {
   EXPECT_NE(light_on(*stage, scene, 0), first);
 }
 
-// As casters planes are quads of single precision; beside something tiny one would throw a shadow on itself.
+// As casters planes are quads of single precision; beside something tiny one would throw a shadow
+// on itself.
 TEST(DirectLightStage, APlaneDoesNotShadeItself) {
   PreparedScene scene = two_balls();
   scene.objects.pop_back();

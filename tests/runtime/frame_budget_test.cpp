@@ -8,7 +8,8 @@
 namespace penumbra::runtime {
 namespace {
 
-// A machine on which a frame takes `base_ms` and each light `light_ms`, at 60 frames a second; it wants `wanted` lights.
+// A machine on which a frame takes `base_ms` and each light `light_ms`, at 60 frames a second; it
+// wants `wanted` lights.
 struct Machine {
   double base_ms, light_ms;
   int wanted = 1;

@@ -73,8 +73,8 @@ TEST(RealMeshWorld, FarAwayNothingChanges) {
             s.floor->radiance(kEye, towards(kPlace + dvec3(0, .2, 0))));
 }
 
-// The lower hemisphere of this map is bright: it must not shine past the floor onto what stands on it, nor darken what
-// reaches below it.
+// The lower hemisphere of this map is bright: it must not shine past the floor onto what stands on
+// it, nor darken what reaches below it.
 TEST(RealMeshWorld, FootOfAThingIsLitAsWhatStandsJustAboveTheFloor) {
   Image<Rgb> map(64, 32, {1, 1, 1});
   for (int y = 16; y < 32; ++y) std::ranges::fill(map.row(y), Rgb{6, 6, 6});

@@ -1,4 +1,5 @@
-// What a stage shows of light that object and floor reflect to each other, against the bake's own coefficients.
+// What a stage shows of light that object and floor reflect to each other, against the bake's own
+// coefficients.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -77,7 +78,8 @@ Rgb ratio_at(const shadows::PlanarShadow& shadow, const prt::GroundGrid& grid, c
          part.y * ((1 - part.x) * at(0, 1) + part.x * at(1, 1));
 }
 
-// Before the sunlit side the floor turns red. By all coefficients of the bake, one light after the other.
+// Before the sunlit side the floor turns red. By all coefficients of the bake, one light after the
+// other.
 TEST(ReflectedLight, OnTheFloorIsThatOfTheBake) {
   const PreparedScene scene = red_ball();
   const prt::BakedObject& baked = scene.objects[0].baked;

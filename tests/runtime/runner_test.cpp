@@ -158,7 +158,8 @@ TEST(Replay, MirrorBallInTheViewCamerasPictureIsAllTheLightThatItNeeds) {
   }
 }
 
-// The room's lamps saturate the first, longest exposure: lit by it alone the first frames would be dimmer.
+// The room's lamps saturate the first, longest exposure: lit by it alone the first frames would be
+// dimmer.
 TEST(Replay, FirstFramesAreLitByAWholeBracket) {
   Stages s;
   NEED_GL(s);
@@ -234,7 +235,8 @@ TEST(Live, EveryFrameIsHandedOutOrCountedAsDropped) {
 TEST(Live, FramesThatComeLateAreTheSameAndInOrder) {
   Stages s;
   NEED_GL(s);
-  // Two pictures in turn; the next one always waits already, so that every frame ends beside the begin of the next.
+  // Two pictures in turn; the next one always waits already, so that every frame ends beside the
+  // begin of the next.
   capture::StudioOptions endless = bench().options;
   endless.view_fps = 2000;
   endless.view_frames = 1 << 30;
@@ -411,7 +413,8 @@ TEST(Live, StopDoesNotWaitForAFrameThatIsDueMuchLater) {
   EXPECT_TRUE(counts);
 }
 
-// A live source that gives one view frame and then waits for ever, as cameras do that were unplugged.
+// A live source that gives one view frame and then waits for ever, as cameras do that were
+// unplugged.
 class SilentSource : public capture::FrameSource {
  public:
   explicit SilentSource(capture::Studio& studio) : studio_(studio) {}

@@ -155,7 +155,8 @@ TEST(SeveralViews, TwoLensesOfOnePictureShowTheWholeRoom) {
               100 * unequal);
   EXPECT_LT(equal, .01);
   EXPECT_LT(unequal, .015);
-  // As if the lenses saw half the sphere each, they overlap nowhere and the second one's gain stays in the light.
+  // As if the lenses saw half the sphere each, they overlap nowhere and the second one's gain stays
+  // in the light.
   CameraInfo apart = camera;
   for (capture::Lens& l : apart.lenses) l.half_field_rad = kPi / 2;
   EXPECT_GT(difference(estimate_with(apart, kOther), truth), .05);
@@ -221,7 +222,8 @@ TEST(SeveralViews, CameraThatNeverShowsAnythingIsNotWaitedForForEver) {
   EXPECT_LT(frames, 40);
 }
 
-// A street by a real camera of two lenses: what both see is told apart by less than their noise and the people near it.
+// A street by a real camera of two lenses: what both see is told apart by less than their noise and
+// the people near it.
 TEST(SeveralViews, RealDualFisheyeHasGainsNearOne) {
   PENUMBRA_NEED_SHARED(path, "eval-only/calibration/dual_fisheye/extract.png");
   auto pixels = codec::read_frame(path);

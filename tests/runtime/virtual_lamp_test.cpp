@@ -1,4 +1,5 @@
-// A virtual lamp through the whole pipeline: the real floor brightens by the same ratio as shadows darken it.
+// A virtual lamp through the whole pipeline: the real floor brightens by the same ratio as shadows
+// darken it.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -76,7 +77,8 @@ TEST(VirtualLamp, LightsTheFloorByItsShareOfTheRealLightAndCastsShadows) {
   EXPECT_GT(with->radiance.at(lid.x, lid.y).r, without->radiance.at(lid.x, lid.y).r + .2f);
 }
 
-// A world in which the lamp really hangs beside the object, low over a dim floor so that it is most of the light.
+// A world in which the lamp really hangs beside the object, low over a dim floor so that it is most
+// of the light.
 TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
   Scene world{{test::twist({0, 0, 0})}, {test::grey_plane()}};
   world.lamps.push_back({{.45, .55, .3}, .04, {60, 50, 35}});

@@ -1,4 +1,5 @@
-// The whole service on cameras that live in memory: what clients hear while the environment camera is away.
+// The whole service on cameras that live in memory: what clients hear while the environment camera
+// is away.
 #include <gtest/gtest.h>
 #include <httplib.h>
 

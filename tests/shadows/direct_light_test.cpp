@@ -45,7 +45,8 @@ double rms(const std::vector<float>& a, const std::vector<float>& b) {
   return std::sqrt(square / static_cast<double>(a.size()));
 }
 
-// Four rays a vertex leave blotches in a broad penumbra; vertices that know their neighbours do not.
+// Four rays a vertex leave blotches in a broad penumbra; vertices that know their neighbours do
+// not.
 TEST(LightVertices, BroadPenumbraOnRealGroundIsSmooth) {
   const Patch patch;
   prt::Mesh alone = patch.ground;

@@ -44,7 +44,8 @@ TEST(Lamp, BehindTheFloorOrInItGivesNothing) {
 }
 
 TEST(Lamp, PenumbraFollowsSimilarTriangles) {
-  // A half plane at height h below a lamp of radius r at height H: the penumbra is 2 r h/(H - h) wide.
+  // A half plane at height h below a lamp of radius r at height H: the penumbra is 2 r h/(H - h)
+  // wide.
   World world;
   constexpr double kLamp = 1, kEdge = .4, kRadius = .1;
   prt::Mesh half;

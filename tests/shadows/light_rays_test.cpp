@@ -68,7 +68,8 @@ TEST(LightRays, TurnsTakeEveryDirectionAlike) {
   for (const auto& [direction, times] : seen) EXPECT_NEAR(times, 4, 1);
 }
 
-// Wherever one begins: what a few points that follow each other ask lies all over the form, each quarter along it alike.
+// Wherever one begins: what a few points that follow each other ask lies all over the form, each
+// quarter along it alike.
 TEST(LightRays, TurnsInARowAskAllOfAForm) {
   const lighting::DistantLight d = strip(.4, .1);
   SamplePattern pattern;
@@ -103,7 +104,8 @@ TEST(LightRays, RmsAngleIsTheCapsOrTheForms) {
   EXPECT_LT(rms_angle(thin), largest_angle(thin));
 }
 
-// The same lamp is smooth on a fine mesh and not on a coarse one; on one mesh a wide lamp is and a narrow one is not.
+// The same lamp is smooth on a fine mesh and not on a coarse one; on one mesh a wide lamp is and a
+// narrow one is not.
 TEST(LightRays, NeighboursShareLightWhereEdgesAreShort) {
   const prt::Mesh fine = prt::make_knot(.5f, 320, 52, {}), coarse = prt::make_knot(.5f, 80, 16, {});
   lighting::DistantLight lamp;

@@ -114,7 +114,8 @@ std::vector<Thing> real_posts() {
           {prt::make_box({-.05f, 0, -.3f}, {.05f, .3f, .3f}, 2, {}), {{1, 0, 0, 0}, {-.6, 0, 0}}}};
 }
 
-// High up and towards the light of 40 degrees, but aside: its foot is far from the map, its penumbra is not.
+// High up and towards the light of 40 degrees, but aside: its foot is far from the map, its
+// penumbra is not.
 std::vector<Thing> slab_aside() {
   return one(prt::make_box({-.3f, 0, -.3f}, {.3f, .1f, .3f}, 1, {}),
              {{1, 0, 0, 0}, {1.977, 2, 1.658}});
@@ -237,7 +238,8 @@ float at(const ShadowMap& shadow, const dvec3& world) {
          v * ((1 - u) * shadow.taken.at(x, y + 1) + u * shadow.taken.at(x + 1, y + 1));
 }
 
-// A broad lamp that brings little is drawn with fewer directions and cells: its error counts by what it brings.
+// A broad lamp that brings little is drawn with fewer directions and cells: its error counts by
+// what it brings.
 TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
   const Scene scene(one(knot()));
   lighting::DistantLight window = distant_light_of({"", {}, {}, 40, 3});
@@ -278,7 +280,8 @@ TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
   EXPECT_FALSE(fewest.empty());
 }
 
-// What lights by a form throws shadows by sixteen of its directions where it is small in every direction, by all 64 where not.
+// What lights by a form throws shadows by sixteen of its directions where it is small in every
+// direction, by all 64 where not.
 TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
   const Scene scene(one(knot())), nobody({});
   for (const auto& [half_length, directions] : {std::pair(.03, 16), {.2, 64}}) {
@@ -350,7 +353,8 @@ TEST(DrawnShadow, OfALightThatSetsOnlyTheUpperPartCounts) {
   EXPECT_NEAR(largest, 1, .05);
 }
 
-// All of its light is thrown as if it came from 1.15 degrees: by silhouettes that are not those of the light itself.
+// All of its light is thrown as if it came from 1.15 degrees: by silhouettes that are not those of
+// the light itself.
 TEST(DrawnShadow, OfASunAtTheHorizonIsWhole) {
   const Scene scene(one(knot()));
   ShadowMap at_horizon, higher;

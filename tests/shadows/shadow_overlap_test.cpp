@@ -72,7 +72,8 @@ TEST(SharedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
     for (int x = second.x0; x < second.x1; ++x) {
       const double one = double(alone.ratio.at(x, y).g);
       if (one > .1) {
-        // The other's map is read at its nearest texel: half a texel's change of s, at most .03 here.
+        // The other's map is read at its nearest texel: half a texel's change of s, at most .03
+        // here.
         ASSERT_NEAR(one * double(second.ratio.at(x, y).g), one, .03) << x << " " << y;
       }
     }
@@ -109,7 +110,8 @@ TEST(SharedShadow, NeighboursAreCloserToTheTruthThanTheProduct) {
   EXPECT_LT(ours, .7 * product) << "product " << product;
 }
 
-// What two take together is at least what either takes and at most both of it, as far as there is light.
+// What two take together is at least what either takes and at most both of it, as far as there is
+// light.
 TEST(SharedShadow, StaysInsideTheProvenInterval) {
   double max_beyond = 0, product_beyond = 0;
   const prt::GroundGrid& grid = sphere().receiver->grid;

@@ -11,7 +11,8 @@
 namespace penumbra::shadows {
 namespace {
 
-// Directions all over the square of side 2, some of them behind the surface and some that do not count.
+// Directions all over the square of side 2, some of them behind the surface and some that do not
+// count.
 LayerSamples random_samples(std::size_t count, unsigned seed) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<float> place(-1, 1);

@@ -79,8 +79,8 @@ double fraction_beside(double off) {
   return 1 - (std::acos(t) - t * std::sqrt(1 - t * t)) / kPi;
 }
 
-// Straight edges, of one layer and of two, at the zenith and aslant: the fraction of the light beside them. Four rays a vertex
-// miss it by a fifth here and there.
+// Straight edges, of one layer and of two, at the zenith and aslant: the fraction of the light
+// beside them. Four rays a vertex miss it by a fifth here and there.
 TEST(SoftShadowVolume, BesideAnEdgeIsTheShareOfTheLight) {
   constexpr double kHeight = 1;
   for (const double elevation : {90., 60.})
@@ -110,7 +110,8 @@ TEST(SoftShadowVolume, BesideAnEdgeIsTheShareOfTheLight) {
       }
 }
 
-// Corners, slits, crossed bars, one thing over another, a hole, and what lies all in the dark: the same as by sixty-four rays.
+// Corners, slits, crossed bars, one thing over another, a hole, and what lies all in the dark: the
+// same as by sixty-four rays.
 TEST(SoftShadowVolume, AgreesWithManyRays) {
   const std::vector<std::vector<prt::Mesh>> scenes = {
       {slab({0, 0}, {3, 3}, 1)},                                               // a corner

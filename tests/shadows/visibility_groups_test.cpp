@@ -48,7 +48,8 @@ struct World : test::CasterWorld {
   std::vector<float> shared_light(const lighting::DistantLight& source) const {
     return light(source, casters[0], &rays);
   }
-  // All rays for every vertex. (Those of a broad light are averaged over neighbours: triangles tell which.)
+  // All rays for every vertex. (Those of a broad light are averaged over neighbours: triangles tell
+  // which.)
   std::vector<float> own_light(const lighting::DistantLight& source, const prt::RayWorld* occluders,
                                int samples = 4) const {
     return light(
@@ -58,7 +59,8 @@ struct World : test::CasterWorld {
          &none, casters[0].world_from_mesh},
         occluders, samples);
   }
-  // From as many rays of their own; what silhouettes tell in part from many, by an eighth of the light.
+  // From as many rays of their own; what silhouettes tell in part from many, by an eighth of the
+  // light.
   std::size_t different(const lighting::DistantLight& source, float more_than = 1e-5f) const {
     const std::vector<float> shared = shared_light(source), own = own_light(source, &rays),
                              dense = own_light(source, &rays, kMaxSamples);
@@ -70,7 +72,8 @@ struct World : test::CasterWorld {
                  : std::abs(own[i] - shared[i]) > more_than;
     return out;
   }
-  // Grouped vertices of a level sheet that do not see as much as the first of their group, all or nothing.
+  // Grouped vertices of a level sheet that do not see as much as the first of their group, all or
+  // nothing.
   std::size_t misplaced(const lighting::DistantLight& source) const {
     const std::vector<float> own = own_light(source, &rays), open = own_light(source, nullptr);
     const VisibilityGroups found = visibility(source);
@@ -94,7 +97,8 @@ TEST(VisibilityGroups, GivesWhatARayForEachVertexGives) {
       const lighting::DistantLight source = sun(elevation, radius);
       EXPECT_GT(world.visibility(source).groups(), 0u) << elevation << ", " << radius;
       // At the terminator one ray alone may lie below the surface where others of the light do not.
-      // One ray for what is not at an edge, where many have rays of their own: a sample is missing at a hundredth at most.
+      // One ray for what is not at an edge, where many have rays of their own: a sample is missing
+      // at a hundredth at most.
       EXPECT_LE(world.different(source), radius == 2 ? 96u : 12u) << elevation << ", " << radius;
       EXPECT_LE(world.different(source, .3f), 12u) << elevation << ", " << radius;
     }
@@ -180,7 +184,8 @@ TEST(VisibilityGroups, FindsTheShadowOfAWire) {
   EXPECT_GT(std::ranges::count_if(light, [](float l) { return l < .1f; }), 10);
 }
 
-// One sheet goes through the other: half of it lies in the shadow, and no silhouette passes over where that begins.
+// One sheet goes through the other: half of it lies in the shadow, and no silhouette passes over
+// where that begins.
 TEST(VisibilityGroups, SeesWhereSurfacesCutThroughEachOther) {
   prt::Mesh slanted = sheet(20);
   prt::transform(slanted,
@@ -194,8 +199,8 @@ TEST(VisibilityGroups, SeesWhereSurfacesCutThroughEachOther) {
   EXPECT_LE(world.different(source), 2u);
 }
 
-// A step that is turned away, in small: averaged normals at both of its ends look towards the light, but its foot lies in its
-// shadow, and that is the lowest vertex of what is lit beyond.
+// A step that is turned away, in small: averaged normals at both of its ends look towards the
+// light, but its foot lies in its shadow, and that is the lowest vertex of what is lit beyond.
 TEST(VisibilityGroups, EdgesOfTrianglesThatAreTurnedAwayJoinNothing) {
   prt::Mesh step = sheet(12);
   const auto height = [](float x) { return x < 0 ? 0.f : std::min(x, 1 / 6.f); };
@@ -208,7 +213,8 @@ TEST(VisibilityGroups, EdgesOfTrianglesThatAreTurnedAwayJoinNothing) {
   }
 }
 
-// Rims of a plane on which an object stands are far from it, though not a box around one that runs aslant.
+// Rims of a plane on which an object stands are far from it, though not a box around one that runs
+// aslant.
 TEST(VisibilityGroups, LongEdgesLeaveGroups) {
   const World alone({knot()});
   const auto grouped = [&](const World& world, double elevation) {
@@ -236,8 +242,8 @@ TEST(VisibilityGroups, ACopyInItsPlaceLeavesGroups) {
   }
 }
 
-// What is kept of one light's silhouettes is not taken for another pose, plane or light: as with a silhouette for each object and no
-// memo.
+// What is kept of one light's silhouettes is not taken for another pose, plane or light: as with a
+// silhouette for each object and no memo.
 TEST(VisibilityGroups, AMemoChangesNothing) {
   World world({knot(), knot()});
   world.casters[1].world_from_mesh = {glm::angleAxis(1.2, dvec3(0, 0, 1)), {.3, .2, .9}};
@@ -273,8 +279,8 @@ std::size_t cuts(const SilhouetteMesh& silhouette) {
   return out;
 }
 
-// A mesh that goes through itself: no silhouette passes over where the sunny side of a post goes through the ground, and what
-// it encloses is dark.
+// A mesh that goes through itself: no silhouette passes over where the sunny side of a post goes
+// through the ground, and what it encloses is dark.
 TEST(VisibilityGroups, AnSilhouetteKnowsWhereItsMeshIsCut) {
   prt::Mesh both = sheet(60);
   const prt::Mesh post = prt::make_box({.2f, -.3f, .2f}, {.37f, .3f, .37f}, 8, {});
@@ -305,7 +311,8 @@ TEST(VisibilityGroups, WhatDoesNotGoThroughItselfIsNotCut) {
   }
 }
 
-// Where the other sheet cuts off a strip along the rows no silhouette tells, and probes in a beat with the rows would miss it.
+// Where the other sheet cuts off a strip along the rows no silhouette tells, and probes in a beat
+// with the rows would miss it.
 TEST(VisibilityGroups, ProbesHaveNoBeat) {
   struct Case {
     std::uint32_t squares;
@@ -319,7 +326,8 @@ TEST(VisibilityGroups, ProbesHaveNoBeat) {
   }
 }
 
-// Of a sun that sets behind the plane on which an object stands half is left, for every vertex in front.
+// Of a sun that sets behind the plane on which an object stands half is left, for every vertex in
+// front.
 TEST(VisibilityGroups, OfASettingSunEveryVertexHasItsPart) {
   const World world({prt::make_sphere({0, 1, 0}, .5f, 4, {})});
   const prt::Plane plane;
@@ -348,7 +356,8 @@ TEST(VisibilityGroups, PointsWithoutTrianglesSeeForThemselves) {
   EXPECT_EQ(world.different(sun(50)), 0u);
 }
 
-// In penumbras of a curved object's own parts, in any pose, whether they are virtual or real: half of four rays' error at most.
+// In penumbras of a curved object's own parts, in any pose, whether they are virtual or real: half
+// of four rays' error at most.
 TEST(VisibilityGroups, WhatItSeesInPartIsNearManyRays) {
   const Pose poses[] = {{}, {glm::angleAxis(.9, glm::normalize(dvec3(.2, 1, .4))), {3, 1, -2}}};
   for (const Pose& pose : poses)
@@ -417,8 +426,8 @@ TEST(VisibilityGroups, ASmallFormIsNarrow) {
   EXPECT_LT(rmse(ours, dense), 1.1 * rmse(four, dense));
 }
 
-// Low over the plane on which the object stands, lying or upright: what is behind the plane brings nothing. (.11 if sixteen
-// directions tell of an upright one how much that is.)
+// Low over the plane on which the object stands, lying or upright: what is behind the plane brings
+// nothing. (.11 if sixteen directions tell of an upright one how much that is.)
 TEST(VisibilityGroups, ASmallFormSetsInParts) {
   const World world({prt::make_sphere({0, .6f, 0}, .5f, 5, {})});
   const prt::Plane floor;
@@ -438,8 +447,8 @@ TEST(VisibilityGroups, ASmallFormSetsInParts) {
   }
 }
 
-// A long window: four rays a vertex, averaged with those of its neighbours, ask all of it. (The first has .030 if the groups of
-// its directions keep step, .018 if there are no groups.)
+// A long window: four rays a vertex, averaged with those of its neighbours, ask all of it. (The
+// first has .030 if the groups of its directions keep step, .018 if there are no groups.)
 TEST(VisibilityGroups, NeighboursAskOtherPartsOfAForm) {
   const World world({prt::make_knot(.5f, 480, 80, {.5f, .5f, .5f})});
   for (const auto& [across, along] : {std::pair(.08, .3), {.25, .1}}) {
@@ -451,7 +460,8 @@ TEST(VisibilityGroups, NeighboursAskOtherPartsOfAForm) {
   }
 }
 
-// One sample: as a point in the light's middle lights, at every vertex, however wide the penumbra would be.
+// One sample: as a point in the light's middle lights, at every vertex, however wide the penumbra
+// would be.
 TEST(VisibilityGroups, OneSampleThrowsHardShadows) {
   const World world({knot()});
   const auto light = [&](const Caster& object, const lighting::DistantLight& of, int samples) {
@@ -491,7 +501,8 @@ TEST(VisibilityGroups, OneSampleOfASettingSunIsAllOrNothing) {
     }
 }
 
-// A sun half below the plane on which an object stands, behind a post: directions behind the plane bring nothing.
+// A sun half below the plane on which an object stands, behind a post: directions behind the plane
+// bring nothing.
 TEST(VisibilityGroups, WhatItSeesInPartEndsAtThePlane) {
   prt::Mesh wall = sheet(40);
   prt::transform(wall, glm::rotate(glm::translate(glm::dmat4(1), dvec3(0, 1, 0)), -kPi / 2,

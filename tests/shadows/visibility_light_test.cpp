@@ -128,7 +128,8 @@ TEST(VisibilityLight, WideLightsAreLookedUpAsWellAsRaysFind) {
   }
 }
 
-// So are lamps of a few degrees, in finer cells. (At sharp edges of shadows rays are better, in broad ones look-ups.)
+// So are lamps of a few degrees, in finer cells. (At sharp edges of shadows rays are better, in
+// broad ones look-ups.)
 TEST(VisibilityLight, LampsAreLookedUpInFinerCells) {
   const World& world = knot_world();
   for (const lighting::DistantLight& d : {source(50, .06), source(25, .078), source(40, .04)}) {
@@ -151,7 +152,8 @@ TEST(VisibilityLight, LampsAreLookedUpInFinerCells) {
   }
 }
 
-// Cells are too large to tell how much of such a light is seen, but not where all of it is, or nothing.
+// Cells are too large to tell how much of such a light is seen, but not where all of it is, or
+// nothing.
 TEST(VisibilityLight, SmallerLightsAskRaysWhereTheVisibilityIsMixed) {
   const World& world = knot_world();
   for (const lighting::DistantLight& d : {source(50, .03), source(25, .033), source(40, .027)}) {
@@ -174,7 +176,8 @@ TEST(VisibilityLight, SmallerLightsAskRaysWhereTheVisibilityIsMixed) {
   }
 }
 
-// What is thinner than cells and vertices are apart hides between the rays of one vertex, but not of all around it.
+// What is thinner than cells and vertices are apart hides between the rays of one vertex, but not
+// of all around it.
 TEST(VisibilityLight, FindsTheShadowOfItsOwnWire) {
   prt::Mesh mesh = test::sheet(60, .25f);
   mesh.albedo.assign(mesh.positions.size(), {.5f, .5f, .5f});

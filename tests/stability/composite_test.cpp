@@ -282,7 +282,8 @@ TEST_F(Composite, BlackStaysBlackAndBlownOutStaysInRange) {
 // Where the floor is known to be brighter than the sensor can say, its shadow is a part of that.
 class BlownOutFloor : public Composite {
  protected:
-  // How many codes of a picture at full scale are told apart from those shaded from full scale; `sends`: times full scale.
+  // How many codes of a picture at full scale are told apart from those shaded from full scale;
+  // `sends`: times full scale.
   struct Seen {
     int shaded = 0, brighter = 0;
   };

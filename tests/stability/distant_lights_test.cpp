@@ -61,8 +61,8 @@ void PrintTo(const Path& p, std::ostream* out) {
   *out << p.name;
 }
 
-// The naive form: the core of a bright source is cut down to a hundredth of its peak instead of to its
-// surroundings, and that pedestal becomes a second light in the same place.
+// The naive form: the core of a bright source is cut down to a hundredth of its peak instead of to
+// its surroundings, and that pedestal becomes a second light in the same place.
 class SunCrossing : public testing::TestWithParam<Path> {};
 
 TEST_P(SunCrossing, IsOneLightInItsPlaceWithItsEnergy) {

@@ -1,4 +1,5 @@
-// Scenes that no one would set up on purpose: every pixel stays finite, and what cannot be seen changes nothing.
+// Scenes that no one would set up on purpose: every pixel stays finite, and what cannot be seen
+// changes nothing.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,5 +1,5 @@
-// What shares a place with other things, virtual or real, through the whole compositor: each test also does the
-// naive thing and shows that it fails.
+// What shares a place with other things, virtual or real, through the whole compositor: each test
+// also does the naive thing and shows that it fails.
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -44,9 +44,9 @@ void PrintTo(const Bar& b, std::ostream* out) {
   *out << b.name;
 }
 
-// What went wrong once in bar_of_one_pixel: where a source parts, its new half starts without sharpness; where
-// halves join, the whole takes the sharpness of the nearest half; and every half gets a new id. The
-// bars that hide a source fail by the second light of SunCrossing alone.
+// What went wrong once in bar_of_one_pixel: where a source parts, its new half starts without
+// sharpness; where halves join, the whole takes the sharpness of the nearest half; and every half
+// gets a new id. The bars that hide a source fail by the second light of SunCrossing alone.
 class WindowFrame : public testing::TestWithParam<Bar> {};
 
 // Naive: whatever is brighter than half of the brightest pixel is the light.
@@ -184,8 +184,8 @@ TEST(Tracking, SwitchedLampIsFollowedAtOnceAndOnlyItsSharpnessFades) {
   EXPECT_EQ(ids.size(), 1U);
 }
 
-// The naive form: half of the energy of a source that just reaches the level is a light, and all of it
-// is gone in the next map when the source falls below.
+// The naive form: half of the energy of a source that just reaches the level is a light, and all of
+// it is gone in the next map when the source falls below.
 TEST(Tracking, WindowThatDimsSlowlyDoesNotLoseItsShadowAtOnce) {
   constexpr int kWidth = 256, kHeight = 128;
   const Image<Rgb> room(kWidth, kHeight, {.3f, .3f, .3f});

@@ -26,7 +26,8 @@ inline Result<Image<Rgb>> environment_map(const std::string& name) {
 
 }  // namespace penumbra::test
 
-// Declares `var` as an environment's map, skips the test where the shared data is absent, fails it where reading fails.
+// Declares `var` as an environment's map, skips the test where the shared data is absent, fails it
+// where reading fails.
 #define PENUMBRA_NEED_ENVIRONMENT(var, name)                                                \
   const auto var##_read = ::penumbra::test::environment_map(name);                          \
   if (!var##_read && var##_read.error().code == ErrorCode::kNotFound)                       \

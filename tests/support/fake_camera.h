@@ -1,4 +1,5 @@
-// A camera that lives in memory: a still scene through the sensor model, with a real sensor's delay and faults.
+// A camera that lives in memory: a still scene through the sensor model, with a real sensor's delay
+// and faults.
 #pragma once
 
 #include <functional>

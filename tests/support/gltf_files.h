@@ -20,7 +20,8 @@ class GltfBuffer {
   int shorts(const std::vector<std::uint16_t>& values, const std::string& type, std::size_t count) {
     return add(values.data(), values.size() * 2, 5123, type, count, "");
   }
-  /// `scene` holds nodes, meshes, skins, animations; all but asset, accessors, bufferViews, buffers.
+  /// `scene` holds nodes, meshes, skins, animations; all but asset, accessors, bufferViews,
+  /// buffers.
   std::string file(const std::string& scene) const {
     return R"({"asset":{"version":"2.0"},"scene":0,)" + scene + R"(,"accessors":[)" + accessors_ +
            R"(],"bufferViews":[)" + views_ + R"(],"buffers":[{"byteLength":)" +
@@ -64,8 +65,9 @@ class GltfBuffer {
   int count_ = 0;
 };
 
-/// A quad of two triangles that two joints hold: the upper joint, at (0, 1, 0), turns by a quarter about z within a
-/// second. `weights`: four of the first and the second joint for each of the four vertices.
+/// A quad of two triangles that two joints hold: the upper joint, at (0, 1, 0), turns by a quarter
+/// about z within a second. `weights`: four of the first and the second joint for each of the four
+/// vertices.
 inline void write_bending_quad(const std::filesystem::path& path,
                                const std::vector<float>& weights) {
   GltfBuffer b;
@@ -86,8 +88,8 @@ inline void write_bending_quad(const std::filesystem::path& path,
                    "samplers":[{"input":5,"output":6,"interpolation":"LINEAR"}]}])");
 }
 
-/// A triangle that a morph target lifts by 2 along z, its weight going from 0 to 1 within a second, under a node that
-/// goes from x = 0 to x = 4 meanwhile.
+/// A triangle that a morph target lifts by 2 along z, its weight going from 0 to 1 within a second,
+/// under a node that goes from x = 0 to x = 4 meanwhile.
 inline void write_morphing_triangle(const std::filesystem::path& path) {
   GltfBuffer b;
   b.floats({0, 0, 0, 1, 0, 0, 0, 1, 0}, "VEC3", 3, R"(,"min":[0,0,0],"max":[1,1,0])");

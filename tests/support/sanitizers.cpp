@@ -1,5 +1,5 @@
-// What the sanitizers' run times need to know about libraries that are not built with them. Linked into every
-// program of a sanitizer preset.
+// What the sanitizers' run times need to know about libraries that are not built with them. Linked
+// into every program of a sanitizer preset.
 
 extern "C" {
 
@@ -8,14 +8,16 @@ int dlclose(void*) {
   return 0;
 }
 
-// The GL stack and the libraries below it keep some memory for the life of the process, OpenCV what its workers last used.
+// The GL stack and the libraries below it keep some memory for the life of the process, OpenCV what
+// its workers last used.
 const char* __lsan_default_suppressions() {
   return "leak:swrast_dri.so\nleak:libEGL\nleak:libLLVM\nleak:libgallium\nleak:libembree3.so\n"
          "leak:libtbb.so\nleak:libglapi\nleak:libdrm\nleak:libopencv_core.so\n";
 }
 
-// Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work (core/parallel.cpp). Its search for
-// lock cycles gives up where a library below GL holds more than sixty locks at once.
+// Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work
+// (core/parallel.cpp). Its search for lock cycles gives up where a library below GL holds more than
+// sixty locks at once.
 const char* __tsan_default_suppressions() {
   return "called_from_lib:libtbb.so\ncalled_from_lib:libembree3.so\ncalled_from_lib:swrast_dri.so\n"
          "called_from_lib:libEGL_mesa.so\ncalled_from_lib:libopencv_core\n"

@@ -49,8 +49,8 @@ TEST(Accuracy, NoiseOfTheReferenceIsNoErrorOfOurs) {
   EXPECT_NEAR(compare(of(truth, truth * 1.05f, .05f)).object_without_noise, .05, .005);
 }
 
-// Truncated light is negative in places, and not in all channels at once: a luminance of what is cut off is not the
-// cut-off luminance.
+// Truncated light is negative in places, and not in all channels at once: a luminance of what is
+// cut off is not the cut-off luminance.
 TEST(Accuracy, AChannelThatIsCutOffAtZeroIsNoError) {
   const Rgb truth{-.3f, .4f, .5f}, cut{0, .4f, .5f};
   EXPECT_LT(compare(of(truth, cut, .02f)).object_without_noise, .01);

@@ -28,7 +28,8 @@ lighting::LightEstimate even_light() {
   return light;
 }
 
-// The mean of four passes of an untouched pixel is the pixel: fl(p + p + p)/4 + p/4 rounds back to p.
+// The mean of four passes of an untouched pixel is the pixel: fl(p + p + p)/4 + p/4 rounds back to
+// p.
 TEST(Still, PixelsThatNothingReachesAreTheSameToTheBit) {
   const auto scene = test::prepared({{test::twist({60, 0, 0})}, {test::grey_plane()}});
   ASSERT_TRUE(scene) << scene.error().detail;
@@ -46,8 +47,8 @@ TEST(Still, PixelsThatNothingReachesAreTheSameToTheBit) {
   EXPECT_EQ(shown->radiance, real.radiance);
 }
 
-// A pixel at an object's edge shows the fraction that the object covers: over a black and a white backdrop the pictures
-// differ by what is left of it. Sixteen samples know sixteenths of it alone.
+// A pixel at an object's edge shows the fraction that the object covers: over a black and a white
+// backdrop the pictures differ by what is left of it. Sixteen samples know sixteenths of it alone.
 TEST(Still, EdgesKnowFinerSharesThanOnePassHas) {
   const auto scene = test::prepared({{test::twist({0, 0, 0})}, {}});
   ASSERT_TRUE(scene) << scene.error().detail;

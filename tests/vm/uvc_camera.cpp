@@ -1,5 +1,6 @@
-// A USB camera of our own design behind QEMU's usb-redir: the kernel's uvcvideo driver in the guest sees a device with
-// exposure and gain whose settings really change its pictures, through the project's sensor model.
+// A USB camera of our own design behind QEMU's usb-redir: the kernel's uvcvideo driver in the guest
+// sees a device with exposure and gain whose settings really change its pictures, through the
+// project's sensor model.
 // usage: uvc_camera SOCKET; ends when QEMU closes the socket
 // source: usbredir protocol 0.7; USB Device Class Definition for Video Devices 1.1
 #include <poll.h>

@@ -1,4 +1,5 @@
-// What the virtual USB camera looks at, known to the device on the host and to the tests in the guest.
+// What the virtual USB camera looks at, known to the device on the host and to the tests in the
+// guest.
 #pragma once
 
 #include "capture/capture.h"

@@ -1,5 +1,6 @@
-// The whole chain from ioctl to HDR frame against the kernel's uvcvideo driver and a USB camera of our own
-// (uvc_camera.cpp), and what becomes of it when the camera fails. In the guest of uvc_guest.sh; elsewhere skipped.
+// The whole chain from ioctl to HDR frame against the kernel's uvcvideo driver and a USB camera of
+// our own (uvc_camera.cpp), and what becomes of it when the camera fails. In the guest of
+// uvc_guest.sh; elsewhere skipped.
 #include <gtest/gtest.h>
 #include <linux/videodev2.h>
 

@@ -1,5 +1,6 @@
-// V4L2 capture against the kernel's vivid driver, in the guest of guest.sh: its test picture is known, so every format can
-// be held against plain RGB. Outside the guest there is no such device and the tests are skipped.
+// V4L2 capture against the kernel's vivid driver, in the guest of guest.sh: its test picture is
+// known, so every format can be held against plain RGB. Outside the guest there is no such device
+// and the tests are skipped.
 #include <gtest/gtest.h>
 #include <linux/videodev2.h>
 

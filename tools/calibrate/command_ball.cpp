@@ -95,9 +95,9 @@ void add_calibrate_ball(CLI::App& parent, Action& action) {
       ->required();
   c->add_option("--radius", ball.radius_m, "Radius of the ball in metres, above 0")
       ->required()
-      ->check(CLI::PositiveNumber);
+      ->check(above_zero);
   c->add_option("--sigma-px", ball.sigma_px, "Standard deviation of the circles in pixels, above 0")
-      ->check(CLI::PositiveNumber)
+      ->check(above_zero)
       ->capture_default_str();
   add_json(c, ball.json);
   c->callback([&] { action = [] { return calibrate_ball(ball); }; });

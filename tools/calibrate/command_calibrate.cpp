@@ -32,8 +32,8 @@ namespace {
 struct CalibrateResponseOptions {
   std::vector<std::string> images;
   std::string times;  // seconds, separated by commas
-  std::vector<std::string>
-      captures;        // instead of both: of a still scene, two exposures at least in all
+  // Instead of both: of a still scene, two exposures at least in all
+  std::vector<std::string> captures;
   std::string camera;  // in the captures
   std::string output;
   std::optional<std::string> report;
@@ -42,9 +42,9 @@ struct CalibrateResponseOptions {
 
 struct CalibrateCameraOptions {
   std::vector<std::string> pictures;
-  std::optional<std::string>
-      capture;          // instead: a recording, capture folder or rig.toml, of it `camera`
-  double seconds = 60;  // of a rig: how long it is looked at
+  // Instead: a recording, capture folder or rig.toml, of it `camera`
+  std::optional<std::string> capture;
+  double seconds = 60;            // of a rig: how long it is looked at
   std::string camera = "camera";  // its name, there and in the output
   double every_s = .5;            // of a capture: at least so long between two pictures
   std::string board, projection = "pinhole", output;
@@ -323,7 +323,7 @@ void add_calibrate_camera(CLI::App& parent, Action& action) {
       "live");
   c->add_option("--seconds", camera.seconds,
                 "How long a live camera is watched, in seconds, above 0; Ctrl-C ends it earlier")
-      ->check(CLI::PositiveNumber)
+      ->check(above_zero)
       ->capture_default_str();
   c->add_option("--camera", camera.camera, "Name of the camera, in the capture and in the output")
       ->capture_default_str();

@@ -56,8 +56,8 @@ std::vector<calib::ColourPair> pairs_of_surroundings(const capture::StillPicture
   return out;
 }
 
-// Even surroundings, or surfaces that only one camera sees, fit some matrix, too: but then as well when the pictures
-// are turned against each other.
+// Even surroundings, or surfaces that only one camera sees, fit some matrix, too: but then as well
+// when the pictures are turned against each other.
 Result<void> check_same_surfaces(const capture::StillPicture& environment,
                                  const capture::StillPicture& view, calib::ColourModel model,
                                  const calib::ColourCalibration& found) {

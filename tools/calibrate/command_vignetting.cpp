@@ -87,7 +87,7 @@ void add_calibrate_vignetting(CLI::App& parent, Action& action) {
       ->capture_default_str();
   c->add_option("--black-level", vignetting.black_level,
                 "Code of darkness as a fraction of full scale, 0 to 0.9")
-      ->check(CLI::Range(0., .9))
+      ->check(within(0, .9))
       ->capture_default_str();
   c->add_option("-o,--output", vignetting.output, "Vignetting file to write, .toml")->required();
   c->add_option("--report", vignetting.report, "Folder for a plot and a table of the fall-off");

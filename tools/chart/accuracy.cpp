@@ -17,7 +17,8 @@ namespace penumbra::tools {
 
 Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view,
                          double seconds) {
-  // Sixteen samples a pixel call some full that are not: the sky behind them would count as the object's error.
+  // Sixteen samples a pixel call some full that are not: the sky behind them would count as the
+  // object's error.
   constexpr int kFiner = 4;
   prt::PinholeView fine = view;
   fine.width *= kFiner, fine.height *= kFiner;
@@ -83,9 +84,9 @@ double penumbra_error(const Still& ours, const Still& truth, const Still& empty,
   return own > 0 ? std::abs(real / own - 1) : std::numeric_limits<double>::quiet_NaN();
 }
 
-// The product of the errors against the reference's two halves. Channels that the compositor cut off at zero are an
-// error where the reference is positive in them, taken together; that both halves decide it keeps their noise out of
-// the mean.
+// The product of the errors against the reference's two halves. Channels that the compositor cut
+// off at zero are an error where the reference is positive in them, taken together; that both
+// halves decide it keeps their noise out of the mean.
 double error_product(const Rgb& ours, const Rgb& half_a, const Rgb& half_b) {
   Rgb shown_a, shown_b, cut_a, cut_b;
   for (int c = 0; c < 3; ++c) {

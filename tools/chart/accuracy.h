@@ -24,18 +24,20 @@ struct Accuracy {
   double object_bias = 0;      // signed, likewise
   double shadow_bias = 0;      // mean error of s, where shadow_rmse is measured
   double shadow_rmse = 0;      // of s = L/L_0 on the floor where the reference is below .95
-  /// |w/w_ref - 1| of the shadow's edges, in the mean over their energy: edges of one height and length have
-  /// Int |grad s|^2 inversely as their width. Noise of the reference is left out (its halves are multiplied).
+  /// |w/w_ref - 1| of the shadow's edges, in the mean over their energy: edges of one height and
+  /// length have Int |grad s|^2 inversely as their width. Noise of the reference is left out (its
+  /// halves are multiplied).
   double penumbra_error = 0;
-  double reference_error =
-      0;  // noise of the reference on the object, in the unit of object_rel_rmse
-  /// object_rel_rmse without the reference's noise: the errors against its two independent halves are
-  /// multiplied, so that their noise averages out.
+  // Noise of the reference on the object, in the unit of object_rel_rmse
+  double reference_error = 0;
+  /// object_rel_rmse without the reference's noise: the errors against its two independent halves
+  /// are multiplied, so that their noise averages out.
   double object_without_noise = 0;
 };
 
-/// `empty`: the floor without the object under the same light. Where the light is truncated so that the object's
-/// radiance is negative, the compositor cuts it off and only what is positive in the reference is an error there.
+/// `empty`: the floor without the object under the same light. Where the light is truncated so that
+/// the object's radiance is negative, the compositor cuts it off and only what is positive in the
+/// reference is an error there.
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks);
 

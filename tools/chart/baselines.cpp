@@ -144,7 +144,8 @@ LightEstimate phone_light(const Image<Rgb>& map) {
   const RadianceSh& l = projection->light;
   const glm::dvec3 sum(luminance(l[3]), luminance(l[1]), luminance(l[2]));
   const glm::dvec3 direction = glm::length(sum) > 0 ? glm::normalize(sum) : glm::dvec3(0, 1, 0);
-  // A light of energy F in that direction has the linear band F sqrt(3/4pi) d: it explains all of that band.
+  // A light of energy F in that direction has the linear band F sqrt(3/4pi) d: it explains all of
+  // that band.
   double energy[3], basis[4];
   lighting::evaluate_basis(2, direction, basis);
   for (int c = 0; c < 3; ++c) {

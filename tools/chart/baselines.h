@@ -1,5 +1,5 @@
-// What others do, expressed in our own pipeline so that one harness measures all: the light of a baseline and
-// the object as it treats it.
+// What others do, expressed in our own pipeline so that one harness measures all: the light of a
+// baseline and the object as it treats it.
 #pragma once
 
 #include "core/image.h"
@@ -13,8 +13,8 @@ namespace penumbra::tools {
 /// source: Debevec 2005, "A Median Cut Algorithm for Light Probe Sampling"
 lighting::LightEstimate sampled_lights(const Image<Rgb>& map, int count);
 
-/// Ambient light and one hard light, the form that phones give: the direction and strength that four
-/// coefficients suggest, the rest spread evenly.
+/// Ambient light and one hard light, the form that phones give: the direction and strength that
+/// four coefficients suggest, the rest spread evenly.
 /// source: dominant direction from the linear band, Sloan 2008, "Stupid Spherical Harmonics Tricks"
 lighting::LightEstimate phone_light(const Image<Rgb>& map);
 

@@ -40,7 +40,8 @@ prt::PinholeView make_view() {
           capture::look_at({.25, .95, 1.35}, {0, .17, 0})};
 }
 
-// The same light turned a little about a slanting axis, so that nothing of the last run can be kept.
+// The same light turned a little about a slanting axis, so that nothing of the last run can be
+// kept.
 lighting::LightEstimate turned(const lighting::LightEstimate& light, double radians) {
   const glm::dmat3 turn =
       glm::mat3_cast(glm::angleAxis(radians, glm::normalize(glm::dvec3(1, 1, .5))));

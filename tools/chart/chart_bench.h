@@ -17,7 +17,8 @@
 
 namespace penumbra::tools {
 
-/// As if it had been baked with so many bands, at most those that there are: the same coefficients, further ones left out.
+/// As if it had been baked with so many bands, at most those that there are: the same coefficients,
+/// further ones left out.
 prt::Transfer with_bands(const prt::Transfer& transfer, int bands);
 
 /// An object on a 40 % grey floor before a camera that sees both.
@@ -43,7 +44,8 @@ class ChartScene {
   prt::PinholeView view_;
 };
 
-/// What the governor takes for one environment by itself, as the program does at its default budget.
+/// What the governor takes for one environment by itself, as the program does at its default
+/// budget.
 /// errors: as extract_lights and project_latlong
 Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& environment,
                                     const lighting::CostModel& costs);
@@ -56,8 +58,8 @@ struct Truth {
 /// errors: as render_reference
 Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error);
 
-/// Composite under `light` and figures against the truth. `scene` may treat the objects in another way than
-/// the bench's own does.
+/// Composite under `light` and figures against the truth. `scene` may treat the objects in another
+/// way than the bench's own does.
 struct Measured {
   Accuracy accuracy;
   double flip = 0;

@@ -1,6 +1,7 @@
 // What `penumbra chart` is asked for.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,16 +16,22 @@ struct ChartOptions {
   std::vector<std::string> assets;
   std::vector<int> bands;  // only these, with `lights`; else the whole sweep
   int lights = 0;
-  double error = .004;
-  int governor = 0;        // prove the governor on so many scenes instead
-  double budget = .05;     // of the shadow's RMS error in s, for that
-  bool truncated = false;  // compare under the same truncated light instead of the whole light
-  std::string animation;   // of the first asset: chart the compression of its transfer instead
+  std::optional<double> error;  // of the reference; nothing: as the chart's kind needs it
+  int governor = 0;             // prove the governor on so many scenes instead
+  double budget = .05;          // of the shadow's RMS error in s, for that
+  bool truncated = false;       // compare under the same truncated light instead of the whole light
+  bool through_sensor = false;
+  bool stills = false;                      // of each case, for that
+  int bits = 8;                             // of both cameras, for that
+  double shortest_exposure_s = 1. / 64000;  // of the environment camera, for that
+  std::string animation;  // of the first asset: chart the compression of its transfer instead
   std::string light_map = "128x128";
   int frames = 100, samples = 512;
   bool json = false;
 };
 /// Bytes against rendered error of ways to code transfer over a clip.
 Result<void> chart_clip(const ChartOptions& options);
+/// Errors of the joined chain, from both cameras' sensors to the picture.
+Result<void> chart_through_sensor(const ChartOptions& options);
 
 }  // namespace penumbra::tools

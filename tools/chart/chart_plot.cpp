@@ -33,6 +33,7 @@ std::string number(double value) {
 
 std::string csv_cell(const nlohmann::ordered_json& cell) {
   if (cell.is_string()) return quoted(cell.get_ref<const std::string&>());
+  if (cell.is_null()) return {};
   if (cell.is_boolean()) return cell.get<bool>() ? "1" : "0";
   return cell.is_number_float() ? number(cell.get<double>()) : cell.dump();
 }
@@ -91,7 +92,8 @@ std::vector<Mark> gather(std::span<const ChartPoint> points) {
   std::vector<Mark> out;
   std::map<std::tuple<std::string, bool, int, int, int, int, int, int, double>, std::size_t> known;
   for (const ChartPoint& p : points) {
-    // What others do, and what is chosen, differs from light to light and is one method all the same.
+    // What others do, and what is chosen, differs from light to light and is one method all the
+    // same.
     const bool by_name = p.baseline || p.chosen;
     const auto configured = [&](int value) { return by_name ? 0 : value; };
     const auto [entry, fresh] =
@@ -221,17 +223,20 @@ std::string unused(const std::string& name, std::set<std::string>& used) {
 
 }  // namespace
 
-std::string chart_csv(std::span<const ChartPoint> points) {
-  const nlohmann::ordered_json columns = row_of({});
+std::string csv_table(const nlohmann::ordered_json& columns, const nlohmann::ordered_json& rows) {
   std::string header, out;
   for (const auto& [column, cell] : columns.items()) header += ',' + column;
   out = header.substr(1) + '\n';
-  for (const nlohmann::ordered_json& row : chart_json(points)) {
+  for (const nlohmann::ordered_json& row : rows) {
     std::string line;
     for (const auto& [column, cell] : row.items()) line += ',' + csv_cell(cell);
     out += line.substr(1) + '\n';
   }
   return out;
+}
+
+std::string chart_csv(std::span<const ChartPoint> points) {
+  return csv_table(row_of({}), chart_json(points));
 }
 
 nlohmann::ordered_json chart_json(std::span<const ChartPoint> points) {

@@ -33,10 +33,14 @@ struct ChartPoint {
   bool chosen = false;         // what the program picks by itself here
 };
 
-/// Every point as a row under a header that names units; cells quoted as RFC 4180 asks, lines ended
-/// by LF. What is not finite is an empty cell.
+/// Rows of objects as CSV: a header of the columns' names, cells quoted as RFC 4180 asks, lines
+/// ended by LF. What is not finite or null is an empty cell.
+std::string csv_table(const nlohmann::ordered_json& columns, const nlohmann::ordered_json& rows);
+
+/// Every point as a row under a header that names units, as csv_table.
 std::string chart_csv(std::span<const ChartPoint> points);
-/// The same as an array of objects by the columns' names; what is not finite becomes null when it is printed.
+/// The same as an array of objects by the columns' names; what is not finite becomes null when it
+/// is printed.
 nlohmann::ordered_json chart_json(std::span<const ChartPoint> points);
 
 /// Indices of the points (cost, error) that no other beats, in order of cost: no other is as good

@@ -3,11 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <filesystem>
 #include <map>
 
-#include "capture/environment/environment_file.h"
-#include "capture/studio/environments.h"
 #include "core/conventions.h"
 #include "core/files.h"
 #include "core/log.h"
@@ -16,7 +13,6 @@
 #include "lighting/light_estimate.h"
 #include "lighting/sh/projection.h"
 #include "runtime/pipeline/governor_config.h"
-#include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/scene/scene.h"
@@ -24,6 +20,7 @@
 #include "tools/chart/accuracy.h"
 #include "tools/chart/baselines.h"
 #include "tools/chart/chart_bench.h"
+#include "tools/chart/chart_environments.h"
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
 #include "tools/chart/commands.h"
@@ -39,30 +36,13 @@ namespace penumbra::tools {
 
 namespace {
 
+constexpr double kReferenceError = .004;
 constexpr int kBakeRays = 1024, kTruncatedBakeRays = 8192;
 constexpr int kFlickerMaps = 6;
-// A machine that others use too is a third slower from one second to the next. What is cheap is timed again after all
-// the others, so that points that are compared have seen the same seconds.
+// A machine that others use too is a third slower from one second to the next. What is cheap is
+// timed again after all the others, so that points that are compared have seen the same seconds.
 constexpr int kRounds = 5;
 constexpr double kCheap_ms = 15;
-
-struct ChartEnvironment {
-  std::string name;
-  Image<Rgb> map;
-};
-
-Result<std::vector<ChartEnvironment>> read_environments(const ChartOptions& o) {
-  std::vector<ChartEnvironment> out;
-  for (const std::string& path : o.environments) {
-    PENUMBRA_ASSIGN(light, runtime::read_light(path));
-    PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
-    out.push_back({std::filesystem::path(path).stem().string(), std::move(map)});
-  }
-  if (!o.environments.empty() && !o.with_procedural) return out;
-  out.push_back({"room", capture::make_room_environment(1024, 512)});
-  out.push_back({"clear-sky", capture::make_sky_environment(1024, 512, .8)});
-  return out;
-}
 
 // One way to light the scene, as the chart's columns describe it.
 struct Method {
@@ -166,7 +146,8 @@ class Charter {
                       runtime::fit_costs(baked_with(lighting::Governor::Limits{}.max_bands)));
       costs_ = costs;
     }
-    PENUMBRA_ASSIGN(truth, trace_truth(bench_, environment.map, o_.error));
+    PENUMBRA_ASSIGN(truth,
+                    trace_truth(bench_, environment.map, o_.error.value_or(kReferenceError)));
     if (o_.bands.empty()) {
       auto maps = measured_maps(environment.map, kFlickerMaps);
       if (!maps) return fail(maps.error().code, environment.name, maps.error().detail);
@@ -413,14 +394,14 @@ class Charter {
 Result<void> chart_truncated(const ChartOptions& o, const ChartScene& bench,
                              const ChartEnvironment& environment, std::vector<ChartPoint>& points) {
   const StillScene in = bench.in(environment.map);
-  PENUMBRA_ASSIGN(empty, render_real(in, o.error, {}));
+  PENUMBRA_ASSIGN(empty, render_real(in, o.error.value_or(kReferenceError), {}));
   auto projection = lighting::project_latlong(environment.map, kMaxBands);
   if (!projection)
     return fail(projection.error().code, environment.name, projection.error().detail);
   for (const int bands : o.bands.empty() ? std::vector{1, 2, 3, 4, 5, 6, 9} : o.bands) {
     const lighting::LightEstimate light = lighting::make_estimate(*projection, bands);
     PENUMBRA_ASSIGN(truth,
-                    render_reference(in, true, o.error, light,
+                    render_reference(in, true, o.error.value_or(kReferenceError), light,
                                      progress_bar(fmt::format("{} {}", environment.name, bands))));
     Still lit = empty;
     light_floor(in, light, bench.masks(), lit);
@@ -488,13 +469,14 @@ Result<void> chart(const ChartOptions& o) {
   if (o.lights < 0 || o.lights > 64)
     return fail(ErrorCode::kInvalid, "--max-lights", "is not within 0..64");
   if (o.governor > 0) return chart_governor(o);
+  if (o.error && !(*o.error > 0 && *o.error < 1))
+    return fail(ErrorCode::kInvalid, "--error", "is not above 0 and below 1");
+  if (o.through_sensor) return chart_through_sensor(o);
   for (int b : o.bands)
     if (b < 1 || b > kMaxBands)
       return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", b));
-  if (!(o.error > 0 && o.error < 1))
-    return fail(ErrorCode::kInvalid, "--error", "is not above 0 and below 1");
   PENUMBRA_ASSIGN(output, OutputFolder::create(o.output));
-  PENUMBRA_ASSIGN(environments, read_environments(o));
+  PENUMBRA_ASSIGN(environments, read_environments(o.environments, o.with_procedural));
   std::vector<std::string> assets = o.assets;
   if (assets.empty()) assets = {"builtin:knot", "builtin:twist"};
   for (const std::string& asset : assets)  // all of them before the long work
@@ -547,7 +529,7 @@ void add_chart(CLI::App& parent, Action& action) {
   c->add_option("--max-lights", chart_options.lights,
                 "Maximum number of distant lights beside --bands, 0 to 64")
       ->capture_default_str();
-  c->add_option(
+  CLI::Option* const governor = c->add_option(
       "--governor", chart_options.governor,
       "Calibrate the governor on 59 random scenes, and test its promise on this many others, "
       "1 to 10000");
@@ -556,31 +538,62 @@ void add_chart(CLI::App& parent, Action& action) {
        "Limit of the RMS error of the shadow ratio that the governor has to keep, above 0 and "
        "at most 1; with --governor")
       ->capture_default_str();
-  c->add_option("--error", chart_options.error,
-                "Relative error at which path tracing of the reference stops, above 0 and below 1")
-      ->capture_default_str();
+  c->add_option(
+      "--error", chart_options.error,
+      "Relative error at which path tracing of the reference stops, above 0 and below 1; by "
+      "default 0.004, with --through-sensor 0.03");
   c->add_flag(
       "--truncated", chart_options.truncated,
       "Compare with the reference under the same truncated light, which leaves the errors of bake, "
       "shadows and composite");
+  const char* const kSensor = "The whole chain through both cameras' sensors instead";
+  CLI::Option* const sensor = c->add_flag(
+      "--through-sensor", chart_options.through_sensor,
+      "Film each world, and compare the composite with a world in which the object stands; writes "
+      "through-sensor.csv and through-sensor.svg");
+  sensor->excludes(governor)->group(kSensor);
+  c->add_option("--bits", chart_options.bits,
+                "Bits of both cameras: 8 with the response of sRGB, 12 linear")
+      ->check([](const std::string& text) {
+        return text == "8" || text == "12" ? "" : "is neither 8 nor 12";
+      })
+      ->capture_default_str()
+      ->needs(sensor)
+      ->group(kSensor);
+  c->add_option("--shortest-exposure", chart_options.shortest_exposure_s,
+                "Shortest exposure time that the environment camera can take, seconds, above 0 and "
+                "at most 1/30")
+      ->capture_default_str()
+      ->needs(sensor)
+      ->group(kSensor);
+  c->add_flag("--stills", chart_options.stills,
+              "Write camera, composite and truth of each case side by side, .exr")
+      ->needs(sensor)
+      ->group(kSensor);
   const char* const kClip = "Compression of a clip's transfer instead";
-  c->add_option(
-       "--animation", chart_options.animation,
-       "Clip of the first --asset, by default of builtin:walker: chart bytes against the error "
-       "of the rendered picture for several coders of its transfer")
-      ->check(not_empty)
-      ->group(kClip);
+  CLI::Option* const clip =
+      c->add_option(
+           "--animation", chart_options.animation,
+           "Clip of the first --asset, by default of builtin:walker: chart bytes against the error "
+           "of the rendered picture for several coders of its transfer")
+          ->check(not_empty)
+          ->excludes(governor)
+          ->excludes(sensor)
+          ->group(kClip);
   c->add_option("--light-map", chart_options.light_map,
                 "Size of the light map, WIDTHxHEIGHT texels, 8 to 4096 each")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   c->add_option("--frames", chart_options.frames,
                 "Number of frames that are taken from the clip, 1 to 1000")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   c->add_option("--samples", chart_options.samples,
                 "Number of rays per texel and frame, a multiple of 64")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   add_json(c, chart_options.json);
   c->callback([&] {

@@ -20,8 +20,8 @@ namespace {
 
 struct CompareOptions {
   std::string a, b;
-  std::optional<std::string>
-      mask;            // "blue": pixels that are pure blue in this picture are left out
+  // "blue": pixels that are pure blue in this picture are left out
+  std::optional<std::string> mask;
   bool scale = false;  // allow one scale factor
   bool json = false;
 };

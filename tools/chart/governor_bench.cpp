@@ -157,7 +157,8 @@ Result<Split> split_and_trace(const runtime::PreparedScene& scene, const Image<R
   return out;
 }
 
-// Our s at the probes with so many bands and lights, as compose_planar_shadow and the compositor make it.
+// Our s at the probes with so many bands and lights, as compose_planar_shadow and the compositor
+// make it.
 Values our_ratios(const FloorProbes& probes, const Split& split, int bands, int lights) {
   const glm::dvec3 up(0, 1, 0);
   RadianceSh upper_moments = split.residual.upper_moments, traced(kMaxBands);

@@ -27,7 +27,8 @@ struct ScenePlans {
   double min_factor(const lighting::CostModel& costs, double budget) const;
 };
 
-/// The shadow of the scene's first object on its floor in random environment `seed`, by reference rays and by every plan.
+/// The shadow of the scene's first object on its floor in random environment `seed`, by reference
+/// rays and by every plan.
 /// errors: kUndetermined (no shadow worth measuring), else as the parts
 Result<ScenePlans> measure_plans(const runtime::PreparedScene& scene, std::uint32_t seed, int rays);
 
@@ -48,9 +49,9 @@ struct GovernorProof {
 /// Budgets that one factor serves.
 inline constexpr double kBudgets[] = {.02, .03, .05, .08};
 
-/// 59 scenes calibrate (95 % coverage with 95 % confidence), `test_scenes` others prove with the larger of their
-/// factor and the program's own. The scenes
-/// of either are numbered from fixed starts of their own: neither was looked at to shape the prediction.
+/// 59 scenes calibrate (95 % coverage with 95 % confidence), `test_scenes` others prove with the
+/// larger of their factor and the program's own. The scenes of either are numbered from fixed
+/// starts of their own: neither was looked at to shape the prediction.
 /// source: split conformal prediction, the loss of a choice instead of a residual
 Result<GovernorProof> prove_governor(const runtime::PreparedScene& scene,
                                      const lighting::CostModel& costs, double budget,

@@ -1,4 +1,5 @@
-// The `penumbra-chart` program: evaluation, also started by `penumbra chart` and `penumbra compare`.
+// The `penumbra-chart` program: evaluation, also started by `penumbra chart` and `penumbra
+// compare`.
 #include "tools/chart/commands.h"
 
 int main(int argc, char** argv) {

@@ -110,8 +110,8 @@ float joined(std::uint8_t base, std::uint8_t exponent, std::uint8_t negative) {
 
 struct CoefficientModels {
   std::array<codec::NumberModel, 64> coefficient;
-  std::array<codec::BitModel, 64>
-      last;  // is the coefficient at this place the last that is not zero?
+  // Is the coefficient at this place the last that is not zero?
+  std::array<codec::BitModel, 64> last;
   codec::BitModel empty;
   codec::NumberModel motion[2];
   codec::NumberModel exponent[3];

@@ -1,5 +1,6 @@
-// The dissertation's coder for sequences of HDR maps, kept for comparison: each value is split as in RGBE into a base of
-// eight bits and an exponent, bases are coded like motion JPEG, exponents without loss.
+// The dissertation's coder for sequences of HDR maps, kept for comparison: each value is split as
+// in RGBE into a base of eight bits and an exponent, bases are coded like motion JPEG, exponents
+// without loss.
 // threads: free functions reentrant
 #pragma once
 
@@ -12,14 +13,14 @@
 
 namespace penumbra::tools {
 
-/// Maps of one value a pixel, all of one size. RGBE cannot hold negative values: the dissertation drops them; here signs
-/// are a plane of their own, coded without loss.
-/// in:     quality 1..100 as JPEG's; every `key_interval`-th map is coded by itself, others by motion-compensated
-///         differences (16x16 blocks, 7 pixels around)
+/// Maps of one value a pixel, all of one size. RGBE cannot hold negative values: the dissertation
+/// drops them; here signs are a plane of their own, coded without loss.
+/// in:     quality 1..100 as JPEG's; every `key_interval`-th map is coded by itself, others by
+///         motion-compensated differences (16x16 blocks, 7 pixels around)
 /// errors: kInvalid (no maps, sizes that differ, larger than 4096, values beyond RGBE's)
-/// source: Xu 2005, chapter 4: RGBE 4.2 to 4.3, adaptive quantisation 4.6 and 4.7 (a block's quantiser divided by
-///         floor((largest - smallest exponent + 3)/2)). Bits go through our range coder instead of Huffman tables, which
-///         flatters the result.
+/// source: Xu 2005, chapter 4: RGBE 4.2 to 4.3, adaptive quantisation 4.6 and 4.7 (a block's
+///         quantiser divided by floor((largest - smallest exponent + 3)/2)). Bits go through our
+///         range coder instead of Huffman tables, which flatters the result.
 Result<std::vector<unsigned char>> encode_rgbe_video(std::span<const Image<float>> maps,
                                                      int quality, int key_interval = 10);
 

@@ -1,19 +1,16 @@
 #include "tools/common/command.h"
 
-#include <fmt/ranges.h>
+#include <fmt/format.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <cstdio>
-#include <optional>
 #include <span>
 #include <string_view>
-#include <vector>
 
 #include "core/log.h"
 #include "core/renamed.h"
-#include "core/spelling.h"
+#include "tools/common/arguments.h"
 #include "tools/common/manual.h"
 
 namespace penumbra::tools {
@@ -38,54 +35,7 @@ Result<void> check_flags(std::span<char* const> arguments) {
   return {};
 }
 
-// The command that the first words name, and the word after them that is none of its commands.
-struct FoundCommand {
-  const CLI::App* app;
-  std::string_view unknown;
-};
-
-FoundCommand command_of(const CLI::App& app, std::span<char* const> arguments) {
-  const CLI::App* at = &app;
-  for (const std::string_view word : arguments) {
-    const auto commands = at->get_subcommands([](const CLI::App*) { return true; });
-    const auto next = std::ranges::find(commands, word, &CLI::App::get_name);
-    if (next == commands.end())
-      return {at, commands.empty() || word.starts_with('-') ? std::string_view() : word};
-    at = *next;
-  }
-  return {at, {}};
-}
-
-// What a mistyped command or flag should have been, where something is near.
-std::optional<Error> misspelling(const CLI::App& app, std::span<char* const> arguments) {
-  const auto [command, unknown] = command_of(app, arguments);
-  if (!unknown.empty()) {
-    std::vector<std::string> names;
-    for (const CLI::App* c : command->get_subcommands([](const CLI::App*) { return true; }))
-      names.push_back(c->get_name());
-    const auto near = nearest_word(unknown, names);
-    return Error{ErrorCode::kInvalid, std::string(unknown),
-                 near ? fmt::format("is no command: did you mean {}?", *near)
-                      : fmt::format("is no command: there are {}", fmt::join(names, ", "))};
-  }
-  std::vector<std::string> flags;
-  for (const CLI::Option* option : command->get_options())
-    for (const std::string& name : option->get_lnames()) flags.push_back("--" + name);
-  for (const std::string_view argument : arguments) {
-    const std::string_view flag = argument.substr(0, argument.find('='));
-    if (!flag.starts_with("--") || std::ranges::find(flags, flag) != flags.end()) continue;
-    if (const auto near = nearest_word(flag, flags))
-      return Error{ErrorCode::kInvalid, std::string(flag),
-                   fmt::format("is no flag here: did you mean {}?", *near)};
-  }
-  return std::nullopt;
-}
-
 }  // namespace
-
-std::string not_empty(const std::string& text) {
-  return text.empty() ? "is empty" : "";
-}
 
 void add_json(CLI::App* app, bool& json) {
   app->add_flag("--json", json, "Print one JSON object on standard output and nothing else");
@@ -101,6 +51,7 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   });
   CLI::App app(description, name);
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
+  app.formatter(help_format());
   Action action;
   add_commands(app, action);
   for (const Sibling& s : siblings) app.add_subcommand(s.command, s.help);
@@ -119,8 +70,8 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   } catch (const CLI::Success& e) {
     return app.exit(e);  // help and version
   } catch (const CLI::ParseError& e) {
-    const auto meant = misspelling(app, std::span(argv, static_cast<std::size_t>(argc)).subspan(1));
-    return report(meant ? *meant : Error{ErrorCode::kInvalid, "arguments", e.what()});
+    const std::span words(argv, static_cast<std::size_t>(argc));
+    return report(argument_error(app, words.subspan(1), e));
   }
   try {
     if (const auto result = action(); !result) return report(result.error());

@@ -7,13 +7,15 @@
 #include <string>
 
 #include "core/result.h"
+#include "tools/common/arguments.h"
 
 namespace penumbra::tools {
 
 /// What the arguments ask for; run after parsing.
 using Action = std::function<Result<void>()>;
 
-/// Of the shadow ratio's RMS error, kept with 95 % confidence; the mean error comes out at a quarter of it.
+/// Of the shadow ratio's RMS error, kept with 95 % confidence; the mean error comes out at a
+/// quarter of it.
 inline constexpr double kDefaultMaxShadowError = .05;
 
 inline constexpr const char* kMaxLightsHelp = "Maximum number of distant lights, 0 to 64; auto: 8";
@@ -42,8 +44,6 @@ struct Sibling {
   bool is_subcommand;  // of that program; else the program is the command itself
 };
 
-/// Why an empty text is refused; empty for any other.
-std::string not_empty(const std::string& text);
 void add_json(CLI::App* app, bool& json);
 
 /// Parses and runs. Returns the exit status: 0, or 2 after one line on standard error. `siblings`

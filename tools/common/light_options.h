@@ -12,7 +12,8 @@
 
 namespace penumbra::tools {
 
-/// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the most lights.
+/// "auto" (sources that send a facing surface 2 % of the mean irradiance, eight at most) or the
+/// most lights.
 /// errors: kInvalid
 Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text);
 

@@ -11,7 +11,8 @@ namespace penumbra::tools {
 
 namespace {
 
-// Lines that begin with a dot or an apostrophe are requests to troff, hyphens and backslashes its own.
+// Lines that begin with a dot or an apostrophe are requests to troff, hyphens and backslashes its
+// own.
 std::string escaped(const std::string& text) {
   std::string out;
   for (const char c : text) {

@@ -15,12 +15,14 @@
 
 namespace penumbra::tools {
 
-/// A run's results, made in a hidden folder inside the output folder and moved there by keep(). A run that fails leaves
-/// no file, and what an earlier one left stays as it was; files of names that this run does not make stay in any case.
+/// A run's results, made in a hidden folder inside the output folder and moved there by keep(). A
+/// run that fails leaves no file, and what an earlier one left stays as it was; files of names that
+/// this run does not make stay in any case.
 /// threads: thread-bound
 class OutputFolder {
  public:
-  /// Tries whether the folder can be written and leaves it empty of this run: killed before begin() nothing remains.
+  /// Tries whether the folder can be written and leaves it empty of this run: killed before begin()
+  /// nothing remains.
   /// errors: kUnwritable
   static Result<OutputFolder> create(const std::filesystem::path& folder);
   /// Makes the hidden folder.

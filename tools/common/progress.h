@@ -21,7 +21,8 @@ inline std::function<void(double)> progress_bar(const std::string& what) {
     if (percent == last) return;
     if (percent < last) start = Clock::now(), first = done;  // another round
     last = percent;
-    // Work that goes on where it stopped begins further on: only what was done since then tells the pace.
+    // Work that goes on where it stopped begins further on: only what was done since then tells the
+    // pace.
     if (first < 0) first = done;
     const double since = std::chrono::duration<double>(Clock::now() - start).count();
     const long left = done > first ? std::lround(since * (1 - done) / (done - first)) : 0;

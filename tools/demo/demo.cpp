@@ -86,7 +86,8 @@ bool show(Compositor& output, const FramePixels& pixels) {
   return !output.has_window() || output.present(codec::to_display(pixels));
 }
 
-// The recording's folder, where one is asked for: refused before the long work when it holds a capture.
+// The recording's folder, where one is asked for: refused before the long work when it holds a
+// capture.
 Result<std::optional<OutputFolder>> open_record(const DemoOptions& o) {
   std::optional<OutputFolder> out;
   if (!o.record) return out;

@@ -105,52 +105,59 @@ void add_bake(CLI::App& parent, Action& action) {
   c->add_option("--albedo", bake_options.albedo,
                 "Albedo R G B, each 0 to 1, where the asset has no material")
       ->expected(3)
-      ->check(CLI::Range(0., 1.))
+      ->check(within(0, 1))
       ->capture_default_str();
   c->add_option("--receiver-albedo", bake_options.receiver_albedo,
                 "Albedo of the plane under the object, 0 to 1; 0: it reflects no light")
-      ->check(CLI::Range(0., 1.))
+      ->check(within(0, 1))
       ->capture_default_str();
   add_json(c, bake_options.json);
   const char* const kClip = "A clip of a character";
-  c->add_option("--animation", bake_options.animation,
-                "Clip to bake, by name or number, instead of one pose")
-      ->check(not_empty)
-      ->group(kClip);
+  CLI::Option* const clip = c->add_option("--animation", bake_options.animation,
+                                          "Clip to bake, by name or number, instead of one pose")
+                                ->check(not_empty)
+                                ->group(kClip);
   c->add_option("--fps", bake_options.fps,
                 "Key frames that are baked for each second of the clip, above 0 and at most 1000")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   c->add_option(
        "--light-map", bake_options.light_map,
        "Keep transfer in a light map of WIDTHxHEIGHT texels, 8 to 4096 each, instead of at "
        "vertices; it is laid out by the asset's texture coordinates or, where these "
        "overlap, by an atlas of its own")
+      ->needs(clip)
       ->group(kClip);
   c->add_option(
        "--error", bake_options.error,
        "Relative error of the rendered picture that compression may add, above 0 and below 1")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   c->add_option(
        "--interpolation-error", bake_options.between,
        "Relative error of the rendered picture that interpolation between two key frames may add, "
        "0 to 1: where it is more, further key frames are baked; 0: none are")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   c->add_option(
        "--ground-texels", bake_options.ground_texels,
        "Texels along each side of the shadow basis on the floor, 8 to 1024; 0: no shadow basis")
       ->capture_default_str()
+      ->needs(clip)
       ->group(kClip);
   c->add_option(
        "--shard", bake_options.shard,
        "i/n: bake only every n-th key frame from the i-th on, into a file beside the output that "
        "--merge reads")
+      ->needs(clip)
       ->group(kClip);
   c->add_option("--merge", bake_options.merge,
                 "Number of shards to join into the output, after the key frames that "
                 "--interpolation-error asks for are baked")
+      ->needs(clip)
       ->group(kClip);
   c->callback([&] {
     action = [] {

@@ -91,7 +91,7 @@ void add_hdr_environment(CLI::App& parent, Action& action) {
   c->add_option("capture", surroundings.capture, "Capture folder or recording")->required();
   c->add_option("--at", surroundings.at_s,
                 "Time in seconds after the first frame, above 0; by default the end of the capture")
-      ->check(CLI::PositiveNumber);
+      ->check(above_zero);
   c->add_option("-o,--output", surroundings.output, "Picture to write, .exr or .hdr")->required();
   add_json(c, surroundings.json);
   c->callback([&] { action = [] { return hdr_environment(surroundings); }; });

@@ -27,8 +27,8 @@ struct HdrMergeOptions {
   std::string times;                    // seconds, separated by commas
   std::optional<std::string> response;  // estimated from the bracket when absent
   bool align = false;
-  int reference =
-      0;  // picture that is trusted most, from 1; 0: none, or with `align` the middle one
+  // Picture that is trusted most, from 1; 0: none, or with `align` the middle one
+  int reference = 0;
   std::string output;
   bool json = false;
 };
@@ -159,7 +159,7 @@ void add_hdr_merge(CLI::App& parent, Action& action) {
        "--reference", merge.reference,
        "Number of the picture, from 1, that is trusted where something moved: what contradicts it "
        "is left out; by default none, with --align the middle exposure")
-      ->check(CLI::Range(1, 10000));
+      ->check(within(1, 10000));
   c->add_option("--response", merge.response,
                 "Response curve: linear, srgb, gamma:2.2 or a response file; by default it is "
                 "estimated from the bracket");

@@ -118,8 +118,9 @@ void add_render(CLI::App& parent, Action& action) {
   c->add_option("-o,--output", render_options.output, "Picture to write, .exr or .hdr")->required();
   c->add_option("--bands", render_options.bands, kBandsOfMapHelp)->capture_default_str();
   c->add_option("--max-lights", render_options.lights, kMaxLightsHelp)->capture_default_str();
-  c->add_flag("--reference", render_options.reference,
-              "Path-trace the picture, with the objects as part of the real scene");
+  CLI::Option* const reference =
+      c->add_flag("--reference", render_options.reference,
+                  "Path-trace the picture, with the objects as part of the real scene");
   c->add_option("--time", render_options.time_s,
                 "Time of the animation in seconds: the pose of clips and turning objects")
       ->capture_default_str();
@@ -127,9 +128,10 @@ void add_render(CLI::App& parent, Action& action) {
                 "Relative error at which path tracing stops, above 0 and below 1")
       ->capture_default_str();
   c->add_option(
-      "--light-bands", render_options.truncated_to,
-      "With --reference: light the scene by this many bands of spherical harmonics, 1 to 9, "
-      "instead of the whole environment");
+       "--light-bands", render_options.truncated_to,
+       "With --reference: light the scene by this many bands of spherical harmonics, 1 to 9, "
+       "instead of the whole environment")
+      ->needs(reference);
   c->add_flag("--without-objects", render_options.without_objects, "Render the real scene alone");
   add_json(c, render_options.json);
   c->callback([&] { action = [] { return render(render_options); }; });

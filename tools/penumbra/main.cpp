@@ -1,5 +1,6 @@
-// The `penumbra` program. The demo, calibrations and evaluation are programs of their own beside it,
-// so that this one links neither a solver nor a metric; `penumbra calibrate` and the like start them.
+// The `penumbra` program. The demo, calibrations and evaluation are programs of their own beside
+// it, so that this one links neither a solver nor a metric; `penumbra calibrate` and the like start
+// them.
 #include <unistd.h>
 
 #include <array>
@@ -39,7 +40,9 @@ int become(const Sibling& sibling, int argc, char** argv) {
   arguments.insert(arguments.end(), argv + 2, argv + argc);
   arguments.push_back(nullptr);
   execv(program.c_str(), arguments.data());
-  std::fprintf(stderr, "penumbra: %s: %s\n", program.c_str(), std::strerror(errno));
+  const char* const reason =
+      errno == ENOENT ? "is not installed beside penumbra" : std::strerror(errno);
+  std::fprintf(stderr, "penumbra: %s: %s\n", program.c_str(), reason);
   return 2;
 }
 

@@ -10,28 +10,32 @@
 
 namespace penumbra::tools {
 
-/// `times`: seconds separated by commas, 1/60 works. Response, noise and black level stay at their defaults.
+/// `times`: seconds separated by commas, 1/60 works. Response, noise and black level stay at their
+/// defaults.
 /// errors: kNotFound, kUnreadable, kInvalid (a time, sizes, bit depths)
 /// A time of "?" is left at kUnknownTime where `unknown_allowed`.
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
                                             const std::string& times, bool unknown_allowed = false);
 inline constexpr Seconds kUnknownTime{0};
 
-/// Captures of one still scene by one camera as a bracket: the frames of each exposure time and gain averaged, which takes
-/// the noise and, over some seconds, the mains' flicker out.
-/// errors: as capture::open_capture; kNotFound (no such camera), kUndetermined (fewer than two exposures, more than 16),
-/// kInvalid (sizes, not 8 bits)
+/// Captures of one still scene by one camera as a bracket: the frames of each exposure time and
+/// gain averaged, which takes the noise and, over some seconds, the mains' flicker out.
+/// errors: as capture::open_capture; kNotFound (no such camera), kUndetermined (fewer than two
+/// exposures, more than 16), kInvalid (sizes, not 8 bits)
 Result<capture::ExposureStack> average_clips(const std::vector<std::string>& captures,
                                              const std::string& camera);
 
-/// An exposure against the one before it (of those that are told, by time), by what both pictures show.
+/// An exposure against the one before it (of those that are told, by time), by what both pictures
+/// show.
 struct CheckedTime {
   std::size_t picture, against;  // in the stack
   capture::ExposureRatio ratio;
   double told = 0;  // ratio by the given times; 0: it was not given
 };
-/// Finds unknown times from the nearest known neighbours in the list and compares the told ones. Needs the response.
-/// errors: kUndetermined (no time given at all, or no overlap to find an unknown one), kInvalid (not 8 bits)
+/// Finds unknown times from the nearest known neighbours in the list and compares the told ones.
+/// Needs the response.
+/// errors: kUndetermined (no time given at all, or no overlap to find an unknown one), kInvalid
+/// (not 8 bits)
 Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack);
 
 /// What a stack of 8-bit frames holds, for those who estimate a response.

@@ -92,7 +92,8 @@ Result<Pipeline> make_still_pipeline(const runtime::PreparedScene& scene,
 Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,
                               const lighting::LightEstimate& light, const Still& real,
                               double seconds) {
-  // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or a column.
+  // Between the stage's own samples, four to a pixel along each axis, so that no two share a row or
+  // a column.
   constexpr double kShifts[4][2] = {{-3, -1}, {-1, 3}, {1, -3}, {3, 1}}, kUnit = 1. / 32;  // pixels
   Still out{Image<Rgb>(view.width, view.height), real.error, real.samples, {}, {}};
   const auto picture = std::make_shared<const FramePixels>(real.radiance);

@@ -52,12 +52,13 @@ Result<Still> composite_still(Pipeline& pipeline, const prt::PinholeView& view,
 Result<Still> render_composite(const StillScene& in, const lighting::LightEstimate& light,
                                const Still& real, const runtime::ShadowSampling& sampling = {});
 
-/// The light that the compositor uses for what stands on these planes: the floor's when all are level.
+/// The light that the compositor uses for what stands on these planes: the floor's when all are
+/// level.
 const RadianceSh& light_on(const std::vector<prt::Plane>& planes,
                            const lighting::LightEstimate& light);
 
-/// The truth: the objects really stand there, and the lamps. Under the whole environment, or under `truncated`
-/// light.
+/// The truth: the objects really stand there, and the lamps. Under the whole environment, or under
+/// `truncated` light.
 Result<Still> render_reference(const StillScene& in, bool with_objects, double error,
                                const std::optional<lighting::LightEstimate>& truncated,
                                const Progress& progress);

@@ -108,9 +108,10 @@ class RadialCurve {
   double last_, rim_ = 0;
 };
 
-/// Normalised picture coordinates q = (pixel - centre) / focal and their radius rho = |q|. Theta is counted from -z; of
-/// the mirror ball from +z: the ray of an orthographic camera leaves the sphere at twice the angle of the normal, whose
-/// sine is rho (focal = radius of the ball). Angular: equidistant with focal = R/pi.
+/// Normalised picture coordinates q = (pixel - centre) / focal and their radius rho = |q|. Theta is
+/// counted from -z; of the mirror ball from +z: the ray of an orthographic camera leaves the sphere
+/// at twice the angle of the normal, whose sine is rho (focal = radius of the ball). Angular:
+/// equidistant with focal = R/pi.
 struct RadialLens {
   glm::dvec2 centre_px{0, 0};
   glm::dvec2 focal_px{1, 1};
@@ -132,8 +133,8 @@ struct RadialLens {
     return {q.x * k, -q.y * k, mirror ? cosine : -cosine};
   }
 
-  /// Normalised coordinates of a unit direction; nothing beyond the last angle. The far pole, which is the whole rim,
-  /// goes to +x.
+  /// Normalised coordinates of a unit direction; nothing beyond the last angle. The far pole, which
+  /// is the whole rim, goes to +x.
   [[nodiscard]] std::optional<glm::dvec2> coordinates(const glm::dvec3& d) const {
     const double side = std::hypot(d.x, d.y);
     const double theta = std::atan2(side, curve.is_mirror() ? d.z : -d.z);

@@ -1,5 +1,5 @@
-// Private to capture: a camera that cycles through exposures, and frames that carry what was applied to them.
-// Nothing here reads a clock: times come with the frames.
+// Private to capture: a camera that cycles through exposures, and frames that carry what was
+// applied to them. Nothing here reads a clock: times come with the frames.
 #pragma once
 
 #include <cstdint>
@@ -15,12 +15,14 @@
 
 namespace penumbra::capture {
 
-/// Numbers the sensor's frames, also those that never arrived: drivers count only what reached them, times tell the rest.
+/// Numbers the sensor's frames, also those that never arrived: drivers count only what reached
+/// them, times tell the rest.
 class FrameCounter {
  public:
   /// The frame's number, which grows by one a period. `arrived`: when it could be read first.
   std::uint64_t count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived);
-  /// The newest frame that can be read at a time: what a request at that time comes after, however late frames are read.
+  /// The newest frame that can be read at a time: what a request at that time comes after, however
+  /// late frames are read.
   std::uint64_t at(TimestampNs time) const;
   /// How old a frame is that was read soon after it arrived.
   Seconds fresh() const;
@@ -51,7 +53,8 @@ class BrightnessMeter {
   std::optional<ResponseTable> curve_;
 };
 
-/// The exposure in force at each frame, from the requests and the camera's delay, checked against what frames show.
+/// The exposure in force at each frame, from the requests and the camera's delay, checked against
+/// what frames show.
 class ExposureLabels {
  public:
   /// `delay`: frames between a request and the first frame that shows it; nothing: measured first.
@@ -100,10 +103,12 @@ class ExposureLabels {
   bool ignores_controls_ = false;
 };
 
-/// A camera with its schedule. threads: thread-bound
+/// A camera with its schedule.
+/// threads: thread-bound
 class BracketedCamera {
  public:
-  /// `light_error`: the schedule is chosen, so that the light's error stays below this fraction of it.
+  /// `light_error`: the schedule is chosen, so that the light's error stays below this fraction of
+  /// it.
   BracketedCamera(CameraInfo info, std::vector<Exposure> schedule, std::optional<int> delay,
                   std::optional<double> light_error = {}, double fps = 30)
       : info_(std::move(info)),

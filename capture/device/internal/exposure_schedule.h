@@ -30,8 +30,8 @@ struct ExposureLimits {
   Gain max_gain{1};
 };
 
-/// A schedule and the errors of an irradiance that it leaves, relative to it. Noise and codes count against the darker
-/// half of the sphere: what faces away from the light sees little else.
+/// A schedule and the errors of an irradiance that it leaves, relative to it. Noise and codes count
+/// against the darker half of the sphere: what faces away from the light sees little else.
 struct SchedulePlan {
   std::vector<Exposure> exposures;  // longest first
   double noise = 0;                 // two standard deviations
@@ -43,12 +43,13 @@ struct SchedulePlan {
 class ExposurePlanner {
  public:
   ExposurePlanner(const CameraInfo& camera, int bits);
-  /// What a schedule (longest first) leaves of the light's error; light from dark to bright; `headroom` of
-  /// the clip level may be used.
+  /// What a schedule (longest first) leaves of the light's error; light from dark to bright;
+  /// `headroom` of the clip level may be used.
   SchedulePlan judge(std::vector<Exposure> exposures, const std::vector<RadianceBin>& light,
                      double headroom = 1) const;
-  /// The fewest exposures whose error is at most `budget`; where none are, those with the least. Times a whole number of
-  /// half stops from the shortest possible one, so that a similar light gives the same ones.
+  /// The fewest exposures whose error is at most `budget`; where none are, those with the least.
+  /// Times a whole number of half stops from the shortest possible one, so that a similar light
+  /// gives the same ones.
   /// source: Hasinoff et al. 2010 (noise); exposures are dropped while the irradiance allows it
   SchedulePlan plan(const std::vector<RadianceBin>& light, const ExposureLimits& limits,
                     double budget) const;
@@ -62,8 +63,8 @@ class ExposurePlanner {
   double clip_signal_;  // of the channel that clips first
 };
 
-/// Gathers the light from the frames of a ring: each radiance counts as the longest exposure shows it that it does not
-/// clip.
+/// Gathers the light from the frames of a ring: each radiance counts as the longest exposure shows
+/// it that it does not clip.
 class LightHistogram {
  public:
   explicit LightHistogram(const CameraInfo& camera);
@@ -72,7 +73,8 @@ class LightHistogram {
   void clear() { seen_.clear(); }
   /// Whether each of these was seen.
   bool holds(std::span<const Exposure> exposures) const;
-  /// What clips everywhere counts as kBeyond times as bright as its bound: its brightness is not known.
+  /// What clips everywhere counts as kBeyond times as bright as its bound: its brightness is not
+  /// known.
   std::vector<RadianceBin> light(const ExposurePlanner& planner) const;
   static constexpr double kBeyond = 16;
 
@@ -89,8 +91,8 @@ class LightHistogram {
   std::deque<SeenExposure> seen_;     // oldest first
 };
 
-/// A camera's schedule that follows the light: anew as soon as the light's error passes the budget, shorter only after a
-/// while.
+/// A camera's schedule that follows the light: anew as soon as the light's error passes the budget,
+/// shorter only after a while.
 class AutoSchedule {
  public:
   AutoSchedule(const CameraInfo& camera, double budget)

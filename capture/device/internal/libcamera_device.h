@@ -1,6 +1,6 @@
-// Private to capture: cameras through libcamera, for those that V4L2 alone does not make pictures from (the sensors of
-// single-board computers and of newer laptops). In rig.toml: device = "libcamera:ID", with the ID that
-// `penumbra inspect cameras` shows.
+// Private to capture: cameras through libcamera, for those that V4L2 alone does not make pictures
+// from (the sensors of single-board computers and of newer laptops). In rig.toml: device =
+// "libcamera:ID", with the ID that `penumbra inspect cameras` shows.
 #pragma once
 
 #include <string_view>

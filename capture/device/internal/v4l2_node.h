@@ -14,8 +14,8 @@
 
 namespace penumbra::capture {
 
-/// An open device node. Methods answer with the driver's word and never print. The destructor of a camera that was
-/// unplugged waits for the driver to let go of it, at most half a second.
+/// An open device node. Methods answer with the driver's word and never print. The destructor of a
+/// camera that was unplugged waits for the driver to let go of it, at most half a second.
 class V4l2Node {
  public:
   V4l2Node(V4l2Node&&) noexcept = default;
@@ -64,7 +64,8 @@ struct V4l2Exposure {
 };
 V4l2Exposure exposure_of(const V4l2Node& node);
 
-/// The mode of this size that serves the settings best: by the frame rate, then by the format that keeps most.
+/// The mode of this size that serves the settings best: by the frame rate, then by the format that
+/// keeps most.
 /// errors: kInvalid naming what is offered
 Result<CameraMode> choose_mode(const std::vector<CameraMode>& modes,
                                const CameraSettings& settings);

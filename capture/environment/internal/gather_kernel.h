@@ -5,9 +5,9 @@
 
 namespace penumbra::capture {
 
-/// out[3 i + c] = scale * bilinear sample of RGBA half pixels at sample i; a sample of offset -1 gives 0.
-/// Returns the sum of the sampled fourth channel. A sample: offset in pixels, weights 0..1 of the right
-/// and the lower neighbour.
+/// out[3 i + c] = scale * bilinear sample of RGBA half pixels at sample i; a sample of offset -1
+/// gives 0. Returns the sum of the sampled fourth channel. A sample: offset in pixels, weights 0..1
+/// of the right and the lower neighbour.
 struct GatherSample {
   std::int32_t offset;
   float right, down;

@@ -12,7 +12,8 @@
 
 namespace penumbra::capture {
 
-/// Standard deviations between two samples of the same radiance that chance explains. source: Granados et al. 2010
+/// Standard deviations between two samples of the same radiance that chance explains.
+/// source: Granados et al. 2010
 inline constexpr double kMaxSigmas = 3.5;
 /// For cameras whose noise is a guess.
 inline constexpr double kMaxSigmasOfAGuess = 7;
@@ -28,7 +29,8 @@ struct SignalSample {
   bool clipped;
 };
 
-/// Both under the hypothesis that they show one radiance, whose estimate is their sum over the sum of exposures.
+/// Both under the hypothesis that they show one radiance, whose estimate is their sum over the sum
+/// of exposures.
 inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const SignalSample& b,
                        const Exposure& exposure_b, const calib::NoiseModel& noise,
                        const QuantisationStep& step, int channel, double sigmas) {
@@ -45,7 +47,8 @@ inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const 
   return std::abs(xa - xb) > sigmas * std::sqrt(all);
 }
 
-/// For each 8-bit code of one exposure, the codes of another that can show the same radiance: low | high << 8.
+/// For each 8-bit code of one exposure, the codes of another that can show the same radiance: low |
+/// high << 8.
 using AllowedCodes = std::array<std::uint32_t, 256>;
 
 /// What turns codes into samples, for one channel.

@@ -36,12 +36,13 @@ struct CodeTolerance {
 bool block_changed(const CodeTolerance& tolerance, const std::uint8_t* now,
                    const std::uint8_t* before);
 
-/// Marks the samples of a block that lie outside the interval which the known samples allow: 255, else 0. allowed[offset
-/// of the sample + known code] is low | high << 8.
+/// Marks the samples of a block that lie outside the interval which the known samples allow: 255,
+/// else 0. allowed[offset of the sample + known code] is low | high << 8.
 void mark_outside(const std::uint32_t* allowed, const std::int32_t* offsets,
                   const std::uint8_t* known, const std::uint8_t* asked, std::uint8_t* outside);
 
-/// Sums of (before - after) over the marked pixels of each run of kMergeRun; the fourth number means nothing.
+/// Sums of (before - after) over the marked pixels of each run of kMergeRun; the fourth number
+/// means nothing.
 inline constexpr int kMergeRun = 16;
 void sum_differences(const HalfRgba* before, const HalfRgba* after, const std::uint8_t* marked,
                      float (*sums)[4]);

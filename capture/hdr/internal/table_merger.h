@@ -19,14 +19,16 @@
 
 namespace penumbra::capture {
 
-/// The estimate of merge() for 8-bit frames of a fixed set of exposures, from tables: the longest unclipped exposure
-/// and the next one decide, which costs at most 3 % of RMSE at two stops between exposures. An update does no more than
-/// the new frame needs: blocks of pixels that shorter exposures than the new one have decided alone stay as they are,
-/// and only where something changed since the oldest frame was taken are samples tested against newer ones.
+/// The estimate of merge() for 8-bit frames of a fixed set of exposures, from tables: the longest
+/// unclipped exposure and the next one decide, which costs at most 3 % of RMSE at two stops between
+/// exposures. An update does no more than the new frame needs: blocks of pixels that shorter
+/// exposures than the new one have decided alone stay as they are, and only where something changed
+/// since the oldest frame was taken are samples tested against newer ones.
 /// threads: internally parallel; no allocation after the first update
 class TableMerger {
  public:
-  /// Exposures longest first. Nothing when they lie so close that two of them hold less than 90 % of the information.
+  /// Exposures longest first. Nothing when they lie so close that two of them hold less than 90 %
+  /// of the information.
   static std::optional<TableMerger> make(std::span<const Exposure> exposures,
                                          const CameraInfo& camera);
 
@@ -35,8 +37,8 @@ class TableMerger {
     Exposure exposure;     // within a few per cent of what make() got
     std::uint64_t placed;  // grows with time; the newest is the one that is new
   };
-  /// Slots as the exposures in make(). `replaced`: what stood in the newest one's place before; without it everything
-  /// is merged anew.
+  /// Slots as the exposures in make(). `replaced`: what stood in the newest one's place before;
+  /// without it everything is merged anew.
   void update(std::span<const MergeSlot> slots, const MergeSlot* replaced, MergedImage& out);
 
  private:
@@ -44,10 +46,10 @@ class TableMerger {
     BlockCounts counts;
     std::uint64_t changed = 0;  // when it last showed something else than before
     bool mixed = false;         // of frames from before and after that
-    std::array<double, 3>
-        vanished{};  // where samples contradicted: radiance times solid angle, in stored units
-    bool undecided =
-        false;  // holds pixels brighter than the newest exposure can tell, which others contradict
+    // Where samples contradicted: radiance times solid angle, in stored units
+    std::array<double, 3> vanished{};
+    // Holds pixels brighter than the newest exposure can tell, which others contradict
+    bool undecided = false;
   };
   static constexpr std::size_t kMaxExposures = HdrRing::kMaxSlots;
   /// What an update knows of all blocks.
@@ -97,7 +99,8 @@ class TableMerger {
   calib::NoiseModel noise_;
   double max_sigmas_ = kMaxSigmas;
   std::vector<Exposure> nominal_, current_;  // longest first; current: what the tables hold
-  // [channel set][step][code of next][code]: half radiance / scale, at the nominal exposures and at the current ones
+  // [channel set][step][code of next][code]: half radiance / scale, at the nominal exposures and at
+  // the current ones
   std::vector<std::uint16_t> nominal_tables_, tables_;
   std::vector<AllowedCodes> allowed_;  // [channel set][known][asked], at the current exposures
   std::size_t channel_sets_ = 1;

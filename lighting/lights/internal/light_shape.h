@@ -15,8 +15,8 @@ struct EnergyPiece {
   double along = 0;         // for the split
 };
 
-/// DistantLight::kShapePoints unit directions, neighbours in neighbouring places at every power of two: the energy is halved across its
-/// longest axis again and again.
+/// DistantLight::kShapePoints unit directions, neighbours in neighbouring places at every power of
+/// two: the energy is halved across its longest axis again and again.
 /// in: at least one share, in any order; left in another one
 DistantLight::Shape shape_points(std::span<EnergyPiece> pieces);
 

@@ -48,7 +48,8 @@ class FrameBaker {
   /// An empty transfer of the stream's shape: no points where there is no receiver.
   Transfer shape(Stream stream) const;
   std::size_t offset(Stream stream) const;  // in FrameRecord::values
-  /// Gives points of the surface values in frames in which they lie within something, where records have none.
+  /// Gives points of the surface values in frames in which they lie within something, where records
+  /// have none.
   void complete_hidden(std::span<Transfer> frames, const KeyFrames& keys) const;
   /// Whether the clip is more than one pose.
   bool moves() const;

@@ -1,4 +1,5 @@
-// Frames of a bake as they are done: appended one by one, so that a bake that is killed loses the frame under way only.
+// Frames of a bake as they are done: appended one by one, so that a bake that is killed loses the
+// frame under way only.
 // threads: thread-bound
 #pragma once
 

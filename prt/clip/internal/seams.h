@@ -12,17 +12,18 @@
 
 namespace penumbra::prt {
 
-/// What bilinear lookups on the two sides of an edge show differs by noise and by where the texels lie. Texels along it are
-/// changed by as little as makes the two meet.
-/// source: least squares over the lookups' weights as in Iwanicki 2013, Lighting Technology of "The Last of Us"
+/// What bilinear lookups on the two sides of an edge show differs by noise and by where the texels
+/// lie. Texels along it are changed by as little as makes the two meet.
+/// source: least squares over the lookups' weights as in Iwanicki 2013, Lighting Technology of "The
+/// Last of Us"
 class Seams {
  public:
   /// Creases of the surface, where light really differs, are none.
   Seams(const Character& character, const SurfaceLayout& layout);
 
   bool empty() const { return lookups_.empty(); }
-  /// Values of all of the layout's points, one map after another `stride` apart. Points for which `hidden` is not 0 neither
-  /// change nor pull.
+  /// Values of all of the layout's points, one map after another `stride` apart. Points for which
+  /// `hidden` is not 0 neither change nor pull.
   void equalise(std::span<const char> hidden, std::size_t stride, std::span<float> maps) const;
 
  private:
@@ -33,8 +34,8 @@ class Seams {
   };
   std::vector<Lookup> lookups_;
   std::vector<std::uint32_t> points_;  // that lookups touch
-  std::vector<std::uint32_t>
-      variable_;  // by point: where it stands in points_, or SurfaceLayout::kNone
+  // By point: where it stands in points_, or SurfaceLayout::kNone
+  std::vector<std::uint32_t> variable_;
 };
 
 }  // namespace penumbra::prt

@@ -17,8 +17,8 @@ namespace penumbra::prt {
 struct StreamLayout {
   std::vector<std::uint16_t> bone;                       // by point
   std::vector<std::array<std::uint32_t, 3>> neighbours;  // earlier ones; SurfaceLayout::kNone
-  std::size_t first_texel =
-      0;  // from here on neighbours are the left one, that above, that between
+  // From here on neighbours are the left one, that above, that between
+  std::size_t first_texel = 0;
 };
 StreamLayout layout_of_surface(const SurfaceLayout& layout);
 StreamLayout layout_of_ground(int size);
@@ -32,7 +32,8 @@ class SequenceCodec {
   /// The coarsest step, and the fewest components at it, that keep the rendered error.
   /// in: frames of one shape; error in units of rendered_rms
   static Outcome encode(std::span<const Transfer> frames, const StreamLayout& layout, double error);
-  /// Exit radiance of a unit albedo under a light of unit l_0 and mean_band_energy, RMS over points, frames and colours.
+  /// Exit radiance of a unit albedo under a light of unit l_0 and mean_band_energy, RMS over
+  /// points, frames and colours.
   static double rendered_rms(std::span<const Transfer> frames);
 
   static std::vector<unsigned char> write(const TransferSequence& sequence,

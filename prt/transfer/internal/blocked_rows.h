@@ -6,7 +6,8 @@
 
 namespace penumbra::prt {
 
-/// Points of a block: their rows follow each other, so that memory is read as one stream while sums stay in registers.
+/// Points of a block: their rows follow each other, so that memory is read as one stream while sums
+/// stay in registers.
 inline constexpr std::size_t kBlock = 32;
 
 /// One channel serves all three colours.
@@ -16,8 +17,10 @@ struct BlockedRows {
   int channels;  // 1 or 3
 };
 
-/// out[channel * points + point] = sum over the first `used` rows of weights[3 row + channel] times the row's value.
-/// out: 3 floats a point. threads: reentrant, no allocation
+/// out[channel * points + point] = sum over the first `used` rows of weights[3 row + channel] times
+/// the row's value.
+/// out: 3 floats a point.
+/// threads: reentrant, no allocation
 void sum_rows(const BlockedRows& from, int used, std::span<const float> weights,
               std::span<float> out);
 

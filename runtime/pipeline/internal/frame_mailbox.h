@@ -13,8 +13,9 @@
 
 namespace penumbra::runtime {
 
-/// Holds the newest frame of each camera and exposure and hands them out in turn, so that no exposure of a bracket is
-/// always the one that is dropped. A camera's frames stay in order of time.
+/// Holds the newest frame of each camera and exposure and hands them out in turn, so that no
+/// exposure of a bracket is always the one that is dropped. A camera's frames stay in order of
+/// time.
 /// threads: thread-safe, any number of writers and readers
 class FrameMailbox : public Closable {
  public:

@@ -19,10 +19,11 @@ struct TripleTerm {
   float value;
 };
 
-/// Int Y_i Y_j Y_k dw over the sphere, with j < kMaxFieldBands^2, i and k < kMaxCoefficients. Y_lm is a
-/// function of z times cos m phi or sin m phi, so that it is an integral over z times one over phi;
-/// the rules for both are exact for the degrees that occur. Made at the first use, 3 ms.
-/// source: Waldvogel 2006 (Fejer's first rule); threads: any
+/// Int Y_i Y_j Y_k dw over the sphere, with j < kMaxFieldBands^2, i and k < kMaxCoefficients. Y_lm
+/// is a function of z times cos m phi or sin m phi, so that it is an integral over z times one over
+/// phi; the rules for both are exact for the degrees that occur. Made at the first use, 3 ms.
+/// source: Waldvogel 2006 (Fejer's first rule);
+/// threads: any
 class TripleProducts {
  public:
   static const TripleProducts& get() {

@@ -29,17 +29,17 @@ struct NodeGrid {
   float width = 0, depth = 0;  // nodes
 };
 
-/// A stretch of a silhouette: where it is passed upwards in z, so many layers more lie on its far side in x for the
-/// directions of `more`, and fewer for those of `fewer`.
+/// A stretch of a silhouette: where it is passed upwards in z, so many layers more lie on its far
+/// side in x for the directions of `more`, and fewer for those of `fewer`.
 struct SilhouetteSegment {
   glm::vec3 from, to;  // x and z in cells, y in metres above near_m
   std::uint64_t more, fewer;
   std::int16_t layers;
 };
 
-/// Every triangle counts one layer in what it covers; between two that face the light alike the edge cancels.
-/// What is lower than near_m above the plane is cut off. Left out are stretches that the samples throw above, below or to the
-/// right of the grid, where they make no difference.
+/// Every triangle counts one layer in what it covers; between two that face the light alike the
+/// edge cancels. What is lower than near_m above the plane is cut off. Left out are stretches that
+/// the samples throw above, below or to the right of the grid, where they make no difference.
 std::pmr::vector<SilhouetteSegment> find_sides(std::span<const Caster> casters,
                                                const NodeGrid& grid, float near_m,
                                                const SampleCone& light, SilhouetteCache& memo,

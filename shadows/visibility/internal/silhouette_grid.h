@@ -36,7 +36,8 @@ struct SilhouetteLines {
   std::pmr::vector<SilhouetteLine> lines;
   std::pmr::vector<CasterFrame> caster_frames;
 };
-/// The silhouettes of casters where they are higher than the grid's foot. `places` are the vertices of `object` in the grid.
+/// The silhouettes of casters where they are higher than the grid's foot. `places` are the vertices
+/// of `object` in the grid.
 SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
                          std::span<const glm::vec3> places, const LightGrid& grid,
                          const DirectionCone& beam, SilhouetteCache& memo,
@@ -45,16 +46,18 @@ SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
 /// threads: const members reentrant
 class SilhouetteGrid {
  public:
-  /// `drop`: metres below a silhouette at which the light throws its shadow aside by a cell. Keeps the lines.
+  /// `drop`: metres below a silhouette at which the light throws its shadow aside by a cell. Keeps
+  /// the lines.
   SilhouetteGrid(std::span<const SilhouetteLine> lines, const LightGrid& grid, float drop,
                  std::pmr::memory_resource* memory);
 
-  /// Whether nothing hides a part of the light only at the places, and nothing passes between them: a first look.
-  /// in, here and below: places within the grid
+  /// Whether nothing hides a part of the light only at the places, and nothing passes between them:
+  /// a first look. in, here and below: places within the grid
   bool are_clear_of(const glm::vec3& a, const glm::vec3& b) const {
     return !any_cell(a, b, [](std::size_t) { return true; });
   }
-  /// Whether a silhouette hides a part of the light only. False where pass_between() tells it of every way from there.
+  /// Whether a silhouette hides a part of the light only. False where pass_between() tells it of
+  /// every way from there.
   bool in_penumbra(const glm::vec3& p) const;
   bool pass_between(const glm::vec3& a, const glm::vec3& b) const;
 

@@ -1,4 +1,5 @@
-// What silhouettes do to the directions of a light, with run-time choice of the vector instructions.
+// What silhouettes do to the directions of a light, with run-time choice of the vector
+// instructions.
 #pragma once
 
 #include <array>
@@ -33,8 +34,8 @@ struct SilhouetteCrossing {
 /// To each direction on whose way it lies.
 void add_layers(const SilhouetteCrossing& line, LayerSamples& samples);
 
-/// Sums of cosines over the directions: all, and those that have the fewest layers and count. Directions behind the surface
-/// have no layers; where all are, nothing is seen.
+/// Sums of cosines over the directions: all, and those that have the fewest layers and count.
+/// Directions behind the surface have no layers; where all are, nothing is seen.
 struct FewestLayers {
   float open = 0, seen = 0;
   std::uint32_t ask = 0;  // amid those with the fewest layers

@@ -16,9 +16,11 @@ struct SampleSet {
       ~std::uint64_t{0};  // bit by sample: whether its light counts where it is seen
 };
 
-/// Counts, from the light's middle to each of its samples, the layers of surface that begin or end on the way: silhouettes that
-/// cross it. One ray to the sample with the fewest layers then tells of all.
-/// source: Laine, Aila, Assarsson, Lehtinen & Akenine-Moller 2005, "Soft Shadow Volumes for Ray Tracing"
+/// Counts, from the light's middle to each of its samples, the layers of surface that begin or end
+/// on the way: silhouettes that cross it. One ray to the sample with the fewest layers then tells
+/// of all.
+/// source: Laine, Aila, Assarsson, Lehtinen & Akenine-Moller 2005, "Soft Shadow Volumes for Ray
+/// Tracing"
 /// threads: thread-bound
 class SoftShadowVolume {
  public:
@@ -26,12 +28,14 @@ class SoftShadowVolume {
   SoftShadowVolume(const SilhouetteGrid& silhouettes, const LightGrid& grid,
                    std::span<const CasterFrame> caster_frames, const SampleSet& samples);
 
-  /// Means over the samples of the cosine: of all of the light, and of what is seen if sample `ask` is. Else nothing is.
+  /// Means over the samples of the cosine: of all of the light, and of what is seen if sample `ask`
+  /// is. Else nothing is.
   struct Answer {
     float open = 0, seen = 0;
     std::uint32_t ask = 0;
   };
-  /// in: a place in the grid where it has lists; how far above it rays start; the surface's normal in the world frame
+  /// in: a place in the grid where it has lists; how far above it rays start; the surface's normal
+  /// in the world frame
   Answer find(const glm::vec3& place, const glm::vec3& lift, const glm::vec3& normal);
 
  private:

@@ -9,7 +9,8 @@
 
 namespace penumbra::shadows {
 
-/// Each vertex with its neighbours: few directions a vertex, turned from one to the next, become many.
+/// Each vertex with its neighbours: few directions a vertex, turned from one to the next, become
+/// many.
 template <class T>
 void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
   thread_local std::vector<T> sums;  // grows once per thread
@@ -23,8 +24,9 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
   std::swap(sums, values);
 }
 
-/// Sums over several directions of a light, so often. Once leaves the beat of the turns with a grid's rows as ripples in broad
-/// penumbras; patterns in random order leave blotches. Three times would blur the edges of smaller sources (studio: 2.5 to 3.3 %).
+/// Sums over several directions of a light, so often. Once leaves the beat of the turns with a
+/// grid's rows as ripples in broad penumbras; patterns in random order leave blotches. Three times
+/// would blur the edges of smaller sources (studio: 2.5 to 3.3 %).
 inline int smoothing_passes(const lighting::DistantLight& source) {
   constexpr double kThriceFrom = .25;  // radians
   return source.radius.value() > kThriceFrom ? 3 : 1;

@@ -13,8 +13,9 @@
 namespace penumbra::shadows {
 
 enum class LookupUse { kNone, kScout, kCoarse, kFine };
-/// Looked up in the visibility's cells, wide or fine, for lights that are wide beside those; as a scout for smaller ones, but for those
-/// that are told by silhouettes. None for hard shadows, for more rays than it is worth, and where another caster's sphere reaches
+/// Looked up in the visibility's cells, wide or fine, for lights that are wide beside those; as a
+/// scout for smaller ones, but for those that are told by silhouettes. None for hard shadows, for
+/// more rays than it is worth, and where another caster's sphere reaches
 /// between: a real plane's, where there are several, always does.
 LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
                      const lighting::DistantLight& source, int samples);
@@ -33,8 +34,8 @@ enum class VisibilityVerdict : std::uint8_t {
   kMaybeLit,
   kMixed
 };
-/// Lit or dark where samples at and beside a vertex agree that all of the light, as finely as a look-up can tell, is open or that
-/// nothing is; a sample maybe so where others say otherwise.
+/// Lit or dark where samples at and beside a vertex agree that all of the light, as finely as a
+/// look-up can tell, is open or that nothing is; a sample maybe so where others say otherwise.
 /// threads: as trace_direct_light
 void scout(const Caster& object, const lighting::DistantLight& source,
            std::vector<VisibilityVerdict>& out);

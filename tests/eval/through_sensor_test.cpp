@@ -1,0 +1,74 @@
+// From both cameras' sensors to the picture, against a path-traced world in which the object stands.
+#include "tools/chart/through_sensor.h"
+
+#include <gtest/gtest.h>
+
+#include "capture/studio/environments.h"
+
+namespace penumbra::tools {
+namespace {
+
+constexpr double kReferenceError = .05;  // its noise is taken out by its two halves
+constexpr SensorSettings kWebcam{8, Seconds(1e-3)};
+
+SensorScene box_on_floor() {
+  const std::vector<std::string> assets{"builtin:box"};
+  return sensor_scenes(assets)[0];
+}
+
+Image<Rgb> sky() {
+  return with_mean_luminance(capture::make_sky_environment(1024, 512, .8), 60);
+}
+Image<Rgb> room() {
+  return with_mean_luminance(capture::make_room_environment(1024, 512), 60);
+}
+
+Result<SensorPoint> filmed(const SensorScene& scene, const Image<Rgb>& map,
+                           const SensorSettings& settings) {
+  PENUMBRA_ASSIGN(bench, SensorBench::make(scene));
+  PENUMBRA_ASSIGN(world, bench.trace("world", map, kReferenceError));
+  return bench.measure(world, settings);
+}
+
+#define ASSERT_FILMED(point)                                                     \
+  if (!point && point.error().code == ErrorCode::kUnavailable)                   \
+    GTEST_SKIP() << "no OpenGL ES 3.1 or Embree here: " << point.error().detail; \
+  ASSERT_TRUE(point) << point.error().where << ": " << point.error().detail
+
+TEST(ThroughSensor, ARoomLooksAsUnderItsTrueMap) {
+  for (const int bits : {8, 12}) {
+    const auto got = filmed(box_on_floor(), room(), {bits, Seconds(1. / 64000)});
+    ASSERT_FILMED(got);
+    EXPECT_FALSE(got->lower_bound);
+    EXPECT_LT(got->sensor.shadow_rmse, .04) << bits << " bits";
+    EXPECT_LT(got->sensor.shadow_rmse - got->true_map.shadow_rmse, .003) << bits << " bits";
+    EXPECT_LT(got->sensor.object_rel_rmse, .04) << bits << " bits";
+    EXPECT_LT(std::abs(got->sensor.object_bias - got->true_map.object_bias), .01) << bits;
+  }
+}
+
+// At 1/1000 s the sun is ten thousand times too bright.
+TEST(ThroughSensor, ASunThatSaturatesEveryExposureCastsItsWholeShadow) {
+  const auto got = filmed(box_on_floor(), sky(), kWebcam);
+  ASSERT_FILMED(got);
+  EXPECT_FALSE(got->lower_bound);
+  EXPECT_LT(got->sensor.shadow_rmse, .04);
+  EXPECT_LT(got->sensor.shadow_rmse - got->true_map.shadow_rmse, .015);
+  EXPECT_LT(got->sensor.object_rel_rmse, .04);
+}
+
+// What the program would show without the recovery.
+TEST(ThroughSensor, OverAFloorOfUnknownAlbedoTheSunsShadowIsFaintAndNothingIsPromised) {
+  SensorScene scene = box_on_floor();
+  scene.told = scene.scene;
+  scene.told->real[0].albedo.reset();
+  const auto got = filmed(scene, sky(), kWebcam);
+  ASSERT_FILMED(got);
+  EXPECT_TRUE(got->lower_bound);
+  EXPECT_FALSE(got->predicted_error);
+  EXPECT_GT(got->sensor.shadow_rmse, .1);
+  EXPECT_LT(got->true_map.shadow_rmse, .04);
+}
+
+}  // namespace
+}  // namespace penumbra::tools

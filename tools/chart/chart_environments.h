@@ -1,0 +1,22 @@
+// The lights that a chart is drawn over.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "core/image.h"
+#include "core/result.h"
+
+namespace penumbra::tools {
+
+struct ChartEnvironment {
+  std::string name;
+  Image<Rgb> map;  // lat-long, linear radiance
+};
+
+/// Of the files, and the built-in room and clear sky: where there are no files, or `with_procedural`.
+/// errors: as runtime::read_light
+Result<std::vector<ChartEnvironment>> read_environments(const std::vector<std::string>& files,
+                                                        bool with_procedural);
+
+}  // namespace penumbra::tools

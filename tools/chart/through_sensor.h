@@ -1,0 +1,88 @@
+// The joined chain against the truth: both cameras film a world through their sensors, the program
+// measures light and composites, and a path-traced picture shows the world with the object in it.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/result.h"
+#include "core/units.h"
+#include "lighting/governor.h"
+#include "prt/geometry/pinhole_view.h"
+#include "runtime/scene/scene.h"
+#include "tools/chart/accuracy.h"
+#include "tools/pictures/still.h"
+
+namespace penumbra::tools {
+
+struct SensorScene {
+  std::string name;
+  runtime::Scene scene;
+  double seconds = 0;                    // of what moves by itself
+  std::optional<runtime::Scene> told{};  // to the program, where that is not the truth
+};
+
+/// Each asset alone on a 40 % grey floor ("builtin:walker" in mid-step); of the first one also
+/// three objects, one on a block and one before a wall.
+std::vector<SensorScene> sensor_scenes(std::span<const std::string> assets);
+
+struct SensorSettings {
+  int bits = 8;  // of both cameras: 8 with the response of sRGB, 12 linear
+  /// Of the environment camera; its schedule is chosen above that.
+  Seconds shortest_exposure{1. / 64000};
+};
+
+/// Errors of one picture. What the truth shows above full scale is left out: the camera clips it.
+struct SensorError {
+  double shadow_rmse = 0, shadow_bias = 0;      // of s, where the truth is below .95
+  double object_rel_rmse = 0, object_bias = 0;  // of luminance, relative to the object's mean
+};
+
+struct SensorPoint {
+  std::string environment, scene;
+  SensorSettings settings;
+  int exposures = 0, lights = 0, bands = 0;
+  bool lower_bound = false;               // of the plan: no error is promised
+  std::optional<double> predicted_error;  // of the plan
+  SensorError sensor, true_map;           // as the program sees it; with the true map as its light
+  Image<Rgb> strip;  // camera, composite and truth side by side, in fractions of full scale
+};
+
+/// A scene that is baked once and filmed under many lights.
+class SensorBench {
+ public:
+  /// errors: as runtime::prepare and make_masks
+  static Result<SensorBench> make(const SensorScene& scene);
+
+  /// in:     `environment` lat-long, linear radiance; a schedule suits a mean luminance of about 60
+  ///         full scales a second
+  /// errors: as render_reference
+  struct World {
+    std::string name;
+    const Image<Rgb>* environment;
+    Still empty, full;
+  };
+  Result<World> trace(const std::string& name, const Image<Rgb>& environment, double error) const;
+  /// errors: as Pipeline; kUndetermined (no light in two seconds)
+  Result<SensorPoint> measure(const World& world, const SensorSettings& settings) const;
+
+ private:
+  Result<SensorError> under_true_map(const World& world, double full_scale,
+                                     const lighting::GovernorConfig& config) const;
+  SensorError compare(const Image<Rgb>& composite, const Image<Rgb>& camera, const World& world,
+                      double full_scale) const;
+
+  std::string name_;
+  double seconds_ = 0;
+  std::shared_ptr<const runtime::PreparedScene> prepared_, told_;
+  prt::PinholeView view_;
+  Masks masks_;
+};
+
+/// Scaled to this mean luminance over the sphere.
+Image<Rgb> with_mean_luminance(Image<Rgb> map, double mean_luminance);
+
+}  // namespace penumbra::tools
