@@ -15,9 +15,9 @@
 namespace penumbra::capture {
 
 /// Calls put(x, y, const PixelHit*) for every pixel of a width x height picture, null where exact()
-/// gives nothing. exact(centre) is asked at the corners of cells of up to eight pixels and
-/// interpolated where the cell's middle agrees within a tenth of a pixel; cells of which nothing is
-/// seen at five points count as not seen, those that a rim or a seam crosses are asked pixel by
+/// gives nothing. exact(centre) is asked at the corners of cells of up to eight pixels. It is
+/// interpolated where the cell's middle agrees within a tenth of a pixel. Cells of which nothing is
+/// seen at five points count as not seen. Those that a rim or a seam crosses are asked pixel by
 /// pixel.
 /// threads: internally parallel, rows of cells apart
 template <class Exact, class Put>

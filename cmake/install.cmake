@@ -2,10 +2,22 @@
 # find_package() and pkg-config, the programs with their manual pages and bash completion.
 include(CMakePackageConfigHelpers)
 
-install(DIRECTORY core codec calib capture lighting prt shadows compositor runtime
+set(penumbra_header_rooms core codec calib capture lighting prt shadows compositor runtime)
+install(DIRECTORY ${penumbra_header_rooms}
         DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/penumbra COMPONENT dev
         FILES_MATCHING PATTERN "*.h" PATTERN internal EXCLUDE PATTERN studio_setup.h EXCLUDE
         PATTERN real_mesh_world.h EXCLUDE)
+# Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
+list(JOIN penumbra_header_rooms "|" penumbra_room)
+install(CODE "
+  file(GLOB_RECURSE headers
+       \"\$ENV{DESTDIR}\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_INCLUDEDIR}/penumbra/*.h\")
+  foreach(header IN LISTS headers)
+    file(READ \"\${header}\" text)
+    string(REGEX REPLACE \"#include \\\"(${penumbra_room})/\" \"#include \\\"penumbra/\\\\1/\"
+           text \"\${text}\")
+    file(WRITE \"\${header}\" \"\${text}\")
+  endforeach()" COMPONENT dev)
 
 set(penumbra_package ${CMAKE_INSTALL_LIBDIR}/cmake/penumbra)
 install(EXPORT penumbra NAMESPACE penumbra:: FILE penumbraTargets.cmake

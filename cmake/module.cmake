@@ -14,11 +14,10 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
        -Wno-array-bounds -Wno-stringop-overread)
 endif()
 target_compile_options(penumbra_options INTERFACE "$<BUILD_INTERFACE:${penumbra_warnings}>")
-# Installed headers include each other as they do here; programs include <penumbra/...>.
+# Programs include <penumbra/...>, and so do installed headers (install.cmake).
 target_include_directories(penumbra_options INTERFACE
   $<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}>
-  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>
-  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}/penumbra>)
+  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
 target_compile_definitions(penumbra_options INTERFACE SPDLOG_FMT_EXTERNAL)
 if(PENUMBRA_SANITIZE)
   target_compile_options(penumbra_options INTERFACE -fsanitize=${PENUMBRA_SANITIZE}

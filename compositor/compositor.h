@@ -1,9 +1,8 @@
 // Draws virtual objects and their shadows into camera frames by differential rendering, and writes
 // the result: video files, a window. GL draws the objects (radiance and coverage) into the
-// rectangle that they can reach; the shadow ratio and the fused pass over the touched pixels run on
+// rectangle that they can reach. The shadow ratio and the fused pass over the touched pixels run on
 // the CPU, where the frame is anyway. Pixels outside are not read, converted or written.
-// threads: a
-// Compositor belongs to the thread that made it; VideoWriter thread-bound
+// threads: Compositor thread-bound, to the one that made it; VideoWriter thread-bound
 #pragma once
 
 #include <cstdint>
@@ -30,10 +29,10 @@
 #pragma GCC visibility push(default)
 namespace penumbra::compositor {
 
-/// What the camera does to all it sees, and so must happen to what is inserted: the blur of its
-/// optics, a Gaussian, and the noise of its sensor, variance g y + r^2 at signal y. Real pixels are
-/// not blurred again; a shadowed one gets what its noise lacks to that of a really darker one. By
-/// default nothing happens.
+/// What the camera does to all it sees, and so must happen to what is inserted. The blur of its
+/// optics is a Gaussian. The noise of its sensor has the variance g y + r^2 at signal y. Real
+/// pixels are not blurred again; a shadowed one gets what its noise lacks to that of a really
+/// darker one. By default nothing happens.
 /// source: Klein & Murray 2010; noise Hasinoff et al. 2010
 struct SensorEffects {
   static constexpr float kLargestPsfSigma = 20;
@@ -54,9 +53,9 @@ struct View {
   float signal_per_radiance = 1;  // sensor signal (fraction of full scale) per unit of radiance
   SensorEffects look{};
   Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
-  /// What the largest code stands for, in signal, where a shadow falls on it or an object's edge
-  /// lies over it: what the code says, or more where it is known that the surface is brighter. Not
-  /// for float frames.
+  /// What the largest code stands for, in signal, where a shadow or an object's edge lies over it.
+  /// It is what the code says, or more where the surface is known to be brighter. Not for float
+  /// frames.
   Rgb clipped_signal{};
 };
 
@@ -114,9 +113,9 @@ class Compositor {
  public:
   enum class Surface { kOffscreen, kWindow };
 
-  /// oversampling: samples a pixel along each axis, 4 for stills or 2 for video, which draws only
+  /// oversampling: samples a pixel along each axis, 4 for stills or 2 for video. Video draws only
   /// the triangles that form and light need, and takes one sample a pixel where contours make edges
-  /// as good
+  /// as good.
   /// errors: kUnavailable (no EGL, no OpenGL ES 3.1, no display)
   static Result<std::unique_ptr<Compositor>> create(int width, int height, Surface surface,
                                                     int oversampling = 2,
@@ -133,6 +132,14 @@ class Compositor {
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow.
   void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
+
+  /// Ways in for real things:
+  ///   add_plane          a plane: hides objects; a shadow is seen where its plane is the nearest
+  ///   add_occluder       a mesh, or a depth picture made one: hides objects and shadows
+  ///   set_ratios         shadows of virtual things on such a mesh
+  ///   add_real_receiver  with set_real_shadow: shadows of real things on a plane, in the residual
+  ///   set_shadow_maps    shadows of virtual and of real things on planes, in each distant light
+
   /// A plane that real things shade: its grid and place, once, and what they take of the light
   /// beside the lights. The picture shows that already; what virtual things take is taken from what
   /// is left.
@@ -154,9 +161,9 @@ class Compositor {
   ///   z' = f(V + T B + n), V = PSF * a e L_v, T = PSF * (1 - a) s,
   ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
   /// in:     camera: a frame of the size given at creation; `out` may be the same object, which
-  /// copies nothing
+  ///         copies nothing
   /// errors: kInvalid (size, missing curve, depth, look; `out` is left alone), kUnavailable (GL
-  /// lost; `out` may have its shadows already)
+  ///         lost; `out` may have its shadows already)
   /// source: Debevec 1998 in the ratio form
   Result<CompositeStats> composite(const View& view, const FramePixels& camera, FramePixels& out);
   Result<CompositeStats> composite(const View& view, FramePixels& frame) {

@@ -5,10 +5,10 @@
 // Radiance   linear Rec.709 RGB float, relative units. Luminance Y = .2126 R + .7152 G + .0722 B.
 // Pixels     continuous coordinates: the image's top-left corner is (0, 0), the centre of the first
 //            pixel (.5, .5). A camera looks along its -z with +y up in the picture.
-// Lat-long   w x h: u = (i + .5)/w, polar angle th = pi (j + .5)/h from +y, azimuth p = 2 pi (u -
-// .5),
-//            d = (sin th sin p, cos th, -sin th cos p): the centre column looks along -z, +x to its
-//            right. Exact solid angle of row j: w_j = (2 pi/w)(cos(pi j/h) - cos(pi (j+1)/h)).
+// Lat-long   w x h: u = (i + .5)/w, polar angle th = pi (j + .5)/h from +y, azimuth
+//            p = 2 pi (u - .5), d = (sin th sin p, cos th, -sin th cos p). The centre column looks
+//            along -z, +x to its right.
+//            Exact solid angle of row j: w_j = (2 pi/w)(cos(pi j/h) - cos(pi (j+1)/h)).
 // SH         real, orthonormal, NO Condon-Shortley phase, evaluated on world x, y, z with z as the
 //            mathematical pole (c = z, p = atan2(y, x)); Y_1,-1..1 = .488603 (y, z, x).
 //            Index n = l*l + l + m. "bands" B means l < B, so B*B coefficients; never "order".

@@ -50,7 +50,8 @@ class TomlKeys {
   }
 
   static std::string unknown(std::string_view key, std::span<const std::string_view> known = {}) {
-    if (const auto now = new_name(kRenamedKeys, key))
+    if (const auto now = new_name(kRenamedKeys, key);
+        now && (known.empty() || std::ranges::find(known, *now) != known.end()))
       return fmt::format("\"{}\" is now \"{}\"", key, *now);
     if (const auto near = nearest_word(key, known))
       return fmt::format("unknown key \"{}\": did you mean \"{}\"?", key, *near);

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Makes the tables of docs/results.md from what the commands of docs/results.toml print.
 
-usage: results.py [--build FOLDER] [--section NAME...] [--from FOLDER]
+usage: results.py [--build FOLDER] [--section NAME...] [--from FOLDER] [--allow-changes]
 
 Each command runs once. Its output is kept in out/results/NAME.txt, behind a line on machine, date
 and commit; what it writes is kept in out/results/NAME/. A section is written when all its figures
 are there. A command that fails, or prints no such figure, is an error that names section, row and
-command. Where shared data is absent, the section stays as it is. Run on an idle machine.
+command. Where shared data is absent, the section stays as it is. A commit stands for what was
+measured, so files changed since are an error, except in docs/. Run on an idle machine.
 """
 import argparse
 import csv
@@ -160,6 +161,11 @@ def git(*arguments):
     return run.stdout.strip() if run.returncode == 0 else ""
 
 
+def changed_files():
+    """Tracked files outside of docs/ that are not as the commit has them."""
+    return git("diff", "--name-only", "HEAD", "--", ".", ":!docs").splitlines()
+
+
 class Outputs:
     """What commands printed: kept, or run now."""
 
@@ -221,14 +227,13 @@ class Outputs:
                 renderer = json.loads(shown_by)["configuration"]["renderer"]
             except Wrong:
                 renderer = "no OpenGL ES 3.1"
-            changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs")
             commit = git("rev-parse", "--short", "HEAD")
             renderer = "llvmpipe (no GPU)" if "llvmpipe" in renderer else renderer
             cores = len(os.sched_getaffinity(0))
             cores = f"{cores} core{'s' if cores > 1 else ''}"
             self.this = {"machine": f"{processor()}, {cores}, {renderer}",
                          "date": date.today().isoformat(),
-                         "commit": commit + (" with changes" if changed else "")}
+                         "commit": commit + (" with changes" if changed_files() else "")}
         return self.this
 
 
@@ -349,7 +354,14 @@ def main(arguments):
     parser.add_argument("--section", nargs="+", metavar="NAME", help="only these sections")
     parser.add_argument("--from", dest="source", type=Path, metavar="FOLDER",
                         help="take the outputs kept there, and run only commands without one")
+    parser.add_argument("--allow-changes", action="store_true",
+                        help="go on with uncommitted changes; the tables say so")
     options = parser.parse_args(arguments)
+    if (changed := changed_files()) and not options.allow_changes:
+        more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+        print(f"{changed[0]}{more}: uncommitted changes: commit them, or go on by --allow-changes",
+              file=sys.stderr)
+        return 1
     sections = tomllib.loads((DOCS / "results.toml").read_text(encoding="utf-8"))
     commands = sections.pop("commands")
     outputs = Outputs(commands, options.build.resolve() / "bin",

@@ -15,13 +15,13 @@ namespace {
 
 constexpr double kNegligible_ms = .25;
 constexpr double kOwnSteps = .008;  // of bake, maps and interpolation, whatever the light
-constexpr double kTraced =
-    .035;  // of samples and the form of a light, as a fraction of its fraction of the light
-// Error that a point-like source causes when nine bands hold it, as a fraction of its own fraction
-// of the light; wider ones less, by what of their energy lies beyond band 8.
+// Of samples and the form of a light, relative to what the light brings.
+constexpr double kTraced = .035;
+// Error that a point-like source causes when nine bands hold it, relative to what it brings. Wider
+// ones cause less, by what of their energy lies beyond band 8.
 constexpr double kBeyondNineBands = .28;
 
-// Share of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a
+// Fraction of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a
 // point.
 double narrowness(const DistantLight& source) {
   constexpr double kHeldByNine = .37;  // radians: 21 degrees, where 81 coefficients suffice

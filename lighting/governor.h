@@ -38,9 +38,8 @@ struct ShadowProbes {
 };
 
 /// Predicted RMS error of the shadow ratio s for every plan with up to `max_bands` bands and
-/// `max_lights` traced
-/// lights: what the bands left out would have done at the probes, the fraction of a light that is
-/// too narrow even for nine bands, and what our own steps cost.
+/// `max_lights` traced lights. It counts what the bands left out would have done at the probes, the
+/// fraction of a light that is too narrow even for nine bands, and what our own steps cost.
 class ErrorTable {
  public:
   ErrorTable() = default;
@@ -66,21 +65,21 @@ struct Plan {
   double ms = 0;
   bool within_budget = true;  // false: the most accurate there is
   bool time_limited = false;  // another light would be needed, and there is no time for it
-  /// A light is saturated in every exposure and not recovered: `error` is that of the light as it
-  /// was measured, the true one is unknown, and nothing is within the budget.
+  /// A light is saturated in every exposure and not recovered. `error` is that of the light as it
+  /// was measured; the true one is unknown, and nothing is within the budget.
   bool lower_bound = false;
 };
 
 /// Chooses the cheapest bands and lights whose predicted error, times `kConformalFactor`, is within
-/// the budget. More at once, less only after two seconds in which four fifths of the budget would
-/// have sufficed; lights that there is no time for go at once.
+/// the budget. Takes more at once, and less only after two seconds in which four fifths of the
+/// budget would have sufficed. Lights that there is no time for go at once.
 /// threads: thread-bound
 /// source: split conformal prediction; factor measured by `chart --governor`, limits in
-/// docs/methods/governor.md
+///         docs/methods/governor.md
 class Governor {
  public:
-  /// What it is more than the promise of the shadow needs (docs/results.md) pays for the objects'
-  /// own shading, which the prediction does not see: with 2.15 one of the room's lamps was left in
+  /// More than the promise of the shadow needs (docs/results.md): the rest pays for the objects'
+  /// own shading, which the prediction does not see. With 2.15 one of the room's lamps was left in
   /// harmonics and an object 3.5 % off.
   static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};

@@ -165,7 +165,7 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
   }
   if (out.empty()) return fail(ErrorCode::kInvalid, "light", "has no saturated light");
   if (nearest < kMinCosine)
-    return fail(ErrorCode::kUndetermined, "patch", "does not face a saturated light");
+    return fail(ErrorCode::kUndetermined, "surface", "does not face a saturated light");
   Rgb factor;
   for (int c = 0; c < 3; ++c) {
     const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
@@ -173,9 +173,8 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
   }
   for (SaturationRecovery& recovery : out) recovery.power = recovery.power * factor;
   if (!(luminance(out[0].power) > 0))
-    return fail(ErrorCode::kUndetermined, "patch",
-                "gets no light from the saturated lights: it lies in their shadow, or its albedo "
-                "or scale is wrong");
+    return fail(ErrorCode::kUndetermined, "surface",
+                "shows none of the saturated light: it lies in shadow, or its albedo is another");
   return out;
 }
 

@@ -47,12 +47,12 @@ struct ShadowEdge {
 /// source:  Debevec, Graham, Busch & Bolas 2012; least squares of Lawson & Hanson 1974
 Result<std::vector<SaturationRecovery>> recover_from_patches(
     const LightEstimate& light, std::span<const ReflectancePatch> patches);
-/// What one patch says of several clipped lights: they send what it misses, each in proportion to
-/// what was measured of it. Where some are sun-like, those alone: a sun or a bulb exceeds what
-/// saturates by orders of magnitude, a window by little. The light on the patch comes out right,
-/// its fraction between the lights is a guess.
+/// Divides the irradiance missing at one patch among several saturated lights, in proportion to
+/// what was measured of each. Where some are sun-like, among those alone: a sun or a bulb exceeds
+/// what saturates by orders of magnitude, a window by little. The light on the patch comes out
+/// right, its division between the lights is a guess.
 /// errors:  kInvalid, kNonFinite as recover_from_patches, kUndetermined (the patch sees none of
-/// them, nothing left)
+///          them, nothing left)
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch);
 /// E_light = E_others (lit / shadowed - 1).

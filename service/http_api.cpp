@@ -105,7 +105,10 @@ struct HttpApi::Impl {
       r.set_content(std::string(jpeg->begin(), jpeg->end()), "image/jpeg");
     });
     server.set_error_handler([](const httplib::Request& q, httplib::Response& r) {
-      if (r.body.empty())
+      if (!r.body.empty()) return;
+      if (r.status == 404 && q.method != "GET" && q.method != "HEAD")
+        reply(r, {{"error", "only GET is answered"}}, 405);
+      else
         reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, r.status);
     });
     server.set_payload_max_length(1 << 16);

@@ -4,8 +4,9 @@
 usage: results_test.py ROOT
 
 Runs a copy of the script on made-up programs, one output of each kind; checks that each section of
-docs/results.md is defined and that each definition names tests and benchmarks that exist; and that
-each figure with a unit in README.md also stands in docs/results.md.
+docs/results.md is defined and tells machine, date and commit, and that each definition names tests
+and benchmarks that exist; and that each figure with a unit in README.md also stands in
+docs/results.md.
 """
 import fnmatch
 import json
@@ -16,9 +17,13 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from datetime import date
 from pathlib import Path
 
 FIGURE = re.compile(r"\d[\d,]*(?:\.\d+)? ?(?:%|ms|px|MB|times|frames a second|fps)(?!\w)")
+# *machine; 2001-02-03 to 2001-02-04; commit abcdef0 with changes.*; without git there is no commit
+ORIGIN = re.compile(r"\*(?:(?!commit )[^;*\s][^;*]*; )+(\d{4}-\d\d-\d\d)(?: to (\d{4}-\d\d-\d\d))?"
+                    r"(?:; commit [0-9a-f]{7,40}(?: with changes)?)*\.\*")
 TEST = re.compile(r"^TEST(?:_F|_P)?\((\w+),\s*(\w+)\)", re.MULTILINE)
 
 DEFINITIONS = r"""
@@ -195,7 +200,7 @@ def check_script(root):
                 wrong.append(f"{section}: status {run.returncode}, says {said!r}")
             if toy.page.read_text(encoding="utf-8") != before:
                 wrong.append(f"{section}: the page has changed")
-        wrong += check_kept(toy)
+        wrong += check_kept(toy) + check_changes(toy)
     return wrong
 
 
@@ -218,6 +223,51 @@ def check_kept(toy):
         wrong.append(f"--from: writes {choice}")
     if "2001-02-03 to 20" not in " ".join(toy.section("bench")):
         wrong.append(f"--from: tells one day for two: {toy.section('bench')}")
+    return wrong
+
+
+def check_changes(toy):
+    """Changes that no commit has are refused or told, except in docs/."""
+    def git(*words):
+        subprocess.run(["git", "-C", str(toy.folder), "-c", "user.name=a", "-c", "user.email=a@b",
+                        *words], check=True, capture_output=True)
+
+    def origin():
+        lines = toy.section("text")
+        return " ".join(lines[:lines.index("")])
+    source, wrong = toy.folder / "source.cpp", []
+    source.write_text("int a;\n", encoding="utf-8")
+    git("init", "--quiet")
+    git("add", "source.cpp", "bin", "docs")
+    git("commit", "--quiet", "--message", "a")
+    toy.page.write_text(toy.page.read_text(encoding="utf-8") + "more\n", encoding="utf-8")
+    run = toy.run("--section", "text")
+    if run.returncode != 0 or not re.search(r"; commit [0-9a-f]{7,}\.\*$", origin()):
+        wrong.append(f"a changed page: {run.returncode}, {run.stderr}, {origin()}")
+    source.write_text("int b;\n", encoding="utf-8")
+    before = toy.page.read_text(encoding="utf-8")
+    run = toy.run("--section", "text")
+    error = "source.cpp: uncommitted changes: commit them, or go on by --allow-changes\n"
+    if run.returncode != 1 or run.stderr != error or toy.page.read_text(encoding="utf-8") != before:
+        wrong.append(f"a changed source: {run.returncode}, {run.stderr}")
+    run = toy.run("--section", "text", "--allow-changes")
+    if run.returncode != 0 or not origin().endswith(" with changes.*"):
+        wrong.append(f"--allow-changes: {run.returncode}, {run.stderr}, {origin()}")
+    return wrong
+
+
+def check_origins(page):
+    """Each section starts with a line on machine, date and commit."""
+    wrong = []
+    for name, text in sections_of(page).items():
+        first = " ".join(text.partition("\n\n")[0].split())
+        match = ORIGIN.match(first)
+        try:
+            days = [date.fromisoformat(day) for day in match.groups() if day]
+        except (AttributeError, ValueError):
+            days = []
+        if not days or days != sorted(days):
+            wrong.append(f"results.md: {name}: not a line on machine, date and commit: {first}")
     return wrong
 
 
@@ -279,6 +329,13 @@ def self_test():
         (1, check(page.replace("| a | b |", "| a | c |"))),
         (1, check(page, tests="TEST(S, Other) {\n")),
         (1, check(page, benchmarks="slow")),
+        *((0, check_origins(page.replace("*m*", line))) for line in (
+            "*m; 2001-02-03.* Printed by `x`.", "*m, 2 cores; n; 2001-02-03 to 2001-02-04.*",
+            "*m; 2001-02-03; commit abcdef0 with\nchanges.*")),
+        *((1, check_origins(page.replace("*m*", line))) for line in (
+            "*m*", "*2001-02-03; commit abcdef0.*", "*m; 2001-02-33; commit abcdef0.*", "| a | b |",
+            "*m; 2001-02-04 to 2001-02-03.*", "*m; 2001-02-03; commit with changes.*",
+            "*m; commit abcdef0; 2001-02-03.*", "*m; 2001-02-03; commit abcdef0")),
         (0, unknown_figures("in 3.6 ms, 2 %, and 4 minutes", "| 3.6 ms | 2 % |")),
         (1, unknown_figures("in 3.6 ms", "| 3.5 ms | 13.6 ms | 3.6 % |")),
     ]
@@ -300,7 +357,7 @@ def main(arguments):
              for folder in (root / "tests").iterdir() if folder.is_dir()}
     benchmarks = "".join(text(f) for f in sorted((root / "tests" / "bench").glob("*.cpp")))
     faults = self_test() + check_script(root)
-    faults += check_definitions(definitions, page, tests, benchmarks)
+    faults += check_definitions(definitions, page, tests, benchmarks) + check_origins(page)
     faults += unknown_figures(text(root / "README.md"), page)
     for line in faults:
         print(line, file=sys.stderr)

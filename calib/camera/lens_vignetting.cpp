@@ -14,7 +14,7 @@ Vignetting vignetting_of(const CameraModel& camera, const std::array<double, 3>&
 
 namespace {
 
-// Shares from the middle out to the farthest corner.
+// Fractions from the middle out to the farthest corner.
 auto fractions_of(const Vignetting& v, const CameraModel& camera) {
   constexpr int kSteps = 64;
   const glm::dvec2 size(camera.width, camera.height);

@@ -26,12 +26,12 @@ void set_cell(ProjectionTable& table, int x, int y, double solid_angle, double c
 
 // ------------------------------------------------------------------------------- radial lenses
 //
-// dw = sin th dth dphi = d(1 - cos th) dphi. In the normalised plane q of RadialLens let F(rho) = 1
-// - cos th(rho), held constant outside the rim. The field F(rho)/rho^2 q has the divergence
-// F'(rho)/rho = sin th th'/rho = dw/dA, and 0 outside the rim. So a pixel's solid angle is the flux
-// of that field out of its four edges (Gauss): pixels cut by the rim come out exactly, an edge is
-// integrated once for the two pixels it parts, and the sum over the picture telescopes to 2 *
-// (angle of the outer border) = 4 pi.
+// dw = sin th dth dphi = d(1 - cos th) dphi. In the normalised plane q of RadialLens let
+// F(rho) = 1 - cos th(rho), held constant outside the rim. The field F(rho)/rho^2 q has the
+// divergence F'(rho)/rho = sin th th'/rho = dw/dA, and 0 outside the rim. So a pixel's solid angle
+// is the flux of that field out of its four edges (Gauss). Pixels cut by the rim come out exactly,
+// and an edge is integrated once for the two pixels it parts. The sum over the picture telescopes
+// to 2 * (angle of the outer border) = 4 pi.
 
 // Gauss-Legendre, four points, on -1..1: error below 1e-9 even where a pixel spans a radian.
 constexpr std::array<double, 4> kNodes{-.8611363115940526, -.3399810435848563, .3399810435848563,

@@ -10,11 +10,11 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// Per pixel: unit direction through its centre, exact solid angle (integrated over the pixel's
-/// valid part; pixels partly outside the sphere's image count only their part), confidence 0..1 (0
-/// = not seen). The solid angles of a whole-sphere projection sum to 4 pi within 1e-6.
+/// Per pixel: unit direction through its centre, exact solid angle, confidence 0..1 (0 = not seen).
+/// A pixel partly outside the sphere's image counts only its part within. The solid angles of a
+/// whole-sphere projection sum to 4 pi within 1e-6.
 /// source: central radial lens r(th): dw/dA = sin th/(r r'); mirror ball 4/R^2; plane element of a
-/// cube
+///         cube
 struct ProjectionTable {
   int width = 0, height = 0;
   std::vector<glm::vec3> direction;

@@ -15,7 +15,7 @@ struct Vignetting {
   double half_diagonal_px = 1;
 
   bool none() const { return terms == std::array<double, 3>{}; }
-  /// Share of the light that is left at a continuous pixel.
+  /// Fraction of the light that is left at a continuous pixel.
   double at(const glm::dvec2& px) const {
     const glm::dvec2 off = (px - centre_px) / half_diagonal_px;
     return at_squared(off.x * off.x + off.y * off.y);

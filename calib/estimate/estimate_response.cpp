@@ -7,7 +7,7 @@
 //   fall: a power of the code, whatever its exponent, costs no smoothness, and neither a toe nor a
 //   shoulder is bent;
 // - the ln E_i are eliminated beforehand (Schur complement), so that any number of samples costs
-// the same to solve.
+//   the same to solve.
 //
 // Calls OpenCV for the linear solver; its exceptions end here.
 #include <fmt/format.h>

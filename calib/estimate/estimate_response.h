@@ -13,10 +13,11 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// Response from a registered 8-bit bracket by the equations of Debevec & Malik 1997, clipped codes
-/// left out, made monotone; masked pixels are pure blue (0,0,255) registration borders.
+/// Response from a registered 8-bit bracket, clipped codes left out, made monotone. Masked pixels
+/// are pure blue (0,0,255) registration borders.
 /// errors: kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one
-/// colour)
+///         colour)
+/// source: Debevec & Malik 1997
 Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
                                    std::span<const Seconds> times);
 

@@ -64,9 +64,9 @@ struct RigCalibration {
 
 /// The rig's frame is the first camera's; with tracker poses it is the tracked body, and the board
 /// must stand still. Without, the board or the rig may move. The lenses are taken as exact.
-/// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (says what to
-/// capture instead: a camera that never sees the board together with the others, a rig that turns
-/// about one axis alone or too slowly, boards or a tracker that contradict the rest)
+/// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (a camera that never
+///         sees the board together with the others, a rig that turns about one axis alone or too
+///         slowly, boards or a tracker that contradict the rest; says what to capture instead)
 Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options = {});

@@ -36,7 +36,8 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
   if (!kind)
     return fail(
         ErrorCode::kInvalid, path.string(),
-        fmt::format("has {}x{} pixels, which do not tell its projection: give --projection", w, h));
+        fmt::format("has {}x{} pixels, which do not tell its projection: it has to be given", w,
+                    h));
   auto projection = calib::make_projection(*kind, w, h);
   if (!projection) return fail(projection.error().code, path.string(), projection.error().detail);
   out.projection = *projection;

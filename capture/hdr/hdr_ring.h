@@ -21,9 +21,9 @@ class TableMerger;  // private: table_merger.h
 
 /// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new
 /// image. What moved or changed since an older exposure was taken leaves no ghost: older samples
-/// that contradict newer ones by the noise model are left out, and light that thereby vanished from
-/// one place while another became brighter than the newest exposure can tell stays whole (a lamp
-/// that moves; frames of 8 bits) until a shorter exposure has seen it. When the camera turns
+/// that contradict newer ones by the noise model are left out. Of a lamp that moves, light vanishes
+/// from one place while another becomes brighter than the newest exposure can tell. In frames of 8
+/// bits that light stays whole until a shorter exposure has seen it. When the camera turns
 /// (Frame::world_from_camera) older exposures are turned with it; what they did not see is taken
 /// from the newest.
 /// source: sample rejection at 3.5 sigma, Granados et al. 2010

@@ -26,9 +26,9 @@ struct ExposureRatio {
   std::size_t blocks = 0;    // of 4x4 pixels that took part
 };
 /// Median over blocks of 4x4 pixels in which neither clips nor is dark, so that what moved has no
-/// say; its interval by resampling the blocks, and wider where the dark and the bright of the
-/// pictures disagree: the curve does not fit. The ratio holds under the given curve: another curve,
-/// another ratio.
+/// say. Its interval comes from resampling the blocks. It is wider where the dark and the bright of
+/// the pictures disagree: the curve does not fit. The ratio holds under the given curve: another
+/// curve, another ratio.
 /// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell)
 /// source: Hanji & Mantiuk 2023 (ratios from overlaps); gauge: Grossberg & Nayar 2003
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,

@@ -16,8 +16,7 @@ namespace penumbra::capture {
 /// Opens a folder with capture.toml (design in docs/reference/capture-folder.md). Everything that
 /// can be checked without decoding a picture is checked here: keys, sizes, exposures (positive,
 /// finite), times (non-decreasing), files present.
-/// errors: kNotFound, kInvalid (unknown key, bad value: file
-/// and line), kUnreadable
+/// errors: kNotFound, kInvalid (unknown key, bad value: file and line), kUnreadable
 Result<std::unique_ptr<FrameSource>> open_capture_folder(const std::filesystem::path& folder);
 
 /// A camera on its own (for `render`): `version = 1` and one [[camera]] without frames.

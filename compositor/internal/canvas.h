@@ -23,7 +23,7 @@ struct Layer {
 };
 
 /// A layer that others may still read while the next one is drawn.
-/// threads: one decides and hands out; those who read neither copy nor drop their share
+/// threads: one decides and hands out; those who read neither copy nor drop their pointer
 struct CommonLayer {
   std::shared_ptr<Layer> now = std::make_shared<Layer>();
   std::shared_ptr<Layer> spare;  // somebody's earlier one, whose room serves again

@@ -1,5 +1,5 @@
-// Lines in the picture where what is seen of an object ends, and the pixels that they cut shared
-// out by area: edges as smooth as of many samples a pixel where GL took one.
+// Lines in the picture where what is seen of an object ends. The pixels that they cut are divided
+// by area: edges are as smooth as of many samples a pixel where GL took one.
 #pragma once
 
 #include <array>
@@ -29,13 +29,13 @@ class Contour {
   /// Vertices in one place count as one, in every form.
   explicit Contour(const prt::Mesh& mesh);
 
-  /// False of meshes with edges that no triangle has, where parts of different albedo may go
-  /// through each other (looked at in the form given here, and so taken of more than 256 parts), or
+  /// False where parts of different albedo may go through each other: no triangle has that edge. It
+  /// is looked for in the form given here, and taken for granted of more than 256 parts. False also
   /// with so many creases that finding lines takes too long.
   bool serves() const { return serves_; }
 
   /// Appends the edges of `triangles` between front and back, at borders and at creases (where the
-  /// two sides have vertices of their own); those that other surfaces hide too. False, and nothing
+  /// two sides have vertices of their own), also those that other surfaces hide. False, and nothing
   /// seen, where a triangle reaches behind the camera.
   /// fronts_only: triangles seen from behind are not drawn
   bool find(std::span<const glm::vec3> positions, std::span<const ContourTriangle> triangles,
@@ -69,9 +69,10 @@ class Contour {
   bool serves_ = true;
 };
 
-/// Lines pass between the middles of neighbouring pixels: of the pixel that one cuts, the neighbour
-/// across gets what lies beyond, by its length on the column (or row, for steep lines) through the
-/// middles. Of several lines in one gap the outermost counts. The layer holds one sample a pixel.
+/// Lines pass between the middles of neighbouring pixels. What lies beyond a line, of a pixel that
+/// it cuts, goes to the neighbour across. It is measured along the column (or row, for steep lines)
+/// through the middles. Of several lines in one gap the outermost counts. The layer holds one
+/// sample a pixel.
 /// source: Persson 2011, Geometric Post-process Anti-Aliasing
 class ContourSmoother {
  public:

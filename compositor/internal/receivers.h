@@ -88,10 +88,10 @@ class Receivers {
 
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
-  /// The ratios s of row y, pixels [area.x0, area.x1), into r, g, b, which hold 1
-  /// on entry: s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j
-  /// m_j), q_j what virtual things take of light j, m_j what real things take of it anyway and r
-  /// what they leave of the rest. False when no shadow reaches the row.
+  /// The ratios s of row y, pixels [area.x0, area.x1), into r, g, b, which hold 1 on entry:
+  ///   s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j m_j)
+  /// Virtual things take q_j of light j, real things m_j anyway; F_j is its fraction of the open
+  /// plane's light. r is what real things leave of the rest. False when no shadow reaches the row.
   /// area: may be narrower; reach_in_row alone is shaded
   bool load_row(int y, const Rect& area, float* r, float* g, float* b) const;
   /// The pixels of row y that any shadow can reach: seen slantwise they are far fewer than the

@@ -26,7 +26,7 @@ std::vector<float> psf_weights(double sigma_px);
 void weighted_sum(const float* const* rows, const float* weights, std::size_t samples,
                   std::size_t count, float* out);
 
-/// One channel of one row. Real signal y of variance g y + r^2 + q becomes V + T y and gets noise
+/// One channel of one row. Real signal y of variance g y + r^2 + q becomes V + T y. It gets noise
 /// of the variance that it lacks to a pixel which has this signal by nature:
 ///   g (V + T y) + r^2 - T^2 (g y + r^2 + q), 0 at least.
 /// That is g V + r^2 where an object covers the pixel, and g T y (1 - T) + r^2 (1 - T^2) - T^2 q

@@ -352,7 +352,7 @@ void Peeler::put_back(const RegionCut& c) {
       pixel += *radiance++;
 }
 
-// Of blocks of pixels: a thousand shares are plenty for 64 points.
+// Of blocks of pixels: a thousand pieces are plenty for 64 points.
 Vector<EnergyPiece> Peeler::fractions_of(const RegionCut& c) const {
   const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.luminance.size()) / 1000));
   Vector<EnergyPiece> pieces(memory_),

@@ -34,11 +34,11 @@ struct LightExtraction {
 /// residual and lights together is the map's, channel by channel. Works on the full map: reduced to
 /// 64 rows a sun would move by up to 1.4 degrees.
 /// in:      luminance: of this map, see LatLongProjector::read
+///          clipped: Environment::clipped; every connected region of it is a light of its own,
+///          however little it sends, and before all others where there are more than max_count
 /// out:     split.residual refers to the map, which must outlive it, and keeps its memory between
-/// calls
+///          calls
 /// errors:  kInvalid (empty), kNonFinite
-/// Every connected region of `clipped` pixels (Environment::clipped) is a light of its own whatever
-/// its fraction, and before all others where there are more than max_count.
 /// source:  after Nowrouzezahrai, Geiger, Mitchell, Sumner, Jarosz & Gross 2011, section 4
 Result<void> extract_lights(const Image<Rgb>& map, const MapLuminance& luminance,
                             const ExtractionOptions& options, LightExtraction& split,

@@ -65,7 +65,7 @@ void LightTracker::update(TimestampNs time, double min_irradiance_fraction, doub
   found_.clear();
   for (const DistantLight& source : lights) {  // the strongest chooses first
     const auto before = match(source, taken);
-    // A clipped source enters at any share: what is measured of it does not tell what it sends.
+    // A clipped source enters at any fraction: what was measured does not tell what it sends.
     if (!before && !source.clipped && flux(source) < min_irradiance_fraction * mean_irradiance) {
       unused.push_back(source);
       continue;

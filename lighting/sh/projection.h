@@ -35,9 +35,9 @@ inline constexpr double kBelowWeight =
 RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands);
 
 /// Projects lat-long maps of one size; all tables are made at construction.
-/// Each row is reduced to its Fourier sums about +y (quarter-period symmetries folded), weighted by
-/// the exact row solid angle and the Legendre functions, and the result is turned from the y to the
-/// z pole; the work per pixel is 2 bands - 1 products a channel divided by four.
+/// Each row is reduced to its Fourier sums about +y (quarter-period symmetries folded). They are
+/// weighted by the exact row solid angle and the Legendre functions. The result is turned from the
+/// y to the z pole. The work per pixel is 2 bands - 1 products a channel, divided by four.
 class LatLongProjector {
  public:
   /// width a multiple of 4, both at least 4; 1 <= bands <= 9
@@ -50,10 +50,11 @@ class LatLongProjector {
   /// errors:  kInvalid (size), kNonFinite (first bad pixel)
   /// threads: internally parallel, the same bits on any number of cores; no allocation
   Result<ShProjection> project(const Image<Rgb>& map);
-  /// The same in two steps, for who looks for sources in between and cuts them out: a map is read
-  /// once, and of `changed`, which refers to that map, the changed rows alone. Nothing else is read
-  /// or projected in between. What is not finite is found by project_read, and by who looks at the
-  /// luminance. `luminance` keeps its memory.
+  /// Two-pass variant, where sources are cut out of the map in between: `read()` caches row sums;
+  /// `project_read()` recomputes only rows changed since. No other map comes between the two.
+  /// in:      changed: refers to the map that was read
+  /// out:     luminance: of the map; keeps its memory
+  /// errors:  kInvalid (size); project_read: kNonFinite as project()
   Result<void> read(const Image<Rgb>& map, MapLuminance& luminance);
   Result<ShProjection> project_read(const RowOverlay& changed);
 
@@ -82,8 +83,7 @@ struct LightSamples {
 /// weighted least squares with the smoothness penalty mu l^2 (l+1)^2
 /// (docs/methods/environment-assembly.md), so a constant environment stays exactly constant under
 /// any hole.
-/// errors:  kInvalid (lengths),
-/// kNonFinite, kUndetermined (coverage below 2 %)
+/// errors:  kInvalid (lengths), kNonFinite, kUndetermined (coverage below 2 %)
 Result<ShProjection> project_samples(const LightSamples& samples, int bands);
 
 }  // namespace penumbra::lighting

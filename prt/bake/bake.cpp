@@ -312,7 +312,7 @@ std::array<double, 3> Baker::added_by_last_bounce() const {
   return sum;
 }
 
-// The bounces that are not traced: each is the one before, fainter by the same share. Power
+// The bounces that are not traced: each is the one before, fainter by the same factor. Power
 // iteration: what a bounce adds soon has the form of the scene's largest eigenvector, whatever the
 // light.
 void Baker::add_further_bounces(const std::array<double, 3>& fraction) {
@@ -337,7 +337,7 @@ void Baker::report_progress(double fraction) {
 }
 
 std::vector<PointQuality> Baker::quality(const std::vector<PointResult>& results) const {
-  // t_0 of each group is (1 - its blocked share) times a constant; the mean of four has variance
+  // t_0 of each group is (1 - its blocked fraction) times a constant; the mean of four has variance
   // s^2/4.
   std::vector<PointQuality> out;
   for (std::size_t i = 0; i < mesh_.positions.size(); ++i) {
@@ -484,7 +484,7 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   }
   out.visibility = std::move(visibility_);
   out.mesh = std::move(mesh);
-  if (options_.progress) options_.progress(1);  // shares do not add up to it to the last bit
+  if (options_.progress) options_.progress(1);  // parts do not add up to it to the last bit
   const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
   std::vector<PointQuality> by_vertex = quality(results);
   out.report = {rays, seconds.count(), standard_error(results, by_vertex), std::move(by_vertex)};

@@ -63,9 +63,9 @@ struct BakedObject {
   /// (E0_n - E_n)/pi at the receiver's texels, row by row: what the object takes of an unshadowed
   /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
   Transfer ground_deficit;
-  /// The fraction of `transfer`, and of the receiver's irradiance/pi, that came by reflection
-  /// between object and
-  /// receiver: smooth, so at most kIndirectBands, and what a light needs beside its direct light.
+  /// The part of `transfer`, and of the receiver's irradiance/pi, that came by reflection between
+  /// object and receiver: smooth, so at most kIndirectBands, and what a light needs beside its
+  /// direct light.
   Transfer indirect, ground_indirect;
   /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform
   /// sky would darken by 5 %: what the governor predicts truncation from. No points without
@@ -80,9 +80,9 @@ struct BakedObject {
 /// Precomputes transfer at every vertex, and at the texels of the receiver with the object in
 /// place.
 /// errors:  kInvalid (options), kUnavailable (Embree)
-/// source:  Sloan, Kautz & Snyder 2002; t
-/// = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine
-///          (convex shapes come out exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
+/// source:  Sloan, Kautz & Snyder 2002;
+///          t = A_l Y_n/pi - (1/N) sum_blocked Y_n(d_i), d_i by the cosine (convex shapes come out
+///          exact); t^{b+1} = t^S + (1/N) sum_blocked rho t^b(hit)
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& options);
 
 }  // namespace penumbra::prt

@@ -49,13 +49,11 @@ struct TermEnergy {
   bool wide;  // its map does not fit eight bits
 };
 
-/// Transfer at points over the frames of a clip, compressed.
-/// t(f) = m + sum_k v_k(f) U_k for every group of points that share a bone, and apart for green,
-/// red - green and
-/// blue - green; m and U_k are multiples of one step, each band's as fine as the light's mean
-/// energy in it asks. A long
-/// clip has several spans of frames with an m and U_k each; from one to the next the sums are
-/// mixed.
+/// Transfer at points over the frames of a clip, compressed: t(f) = m + sum_k v_k(f) U_k
+/// for every group of points that share a bone, and apart for green, red - green and blue - green.
+/// m and U_k are multiples of one step, each band's as fine as the light's mean energy in it asks.
+/// A long clip has several spans of frames with an m and U_k each; from one to the next the sums
+/// are mixed.
 /// source: temporal PCA in the material frame after Sloan, Luna & Snyder 2005; uniform steps and
 ///         the cut of components by reverse water-filling (Cover & Thomas 2006, 10.3.3)
 class TransferSequence {

@@ -120,7 +120,7 @@ void TransferSequence::finish_maps() {
 
 namespace {
 
-// The energy below which terms can go that together are at most `share` of all; in steps of a
+// The energy below which terms can go that together are at most `fraction` of all; in steps of a
 // quarter of an octave.
 float unseen_energy(std::span<const TermEnergy> terms, float fraction) {
   constexpr int kShift = 21;

@@ -16,8 +16,8 @@ lighting::ShadowProbes shadow_probes(const PreparedScene& scene);
 /// errors: kUnavailable (Embree)
 Result<lighting::CostModel> fit_costs(const PreparedScene& scene);
 
-/// For a scene. `fitted`: costs measured here and now; else fixed ones,
-/// so that a replay makes the same choices everywhere.
+/// For a scene. `fitted`: costs measured here and now; else fixed ones, so that a replay makes the
+/// same choices everywhere.
 /// errors: kUnavailable
 Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene, double budget,
                                                       bool fitted);

@@ -1,7 +1,10 @@
 #include "runtime/pipeline/light_file.h"
 
-#include <algorithm>
-#include <charconv>
+#include <fmt/format.h>
+
+#include <cmath>
+#include <optional>
+#include <utility>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/projection_table.h"
@@ -9,12 +12,28 @@
 
 namespace penumbra::runtime {
 
+namespace {
+
+// A lens has numbers of its own, which no map tells.
+Result<calib::ProjectionKind> kind_of_map(const std::string& name) {
+  const auto kind = calib::projection_kind(name);
+  if (!kind || *kind == calib::ProjectionKind::kKannalaBrandt ||
+      *kind == calib::ProjectionKind::kDoubleSphere)
+    return fail(ErrorCode::kInvalid, "--projection",
+                fmt::format("{} is none of latlong, angular, mirror-ball, equidistant, pinhole, "
+                            "vertical-cross, exr-latlong and exr-cube",
+                            name));
+  return *kind;
+}
+
+}  // namespace
+
 Result<FileLight> read_light(const std::string& path, const EnvironmentOrientation& orientation) {
   if (!(std::abs(orientation.rotation_deg) <= 360))
     return fail(ErrorCode::kInvalid, "--rotate-environment", "is not within -360..360 degrees");
   std::optional<calib::ProjectionKind> kind;
   if (orientation.projection) {
-    PENUMBRA_ASSIGN(parsed, calib::projection_kind(*orientation.projection));
+    PENUMBRA_ASSIGN(parsed, kind_of_map(*orientation.projection));
     kind = parsed;
   }
   PENUMBRA_ASSIGN(file, capture::read_environment(path, kind));

@@ -12,6 +12,7 @@
 
 #include "capture/frames.h"
 #include "core/background_task.h"
+#include "core/counted.h"
 #include "core/log.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
@@ -344,7 +345,7 @@ void keep_pace(FrameBudget& pace, double busy_ms, const lighting::LightEstimate&
   pace.add(busy_ms, static_cast<int>(
                         std::ranges::count(light.lights, false, &lighting::DistantLight::clipped)));
   if (pace.max_lights() == before) return;
-  log_info("light: the frame budget allows {} distant lights", pace.max_lights());
+  log_info("light: the frame budget allows {}", counted(pace.max_lights(), "distant light"));
   live.affordable_lights = pace.max_lights();
 }
 

@@ -12,9 +12,9 @@
 namespace penumbra::runtime {
 
 /// The surface behind a depth picture, in the world frame: one vertex for every few pixels, so that
-/// the longer side has at most `kDepthVertices`, each at the nearest depth around it that is known;
-/// no triangle where neighbours lie further apart than 5 % of their distance, where a depth is not
-/// positive and finite, or where the surface is seen edge-on.
+/// the longer side has at most `kDepthVertices`. Each lies at the nearest depth around it that is
+/// known. There is no triangle where neighbours lie further apart than 5 % of their distance, where
+/// a depth is not positive and finite, or where the surface is seen edge-on.
 /// in:     depth along the camera's axis, metres, of the view's size
 /// errors: kInvalid (size), kUndetermined (no surface)
 Result<prt::Mesh> mesh_from_depth(const Image<float>& depth, const prt::PinholeView& view,

@@ -121,9 +121,10 @@ struct PreparedObject {
   prt::Mesh mesh_at(double seconds) const;
   /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what
   /// relight() needs alone. Returns false where nothing moved.
+  /// keep_time: rays of live transfer keep to the time that the animation allows them a frame; else
+  ///            their number is always the same
   bool move_to(double seconds, bool transfer, bool keep_time = false);
-  /// A copy's own live transfer: two copies never share one. `keep_time`, above: its rays keep to
-  /// the time that the animation allows them, else their number is always the same.
+  /// A copy's own live transfer: two copies never share one.
   /// errors: kUnavailable (Embree)
   Result<void> begin_live();
   /// As prt::relight of the baked transfer, of its reflected part, of the receiver's deficit and

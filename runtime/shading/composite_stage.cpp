@@ -306,7 +306,7 @@ std::vector<lighting::SaturationRecovery> CompositeStage::complete(
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
   if (found) return std::move(*found);
   if (!std::exchange(could_not_complete_, true))
-    log_warning("{}: saturated lights are not recovered from the floor: it {}", found.error().where,
+    log_warning("a saturated light's power stays a lower bound: {} {}", found.error().where,
                 found.error().detail);
   return {};
 }

@@ -68,7 +68,7 @@ class CompositeStage {
   static constexpr double kVisibleChange = .01;
 
   /// errors: kInvalid (no view camera, view cameras of different sizes, not a pinhole),
-  /// kUnavailable
+  ///         kUnavailable
   static Result<std::unique_ptr<CompositeStage>> create(
       const std::vector<capture::CameraInfo>& cameras, const PreparedScene& scene,
       compositor::Compositor::Surface surface, StageTimes& times, int oversampling = 2,
@@ -78,9 +78,9 @@ class CompositeStage {
   /// run frames.
   void warm_up();
   /// Composites one view frame under `light`.
+  /// out:    keeps its memory: once it has had a frame nothing comes from the heap, without real
+  ///         meshes, lamps and clips
   /// errors: as Compositor::composite
-  /// out: keeps its memory: once it has had a frame nothing comes from the heap, without real
-  /// meshes, lamps and clips
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
   Result<Composited> process(const capture::Frame& frame, const lighting::LightEstimate& light) {

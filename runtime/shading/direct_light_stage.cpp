@@ -22,7 +22,7 @@ namespace {
 constexpr double kMinMove = 1e-3;
 constexpr double kVisibleFraction = .005;
 // Of an object's radius, for shadows on planes: of a cell of its shadow's map a fifteenth, an
-// eighth under light from above. As much of the larger cells, about, for broad lights.
+// eighth under light from above. As much of the larger cells, about, for wide lights.
 constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
 // Radii of an object within which it matters what real things leave: as far as its planar shadow
 // goes.

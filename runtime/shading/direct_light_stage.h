@@ -24,9 +24,9 @@
 namespace penumbra::runtime {
 
 struct ShadowSampling {
-  /// Rays a vertex and light; on what knows its visibility half of them, at least two, for one that
-  /// sends who faces it less than the mean light of all normals (a fill light too, on the side that
-  /// the others do not reach). By one its shadow is hard.
+  /// Rays a vertex and light; one throws a hard shadow. Half of them, at least two, serve a weak
+  /// light on what knows its visibility: one that sends who faces it less than the mean light of
+  /// all normals. That may be a fill light, too, on the side that the others do not reach.
   int object = 4;
   shadows::ShadowMapOptions plane;
 };
@@ -134,7 +134,7 @@ class DirectLightStage {
   std::vector<shadows::SilhouetteMesh> coarse_;       // of those that keep their form
   std::vector<prt::VisibilityLookup> visibilities_;   // of those of which it was baked
   std::vector<shadows::Caster> virtual_casters_, real_casters_;
-  // What planes get shadows from, coarse where that is known: under lights that are not broad, and
+  // What planes get shadows from, coarse where that is known: under lights that are not wide, and
   // that are. Of real things, by plane, all but the plane itself.
   std::array<std::vector<shadows::Caster>, 2> virtual_on_planes_;
   std::vector<std::vector<shadows::Caster>> real_on_;

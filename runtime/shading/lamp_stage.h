@@ -27,7 +27,7 @@ class LampStage {
   void add_light(std::size_t object, std::span<float> relit) const;
   /// At the vertices of the real mesh, beside everything else; empty without lamps or mesh.
   std::span<const Rgb> on_real_mesh() const { return on_real_mesh_; }
-  /// Appends what lamps add to every plane, as shadows of negative share; `open_irradiance[p]` as
+  /// Appends what lamps add to every plane, as shadows of negative part; `open_irradiance[p]` as
   /// DirectLightStage::shadows.
   void append(std::span<const Rgb> open_irradiance,
               std::vector<compositor::ShadowMapOnPlane>& out) const;

@@ -58,8 +58,8 @@ struct FloorPoint {
 /// What one side of an object sees of other things.
 struct ProbeView {
   BlockedSh by_real, by_virtual;  // above the floor
-  /// Shares of the side's irradiance under even light from everywhere (a form factor): what of the
-  /// floor it sees, and what other things hide of it.
+  /// Fractions of the side's irradiance under even light from everywhere (a form factor): what of
+  /// the floor it sees, and what other things hide of it.
   float floor = 0, floor_behind_real = 0, floor_behind_virtual = 0;
   std::vector<FloorPoint> floor_points;  // weights sum to `floor`
 };

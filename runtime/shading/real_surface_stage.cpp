@@ -107,8 +107,8 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
       continue;
     const Rgb open = lighting::evaluate(residual, glm::dvec3(mesh.normals[i]));
     for (int c = 0; c < 3; ++c) {
-      // Of the light without lights an object takes the same share whether real things left all of
-      // it or not.
+      // Of the residual an object takes the same fraction whether real things left all of it or
+      // not.
       const float direct = arrives_[i][c] - (lights_.open[i][c] - lights_.missing[i][c]),
                   fraction = open[c] > 0 ? std::clamp(direct / open[c], 0.f, 1.f) : 0;
       const float lost =

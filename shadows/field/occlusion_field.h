@@ -1,8 +1,8 @@
-// The light that an object takes from the space around it, whichever way up it lies: shadows of
-// tilted objects, shadows on receivers of any shape (mesh or depth), and what virtual objects and
-// real props take of each other's light. An upright object over a plane is served better by
-// compose_planar_shadow, whose visibility is not truncated. All frames are the object's bake frame
-// unless a name says otherwise.
+// The light that an object takes from the space around it, whichever way up it lies. It serves
+// shadows of tilted objects, shadows on receivers of any shape (mesh or depth), and what virtual
+// objects and real meshes take of each other's light. An upright object over a plane is served
+// better by compose_planar_shadow, whose visibility is not truncated. All frames are the object's
+// bake frame unless a name says otherwise.
 // threads: reentrant; bake_occlusion_field and field_ratios are parallel inside (TBB)
 #pragma once
 

@@ -37,8 +37,8 @@ bool sample(const prt::BakedObject& object, const PlanarShadow& shadow, glm::vec
   return true;
 }
 
-// Share of b's blocked directions that a blocks too, and the other way round: <a,b>/<b,b> would be
-// exact for visibilities of 0 and 1.
+// Fraction of b's blocked directions that a blocks too, and the other way round: <a,b>/<b,b> would
+// be exact for visibilities of 0 and 1.
 struct Overlap {
   float of_a, of_b;
 };

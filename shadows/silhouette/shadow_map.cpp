@@ -25,7 +25,7 @@ constexpr int kRim = 2;  // cells around what is drawn
 
 using PlaneSamples = std::pmr::vector<PlaneSample>;
 
-// Broad penumbras show their directions, and hide cells.
+// Wide penumbras show their directions, and hide cells.
 struct MapDetail {
   int samples, size;
 };

@@ -16,12 +16,12 @@
 namespace penumbra::shadows {
 
 struct ShadowMapOptions {
-  /// Directions of the light, 1..64; four times as many, 4 to 64, for a broad one. One of another
+  /// Directions of the light, 1..64; four times as many, 4 to 64, for a wide one. One of another
   /// is its middle: a hard shadow.
   int samples = 16;
-  /// Cells along the longer side, at least 16; five eighths of them for a broad light.
+  /// Cells along the longer side, at least 16; five eighths of them for a wide light.
   int size = 256;
-  /// Of a broad light so many of these directions are taken, and (1 + resolution_scale)/2 of these
+  /// Of a wide light so many of these directions are taken, and (1 + resolution_scale)/2 of these
   /// cells: 1, 1/2 or 1/4. Steps in the shadow of what brings little light are small.
   double resolution_scale = 1;
 };

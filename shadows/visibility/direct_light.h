@@ -13,19 +13,17 @@
 #pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
-/// out[v] = mean over the light of V max(n.w, 0) at every vertex: times L Omega/pi it is the exit
-/// radiance of a white surface. `plane` is the one that the mesh stands on, or null: light from
-/// behind it is the bake's. `casters` are the same things as `occluders`, `object` among them, with
-/// the same near_m: their silhouettes tell which vertices share rays, and in a small light's
-/// penumbra which of sixteen directions, or of `samples` if those are more, a vertex sees. One
-/// sample is the light's middle, and the shadow hard; what faces all of the light keeps its light.
-/// Of a light that is wide beside the cells of the object's visibility this is asked instead of
-/// rays (up to eight; four for lamps of a few degrees), where nothing else may stand between the
-/// two. Under small lights its samples tell which vertices need rays.
-/// in: samples 1..64, rays a vertex at most;
+/// Estimates the direct irradiance from one light at each vertex. Chooses rays, silhouettes or
+/// baked visibility: docs/methods/direct-light.md says when.
+/// in:      occluders, casters: the same things, `object` among them, with the same near_m
+///          plane: the one that the mesh stands on, or null; light from behind it is the bake's
+///          samples: 1..64, rays a vertex at most. One is the light's middle: the shadow is hard,
+///          and what faces all of the light keeps its light
+/// out:     out[v] = mean over the light of V max(n.w, 0); times L Omega/pi it is the exit radiance
+///          of a white surface
 /// threads: reentrant, parallel inside
-/// source: stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a
-/// form's points by the golden ratio; Laine et al. 2005 (SoftShadowVolume)
+/// source:  stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a
+///          form's points by the golden ratio; Laine et al. 2005 (SoftShadowVolume)
 void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& casters,
                         const Caster& object, const prt::Plane* plane,
                         const lighting::DistantLight& source, int samples, std::span<float> out);
@@ -36,8 +34,8 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
 struct DirectLightAtVertices {
   std::vector<float> open, taken, missing;
 };
-/// Neighbours share the light of broad lights, whatever the lengths of edges.
-/// in: the mesh in the world frame; samples 1..64, one is the light's middle.
+/// Under wide lights the light of neighbouring vertices is averaged, however long their edges are.
+/// in:      the mesh in the world frame; samples 1..64, one is the light's middle
 /// threads: reentrant, parallel inside
 void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Mesh& mesh,
                                     const lighting::DistantLight& source, int samples,

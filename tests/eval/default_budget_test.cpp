@@ -42,7 +42,7 @@ TEST_P(DefaultBudget, IsKeptWhereNineCoefficientsAndOneHardLightMissIt) {
                  nine = measured(dissertation_light(map), 3, {}),
                  hard = measured(phone_light(map), 1, {1, {1, 256}});
   std::printf(
-      "%s, %d bands and %d discs: object %.2f %%, bias %.2f %%, shadow %.4f; nine "
+      "%s, %d bands and %d lights: object %.2f %%, bias %.2f %%, shadow %.4f; nine "
       "coefficients %.1f %%, %.4f; ambient and one hard light %.1f %%, %.4f\n",
       GetParam(), plan->bands, plan->lights, 100 * ours.object_without_noise,
       100 * ours.object_bias, ours.shadow_rmse, 100 * nine.object_without_noise, nine.shadow_rmse,

@@ -55,10 +55,10 @@ TEST_P(MapSources, LeaveNoNegativeRadianceAndNoNegativeIrradiance) {
       }
     }
     std::printf(
-        "%s, %d discs at most, %d bands: least irradiance %.3f of the mean, all in harmonics "
+        "%s, %d lights at most, %d bands: least irradiance %.3f of the mean, all in harmonics "
         "%.3f\n",
         GetParam(), largest, bands, smallest / mean, min_naive / mean);
-    EXPECT_GE(smallest, 0) << largest << " discs, " << bands << " bands";
+    EXPECT_GE(smallest, 0) << largest << " lights, " << bands << " bands";
     if (std::string_view(GetParam()) == "rustig_koppie_puresky") {
       EXPECT_LT(min_naive / mean, -.05) << "nothing rings";
     }

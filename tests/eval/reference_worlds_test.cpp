@@ -176,7 +176,7 @@ const World kWorlds[] = {
     {"real_prop_sky", beside_real_mesh,
      [] {
        return std::vector{capture::make_sky_environment(2 * kRows, kRows, .8)};
-     },  // 19 % as long as the prop hid its lights alone, 9 % with six sides that see the whole floor.
+     },  // 19 % if the prop only hides its lights, 9 % with six sides that see the whole floor.
      .05, .08},
 };
 

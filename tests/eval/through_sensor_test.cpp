@@ -1,4 +1,4 @@
-// From both cameras' sensors to the picture, against a path-traced world in which the object stands.
+// From both cameras' sensors to the picture, against a path-traced world with the object in it.
 #include "tools/chart/through_sensor.h"
 
 #include <gtest/gtest.h>

@@ -160,7 +160,35 @@ class BadConfiguration(CliTest):
     def test_arguments_that_do_not_exist(self):
         self.expect_refusal(["--headles", "did you mean --headless?"], "demo", "--headles")
         self.expect_refusal(["dance", "no command"], "dance")
-        self.expect_refusal(["arguments"])
+        self.expect_refusal(["command: is missing", "composite"])
+        self.expect_refusal(["extra: is not expected here"], "inspect", "file", "extra")
+
+    def test_arguments_that_do_not_fit(self):
+        out = self.root / "out.exr"
+        for words, *arguments in (
+                (["--frames", '"x" is not a whole number'], "demo", "--frames", "x"),
+                (["--error", '"x" is not a number'], "render", "--error", "x"),
+                (["--scene: is missing"], "composite", "--capture", self.root),
+                (["--scene: needs a value"], "composite", "--scene"),
+                (["--capture: is given more than once"], "composite", "--capture", "a", "--capture", "b"),
+                (["--at: is not above 0"], "hdr", "environment", "a", "-o", out, "--at", 0),
+                (["--albedo: is not within 0..1"], "bake", "builtin:box", "-o", out, "--albedo", 2, 2, 2),
+                (["--fps: needs --animation"], "bake", "builtin:box", "-o", out, "--fps", 10),
+                (["--governor: cannot go with --animation"], "chart", "--animation", "Walk", "--governor", 3),
+                (["--bits: needs --through-sensor"], "chart", "--bits", 12),
+                (["--bits: is neither 8 nor 12"], "chart", "--through-sensor", "--bits", 9),
+                (["--shortest-exposure", "1/30 s"], "chart", "--through-sensor", "--shortest-exposure", 1),
+                (["--projection", "kb4 is none of"], "light", "estimate", "a.hdr", "--projection", "kb4"),
+                (["--budget: is not expected here"], "inspect", "a", "--budget"),
+                (["--budget: is now --max-shadow-error"], "chart", "--budget", 1)):
+            self.expect_refusal(words, *arguments)
+
+    def test_help_fits_the_screen(self):
+        for command in ((), ("demo",), ("bake",), ("chart",), ("calibrate", "camera"), ("render",)):
+            shown = self.run_well(*command, "--help")
+            self.assertLessEqual(max(map(len, shown.splitlines())), 130, command)
+            for internal in ("FLOAT", "INT", "TEXT", "{false}", "Excludes"):
+                self.assertNotIn(internal, shown, command)
 
 
 class BadCaptures(CliTest):

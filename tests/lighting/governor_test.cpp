@@ -104,7 +104,7 @@ Governor::Limits limits(double budget = .05) {
 
 TEST(ErrorTable, UniformLightNeedsOneBand) {
   const ErrorTable table = uniform().table(some_probes());
-  EXPECT_EQ(table.max_lights(), 0) << "there are no discs to trace";
+  EXPECT_EQ(table.max_lights(), 0) << "there are no lights to trace";
   EXPECT_NEAR(table.error(1, 0), .008, .001) << "our own steps";
   for (int bands = 2; bands <= 9; ++bands) EXPECT_NEAR(table.error(bands, 0), .008, .001);
 }
@@ -391,7 +391,7 @@ TEST(GovernedEstimator, WithoutTimeForLightsAllLightIsInHarmonics) {
       EXPECT_EQ(e->plan->lights, 0);
       EXPECT_TRUE(e->plan->time_limited);
       if (i > 9) {  // calm for eight maps
-        EXPECT_EQ(e->light[7].g, last) << "map " << i << ": a glance at discs changes nothing";
+        EXPECT_EQ(e->light[7].g, last) << "map " << i << ": a glance at lights changes nothing";
       }
       last = e->light[7].g;
       // A light is not quite the pixels that it was cut from.

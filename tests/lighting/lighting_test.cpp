@@ -174,7 +174,7 @@ TEST(Holes, NadirHoleLeavesConstantEnvironmentConstant) {
   ASSERT_TRUE(estimate);
   EXPECT_NEAR(estimate->light[0].r, std::sqrt(4 * kPi), .005 * std::sqrt(4 * kPi));
   EXPECT_NEAR(estimate->coverage, 1 - (1 - std::cos(20 * kPi / 180)) / 2, .005);
-  // The naive sum loses the hole's share.
+  // The naive sum loses the hole's fraction.
   const auto naive = project_latlong(environment.radiance, 3);
   ASSERT_TRUE(naive);
   EXPECT_LT(naive->light[0].r, .975 * std::sqrt(4 * kPi));

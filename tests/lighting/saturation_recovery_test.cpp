@@ -1,4 +1,4 @@
-// Sources clipped in every exposure: flagged at any share, and completed from what they light.
+// Sources clipped in every exposure: flagged at any fraction, and completed from what they light.
 #include <gtest/gtest.h>
 
 #include <algorithm>

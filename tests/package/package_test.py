@@ -22,6 +22,28 @@ def check(truth, what):
         sys.exit(f"package_test: {what}")
 
 
+def check_packages(build, folder):
+    """The Debian packages, made and looked into, not installed."""
+    run("cpack", "-G", "DEB", "--config", Path(build) / "CPackConfig.cmake", "-B", folder / "packages")
+    packages = {}
+    for file in (folder / "packages").glob("*.deb"):
+        name = run("dpkg-deb", "--field", file, "Package").strip()
+        packages[name] = run("dpkg-deb", "--field", file, "Depends"), run("dpkg-deb", "--contents", file)
+    check(sorted(packages) == ["libpenumbra0.1", "penumbra-dev", "penumbra-tools"],
+          f"the packages are {sorted(packages)}")
+    for name, files in (("libpenumbra0.1", ["/libpenumbra.so.0.1"]),
+                        ("penumbra-dev", ["/penumbra/runtime/pipeline/pipeline.h", "/penumbraConfig.cmake",
+                                          "/pkgconfig/penumbra.pc", "/libpenumbra_lighting.a"]),
+                        ("penumbra-tools", ["/bin/penumbra\n", "/bin/penumbrad\n", "/man1/penumbra.1",
+                                            "/completions/penumbra\n"])):
+        depends, contents = packages[name]
+        for file in files:
+            check(file in contents, f"{name} has no {file.strip()}")
+        check("/internal/" not in contents, f"{name} has private headers")
+        wanted = "libpenumbra0.1" if name == "penumbra-dev" else "libc6"
+        check(wanted in depends, f"{name} does not depend on {wanted}: {depends}")
+
+
 def main(build, examples, program, compiler):
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
@@ -47,7 +69,10 @@ def main(build, examples, program, compiler):
                 "PKG_CONFIG_PATH": str(next(prefix.rglob("pkgconfig")))}).split()
 
         flags = flags_of("penumbra-lighting")
-        run(compiler, Path(examples) / "light.cpp", "-o", folder / "light", *flags)
+        # A program's own core/result.h is not ours, and ours is not the program's.
+        (folder / "core").mkdir()
+        (folder / "core" / "result.h").write_text("#error the program's own\n")
+        run(compiler, Path(examples) / "light.cpp", "-o", folder / "light", f"-I{folder}", *flags)
         check(run(folder / "light").splitlines() == lines, "pkg-config builds another light")
 
         # The whole: a bake, and a recording through the pipeline.
@@ -87,6 +112,7 @@ def main(build, examples, program, compiler):
         names = run("bash", "-c", "source " + str(next(prefix.rglob("completions/penumbra"))) +
                     "; COMP_WORDS=(penumbra de); COMP_CWORD=1; _penumbra; echo ${COMPREPLY[@]}")
         check(names.split() == ["demo"], f"completion of 'penumbra de' is {names!r}")
+        check_packages(build, folder)
     print("installed, linked and run from outside of the tree")
 
 

@@ -174,7 +174,7 @@ TEST(DirectLightStage, WeakSourcesAreAskedLess) {
   EXPECT_EQ(traced(known, spot, 9, 1).first, traced(known, spot, 0, 1).first) << "hard stays hard";
   EXPECT_EQ(traced(known, spot, 9, 2).first, traced(known, spot, 0, 2).first) << "and soft soft";
   EXPECT_EQ(traced(plain, broad, 9, 4).first, traced(plain, broad, 0, 4).first)
-      << "without a sight rays are all that it has";
+      << "without a visibility map rays are all that it has";
   EXPECT_EQ(traced(known, spot, 9, 4).second, traced(known, spot, 0, 4).second);
   EXPECT_LT(traced(known, broad, 9, 4).second, traced(known, broad, 0, 4).second / 2)
       << "cells of its map";

@@ -295,7 +295,7 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
       },
       s.times, stop);
   ASSERT_TRUE(counts) << counts.error().detail;
-  EXPECT_TRUE(traced) << "the light needs discs";
+  EXPECT_TRUE(traced) << "the map needs distant lights";
   EXPECT_TRUE(given_up);
 }
 

@@ -9,7 +9,7 @@
 namespace penumbra::shadows {
 namespace {
 
-// A level patch of real ground under a ball, in the light of a broad panel overhead.
+// A level patch of real ground under a ball, in the light of a wide panel overhead.
 struct Patch {
   prt::Mesh ball = prt::make_sphere({0, .35f, 0}, .2f, 4, {.5f, .5f, .5f});
   prt::RayWorld virtual_things = *prt::RayWorld::create();
@@ -45,7 +45,7 @@ double rms(const std::vector<float>& a, const std::vector<float>& b) {
   return std::sqrt(square / static_cast<double>(a.size()));
 }
 
-// Four rays a vertex leave blotches in a broad penumbra; vertices that know their neighbours do
+// Four rays a vertex leave blotches in a wide penumbra; vertices that know their neighbours do
 // not.
 TEST(LightVertices, BroadPenumbraOnRealGroundIsSmooth) {
   const Patch patch;

@@ -238,7 +238,7 @@ float at(const ShadowMap& shadow, const dvec3& world) {
          v * ((1 - u) * shadow.taken.at(x, y + 1) + u * shadow.taken.at(x + 1, y + 1));
 }
 
-// A broad lamp that brings little is drawn with fewer directions and cells: its error counts by
+// A wide lamp that brings little is drawn with fewer directions and cells: its error counts by
 // what it brings.
 TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
   const Scene scene(one(knot()));

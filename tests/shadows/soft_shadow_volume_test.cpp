@@ -73,7 +73,7 @@ Errors errors(const std::vector<float>& light, Truth truth) {
   return out;
 }
 
-// Share of a unit light on one side of a line so far from its middle.
+// Fraction of a unit light on one side of a line so far from its middle.
 double fraction_beside(double off) {
   const double t = std::clamp(off, -1., 1.);
   return 1 - (std::acos(t) - t * std::sqrt(1 - t * t)) / kPi;

@@ -48,7 +48,7 @@ struct World : test::CasterWorld {
   std::vector<float> shared_light(const lighting::DistantLight& source) const {
     return light(source, casters[0], &rays);
   }
-  // All rays for every vertex. (Those of a broad light are averaged over neighbours: triangles tell
+  // All rays for every vertex. (Those of a wide light are averaged over neighbours: triangles tell
   // which.)
   std::vector<float> own_light(const lighting::DistantLight& source, const prt::RayWorld* occluders,
                                int samples = 4) const {

@@ -129,7 +129,7 @@ TEST(VisibilityLight, WideLightsAreLookedUpAsWellAsRaysFind) {
 }
 
 // So are lamps of a few degrees, in finer cells. (At sharp edges of shadows rays are better, in
-// broad ones look-ups.)
+// wide ones look-ups.)
 TEST(VisibilityLight, LampsAreLookedUpInFinerCells) {
   const World& world = knot_world();
   for (const lighting::DistantLight& d : {source(50, .06), source(25, .078), source(40, .04)}) {
@@ -248,7 +248,7 @@ TEST(VisibilityLight, LightFromBehindThePlaneDoesNotCount) {
     const auto above = world.light(d, true), truth = world.truth(d);
     EXPECT_LT(error(above, truth), 1.2 * error(world.light(d, false), truth)) << radius;
     world.plane.reset();
-    EXPECT_GT(error(world.light(d, true), truth), .3) << "half of the disc is behind it";
+    EXPECT_GT(error(world.light(d, true), truth), .3) << "half of the light is behind it";
   }
 }
 

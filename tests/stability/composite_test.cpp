@@ -490,7 +490,7 @@ TEST_F(Composite, YawOfAWholeTurnCloses) {
     const double closed = largest_difference(composited_floats(*light, 6), first);
     // Naive: what is kept from the last pose that was drawn.
     const double naive = largest_difference(composited_floats(*light, 6 * 47. / 48), first);
-    std::printf("%d discs at most: a turn closes to %.1e, moved %.2f on the way, naive %.2f\n",
+    std::printf("%d lights at most: a turn closes to %.1e, moved %.2f on the way, naive %.2f\n",
                 max_lights, closed, moved, naive);
     EXPECT_LE(closed, 1e-3);
     EXPECT_GT(moved, .1);

@@ -90,7 +90,7 @@ TEST_P(SunCrossing, IsOneLightInItsPlaceWithItsEnergy) {
     worst_small = std::max(worst_small, test::angle_between(small.lights[0].direction, sun));
   }
   std::printf(
-      "%s: %zu discs, direction %.3f deg, energy %.2f %%; naive: %d regions, 64 rows %.2f deg\n",
+      "%s: %zu lights, direction %.3f deg, energy %.2f %%; naive: %d regions, 64 rows %.2f deg\n",
       name, max_lights, worst_angle / kDegree, 100 * worst_energy, most_flat,
       worst_small / kDegree);
   EXPECT_EQ(max_lights, 1U);

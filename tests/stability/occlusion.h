@@ -7,7 +7,7 @@
 
 namespace penumbra::test {
 
-/// Share that is taken at a place of the plane, bilinear; 0 outside the map.
+/// Fraction that is taken at a place of the plane, bilinear; 0 outside the map.
 inline double taken_at(const shadows::ShadowMap& s, const glm::dvec3& place) {
   const glm::dvec3 at = s.world_from_map.inverse() * place / double(s.cell_m);
   const int x = static_cast<int>(std::floor(at.x)), y = static_cast<int>(std::floor(at.z));

@@ -27,7 +27,7 @@ prt::Mesh plate(double height, double size, double yaw) {
   return mesh;
 }
 
-// Where the taken share first reaches a level, going into the shadow.
+// Where the taken fraction first reaches a level, going into the shadow.
 template <class Fraction>
 double crossing(Fraction fraction, double level, double from, double to) {
   constexpr int kSteps = 4000;
@@ -41,7 +41,7 @@ double crossing(Fraction fraction, double level, double from, double to) {
   return NAN;
 }
 
-// Share of an even light on one side of a straight line at distance u radii from its centre.
+// Fraction of an even light on one side of a straight line at distance u radii from its centre.
 double source_edge(double u) {
   u = std::clamp(u, -1., 1.);
   return .5 + (u * std::sqrt(1 - u * u) + std::asin(u)) / kPi;
@@ -89,7 +89,7 @@ class LiftedObject : public testing::TestWithParam<Case> {};
 
 TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
   const auto [name, radius, yaw] = GetParam();
-  // Share of the whole penumbra, which is 2 h tan a, between 10 % and 90 % of the light.
+  // Fraction of the whole penumbra, which is 2 h tan a, between 10 % and 90 % of the light.
   const double fraction = crossing(source_edge, .9, -1, 1), tangent = std::tan(radius);
   EXPECT_NEAR(2 * fraction, 1.37, .01) << "of h tan a, methods 6";
   lighting::DistantLight light;

@@ -37,12 +37,15 @@ Result<std::vector<capture::CameraInfo>> cameras_of(const std::string& path) {
 
 Result<calib::BallOutline> parse_outline(const std::string& text,
                                          const std::vector<capture::CameraInfo>& cameras) {
-  const auto invalid = [&](const char* why) { return fail(ErrorCode::kInvalid, text, why); };
+  const auto invalid = [&](const char* why) {
+    return fail(ErrorCode::kInvalid, "--outline", text + " " + why);
+  };
   const std::size_t colon = text.rfind(':');
   if (colon == std::string::npos) return invalid("is not NAME:x,y,radius");
   const auto camera = std::ranges::find(cameras, text.substr(0, colon), &capture::CameraInfo::name);
   if (camera == cameras.end())
-    return fail(ErrorCode::kNotFound, text, "names no camera of the capture or the rig");
+    return fail(ErrorCode::kNotFound, "--outline",
+                text + " names no camera of the capture or the rig");
   double numbers[3];
   const char *at = text.data() + colon + 1, *const end = text.data() + text.size();
   for (int i = 0; i < 3; ++i) {

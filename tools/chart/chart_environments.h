@@ -14,7 +14,7 @@ struct ChartEnvironment {
   Image<Rgb> map;  // lat-long, linear radiance
 };
 
-/// Of the files, and the built-in room and clear sky: where there are no files, or `with_procedural`.
+/// Of the files. The built-in room and clear sky where there are none, or `with_procedural`.
 /// errors: as runtime::read_light
 Result<std::vector<ChartEnvironment>> read_environments(const std::vector<std::string>& files,
                                                         bool with_procedural);

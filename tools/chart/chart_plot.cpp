@@ -10,6 +10,7 @@
 #include <set>
 #include <tuple>
 
+#include "core/counted.h"
 #include "core/files.h"
 #include "tools/chart/plots.h"
 #include "tools/common/gnuplot.h"
@@ -67,10 +68,6 @@ nlohmann::ordered_json row_of(const ChartPoint& p) {
 }
 
 // ---- What one picture shows. ----
-
-std::string counted(auto n, const char* thing) {
-  return fmt::format("{} {}{}", n, thing, n == 1 ? "" : "s");
-}
 
 struct Mean {
   double sum = 0;

@@ -199,7 +199,8 @@ Result<SensorBench::World> SensorBench::trace(const std::string& name,
   return World{name, &environment, std::move(empty), std::move(full)};
 }
 
-// The noise of the reference is taken out: errors against its two independent halves are multiplied.
+// Errors against the two independent halves of the reference are multiplied, which takes out its
+// noise.
 SensorError SensorBench::compare(const Image<Rgb>& composite, const Image<Rgb>& camera,
                                  const World& world, double full_scale) const {
   const auto at = [](const Image<Rgb>& picture, std::size_t i) {

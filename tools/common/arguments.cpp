@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/renamed.h"
 #include "core/spelling.h"
 
 namespace penumbra::tools {
@@ -75,7 +76,8 @@ std::vector<std::string> commands_of(const CLI::App& app) {
   return names;
 }
 
-// What a mistyped command or flag should have been, where something is near.
+// What a flag of before is now, or a mistyped command or flag should have been, where something is
+// near.
 std::optional<Error> misspelling(const FoundCommand& found, std::span<char* const> arguments) {
   if (!found.unknown.empty()) {
     const std::vector<std::string> names = commands_of(*found.app);
@@ -90,6 +92,9 @@ std::optional<Error> misspelling(const FoundCommand& found, std::span<char* cons
   for (const std::string_view argument : arguments) {
     const std::string_view flag = argument.substr(0, argument.find('='));
     if (!flag.starts_with("--") || std::ranges::find(flags, flag) != flags.end()) continue;
+    if (const auto now = new_name(kRenamedFlags, flag);
+        now && std::ranges::find(flags, *now) != flags.end())
+      return Error{ErrorCode::kInvalid, std::string(flag), fmt::format("is now {}", *now)};
     if (const auto near = nearest_word(flag, flags))
       return Error{ErrorCode::kInvalid, std::string(flag),
                    fmt::format("is no flag here: did you mean {}?", *near)};
@@ -117,8 +122,8 @@ Error not_convertible(const CLI::App& command, const std::string& text) {
 
 Error missing(const CLI::App& command, const std::string& text) {
   if (text.starts_with("A subcommand"))
-    return {ErrorCode::kInvalid, command.get_name(),
-            fmt::format("needs a command: there are {}", fmt::join(commands_of(command), ", "))};
+    return {ErrorCode::kInvalid, "command",
+            fmt::format("is missing: give one of {}", fmt::join(commands_of(command), ", "))};
   return {ErrorCode::kInvalid, parts(text, "", " is required").first, "is missing"};
 }
 
@@ -171,7 +176,7 @@ Error argument_error(const CLI::App& app, std::span<char* const> arguments,
   if (kind == "ValidationError") return of(parts(text, "", ": "), "");
   if (kind == "RequiresError") return of(parts(text, "", " requires "), "needs ");
   if (kind == "ExcludesError") return of(parts(text, "", " excludes "), "cannot go with ");
-  if (kind == "ExtrasError")
+  if (dynamic_cast<const CLI::ExtrasError*>(&error) != nullptr)  // its name is the command's
     return {ErrorCode::kInvalid, parts(text, "", "expected: ").second, "is not expected here"};
   return {ErrorCode::kInvalid, "arguments", text};
 }

@@ -9,7 +9,6 @@
 #include <string_view>
 
 #include "core/log.h"
-#include "core/renamed.h"
 #include "tools/common/arguments.h"
 #include "tools/common/manual.h"
 
@@ -17,22 +16,13 @@ namespace penumbra::tools {
 
 namespace {
 
-int report(const Error& e) {
-  std::string line = "penumbra: " + e.where + ": " + e.detail;
+// Programs of single commands answer as `penumbra`, which starts them.
+int report(const std::string& program, const Error& e) {
+  std::string line = program + ": " + e.where + ": " + e.detail;
   for (char& ch : line)
     if (ch == '\n' || ch == '\r') ch = ' ';
   std::fprintf(stderr, "%s\n", line.c_str());
   return 2;
-}
-
-// A flag of before, given as "--flag" or "--flag=value".
-Result<void> check_flags(std::span<char* const> arguments) {
-  for (const std::string_view argument : arguments) {
-    const std::string_view flag = argument.substr(0, argument.find('='));
-    if (const auto now = new_name(kRenamedFlags, flag))
-      return fail(ErrorCode::kInvalid, std::string(flag), fmt::format("is now {}", *now));
-  }
-  return {};
 }
 
 }  // namespace
@@ -52,6 +42,7 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
   CLI::App app(description, name);
   app.set_version_flag("--version", name + " " + PENUMBRA_VERSION);
   app.formatter(help_format());
+  const std::string answers_as = name.starts_with("penumbra-") ? "penumbra" : name;
   Action action;
   add_commands(app, action);
   for (const Sibling& s : siblings) app.add_subcommand(s.command, s.help);
@@ -63,20 +54,18 @@ int run_program(int argc, char** argv, const std::string& name, const std::strin
     std::fwrite(text.data(), 1, text.size(), stdout);
     return 0;
   }
-  if (const auto flags = check_flags({argv, static_cast<std::size_t>(argc)}); !flags)
-    return report(flags.error());
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& e) {
     return app.exit(e);  // help and version
   } catch (const CLI::ParseError& e) {
     const std::span words(argv, static_cast<std::size_t>(argc));
-    return report(argument_error(app, words.subspan(1), e));
+    return report(answers_as, argument_error(app, words.subspan(1), e));
   }
   try {
-    if (const auto result = action(); !result) return report(result.error());
+    if (const auto result = action(); !result) return report(answers_as, result.error());
   } catch (const std::exception& e) {
-    return report({ErrorCode::kUnavailable, "internal", e.what()});
+    return report(answers_as, {ErrorCode::kUnavailable, "internal", e.what()});
   }
   return 0;
 }

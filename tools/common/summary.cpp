@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include "core/counted.h"
 #include "runtime/pipeline/report.h"
 
 namespace penumbra::tools {
@@ -35,9 +36,9 @@ void print_summary(const nlohmann::json& s) {
       s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
       s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
       100 * s["touched_fraction"].get<double>());
-  fmt::print("{} objects, {} bands, at most {} lights, {} exposures, {}\n", c["objects"].get<int>(),
-             c["bands"].get<int>(), c["lights"].get<int>(), c["exposures"].get<int>(),
-             c["renderer"].get<std::string>());
+  fmt::print("{}, {}, at most {}, {}, {}\n", counted(c["objects"].get<int>(), "object"),
+             counted(c["bands"].get<int>(), "band"), counted(c["lights"].get<int>(), "light"),
+             counted(c["exposures"].get<int>(), "exposure"), c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())
     fmt::print("governor: {} bands, {} lights, predicted error {}, {:.1f} ms: {}\n",
                p["bands"].get<int>(), p["lights"].get<int>(),
@@ -45,9 +46,9 @@ void print_summary(const nlohmann::json& s) {
                    ? "unknown"
                    : fmt::format("{:.3f}", p["predicted_error"].get<double>()),
                p["predicted_ms"].get<double>(), p["why"].get<std::string>());
-  fmt::print("{:<14} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
+  fmt::print("{:<16} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
-    fmt::print("{:<14} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
+    fmt::print("{:<16} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
                stage["p50_ms"].get<double>(), stage["p99_ms"].get<double>());
 }
 

@@ -6,6 +6,7 @@
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "codec/codec.h"
+#include "core/counted.h"
 #include "core/files.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/report.h"
@@ -64,10 +65,10 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   const Environment& map = seen.map;
   PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));
   if (!o.json) {
-    fmt::print(
-        "{}: {}x{} from {} views of {} exposures, {:.1f} % of the sphere seen, {:.3f} % clipped\n",
-        o.output, map.radiance.width(), map.radiance.height(), stage.gains().size(),
-        stage.exposures(), 100 * seen.coverage, 100 * map.clipped_fraction);
+    fmt::print("{}: {}x{} from {} of {}, {:.1f} % of the sphere seen, {:.3f} % clipped\n", o.output,
+               map.radiance.width(), map.radiance.height(), counted(stage.gains().size(), "view"),
+               counted(stage.exposures(), "exposure"), 100 * seen.coverage,
+               100 * map.clipped_fraction);
     return {};
   }
   nlohmann::json views = nlohmann::json::array();

@@ -21,6 +21,7 @@
 #include "core/toml_keys.h"
 #include "prt/bake/baked_file.h"
 #include "prt/clip/sequence.h"
+#include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/receiver.h"
 #include "runtime/pipeline/report.h"
@@ -92,12 +93,18 @@ Result<json> inspect_baked(const std::string& file) {
 Result<json> inspect_mesh(const std::string& file) {
   PENUMBRA_ASSIGN(imported, prt::import_mesh(file, {.7f, .7f, .7f}));
   const prt::Bounds b = bounds_of(imported.mesh);
-  return json{{"kind", "mesh"},
-              {"vertices", imported.mesh.positions.size()},
-              {"triangles", imported.mesh.triangles.size()},
-              {"degenerate_triangles", imported.degenerate_triangles},
-              {"size_m", {b.high.x - b.low.x, b.high.y - b.low.y, b.high.z - b.low.z}},
-              {"low_m", {b.low.x, b.low.y, b.low.z}}};
+  json out{{"kind", "mesh"},
+           {"vertices", imported.mesh.positions.size()},
+           {"triangles", imported.mesh.triangles.size()},
+           {"degenerate_triangles", imported.degenerate_triangles},
+           {"size_m", {b.high.x - b.low.x, b.high.y - b.low.y, b.high.z - b.low.z}},
+           {"low_m", {b.low.x, b.low.y, b.low.z}},
+           {"clips", json::array()}};
+  // What cannot be read as a character has no clips.
+  if (const auto character = prt::import_character(file, {.7f, .7f, .7f}))
+    for (const prt::Clip& clip : character->clips)
+      out["clips"].push_back({{"name", clip.name}, {"seconds", clip.seconds}});
+  return out;
 }
 
 Result<json> inspect_picture(const std::string& file) {
@@ -356,6 +363,30 @@ Result<json> describe(const std::string& file) {
               "recording, a capture folder, or a TOML file");
 }
 
+std::string text_of(const json& value) {
+  if (value.is_string()) return value.get<std::string>();
+  if (!value.is_array()) return value.dump();
+  std::string out;
+  for (const json& v : value) out += (out.empty() ? "" : " ") + text_of(v);
+  return out.empty() ? "none" : out;
+}
+
+// One line a value; what has parts of its own stands below its name, each of a list behind a dash.
+void print_lines(const json& object, std::size_t indent) {
+  std::string before(indent, ' ');
+  if (indent > 0) before.replace(indent - 2, 2, "- ");
+  for (const auto& [key, value] : object.items()) {
+    const bool list = value.is_array() && !value.empty() && value[0].is_object();
+    if (!list && !value.is_object()) {
+      fmt::print("{}{}: {}\n", before, key, text_of(value));
+    } else {
+      fmt::print("{}{}:\n", before, key);
+      for (const json& part : list ? value : json::array({value})) print_lines(part, indent + 4);
+    }
+    before.assign(indent, ' ');
+  }
+}
+
 }  // namespace
 
 Result<void> inspect(const InspectOptions& o) {
@@ -366,8 +397,7 @@ Result<void> inspect(const InspectOptions& o) {
     print_json(description);
     return {};
   }
-  for (const auto& [key, value] : description.items())
-    fmt::print("{}: {}\n", key, value.is_string() ? value.get<std::string>() : value.dump());
+  print_lines(description, 0);
   return {};
 }
 

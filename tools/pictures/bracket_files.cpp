@@ -8,6 +8,7 @@
 #include "calib/camera/response_table.h"
 #include "capture/frames.h"
 #include "codec/codec.h"
+#include "core/counted.h"
 #include "core/log.h"
 #include "tools/pictures/camera_film.h"
 
@@ -124,7 +125,8 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
   PENUMBRA_ASSIGN(times, parse_times(times_text, unknown_allowed));
   if (times.size() != images.size())
     return fail(ErrorCode::kInvalid, "--times",
-                fmt::format("has {} times for {} pictures", times.size(), images.size()));
+                fmt::format("has {} for {}", counted(times.size(), "time"),
+                            counted(images.size(), "picture")));
   capture::ExposureStack stack;
   for (std::size_t k = 0; k < images.size(); ++k) {
     PENUMBRA_ASSIGN(frame, codec::read_frame(images[k]));

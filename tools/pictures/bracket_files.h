@@ -11,9 +11,8 @@
 namespace penumbra::tools {
 
 /// `times`: seconds separated by commas, 1/60 works. Response, noise and black level stay at their
-/// defaults.
+/// defaults. A time of "?" is left at kUnknownTime where `unknown_allowed`.
 /// errors: kNotFound, kUnreadable, kInvalid (a time, sizes, bit depths)
-/// A time of "?" is left at kUnknownTime where `unknown_allowed`.
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
                                             const std::string& times, bool unknown_allowed = false);
 inline constexpr Seconds kUnknownTime{0};

@@ -68,13 +68,12 @@ class ExposurePlanner {
 class LightHistogram {
  public:
   explicit LightHistogram(const CameraInfo& camera);
-  /// Frames in their order; the newest of each exposure counts, of the `most` newest exposures.
+  /// Frames in their order; the newest of each exposure counts, of `max_count` of them.
   void add(const FramePixels& pixels, const Exposure& exposure, std::size_t max_count);
   void clear() { seen_.clear(); }
   /// Whether each of these was seen.
   bool holds(std::span<const Exposure> exposures) const;
-  /// What clips everywhere counts as kBeyond times as bright as its bound: its brightness is not
-  /// known.
+  /// Fully saturated radiance is assumed kBeyond times its lower bound.
   std::vector<RadianceBin> light(const ExposurePlanner& planner) const;
   static constexpr double kBeyond = 16;
 

@@ -19,11 +19,11 @@
 
 namespace penumbra::capture {
 
-/// The estimate of merge() for 8-bit frames of a fixed set of exposures, from tables: the longest
+/// The estimate of merge() for 8-bit frames of a fixed set of exposures, from tables. The longest
 /// unclipped exposure and the next one decide, which costs at most 3 % of RMSE at two stops between
-/// exposures. An update does no more than the new frame needs: blocks of pixels that shorter
-/// exposures than the new one have decided alone stay as they are, and only where something changed
-/// since the oldest frame was taken are samples tested against newer ones.
+/// exposures. An update does no more than the new frame needs. Blocks of pixels that shorter
+/// exposures than the new one have decided alone stay as they are. Samples are tested against newer
+/// ones only where something changed since the oldest frame was taken.
 /// threads: internally parallel; no allocation after the first update
 class TableMerger {
  public:

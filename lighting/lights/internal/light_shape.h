@@ -17,7 +17,7 @@ struct EnergyPiece {
 
 /// DistantLight::kShapePoints unit directions, neighbours in neighbouring places at every power of
 /// two: the energy is halved across its longest axis again and again.
-/// in: at least one share, in any order; left in another one
+/// in: at least one piece, in any order; left in another one
 DistantLight::Shape shape_points(std::span<EnergyPiece> pieces);
 
 }  // namespace penumbra::lighting

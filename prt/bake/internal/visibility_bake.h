@@ -20,7 +20,7 @@ class VisibilityBake {
 
   /// threads: reentrant for different vertices
   void trace(std::size_t vertex);
-  /// Progress in shares that add up to one.
+  /// Progress in fractions that add up to one.
   /// threads: parallel inside, and so is `progress` called
   void refine(const std::function<void(double)>& progress);
   VisibilityMap take() { return std::move(visibility_); }

@@ -1,5 +1,5 @@
 // How many lights a live run has the time for. A light that follows a moving character costs as
-// much as everything else in a frame; a frame that comes too late is lost, a light that is missing
+// much as everything else in a frame. A frame that comes too late is lost; a light that is missing
 // is a shadow a little too soft.
 // threads: thread-bound
 #pragma once
@@ -19,9 +19,9 @@ class FrameBudget {
 
   /// A frame that took so long, waiting for others not counted, with so many lights that could go.
   void add(double busy_ms, int lights);
-  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may, a short window
-  /// when their number has just changed; frames of a light that does not follow yet are not
-  /// counted; one more when the last one that went would fit again by what it cost then, after a
+  /// 0..kAll. One fewer as soon as a window's median frame took longer than it may. The window is
+  /// short when their number has just changed, and frames of a light that does not follow yet do
+  /// not count. One more when the last one that went would fit again by what it cost then, after a
   /// wait that doubles with every light that goes.
   int max_lights() const { return allowed_; }
 

@@ -63,7 +63,8 @@ class SilhouetteGrid {
 
   /// Whether the lines over each cell are known: where no shadow is thrown aside by a cell.
   bool has_lists() const { return !last_.empty(); }
-  /// Calls f(line) for all that can hide a part of the light from the place. in: has_lists()
+  /// Calls f(line) for all that can hide a part of the light from the place.
+  /// in: has_lists()
   template <class F>
   void each_over(const glm::vec3& p, F f) const {
     const std::size_t cell = index(static_cast<int>(p.x), static_cast<int>(p.z));

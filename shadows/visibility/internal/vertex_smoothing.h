@@ -25,7 +25,7 @@ void average_neighbours(const prt::Mesh& mesh, std::vector<T>& values) {
 }
 
 /// Sums over several directions of a light, so often. Once leaves the beat of the turns with a
-/// grid's rows as ripples in broad penumbras; patterns in random order leave blotches. Three times
+/// grid's rows as ripples in wide penumbras; patterns in random order leave blotches. Three times
 /// would blur the edges of smaller sources (studio: 2.5 to 3.3 %).
 inline int smoothing_passes(const lighting::DistantLight& source) {
   constexpr double kThriceFrom = .25;  // radians

@@ -12,11 +12,13 @@
 
 namespace penumbra::shadows {
 
+/// What an object's visibility map does under a light.
 enum class LookupUse { kNone, kScout, kCoarse, kFine };
-/// Looked up in the visibility's cells, wide or fine, for lights that are wide beside those; as a
-/// scout for smaller ones, but for those that are told by silhouettes. None for hard shadows, for
-/// more rays than it is worth, and where another caster's sphere reaches
-/// between: a real plane's, where there are several, always does.
+/// kCoarse, kFine: the light is wide against the map's coarse or fine cells, so the map answers in
+/// place of rays. kScout: the light is smaller, and the map tells which vertices need rays.
+/// kNone: there is no map, the shadow is hard, or more than eight rays a vertex are asked for. Also
+/// where silhouettes are counted (VisibilityGroups::counts_parts), and where another caster's
+/// sphere reaches between. Where there are several real planes, one of their spheres always does.
 LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
                      const lighting::DistantLight& source, int samples);
 
@@ -34,8 +36,9 @@ enum class VisibilityVerdict : std::uint8_t {
   kMaybeLit,
   kMixed
 };
-/// Lit or dark where samples at and beside a vertex agree that all of the light, as finely as a
-/// look-up can tell, is open or that nothing is; a sample maybe so where others say otherwise.
+/// What the samples (prt::VertexSamples) at and beside each vertex say of a light, as finely as a
+/// look-up can tell. kLit, kDark: all of them say that the whole light is open, or nothing of it.
+/// kMaybeLit, kMaybeDark: the vertex is a sample and says so, but others say otherwise.
 /// threads: as trace_direct_light
 void scout(const Caster& object, const lighting::DistantLight& source,
            std::vector<VisibilityVerdict>& out);
