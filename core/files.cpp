@@ -93,6 +93,14 @@ Result<std::vector<unsigned char>> read_bytes(const fs::path& path, std::size_t 
   return bytes;
 }
 
+Result<std::string> read_text(const fs::path& path, std::size_t limit_bytes) {
+  PENUMBRA_ASSIGN(bytes, read_bytes(path, limit_bytes));
+  constexpr std::string_view kMark = "\xef\xbb\xbf";
+  std::string text(bytes.begin(), bytes.end());
+  if (text.starts_with(kMark)) text.erase(0, kMark.size());
+  return text;
+}
+
 Result<void> make_folder(const fs::path& folder) {
   std::error_code error;
   fs::create_directories(folder, error);

@@ -28,6 +28,11 @@ Result<void> write_bytes(const std::filesystem::path& target, std::string_view b
 Result<std::vector<unsigned char>> read_bytes(const std::filesystem::path& path,
                                               std::size_t limit_bytes = std::size_t{1} << 31);
 
+/// Whole file as text, without the byte order mark that some programs put before UTF-8.
+/// errors:  as read_bytes
+Result<std::string> read_text(const std::filesystem::path& path,
+                              std::size_t limit_bytes = std::size_t{1} << 31);
+
 /// Whether a file could be made there: asked before long work, so that a wrong path costs no time.
 /// Leaves nothing.
 /// errors: kUnwritable

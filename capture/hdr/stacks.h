@@ -21,18 +21,26 @@ struct ExposureStack;
 /// Exposure of `b` over that of `a` by the pixels that both tell.
 struct ExposureRatio {
   double ratio = 1;
-  double low = 1, high = 1;  // 95 % of the estimates of resampled pictures lie between
+  double low = 1, high = 1;  // 95 % within
   double fraction = 0;       // of the pictures' patches
   std::size_t blocks = 0;    // of 4x4 pixels that took part
 };
-/// Median over blocks of 4x4 pixels in which neither clips nor is dark, so that what moved has no
-/// say. Its interval comes from resampling the blocks. It is wider where the dark and the bright of
-/// the pictures disagree: the curve does not fit. The ratio holds under the given curve: another
+/// Standard deviation of the exponent of a curve that was estimated from a bracket.
+inline constexpr double kEstimatedExponentSigma = .03;
+
+/// A robust line through the signals of blocks of 4x4 pixels in which neither clips nor is dark. So
+/// what moved has no say, and neither has light that is added to both, as the base of a film.
+/// The interval holds chance (blocks drawn in tiles), what dark and bright parts tell apart,
+/// and the curve's exponent. The ratio holds under the given curve: another
 /// curve, another ratio.
-/// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell)
-/// source: Hanji & Mantiuk 2023 (ratios from overlaps); gauge: Grossberg & Nayar 2003
+/// in:     exponent_sigma: of the curve, relative; 0 where it is known
+/// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell, or no
+///         line through them)
+/// source: Hanji & Mantiuk 2023 (ratios from overlaps); Deming 1943 (errors in both); gauge:
+///         Grossberg & Nayar 2003
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
-                                              const ResponseTable& curve);
+                                              const ResponseTable& curve,
+                                              double exponent_sigma = 0);
 
 /// How far the pictures of a hand-held stack lay from the reference, pixels in the mean.
 struct Alignment {

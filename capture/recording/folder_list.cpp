@@ -163,8 +163,8 @@ std::string print_row(const FrameRow& row) {
 
 Result<std::vector<FrameRow>> read_frame_list(const fs::path& folder, const std::string& list) {
   const fs::path path = folder / list;
-  PENUMBRA_ASSIGN(bytes, read_bytes(path, std::size_t{1} << 28));
-  std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  PENUMBRA_ASSIGN(whole, read_text(path, std::size_t{1} << 28));
+  std::string_view text = whole;
   std::vector<FrameRow> rows;
   std::optional<bool> with_pose;
   for (int number = 1; !text.empty(); ++number) {

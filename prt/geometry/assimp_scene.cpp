@@ -1,12 +1,20 @@
 #include "prt/geometry/internal/assimp_scene.h"
 
+#include <assimp/DefaultIOSystem.h>
+#include <assimp/MemoryIOWrapper.h>
 #include <assimp/postprocess.h>
 
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <cstdint>
+#include <deque>
 #include <fstream>
+#include <string>
 #include <string_view>
+#include <utility>
+
+#include "core/files.h"
 
 namespace penumbra::prt {
 
@@ -64,6 +72,45 @@ Result<void> check_ply(const std::filesystem::path& path) {
   return {};
 }
 
+// Assimp reads no number that begins with its point, such as -.15 in an OBJ file.
+std::string with_leading_zeros(std::string_view text) {
+  constexpr std::string_view kNames = "mugon#";  // lines of these hold names of files and groups
+  std::string out;
+  out.reserve(text.size());
+  const auto is_space = [](char c) { return c == ' ' || c == '\t'; };
+  char first = '\n', before = '\n', one_more = '\n';
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const char c = text[i];
+    if (before == '\n' && !is_space(c)) first = c;
+    const bool begins =
+        is_space(before) || ((before == '-' || before == '+') && is_space(one_more));
+    const bool digit_follows = i + 1 < text.size() && text[i + 1] >= '0' && text[i + 1] <= '9';
+    if (c == '.' && begins && digit_follows && kNames.find(first) == std::string_view::npos)
+      out += '0';
+    out += c;
+    one_more = std::exchange(before, c);
+  }
+  return out;
+}
+
+// Hands out OBJ and material files as Assimp can read them.
+class ObjFiles : public Assimp::DefaultIOSystem {
+ public:
+  Assimp::IOStream* Open(const char* file, const char* mode) override {
+    const std::string extension = std::filesystem::path(file).extension().string();
+    if (extension != ".obj" && extension != ".OBJ" && extension != ".mtl" && extension != ".MTL")
+      return DefaultIOSystem::Open(file, mode);
+    const auto text = read_text(file);
+    if (!text) return nullptr;
+    texts_.push_back(with_leading_zeros(*text));
+    return new Assimp::MemoryIOStream(reinterpret_cast<const std::uint8_t*>(texts_.back().data()),
+                                      texts_.back().size());
+  }
+
+ private:
+  std::deque<std::string> texts_;  // as long as Assimp may read them
+};
+
 // Other kinds that Assimp knows end the process on a damaged file: Debian builds it with assertions
 // on.
 constexpr std::string_view kKinds[] = {".gltf", ".glb", ".obj", ".ply", ".stl", ".fbx", ".dae"};
@@ -83,6 +130,7 @@ Result<const aiScene*> open_scene(Assimp::Importer& importer, const std::filesys
   if (std::ranges::find(kKinds, kind) == std::end(kKinds))
     return fail(ErrorCode::kInvalid, file,
                 "is none of the mesh formats glTF, OBJ, PLY, STL, FBX and COLLADA");
+  if (kind == ".obj") importer.SetIOHandler(new ObjFiles);  // which the importer owns
   // Wide smoothing angle: scanned meshes come without normals and are smooth.
   importer.SetPropertyFloat(AI_CONFIG_PP_GSN_MAX_SMOOTHING_ANGLE, 80.f);
   const aiScene* scene = importer.ReadFile(

@@ -35,19 +35,48 @@ TEST(ExposureRatio, IsFoundWithAnIntervalThatHoldsIt) {
   Sensor sensor;
   sensor.response = calib::Response::srgb();
   int held = 0;
-  constexpr int kRuns = 40;
+  constexpr int kRuns = 200;
   for (std::uint64_t n = 0; n < kRuns; ++n) {
-    const double truth = 1.5 + .2 * static_cast<double>(n);
-    const auto scene = room();
+    const double truth = 1.3 + .03 * static_cast<double>(n);
+    Image<Rgb> scene = make_random_environment(192, 96, static_cast<std::uint32_t>(n % 20));
+    for (Rgb& p : scene.pixels()) p = p * .3f;
     const auto a = test::shot(sensor, scene, {Seconds(.1), Gain(1)}, 2 * n + 1),
                b = test::shot(sensor, scene, {Seconds(.1 * truth), Gain(1)}, 2 * n + 2);
     const auto found = estimate_exposure_ratio(bytes(a), bytes(b), srgb());
     ASSERT_TRUE(found) << found.error().detail;
-    EXPECT_NEAR(found->ratio / truth, 1, .01) << truth;
+    EXPECT_NEAR(found->ratio / truth, 1, .02) << truth;
     held += found->low <= truth && truth <= found->high;
   }
   std::printf("the interval held the true ratio in %d of %d\n", held, kRuns);
-  EXPECT_GE(held, kRuns * 8 / 10);
+  // 95 %, of which chance alone takes or gives 3.
+  EXPECT_GE(held, kRuns * 92 / 100);
+  EXPECT_LE(held, kRuns * 98 / 100);
+}
+
+// The base of a film, or glare inside a camera: dark parts look alike in both pictures.
+TEST(ExposureRatio, LightThatIsAddedToBothHasNoSay) {
+  const ResponseTable curve = srgb();
+  const Image<Rgb> scene = room();
+  const auto exposed = [&](float time) {
+    Image<Rgb8> out(scene.width(), scene.height());
+    for (std::size_t i = 0; i < out.area(); ++i) {
+      const Rgb y = scene.pixels()[i] * (time * .1f) + Rgb{.012f, .008f, .006f};
+      const auto code = [&](float v, int c) { return curve.encode8(c, v); };
+      out.pixels()[i] = {code(y.r, 0), code(y.g, 1), code(y.b, 2)};
+    }
+    return out;
+  };
+  const Image<Rgb8> a = exposed(.2f), b = exposed(.4f);
+  std::vector<double> logs;
+  for (std::size_t i = 0; i < a.area(); ++i)
+    if (b.pixels()[i].g < 240)
+      logs.push_back(double(curve.decode(1, b.pixels()[i].g)) /
+                     double(curve.decode(1, a.pixels()[i].g)));
+  std::ranges::nth_element(logs, logs.begin() + std::ptrdiff_t(logs.size() / 2));
+  EXPECT_LT(logs[logs.size() / 2], 1.9) << "the median of ratios would do: the test shows nothing";
+  const auto found = estimate_exposure_ratio(a, b, curve);
+  ASSERT_TRUE(found) << found.error().detail;
+  EXPECT_NEAR(found->ratio, 2, .02);
 }
 
 TEST(ExposureRatio, AWrongCurveWidensTheInterval) {
@@ -252,35 +281,70 @@ TEST(RealStack, TaipeiMergesOverItsWholeRange) {
   }
 }
 
-TEST(RealStack, BridesRatioIsToldWithItsInterval) {
-  PENUMBRA_NEED_SHARED(first, "eval-only/exposure-video/bride/001_0.jpg");
-  std::vector<ExposureRatio> ratios;
-  for (int n = 1; n <= 14; ++n) {
-    char name[16];
-    std::snprintf(name, sizeof name, "%03d_", n);
-    const ExposureStack stack = read_stack({first.parent_path() / (std::string(name) + "0.jpg"),
-                                            first.parent_path() / (std::string(name) + "1.jpg")},
-                                           {1, 1});
-    const auto ratio =
-        estimate_exposure_ratio(bytes(stack.frames[0]), bytes(stack.frames[1]), srgb());
-    ASSERT_TRUE(ratio) << ratio.error().detail;
-    std::printf("bride %s: ratio %.0f, 95 %% %.0f to %.0f, %zu blocks (as if sRGB)\n", name,
-                ratio->ratio, ratio->low, ratio->high, ratio->blocks);
-    ratios.push_back(*ratio);
-    ExposureStack known = stack;
-    known.response = calib::Response::srgb();
-    known.exposures[1].time = Seconds(ratio->ratio);
-    EXPECT_TRUE(merge(known));
+// No pair of a stack whose times are right may be called wrong, and the intervals hold the truth.
+void expect_believable(const ExposureStack& stack, std::size_t may_miss) {
+  std::size_t pairs = 0, missed = 0;
+  const ResponseTable curve = make_response_table(stack.response, 8, 0);
+  for (std::size_t k = 1; k < stack.frames.size(); ++k) {
+    const double truth = stack.exposures[k - 1].time / stack.exposures[k].time;
+    const auto found = estimate_exposure_ratio(bytes(stack.frames[k]), bytes(stack.frames[k - 1]),
+                                               curve, kEstimatedExponentSigma);
+    if (!found) continue;  // too little overlaps
+    ++pairs;
+    missed += truth < found->low || found->high < truth;
+    const bool warned = found->fraction > .2 && std::abs(found->ratio / truth - 1) > .1 &&
+                        (truth < found->low || truth > found->high);
+    EXPECT_FALSE(warned) << k << ": " << found->ratio << " in " << found->low << " to "
+                         << found->high;
   }
-  // Little overlaps at more than eight stops, and the curve is not known: the intervals say so.
-  std::vector<double> sorted;
-  for (const ExposureRatio& r : ratios) sorted.push_back(r.ratio);
-  std::ranges::sort(sorted);
-  const double middle = sorted[sorted.size() / 2];
-  const auto holding = std::ranges::count_if(
-      ratios, [&](const ExposureRatio& r) { return r.low <= middle && middle <= r.high; });
-  std::printf("bride: median ratio %.0f, held by %td of 14 intervals\n", middle, holding);
-  EXPECT_GE(holding, 12);
+  std::printf("%zu of %zu intervals hold the told ratio\n", pairs - missed, pairs);
+  EXPECT_LE(missed, may_miss);
+  EXPECT_GE(pairs, stack.frames.size() / 2);
+}
+
+TEST(RealStack, MemorialsTimesAreBelieved) {
+  PENUMBRA_NEED_SHARED(first, "eval-only/stacks/memorial/memorial0061.png");
+  std::vector<std::filesystem::path> paths;
+  std::vector<double> times;
+  for (int k = 61; k <= 76; ++k) {
+    paths.push_back(first.parent_path() / ("memorial00" + std::to_string(k) + ".png"));
+    times.push_back(std::ldexp(1, 66 - k));
+  }
+  ExposureStack stack = read_stack(paths, times);
+  stack.response = *response_of(stack);
+  expect_believable(stack, 1);
+}
+
+TEST(RealStack, TaipeisTimesAreBelieved) {
+  PENUMBRA_NEED_SHARED(first, "eval-only/stacks/taipei/DSC_0058.png");
+  std::vector<std::filesystem::path> paths;
+  std::vector<double> times;
+  for (int k = 58; k <= 67; ++k) {
+    paths.push_back(first.parent_path() / ("DSC_00" + std::to_string(k) + ".png"));
+    times.push_back(std::ldexp(1, 63 - k));
+  }
+  ExposureStack stack = read_stack(paths, times);
+  stack.response = *response_of(stack);
+  expect_believable(stack, 1);
+}
+
+// Nothing but a few codes next to black is well exposed in both: no ratio, or one of which the
+// interval says that it is none.
+TEST(RealStack, BridesPicturesHardlyOverlapAndSaySo) {
+  PENUMBRA_NEED_SHARED(first, "eval-only/exposure-video/bride/001_0.jpg");
+  for (const calib::Response& response : {calib::Response::srgb(), calib::Response::gamma(2.2)})
+    for (int n = 1; n <= 14; ++n) {
+      char name[16];
+      std::snprintf(name, sizeof name, "%03d_", n);
+      const ExposureStack stack = read_stack({first.parent_path() / (std::string(name) + "0.jpg"),
+                                              first.parent_path() / (std::string(name) + "1.jpg")},
+                                             {1, 1});
+      const auto ratio = estimate_exposure_ratio(bytes(stack.frames[0]), bytes(stack.frames[1]),
+                                                 make_response_table(response, 8, 0));
+      if (!ratio) continue;
+      EXPECT_TRUE(ratio->fraction < .005 || ratio->high > 1.5 * ratio->low)
+          << name << response.describe();
+    }
 }
 
 }  // namespace

@@ -326,6 +326,16 @@ TEST_F(Files, BytesComeBackAsWritten) {
   }
 }
 
+TEST_F(Files, TextLosesItsByteOrderMarkAndNothingElse) {
+  const fs::path path = folder_.path() / "mark.csv";
+  for (const std::string text : {"", "a,b\n", "\xef\xbb", "x\xef\xbb\xbf"}) {
+    for (const std::string mark : {"", "\xef\xbb\xbf"}) {
+      ASSERT_TRUE(write_bytes(path, mark + text));
+      EXPECT_EQ(read_text(path), text);
+    }
+  }
+}
+
 TEST_F(Files, ReadingSaysWhyItFails) {
   ASSERT_TRUE(write_bytes(file("a.bin"), "12345"));
   EXPECT_EQ(read_bytes(file("absent")).error().code, ErrorCode::kNotFound);

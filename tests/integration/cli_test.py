@@ -230,7 +230,7 @@ class Bake(CliTest):
 
     def test_a_clip_that_cannot_be_baked_is_refused_and_leaves_nothing(self):
         for words, more in ((["--shard", "3/2"], ["--shard", "3/2"]), (["--light-map", "12"], ["--light-map", "12"]),
-                            (["--samples"], ["--samples", 65]), (["--albedo"], ["--receiver-albedo", "nan"]),
+                            (["--samples"], ["--samples", 65]), (["-albedo"], ["--receiver-albedo", "nan"]),
                             (["Walk, Wave, Rest"], ["--animation", "Fly"]), (["bad.glb", ".shlm"], ["-o", "bad.glb"])):
             arguments = list(self.bake_clip("bad.shlm"))
             for key, value in zip(more[::2], more[1::2]):

@@ -238,6 +238,18 @@ TEST_F(ImportMesh, FilesWithoutTrianglesAreErrors) {
 }
 
 // Assimp would give one triangle of a strip and say nothing.
+TEST_F(ImportMesh, NumbersOfAnObjMayBeginWithTheirPoint) {
+  put("point.mtl", "newmtl .5\nKd .25 .5 .125\n");
+  const Import got = imported(
+      "point.obj", "mtllib point.mtl\nusemtl .5\nv .0 .0 0\nv +.5 0 -.0\nv 0\t0 -.25\nf 1 2 3\n");
+  ASSERT_EQ(got.mesh.triangles.size(), 1u);
+  std::vector<float> xz;
+  for (const glm::vec3& p : got.mesh.positions) xz.push_back(p.x), xz.push_back(p.z);
+  EXPECT_EQ(xz, (std::vector<float>{0, 0, .5f, 0, 0, -.25f}));
+  EXPECT_NEAR(got.mesh.albedo[0].r, .25f, 1e-6f);
+  EXPECT_NEAR(got.mesh.albedo[0].b, .125f, 1e-6f);
+}
+
 TEST_F(ImportMesh, TriangleStripsAreRefusedByName) {
   const auto strips =
       import_mesh(put("strips.ply",

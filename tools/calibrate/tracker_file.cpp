@@ -32,8 +32,8 @@ std::optional<Row> parse(std::string_view line) {
 }  // namespace
 
 Result<std::vector<calib::TrackerPose>> read_tracker_file(const std::filesystem::path& path) {
-  PENUMBRA_ASSIGN(bytes, read_bytes(path));
-  std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  PENUMBRA_ASSIGN(whole, read_text(path));
+  std::string_view text = whole;
   std::vector<calib::TrackerPose> out;
   constexpr double kUnit = 1e-2;  // that a quaternion's length may be off by
   for (int number = 1; !text.empty(); ++number) {

@@ -490,10 +490,8 @@ Result<void> chart(const ChartOptions& o) {
   if (!o.json && !o.truncated)
     fmt::print(
         "n coefficients, K lights, smp samples of a light, map texels along its shadow map, rows "
-        "of "
-        "the environment, rays of the bake, rate updates a frame; errors of the object, of the "
-        "shadow ratio s, FLIP, of the shadow's edge, flicker F; ms of an update on one thread. "
-        "About five minutes an environment and object.\n"
+        "of the environment, rays of the bake, rate updates a frame; errors of the object, of the "
+        "shadow ratio s, FLIP, of the shadow's edge, flicker F; ms of an update on one thread\n"
         "{:<28} {:<8} {:<26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5} {:>9} {:>7} {:>8} {:>8} "
         "{:>7} "
         "{:>7} {:>7} {:>8}\n",

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "calib/camera/response.h"
 #include "calib/estimate/estimate_response.h"
@@ -69,10 +70,12 @@ std::size_t middle_exposure(const capture::ExposureStack& stack) {
 }
 
 // Says what the pictures themselves tell of their exposures.
-Result<void> report_times(capture::ExposureStack& stack, const std::vector<std::string>& images) {
+Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
+                                              capture::ExposureStack& stack) {
   constexpr double kFarOff = .1;
   constexpr double kEnough = .2;  // of the picture: less may be its border, or haze in a lens
-  PENUMBRA_ASSIGN(checked, check_times(stack));
+  const std::vector<std::string>& images = o.images;
+  PENUMBRA_ASSIGN(checked, check_times(stack, o.response ? 0 : capture::kEstimatedExponentSigma));
   for (const CheckedTime& c : checked) {
     const std::string by_overlap = fmt::format(
         "{:.4g} times the exposure of {}, by their overlap (95 % within {:.4g} to {:.4g}, {} "
@@ -85,11 +88,16 @@ Result<void> report_times(capture::ExposureStack& stack, const std::vector<std::
              (c.told < c.ratio.low || c.told > c.ratio.high))
       log_warning("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap, c.told);
   }
-  return {};
+  return checked;
 }
 
+struct ReadyStack {
+  capture::ExposureStack stack;
+  std::vector<CheckedTime> checked;
+};
+
 // A stack of pictures as they were taken, made ready for the merge.
-Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
+Result<ReadyStack> prepare(const HdrMergeOptions& o) {
   PENUMBRA_ASSIGN(stack, read_bracket(o.images, o.times, true));
   if (o.reference > static_cast<int>(o.images.size()))
     return fail(ErrorCode::kInvalid, "--reference",
@@ -110,19 +118,36 @@ Result<capture::ExposureStack> prepare(const HdrMergeOptions& o) {
   }
   PENUMBRA_ASSIGN(response, find_response(o, stack));
   stack.response = response;
-  if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0]))
-    PENUMBRA_TRY(report_times(stack, o.images));
-  else if (any_unknown(stack))
+  std::vector<CheckedTime> checked;
+  if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0])) {
+    PENUMBRA_ASSIGN(found, report_times(o, stack));
+    checked = std::move(found);
+  } else if (any_unknown(stack)) {
     return fail(ErrorCode::kInvalid, "--times", "a time of ? needs 8-bit pictures");
+  }
   if (o.align || o.reference > 0) priority(stack, reference);
-  return stack;
+  return ReadyStack{std::move(stack), std::move(checked)};
+}
+
+nlohmann::json to_json(const ReadyStack& ready, const std::vector<std::string>& images) {
+  nlohmann::json out = nlohmann::json::array();
+  for (const CheckedTime& c : ready.checked)
+    out.push_back({{"picture", images[c.picture]},
+                   {"against", images[c.against]},
+                   {"ratio", c.ratio.ratio},
+                   {"low", c.ratio.low},
+                   {"high", c.ratio.high},
+                   {"blocks", c.ratio.blocks},
+                   {"told", c.told > 0 ? nlohmann::json(c.told) : nlohmann::json()}});
+  return out;
 }
 
 }  // namespace
 
 Result<void> hdr_merge(const HdrMergeOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
-  PENUMBRA_ASSIGN(stack, prepare(o));
+  PENUMBRA_ASSIGN(ready, prepare(o));
+  const capture::ExposureStack& stack = ready.stack;
   auto merged = capture::merge(stack);
   if (!merged)
     return fail(merged.error().code, o.images[0] + " and its bracket", merged.error().detail);
@@ -131,6 +156,7 @@ Result<void> hdr_merge(const HdrMergeOptions& o) {
     print_json({{"width", merged->radiance.width()},
                 {"height", merged->radiance.height()},
                 {"exposures_used", stack.frames.size()},
+                {"exposure_ratios", to_json(ready, o.images)},
                 {"clipped_fraction", merged->clipped_fraction},
                 {"black_fraction", merged->black_fraction}});
   } else {

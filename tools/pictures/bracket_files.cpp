@@ -150,7 +150,7 @@ Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& imag
   return stack;
 }
 
-Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
+Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack, double exponent_sigma) {
   for (const auto& f : stack.frames)
     if (!std::holds_alternative<Image<Rgb8>>(*f))
       return fail(
@@ -159,7 +159,8 @@ Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
   const ResponseTable curve = capture::make_response_table(stack.response, 8, stack.black_level);
   const auto ratio_of = [&](std::size_t against, std::size_t picture) {
     return capture::estimate_exposure_ratio(std::get<Image<Rgb8>>(*stack.frames[against]),
-                                            std::get<Image<Rgb8>>(*stack.frames[picture]), curve);
+                                            std::get<Image<Rgb8>>(*stack.frames[picture]), curve,
+                                            exponent_sigma);
   };
   const auto known = [&](std::size_t k) { return stack.exposures[k].time > kUnknownTime; };
   std::vector<CheckedTime> out;
@@ -189,6 +190,14 @@ Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack) {
     if (!ratio)
       return fail(ratio.error().code, fmt::format("--times: the ? of picture {}", picture + 1),
                   ratio.error().detail);
+    constexpr double kWidest = 1.5;   // interval, high over low
+    constexpr double kFewest = .005;  // of the pictures' patches
+    if (ratio->high > kWidest * ratio->low || ratio->fraction < kFewest)
+      return fail(
+          ErrorCode::kUndetermined, fmt::format("--times: the ? of picture {}", picture + 1),
+          fmt::format("its exposure is {:.3g} to {:.3g} times that of picture {}: too little "
+                      "is well exposed in both, and the curve's dark end decides",
+                      ratio->low, ratio->high, against + 1));
     stack.exposures[picture].time = stack.exposures[against].time * ratio->ratio;
     out.push_back({picture, against, *ratio, 0});
   }

@@ -32,10 +32,10 @@ struct CheckedTime {
   double told = 0;  // ratio by the given times; 0: it was not given
 };
 /// Finds unknown times from the nearest known neighbours in the list and compares the told ones.
-/// Needs the response.
-/// errors: kUndetermined (no time given at all, or no overlap to find an unknown one), kInvalid
-/// (not 8 bits)
-Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack);
+/// Needs the response; `exponent_sigma` as for capture::estimate_exposure_ratio.
+/// errors: kUndetermined (no time given at all, no overlap to find an unknown one, or so little
+///         that the curve decides), kInvalid (not 8 bits)
+Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack, double exponent_sigma);
 
 /// What a stack of 8-bit frames holds, for those who estimate a response.
 struct EightBitBracket {
