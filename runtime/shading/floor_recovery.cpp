@@ -117,9 +117,22 @@ bool FloorRecovery::is_near_an_object(const glm::dvec3& point) const {
   });
 }
 
-std::optional<lighting::ReflectancePatch> FloorRecovery::measure(const capture::Frame& frame,
-                                                                 const capture::CameraInfo& camera,
-                                                                 const ResponseTable* curve) const {
+// Past what stands there, as far as it is known. In the shadow of a wall most of the floor may lie.
+bool FloorRecovery::is_seen_and_lit(const glm::dvec3& eye, const glm::dvec3& direction,
+                                    double distance, std::span<const glm::dvec3> towards) const {
+  if (!real_) return true;
+  constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
+  if (real_->occluded(glm::vec3(eye), glm::vec3(direction), 0, static_cast<float>(distance)))
+    return false;
+  const glm::vec3 point(eye + distance * direction);
+  return std::ranges::none_of(towards, [&](const glm::dvec3& light) {
+    return real_->occluded(point, glm::vec3(light), kOff_m, kFar_m);
+  });
+}
+
+std::optional<lighting::ReflectancePatch> FloorRecovery::measure(
+    const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
+    std::span<const glm::dvec3> towards) const {
   const PixelReader read{curve, 1 / static_cast<float>(frame.exposure.product())};
   const calib::CameraModel& p = camera.projection;
   const Vignetting vignetting = calib::vignetting_of(p, camera.vignetting);
@@ -134,8 +147,7 @@ std::optional<lighting::ReflectancePatch> FloorRecovery::measure(const capture::
       const glm::dvec3 d = frame.world_from_camera.rotation * *ray;
       const double distance = -height / glm::dot(d, floor_->normal);
       if (!(distance > 0) || !is_near_an_object(eye + distance * d)) continue;
-      if (real_ && real_->occluded(glm::vec3(eye), glm::vec3(d), 0, static_cast<float>(distance)))
-        continue;
+      if (!is_seen_and_lit(eye, d, distance, towards)) continue;
       auto pixel = std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
       if (!pixel) continue;
       const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
@@ -163,13 +175,14 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
     const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
     const lighting::LightEstimate& light) {
   std::vector<int> clipped;
+  std::vector<glm::dvec3> towards;
   for (const lighting::DistantLight& d : light.lights)
-    if (d.clipped) clipped.push_back(d.id);
+    if (d.clipped) clipped.push_back(d.id), towards.push_back(d.direction);
   if (!floor_ || clipped.empty() || (last_ && frame.time - *last_ < kAgain && clipped == tried_))
     return std::vector<lighting::SaturationRecovery>{};
   last_ = frame.time;
   tried_ = std::move(clipped);
-  const auto patch = measure(frame, camera, curve);
+  const auto patch = measure(frame, camera, curve, towards);
   if (!patch)
     return fail(ErrorCode::kUndetermined, camera.name,
                 "shows too little of the floor, or overexposes it");

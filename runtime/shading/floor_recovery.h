@@ -4,6 +4,7 @@
 #pragma once
 
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "calib/camera/response_table.h"
@@ -44,13 +45,16 @@ class FloorRecovery {
  private:
   std::optional<lighting::ReflectancePatch> measure(const capture::Frame& frame,
                                                     const capture::CameraInfo& camera,
-                                                    const ResponseTable* curve) const;
+                                                    const ResponseTable* curve,
+                                                    std::span<const glm::dvec3> towards) const;
+  bool is_seen_and_lit(const glm::dvec3& eye, const glm::dvec3& direction, double distance,
+                       std::span<const glm::dvec3> towards) const;
   bool is_near_an_object(const glm::dvec3& point) const;
   bool is_news(const std::vector<lighting::SaturationRecovery>& found) const;
 
   const PreparedScene* scene_ = nullptr;
   const prt::Plane* floor_ = nullptr;
-  std::optional<prt::RayScene> real_;  // may stand before the floor
+  std::optional<prt::RayScene> real_;  // may stand before the floor, or before a light
   std::optional<TimestampNs> last_;
   std::vector<int> tried_;  // lights of the last attempt
   std::vector<lighting::SaturationRecovery> said_;

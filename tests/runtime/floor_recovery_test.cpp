@@ -102,6 +102,42 @@ TEST(FloorRecovery, RealShadowOverAThirdOfTheFloorDoesNotCount) {
   EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
 }
 
+// More than half of the floor around the object lies in the shadow of a thing that is known.
+TEST(FloorRecovery, ShadowOfAKnownThingOverMostOfTheFloorDoesNotCount) {
+  ClippedSun c;
+  c.options.view_width = 640, c.options.view_height = 360, c.options.view_focal_px = 472;
+  lighting::LightExtraction split;
+  ASSERT_TRUE(lighting::extract_lights(c.world->environment(), {}, split));
+  const glm::vec3 sun(split.lights.at(0).direction), middle = 4.f * sun;
+  const PreparedScene without = c.scene;
+  c.scene.real_mesh =
+      prt::make_box(middle - glm::vec3(.75f), middle + glm::vec3(.75f), 1, {.5f, .5f, .5f});
+  const auto box = *prt::RayScene::build(c.scene.real_mesh);
+  int dark = 0, near = 0;
+  const auto shade = [&](Image<Rgb8>& picture) {
+    dark = near = 0;
+    for (int y = 0; y < picture.height(); ++y)
+      for (int x = 0; x < picture.width(); ++x) {
+        const Pose& eye = c.options.world_from_view;
+        const glm::dvec3 d =
+            eye.rotation * glm::dvec3((x + .5 - 320) / 472, (180 - y - .5) / 472, -1);
+        if (d.y >= 0) continue;
+        const glm::dvec3 at = eye.translation - eye.translation.y / d.y * d;
+        const bool in_shade = box.occluded(glm::vec3(at), sun, 1e-3f, 100);
+        if (glm::length(at) < FloorRecovery::kNear_m) ++near, dark += in_shade;
+        if (!in_shade) continue;
+        Rgb8& p = picture.at(x, y);
+        p = {static_cast<std::uint8_t>(p.r / 3), static_cast<std::uint8_t>(p.g / 3),
+             static_cast<std::uint8_t>(p.b / 3)};
+      }
+  };
+  auto naive = *FloorRecovery::create(without);
+  EXPECT_LT(sun_fraction(watch(c, naive, shade).last, c.truth), .6f) << "the test shows nothing";
+  EXPECT_GT(dark, near / 2) << near;
+  auto recovery = *FloorRecovery::create(c.scene);
+  EXPECT_NEAR(sun_fraction(watch(c, recovery, shade).last, c.truth), 1, .06f);
+}
+
 TEST(FloorRecovery, OverexposedFloorSaysSoAndLeavesTheLight) {
   ClippedSun c;
   auto recovery = *FloorRecovery::create(c.scene);
