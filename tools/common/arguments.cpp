@@ -170,7 +170,7 @@ Error argument_error(const CLI::App& app, std::span<char* const> arguments,
   if (kind == "ConversionError") return not_convertible(*found.app, text);
   if (kind == "RequiredError") return missing(*found.app, text);
   if (kind == "ArgumentMismatch") return wrong_count(text);
-  const auto of = [](std::pair<std::string, std::string> words, const std::string& why) {
+  const auto of = [](const std::pair<std::string, std::string>& words, const std::string& why) {
     return Error{ErrorCode::kInvalid, words.first, why + words.second};
   };
   if (kind == "ValidationError") return of(parts(text, "", ": "), "");
