@@ -57,7 +57,7 @@ unsigned code_of(const Rgb8& p, int channel) {
   return channel == 0 ? p.r : channel == 1 ? p.g : p.b;
 }
 
-// Of a block's signals in one channel, if no pixel of either picture clips or is black.
+// Of a block's signals in one channel, if no pixel of either picture clips or is dark.
 std::optional<Block> read_block(const Image<Rgb8>& a, const Image<Rgb8>& b,
                                 const ResponseTable& curve, int channel, int left, int top) {
   Block out{channel, 0, 0, 0, 0};
@@ -135,8 +135,7 @@ Darkest darkest(const std::vector<Block>& blocks) {
   return out;
 }
 
-// One step of a robust line with errors in both pictures. `counts`: how often each
-// block does.
+// One step of a robust line with errors in both pictures. `counts`: how often each block counts.
 // source: Deming 1943; biweight, Beaton & Tukey 1974
 bool refine(const std::vector<Block>& blocks, const Darkest& most, const std::vector<int>& counts,
             double scale, Line& line) {

@@ -93,13 +93,10 @@ std::string with_leading_zeros(std::string_view text) {
   return out;
 }
 
-// Hands out OBJ and material files as Assimp can read them.
+// Hands out an OBJ file and its materials as Assimp can read them.
 class ObjFiles : public Assimp::DefaultIOSystem {
  public:
-  Assimp::IOStream* Open(const char* file, const char* mode) override {
-    const std::string extension = std::filesystem::path(file).extension().string();
-    if (extension != ".obj" && extension != ".OBJ" && extension != ".mtl" && extension != ".MTL")
-      return DefaultIOSystem::Open(file, mode);
+  Assimp::IOStream* Open(const char* file, const char*) override {
     const auto text = read_text(file);
     if (!text) return nullptr;
     texts_.push_back(with_leading_zeros(*text));

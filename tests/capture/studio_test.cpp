@@ -107,6 +107,34 @@ TEST(Studio, WhiteBalanceIsOfThePictureAndNotOfTheLight) {
   for (int c = 0; c < 3; ++c) EXPECT_NEAR(sum[c] / truth[c], 1, .01) << c;
 }
 
+// The panorama has no border; the view camera tells its own, so that it can be taken out.
+TEST(Studio, ViewCameraTellsItsVignetting) {
+  const auto world = *FloorWorld::make(Image<Rgb>(64, 32, {1, 1, 1}));
+  StudioOptions o = small_options();
+  o.sensor.noisy = false;
+  o.view_exposure = Exposure{Seconds(.008), Gain(1)};
+  Studio even(world, o);
+  o.sensor.vignetting = .4;
+  Studio dark(world, o);
+  EXPECT_EQ(dark.cameras()[0].vignetting, (std::array<double, 3>{}));
+  const auto taken_out =
+      calib::vignetting_of(dark.cameras()[1].projection, dark.cameras()[1].vignetting);
+  EXPECT_NEAR(taken_out.at({0, 0}), .6, 1e-6);
+  const auto left = all_frames(even), right = all_frames(dark);
+  ASSERT_EQ(left.size(), right.size());
+  for (std::size_t i = 0; i < left.size(); ++i) {
+    const auto& a = std::get<Image<Rgb8>>(*left[i].pixels);
+    const auto& b = std::get<Image<Rgb8>>(*right[i].pixels);
+    const int x = a.width() - 1, y = a.height() - 1;
+    const double part = left[i].camera == 0 ? 1 : taken_out.at({x + .5, y + .5});
+    const calib::Response& response =
+        even.cameras()[static_cast<std::size_t>(left[i].camera)].response;
+    EXPECT_NEAR(response.decode(b.at(x, y).g / 255., 1),
+                part * response.decode(a.at(x, y).g / 255., 1), .01)
+        << i;
+  }
+}
+
 TEST(Studio, LabelsSayTheExposureThatWasAppliedWhateverTheDelay) {
   for (const int delay : {0, 1, 2, 5}) {
     StudioOptions options = small_options();
@@ -265,6 +293,22 @@ TEST(Sensor, WithoutNoiseCodesFollowTheResponse) {
             << bits << ' ' << y;
       }
     }
+}
+
+TEST(Sensor, TwelveBitsAreSpreadOverSixteen) {
+  Sensor sensor;
+  sensor.noisy = false;
+  sensor.bits = 12;
+  Image<Rgb> ramp(1000, 1);
+  for (int x = 0; x < 1000; ++x) ramp.at(x, 0) = Rgb{1, 1, 1} * (static_cast<float>(x) / 999);
+  const auto codes = exposed16(sensor, ramp, {Seconds(1), Gain(1)}, 1);
+  EXPECT_EQ(codes.at(0, 0).g, 0);
+  EXPECT_EQ(codes.at(999, 0).g, 65535);
+  for (int x = 0; x < 1000; ++x) {
+    const double code = codes.at(x, 0).g / 65535. * 4095;
+    EXPECT_NEAR(code, std::round(code), .04) << x;
+    EXPECT_NEAR(code, 4095 * x / 999., .55) << x;
+  }
 }
 
 TEST(Sensor, VignettingTakesItsShareInTheCornersAndNothingInTheMiddle) {

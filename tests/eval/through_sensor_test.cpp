@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "capture/studio/environments.h"
+#include "capture/studio/world.h"
 
 namespace penumbra::tools {
 namespace {
@@ -16,11 +17,12 @@ SensorScene box_on_floor() {
   return sensor_scenes(assets)[0];
 }
 
+// As bright as the studio's cameras are made for.
 Image<Rgb> sky() {
-  return with_mean_luminance(capture::make_sky_environment(1024, 512, .8), 60);
+  return (*capture::FloorWorld::make(capture::make_sky_environment(1024, 512, .8)))->environment();
 }
 Image<Rgb> room() {
-  return with_mean_luminance(capture::make_room_environment(1024, 512), 60);
+  return (*capture::FloorWorld::make(capture::make_room_environment(1024, 512)))->environment();
 }
 
 Result<SensorPoint> filmed(const SensorScene& scene, const Image<Rgb>& map,

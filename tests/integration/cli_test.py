@@ -188,6 +188,22 @@ class HdrMerge(CliTest):
             self.assert_close(self.run_json("inspect", out)["largest_luminance"], 109 / 255 / 0.01, 0.2)
         done = self.run_program("hdr", "merge", *pictures, "--times", "0.01,0.04", "--response", "linear", "-o", out)
         self.assertRegex(done.stderr, "warning: .*long.png: 2 times .*, but 4 by the given times")
+        told, = self.run_json("hdr", "merge", *pictures, "--times", "0.01,0.04", "--response", "linear", "-o",
+                              out)["exposure_ratios"]
+        self.assertEqual((told["picture"], told["against"]), (str(pictures[1]), str(pictures[0])))
+        self.assert_close(told["told"], 4, 1e-9)
+        self.assertTrue(told["low"] <= 2.001 and told["high"] >= 1.999, told)
+        self.assertLess(told["high"], 2.1)
+
+    def test_unknown_time_is_refused_where_hardly_anything_is_well_exposed_in_both(self):
+        # Four in a thousand patches of the picture lie between black and white in both.
+        for name, lit in (("few-a", 30), ("few-b", 60)):
+            files.write_png(self.root / f"{name}.png", 320, 240,
+                            lambda x, y, lit=lit: (lit + x % 4,) * 3 if x < 36 and y < 8 else (0, 0, 0))
+        out = self.root / "few.hdr"
+        self.expect_refusal(["the ? of picture 2", "well exposed"], "hdr", "merge", self.root / "few-a.png",
+                            self.root / "few-b.png", "--times", "0.01,?", "--response", "linear", "-o", out)
+        self.assertFalse(out.exists())
 
     def test_order_of_the_images_does_not_matter(self):
         outs = [self.root / "one.hdr", self.root / "two.hdr"]

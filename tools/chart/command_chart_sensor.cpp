@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
-#include "capture/studio/environments.h"
+#include "capture/studio/world.h"
 #include "codec/codec.h"
 #include "core/files.h"
 #include "core/log.h"
@@ -20,8 +20,7 @@ namespace penumbra::tools {
 
 namespace {
 
-// Full scales a second: a lit room, and one with its lamps dimmed to a hundredth.
-constexpr double kDay = 60, kNight = .6;
+constexpr float kNight = .01f;           // of the light of day
 constexpr double kReferenceError = .03;  // its noise is taken out by its two halves
 constexpr double kMeanGoal = .02, kWorstGoal = .04, kObjectGoal = .04, kCaptureGoal = .01;
 
@@ -58,8 +57,8 @@ struct SensorSummary {
   double shadow_mean = 0, shadow_worst = 0, object_mean = 0, object_worst = 0;
   double of_capture = 0;  // mean of the shadow's error through the sensor less that of the true map
   bool goals_met() const {
-    return shadow_mean <= kMeanGoal && shadow_worst <= kWorstGoal && object_worst <= kObjectGoal &&
-           of_capture <= kCaptureGoal;
+    return cases > 0 && shadow_mean <= kMeanGoal && shadow_worst <= kWorstGoal &&
+           object_worst <= kObjectGoal && of_capture <= kCaptureGoal;
   }
 };
 
@@ -174,12 +173,19 @@ Result<void> check(const ChartOptions& o) {
   return {};
 }
 
+// As bright as the studio's cameras are made for, and the room by night.
 Result<std::vector<ChartEnvironment>> environments_of(const ChartOptions& o) {
   PENUMBRA_ASSIGN(out, read_environments(o.environments, o.with_procedural));
-  for (ChartEnvironment& e : out) e.map = with_mean_luminance(std::move(e.map), kDay);
-  if (o.environments.empty() || o.with_procedural)
-    out.push_back(
-        {"night", with_mean_luminance(capture::make_room_environment(1024, 512), kNight)});
+  for (ChartEnvironment& e : out) {
+    const auto world = capture::FloorWorld::make(std::move(e.map));
+    if (!world) return fail(world.error().code, e.name, world.error().detail);
+    e.map = (*world)->environment();
+  }
+  const auto room = std::ranges::find(out, "room", &ChartEnvironment::name);
+  if (room == out.end()) return out;
+  ChartEnvironment night{"night", room->map};
+  for (Rgb& c : night.map.pixels()) c = c * kNight;
+  out.push_back(std::move(night));
   return out;
 }
 

@@ -26,7 +26,6 @@ constexpr double kViewFps = 5;
 // one moment as make their own noise small.
 constexpr int kSettling = 13, kAveraged = 8;
 constexpr double kStepSeconds = .3;  // a walker with one leg before the other
-constexpr double kDaylight = 60;     // full scales a second
 constexpr double kVignetting = .3;   // of the view camera
 
 // A far map, and a picture of what stands before the view camera.
@@ -141,16 +140,6 @@ Image<Rgb> side_by_side(std::initializer_list<const Image<Rgb>*> pictures, doubl
 }
 
 }  // namespace
-
-Image<Rgb> with_mean_luminance(Image<Rgb> map, double mean_luminance) {
-  double sum = 0;
-  for (int y = 0; y < map.height(); ++y) {
-    const double w = latlong_solid_angle(y, map.width(), map.height());
-    for (const Rgb& c : map.row(y)) sum += w * luminance(c);
-  }
-  for (Rgb& c : map.pixels()) c = c * static_cast<float>(mean_luminance * 4 * kPi / sum);
-  return map;
-}
 
 std::vector<SensorScene> sensor_scenes(std::span<const std::string> assets) {
   std::vector<SensorScene> out;

@@ -57,14 +57,13 @@ class SensorBench {
   /// errors: as runtime::prepare and make_masks
   static Result<SensorBench> make(const SensorScene& scene);
 
-  /// in:     `environment` lat-long, linear radiance; a schedule suits a mean luminance of about 60
-  ///         full scales a second
-  /// errors: as render_reference
   struct World {
     std::string name;
     const Image<Rgb>* environment;
     Still empty, full;
   };
+  /// in:     lat-long, linear radiance in full scales a second; it must outlive the world
+  /// errors: as render_reference
   Result<World> trace(const std::string& name, const Image<Rgb>& environment, double error) const;
   /// errors: as Pipeline; kUndetermined (no light in two seconds)
   Result<SensorPoint> measure(const World& world, const SensorSettings& settings) const;
@@ -81,8 +80,5 @@ class SensorBench {
   prt::PinholeView view_;
   Masks masks_;
 };
-
-/// Scaled to this mean luminance over the sphere.
-Image<Rgb> with_mean_luminance(Image<Rgb> map, double mean_luminance);
 
 }  // namespace penumbra::tools
