@@ -37,7 +37,7 @@ struct SensorSettings {
 
 /// Errors of one picture. What the truth shows above full scale is left out: the camera clips it.
 struct SensorError {
-  double shadow_rmse = 0, shadow_bias = 0;      // of s, where the truth is below .95
+  double shadow_rmse = 0, shadow_bias = 0;      // of s, over the floor in shadow
   double object_rel_rmse = 0, object_bias = 0;  // of luminance, relative to the object's mean
 };
 
@@ -61,6 +61,7 @@ class SensorBench {
     std::string name;
     const Image<Rgb>* environment;
     Still empty, full;
+    std::vector<bool> shaded;  // floor whose surroundings are below .95 of their light
   };
   /// in:     lat-long, linear radiance in full scales a second; it must outlive the world
   /// errors: as render_reference
