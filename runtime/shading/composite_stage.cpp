@@ -201,7 +201,9 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   compositor_->set_shadow_maps(on_planes_);
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
-    compositor_->set_ratios(0, real_.ratios(light, poses, lamps_));
+    std::vector<std::span<const float>> relit_of_objects;
+    for (const StageObject& o : objects_) relit_of_objects.emplace_back(o.relit);
+    compositor_->set_ratios(0, real_.ratios(light, poses, relit_of_objects, lamps_));
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;

@@ -121,7 +121,7 @@ class CompositeStage {
     int handle;
     std::optional<ObjectLight> light_used{};
     std::optional<RelightBases> patterns{};  // none of an animation
-    std::vector<float> relit{};              // exit radiance of the object
+    std::vector<float> relit{};              // irradiance/pi of the object's vertices
     std::vector<float> taken{};              // of the receiver's irradiance/pi
     std::vector<float> more{};               // scratch: what is added to either
     // Alone, without what real things take already, and without what other objects take.

@@ -15,9 +15,15 @@
 #include "prt/transfer/transfer.h"
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/scene_light.h"
+#include "runtime/shading/sent_radiance.h"
 #include "shadows/field/occlusion_field.h"
 
 namespace penumbra::runtime {
+
+RealSurfaceStage::RealSurfaceStage(const PreparedScene& scene) : scene_(&scene) {
+  if (!any()) return;
+  for (const PreparedObject& o : scene.objects) areas_.push_back(vertex_areas(o.baked.mesh));
+}
 
 bool RealSurfaceStage::measure(const lighting::LightEstimate& light, const DirectLightStage& lights,
                                bool lights_changed) {
@@ -70,36 +76,50 @@ void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
   (void)shadows::compose_planar_shadow(baked, on_floor, shadow_);
 }
 
-// What each object takes of the light without lights, where several meet counted once.
-std::vector<Rgb> RealSurfaceStage::left_by_objects(const lighting::LightEstimate& light,
-                                                   std::span<const Pose> poses) const {
+// What each object takes of the light without lights, where several meet counted once, and what it
+// sends from the directions that it blocks.
+RealSurfaceStage::ByObjects RealSurfaceStage::by_objects(
+    const RadianceSh& light, std::span<const Pose> poses,
+    std::span<const std::span<const float>> relit) const {
   const prt::Mesh& mesh = scene_->real_mesh;
-  std::vector<Rgb> left(mesh.positions.size(), Rgb{1, 1, 1});
-  std::vector<std::vector<Rgb>> alone(poses.size());
+  const std::size_t count = mesh.positions.size();
+  ByObjects out{std::vector<Rgb>(count, Rgb{1, 1, 1}), std::vector<Rgb>(count)};
+  std::vector<std::vector<Rgb>> alone(poses.size(), std::vector<Rgb>(count));
+  std::vector<float> form_factors(count);
   for (std::size_t k = 0; k < poses.size(); ++k) {
-    const shadows::OcclusionField& field = *scene_->objects[k].field;
+    const PreparedObject& object = scene_->objects[k];
+    const shadows::OcclusionField& field = *object.field;
     const Pose bake_from_world = poses[k].inverse();
     const RadianceSh turned =
-        lighting::ShRotation(bake_from_world.rotation_matrix(), light.light.bands()) * light.light;
-    alone[k].resize(left.size());
+        lighting::ShRotation(bake_from_world.rotation_matrix(), light.bands()) * light;
     // Cannot fail: lists of one length, light made for this field.
     (void)shadows::field_ratios(field, shadows::FieldLight(turned, field.bands), bake_from_world,
-                                {mesh.positions, mesh.normals, lights_.open}, alone[k]);
+                                {mesh.positions, mesh.normals, lights_.open}, alone[k],
+                                form_factors);
     std::vector<Rgb> shared = alone[k];
     for (std::size_t j = 0; j < k; ++j)
       shadows::smooth_ratios({scene_->objects[j].field.get(), poses[j]}, {&field, poses[k]},
                              mesh.positions, alone[j], shared);
-    for (std::size_t i = 0; i < left.size(); ++i) left[i] = left[i] * shared[i];
+    const SentRadiance sent(object.baked.mesh, areas_[k], relit[k]);
+    for (std::size_t i = 0; i < count; ++i) {
+      out.left[i] = out.left[i] * shared[i];
+      if (form_factors[i] <= 0) continue;
+      const glm::vec3 at(bake_from_world * glm::dvec3(mesh.positions[i]));
+      out.sent[i] += sent.towards(at - field.centre) * form_factors[i];
+    }
   }
-  return left;
+  return out;
 }
 
 std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
                                           std::span<const Pose> poses,
+                                          std::span<const std::span<const float>> relit,
                                           const LampStage& lamps) const {
   const prt::Mesh& mesh = scene_->real_mesh;
-  std::vector<Rgb> out = left_by_objects(light, poses);
-  const IrradianceSh residual = lighting::irradiance(light.light);
+  const RadianceSh around = rest_around(light, scene_->planes);
+  const ByObjects objects = by_objects(around, poses, relit);
+  std::vector<Rgb> out = objects.left;
+  const IrradianceSh residual = lighting::irradiance(around);
   const float smallest = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);
   for (std::size_t i = 0; i < out.size(); ++i) {
     const Rgb lamp = lamps.any() ? lamps.on_real_mesh()[i] : Rgb{};
@@ -111,8 +131,8 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
       // not.
       const float direct = arrives_[i][c] - (lights_.open[i][c] - lights_.missing[i][c]),
                   fraction = open[c] > 0 ? std::clamp(direct / open[c], 0.f, 1.f) : 0;
-      const float lost =
-          (1 - out[i][c]) * (open[c] + lights_.open[i][c]) * fraction + lights_.taken[i][c];
+      const float lost = (1 - out[i][c]) * (open[c] + lights_.open[i][c]) * fraction +
+                         lights_.taken[i][c] - objects.sent[i][c];
       out[i][c] = arrives_[i][c] > smallest
                       ? std::clamp(1 - lost / arrives_[i][c], 0.f, 1.5f) + lamp[c] / arrives_[i][c]
                       : 1;

@@ -18,7 +18,7 @@ namespace penumbra::runtime {
 class RealSurfaceStage {
  public:
   /// The scene must outlive the stage.
-  explicit RealSurfaceStage(const PreparedScene& scene) : scene_(&scene) {}
+  explicit RealSurfaceStage(const PreparedScene& scene);
 
   bool any() const { return !scene_->real_mesh.triangles.empty(); }
 
@@ -34,19 +34,25 @@ class RealSurfaceStage {
   const shadows::PlanarShadow* shadow() const { return shadow_.ratio.empty() ? nullptr : &shadow_; }
 
   /// Ratios at the vertices: s = 1 - (what virtual things take)/(what really arrives).
-  /// in: poses of the scene's objects
+  /// in: of each of the scene's objects its pose, and irradiance/pi of its vertices
   std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Pose> poses,
+                          std::span<const std::span<const float>> relit,
                           const LampStage& lamps) const;
 
  private:
   void relight(const lighting::LightEstimate& light);
-  std::vector<Rgb> left_by_objects(const lighting::LightEstimate& light,
-                                   std::span<const Pose> poses) const;
+  struct ByObjects {
+    std::vector<Rgb> left;  // fraction of the light without lights
+    std::vector<Rgb> sent;  // irradiance by what the objects reflect
+  };
+  ByObjects by_objects(const RadianceSh& light, std::span<const Pose> poses,
+                       std::span<const std::span<const float>> relit) const;
 
   const PreparedScene* scene_;
-  RadianceSh measured_;                  // the light, without lights
-  DirectLightStage::AtVertices lights_;  // at the vertices
-  std::vector<Rgb> arrives_, exit_;      // irradiance and radiance of the vertices
+  std::vector<std::vector<float>> areas_;  // of the objects' vertices
+  RadianceSh measured_;                    // the light, without lights
+  DirectLightStage::AtVertices lights_;    // at the vertices
+  std::vector<Rgb> arrives_, exit_;        // irradiance and radiance of the vertices
   std::vector<float> relit_, reflected_;
   shadows::PlanarShadow shadow_;
 };

@@ -1,5 +1,8 @@
 #include "runtime/shading/scene_light.h"
 
+#include <algorithm>
+
+#include "core/conventions.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
@@ -23,6 +26,15 @@ RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose
   const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()), bands);
   return (turn * (level ? lighting::upper_hemisphere_light(sum, bands) : sum.with_bands(bands)))
       .with_bands(prt::kIndirectBands);
+}
+
+RadianceSh rest_around(const lighting::LightEstimate& light, std::span<const prt::Plane> planes) {
+  const auto floor = std::ranges::find_if(
+      planes, [](const prt::Plane& p) { return p.normal.y > kLevel && luminance(p.albedo) > 0; });
+  if (floor == planes.end()) return light.light;
+  return lighting::with_floor_below(
+      light.upper_hemisphere_light,
+      floor->albedo * open_irradiance(light, floor->normal) * static_cast<float>(1 / kPi));
 }
 
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal) {

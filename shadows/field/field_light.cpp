@@ -101,7 +101,7 @@ class RatioBlock {
   }
 
   void run(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
-           std::span<const Rgb> lights, std::span<Rgb> ratios) {
+           std::span<const Rgb> lights, std::span<Rgb> ratios, std::span<float> form_factors) {
     const int values = coefficient_count(field_.bands);
     look_up(positions, normals, static_cast<std::size_t>(values));
     const float* const matrix = light_.matrix_.data();
@@ -113,6 +113,7 @@ class RatioBlock {
         const std::size_t at = static_cast<std::size_t>(c * kFieldLanes) + p;
         ratios[p][c] = ratio(deficit[at], open[at] + (lights.empty() ? 0 : lights[p][c]), min_[c]);
       }
+    for (std::size_t p = 0; p < form_factors.size(); ++p) form_factors[p] = form_factor(p);
   }
 
  private:
@@ -127,6 +128,16 @@ class RatioBlock {
     }
     lighting::evaluate_basis_block(kLobeBands, x_, y_, z_, lobe_);
     close_ranks(lobe_, kFieldLanes);
+  }
+
+  // A_l Y_n b_n: an even light's triple products leave nothing else.
+  float form_factor(std::size_t p) const {
+    float sum = 0;
+    for (int n = 0; n < coefficient_count(field_.bands); ++n)
+      if (const int term = lobe_term(n); term >= 0)
+        sum += cosine_factor(n) * lobe_[static_cast<std::size_t>(term) * kFieldLanes + p] *
+               blocked_[static_cast<std::size_t>(n) * kFieldLanes + p];
+    return std::max(sum, 0.f);
   }
 
   static float ratio(float deficit, float open, float smallest) {
@@ -150,11 +161,12 @@ class RatioBlock {
 
 Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
                           const Pose& bake_from_world, const FieldReceiver& receiver,
-                          std::span<Rgb> ratios) {
+                          std::span<Rgb> ratios, std::span<float> form_factors) {
   const std::size_t points = receiver.positions.size();
   const bool lights = !receiver.distant_irradiance.empty();
   if (receiver.normals.size() != points || ratios.size() != points ||
-      (lights && receiver.distant_irradiance.size() != points))
+      (lights && receiver.distant_irradiance.size() != points) ||
+      (!form_factors.empty() && form_factors.size() != points))
     return fail(ErrorCode::kInvalid, "receiver", "has lists of different lengths");
   if (field.bands != light.field_bands())
     return fail(ErrorCode::kInvalid, "light", "belongs to an occlusion field with other bands");
@@ -164,10 +176,9 @@ Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
     RatioBlock block(field, light, bake_from_world);
     for (std::size_t b = range.begin(); b < range.end(); ++b) {
       const std::size_t first = b * kLanes, count = std::min(kLanes, points - first);
-      const auto part = [&](auto span) { return span.subspan(first, count); };
-      block.run(part(receiver.positions), part(receiver.normals),
-                lights ? part(receiver.distant_irradiance) : receiver.distant_irradiance,
-                part(ratios));
+      const auto part = [&](auto span) { return span.empty() ? span : span.subspan(first, count); };
+      block.run(part(receiver.positions), part(receiver.normals), part(receiver.distant_irradiance),
+                part(ratios), part(form_factors));
     }
   });
   return {};

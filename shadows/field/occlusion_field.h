@@ -47,7 +47,7 @@ struct OcclusionField {
 
 struct FieldOptions {
   int size = 32;       // even (so that no point lies in a flat mesh's own plane), 8..128
-  int bands = 4;       // 1..kMaxFieldBands
+  int bands = 5;       // 1..kMaxFieldBands
   int rays = 512;      // per point, a multiple of 16
   float extent = 1.5;  // half_extent in radii, 1.2..kFieldReach
   std::function<void(double done)> progress;  // 0..1, called from worker threads, serialised
@@ -105,14 +105,16 @@ struct FieldReceiver {
   std::span<const Rgb> distant_irradiance;
 };
 
-/// s = 1 - deficit/E0 of every point, clamped to 0..1.5, where E0 counts the lights; what the
+/// s = 1 - deficit/E0 of every point, of a black object, clamped to 0..1.5, where E0 counts the lights; what the
 /// object blocks of them is not in it. It is 1 exactly beyond the object's reach, where E0 has no
 /// footing (below kMinIrradiance of the mean; faded in up to twice that, since normals vary), and
 /// where a point or normal is not finite. Several objects: smooth_ratios, then multiply.
+/// form_factors, where wanted: the irradiance of each point if the object shone with radiance 1 in
+/// all directions; what it sends back is that times its exit radiance.
 /// errors: kInvalid (lengths, light made for other bands)
 Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
                           const Pose& bake_from_world, const FieldReceiver& receiver,
-                          std::span<Rgb> ratios);
+                          std::span<Rgb> ratios, std::span<float> form_factors = {});
 
 struct PlacedField {
   const OcclusionField* field;

@@ -167,6 +167,29 @@ TEST(OcclusionField, SphereUnderUniformSkyFollowsTheClosedForm) {
   }
 }
 
+// What the sphere takes of an even light it would send if it shone: F = pi (R/d)^2 cos of the tilt.
+TEST(OcclusionField, FormFactorOfASphereFollowsTheClosedForm) {
+  const OcclusionField& field = sphere_field();
+  Points points;
+  std::vector<double> expected;
+  for (const double d : {1.2, 1.5, 2., 3.})
+    for (const double tilt : {0., .3}) {
+      points.add({0, 1 - d, 0}, {std::sin(tilt), std::cos(tilt), 0});
+      expected.push_back(kPi * std::cos(tilt) / (d * d));
+    }
+  std::vector<Rgb> s(expected.size());
+  std::vector<float> form_factors(expected.size());
+  const FieldLight light(test::constant_light(kWhite), field.bands);
+  ASSERT_TRUE(
+      field_ratios(field, light, {}, {points.positions, points.normals, {}}, s, form_factors));
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_NEAR(form_factors[i] / kPi, expected[i] / kPi, .03) << i;
+    EXPECT_NEAR(s[i].g, 1 - form_factors[i] / kPi, 1e-3) << i;
+  }
+  std::vector<float> too_few(expected.size() - 1);
+  EXPECT_FALSE(field_ratios(field, light, {}, {points.positions, points.normals, {}}, s, too_few));
+}
+
 // The form factor of a square above a point: a mesh without a volume, seen from both sides.
 TEST(OcclusionField, FlatQuadShadesOneSideOnly) {
   prt::Mesh quad;

@@ -148,10 +148,10 @@ std::vector<bool> find_shaded(const Image<Rgb>& full, const Image<Rgb>& empty,
                               const std::vector<bool>& floor) {
   const auto mean_at = [&](int x, int y) {
     double with = 0, without = 0;
-    for (int j = std::max(0, y - kShadedRadius); j <= std::min(full.height() - 1, y + kShadedRadius);
-         ++j)
-      for (int i = std::max(0, x - kShadedRadius); i <= std::min(full.width() - 1, x + kShadedRadius);
-           ++i) {
+    for (int j = std::max(0, y - kShadedRadius);
+         j <= std::min(full.height() - 1, y + kShadedRadius); ++j)
+      for (int i = std::max(0, x - kShadedRadius);
+           i <= std::min(full.width() - 1, x + kShadedRadius); ++i) {
         if (!floor[static_cast<std::size_t>(j * full.width() + i)]) continue;
         with += luminance(full.at(i, j));
         without += luminance(empty.at(i, j));
