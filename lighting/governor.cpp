@@ -105,17 +105,16 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget, int lights_allo
       best = plan;
       found = true;
     }
+  if (!found) best = most_accurate, best.within_budget = false;
   // Bands that cost next to nothing also serve the objects' own shading, which the prediction does
   // not see.
-  while (found && best.bands < std::min(errors.max_bands(), limits_.max_bands) &&
+  while (best.bands < std::min(errors.max_bands(), limits_.max_bands) &&
          costs_.ms(best.bands + 1, best.lights) < best.ms + kNegligible_ms) {
     ++best.bands;
     best.error = factor_ * errors.error(best.bands, best.lights);
   }
-  if (found) best.ms = costs_.ms(best.bands, best.lights);
-  if (found) return best;
-  most_accurate.within_budget = false;
-  return most_accurate;
+  best.ms = costs_.ms(best.bands, best.lights);
+  return best;
 }
 
 Plan Governor::update(const ErrorTable& errors, TimestampNs now) {

@@ -52,6 +52,7 @@ struct RayWorld::Impl {
     glm::vec3 shift;
 
     std::uint32_t occluded(const Rays& rays, int count, std::uint32_t wanted) const;
+    void intersect(const Rays& rays, int mesh, Hits& nearest) const;
   };
   RTCDevice device = nullptr;
   std::vector<Body> bodies;
@@ -82,6 +83,35 @@ std::uint32_t RayWorld::Impl::Body::occluded(const Rays& rays, int count,
   for (int i = 0; i < count; ++i)
     if (query.tfar[i] < 0) blocked |= 1u << i;
   return blocked;
+}
+
+void RayWorld::Impl::Body::intersect(const Rays& rays, int mesh, Hits& nearest) const {
+  RTCRayHit16 query;
+  turn_rays(rays, kPacket, turn, shift, query.ray);
+  const std::uint32_t wanted = near_sphere(query.ray, centre, 1.001f * radius);
+  if (wanted == 0) return;
+  alignas(64) int active[kPacket];
+  for (int i = 0; i < kPacket; ++i) {
+    active[i] = wanted >> i & 1 ? -1 : 0;
+    query.ray.tnear[i] = 0;
+    query.ray.tfar[i] = nearest.distance[i];
+    query.ray.time[i] = 0;
+    query.ray.mask[i] = 0xffffffffu;
+    query.ray.flags[i] = 0;
+    query.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+    query.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
+  }
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+  rtcIntersect16(active, scene, &context, &query);
+  for (int i = 0; i < kPacket; ++i) {
+    if (query.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
+    nearest.distance[i] = query.ray.tfar[i];
+    nearest.u[i] = query.hit.u[i], nearest.v[i] = query.hit.v[i];
+    nearest.triangle[i] = query.hit.primID[i];
+    nearest.mesh[i] = mesh;
+  }
 }
 
 RayWorld::RayWorld(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -139,6 +169,10 @@ std::uint32_t RayWorld::occluded(const Rays& rays, int count, int except) const 
 
 std::uint32_t RayWorld::occluded_by(int mesh, const Rays& rays, int count) const {
   return impl_->bodies[static_cast<std::size_t>(mesh)].occluded(rays, count, (1u << count) - 1);
+}
+
+void RayWorld::intersect(int mesh, const Rays& rays, Hits& nearest) const {
+  impl_->bodies[static_cast<std::size_t>(mesh)].intersect(rays, mesh, nearest);
 }
 
 }  // namespace penumbra::prt

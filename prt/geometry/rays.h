@@ -86,6 +86,14 @@ class RayWorld {
   /// Bit i is set when one of the first `count` rays, i, is blocked by any mesh but `except`.
   std::uint32_t occluded(const Rays& rays, int count = kPacket, int except = -1) const;
   std::uint32_t occluded_by(int mesh, const Rays& rays, int count = kPacket) const;
+  struct Hits {
+    alignas(64) float distance[kPacket], u[kPacket], v[kPacket];  // as Hit
+    alignas(64) std::uint32_t triangle[kPacket];
+    alignas(64) int mesh[kPacket];  // -1: none
+    Hits() { std::fill_n(distance, kPacket, 1e30f), std::fill_n(mesh, kPacket, -1); }
+  };
+  /// Where all rays meet this mesh before what they have met so far.
+  void intersect(int mesh, const Rays& rays, Hits& nearest) const;
 
  private:
   struct Impl;

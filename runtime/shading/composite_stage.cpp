@@ -185,12 +185,14 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     measured = real_.measure(light, lights_, lights_changed);
   }
   bool relit = false;
-  // What objects reflect onto each other is known from the last update, at first from a round of
-  // its own.
-  const int rounds = !lit_before_ && objects_.size() > 1 ? 2 : 1;
-  for (int round = 0; round < rounds; ++round)
+  // What things reflect onto each other is known from the last update, at first from a round of its
+  // own.
+  const int rounds = !lit_before_ && surroundings_.any() ? 2 : 1;
+  for (int round = 0; round < rounds; ++round) {
     for (std::size_t i = 0; i < objects_.size(); ++i)
       relit |= update_object(i, poses, light, lights_changed, other_form);
+    if (round + 1 < rounds) shade_real_mesh(light, poses);
+  }
   lit_before_ = true;
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
   const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_before_;
@@ -199,14 +201,21 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   lights_.shadows(open_, on_planes_);
   lamps_.append(open_, on_planes_);
   compositor_->set_shadow_maps(on_planes_);
+  shade_real_mesh(light, poses);
   if (real_.any()) {
-    const StageTimer timer(times_, "real mesh");
-    std::vector<std::span<const float>> relit_of_objects;
-    for (const StageObject& o : objects_) relit_of_objects.emplace_back(o.relit);
-    compositor_->set_ratios(0, real_.ratios(light, poses, relit_of_objects, lamps_));
+    compositor_->set_ratios(0, real_ratios_);
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
   }
   return true;
+}
+
+void CompositeStage::shade_real_mesh(const lighting::LightEstimate& light,
+                                     const std::vector<Pose>& poses) {
+  if (!real_.any()) return;
+  const StageTimer timer(times_, "real mesh");
+  std::vector<std::span<const float>> relit_of_objects;
+  for (const StageObject& o : objects_) relit_of_objects.emplace_back(o.relit);
+  real_ratios_ = real_.ratios(light, poses, relit_of_objects, lamps_);
 }
 
 namespace {
@@ -224,30 +233,18 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 
 }  // namespace
 
-// First what real things take, which is in the picture already, then what objects take of each
-// other's.
+// What objects take of each other's light. What real things take is not in their own: they were
+// shaded by light past those (ObjectLight::receiver).
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
-  const bool behind_real = real_.any() && real_.shadow();
-  for (std::size_t k = 0; behind_real && k < objects_.size(); ++k) {
-    StageObject& o = objects_[k];
-    o.behind_real = o.shadow;
-    const prt::BakedObject& baked = o.prepared->baked;
-    if (may_meet(scene_.real->baked, scene_.real->world_from_bake, baked, poses[k]))
-      shadows::combine_shadows({&scene_.real->baked, scene_.real->world_from_bake, real_.shadow()},
-                               {&baked, poses[k], &o.shadow}, o.behind_real);
-  }
-  const auto left_by_real = [&](const StageObject& o) -> const shadows::PlanarShadow& {
-    return behind_real ? o.behind_real : o.shadow;
-  };
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     StageObject& o = objects_[k];
-    const shadows::PlanarShadow* shown = &left_by_real(o);
+    const shadows::PlanarShadow* shown = &o.shadow;
     for (std::size_t i = 0; i < k; ++i) {
       const StageObject& other = objects_[i];
       if (!may_meet(other.prepared->baked, poses[i], o.prepared->baked, poses[k])) continue;
       if (shown != &o.shared) o.shared = *shown, shown = &o.shared;
-      shadows::combine_shadows({&other.prepared->baked, poses[i], &left_by_real(other)},
-                               {&o.prepared->baked, poses[k], &left_by_real(o)}, o.shared);
+      shadows::combine_shadows({&other.prepared->baked, poses[i], &other.shadow},
+                               {&o.prepared->baked, poses[k], &o.shadow}, o.shared);
     }
     compositor_->set_light(o.handle, o.relit, *shown);
   }
@@ -265,7 +262,7 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
     add_distant_lights(index, estimate, poses[index], light);
   {
     const StageTimer timer(times_, "relight");
-    relight(o, light, index);
+    relight(o, light, index, estimate, poses[index]);
   }
   if (o.prepared->baked.receiver) {
     const StageTimer timer(times_, "shadow");

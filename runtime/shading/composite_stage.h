@@ -104,15 +104,14 @@ class CompositeStage {
   void keep_time() { keeps_time_ = true; }
 
  private:
-  // In the bake frame. Sides that nothing else is near see `open`.
+  // In the bake frame.
   struct ObjectLight {
     RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
-    std::array<RadianceSh, kProbeDirections> side;
-    // Of the floor that the side would see alone
-    std::array<float, kProbeDirections> floor_hidden{};
-    std::array<Rgb, kProbeDirections> instead{};  // exit radiance of a white side by what hides it
+    // By probe: irradiance/pi by what stands around less that of the sky in its place, and what of
+    // the residual the floor and the object send here, by the bake and past what stands around
+    std::array<Rgb, OcclusionProbes::kProbes> around{};
+    OcclusionProbes::Values reflected{}, reflected_left{};
     RadianceSh lights{1};  // for the light that object and floor reflect; 1 band without lights
-    std::array<RadianceSh, kProbeDirections> side_lights;
     RadianceSh receiver_lights{1};  // what of them the object has to reflect onto the floor
     Rgb distant_irradiance;         // of the open receiver
   };
@@ -120,12 +119,11 @@ class CompositeStage {
     const PreparedObject* prepared;
     int handle;
     std::optional<ObjectLight> light_used{};
-    std::optional<RelightBases> patterns{};  // none of an animation
-    std::vector<float> relit{};              // irradiance/pi of the object's vertices
-    std::vector<float> taken{};              // of the receiver's irradiance/pi
-    std::vector<float> more{};               // scratch: what is added to either
-    // Alone, without what real things take already, and without what other objects take.
-    shadows::PlanarShadow shadow{}, behind_real{}, shared{};
+    std::optional<RelightBases> patterns{};    // none of an animation
+    std::vector<float> relit{};                // irradiance/pi of the object's vertices
+    std::vector<float> taken{};                // of the receiver's irradiance/pi
+    std::vector<float> more{};                 // scratch: what is added to either
+    shadows::PlanarShadow shadow{}, shared{};  // alone, and without what other objects take
   };
   struct ViewCamera {
     capture::CameraInfo info;
@@ -149,17 +147,25 @@ class CompositeStage {
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
                        const std::vector<Pose>& poses) const;
-  void see_surroundings(std::size_t index, const RadianceSh& light, const std::vector<Pose>& poses,
-                        const lighting::ShRotation& turn, ObjectLight& out) const;
+  void see_surroundings(std::size_t index, const lighting::LightEstimate& light,
+                        const std::vector<Pose>& poses, ObjectLight& out) const;
+  struct FloorLight {
+    float counted, left;  // by the bake, and past what stands around
+  };
+  FloorLight floor_at(const ProbeHit& hit, std::size_t index, const std::vector<Pose>& poses) const;
+  float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;
-  Rgb radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
-                             const std::vector<Pose>& poses) const;
-  void relight(StageObject& object, const ObjectLight& light, std::size_t index) const;
+  Rgb exit_of(const ProbeHit& hit) const;
+  void relight(StageObject& object, const ObjectLight& light, std::size_t index,
+               const lighting::LightEstimate& estimate, const Pose& pose) const;
+  void take_away_shaded(StageObject& object, const ObjectLight& light, std::size_t index,
+                        const lighting::LightEstimate& estimate, const Pose& pose) const;
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
   void compose_shadow(StageObject& object, const ObjectLight& light) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
+  void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
   bool move_to(double seconds);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
@@ -174,6 +180,7 @@ class CompositeStage {
   OcclusionProbes surroundings_;
   LampStage lamps_;
   RealSurfaceStage real_;
+  std::vector<Rgb> real_ratios_;     // at its vertices, as last shown
   bool could_not_complete_ = false;  // was said
   bool keeps_time_ = false;
   StageTimes& times_;

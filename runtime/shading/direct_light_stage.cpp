@@ -168,46 +168,48 @@ void DirectLightStage::follow_forms() {
     }
 }
 
-// Of the floor that a side would see alone, and that the object itself does not shade: what of its
-// light light is there and in visibility.
-std::array<float, kProbeDirections> DirectLightStage::floor_fraction(
-    std::size_t object, const lighting::DistantLight& source, const OcclusionProbes& around) const {
-  std::array<float, kProbeDirections> out;
-  out.fill(1);
-  if (!scene_->objects[object].baked.receiver || !around.any()) return out;
-  const int own_index = static_cast<int>(object);
-  const glm::vec3 up(poses_[object].rotation * glm::dvec3(0, near_m_, 0));
-  constexpr std::size_t kPacket = prt::RayWorld::kPacket;
+// Where the object or the floor may send a light on. What the object shades itself is in its bake;
+// the rest is not.
+void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLight& source,
+                                  const OcclusionProbes& around,
+                                  std::vector<std::uint8_t>& out) const {
+  const std::span<const ProbeHit> hits = around.hits(object);
+  out.assign(hits.size(), kNone);
+  const int own = static_cast<int>(object);
+  const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
+  const glm::mat3 turn = poses_[object].rotation_matrix();
+  const glm::vec3 up = turn[1];
+  constexpr int kPacket = prt::RayWorld::kPacket;
   prt::RayWorld::Rays rays;
-  for (int side = 0; side < kProbeDirections; ++side) {
-    const ProbeView& view = around.view(object, side);
-    float all = view.floor_behind_real + view.floor_behind_virtual, lit = 0;
-    const std::span<const FloorPoint> points = view.floor_points;
-    for (std::size_t first = 0; first < points.size(); first += kPacket) {
-      const int count = static_cast<int>(std::min(points.size() - first, kPacket));
-      for (int i = 0; i < count; ++i) {
-        const glm::vec3 o = points[first + static_cast<std::size_t>(i)].position + up;
-        rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;
-        // Each point looks for another part of a wide light.
-        const std::size_t part = 5 * (first + static_cast<std::size_t>(i));
-        const glm::vec3 d(source.shape.empty() ? source.direction
-                                               : source.shape[part % source.shape.size()]);
-        rays.dx[i] = d.x, rays.dy[i] = d.y, rays.dz[i] = d.z;
-      }
-      std::uint32_t blocked = virtual_.occluded(rays, count, own_index);
-      if (!real_.empty()) blocked |= real_.occluded(rays, count);
-      // What the object shades itself is in its bake.
-      const std::uint32_t own = virtual_.occluded_by(own_index, rays, count);
-      for (int i = 0; i < count; ++i) {
-        if (own >> i & 1) continue;
-        const float weight = points[first + static_cast<std::size_t>(i)].weight;
-        all += weight;
-        if (!(blocked >> i & 1)) lit += weight;
-      }
+  std::array<std::size_t, kPacket> index;
+  int count = 0;
+  const auto trace_packet = [&] {
+    std::uint32_t by_others = virtual_.occluded(rays, count, own);
+    if (!real_.empty()) by_others |= real_.occluded(rays, count);
+    const std::uint32_t by_itself = virtual_.occluded_by(own, rays, count);
+    for (int i = 0; i < count; ++i)
+      out[index[static_cast<std::size_t>(i)]] = static_cast<std::uint8_t>(
+          (by_itself >> i & 1 ? kByItself : kNone) | (by_others >> i & 1 ? kByOthers : kNone));
+    count = 0;
+  };
+  for (std::size_t k = 0; k < hits.size(); ++k) {
+    const bool itself = hits[k].thing <= ProbeHit::kItself;
+    if (!hits[k].above_floor && !itself) continue;
+    const glm::vec3 normal = itself ? turn * mesh.normals[hits[k].vertex] : up;
+    const glm::vec3 o = hits[k].point + near_m_ * normal;
+    // Each point looks for another part of a wide light.
+    const glm::vec3 d(source.shape.empty() ? source.direction
+                                           : source.shape[5 * k % source.shape.size()]);
+    if (glm::dot(d, normal) <= 0) {
+      out[k] = kByItself;
+      continue;
     }
-    if (all > 0) out[static_cast<std::size_t>(side)] = lit / all;
+    rays.ox[count] = o.x, rays.oy[count] = o.y, rays.oz[count] = o.z;
+    rays.dx[count] = d.x, rays.dy[count] = d.y, rays.dz[count] = d.z;
+    index[static_cast<std::size_t>(count)] = k;
+    if (++count == kPacket) trace_packet();
   }
-  return out;
+  if (count > 0) trace_packet();
 }
 
 // Whether an object moved, or another one that stands or stood between it and the light.
@@ -234,11 +236,11 @@ void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool
   around_.clear();
   memo_.clear();
   t.cosine.resize(scene_->objects.size());
-  t.floor_fraction.resize(scene_->objects.size());
+  t.hit_shade.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     const PreparedObject& o = scene_->objects[i];
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
-    t.floor_fraction[i] = floor_fraction(i, t.source, around);
+    shade_hits(i, t.source, around, t.hit_shade[i]);
     if (!all && !may_have_changed(i, t.source)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};

@@ -54,11 +54,14 @@ class DirectLightStage {
     follow_forms();
     return rays();
   }
-  /// How much of a distant light (by its place in update()'s list) reaches the floor before a side
-  /// of an object past everything else: what there is for the two to reflect.
-  float reflected_fraction(std::size_t source, std::size_t object, int side) const {
-    return traced_[source].floor_fraction[object][static_cast<std::size_t>(side)];
+  /// What keeps a distant light (by its place in update()'s list) from the points of an object's
+  /// probe hits.
+  enum HitShade : std::uint8_t { kNone = 0, kByItself = 1, kByOthers = 2 };
+  std::span<const std::uint8_t> hit_shade(std::size_t source, std::size_t object) const {
+    return traced_[source].hit_shade[object];
   }
+
+  const glm::dvec3& direction(std::size_t source) const { return traced_[source].source.direction; }
 
   /// Adds the lights' direct light to exit radiance for a unit albedo, in prt::relight's layout.
   void add_light(std::size_t object, std::span<float> relit) const;
@@ -91,8 +94,8 @@ class DirectLightStage {
     glm::dvec3 direction{0};        // as it was traced, and its form
     lighting::DistantLight::Shape shape{};
     double radius = 0;
-    std::vector<std::vector<float>> cosine;                           // by object, by vertex
-    std::vector<std::array<float, kProbeDirections>> floor_fraction;  // by object
+    std::vector<std::vector<float>> cosine;                 // by object, by vertex
+    std::vector<std::vector<std::uint8_t>> hit_shade;       // by object, by probe hit
     std::vector<std::vector<shadows::ShadowMap>> on_plane;  // by plane, by group of objects
     std::vector<shadows::ShadowMap> real_on_plane;          // by plane; empty without real things
   };
@@ -118,9 +121,8 @@ class DirectLightStage {
   TracedDetail detail_for(const lighting::DistantLight& source, const OpenLight& open,
                           const TracedDetail& before) const;
   bool may_have_changed(std::size_t object, const lighting::DistantLight& source) const;
-  std::array<float, kProbeDirections> floor_fraction(std::size_t object,
-                                                     const lighting::DistantLight& source,
-                                                     const OcclusionProbes& around) const;
+  void shade_hits(std::size_t object, const lighting::DistantLight& source,
+                  const OcclusionProbes& around, std::vector<std::uint8_t>& out) const;
 
   const PreparedScene* scene_;
   ShadowSampling sampling_;

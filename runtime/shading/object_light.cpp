@@ -8,6 +8,7 @@
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
@@ -27,21 +28,6 @@ void add(RadianceSh& sum, const RadianceSh& other, float factor) {
   for (int n = 0; n < sum.size(); ++n) sum[n] += factor * other[n];
 }
 
-// What stands beside an object takes broad parts of its light: so many bands of the difference are
-// seen.
-constexpr int kSideBands = 3, kFloorBands = 5;
-
-// out[v] += w(v) (in[v] + glow) for all three colours.
-void add_to_side(std::span<const OcclusionProbes::Belongs> side, std::span<const float> in,
-                 const Rgb& glow, std::span<float> out) {
-  const std::size_t stride = out.size() / 3;
-  for (std::size_t c = 0; c < 3; ++c) {
-    const float shine = glow[static_cast<int>(c)];
-    for (const OcclusionProbes::Belongs& b : side)
-      out[c * stride + b.vertex] += b.weight * (in[c * stride + b.vertex] + shine);
-  }
-}
-
 }  // namespace
 
 bool CompositeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
@@ -51,11 +37,8 @@ bool CompositeStage::differs_visibly(const ObjectLight& before, const ObjectLigh
   bool any = differs(before.open, now.open) || differs(before.receiver, now.receiver);
   const float visible =
       static_cast<float>(kVisibleChange * luminance(now.open[0]) / std::sqrt(4 * kPi));
-  for (std::size_t k = 0; k < kProbeDirections; ++k) {
-    any |= differs(before.side[k], now.side[k]);
-    any |= std::abs(luminance(before.instead[k]) - luminance(now.instead[k])) > visible ||
-           std::abs(before.floor_hidden[k] - now.floor_hidden[k]) > kVisibleChange;
-  }
+  for (std::size_t k = 0; k < now.around.size(); ++k)
+    any |= std::abs(luminance(before.around[k]) - luminance(now.around[k])) > visible;
   return any;
 }
 
@@ -67,52 +50,95 @@ CompositeStage::ObjectLight CompositeStage::light_at(std::size_t index,
   const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
   ObjectLight out;
   out.open = out.receiver = turn * light;
-  out.side.fill(out.open);
-  if (surroundings_.any()) see_surroundings(index, light, poses, turn, out);
+  if (surroundings_.any()) see_surroundings(index, estimate, poses, out);
   return out;
 }
 
-void CompositeStage::see_surroundings(std::size_t index, const RadianceSh& light,
-                                      const std::vector<Pose>& poses,
-                                      const lighting::ShRotation& turn, ObjectLight& out) const {
-  const prt::Mesh& mesh = objects_[index].prepared->baked.mesh;
-  const glm::dvec3 centre = poses[index] * glm::dvec3(prt::bounds_of(mesh).centre());
+Rgb CompositeStage::exit_of(const ProbeHit& hit) const {
+  if (hit.thing == ProbeHit::kReal)
+    return real_.exit()[hit.vertex] *
+           (real_ratios_.empty() ? Rgb{1, 1, 1} : real_ratios_[hit.vertex]);
+  const StageObject& o = objects_[static_cast<std::size_t>(hit.thing)];
+  const std::size_t stride = o.relit.size() / 3;
+  return Rgb{o.relit[hit.vertex], o.relit[stride + hit.vertex], o.relit[2 * stride + hit.vertex]} *
+         o.prepared->baked.mesh.albedo[hit.vertex];
+}
+
+// Fractions of the residual.
+CompositeStage::FloorLight CompositeStage::floor_at(const ProbeHit& hit, std::size_t index,
+                                                    const std::vector<Pose>& poses) const {
+  const glm::dvec3 point(hit.point);
+  const auto ratio = [&](const shadows::PlanarShadow& shadow, const prt::BakedObject& of,
+                         const Pose& world_from_bake) {
+    const glm::dvec3 p = world_from_bake.inverse() * point;
+    return luminance(shadows::ratio_at(shadow, of.receiver->grid, {p.x, p.z}));
+  };
+  FloorLight out{1, 1};
+  if (real_.any() && real_.shadow())
+    out.left = ratio(*real_.shadow(), scene_.real->baked, scene_.real->world_from_bake);
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    const prt::BakedObject& baked = objects_[k].prepared->baked;
+    if (!baked.receiver || objects_[k].shadow.ratio.empty()) continue;
+    const float here = ratio(objects_[k].shadow, baked, poses[k]);
+    (k == index ? out.counted : out.left) *= here;
+  }
+  out.left *= out.counted;
+  return out;
+}
+
+void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEstimate& estimate,
+                                      const std::vector<Pose>& poses, ObjectLight& out) const {
+  const Pose& pose = poses[index];
+  const prt::BakedObject& baked = objects_[index].prepared->baked;
+  const RadianceSh& light = rest_for(estimate, stands_level(baked, pose));
+  const glm::dvec3 centre = pose * glm::dvec3(prt::bounds_of(baked.mesh).centre());
   const Rgb by_real = radiance_towards(scene_.real_mesh, {}, centre,
-                                       [&](std::size_t i) { return real_.exit()[i]; }),
-            by_virtual = radiance_of_neighbours(index, centre, poses);
-  out.receiver = turn * with_occluder_radiance(light, surroundings_.by_real(index), by_real);
-  for (int k = 0; k < kProbeDirections; ++k) {
-    const ProbeView& view = surroundings_.view(index, k);
-    const auto s = static_cast<std::size_t>(k);
-    if (const float hidden = view.floor_behind_real + view.floor_behind_virtual; hidden > 0) {
-      out.floor_hidden[s] = hidden / (hidden + view.floor);
-      out.instead[s] = by_real * view.floor_behind_real + by_virtual * view.floor_behind_virtual;
+                                       [&](std::size_t i) { return real_.exit()[i]; });
+  out.receiver = lighting::ShRotation(glm::transpose(pose.rotation_matrix()), light.bands()) *
+                 with_occluder_radiance(light, surroundings_.by_real(index), by_real);
+  constexpr float kWeight = 1.f / OcclusionProbes::kRays;
+  const IrradianceSh irradiance = lighting::irradiance(light);
+  const auto sent_on = [&](const Rgb& albedo, const glm::dvec3& normal) {
+    return std::max(0.f, luminance(albedo * lighting::evaluate(irradiance, normal)));
+  };
+  const float of_floor =
+      baked.receiver ? sent_on(baked.receiver->albedo, pose.rotation * glm::dvec3(0, 1, 0)) : 0;
+  for (const ProbeHit& hit : surroundings_.hits(index)) {
+    if (hit.thing == ProbeHit::kProbe) continue;
+    if (hit.thing == ProbeHit::kItself) {
+      const float own = sent_on(baked.mesh.albedo[hit.vertex],
+                                pose.rotation * glm::dvec3(baked.mesh.normals[hit.vertex]));
+      out.reflected[hit.probe] += own;
+      out.reflected_left[hit.probe] += own;
+      continue;
     }
-    if (view.by_real.fraction == 0 && view.by_virtual.fraction == 0) continue;
-    out.side[s] =
-        turn * with_occluder_radiance(with_occluder_radiance(light, view.by_real, by_real),
-                                      view.by_virtual, by_virtual);
+    const bool thing = hit.thing != ProbeHit::kFloor;
+    if (thing) out.around[hit.probe] += exit_of(hit) * kWeight;
+    if (hit.above_floor) {
+      const FloorLight floor = floor_at(hit, index, poses);
+      out.reflected[hit.probe] += of_floor * floor.counted;
+      if (!thing) out.reflected_left[hit.probe] += of_floor * floor.left;
+    } else {
+      out.around[hit.probe] += lighting::evaluate(light, glm::dvec3(hit.direction)) * -kWeight;
+    }
   }
 }
 
-// Mean of what the other objects send this way, by how near they are.
-Rgb CompositeStage::radiance_of_neighbours(std::size_t index, const glm::dvec3& centre,
-                                           const std::vector<Pose>& poses) const {
-  Rgb sum;
-  float weight = 0;
-  for (std::size_t k = 0; k < objects_.size(); ++k) {
-    if (k == index) continue;
-    const prt::BakedObject& baked = objects_[k].prepared->baked;
-    const std::vector<float>& relit = objects_[k].relit;
-    const std::size_t stride = baked.transfer.stride;
-    const glm::dvec3 apart = poses[k].translation - centre;
-    const auto w = static_cast<float>(1 / (glm::dot(apart, apart) + 1e-6));
-    sum += w * radiance_towards(baked.mesh, poses[k], centre, [&](std::size_t i) {
-             return Rgb{relit[i], relit[stride + i], relit[2 * stride + i]} * baked.mesh.albedo[i];
-           });
-    weight += w;
+// How much of a distant light reaches the object past everything else: what it has to reflect onto
+// the floor.
+float CompositeStage::lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const {
+  const prt::Mesh& mesh = objects_[index].prepared->baked.mesh;
+  const glm::dvec3 towards = glm::conjugate(pose.rotation) * lights_.direction(source);
+  const std::span<const ProbeHit> hits = surroundings_.hits(index);
+  const std::span<const std::uint8_t> shade = lights_.hit_shade(source, index);
+  double all = 0, lit = 0;
+  for (std::size_t k = 0; k < hits.size(); ++k) {
+    if (hits[k].thing != ProbeHit::kProbe || (shade[k] & DirectLightStage::kByItself)) continue;
+    const double cosine = std::max(0., glm::dot(glm::dvec3(mesh.normals[hits[k].vertex]), towards));
+    all += cosine;
+    if (!(shade[k] & DirectLightStage::kByOthers)) lit += cosine;
   }
-  return weight > 0 ? sum * (1 / weight) : Rgb{};
+  return all > 0 ? static_cast<float>(lit / all) : 1;
 }
 
 namespace {
@@ -137,14 +163,12 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
   const bool level = stands_level(objects_[index].prepared->baked, pose);
   const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
   RadianceSh sum(prt::kIndirectBands);
-  std::array<RadianceSh, kProbeDirections> side;
-  side.fill(sum);
+  RadianceSh lit = sum;  // as far as it reaches the object
   for (std::size_t i = 0; i < estimate.lights.size(); ++i) {
     const lighting::DistantLight& d = estimate.lights[i];
     const RadianceSh own = reflected_for(d, level);
     add(sum, own, 1);
-    for (int k = 0; k < kProbeDirections; ++k)
-      add(side[static_cast<std::size_t>(k)], own, lights_.reflected_fraction(i, index, k));
+    add(lit, own, surroundings_.any() ? lit_fraction(i, index, pose) : 1);
     out.distant_irradiance += lighting::irradiance(d, up);
   }
   // What object and floor reflect of a lamp: as if it were as far for all of them as for the
@@ -155,51 +179,65 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
   for (const shadows::Lamp& lamp : scene_.lamps) {
     const RadianceSh own = reflected_for(as_distant_light(lamp, centre), level);
     add(sum, own, 1);
-    for (RadianceSh& s : side) add(s, own, 1);
+    add(lit, own, 1);
   }
   const auto in_bake_frame = [&](const RadianceSh& light) {
     return reflected_in_bake_frame(light, level, pose,
                                    objects_[index].prepared->baked.indirect.bands);
   };
   out.lights = in_bake_frame(sum);
-  bool all_open = true;
-  for (std::size_t k = 0; k < kProbeDirections; ++k) {
-    all_open &= side[k] == sum;
-    out.side_lights[k] = side[k] == sum ? out.lights : in_bake_frame(side[k]);
-  }
-  out.receiver_lights = out.lights;
-  if (all_open) return;
-  out.receiver_lights = RadianceSh(prt::kIndirectBands);
-  for (const RadianceSh& s : out.side_lights) add(out.receiver_lights, s, 1.f / kProbeDirections);
+  out.receiver_lights = lit == sum ? out.lights : in_bake_frame(lit);
 }
 
-// The open light everywhere, and on each side what differs there.
-void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size_t index) const {
-  using TransferPart = PreparedObject::TransferPart;
-  const bool lights = light.lights.bands() > 1;
-  const auto difference = [](RadianceSh a, const RadianceSh& b) {
-    add(a, b, -1);
-    return a;
-  };
-  relight_parts(o, TransferPart::kSurface, light.open, lights ? &light.lights : nullptr, o.relit);
+// What object and floor reflect to each other where others hide the floor, or shade one of them.
+void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, std::size_t index,
+                                      const lighting::LightEstimate& estimate,
+                                      const Pose& pose) const {
+  const prt::BakedObject& baked = o.prepared->baked;
+  const bool level = stands_level(baked, pose);
   o.more.resize(o.relit.size());
-  const RadianceSh no_lights(prt::kIndirectBands);
-  for (int k = 0; k < kProbeDirections; ++k) {
-    const auto s = static_cast<std::size_t>(k);
-    const auto vertices = surroundings_.vertices(index, k);
-    if (!(light.side[s] == light.open)) {
-      o.prepared->relight(TransferPart::kSurface,
-                          difference(light.side[s], light.open).with_bands(kSideBands), o.more);
-      add_to_side(vertices, o.more, {}, o.relit);
+  const auto take = [&](const RadianceSh& reflected, const OcclusionProbes::Values& left,
+                        const OcclusionProbes::Values& all) {
+    if (left == all) return;
+    o.prepared->relight(PreparedObject::TransferPart::kReflected, reflected, o.more);
+    surroundings_.add_missing(index, left, all, -1, o.more, o.relit);
+  };
+  take(light.open.with_bands(prt::kIndirectBands), light.reflected_left, light.reflected);
+  const std::span<const ProbeHit> hits = surroundings_.hits(index);
+  for (std::size_t j = 0; j < estimate.lights.size(); ++j) {
+    OcclusionProbes::Values left{}, all{};
+    const std::span<const std::uint8_t> shade = lights_.hit_shade(j, index);
+    const glm::vec3 towards(glm::conjugate(pose.rotation) * estimate.lights[j].direction);
+    const float of_floor =
+        baked.receiver ? luminance(baked.receiver->albedo) * std::max(0.f, towards.y) : 0;
+    for (std::size_t k = 0; k < hits.size(); ++k) {
+      const ProbeHit& hit = hits[k];
+      const bool itself = hit.thing == ProbeHit::kItself;
+      if ((!hit.above_floor && !itself) || (shade[k] & DirectLightStage::kByItself)) continue;
+      const float sent = itself
+                             ? luminance(baked.mesh.albedo[hit.vertex]) *
+                                   std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards))
+                             : of_floor;
+      all[hit.probe] += sent;
+      if (hit.thing <= ProbeHit::kFloor && !(shade[k] & DirectLightStage::kByOthers))
+        left[hit.probe] += sent;
     }
-    // Of what object and floor reflect to each other, the floor that is hidden or in shade is
-    // missing.
-    const bool shaded = lights && !(light.side_lights[s] == light.lights);
-    if (!shaded && light.floor_hidden[s] == 0) continue;
-    RadianceSh missing = shaded ? difference(light.side_lights[s], light.lights) : no_lights;
-    add(missing, light.open.with_bands(prt::kIndirectBands), -light.floor_hidden[s]);
-    o.prepared->relight(TransferPart::kReflected, missing.with_bands(kFloorBands), o.more);
-    add_to_side(vertices, o.more, light.instead[s], o.relit);
+    take(reflected_in_bake_frame(reflected_for(estimate.lights[j], level), level, pose,
+                                 baked.indirect.bands),
+         left, all);
+  }
+}
+
+// The light that the bake counts on, and what differs around the object.
+void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size_t index,
+                             const lighting::LightEstimate& estimate, const Pose& pose) const {
+  const bool lights = light.lights.bands() > 1;
+  relight_parts(o, PreparedObject::TransferPart::kSurface, light.open,
+                lights ? &light.lights : nullptr, o.relit);
+  if (surroundings_.any()) {
+    take_away_shaded(o, light, index, estimate, pose);
+    surroundings_.spread(index, light.around, o.relit);
+    for (float& v : o.relit) v = std::max(v, 0.f);
   }
   if (lights) lights_.add_light(index, o.relit);
   if (lamps_.any()) lamps_.add_light(index, o.relit);

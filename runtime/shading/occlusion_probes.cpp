@@ -1,6 +1,8 @@
 #include "runtime/shading/occlusion_probes.h"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "core/conventions.h"
 #include "core/parallel.h"
@@ -12,40 +14,130 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr int kRays = 256;  // a side
-constexpr int kTries = 4;   // vertices that a direction is tried from until one is open to it
-constexpr int kFloorTries = 2;
+constexpr int kSphereRays = 256;  // of by_real
+constexpr int kTries = 4;         // vertices that a direction is tried from until one is open to it
 constexpr int kTerms = shadows::kMaxFieldBands * shadows::kMaxFieldBands;
+constexpr float kLevelRay = 1e-3f;  // a ray that falls less never meets the floor
+
+// Squared distance of two vertices: a normal turned by 60 degrees is as far as half a radius.
+class VertexDistance {
+ public:
+  explicit VertexDistance(const prt::Mesh& mesh)
+      : mesh_(mesh), per_m_(1 / prt::radius_around(mesh, prt::bounds_of(mesh).centre())) {}
+  float operator()(std::size_t a, std::size_t b) const {
+    const glm::vec3 place = (mesh_.positions[a] - mesh_.positions[b]) * per_m_,
+                    turn = mesh_.normals[a] - mesh_.normals[b];
+    return glm::dot(place, place) + .25f * glm::dot(turn, turn);
+  }
+
+ private:
+  const prt::Mesh& mesh_;
+  float per_m_;
+};
+
+// Each the farthest from those before it.
+std::vector<std::uint32_t> choose_probes(const prt::Mesh& mesh) {
+  const VertexDistance distance(mesh);
+  std::vector<float> nearest(mesh.positions.size(), std::numeric_limits<float>::max());
+  std::vector<std::uint32_t> out;
+  std::size_t next = 0;
+  while (out.size() < std::min<std::size_t>(OcclusionProbes::kProbes, nearest.size())) {
+    out.push_back(static_cast<std::uint32_t>(next));
+    for (std::size_t v = 0; v < nearest.size(); ++v)
+      nearest[v] = std::min(nearest[v], distance(v, next));
+    next = static_cast<std::size_t>(std::ranges::max_element(nearest) - nearest.begin());
+  }
+  return out;
+}
+
+// Weights fall to zero at the first probe that does not count.
+// source: Franke & Nielson 1980 (modified Shepard interpolation)
+template <class Nearby>
+Nearby nearest_probes(const VertexDistance& distance, std::span<const std::uint32_t> probes,
+                      std::size_t vertex) {
+  std::array<std::pair<float, std::uint16_t>, OcclusionProbes::kProbes> all;
+  for (std::size_t p = 0; p < probes.size(); ++p)
+    all[p] = {std::sqrt(distance(vertex, probes[p])), static_cast<std::uint16_t>(p)};
+  const std::size_t count = std::min<std::size_t>(OcclusionProbes::kNearest, probes.size()),
+                    sorted = std::min(count + 1, probes.size());
+  std::partial_sort(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(sorted),
+                    all.begin() + static_cast<std::ptrdiff_t>(probes.size()));
+  const float end = sorted > count ? all[count].first : 2 * all[count - 1].first;
+  Nearby out{};
+  float sum = 0;
+  for (std::size_t k = 0; k < count; ++k) {
+    const float t = end > 0 ? std::max(0.f, 1 - all[k].first / end) : 1;
+    out.probe[k] = all[k].second;
+    out.weight[k] = t * t + 1e-6f;
+    sum += out.weight[k];
+  }
+  for (float& w : out.weight) w /= sum;
+  return out;
+}
 
 // Even over the sphere.
 glm::dvec3 direction_of(int k) {
-  const double y = 1 - (2 * k + 1.) / kRays, s = std::sqrt(1 - y * y),
+  const double y = 1 - (2 * k + 1.) / kSphereRays, s = std::sqrt(1 - y * y),
                a = k * 2.399963229728653;  // golden angle
   return {s * std::cos(a), y, s * std::sin(a)};
+}
+
+void set_ray(prt::RayWorld::Rays& rays, int lane, const glm::vec3& from, const glm::vec3& to) {
+  rays.ox[lane] = from.x, rays.oy[lane] = from.y, rays.oz[lane] = from.z;
+  rays.dx[lane] = to.x, rays.dy[lane] = to.y, rays.dz[lane] = to.z;
+}
+
+std::uint32_t nearest_corner(const prt::Mesh& mesh, std::uint32_t triangle, float u, float v) {
+  const auto& corners = mesh.triangles[triangle];
+  const float w = 1 - u - v;
+  return w >= u && w >= v ? corners[0] : u >= v ? corners[1] : corners[2];
+}
+
+// The sphere around an object as rays from all over its surface see it, less what it hides from
+// itself: how likely that is, the transfer knows.
+BlockedSh hidden_by_real(const prt::Mesh& mesh, int own, bool has_floor, const Pose& pose,
+                         const shadows::RayOccluders& occluders) {
+  BlockedSh out;
+  const glm::mat3 turn = pose.rotation_matrix();
+  const glm::vec3 shift = pose.translation;
+  prt::RayWorld::Rays ray;
+  for (int k = 0; k < kSphereRays; ++k) {
+    const glm::dvec3 d = direction_of(k);
+    if (has_floor && glm::dot(glm::vec3(d), turn[1]) <= -kLevelRay) continue;
+    for (int attempt = 0; attempt < kTries; ++attempt) {
+      const double place = std::fmod((k * kTries + attempt) * .6180339887498949, 1.);
+      const auto v = static_cast<std::size_t>(place * double(mesh.positions.size()));
+      const glm::vec3 n = turn * mesh.normals[v];
+      if (glm::dot(n, glm::vec3(d)) <= 0) continue;
+      set_ray(ray, 0, turn * mesh.positions[v] + shift + occluders.near_m * n, glm::vec3(d));
+      if (occluders.virtual_things->occluded_by(own, ray, 1) != 0) continue;
+      if (occluders.real_things->occluded_by(0, ray, 1) != 0) {
+        double basis[kTerms];
+        lighting::evaluate_basis(shadows::kMaxFieldBands, d, basis);
+        for (std::size_t i = 0; i < out.blocked.size(); ++i)
+          out.blocked[i] += static_cast<float>(4 * kPi / kSphereRays * basis[i]);
+        out.fraction += 1.f / kSphereRays;
+      }
+      break;
+    }
+  }
+  return out;
 }
 
 }  // namespace
 
 OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
-    : scene_(&scene),
-      vertices_(scene.objects.size()),
-      belongs_(scene.objects.size()),
-      views_(scene.objects.size()),
-      by_real_(scene.objects.size()) {
+    : scene_(&scene), objects_(scene.objects.size()) {
   if (!any()) return;
   for (std::size_t i = 0; i < scene.objects.size(); ++i) {
-    const std::vector<glm::vec3>& normals = scene.objects[i].baked.mesh.normals;
-    for (std::uint32_t v = 0; v < normals.size(); ++v) {
-      std::size_t nearest = 0;
-      float largest = 0;
-      for (std::size_t side = 0; side < kProbeDirections; ++side) {
-        const float weight = direction_weight(normals[v], static_cast<int>(side));
-        if (weight <= 0) continue;
-        belongs_[i][side].push_back({v, weight});
-        if (weight > largest) largest = weight, nearest = side;
-      }
-      vertices_[i][nearest].push_back(v);
-    }
+    const prt::Mesh& mesh = scene.objects[i].baked.mesh;
+    Object& o = objects_[i];
+    o.probes = choose_probes(mesh);
+    o.nearby.resize(mesh.positions.size());
+    const VertexDistance distance(mesh);
+    parallel_for(std::size_t{0}, o.nearby.size(), [&](std::size_t v) {
+      o.nearby[v] = nearest_probes<Nearby>(distance, o.probes, v);
+    });
   }
 }
 
@@ -56,132 +148,105 @@ void OcclusionProbes::look(const shadows::RayOccluders& occluders, std::span<con
                [&](std::size_t i) { look_from(i, occluders, poses[i]); });
 }
 
-void OcclusionProbes::look_from(std::size_t object, const shadows::RayOccluders& occluders,
+void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& occluders,
                                 const Pose& pose) {
-  BlockedSh mean;
-  for (int side = 0; side < kProbeDirections; ++side) {
-    ProbeView& view = views_[object][static_cast<std::size_t>(side)];
-    view = look_from_side(object, side, occluders, pose);
-    for (std::size_t n = 0; n < mean.blocked.size(); ++n)
-      mean.blocked[n] += view.by_real.blocked[n] / kProbeDirections;
-    mean.fraction += view.by_real.fraction / kProbeDirections;
-  }
-  by_real_[object] = mean;
-}
-
-namespace {
-
-// Rays from one side of an object.
-class SideEyes {
- public:
-  SideEyes(const prt::Mesh& mesh, std::span<const std::uint32_t> vertices, int own,
-           const shadows::RayOccluders& occluders, bool has_real, const Pose& pose)
-      : mesh_(mesh),
-        vertices_(vertices),
-        own_(own),
-        occluders_(occluders),
-        has_real_(has_real),
-        turn_(pose.rotation_matrix()),
-        shift_(pose.translation) {}
-
-  enum class Sees {
-    kNothing,
-    kOpen,
-    kReal,
-    kVirtual
-  };  // kNothing: faces away, or sees the object itself
-
-  /// From one of the side's vertices, evenly chosen by `place` in 0..1.
-  Sees look(double place, const glm::vec3& direction) {
-    const auto v = vertices_[static_cast<std::size_t>(place * double(vertices_.size()))];
-    const glm::vec3 n = turn_ * mesh_.normals[v];
-    cosine = glm::dot(n, direction);
-    if (cosine <= 0) return Sees::kNothing;
-    from = turn_ * mesh_.positions[v] + shift_ + occluders_.near_m * n;
-    ray_.ox[0] = from.x, ray_.oy[0] = from.y, ray_.oz[0] = from.z;
-    ray_.dx[0] = direction.x, ray_.dy[0] = direction.y, ray_.dz[0] = direction.z;
-    // What the object hides from itself is in its transfer.
-    if (occluders_.virtual_things->occluded_by(own_, ray_, 1) != 0) return Sees::kNothing;
-    if (has_real_ && occluders_.real_things->occluded_by(0, ray_, 1) != 0) return Sees::kReal;
-    return occluders_.virtual_things->occluded(ray_, 1, own_) != 0 ? Sees::kVirtual : Sees::kOpen;
-  }
-  glm::vec3 up() const { return turn_[1]; }
-
-  glm::vec3 from{0};  // where the last look was from
-  float cosine = 0;   // to its direction
-
- private:
-  const prt::Mesh& mesh_;
-  std::span<const std::uint32_t> vertices_;
-  int own_;
-  const shadows::RayOccluders& occluders_;
-  bool has_real_;
-  glm::mat3 turn_;
-  glm::vec3 shift_;
-  prt::RayWorld::Rays ray_;
-};
-
-// Several vertices are tried until one is open to the direction: how likely that is, the transfer
-// knows.
-void look_up(SideEyes& eyes, int k, const glm::dvec3& d, ProbeView& out) {
-  for (int attempt = 0; attempt < kTries; ++attempt) {
-    const double place = std::fmod((k * kTries + attempt) * .6180339887498949, 1.);
-    const auto seen = eyes.look(place, glm::vec3(d));
-    if (seen == SideEyes::Sees::kOpen) return;
-    if (seen == SideEyes::Sees::kNothing) continue;
-    BlockedSh& hidden = seen == SideEyes::Sees::kReal ? out.by_real : out.by_virtual;
-    double basis[kTerms];
-    lighting::evaluate_basis(shadows::kMaxFieldBands, d, basis);
-    for (std::size_t i = 0; i < hidden.blocked.size(); ++i)
-      hidden.blocked[i] += static_cast<float>(4 * kPi / kRays * basis[i]);
-    hidden.fraction += 1.f / kRays;
-    return;
-  }
-}
-
-// Every try counts: with its cosine it is a sample of the side's irradiance.
-void look_at_floor(SideEyes& eyes, int k, const glm::vec3& d, const glm::vec3& floor,
-                   ProbeView& out) {
-  const float drop = -glm::dot(d, eyes.up());
-  for (int attempt = 0; attempt < kFloorTries; ++attempt) {
-    const double place = std::fmod((k * kFloorTries + attempt) * .6180339887498949, 1.);
-    const auto seen = eyes.look(place, d);
-    if (seen == SideEyes::Sees::kNothing) continue;
-    const float weight = 4 * eyes.cosine / (kRays * kFloorTries);
-    if (seen == SideEyes::Sees::kReal) {
-      out.floor_behind_real += weight;
-    } else if (seen == SideEyes::Sees::kVirtual) {
-      out.floor_behind_virtual += weight;
-    } else {
-      const float height = glm::dot(eyes.from - floor, eyes.up());
-      out.floor += weight;
-      out.floor_points.push_back({eyes.from + std::max(height, 0.f) / drop * d, weight});
+  Object& o = objects_[index];
+  const PreparedObject& prepared = scene_->objects[index];
+  const prt::Mesh& mesh = prepared.baked.mesh;
+  const int own = static_cast<int>(index);
+  const bool has_real = !scene_->real_mesh.triangles.empty(),
+             has_floor = prepared.baked.receiver.has_value();
+  if (has_real) o.by_real = hidden_by_real(mesh, own, has_floor, pose, occluders);
+  o.hits.clear();
+  const glm::mat3 turn = pose.rotation_matrix();
+  const glm::vec3 shift = pose.translation, up = turn[1];
+  const glm::vec3 floor = shift + (has_floor ? prepared.baked.receiver->grid.height : 0) * up;
+  constexpr int kPacket = prt::RayWorld::kPacket;
+  prt::RayScene::RayPacket packet;
+  prt::RayWorld::Rays rays;
+  for (std::size_t p = 0; p < o.probes.size(); ++p) {
+    const std::size_t v = o.probes[p];
+    const glm::vec3 n = turn * mesh.normals[v],
+                    from = turn * mesh.positions[v] + shift + occluders.near_m * n;
+    const glm::mat3 frame = prt::frame_around(n);
+    o.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false,
+                      static_cast<std::uint32_t>(v), n, turn * mesh.positions[v] + shift});
+    for (int block = 0; block < kRays / kPacket; ++block) {
+      patterns_.cosine_block(prt::RayPatterns::turn_of(p), block, frame, packet);
+      for (int i = 0; i < kPacket; ++i)
+        set_ray(rays, i, from, {packet.x[i], packet.y[i], packet.z[i]});
+      prt::RayWorld::Hits nearest_virtual, nearest_real, nearest_own;
+      occluders.virtual_things->intersect(own, rays, nearest_own);
+      for (int k = 0; k < static_cast<int>(scene_->objects.size()); ++k)
+        if (k != own) occluders.virtual_things->intersect(k, rays, nearest_virtual);
+      if (has_real) occluders.real_things->intersect(0, rays, nearest_real);
+      for (int i = 0; i < kPacket; ++i) {
+        ProbeHit hit{static_cast<std::uint16_t>(p),
+                     ProbeHit::kFloor,
+                     false,
+                     0,
+                     {packet.x[i], packet.y[i], packet.z[i]},
+                     {}};
+        if (nearest_own.mesh[i] >= 0) {  // whatever stands in between: that is in no bake
+          hit.thing = ProbeHit::kItself;
+          hit.vertex =
+              nearest_corner(mesh, nearest_own.triangle[i], nearest_own.u[i], nearest_own.v[i]);
+          hit.point = turn * mesh.positions[hit.vertex] + shift;
+          o.hits.push_back(hit);
+          continue;
+        }
+        const float drop = -glm::dot(hit.direction, up);
+        float distance = std::numeric_limits<float>::max();
+        hit.above_floor = has_floor && drop > kLevelRay;
+        if (hit.above_floor) {
+          distance = std::max(glm::dot(from - floor, up), 0.f) / drop;
+          hit.point = from + distance * hit.direction;
+        }
+        bool met = hit.above_floor;
+        const auto meet = [&](const prt::RayWorld::Hits& hits, const prt::Mesh& other, int thing) {
+          if (hits.mesh[i] < 0 || hits.distance[i] >= distance) return;
+          met = true;
+          distance = hits.distance[i];
+          hit.thing = static_cast<std::int16_t>(thing);
+          hit.vertex = nearest_corner(other, hits.triangle[i], hits.u[i], hits.v[i]);
+        };
+        if (const int k = nearest_virtual.mesh[i]; k >= 0)
+          meet(nearest_virtual, scene_->objects[static_cast<std::size_t>(k)].baked.mesh, k);
+        meet(nearest_real, scene_->real_mesh, ProbeHit::kReal);
+        if (met) o.hits.push_back(hit);
+      }
     }
   }
 }
 
-}  // namespace
-
-ProbeView OcclusionProbes::look_from_side(std::size_t object, int side,
-                                          const shadows::RayOccluders& occluders,
-                                          const Pose& pose) const {
-  ProbeView out;
-  const PreparedObject& o = scene_->objects[object];
-  const Vertices& vertices = vertices_[object][static_cast<std::size_t>(side)];
-  if (vertices.empty()) return out;
-  SideEyes eyes(o.baked.mesh, vertices, static_cast<int>(object), occluders,
-                !scene_->real_mesh.triangles.empty(), pose);
-  const double height = o.baked.receiver ? double(o.baked.receiver->grid.height) : 0;
-  const glm::vec3 floor(pose * glm::dvec3(0, height, 0));
-  for (int k = 0; k < kRays; ++k) {
-    const glm::dvec3 d = direction_of(k);
-    const bool down = o.baked.receiver && glm::dot(glm::vec3(d), eyes.up()) <= -1e-3f;
-    if (down)
-      look_at_floor(eyes, k, glm::vec3(d), floor, out);
-    else
-      look_up(eyes, k, d, out);
+void OcclusionProbes::spread(std::size_t object, std::span<const Rgb> of_probes,
+                             std::span<float> out) const {
+  const std::vector<Nearby>& nearby = objects_[object].nearby;
+  const std::size_t stride = out.size() / 3;
+  for (std::size_t v = 0; v < nearby.size(); ++v) {
+    Rgb sum;
+    for (std::size_t k = 0; k < kNearest; ++k)
+      sum += of_probes[nearby[v].probe[k]] * nearby[v].weight[k];
+    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += sum[static_cast<int>(c)];
   }
-  return out;
+}
+
+void OcclusionProbes::add_missing(std::size_t object, const Values& part, const Values& whole,
+                                  float factor, std::span<const float> in,
+                                  std::span<float> out) const {
+  const std::vector<Nearby>& nearby = objects_[object].nearby;
+  const std::size_t stride = out.size() / 3;
+  for (std::size_t v = 0; v < nearby.size(); ++v) {
+    float left = 0, all = 0;
+    for (std::size_t k = 0; k < kNearest; ++k) {
+      const std::size_t p = nearby[v].probe[k];
+      left += part[p] * nearby[v].weight[k];
+      all += whole[p] * nearby[v].weight[k];
+    }
+    if (all <= 0) continue;
+    const float missing = factor * (1 - left / all);
+    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += missing * in[c * stride + v];
+  }
 }
 
 RadianceSh with_occluder_radiance(const RadianceSh& light, const BlockedSh& hidden,

@@ -1,12 +1,9 @@
-// What stands around each virtual object: the directions that other objects and real geometry hide
-// from it, and how brightly they shine there instead. Low frequencies alone; lights have their own
-// rays.
+// What stands around each virtual object, as seen from points all over its surface: real meshes,
+// other objects, and the floor that things shade. Lights have their own rays.
 // threads: thread-bound
 #pragma once
 
-#include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -14,6 +11,7 @@
 #include "core/pose.h"
 #include "core/sh.h"
 #include "prt/geometry/mesh.h"
+#include "prt/geometry/ray_pattern.h"
 #include "runtime/scene/scene.h"
 #include "shadows/field/occlusion_field.h"
 #include "shadows/silhouette/occluders.h"
@@ -27,45 +25,25 @@ struct BlockedSh {
   float fraction = 0;  // of the sphere
 };
 
-/// An object has ten sides: up and down its bake frame's y, and eight around it from +x over +z. A
-/// normal n belongs to up or down by n_y^2, with the rest to the two sides around that it lies
-/// between. The weights sum to 1.
-inline constexpr int kProbeDirections = 10;
-inline float direction_weight(const glm::vec3& normal, int side) {
-  const float n = normal.y;
-  if (side < 2) return (n > 0) == (side == 0) ? n * n : 0;
-  const float x = std::abs(normal.x), z = std::abs(normal.z), largest = std::max(x, z);
-  if (largest == 0) return 0;
-  const int quarter = (side - 2) / 2;  // +x, +z, -x, -z, each followed by its diagonal
-  const bool diagonal = side % 2 != 0;
-  // Tangents instead of angles: no more than 4 degrees beside them.
-  const float to_diagonal = std::min(x, z) / largest, around = std::max(0.f, 1 - n * n);
-  if (diagonal) {
-    const bool right = quarter == 0 || quarter == 3, front = quarter < 2;
-    return (normal.x > 0) == right && (normal.z > 0) == front ? to_diagonal * around : 0;
-  }
-  const bool along_x = quarter % 2 == 0, positive = quarter < 2;
-  if ((x >= z) != along_x || ((along_x ? normal.x : normal.z) > 0) != positive) return 0;
-  return (1 - to_diagonal) * around;
-}
+/// Where a ray of a probe ends, if not in the open sky. Each probe itself is one more, of no weight.
+struct ProbeHit {
+  enum Thing : std::int16_t { kProbe = -4, kItself = -3, kFloor = -2, kReal = -1 };
 
-/// A point of the floor that a side sees, and how much of its light comes from there.
-struct FloorPoint {
-  glm::vec3 position;
-  float weight;
+  std::uint16_t probe;
+  std::int16_t thing;    // a Thing, or the number of another object
+  bool above_floor;      // the bake counted on the floor in this direction
+  std::uint32_t vertex;  // of the thing's mesh, the nearest
+  glm::vec3 direction;   // unit, world
+  // World: where the ray meets or would meet the floor; of kProbe and kItself the vertex
+  glm::vec3 point;
 };
 
-/// What one side of an object sees of other things.
-struct ProbeView {
-  BlockedSh by_real, by_virtual;  // above the floor
-  /// Fractions of the side's irradiance under even light from everywhere (a form factor): what of
-  /// the floor it sees, and what other things hide of it.
-  float floor = 0, floor_behind_real = 0, floor_behind_virtual = 0;
-  std::vector<FloorPoint> floor_points;  // weights sum to `floor`
-};
-
+/// Probes are vertices, apart in place and normal, each with rays by the cosine. Every vertex lies
+/// between the nearest of them.
 class OcclusionProbes {
  public:
+  static constexpr int kProbes = 64, kRays = 64, kNearest = 4;
+
   /// The scene must outlive it.
   explicit OcclusionProbes(const PreparedScene& scene);
 
@@ -75,37 +53,39 @@ class OcclusionProbes {
            scene_->planes.size() > 1;
   }
 
-  /// Looks around from every object, with rays from all over its surface that it does not block
-  /// itself. The same again when nothing has moved costs nothing.
+  /// Looks around from every object. The same again when nothing has moved costs nothing.
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
   void look(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
 
-  const ProbeView& view(std::size_t object, int side) const {
-    return views_[object][static_cast<std::size_t>(side)];
-  }
-  /// The vertices of an object that belong to a side, each with its weight.
-  struct Belongs {
-    std::uint32_t vertex;
-    float weight;
-  };
-  std::span<const Belongs> vertices(std::size_t object, int side) const {
-    return belongs_[object][static_cast<std::size_t>(side)];
-  }
-  /// Of the object as a whole, the mean over its sides.
-  const BlockedSh& by_real(std::size_t object) const { return by_real_[object]; }
+  /// As last looked at; rays of weight 1/kRays.
+  std::span<const ProbeHit> hits(std::size_t object) const { return objects_[object].hits; }
+  using Values = std::array<float, kProbes>;
+  /// out[v] += what the probes around vertex v have, a plane for each colour.
+  void spread(std::size_t object, std::span<const Rgb> of_probes, std::span<float> out) const;
+  /// out[v] += factor (1 - part/whole) in[v] around vertex v, a plane for each colour; nothing where
+  /// the whole is 0.
+  void add_missing(std::size_t object, const Values& part, const Values& whole, float factor,
+                   std::span<const float> in, std::span<float> out) const;
+  /// Of the object as a whole.
+  const BlockedSh& by_real(std::size_t object) const { return objects_[object].by_real; }
 
  private:
-  void look_from(std::size_t object, const shadows::RayOccluders& occluders, const Pose& pose);
-  ProbeView look_from_side(std::size_t object, int side, const shadows::RayOccluders& occluders,
-                           const Pose& pose) const;
+  struct Nearby {
+    std::array<std::uint16_t, kNearest> probe;
+    std::array<float, kNearest> weight;
+  };
+  struct Object {
+    std::vector<std::uint32_t> probes;  // vertices
+    std::vector<Nearby> nearby;         // by vertex
+    std::vector<ProbeHit> hits;
+    BlockedSh by_real;
+  };
+  void look_from(std::size_t index, const shadows::RayOccluders& occluders, const Pose& pose);
 
   const PreparedScene* scene_;
+  prt::RayPatterns patterns_{kRays};
   std::vector<Pose> poses_;
-  using Vertices = std::vector<std::uint32_t>;
-  std::vector<std::array<Vertices, kProbeDirections>> vertices_;  // that belong to a side most
-  std::vector<std::array<std::vector<Belongs>, kProbeDirections>> belongs_;
-  std::vector<std::array<ProbeView, kProbeDirections>> views_;
-  std::vector<BlockedSh> by_real_;
+  std::vector<Object> objects_;
 };
 
 /// The light with the hidden directions replaced by an even radiance.

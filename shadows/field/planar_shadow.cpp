@@ -45,6 +45,15 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
   return {};
 }
 
+Rgb ratio_at(const PlanarShadow& shadow, const prt::GroundGrid& grid, const glm::vec2& position) {
+  const glm::vec2 uv = grid.uv(position);
+  if (shadow.empty() || !(uv.x >= 0 && uv.x < 1 && uv.y >= 0 && uv.y < 1)) return {1, 1, 1};
+  const auto texel = [&](float at) {
+    return std::min(static_cast<int>(at * static_cast<float>(grid.size)), grid.size - 1);
+  };
+  return shadow.ratio.at(texel(uv.x), texel(uv.y));
+}
+
 void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
                            PlanarShadow& out) {
   const int size = change.grid.size;

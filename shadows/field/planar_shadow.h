@@ -24,6 +24,9 @@ struct PlanarShadow {
   bool empty() const { return x0 >= x1 || y0 >= y1; }
 };
 
+/// Of the texel that holds a place on the plane, x and z in the bake frame; 1 outside the grid.
+Rgb ratio_at(const PlanarShadow& shadow, const prt::GroundGrid& grid, const glm::vec2& position);
+
 /// Ratios closer to 1 than this are 1 (a third of an 8-bit sRGB code at most); up to twice as far
 /// they are faded in, so that the border cannot be seen. This is what keeps the touched area small.
 inline constexpr float kInvisibleRatio = .003f;

@@ -59,6 +59,21 @@ TEST(ThroughSensor, ASunThatSaturatesEveryExposureCastsItsWholeShadow) {
   EXPECT_LT(got->sensor.object_rel_rmse, .04);
 }
 
+// Real things beside the object: in the shade of a wall all light comes from around, on a block the
+// object's light falls on a real mesh.
+TEST(ThroughSensor, BesideRealThingsItIsAsInTheWorld) {
+  const std::vector<std::string> assets{"builtin:box"};
+  for (const SensorScene& scene : sensor_scenes(assets)) {
+    if (scene.scene.real.size() < 2) continue;
+    const auto got = filmed(scene, sky(), {8, Seconds(1. / 64000)});
+    ASSERT_FILMED(got);
+    EXPECT_LT(got->sensor.shadow_rmse, .05) << scene.name;
+    EXPECT_LT(got->sensor.object_rel_rmse, .08) << scene.name;
+    EXPECT_LT(std::abs(got->sensor.object_bias), .03) << scene.name;
+    EXPECT_EQ(got->bands, 5) << scene.name << ": an object needs more than its shadow does";
+  }
+}
+
 // What the program would show without the recovery.
 TEST(ThroughSensor, OverAFloorOfUnknownAlbedoTheSunsShadowIsFaintAndNothingIsPromised) {
   SensorScene scene = box_on_floor();

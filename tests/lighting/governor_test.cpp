@@ -222,6 +222,14 @@ TEST(Governor, NothingThatSufficesIsSaidSoWithTheMostAccurate) {
       EXPECT_LE(plan.error, Governor::kConformalFactor * table.error(bands, lights));
 }
 
+// One band may predict a shadow that is no worse; the object is not in the prediction.
+TEST(Governor, WhereNothingSufficesBandsThatCostNothingAreStillTaken) {
+  const CostModel cheap{.2, .001, 5};
+  const Plan plan = Governor(limits(1e-6), cheap).update(uniform().table(some_probes()), {});
+  EXPECT_FALSE(plan.within_budget);
+  EXPECT_EQ(plan.bands, 9);
+}
+
 TEST(Governor, LightsThatThereIsNoTimeForGoAtOnceAndComeBackAtOnce) {
   const ErrorTable table = sunny().table(some_probes());
   Governor governor(limits(.1), kBandsCost);

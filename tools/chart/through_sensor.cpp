@@ -247,13 +247,17 @@ SensorError SensorBench::compare(const Image<Rgb>& composite, const Image<Rgb>& 
     }
   }
   SensorError out;
+  // Below what the reference's noise lets tell, the mean error stands for the error.
+  const auto rmse = [](double product, double mean_error) {
+    return std::sqrt(std::max(product, mean_error * mean_error));
+  };
   if (floor > 0) {
-    out.shadow_rmse = std::sqrt(std::max(0., shadow / floor));
     out.shadow_bias = shadow_bias / floor;
+    out.shadow_rmse = rmse(shadow / floor, out.shadow_bias);
   }
   if (objects > 0) {
-    out.object_rel_rmse = std::sqrt(std::max(0., object / objects)) / (mean / objects);
     out.object_bias = bias / mean;
+    out.object_rel_rmse = rmse(object / objects, bias / objects) / (mean / objects);
   }
   return out;
 }

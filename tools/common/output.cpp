@@ -45,8 +45,16 @@ OutputFolder::~OutputFolder() {
   if (made_) fs::remove(path_, ignored);  // only when it is empty
 }
 
-Result<void> OutputFolder::keep() {
+Result<void> OutputFolder::keep(std::string_view stale) {
   std::error_code error;
+  for (fs::directory_iterator entry(path_, error), end; !error && entry != end;
+       entry.increment(error)) {
+    const std::string name = entry->path().filename().string();
+    if (stale.empty() || !name.starts_with(stale) || fs::exists(work_ / name)) continue;
+    std::error_code removed;
+    fs::remove(entry->path(), removed);
+    if (removed) return fail(ErrorCode::kUnwritable, entry->path().string(), removed.message());
+  }
   for (fs::directory_iterator entry(work_, error), end; !error && entry != end;
        entry.increment(error)) {
     const fs::path target = path_ / entry->path().filename();
@@ -62,59 +70,94 @@ Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options,
                                                          StageTimes& times) {
   PENUMBRA_TRY(make_folder(options.folder));
   auto writer = std::unique_ptr<FrameWriter>(new FrameWriter(options, times));
-  writer->worker_ = std::jthread([w = writer.get()] { w->work(); });
+  writer->eyes_.resize(static_cast<std::size_t>(options.eyes));
+  FrameWriter* const w = writer.get();
+  constexpr unsigned kMaxThreads = 8;
+  const unsigned cores = std::clamp(std::thread::hardware_concurrency(), 1u, kMaxThreads);
+  for (unsigned i = 0; options.stills && i < cores; ++i)
+    writer->workers_.emplace_back([w] { w->work(w->stills_, &FrameWriter::write_still); });
+  if (options.video)
+    writer->workers_.emplace_back([w] { w->work<VideoFrame>(w->frames_, &FrameWriter::encode); });
   return writer;
 }
 
 FrameWriter::~FrameWriter() {
-  queue_.close();
+  stills_.close();
+  frames_.close();
 }
 
 bool FrameWriter::write(const std::string& name, std::shared_ptr<const FramePixels> pixels,
-                        bool in_video) {
-  return queue_.push({name, std::move(pixels), in_video});
+                        std::optional<int> eye) {
+  if (options_.video && eye && !frames_.push({pixels, *eye})) return false;
+  return !options_.stills || stills_.push({name, std::move(pixels)});
 }
 
 Result<void> FrameWriter::finish() {
-  queue_.close();
-  if (worker_.joinable()) worker_.join();
+  stills_.close();
+  frames_.close();
+  workers_.clear();  // joins
   PENUMBRA_TRY(result_);
   if (video_) return video_->finish();
   return {};
 }
 
-void FrameWriter::work() noexcept {
+template <class Job>
+void FrameWriter::work(Bounded<Job>& queue,
+                       Result<void> (FrameWriter::*handle)(const Job&)) noexcept {
   try {
-    while (auto job = queue_.pop())
-      if (auto handled = handle(*job); !handled) {
-        result_ = std::move(handled);
-        break;
-      }
+    while (auto job = queue.pop())
+      if (auto handled = (this->*handle)(*job); !handled) return give_up(std::move(handled));
   } catch (const std::exception& e) {
-    result_ = fail(ErrorCode::kUnwritable, options_.folder.string(), e.what());
+    give_up(fail(ErrorCode::kUnwritable, options_.folder.string(), e.what()));
   }
-  queue_.close();  // after an error, writers are refused instead of waiting
 }
 
-Result<void> FrameWriter::handle(const WriteJob& job) {
-  if (options_.stills) {
-    const StageTimer timer(times_, "write still");
-    const auto path = options_.folder / job.name;
-    if (const auto* f8 = std::get_if<Image<Rgb8>>(job.pixels.get())) {
-      PENUMBRA_TRY(codec::write_frame(path, *f8));
-    } else if (const auto* f16 = std::get_if<Image<Rgb16>>(job.pixels.get())) {
-      PENUMBRA_TRY(codec::write_frame(path, *f16));
-    } else {
-      auto exr = path;
-      PENUMBRA_TRY(codec::write_hdr(exr.replace_extension(".exr"),
-                                    std::get<Image<Rgb>>(*job.pixels), codec::Depth::kFloat));
+// Writers are refused from now on instead of waiting.
+void FrameWriter::give_up(Result<void> why) {
+  {
+    const std::scoped_lock lock(mutex_);
+    if (result_) result_ = std::move(why);
+  }
+  stills_.close();
+  frames_.close();
+}
+
+Result<void> FrameWriter::write_still(const Still& still) {
+  const StageTimer timer(times_, "write still");
+  const auto path = options_.folder / still.name;
+  if (const auto* f8 = std::get_if<Image<Rgb8>>(still.pixels.get()))
+    return codec::write_frame(path, *f8);
+  if (const auto* f16 = std::get_if<Image<Rgb16>>(still.pixels.get()))
+    return codec::write_frame(path, *f16);
+  auto exr = path;
+  return codec::write_hdr(exr.replace_extension(".exr"), std::get<Image<Rgb>>(*still.pixels),
+                          codec::Depth::kFloat);
+}
+
+// A picture is whole when every eye has come; an eye that comes twice before takes the place of its
+// earlier one.
+Result<void> FrameWriter::encode(const VideoFrame& frame) {
+  const StageTimer timer(times_, "encode video");
+  const auto* bytes = std::get_if<Image<Rgb8>>(frame.pixels.get());
+  if (eyes_.size() == 1 && bytes) return encode(*bytes);
+  Image<Rgb8>& eye = eyes_[static_cast<std::size_t>(frame.eye)];
+  eye = bytes ? *bytes : codec::to_display(*frame.pixels);
+  if (std::ranges::any_of(eyes_, [](const auto& e) { return e.pixels().empty(); })) return {};
+  int width = 0;
+  for (const Image<Rgb8>& e : eyes_) width += e.width();
+  Image<Rgb8> picture(width, eye.height());
+  for (int y = 0; y < picture.height(); ++y) {
+    int left = 0;
+    for (const Image<Rgb8>& e : eyes_) {
+      for (int x = 0; x < e.width(); ++x) picture.at(left + x, y) = e.at(x, y);
+      left += e.width();
     }
   }
-  if (!options_.video || !job.in_video) return {};
-  const StageTimer timer(times_, "encode video");
-  const auto* bytes = std::get_if<Image<Rgb8>>(job.pixels.get());
-  const Image<Rgb8> converted = bytes ? Image<Rgb8>() : codec::to_display(*job.pixels);
-  const Image<Rgb8>& picture = bytes ? *bytes : converted;
+  for (Image<Rgb8>& e : eyes_) e = {};
+  return encode(picture);
+}
+
+Result<void> FrameWriter::encode(const Image<Rgb8>& picture) {
   if (!video_) {
     PENUMBRA_ASSIGN(video,
                     compositor::VideoWriter::create(options_.folder / "video.mp4", picture.width(),

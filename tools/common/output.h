@@ -1,10 +1,12 @@
-// Writes composited frames on a thread of its own: PNG stills and an H.264 video.
+// Writes composited frames on threads of its own: PNG stills and an H.264 video.
 #pragma once
 
 #include <filesystem>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <vector>
 
@@ -35,8 +37,9 @@ class OutputFolder {
   /// Where this run writes.
   const std::filesystem::path& work() const { return work_; }
   std::filesystem::path file(const std::string& name) const { return work_ / name; }
+  /// in: stale, how names begin of which an earlier run may have left more: those go
   /// errors: kUnwritable; then some files may have been moved, each whole
-  Result<void> keep();
+  Result<void> keep(std::string_view stale = {});
 
  private:
   OutputFolder() = default;
@@ -44,7 +47,7 @@ class OutputFolder {
   bool made_ = false;
 };
 
-/// threads: thread-bound; owns one worker thread
+/// threads: thread-bound; owns a thread for the video and one a core, at most eight, for stills
 class FrameWriter {
  public:
   struct Options {
@@ -52,32 +55,45 @@ class FrameWriter {
     bool stills = true, video = true;
     double fps = 30;
     bool live = false;  // the video may be larger, not slower
+    int eyes = 1;       // side by side in the video
   };
   /// errors: kUnwritable
   static Result<std::unique_ptr<FrameWriter>> create(const Options& options, StageTimes& times);
   ~FrameWriter();
 
-  /// Queues a frame (waits while four are in work). False after an error of the worker.
-  bool write(const std::string& name, std::shared_ptr<const FramePixels> pixels, bool in_video);
-  /// Writes what is queued, closes the video; the first error of the worker, if any.
+  /// Queues a frame (waits while four are in work). False after an error of a worker.
+  /// in: eye, its place in the video, from the left; none: not in it
+  bool write(const std::string& name, std::shared_ptr<const FramePixels> pixels,
+             std::optional<int> eye);
+  /// Writes what is queued, closes the video; the first error of a worker, if any.
   Result<void> finish();
 
  private:
-  struct WriteJob {
+  struct Still {
     std::string name;
     std::shared_ptr<const FramePixels> pixels;
-    bool in_video;
+  };
+  struct VideoFrame {
+    std::shared_ptr<const FramePixels> pixels;
+    int eye;
   };
   FrameWriter(const Options& options, StageTimes& times) : options_(options), times_(times) {}
-  void work() noexcept;
-  Result<void> handle(const WriteJob& job);
+  template <class Job>
+  void work(Bounded<Job>& queue, Result<void> (FrameWriter::*handle)(const Job&)) noexcept;
+  Result<void> write_still(const Still& still);
+  Result<void> encode(const VideoFrame& frame);
+  Result<void> encode(const Image<Rgb8>& picture);
+  void give_up(Result<void> why);
 
   Options options_;
   StageTimes& times_;
-  Bounded<WriteJob> queue_{4};
+  Bounded<Still> stills_{4};
+  Bounded<VideoFrame> frames_{4};
   std::optional<compositor::VideoWriter> video_;
-  Result<void> result_;  // written by the worker, read after join
-  std::jthread worker_;
+  std::vector<Image<Rgb8>> eyes_;  // of the picture to come; empty: not there yet
+  std::mutex mutex_;
+  Result<void> result_;  // guarded by mutex_
+  std::vector<std::jthread> workers_;
 };
 
 }  // namespace penumbra::tools

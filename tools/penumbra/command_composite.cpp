@@ -26,7 +26,7 @@ struct CompositeOptions {
   int bands = 5;
   std::string lights = "auto";
   double budget = kDefaultMaxShadowError;
-  bool json = false, video = true;
+  bool json = false, stills = true, video = true;
 };
 
 // The first view camera's frames are frame_000000.png; a second eye carries its name.
@@ -34,6 +34,19 @@ std::string still_name(const capture::CameraInfo& camera, bool first, std::uint6
   return first ? fmt::format("frame_{:06}.png", number)
                : fmt::format("frame_{}_{:06}.png", camera.eye.empty() ? camera.name : camera.eye,
                              number);
+}
+
+// Both eyes of a stereo pair, the left one first; else the first view camera alone.
+std::vector<int> cameras_in_video(const std::vector<capture::CameraInfo>& cameras) {
+  int first = -1, left = -1, right = -1;
+  for (int i = 0; i < static_cast<int>(cameras.size()); ++i) {
+    const capture::CameraInfo& c = cameras[static_cast<std::size_t>(i)];
+    if (c.role != capture::Role::kView) continue;
+    if (first < 0) first = i;
+    if (c.eye == "left" && left < 0) left = i;
+    if (c.eye == "right" && right < 0) right = i;
+  }
+  return left >= 0 && right >= 0 ? std::vector{left, right} : std::vector{first};
 }
 
 }  // namespace
@@ -59,8 +72,11 @@ Result<void> composite(const CompositeOptions& o) {
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, scene, options));
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(folder.begin());
-  PENUMBRA_ASSIGN(writer, FrameWriter::create({folder.work(), true, o.video, rate > 0 ? rate : 30},
-                                              pipeline.timings()));
+  const std::vector<int> in_video = cameras_in_video(cameras);
+  PENUMBRA_ASSIGN(
+      writer, FrameWriter::create({folder.work(), o.stills, o.video, rate > 0 ? rate : 30, false,
+                                   static_cast<int>(in_video.size())},
+                                  pipeline.timings()));
 
   int first_view = -1;
   std::vector<std::uint64_t> written(cameras.size());
@@ -69,7 +85,10 @@ Result<void> composite(const CompositeOptions& o) {
     const bool first = out.source.camera == first_view;
     const auto camera = static_cast<std::size_t>(out.source.camera);
     const std::string name = still_name(cameras[camera], first, written[camera]++);
-    return writer->write(name, out.pixels, first) && !stop;
+    const auto eye = std::ranges::find(in_video, out.source.camera);
+    std::optional<int> place;
+    if (eye != in_video.end()) place = static_cast<int>(eye - in_video.begin());
+    return writer->write(name, out.pixels, place) && !stop;
   };
   PENUMBRA_ASSIGN(counts, pipeline.replay(*source, write));
   if (stop) return stopped(o.output);
@@ -80,7 +99,7 @@ Result<void> composite(const CompositeOptions& o) {
                 {o.bands, view->projection.width, view->projection.height,
                  static_cast<int>(pipeline.scene().objects.size()), pipeline.output().renderer()});
   PENUMBRA_TRY(write_bytes(folder.file("summary.json"), summary.dump(2) + "\n"));
-  PENUMBRA_TRY(folder.keep());
+  PENUMBRA_TRY(folder.keep("frame_"));
   if (o.json)
     print_json(summary);
   else
@@ -104,7 +123,10 @@ void add_composite(CLI::App& parent, Action& action) {
   c->add_option("--max-lights", composite_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_option("--max-shadow-error", composite_options.budget, kMaxShadowErrorHelp)
       ->capture_default_str();
-  c->add_flag("!--no-video", composite_options.video, "Write no video");
+  auto* no_video = c->add_flag("!--no-video", composite_options.video, "Write no video");
+  c->add_flag("!--no-stills", composite_options.stills,
+              "Write no stills, which take most of the time")
+      ->excludes(no_video);
   add_json(c, composite_options.json);
   c->callback([&] { action = [] { return composite(composite_options); }; });
 }

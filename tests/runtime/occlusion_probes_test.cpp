@@ -1,0 +1,139 @@
+// What probes on an object see of a wall and of the floor, and how vertices take it from them.
+#include "runtime/shading/occlusion_probes.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "prt/prt.h"
+
+namespace penumbra::runtime {
+namespace {
+
+using glm::dvec3;
+
+// A ball of 20 cm in front of a wall of 4 x 4 m that stands at x = -1/2 m.
+class ProbesBesideAWall : public testing::Test {
+ protected:
+  void SetUp() override {
+    scene_.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});
+    PreparedObject ball;
+    ball.baked.mesh = prt::make_sphere({0, .2f, 0}, .2f, 4, {1, 1, 1});
+    ball.baked.receiver =
+        prt::Receiver{prt::fit_ground_grid(ball.baked.mesh, 0, 64), {.5f, .5f, .5f}};
+    scene_.objects.push_back(std::move(ball));
+    prt::Mesh& wall = scene_.real_mesh;
+    wall.positions = {{-.5f, 0, -2}, {-.5f, 4, -2}, {-.5f, 4, 2}, {-.5f, 0, 2}};
+    wall.normals.assign(4, {1, 0, 0});
+    wall.albedo.assign(4, {.5f, .5f, .5f});
+    wall.triangles = {{0, 1, 2}, {0, 2, 3}};
+    auto virtual_things = prt::RayWorld::create(), real_things = prt::RayWorld::create();
+    ASSERT_TRUE(virtual_things && real_things);
+    virtual_.emplace(std::move(*virtual_things));
+    real_.emplace(std::move(*real_things));
+    ASSERT_TRUE(virtual_->add(scene_.objects[0].baked.mesh));
+    ASSERT_TRUE(real_->add(wall));
+  }
+  shadows::RayOccluders occluders() const { return {&*virtual_, &*real_, 1e-4f}; }
+
+  PreparedScene scene_;
+  std::optional<prt::RayWorld> virtual_, real_;
+};
+
+TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
+  OcclusionProbes probes(scene_);
+  const Pose here;
+  probes.look(occluders(), {&here, 1});
+  std::array<int, OcclusionProbes::kProbes> wall{}, floor{};
+  std::array<glm::vec3, OcclusionProbes::kProbes> normal{};
+  for (const ProbeHit& hit : probes.hits(0)) {
+    if (hit.thing == ProbeHit::kProbe) normal[hit.probe] = hit.direction;
+    wall[hit.probe] += hit.thing == ProbeHit::kReal;
+    floor[hit.probe] += hit.thing == ProbeHit::kFloor;
+    EXPECT_NE(hit.thing, ProbeHit::kItself) << "a ball does not see itself";
+    if (hit.thing == ProbeHit::kFloor) {
+      EXPECT_NEAR(hit.point.y, 0, 1e-4);
+    }
+  }
+  for (std::size_t p = 0; p < normal.size(); ++p) {
+    const glm::vec3& n = normal[p];
+    ASSERT_NEAR(glm::length(n), 1, 1e-4) << "each probe is among its hits";
+    // The floor fills (1 - n.y)/2 of what is around, less what the wall hides of it.
+    EXPECT_LE(floor[p] / double(OcclusionProbes::kRays), (1 - double(n.y)) / 2 + .06);
+    if (n.x > .2f) {
+      EXPECT_NEAR(floor[p] / double(OcclusionProbes::kRays), (1 - n.y) / 2, .12);
+    }
+    if (n.x > .999f) {
+      EXPECT_EQ(wall[p], 0);
+    }
+    if (n.x < -.9f) {
+      EXPECT_GT(wall[p], OcclusionProbes::kRays / 3);
+    }
+  }
+  EXPECT_GT(probes.by_real(0).fraction, .15f);
+  EXPECT_LT(probes.by_real(0).fraction, .5f);
+}
+
+// Looking again from the same place costs nothing; from another one it is seen anew.
+TEST_F(ProbesBesideAWall, FollowTheObject) {
+  OcclusionProbes probes(scene_);
+  const Pose here, far{{1, 0, 0, 0}, dvec3(1e4, 0, 0)};
+  const auto sees_wall = [&] {
+    return std::ranges::any_of(probes.hits(0),
+                               [](const ProbeHit& h) { return h.thing == ProbeHit::kReal; });
+  };
+  probes.look(occluders(), {&here, 1});
+  EXPECT_TRUE(sees_wall());
+  const ProbeHit* const before = probes.hits(0).data();
+  probes.look(occluders(), {&here, 1});
+  EXPECT_EQ(probes.hits(0).data(), before);
+  virtual_->set_pose(0, far);
+  probes.look(occluders(), {&far, 1});
+  EXPECT_FALSE(sees_wall());
+}
+
+TEST_F(ProbesBesideAWall, WhatAllProbesHaveAllVerticesGet) {
+  const OcclusionProbes probes(scene_);
+  const std::size_t count = scene_.objects[0].baked.mesh.positions.size();
+  std::vector<float> out(3 * count, 1.f);
+  probes.spread(0, std::vector<Rgb>(OcclusionProbes::kProbes, Rgb{1, 2, -1}), out);
+  for (std::size_t v = 0; v < count; ++v) {
+    ASSERT_NEAR(out[v], 2, 1e-4);
+    ASSERT_NEAR(out[count + v], 3, 1e-4);
+    ASSERT_NEAR(out[2 * count + v], 0, 1e-4);
+  }
+  OcclusionProbes::Values part, whole, nothing{};
+  part.fill(1), whole.fill(4);
+  const std::vector<float> reflected(3 * count, 8.f);
+  std::ranges::fill(out, 10.f);
+  probes.add_missing(0, part, whole, -1, reflected, out);
+  for (const float x : out) ASSERT_NEAR(x, 10 - .75 * 8, 1e-4);
+  probes.add_missing(0, nothing, nothing, -1, reflected, out);
+  for (const float x : out) ASSERT_NEAR(x, 4, 1e-4) << "no floor in sight";
+}
+
+// A smooth field over the surface comes out smooth: no vertex is far from its neighbours' mean.
+TEST_F(ProbesBesideAWall, ASlopeStaysASlope) {
+  OcclusionProbes probes(scene_);
+  const Pose here;
+  probes.look(occluders(), {&here, 1});
+  std::vector<Rgb> values(OcclusionProbes::kProbes);
+  for (const ProbeHit& hit : probes.hits(0))
+    if (hit.thing == ProbeHit::kProbe) values[hit.probe] = Rgb{1, 1, 1} * hit.direction.x;
+  const prt::Mesh& mesh = scene_.objects[0].baked.mesh;
+  std::vector<float> out(3 * mesh.positions.size(), 0.f);
+  probes.spread(0, values, out);
+  for (std::size_t v = 0; v < mesh.positions.size(); ++v)
+    ASSERT_NEAR(out[v], mesh.normals[v].x, .25) << v;
+}
+
+TEST(OcclusionProbes, AnObjectAloneOnAFloorSeesNothing) {
+  PreparedScene scene;
+  scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});
+  PreparedObject& o = scene.objects.emplace_back();
+  o.baked.mesh = prt::make_sphere({0, .2f, 0}, .2f, 2, {1, 1, 1});
+  EXPECT_FALSE(OcclusionProbes(scene).any());
+}
+
+}  // namespace
+}  // namespace penumbra::runtime
