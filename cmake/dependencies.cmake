@@ -17,6 +17,7 @@ find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs photo features2d 
 find_package(Ceres REQUIRED)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(Eigen3 REQUIRED IMPORTED_TARGET eigen3)
+pkg_check_modules(Exif REQUIRED IMPORTED_TARGET libexif)
 pkg_check_modules(TinyGLTF REQUIRED IMPORTED_TARGET tinygltf)
 pkg_check_modules(FFmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
 pkg_check_modules(Libcamera REQUIRED IMPORTED_TARGET libcamera)

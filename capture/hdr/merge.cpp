@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <limits>
 #include <numeric>
 
 #include "capture/frames.h"
@@ -38,6 +39,35 @@ Result<void> check_exposures(std::span<const Exposure> exposures) {
 
 namespace {
 
+// Float pictures have no full scale of their own, but many were developed to one: then samples at
+// the bracket's largest value are brighter by what shorter exposures show there.
+float clip_level(const std::vector<const Image<Rgb>*>& pictures,
+                 std::span<const Exposure> exposures) {
+  constexpr float kNowhere = std::numeric_limits<float>::infinity();
+  constexpr std::size_t kFewest = 32;
+  constexpr double kBrighter = 1.05;  // in the mean
+  float largest = 0;
+  for (const Image<Rgb>* picture : pictures)
+    for (const Rgb& p : picture->pixels())
+      for (int c = 0; c < 3; ++c)
+        if (std::isfinite(p[c])) largest = std::max(largest, p[c]);
+  double sum = 0;
+  std::size_t count = 0;
+  for (std::size_t k = 0; k < pictures.size(); ++k)
+    for (std::size_t i = 0; i < pictures[k]->pixels().size(); ++i)
+      for (int c = 0; c < 3; ++c) {
+        if (pictures[k]->pixels()[i][c] != largest) continue;
+        for (std::size_t j = 0; j < pictures.size(); ++j) {
+          const double ratio = exposures[k].product() / exposures[j].product();
+          const float shorter = pictures[j]->pixels()[i][c];
+          if (ratio <= 1 || !std::isfinite(shorter) || shorter >= largest) continue;
+          sum += double(shorter) * ratio / double(largest);
+          ++count;
+        }
+      }
+  return count >= kFewest && sum > kBrighter * double(count) ? largest : kNowhere;
+}
+
 template <class Pixel>
 class Stack {
  public:
@@ -45,6 +75,7 @@ class Stack {
       : in_(in), curve_(curve), order_(in.priority) {
     for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
     if (curve) step_ = QuantisationStep(*curve);
+    if constexpr (std::is_same_v<Pixel, Rgb>) clip_level_ = clip_level(images_, in.exposures);
     if (order_.empty()) {
       order_.resize(in.exposures.size());
       std::iota(order_.begin(), order_.end(), std::size_t{0});
@@ -58,7 +89,8 @@ class Stack {
     const auto code = c == 0 ? p.r : c == 1 ? p.g : p.b;
     if constexpr (std::is_same_v<Pixel, Rgb>) {
       const bool finite = std::isfinite(code);
-      return {finite ? static_cast<double>(code) - in_.black_level : 0, !finite};
+      return {finite ? static_cast<double>(code) - in_.black_level : 0,
+              !finite || code >= clip_level_};
     } else {
       const double signal = static_cast<double>(curve_->decode(c, code));
       return {signal, signal + in_.black_level >= kClipLevel};
@@ -113,6 +145,7 @@ class Stack {
   const ExposureStack& in_;
   const ResponseTable* curve_;
   QuantisationStep step_;
+  float clip_level_ = 0;  // of float pictures
   std::vector<std::size_t> order_;
   std::vector<const Image<Pixel>*> images_;
 };

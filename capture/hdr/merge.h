@@ -45,9 +45,9 @@ struct MergedImage {
 };
 
 /// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from
-/// the Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count. Negative
-/// results are kept; a pixel that is clipped everywhere gets the lower bound of its shortest
-/// exposure.
+/// the Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count, nor float
+/// samples at the bracket's largest value where shorter exposures show more there. Negative results
+/// are kept; a pixel that is clipped everywhere gets the lower bound of its shortest exposure.
 /// errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and
 /// finite),
 ///          kUndetermined (all black, all clipped)

@@ -25,7 +25,8 @@ struct BlockedSh {
   float fraction = 0;  // of the sphere
 };
 
-/// Where a ray of a probe ends, if not in the open sky. Each probe itself is one more, of no weight.
+/// Where a ray of a probe ends, if not in the open sky. Each probe itself is one more, without
+/// weight.
 struct ProbeHit {
   enum Thing : std::int16_t { kProbe = -4, kItself = -3, kFloor = -2, kReal = -1 };
 
@@ -62,8 +63,8 @@ class OcclusionProbes {
   using Values = std::array<float, kProbes>;
   /// out[v] += what the probes around vertex v have, a plane for each colour.
   void spread(std::size_t object, std::span<const Rgb> of_probes, std::span<float> out) const;
-  /// out[v] += factor (1 - part/whole) in[v] around vertex v, a plane for each colour; nothing where
-  /// the whole is 0.
+  /// out[v] += factor (1 - part/whole) in[v] around vertex v, a plane for each colour; nothing
+  /// where the whole is 0.
   void add_missing(std::size_t object, const Values& part, const Values& whole, float factor,
                    std::span<const float> in, std::span<float> out) const;
   /// Of the object as a whole.

@@ -105,9 +105,10 @@ struct FieldReceiver {
   std::span<const Rgb> distant_irradiance;
 };
 
-/// s = 1 - deficit/E0 of every point, of a black object, clamped to 0..1.5, where E0 counts the lights; what the
-/// object blocks of them is not in it. It is 1 exactly beyond the object's reach, where E0 has no
-/// footing (below kMinIrradiance of the mean; faded in up to twice that, since normals vary), and
+/// s = 1 - deficit/E0 of every point, of a black object, clamped to 0..1.5, where E0 counts the
+/// lights; what the object blocks of them is not in it. It is 1 exactly beyond the object's reach,
+/// where E0 has no footing (below kMinIrradiance of the mean; faded in up to twice that, since
+/// normals vary), and
 /// where a point or normal is not finite. Several objects: smooth_ratios, then multiply.
 /// form_factors, where wanted: the irradiance of each point if the object shone with radiance 1 in
 /// all directions; what it sends back is that times its exit radiance.

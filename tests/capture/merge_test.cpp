@@ -206,6 +206,27 @@ TEST(Merge, OfFloatFramesNeedsNoResponseAndClipsNothing) {
 // ------------------------------------------------------------------------------------- ends of the
 // range
 
+// As a raw converter writes them: everything above full scale is 1. Without being told, the mean of
+// both exposures would be 2.5 and .55 where 4 and 1 are the truth.
+TEST(Merge, FloatFramesDevelopedToAFullScaleAreClippedThere) {
+  ExposureStack stack;
+  for (const double time : {1., .1, .01}) {
+    Image<Rgb> frame(64, 8);
+    for (int y = 0; y < 8; ++y)
+      for (int x = 0; x < 64; ++x) {
+        const auto v = static_cast<float>(std::min(1., time * std::exp2(x / 8. - 3)));
+        frame.at(x, y) = {v, .5f * v, 0};
+      }
+    stack.frames.push_back(std::make_shared<const FramePixels>(std::move(frame)));
+    stack.exposures.push_back({Seconds(time), Gain(1)});
+  }
+  const auto merged = merge(stack);
+  ASSERT_TRUE(merged);
+  EXPECT_EQ(merged->clipped_fraction, 0);
+  for (int x = 0; x < 64; ++x)
+    EXPECT_NEAR(merged->radiance.at(x, 3).r / std::exp2(x / 8. - 3), 1, .01) << x;
+}
+
 TEST(Merge, PixelClippedEverywhereGetsTheLowerBoundAndTheFlag) {
   Image<Rgb> truth(8, 4, {.1f, .1f, .1f});
   truth.at(3, 2) = {5000, .1f, .1f};  // one channel is enough

@@ -10,7 +10,8 @@ using glm::dvec3;
 
 TEST(RayWorld, NearestOfSeveralMeshesIsThatOfEachAlone) {
   const Mesh ball = make_sphere({0, 0, 0}, 1, 3, {1, 1, 1});
-  const Pose near{{1, 0, 0, 0}, dvec3(-1.2, 0, -3)}, far{glm::dquat(.8, 0, .6, 0), dvec3(.3, 0, -6)};
+  const Pose near{{1, 0, 0, 0}, dvec3(-1.2, 0, -3)};
+  const Pose far{glm::dquat(.8, 0, .6, 0), dvec3(.3, 0, -6)};
   auto world = RayWorld::create();
   ASSERT_TRUE(world);
   ASSERT_EQ(*world->add(ball), 0);

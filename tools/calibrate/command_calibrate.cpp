@@ -258,9 +258,9 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
 Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
   if (o.report) PENUMBRA_TRY(make_folder(*o.report));
-  if (o.captures.empty() && (o.images.empty() || o.times.empty()))
+  if (o.captures.empty() && o.images.empty())
     return fail(ErrorCode::kInvalid, "calibrate response",
-                "needs images with --times, or --capture with --camera");
+                "needs images, or --capture with --camera");
   PENUMBRA_ASSIGN(stack, o.captures.empty() ? read_bracket(o.images, o.times)
                                             : average_clips(o.captures, o.camera));
   const std::string& first = o.captures.empty() ? o.images[0] : o.captures[0];
@@ -295,7 +295,8 @@ void add_calibrate_response(CLI::App& parent, Action& action) {
       "images", response.images,
       "Pictures of the bracket: 8-bit PNG, JPEG or TIFF, from a camera that stands still");
   c->add_option("--times", response.times,
-                "Exposure time of each picture in seconds, as 1/60,0.1,...")
+                "Exposure time of each picture in seconds, as 1/60,0.1,...; by default what the "
+                "cameras wrote into the JPEGs")
       ->needs(images);
   auto* name = c->add_option("--camera", response.camera, "Name of the camera in the captures");
   c->add_option(

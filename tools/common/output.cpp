@@ -77,7 +77,7 @@ Result<std::unique_ptr<FrameWriter>> FrameWriter::create(const Options& options,
   for (unsigned i = 0; options.stills && i < cores; ++i)
     writer->workers_.emplace_back([w] { w->work(w->stills_, &FrameWriter::write_still); });
   if (options.video)
-    writer->workers_.emplace_back([w] { w->work<VideoFrame>(w->frames_, &FrameWriter::encode); });
+    writer->workers_.emplace_back([w] { w->work<VideoJob>(w->frames_, &FrameWriter::encode); });
   return writer;
 }
 
@@ -122,7 +122,7 @@ void FrameWriter::give_up(Result<void> why) {
   frames_.close();
 }
 
-Result<void> FrameWriter::write_still(const Still& still) {
+Result<void> FrameWriter::write_still(const StillJob& still) {
   const StageTimer timer(times_, "write still");
   const auto path = options_.folder / still.name;
   if (const auto* f8 = std::get_if<Image<Rgb8>>(still.pixels.get()))
@@ -136,7 +136,7 @@ Result<void> FrameWriter::write_still(const Still& still) {
 
 // A picture is whole when every eye has come; an eye that comes twice before takes the place of its
 // earlier one.
-Result<void> FrameWriter::encode(const VideoFrame& frame) {
+Result<void> FrameWriter::encode(const VideoJob& frame) {
   const StageTimer timer(times_, "encode video");
   const auto* bytes = std::get_if<Image<Rgb8>>(frame.pixels.get());
   if (eyes_.size() == 1 && bytes) return encode(*bytes);

@@ -69,26 +69,26 @@ class FrameWriter {
   Result<void> finish();
 
  private:
-  struct Still {
+  struct StillJob {
     std::string name;
     std::shared_ptr<const FramePixels> pixels;
   };
-  struct VideoFrame {
+  struct VideoJob {
     std::shared_ptr<const FramePixels> pixels;
     int eye;
   };
   FrameWriter(const Options& options, StageTimes& times) : options_(options), times_(times) {}
   template <class Job>
   void work(Bounded<Job>& queue, Result<void> (FrameWriter::*handle)(const Job&)) noexcept;
-  Result<void> write_still(const Still& still);
-  Result<void> encode(const VideoFrame& frame);
+  Result<void> write_still(const StillJob& still);
+  Result<void> encode(const VideoJob& frame);
   Result<void> encode(const Image<Rgb8>& picture);
   void give_up(Result<void> why);
 
   Options options_;
   StageTimes& times_;
-  Bounded<Still> stills_{4};
-  Bounded<VideoFrame> frames_{4};
+  Bounded<StillJob> stills_{4};
+  Bounded<VideoJob> frames_{4};
   std::optional<compositor::VideoWriter> video_;
   std::vector<Image<Rgb8>> eyes_;  // of the picture to come; empty: not there yet
   std::mutex mutex_;

@@ -177,9 +177,11 @@ void add_hdr_merge(CLI::App& parent, Action& action) {
       ->required();
   c->add_option(
        "--times", merge.times,
-       "Exposure time of each picture in seconds, as 1/60,0.1,...; with --response, ? is found "
-       "from the pixels that two pictures both expose well")
-      ->required();
+       "Exposure time of each picture in seconds, as 1/60,0.1,...; by default what the cameras "
+       "wrote "
+       "into the JPEGs; with --response, ? is found from the pixels that two pictures both expose "
+       "well")
+      ->check(not_empty);
   c->add_flag("--align", merge.align, "Align the pictures of a hand-held camera first");
   c->add_option(
        "--reference", merge.reference,

@@ -11,6 +11,7 @@
 #include "core/counted.h"
 #include "core/log.h"
 #include "tools/pictures/camera_film.h"
+#include "tools/pictures/exif_exposure.h"
 
 namespace penumbra::tools {
 
@@ -120,9 +121,39 @@ Result<capture::ExposureStack> average_clips(const std::vector<std::string>& cap
   return stack;
 }
 
+namespace {
+
+// In seconds at the ISO of the first picture.
+Result<std::vector<double>> times_by_exif(const std::vector<std::string>& images) {
+  std::vector<double> out;
+  std::optional<ExifExposure> first;
+  for (const std::string& image : images) {
+    const auto exposure = read_exif_exposure(image);
+    if (!exposure && exposure.error().code == ErrorCode::kUndetermined)
+      return fail(ErrorCode::kUndetermined, image,
+                  "holds no exposure time (EXIF), and --times gives none");
+    if (!exposure) return std::unexpected(exposure.error());
+    if (!first) first = *exposure;
+    constexpr double kSameAperture = .02;
+    if (exposure->f_number && first->f_number &&
+        std::abs(*exposure->f_number / *first->f_number - 1) > kSameAperture)
+      return fail(
+          ErrorCode::kInvalid, image,
+          fmt::format("was taken at f/{:.3g}, {} at f/{:.3g}: give --times that count it in",
+                      *exposure->f_number, images[0], *first->f_number));
+    const double iso = exposure->iso && first->iso ? *exposure->iso / *first->iso : 1;
+    out.push_back(exposure->time.count() * iso);
+    log_info("{}: {:.4g} s by its EXIF", image, out.back());
+  }
+  return out;
+}
+
+}  // namespace
+
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
                                             const std::string& times_text, bool unknown_allowed) {
-  PENUMBRA_ASSIGN(times, parse_times(times_text, unknown_allowed));
+  PENUMBRA_ASSIGN(
+      times, times_text.empty() ? times_by_exif(images) : parse_times(times_text, unknown_allowed));
   if (times.size() != images.size())
     return fail(ErrorCode::kInvalid, "--times",
                 fmt::format("has {} for {}", counted(times.size(), "time"),

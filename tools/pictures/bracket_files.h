@@ -10,9 +10,11 @@
 
 namespace penumbra::tools {
 
-/// `times`: seconds separated by commas, 1/60 works. Response, noise and black level stay at their
+/// `times`: seconds separated by commas, 1/60 works; empty: as the cameras wrote into the JPEGs
+/// (EXIF), for the ISO of the first picture. Response, noise and black level stay at their
 /// defaults. A time of "?" is left at kUnknownTime where `unknown_allowed`.
-/// errors: kNotFound, kUnreadable, kInvalid (a time, sizes, bit depths)
+/// errors: kNotFound, kUnreadable, kInvalid (a time, sizes, bit depths, apertures that differ),
+///         kUndetermined (no time)
 Result<capture::ExposureStack> read_bracket(const std::vector<std::string>& images,
                                             const std::string& times, bool unknown_allowed = false);
 inline constexpr Seconds kUnknownTime{0};
