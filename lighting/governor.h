@@ -63,7 +63,7 @@ struct Plan {
   int bands = 5, lights = 0;
   double error = 0;  // predicted, with the factor that holds in 95 % of scenes; see lower_bound
   double ms = 0;
-  bool within_budget = true;  // false: the most accurate there is
+  bool within_budget = true;  // false: the most accurate there is, and what costs nothing
   bool time_limited = false;  // another light would be needed, and there is no time for it
   /// A light is saturated in every exposure and not recovered. `error` is that of the light as it
   /// was measured; the true one is unknown, and nothing is within the budget.

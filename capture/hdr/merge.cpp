@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cmath>
 #include <limits>
@@ -39,32 +40,39 @@ Result<void> check_exposures(std::span<const Exposure> exposures) {
 
 namespace {
 
+bool shows(const ExposureStack& in, std::size_t k, std::size_t i) {
+  return in.valid.empty() || in.valid[k].area() == 0 || in.valid[k].pixels()[i] != 0;
+}
+
 // Float pictures have no full scale of their own, but many were developed to one: then samples at
-// the bracket's largest value are brighter by what shorter exposures show there.
-float clip_level(const std::vector<const Image<Rgb>*>& pictures,
-                 std::span<const Exposure> exposures) {
+// the largest value of a channel are brighter by what shorter exposures show there.
+float clip_level(const ExposureStack& in, int c) {
   constexpr float kNowhere = std::numeric_limits<float>::infinity();
   constexpr std::size_t kFewest = 32;
   constexpr double kBrighter = 1.05;  // in the mean
+  const auto sample = [&](std::size_t k, std::size_t i) {
+    return std::get<Image<Rgb>>(*in.frames[k]).pixels()[i][c];
+  };
+  const std::size_t pixels = std::get<Image<Rgb>>(*in.frames[0]).pixels().size();
   float largest = 0;
-  for (const Image<Rgb>* picture : pictures)
-    for (const Rgb& p : picture->pixels())
-      for (int c = 0; c < 3; ++c)
-        if (std::isfinite(p[c])) largest = std::max(largest, p[c]);
+  for (std::size_t k = 0; k < in.frames.size(); ++k)
+    for (std::size_t i = 0; i < pixels; ++i)
+      if (const float v = sample(k, i); std::isfinite(v) && shows(in, k, i))
+        largest = std::max(largest, v);
   double sum = 0;
   std::size_t count = 0;
-  for (std::size_t k = 0; k < pictures.size(); ++k)
-    for (std::size_t i = 0; i < pictures[k]->pixels().size(); ++i)
-      for (int c = 0; c < 3; ++c) {
-        if (pictures[k]->pixels()[i][c] != largest) continue;
-        for (std::size_t j = 0; j < pictures.size(); ++j) {
-          const double ratio = exposures[k].product() / exposures[j].product();
-          const float shorter = pictures[j]->pixels()[i][c];
-          if (ratio <= 1 || !std::isfinite(shorter) || shorter >= largest) continue;
-          sum += double(shorter) * ratio / double(largest);
-          ++count;
-        }
+  for (std::size_t k = 0; k < in.frames.size(); ++k)
+    for (std::size_t i = 0; i < pixels; ++i) {
+      if (sample(k, i) != largest || !shows(in, k, i)) continue;
+      for (std::size_t j = 0; j < in.frames.size(); ++j) {
+        const double ratio = in.exposures[k].product() / in.exposures[j].product();
+        const float shorter = sample(j, i);
+        if (ratio <= 1 || !std::isfinite(shorter) || shorter >= largest || !shows(in, j, i))
+          continue;
+        sum += (double(shorter) - in.black_level) * ratio / (double(largest) - in.black_level);
+        ++count;
       }
+    }
   return count >= kFewest && sum > kBrighter * double(count) ? largest : kNowhere;
 }
 
@@ -75,7 +83,9 @@ class Stack {
       : in_(in), curve_(curve), order_(in.priority) {
     for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
     if (curve) step_ = QuantisationStep(*curve);
-    if constexpr (std::is_same_v<Pixel, Rgb>) clip_level_ = clip_level(images_, in.exposures);
+    if constexpr (std::is_same_v<Pixel, Rgb>)
+      parallel_for(0, 3,
+                   [&](int c) { clip_level_[static_cast<std::size_t>(c)] = clip_level(in, c); });
     if (order_.empty()) {
       order_.resize(in.exposures.size());
       std::iota(order_.begin(), order_.end(), std::size_t{0});
@@ -90,16 +100,13 @@ class Stack {
     if constexpr (std::is_same_v<Pixel, Rgb>) {
       const bool finite = std::isfinite(code);
       return {finite ? static_cast<double>(code) - in_.black_level : 0,
-              !finite || code >= clip_level_};
+              !finite || code >= clip_level_[static_cast<std::size_t>(c)]};
     } else {
       const double signal = static_cast<double>(curve_->decode(c, code));
       return {signal, signal + in_.black_level >= kClipLevel};
     }
   }
 
-  bool shows(std::size_t k, std::size_t i) const {
-    return in_.valid.empty() || in_.valid[k].area() == 0 || in_.valid[k].pixels()[i] != 0;
-  }
   struct MergedValue {
     double radiance;
     bool clipped, black;
@@ -109,7 +116,7 @@ class Stack {
   void counting(std::size_t i, std::vector<std::size_t>& out) const {
     out.clear();
     for (const std::size_t k : order_) {
-      if (!shows(k, i)) continue;
+      if (!shows(in_, k, i)) continue;
       const bool fits =
           in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
             for (int c = 0; c < 3; ++c)
@@ -145,7 +152,7 @@ class Stack {
   const ExposureStack& in_;
   const ResponseTable* curve_;
   QuantisationStep step_;
-  float clip_level_ = 0;  // of float pictures
+  std::array<float, 3> clip_level_{};  // of float pictures
   std::vector<std::size_t> order_;
   std::vector<const Image<Pixel>*> images_;
 };

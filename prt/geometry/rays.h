@@ -58,8 +58,8 @@ class RayScene {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Meshes at rigid poses in one world, for shadow rays through all of them.
-/// threads: occluded() reentrant; everything else only while no ray is under way
+/// Meshes at rigid poses in one world, for rays through all of them.
+/// threads: occluded() and intersect() reentrant; everything else only while no ray is under way
 class RayWorld {
  public:
   /// errors: kUnavailable (Embree says why)

@@ -139,7 +139,7 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
 bool CompositeStage::move_to(double seconds) {
   if (!moving_) return false;
   const StageTimer timer(times_, "animation");
-  const bool alone = objects_.size() == 1 && !real_.any();
+  const bool alone = objects_.size() == 1;
   bool moved = false;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     PreparedObject& o = moving_->objects[i];

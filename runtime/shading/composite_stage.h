@@ -3,8 +3,11 @@
 // threads: each stage is thread-bound; CompositeStage owns the GL context of its thread
 #pragma once
 
+#include <array>
 #include <memory>
+#include <memory_resource>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "calib/camera/response_table.h"
@@ -111,6 +114,9 @@ class CompositeStage {
     // the residual the floor and the object send here, by the bake and past what stands around
     std::array<Rgb, OcclusionProbes::kProbes> around{};
     OcclusionProbes::Values reflected{}, reflected_left{};
+    float left(std::size_t probe) const {
+      return reflected[probe] > 0 ? reflected_left[probe] / reflected[probe] : 1;
+    }
     RadianceSh lights{1};  // for the light that object and floor reflect; 1 band without lights
     RadianceSh receiver_lights{1};  // what of them the object has to reflect onto the floor
     Rgb distant_irradiance;         // of the open receiver
@@ -152,7 +158,15 @@ class CompositeStage {
   struct FloorLight {
     float counted, left;  // by the bake, and past what stands around
   };
-  FloorLight floor_at(const ProbeHit& hit, std::size_t index, const std::vector<Pose>& poses) const;
+  struct FloorShadow {
+    const shadows::PlanarShadow* shadow;
+    const prt::GroundGrid* grid;
+    Pose bake_from_world;
+    int object;  // -1: the real mesh
+  };
+  void find_floor_shadows(const std::vector<Pose>& poses, std::pmr::vector<FloorShadow>& out) const;
+  static FloorLight floor_at(const ProbeHit& hit, std::size_t index,
+                             std::span<const FloorShadow> floor_shadows, float all);
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;

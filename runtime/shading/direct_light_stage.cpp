@@ -174,11 +174,12 @@ void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLig
                                   const OcclusionProbes& around,
                                   std::vector<std::uint8_t>& out) const {
   const std::span<const ProbeHit> hits = around.hits(object);
+  out.reserve(OcclusionProbes::kMaxHits);
   out.assign(hits.size(), kNone);
   const int own = static_cast<int>(object);
   const prt::Mesh& mesh = scene_->objects[object].baked.mesh;
   const glm::mat3 turn = poses_[object].rotation_matrix();
-  const glm::vec3 up = turn[1];
+  const glm::vec3 up = turn[1], shift = poses_[object].translation;
   constexpr int kPacket = prt::RayWorld::kPacket;
   prt::RayWorld::Rays rays;
   std::array<std::size_t, kPacket> index;
@@ -196,7 +197,8 @@ void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLig
     const bool itself = hits[k].thing <= ProbeHit::kItself;
     if (!hits[k].above_floor && !itself) continue;
     const glm::vec3 normal = itself ? turn * mesh.normals[hits[k].vertex] : up;
-    const glm::vec3 o = hits[k].point + near_m_ * normal;
+    const glm::vec3 at = itself ? turn * mesh.positions[hits[k].vertex] + shift : hits[k].point;
+    const glm::vec3 o = at + near_m_ * normal;
     // Each point looks for another part of a wide light.
     const glm::vec3 d(source.shape.empty() ? source.direction
                                            : source.shape[5 * k % source.shape.size()]);

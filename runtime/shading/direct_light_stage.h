@@ -61,6 +61,7 @@ class DirectLightStage {
     return traced_[source].hit_shade[object];
   }
 
+  /// As it is now; what was traced may be for one that is less than a visible move away.
   const glm::dvec3& direction(std::size_t source) const { return traced_[source].source.direction; }
 
   /// Adds the lights' direct light to exit radiance for a unit albedo, in prt::relight's layout.

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/background_task.h"
 #include "core/conventions.h"
+#include "core/scratch.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
@@ -38,7 +38,8 @@ bool CompositeStage::differs_visibly(const ObjectLight& before, const ObjectLigh
   const float visible =
       static_cast<float>(kVisibleChange * luminance(now.open[0]) / std::sqrt(4 * kPi));
   for (std::size_t k = 0; k < now.around.size(); ++k)
-    any |= std::abs(luminance(before.around[k]) - luminance(now.around[k])) > visible;
+    any |= std::abs(luminance(before.around[k]) - luminance(now.around[k])) > visible ||
+           std::abs(before.left(k) - now.left(k)) > kVisibleChange;
   return any;
 }
 
@@ -64,23 +65,33 @@ Rgb CompositeStage::exit_of(const ProbeHit& hit) const {
          o.prepared->baked.mesh.albedo[hit.vertex];
 }
 
-// Fractions of the residual.
-CompositeStage::FloorLight CompositeStage::floor_at(const ProbeHit& hit, std::size_t index,
-                                                    const std::vector<Pose>& poses) const {
-  const glm::dvec3 point(hit.point);
-  const auto ratio = [&](const shadows::PlanarShadow& shadow, const prt::BakedObject& of,
-                         const Pose& world_from_bake) {
-    const glm::dvec3 p = world_from_bake.inverse() * point;
-    return luminance(shadows::ratio_at(shadow, of.receiver->grid, {p.x, p.z}));
-  };
-  FloorLight out{1, 1};
-  if (real_.any() && real_.shadow())
-    out.left = ratio(*real_.shadow(), scene_.real->baked, scene_.real->world_from_bake);
+// Shadows whose plane a floor point may lie on.
+void CompositeStage::find_floor_shadows(const std::vector<Pose>& poses,
+                                        std::pmr::vector<FloorShadow>& out) const {
+  if (real_.any() && real_.shadow() && scene_.real->baked.receiver)
+    out.push_back({real_.shadow(), &scene_.real->baked.receiver->grid,
+                   scene_.real->world_from_bake.inverse(), -1});
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     const prt::BakedObject& baked = objects_[k].prepared->baked;
-    if (!baked.receiver || objects_[k].shadow.ratio.empty()) continue;
-    const float here = ratio(objects_[k].shadow, baked, poses[k]);
-    (k == index ? out.counted : out.left) *= here;
+    if (baked.receiver && !objects_[k].shadow.ratio.empty())
+      out.push_back(
+          {&objects_[k].shadow, &baked.receiver->grid, poses[k].inverse(), static_cast<int>(k)});
+  }
+}
+
+// A shadow's ratio counts the lights, so that what it takes of the residual is more of that.
+// in: all, irradiance of the open floor, over that of the residual
+CompositeStage::FloorLight CompositeStage::floor_at(const ProbeHit& hit, std::size_t index,
+                                                    std::span<const FloorShadow> floor_shadows,
+                                                    float all) {
+  constexpr double kOnPlane_m = 1e-3;
+  FloorLight out{1, 1};
+  for (const FloorShadow& s : floor_shadows) {
+    const glm::dvec3 p = s.bake_from_world * glm::dvec3(hit.point);
+    if (std::abs(p.y - double(s.grid->height)) > kOnPlane_m) continue;
+    const float ratio = luminance(shadows::ratio_at(*s.shadow, *s.grid, {p.x, p.z}));
+    const float here = std::max(0.f, 1 - (1 - ratio) * all);
+    (s.object == static_cast<int>(index) ? out.counted : out.left) *= here;
   }
   out.left *= out.counted;
   return out;
@@ -103,6 +114,15 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   };
   const float of_floor =
       baked.receiver ? sent_on(baked.receiver->albedo, pose.rotation * glm::dvec3(0, 1, 0)) : 0;
+  const Scratch::Scope scope;
+  std::pmr::vector<FloorShadow> shadows_there(scope.memory());
+  find_floor_shadows(poses, shadows_there);
+  const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
+  const float residual = luminance(lighting::evaluate(irradiance, up));
+  float all = residual;
+  for (const lighting::DistantLight& d : estimate.lights)
+    all += luminance(lighting::irradiance(d, up));
+  all = residual > 0 ? all / residual : 1;
   for (const ProbeHit& hit : surroundings_.hits(index)) {
     if (hit.thing == ProbeHit::kProbe) continue;
     if (hit.thing == ProbeHit::kItself) {
@@ -115,7 +135,7 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
     const bool thing = hit.thing != ProbeHit::kFloor;
     if (thing) out.around[hit.probe] += exit_of(hit) * kWeight;
     if (hit.above_floor) {
-      const FloorLight floor = floor_at(hit, index, poses);
+      const FloorLight floor = floor_at(hit, index, shadows_there, all);
       out.reflected[hit.probe] += of_floor * floor.counted;
       if (!thing) out.reflected_left[hit.probe] += of_floor * floor.left;
     } else {

@@ -93,8 +93,8 @@ std::uint32_t nearest_corner(const prt::Mesh& mesh, std::uint32_t triangle, floa
   return w >= u && w >= v ? corners[0] : u >= v ? corners[1] : corners[2];
 }
 
-// The sphere around an object as rays from all over its surface see it, less what it hides from
-// itself: how likely that is, the transfer knows.
+// What of the sphere around an object real things hide, as rays from all over its surface see it.
+// Directions that the object hides from itself do not count: its transfer knows of them.
 BlockedSh hidden_by_real(const prt::Mesh& mesh, int own, bool has_floor, const Pose& pose,
                          const shadows::RayOccluders& occluders) {
   BlockedSh out;
@@ -134,6 +134,7 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
     Object& o = objects_[i];
     o.probes = choose_probes(mesh);
     o.nearby.resize(mesh.positions.size());
+    o.hits.reserve(kMaxHits);
     const VertexDistance distance(mesh);
     parallel_for(std::size_t{0}, o.nearby.size(), [&](std::size_t v) {
       o.nearby[v] = nearest_probes<Nearby>(distance, o.probes, v);
@@ -148,73 +149,101 @@ void OcclusionProbes::look(const shadows::RayOccluders& occluders, std::span<con
                [&](std::size_t i) { look_from(i, occluders, poses[i]); });
 }
 
+// What stands around one object, for the rays of its probes.
+struct OcclusionProbes::Surroundings {
+  const PreparedScene& scene;
+  const shadows::RayOccluders& occluders;
+  std::size_t object;
+  glm::mat3 turn;  // world from bake frame
+  glm::vec3 shift;
+  std::optional<float> floor_height;  // in the bake frame
+
+  const prt::Mesh& mesh() const { return scene.objects[object].baked.mesh; }
+  float above_floor(const glm::vec3& world) const {
+    return glm::dot(world - shift, turn[1]) - *floor_height;
+  }
+};
+
+// Sixteen rays of one origin.
+struct OcclusionProbes::Met {
+  prt::RayWorld::Rays rays;
+  prt::RayWorld::Hits by_itself, by_virtual, by_real;
+
+  void trace(const Surroundings& in) {
+    const int own = static_cast<int>(in.object);
+    const prt::RayWorld& others = *in.occluders.virtual_things;
+    others.intersect(own, rays, by_itself);
+    for (int k = 0; k < static_cast<int>(in.scene.objects.size()); ++k)
+      if (k != own) others.intersect(k, rays, by_virtual);
+    if (!in.scene.real_mesh.triangles.empty())
+      in.occluders.real_things->intersect(0, rays, by_real);
+  }
+};
+
+std::optional<ProbeHit> OcclusionProbes::hit_of(const Met& met, int lane, std::size_t probe,
+                                                const Surroundings& in) {
+  ProbeHit hit{static_cast<std::uint16_t>(probe),
+               ProbeHit::kFloor,
+               false,
+               0,
+               {met.rays.dx[lane], met.rays.dy[lane], met.rays.dz[lane]},
+               {}};
+  const auto vertex_of = [lane](const prt::RayWorld::Hits& hits, const prt::Mesh& mesh) {
+    return nearest_corner(mesh, hits.triangle[lane], hits.u[lane], hits.v[lane]);
+  };
+  if (met.by_itself.mesh[lane] >= 0) {  // whatever stands in between: that is in no bake
+    hit.thing = ProbeHit::kItself;
+    hit.vertex = vertex_of(met.by_itself, in.mesh());
+    return hit;
+  }
+  float distance = std::numeric_limits<float>::max();
+  const float drop = -glm::dot(hit.direction, in.turn[1]);
+  hit.above_floor = in.floor_height && drop > kLevelRay;
+  if (hit.above_floor) {
+    const glm::vec3 from(met.rays.ox[lane], met.rays.oy[lane], met.rays.oz[lane]);
+    distance = std::max(in.above_floor(from), 0.f) / drop;
+    hit.point = from + distance * hit.direction;
+  }
+  if (const int k = met.by_virtual.mesh[lane]; k >= 0 && met.by_virtual.distance[lane] < distance) {
+    distance = met.by_virtual.distance[lane];
+    hit.thing = static_cast<std::int16_t>(k);
+    hit.vertex =
+        vertex_of(met.by_virtual, in.scene.objects[static_cast<std::size_t>(k)].baked.mesh);
+  }
+  if (met.by_real.mesh[lane] >= 0 && met.by_real.distance[lane] < distance) {
+    hit.thing = ProbeHit::kReal;
+    hit.vertex = vertex_of(met.by_real, in.scene.real_mesh);
+  }
+  if (hit.thing == ProbeHit::kFloor && !hit.above_floor) return {};  // open sky
+  return hit;
+}
+
 void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& occluders,
                                 const Pose& pose) {
   Object& o = objects_[index];
-  const PreparedObject& prepared = scene_->objects[index];
-  const prt::Mesh& mesh = prepared.baked.mesh;
-  const int own = static_cast<int>(index);
-  const bool has_real = !scene_->real_mesh.triangles.empty(),
-             has_floor = prepared.baked.receiver.has_value();
-  if (has_real) o.by_real = hidden_by_real(mesh, own, has_floor, pose, occluders);
+  const prt::BakedObject& baked = scene_->objects[index].baked;
+  Surroundings in{*scene_, occluders, index, pose.rotation_matrix(), pose.translation, {}};
+  if (baked.receiver) in.floor_height = baked.receiver->grid.height;
+  if (!scene_->real_mesh.triangles.empty())
+    o.by_real = hidden_by_real(baked.mesh, static_cast<int>(index), baked.receiver.has_value(),
+                               pose, occluders);
   o.hits.clear();
-  const glm::mat3 turn = pose.rotation_matrix();
-  const glm::vec3 shift = pose.translation, up = turn[1];
-  const glm::vec3 floor = shift + (has_floor ? prepared.baked.receiver->grid.height : 0) * up;
   constexpr int kPacket = prt::RayWorld::kPacket;
   prt::RayScene::RayPacket packet;
-  prt::RayWorld::Rays rays;
   for (std::size_t p = 0; p < o.probes.size(); ++p) {
-    const std::size_t v = o.probes[p];
-    const glm::vec3 n = turn * mesh.normals[v],
-                    from = turn * mesh.positions[v] + shift + occluders.near_m * n;
+    const std::uint32_t v = o.probes[p];
+    const glm::vec3 n = in.turn * baked.mesh.normals[v],
+                    from = in.turn * baked.mesh.positions[v] + in.shift + occluders.near_m * n;
     const glm::mat3 frame = prt::frame_around(n);
-    o.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false,
-                      static_cast<std::uint32_t>(v), n, turn * mesh.positions[v] + shift});
+    o.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false, v, n, {}});
     for (int block = 0; block < kRays / kPacket; ++block) {
       patterns_.cosine_block(prt::RayPatterns::turn_of(p), block, frame, packet);
+      Met met;
       for (int i = 0; i < kPacket; ++i)
-        set_ray(rays, i, from, {packet.x[i], packet.y[i], packet.z[i]});
-      prt::RayWorld::Hits nearest_virtual, nearest_real, nearest_own;
-      occluders.virtual_things->intersect(own, rays, nearest_own);
-      for (int k = 0; k < static_cast<int>(scene_->objects.size()); ++k)
-        if (k != own) occluders.virtual_things->intersect(k, rays, nearest_virtual);
-      if (has_real) occluders.real_things->intersect(0, rays, nearest_real);
-      for (int i = 0; i < kPacket; ++i) {
-        ProbeHit hit{static_cast<std::uint16_t>(p),
-                     ProbeHit::kFloor,
-                     false,
-                     0,
-                     {packet.x[i], packet.y[i], packet.z[i]},
-                     {}};
-        if (nearest_own.mesh[i] >= 0) {  // whatever stands in between: that is in no bake
-          hit.thing = ProbeHit::kItself;
-          hit.vertex =
-              nearest_corner(mesh, nearest_own.triangle[i], nearest_own.u[i], nearest_own.v[i]);
-          hit.point = turn * mesh.positions[hit.vertex] + shift;
-          o.hits.push_back(hit);
-          continue;
-        }
-        const float drop = -glm::dot(hit.direction, up);
-        float distance = std::numeric_limits<float>::max();
-        hit.above_floor = has_floor && drop > kLevelRay;
-        if (hit.above_floor) {
-          distance = std::max(glm::dot(from - floor, up), 0.f) / drop;
-          hit.point = from + distance * hit.direction;
-        }
-        bool met = hit.above_floor;
-        const auto meet = [&](const prt::RayWorld::Hits& hits, const prt::Mesh& other, int thing) {
-          if (hits.mesh[i] < 0 || hits.distance[i] >= distance) return;
-          met = true;
-          distance = hits.distance[i];
-          hit.thing = static_cast<std::int16_t>(thing);
-          hit.vertex = nearest_corner(other, hits.triangle[i], hits.u[i], hits.v[i]);
-        };
-        if (const int k = nearest_virtual.mesh[i]; k >= 0)
-          meet(nearest_virtual, scene_->objects[static_cast<std::size_t>(k)].baked.mesh, k);
-        meet(nearest_real, scene_->real_mesh, ProbeHit::kReal);
-        if (met) o.hits.push_back(hit);
-      }
+        set_ray(met.rays, i, from, {packet.x[i], packet.y[i], packet.z[i]});
+      met.trace(in);
+      for (int i = 0; i < kPacket; ++i)
+        if (const auto hit = hit_of(met, i, p, in)) o.hits.push_back(*hit);
     }
   }
 }

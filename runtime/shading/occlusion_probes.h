@@ -4,7 +4,10 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
+#include <glm/geometric.hpp>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -35,8 +38,7 @@ struct ProbeHit {
   bool above_floor;      // the bake counted on the floor in this direction
   std::uint32_t vertex;  // of the thing's mesh, the nearest
   glm::vec3 direction;   // unit, world
-  // World: where the ray meets or would meet the floor; of kProbe and kItself the vertex
-  glm::vec3 point;
+  glm::vec3 point;       // world: where the ray meets or would meet the floor
 };
 
 /// Probes are vertices, apart in place and normal, each with rays by the cosine. Every vertex lies
@@ -44,6 +46,7 @@ struct ProbeHit {
 class OcclusionProbes {
  public:
   static constexpr int kProbes = 64, kRays = 64, kNearest = 4;
+  static constexpr std::size_t kMaxHits = kProbes * (kRays + 1);  // of an object
 
   /// The scene must outlive it.
   explicit OcclusionProbes(const PreparedScene& scene);
@@ -81,6 +84,10 @@ class OcclusionProbes {
     std::vector<ProbeHit> hits;
     BlockedSh by_real;
   };
+  struct Surroundings;
+  struct Met;
+  static std::optional<ProbeHit> hit_of(const Met& met, int lane, std::size_t probe,
+                                        const Surroundings& in);
   void look_from(std::size_t index, const shadows::RayOccluders& occluders, const Pose& pose);
 
   const PreparedScene* scene_;

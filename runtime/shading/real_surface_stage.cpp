@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "core/conventions.h"
+#include "core/parallel.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
@@ -101,12 +102,12 @@ RealSurfaceStage::ByObjects RealSurfaceStage::by_objects(
       shadows::smooth_ratios({scene_->objects[j].field.get(), poses[j]}, {&field, poses[k]},
                              mesh.positions, alone[j], shared);
     const SentRadiance sent(object.baked.mesh, areas_[k], relit[k]);
-    for (std::size_t i = 0; i < count; ++i) {
+    parallel_for(std::size_t{0}, count, [&](std::size_t i) {
       out.left[i] = out.left[i] * shared[i];
-      if (form_factors[i] <= 0) continue;
+      if (form_factors[i] <= 0) return;
       const glm::vec3 at(bake_from_world * glm::dvec3(mesh.positions[i]));
       out.sent[i] += sent.towards(at - field.centre) * form_factors[i];
-    }
+    });
   }
   return out;
 }
@@ -123,7 +124,8 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
   const float smallest = .05f * static_cast<float>(kPi) * luminance(light.mean_radiance);
   for (std::size_t i = 0; i < out.size(); ++i) {
     const Rgb lamp = lamps.any() ? lamps.on_real_mesh()[i] : Rgb{};
-    if (out[i] == Rgb{1, 1, 1} && luminance(lights_.taken[i]) == 0 && luminance(lamp) == 0)
+    if (out[i] == Rgb{1, 1, 1} && luminance(lights_.taken[i]) == 0 && luminance(lamp) == 0 &&
+        luminance(objects.sent[i]) == 0)
       continue;
     const Rgb open = lighting::evaluate(residual, glm::dvec3(mesh.normals[i]));
     for (int c = 0; c < 3; ++c) {

@@ -33,7 +33,8 @@ class RealSurfaceStage {
   /// plane.
   const shadows::PlanarShadow* shadow() const { return shadow_.ratio.empty() ? nullptr : &shadow_; }
 
-  /// Ratios at the vertices: s = 1 - (what virtual things take)/(what really arrives).
+  /// Ratios at the vertices: s = 1 - (what virtual things take - what they send)/(what really
+  /// arrives).
   /// in: of each of the scene's objects its pose, and irradiance/pi of its vertices
   std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Pose> poses,
                           std::span<const std::span<const float>> relit,
@@ -49,7 +50,7 @@ class RealSurfaceStage {
                        std::span<const std::span<const float>> relit) const;
 
   const PreparedScene* scene_;
-  std::vector<std::vector<float>> areas_;  // of the objects' vertices
+  std::vector<std::vector<float>> areas_;  // of the objects' vertices in their first form
   RadianceSh measured_;                    // the light, without lights
   DirectLightStage::AtVertices lights_;    // at the vertices
   std::vector<Rgb> arrives_, exit_;        // irradiance and radiance of the vertices

@@ -35,7 +35,12 @@ SentRadiance::SentRadiance(const prt::Mesh& mesh, std::span<const float> areas,
   assert(areas.size() == count && stride >= count);
   RadianceSh sent(kBands), facing(kBands);
   double basis[kBands * kBands];
-  for (std::size_t i = 0; i < count; i += std::max<std::size_t>(1, count / kEnough)) {
+  // Texels of a light map follow the vertices and have no area.
+  const auto counted =
+      static_cast<std::size_t>(std::ranges::count_if(areas, [](float area) { return area > 0; }));
+  const std::size_t step = std::max<std::size_t>(1, counted / kEnough);
+  for (std::size_t i = 0, k = 0; i < count; ++i) {
+    if (!(areas[i] > 0) || k++ % step != 0) continue;
     lighting::evaluate_basis(kBands, glm::dvec3(mesh.normals[i]), basis);
     const Rgb exit =
         Rgb{relit[i], relit[stride + i], relit[2 * stride + i]} * mesh.albedo[i] * areas[i];

@@ -137,7 +137,7 @@ class RatioBlock {
       if (const int term = lobe_term(n); term >= 0)
         sum += cosine_factor(n) * lobe_[static_cast<std::size_t>(term) * kFieldLanes + p] *
                blocked_[static_cast<std::size_t>(n) * kFieldLanes + p];
-    return std::max(sum, 0.f);
+    return sum > 0 && std::isfinite(sum) ? sum : 0;
   }
 
   static float ratio(float deficit, float open, float smallest) {

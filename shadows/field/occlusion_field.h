@@ -108,10 +108,10 @@ struct FieldReceiver {
 /// s = 1 - deficit/E0 of every point, of a black object, clamped to 0..1.5, where E0 counts the
 /// lights; what the object blocks of them is not in it. It is 1 exactly beyond the object's reach,
 /// where E0 has no footing (below kMinIrradiance of the mean; faded in up to twice that, since
-/// normals vary), and
-/// where a point or normal is not finite. Several objects: smooth_ratios, then multiply.
-/// form_factors, where wanted: the irradiance of each point if the object shone with radiance 1 in
-/// all directions; what it sends back is that times its exit radiance.
+/// normals vary), and where a point or normal is not finite. Several objects: smooth_ratios, then
+/// multiply. form_factors, where wanted: the irradiance of each point if the object shone with
+/// radiance 1 in all directions, 0 where that is not finite; what it sends back is that times its
+/// exit radiance.
 /// errors: kInvalid (lengths, light made for other bands)
 Result<void> field_ratios(const OcclusionField& field, const FieldLight& light,
                           const Pose& bake_from_world, const FieldReceiver& receiver,

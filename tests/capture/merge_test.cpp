@@ -214,17 +214,36 @@ TEST(Merge, FloatFramesDevelopedToAFullScaleAreClippedThere) {
     Image<Rgb> frame(64, 8);
     for (int y = 0; y < 8; ++y)
       for (int x = 0; x < 64; ++x) {
-        const auto v = static_cast<float>(std::min(1., time * std::exp2(x / 8. - 3)));
-        frame.at(x, y) = {v, .5f * v, 0};
+        // White balance has left each channel a full scale of its own, above a black level.
+        const double v = .05 + std::min(1., time * std::exp2(x / 8. - 3));
+        frame.at(x, y) = {static_cast<float>(v), static_cast<float>(.05 + .5 * (v - .05)), .05f};
       }
     stack.frames.push_back(std::make_shared<const FramePixels>(std::move(frame)));
+    stack.exposures.push_back({Seconds(time), Gain(1)});
+  }
+  stack.black_level = .05;
+  const auto merged = merge(stack);
+  ASSERT_TRUE(merged);
+  EXPECT_EQ(merged->clipped_fraction, 0);
+  for (int x = 0; x < 64; ++x) {
+    EXPECT_NEAR(merged->radiance.at(x, 3).r / std::exp2(x / 8. - 3), 1, .01) << x;
+    EXPECT_NEAR(merged->radiance.at(x, 3).g / std::exp2(x / 8. - 4), 1, .01) << x;
+  }
+}
+
+// The brightest part of an unclipped bracket is flat: over a black level it stays.
+TEST(Merge, FlatBrightestPartOfAFloatBracketIsNotClipped) {
+  ExposureStack stack;
+  stack.black_level = .05;
+  for (const double time : {1., .1}) {
+    const auto v = static_cast<float>(.05 + .5 * time);
+    stack.frames.push_back(std::make_shared<const FramePixels>(Image<Rgb>(64, 8, {v, v, v})));
     stack.exposures.push_back({Seconds(time), Gain(1)});
   }
   const auto merged = merge(stack);
   ASSERT_TRUE(merged);
   EXPECT_EQ(merged->clipped_fraction, 0);
-  for (int x = 0; x < 64; ++x)
-    EXPECT_NEAR(merged->radiance.at(x, 3).r / std::exp2(x / 8. - 3), 1, .01) << x;
+  EXPECT_NEAR(merged->radiance.at(5, 5).g, .5, 1e-5);
 }
 
 TEST(Merge, PixelClippedEverywhereGetsTheLowerBoundAndTheFlag) {

@@ -63,8 +63,10 @@ TEST(ThroughSensor, ASunThatSaturatesEveryExposureCastsItsWholeShadow) {
 // object's light falls on a real mesh.
 TEST(ThroughSensor, BesideRealThingsItIsAsInTheWorld) {
   const std::vector<std::string> assets{"builtin:box"};
+  int scenes = 0;
   for (const SensorScene& scene : sensor_scenes(assets)) {
     if (scene.scene.real.size() < 2) continue;
+    ++scenes;
     const auto got = filmed(scene, sky(), {8, Seconds(1. / 64000)});
     ASSERT_FILMED(got);
     EXPECT_LT(got->sensor.shadow_rmse, .05) << scene.name;
@@ -72,6 +74,7 @@ TEST(ThroughSensor, BesideRealThingsItIsAsInTheWorld) {
     EXPECT_LT(std::abs(got->sensor.object_bias), .03) << scene.name;
     EXPECT_EQ(got->bands, 5) << scene.name << ": an object needs more than its shadow does";
   }
+  EXPECT_EQ(scenes, 2);
 }
 
 // What the program would show without the recovery.

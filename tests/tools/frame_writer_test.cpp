@@ -22,17 +22,17 @@ std::shared_ptr<const FramePixels> picture(int number) {
   return std::make_shared<const FramePixels>(std::move(out));
 }
 
-/// Width and height of the only track: 16.16 at the end of its "tkhd" box (ISO 14496-12).
-std::pair<int, int> size_of_video(const fs::path& path) {
-  std::ifstream in(path, std::ios::binary);
-  const std::string file{std::istreambuf_iterator<char>(in), {}};
-  const auto box = file.find("tkhd");
-  if (box == std::string::npos) return {};
-  const auto at = [&](std::size_t i) {
-    return static_cast<unsigned char>(file[box + 4 + i]) << 8 |
-           static_cast<unsigned char>(file[box + 5 + i]);
-  };
-  return {at(76), at(80)};
+/// Two bytes, so far after the name of a box.
+unsigned number_after(const std::string& file, const std::string& box, std::size_t offset) {
+  const auto at = file.find(box);
+  if (at == std::string::npos || at + 6 + offset > file.size()) return 0;
+  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(file[at + 4 + i]); };
+  return static_cast<unsigned>(byte(offset) << 8 | byte(offset + 1));
+}
+
+std::shared_ptr<const FramePixels> grey(int code) {
+  const auto c = static_cast<std::uint8_t>(code);
+  return std::make_shared<const FramePixels>(Image<Rgb8>(64, 48, {c, c, c}));
 }
 
 TEST(FrameWriter, StillsOfAllThreadsAreWholeAndTheirOwn) {
@@ -52,19 +52,31 @@ TEST(FrameWriter, StillsOfAllThreadsAreWholeAndTheirOwn) {
   }
 }
 
-TEST(FrameWriter, VideoHoldsBothEyesSideBySide) {
+// The right eye begins a frame early, and one left frame is lost: what is shown is of one moment.
+TEST(FrameWriter, VideoHoldsBothEyesSideBySideOfOneMoment) {
   const test::TempFolder folder;
   StageTimes times;
-  auto writer = FrameWriter::create({.folder = folder.path(), .stills = false, .eyes = 2}, times);
+  auto writer =
+      FrameWriter::create({.folder = folder.path(), .stills = false, .fps = 30, .eyes = 2}, times);
   ASSERT_TRUE(writer);
-  for (int i = 0; i < 5; ++i)
-    for (int eye = 0; eye < 2; ++eye)
-      if (!(*writer)->write("", picture(i), eye)) break;
+  const auto write = [&](int frame, int eye) {
+    const TimestampNs time = TimestampNs{0} + Seconds((frame + .1 * eye) / 30.);
+    EXPECT_TRUE((*writer)->write("", grey(eye == 0 ? 40 : 200), FrameWriter::InVideo{time, eye}));
+  };
+  write(0, 1);
+  for (int frame = 1; frame < 6; ++frame) {
+    if (frame != 3) write(frame, 0);
+    write(frame, 1);
+  }
   const auto finished = (*writer)->finish();
   if (!finished && finished.error().code == ErrorCode::kUnavailable)
     GTEST_SKIP() << "no video encoder: " << finished.error().detail;
   ASSERT_TRUE(finished) << finished.error().detail;
-  EXPECT_EQ(size_of_video(folder.path() / "video.mp4"), (std::pair{128, 48}));
+  std::ifstream in(folder.path() / "video.mp4", std::ios::binary);
+  const std::string file{std::istreambuf_iterator<char>(in), {}};
+  // Width of the only track, 16.16 in its "tkhd" box, and its samples in "stsz" (ISO 14496-12).
+  EXPECT_EQ(number_after(file, "tkhd", 76), 128u);
+  EXPECT_EQ(number_after(file, "stsz", 10), 4u);
 }
 
 TEST(FrameWriter, ErrorOfOneThreadRefusesTheRest) {
@@ -84,20 +96,26 @@ TEST(FrameWriter, ErrorOfOneThreadRefusesTheRest) {
 // Two frames after three: the third would be taken for one of this run.
 TEST(OutputFolder, FramesOfAnEarlierRunDoNotStay) {
   const test::TempFolder folder;
-  const auto run = [&](int frames) {
+  const auto run = [&](int frames, bool video) {
     auto out = OutputFolder::create(folder.path());
     ASSERT_TRUE(out);
     ASSERT_TRUE(out->begin());
     for (int i = 0; i < frames; ++i)
-      std::ofstream(out->file("frame_" + std::to_string(i) + ".png")) << frames;
-    ASSERT_TRUE(out->keep("frame_"));
+      std::ofstream(out->file("frame_00000" + std::to_string(i) + ".png")) << frames;
+    if (video) std::ofstream(out->file("video.mp4")) << frames;
+    ASSERT_TRUE(out->keep(OutputFolder::EarlierFrames::kGo));
   };
-  std::ofstream(folder.path() / "notes.txt") << "mine";
-  run(3);
-  run(2);
-  EXPECT_TRUE(fs::exists(folder.path() / "frame_1.png"));
-  EXPECT_FALSE(fs::exists(folder.path() / "frame_2.png"));
-  EXPECT_TRUE(fs::exists(folder.path() / "notes.txt"));
+  for (const char* name : {"notes.txt", "frame_notes.txt", "frame_1.png"})
+    std::ofstream(folder.path() / name) << "mine";
+  fs::create_directory(folder.path() / "frame_000009.png");
+  run(3, true);
+  EXPECT_TRUE(fs::exists(folder.path() / "video.mp4"));
+  run(2, false);
+  EXPECT_TRUE(fs::exists(folder.path() / "frame_000001.png"));
+  EXPECT_FALSE(fs::exists(folder.path() / "frame_000002.png"));
+  EXPECT_FALSE(fs::exists(folder.path() / "video.mp4"));
+  for (const char* name : {"notes.txt", "frame_notes.txt", "frame_1.png", "frame_000009.png"})
+    EXPECT_TRUE(fs::exists(folder.path() / name)) << name;
 }
 
 }  // namespace

@@ -297,7 +297,8 @@ void add_calibrate_response(CLI::App& parent, Action& action) {
   c->add_option("--times", response.times,
                 "Exposure time of each picture in seconds, as 1/60,0.1,...; by default what the "
                 "cameras wrote into the JPEGs")
-      ->needs(images);
+      ->needs(images)
+      ->check(not_empty);
   auto* name = c->add_option("--camera", response.camera, "Name of the camera in the captures");
   c->add_option(
        "--capture", response.captures,

@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <regex>
 
 #include "codec/codec.h"
 #include "codec/display.h"
 #include "core/files.h"
+#include "core/log.h"
 
 namespace penumbra::tools {
 
@@ -45,22 +47,42 @@ OutputFolder::~OutputFolder() {
   if (made_) fs::remove(path_, ignored);  // only when it is empty
 }
 
-Result<void> OutputFolder::keep(std::string_view stale) {
+namespace {
+
+std::vector<std::string> files_in(const fs::path& folder, std::error_code& error) {
+  std::vector<std::string> out;
+  for (fs::directory_iterator entry(folder, error), end; !error && entry != end;
+       entry.increment(error))
+    out.push_back(entry->path().filename().string());
+  return out;
+}
+
+// frame_000012.png, frame_right_000012.exr, video.mp4.
+bool is_frame_or_video(const std::string& name) {
+  static const std::regex kPattern(R"(frame_(.+_)?\d{6}\.(png|exr)|video\.mp4)");
+  return std::regex_match(name, kPattern);
+}
+
+}  // namespace
+
+Result<void> OutputFolder::keep(EarlierFrames earlier) {
   std::error_code error;
-  for (fs::directory_iterator entry(path_, error), end; !error && entry != end;
-       entry.increment(error)) {
-    const std::string name = entry->path().filename().string();
-    if (stale.empty() || !name.starts_with(stale) || fs::exists(work_ / name)) continue;
-    std::error_code removed;
-    fs::remove(entry->path(), removed);
-    if (removed) return fail(ErrorCode::kUnwritable, entry->path().string(), removed.message());
+  const std::vector<std::string> made = files_in(work_, error);
+  if (error) return fail(ErrorCode::kUnwritable, path_.string(), error.message());
+  for (const std::string& name : made) {
+    const fs::path target = path_ / name;
+    fs::rename(work_ / name, target, error);
+    if (error) return fail(ErrorCode::kUnwritable, target.string(), error.message());
   }
-  for (fs::directory_iterator entry(work_, error), end; !error && entry != end;
-       entry.increment(error)) {
-    const fs::path target = path_ / entry->path().filename();
-    std::error_code moved;
-    fs::rename(entry->path(), target, moved);
-    if (moved) return fail(ErrorCode::kUnwritable, target.string(), moved.message());
+  if (earlier == EarlierFrames::kStay) return {};
+  for (const std::string& name : files_in(path_, error)) {
+    const fs::path old = path_ / name;
+    std::error_code failed;
+    if (!is_frame_or_video(name) || std::ranges::find(made, name) != made.end() ||
+        !fs::is_regular_file(old, failed))
+      continue;
+    fs::remove(old, failed);
+    if (failed) return fail(ErrorCode::kUnwritable, old.string(), failed.message());
   }
   if (error) return fail(ErrorCode::kUnwritable, path_.string(), error.message());
   return {};
@@ -87,8 +109,8 @@ FrameWriter::~FrameWriter() {
 }
 
 bool FrameWriter::write(const std::string& name, std::shared_ptr<const FramePixels> pixels,
-                        std::optional<int> eye) {
-  if (options_.video && eye && !frames_.push({pixels, *eye})) return false;
+                        std::optional<InVideo> in_video) {
+  if (options_.video && in_video && !frames_.push({pixels, *in_video})) return false;
   return !options_.stills || stills_.push({name, std::move(pixels)});
 }
 
@@ -98,6 +120,9 @@ Result<void> FrameWriter::finish() {
   workers_.clear();  // joins
   PENUMBRA_TRY(result_);
   if (video_) return video_->finish();
+  if (options_.video && options_.eyes > 1)
+    log_warning("{}: no video, since no two frames show both eyes at one moment",
+                options_.folder.string());
   return {};
 }
 
@@ -134,13 +159,16 @@ Result<void> FrameWriter::write_still(const StillJob& still) {
                           codec::Depth::kFloat);
 }
 
-// A picture is whole when every eye has come; an eye that comes twice before takes the place of its
-// earlier one.
+// A picture is whole when every eye has come; what is of another moment is left out.
 Result<void> FrameWriter::encode(const VideoJob& frame) {
   const StageTimer timer(times_, "encode video");
   const auto* bytes = std::get_if<Image<Rgb8>>(frame.pixels.get());
   if (eyes_.size() == 1 && bytes) return encode(*bytes);
-  Image<Rgb8>& eye = eyes_[static_cast<std::size_t>(frame.eye)];
+  const Seconds same(.5 / options_.fps);
+  if (frame.in_video.time - moment_ > same || moment_ - frame.in_video.time > same)
+    for (Image<Rgb8>& e : eyes_) e = {};
+  moment_ = frame.in_video.time;
+  Image<Rgb8>& eye = eyes_[static_cast<std::size_t>(frame.in_video.eye)];
   eye = bytes ? *bytes : codec::to_display(*frame.pixels);
   if (std::ranges::any_of(eyes_, [](const auto& e) { return e.pixels().empty(); })) return {};
   int width = 0;

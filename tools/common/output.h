@@ -6,7 +6,6 @@
 #include <mutex>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <thread>
 #include <vector>
 
@@ -14,12 +13,13 @@
 #include "core/queues.h"
 #include "core/result.h"
 #include "core/stage_times.h"
+#include "core/units.h"
 
 namespace penumbra::tools {
 
 /// A run's results, made in a hidden folder inside the output folder and moved there by keep(). A
 /// run that fails leaves no file, and what an earlier one left stays as it was; files of names that
-/// this run does not make stay in any case.
+/// this run does not make stay too, but for an earlier run's frames where keep() is told so.
 /// threads: thread-bound
 class OutputFolder {
  public:
@@ -37,9 +37,9 @@ class OutputFolder {
   /// Where this run writes.
   const std::filesystem::path& work() const { return work_; }
   std::filesystem::path file(const std::string& name) const { return work_ / name; }
-  /// in: stale, how names begin of which an earlier run may have left more: those go
+  enum class EarlierFrames { kStay, kGo };  // frame_000012.png and so on, and video.mp4
   /// errors: kUnwritable; then some files may have been moved, each whole
-  Result<void> keep(std::string_view stale = {});
+  Result<void> keep(EarlierFrames earlier = EarlierFrames::kStay);
 
  private:
   OutputFolder() = default;
@@ -61,10 +61,14 @@ class FrameWriter {
   static Result<std::unique_ptr<FrameWriter>> create(const Options& options, StageTimes& times);
   ~FrameWriter();
 
-  /// Queues a frame (waits while four are in work). False after an error of a worker.
-  /// in: eye, its place in the video, from the left; none: not in it
+  struct InVideo {
+    TimestampNs time;  // eyes go together within half a frame
+    int eye = 0;       // from the left
+  };
+  /// Queues a frame (waits while four more wait for a thread). False after an error of a worker.
+  /// in: in_video, none: a still alone
   bool write(const std::string& name, std::shared_ptr<const FramePixels> pixels,
-             std::optional<int> eye);
+             std::optional<InVideo> in_video);
   /// Writes what is queued, closes the video; the first error of a worker, if any.
   Result<void> finish();
 
@@ -75,7 +79,7 @@ class FrameWriter {
   };
   struct VideoJob {
     std::shared_ptr<const FramePixels> pixels;
-    int eye;
+    InVideo in_video;
   };
   FrameWriter(const Options& options, StageTimes& times) : options_(options), times_(times) {}
   template <class Job>
@@ -91,6 +95,7 @@ class FrameWriter {
   Bounded<VideoJob> frames_{4};
   std::optional<compositor::VideoWriter> video_;
   std::vector<Image<Rgb8>> eyes_;  // of the picture to come; empty: not there yet
+  TimestampNs moment_;             // of those
   std::mutex mutex_;
   Result<void> result_;  // guarded by mutex_
   std::vector<std::jthread> workers_;

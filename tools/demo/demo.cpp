@@ -160,7 +160,7 @@ Result<void> demo(const DemoOptions& o) {
     last = out.pixels;
     last_source = out.source.pixels;
     if (stop || !show(pipeline.output(), *out.pixels)) return false;
-    return writer->write("", out.pixels, 0);
+    return writer->write("", out.pixels, FrameWriter::InVideo{out.source.time});
   };
   capture::FrameSource& source =
       recording ? static_cast<capture::FrameSource&>(*recording) : studio;

@@ -78,28 +78,26 @@ Result<void> composite(const CompositeOptions& o) {
                                    static_cast<int>(in_video.size())},
                                   pipeline.timings()));
 
-  int first_view = -1;
+  const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
   std::vector<std::uint64_t> written(cameras.size());
   const auto write = [&](const runtime::Output& out) {
-    if (first_view < 0) first_view = out.source.camera;
-    const bool first = out.source.camera == first_view;
+    const bool first = out.source.camera == view - cameras.begin();
     const auto camera = static_cast<std::size_t>(out.source.camera);
     const std::string name = still_name(cameras[camera], first, written[camera]++);
     const auto eye = std::ranges::find(in_video, out.source.camera);
-    std::optional<int> place;
-    if (eye != in_video.end()) place = static_cast<int>(eye - in_video.begin());
+    std::optional<FrameWriter::InVideo> place;
+    if (eye != in_video.end()) place = {out.source.time, static_cast<int>(eye - in_video.begin())};
     return writer->write(name, out.pixels, place) && !stop;
   };
   PENUMBRA_ASSIGN(counts, pipeline.replay(*source, write));
   if (stop) return stopped(o.output);
   PENUMBRA_TRY(writer->finish());
-  const auto view = std::ranges::find(cameras, capture::Role::kView, &capture::CameraInfo::role);
   const nlohmann::json summary =
       summarise(counts, pipeline.timings(),
                 {o.bands, view->projection.width, view->projection.height,
                  static_cast<int>(pipeline.scene().objects.size()), pipeline.output().renderer()});
   PENUMBRA_TRY(write_bytes(folder.file("summary.json"), summary.dump(2) + "\n"));
-  PENUMBRA_TRY(folder.keep("frame_"));
+  PENUMBRA_TRY(folder.keep(OutputFolder::EarlierFrames::kGo));
   if (o.json)
     print_json(summary);
   else

@@ -178,9 +178,8 @@ void add_hdr_merge(CLI::App& parent, Action& action) {
   c->add_option(
        "--times", merge.times,
        "Exposure time of each picture in seconds, as 1/60,0.1,...; by default what the cameras "
-       "wrote "
-       "into the JPEGs; with --response, ? is found from the pixels that two pictures both expose "
-       "well")
+       "wrote into the JPEGs, at the ISO of the first one; with --response, ? is found from the "
+       "pixels that two pictures both expose well")
       ->check(not_empty);
   c->add_flag("--align", merge.align, "Align the pictures of a hand-held camera first");
   c->add_option(

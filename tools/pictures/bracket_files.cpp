@@ -135,6 +135,9 @@ Result<std::vector<double>> times_by_exif(const std::vector<std::string>& images
     if (!exposure) return std::unexpected(exposure.error());
     if (!first) first = *exposure;
     constexpr double kSameAperture = .02;
+    if (exposure->iso.has_value() != first->iso.has_value())
+      return fail(ErrorCode::kUndetermined, image,
+                  "and " + images[0] + " do not both tell their ISO (EXIF): give --times");
     if (exposure->f_number && first->f_number &&
         std::abs(*exposure->f_number / *first->f_number - 1) > kSameAperture)
       return fail(
