@@ -5,11 +5,11 @@
 
 namespace penumbra {
 
-void StageTimes::add(const std::string& stage, double ms) {
+void StageTimes::add(std::string_view stage, double ms) {
   const std::scoped_lock lock(mutex_);
   auto found = std::ranges::find(stages_, stage, &Stage::name);
   if (found == stages_.end()) {
-    found = stages_.insert(stages_.end(), Stage{stage, {}, 0});
+    found = stages_.insert(stages_.end(), Stage{std::string(stage), {}, 0});
     // No frame pays for more room later; the system gives the memory when it is written to.
     found->ms.reserve(kMaxSamples);
   }

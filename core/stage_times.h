@@ -5,6 +5,7 @@
 #include <map>
 #include <mutex>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #pragma GCC visibility push(default)
@@ -18,7 +19,7 @@ class StageTimes {
     std::size_t count = 0;
   };
 
-  void add(const std::string& stage, double ms);
+  void add(std::string_view stage, double ms);
   /// In order of first use.
   std::vector<std::pair<std::string, Percentiles>> summary() const;
 
@@ -47,16 +48,17 @@ class Stopwatch {
 };
 
 /// Adds the time from construction to destruction.
+/// in: stage, which must live as long as the timer
 class StageTimer {
  public:
-  StageTimer(StageTimes& times, std::string stage) : times_(times), stage_(std::move(stage)) {}
+  StageTimer(StageTimes& times, std::string_view stage) : times_(times), stage_(stage) {}
   StageTimer(const StageTimer&) = delete;
   StageTimer& operator=(const StageTimer&) = delete;
   ~StageTimer() { times_.add(stage_, watch_.ms()); }
 
  private:
   StageTimes& times_;
-  std::string stage_;
+  std::string_view stage_;
   Stopwatch watch_;
 };
 

@@ -191,7 +191,9 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   for (int round = 0; round < rounds; ++round) {
     for (std::size_t i = 0; i < objects_.size(); ++i)
       relit |= update_object(i, poses, light, lights_changed, other_form);
-    if (round + 1 < rounds) shade_real_mesh(light, poses);
+    if (round + 1 == rounds) break;
+    combine_object_shadows(poses);
+    shade_real_mesh(light, poses);
   }
   lit_before_ = true;
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
@@ -238,15 +240,15 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     StageObject& o = objects_[k];
-    const shadows::PlanarShadow* shown = &o.shadow;
+    o.shares = false;
     for (std::size_t i = 0; i < k; ++i) {
       const StageObject& other = objects_[i];
       if (!may_meet(other.prepared->baked, poses[i], o.prepared->baked, poses[k])) continue;
-      if (shown != &o.shared) o.shared = *shown, shown = &o.shared;
+      if (!std::exchange(o.shares, true)) o.shared = o.shadow;
       shadows::combine_shadows({&other.prepared->baked, poses[i], &other.shadow},
                                {&o.prepared->baked, poses[k], &o.shadow}, o.shared);
     }
-    compositor_->set_light(o.handle, o.relit, *shown);
+    compositor_->set_light(o.handle, o.relit, o.shown());
   }
 }
 

@@ -82,7 +82,7 @@ class CompositeStage {
   void warm_up();
   /// Composites one view frame under `light`.
   /// out:    keeps its memory: once it has had a frame nothing comes from the heap, without real
-  ///         meshes, lamps and clips
+  ///         meshes, lamps, clips and turntables (whose shadows grow now and then)
   /// errors: as Compositor::composite
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
@@ -129,7 +129,9 @@ class CompositeStage {
     std::vector<float> relit{};                // irradiance/pi of the object's vertices
     std::vector<float> taken{};                // of the receiver's irradiance/pi
     std::vector<float> more{};                 // scratch: what is added to either
-    shadows::PlanarShadow shadow{}, shared{};  // alone, and without what other objects take
+    shadows::PlanarShadow shadow{}, shared{};  // alone, and without what others before it take
+    bool shares = false;
+    const shadows::PlanarShadow& shown() const { return shares ? shared : shadow; }
   };
   struct ViewCamera {
     capture::CameraInfo info;
@@ -154,7 +156,8 @@ class CompositeStage {
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
                        const std::vector<Pose>& poses) const;
   void see_surroundings(std::size_t index, const lighting::LightEstimate& light,
-                        const std::vector<Pose>& poses, ObjectLight& out) const;
+                        const std::vector<Pose>& poses, const lighting::ShRotation& turn,
+                        ObjectLight& out) const;
   struct FloorLight {
     float counted, left;  // by the bake, and past what stands around
   };
@@ -162,11 +165,13 @@ class CompositeStage {
     const shadows::PlanarShadow* shadow;
     const prt::GroundGrid* grid;
     Pose bake_from_world;
-    int object;  // -1: the real mesh
+    // Of the object that is looked from: what its bake counts on
+    const shadows::PlanarShadow* counted = nullptr;
   };
-  void find_floor_shadows(const std::vector<Pose>& poses, std::pmr::vector<FloorShadow>& out) const;
-  static FloorLight floor_at(const ProbeHit& hit, std::size_t index,
-                             std::span<const FloorShadow> floor_shadows, float all);
+  void find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
+                          std::pmr::vector<FloorShadow>& out) const;
+  static FloorLight floor_at(const glm::vec3& point, std::span<const FloorShadow> floor_shadows,
+                             float all);
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;

@@ -194,7 +194,7 @@ void DirectLightStage::shade_hits(std::size_t object, const lighting::DistantLig
     count = 0;
   };
   for (std::size_t k = 0; k < hits.size(); ++k) {
-    const bool itself = hits[k].thing <= ProbeHit::kItself;
+    const bool itself = hits[k].thing == ProbeHit::kItself || hits[k].thing == ProbeHit::kProbe;
     if (!hits[k].above_floor && !itself) continue;
     const glm::vec3 normal = itself ? turn * mesh.normals[hits[k].vertex] : up;
     const glm::vec3 at = itself ? turn * mesh.positions[hits[k].vertex] + shift : hits[k].point;

@@ -51,7 +51,7 @@ CompositeStage::ObjectLight CompositeStage::light_at(std::size_t index,
   const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
   ObjectLight out;
   out.open = out.receiver = turn * light;
-  if (surroundings_.any()) see_surroundings(index, estimate, poses, out);
+  if (surroundings_.any()) see_surroundings(index, estimate, poses, turn, out);
   return out;
 }
 
@@ -65,59 +65,60 @@ Rgb CompositeStage::exit_of(const ProbeHit& hit) const {
          o.prepared->baked.mesh.albedo[hit.vertex];
 }
 
-// Shadows whose plane a floor point may lie on.
-void CompositeStage::find_floor_shadows(const std::vector<Pose>& poses,
+// Shadows whose plane a floor point may lie on. What two objects block in common the shown ones
+// count once.
+void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
                                         std::pmr::vector<FloorShadow>& out) const {
   if (real_.any() && real_.shadow() && scene_.real->baked.receiver)
     out.push_back({real_.shadow(), &scene_.real->baked.receiver->grid,
-                   scene_.real->world_from_bake.inverse(), -1});
+                   scene_.real->world_from_bake.inverse()});
   for (std::size_t k = 0; k < objects_.size(); ++k) {
-    const prt::BakedObject& baked = objects_[k].prepared->baked;
-    if (baked.receiver && !objects_[k].shadow.ratio.empty())
-      out.push_back(
-          {&objects_[k].shadow, &baked.receiver->grid, poses[k].inverse(), static_cast<int>(k)});
+    const StageObject& o = objects_[k];
+    if (o.prepared->baked.receiver && !o.shadow.ratio.empty())
+      out.push_back({&o.shown(), &o.prepared->baked.receiver->grid, poses[k].inverse(),
+                     k == index ? &o.shadow : nullptr});
   }
 }
 
 // A shadow's ratio counts the lights, so that what it takes of the residual is more of that.
 // in: all, irradiance of the open floor, over that of the residual
-CompositeStage::FloorLight CompositeStage::floor_at(const ProbeHit& hit, std::size_t index,
+CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
                                                     std::span<const FloorShadow> floor_shadows,
                                                     float all) {
   constexpr double kOnPlane_m = 1e-3;
   FloorLight out{1, 1};
   for (const FloorShadow& s : floor_shadows) {
-    const glm::dvec3 p = s.bake_from_world * glm::dvec3(hit.point);
+    const glm::dvec3 p = s.bake_from_world * glm::dvec3(point);
     if (std::abs(p.y - double(s.grid->height)) > kOnPlane_m) continue;
-    const float ratio = luminance(shadows::ratio_at(*s.shadow, *s.grid, {p.x, p.z}));
-    const float here = std::max(0.f, 1 - (1 - ratio) * all);
-    (s.object == static_cast<int>(index) ? out.counted : out.left) *= here;
+    const auto residual_left = [&](const shadows::PlanarShadow& shadow) {
+      const float ratio = luminance(shadows::ratio_at(shadow, *s.grid, {p.x, p.z}));
+      return std::max(0.f, 1 - (1 - ratio) * all);
+    };
+    out.left *= residual_left(*s.shadow);
+    if (s.counted) out.counted *= residual_left(*s.counted);
   }
-  out.left *= out.counted;
   return out;
 }
 
 void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEstimate& estimate,
-                                      const std::vector<Pose>& poses, ObjectLight& out) const {
+                                      const std::vector<Pose>& poses,
+                                      const lighting::ShRotation& turn, ObjectLight& out) const {
   const Pose& pose = poses[index];
   const prt::BakedObject& baked = objects_[index].prepared->baked;
   const RadianceSh& light = rest_for(estimate, stands_level(baked, pose));
   const glm::dvec3 centre = pose * glm::dvec3(prt::bounds_of(baked.mesh).centre());
-  const Rgb by_real = radiance_towards(scene_.real_mesh, {}, centre,
-                                       [&](std::size_t i) { return real_.exit()[i]; });
-  out.receiver = lighting::ShRotation(glm::transpose(pose.rotation_matrix()), light.bands()) *
-                 with_occluder_radiance(light, surroundings_.by_real(index), by_real);
+  out.receiver = turn * with_occluder_radiance(light, surroundings_.by_real(index),
+                                               real_.radiance_towards(centre));
   constexpr float kWeight = 1.f / OcclusionProbes::kRays;
   const IrradianceSh irradiance = lighting::irradiance(light);
+  const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
   const auto sent_on = [&](const Rgb& albedo, const glm::dvec3& normal) {
     return std::max(0.f, luminance(albedo * lighting::evaluate(irradiance, normal)));
   };
-  const float of_floor =
-      baked.receiver ? sent_on(baked.receiver->albedo, pose.rotation * glm::dvec3(0, 1, 0)) : 0;
+  const float of_floor = baked.receiver ? sent_on(baked.receiver->albedo, up) : 0;
   const Scratch::Scope scope;
   std::pmr::vector<FloorShadow> shadows_there(scope.memory());
-  find_floor_shadows(poses, shadows_there);
-  const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
+  find_floor_shadows(index, poses, shadows_there);
   const float residual = luminance(lighting::evaluate(irradiance, up));
   float all = residual;
   for (const lighting::DistantLight& d : estimate.lights)
@@ -132,10 +133,10 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
       out.reflected_left[hit.probe] += own;
       continue;
     }
-    const bool thing = hit.thing != ProbeHit::kFloor;
+    const bool thing = hit.thing != ProbeHit::kFloor;  // a real or a virtual one
     if (thing) out.around[hit.probe] += exit_of(hit) * kWeight;
     if (hit.above_floor) {
-      const FloorLight floor = floor_at(hit, index, shadows_there, all);
+      const FloorLight floor = floor_at(hit.point, shadows_there, all);
       out.reflected[hit.probe] += of_floor * floor.counted;
       if (!thing) out.reflected_left[hit.probe] += of_floor * floor.left;
     } else {
@@ -220,7 +221,7 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
                         const OcclusionProbes::Values& all) {
     if (left == all) return;
     o.prepared->relight(PreparedObject::TransferPart::kReflected, reflected, o.more);
-    surroundings_.add_missing(index, left, all, -1, o.more, o.relit);
+    surroundings_.take_missing(index, left, all, o.more, o.relit);
   };
   take(light.open.with_bands(prt::kIndirectBands), light.reflected_left, light.reflected);
   const std::span<const ProbeHit> hits = surroundings_.hits(index);
@@ -239,8 +240,8 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
                                    std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards))
                              : of_floor;
       all[hit.probe] += sent;
-      if (hit.thing <= ProbeHit::kFloor && !(shade[k] & DirectLightStage::kByOthers))
-        left[hit.probe] += sent;
+      const bool in_sight = itself || hit.thing == ProbeHit::kFloor;
+      if (in_sight && !(shade[k] & DirectLightStage::kByOthers)) left[hit.probe] += sent;
     }
     take(reflected_in_bake_frame(reflected_for(estimate.lights[j], level), level, pose,
                                  baked.indirect.bands),

@@ -260,9 +260,8 @@ void OcclusionProbes::spread(std::size_t object, std::span<const Rgb> of_probes,
   }
 }
 
-void OcclusionProbes::add_missing(std::size_t object, const Values& part, const Values& whole,
-                                  float factor, std::span<const float> in,
-                                  std::span<float> out) const {
+void OcclusionProbes::take_missing(std::size_t object, const Values& part, const Values& whole,
+                                   std::span<const float> in, std::span<float> out) const {
   const std::vector<Nearby>& nearby = objects_[object].nearby;
   const std::size_t stride = out.size() / 3;
   for (std::size_t v = 0; v < nearby.size(); ++v) {
@@ -273,8 +272,8 @@ void OcclusionProbes::add_missing(std::size_t object, const Values& part, const 
       all += whole[p] * nearby[v].weight[k];
     }
     if (all <= 0) continue;
-    const float missing = factor * (1 - left / all);
-    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += missing * in[c * stride + v];
+    const float missing = 1 - left / all;
+    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= missing * in[c * stride + v];
   }
 }
 

@@ -4,16 +4,14 @@
 #pragma once
 
 #include <array>
-#include <cmath>
 #include <cstdint>
-#include <glm/geometric.hpp>
+#include <glm/vec3.hpp>
 #include <optional>
 #include <span>
 #include <vector>
 
 #include "core/pose.h"
 #include "core/sh.h"
-#include "prt/geometry/mesh.h"
 #include "prt/geometry/ray_pattern.h"
 #include "runtime/scene/scene.h"
 #include "shadows/field/occlusion_field.h"
@@ -66,10 +64,10 @@ class OcclusionProbes {
   using Values = std::array<float, kProbes>;
   /// out[v] += what the probes around vertex v have, a plane for each colour.
   void spread(std::size_t object, std::span<const Rgb> of_probes, std::span<float> out) const;
-  /// out[v] += factor (1 - part/whole) in[v] around vertex v, a plane for each colour; nothing
-  /// where the whole is 0.
-  void add_missing(std::size_t object, const Values& part, const Values& whole, float factor,
-                   std::span<const float> in, std::span<float> out) const;
+  /// out[v] -= (1 - part/whole) in[v] around vertex v, a plane for each colour; nothing where the
+  /// whole is 0.
+  void take_missing(std::size_t object, const Values& part, const Values& whole,
+                    std::span<const float> in, std::span<float> out) const;
   /// Of the object as a whole.
   const BlockedSh& by_real(std::size_t object) const { return objects_[object].by_real; }
 
@@ -99,27 +97,6 @@ class OcclusionProbes {
 /// The light with the hidden directions replaced by an even radiance.
 RadianceSh with_occluder_radiance(const RadianceSh& light, const BlockedSh& hidden,
                                   const Rgb& radiance);
-
-/// Mean exit radiance of the surface elements that face `point`, weighted by the solid angle
-/// in which they appear.
-/// in: exit(i), radiance of vertex i
-template <class Exit>
-Rgb radiance_towards(const prt::Mesh& mesh, const Pose& world_from_mesh, const glm::dvec3& point,
-                     Exit exit) {
-  constexpr std::size_t kStep = 16;  // a sixteenth of the vertices is plenty for a mean
-  const glm::vec3 there(world_from_mesh.inverse() * point);
-  Rgb sum;
-  float weight = 0;
-  for (std::size_t i = 0; i < mesh.positions.size(); i += kStep) {
-    const glm::vec3 d = there - mesh.positions[i];
-    const float square = glm::dot(d, d) + 1e-12f,
-                angle = glm::dot(mesh.normals[i], d) / (square * std::sqrt(square));
-    if (angle <= 0) continue;
-    sum += exit(i) * angle;
-    weight += angle;
-  }
-  return weight > 0 ? sum * (1 / weight) : Rgb{};
-}
 
 }  // namespace penumbra::runtime
 #pragma GCC visibility pop

@@ -1,6 +1,7 @@
 #include "runtime/shading/real_surface_stage.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "core/conventions.h"
 #include "core/parallel.h"
@@ -77,6 +78,22 @@ void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
   (void)shadows::compose_planar_shadow(baked, on_floor, shadow_);
 }
 
+Rgb RealSurfaceStage::radiance_towards(const glm::dvec3& place) const {
+  constexpr std::size_t kStep = 16;  // a sixteenth of the vertices is plenty for a mean
+  const prt::Mesh& mesh = scene_->real_mesh;
+  Rgb sum;
+  float weight = 0;
+  for (std::size_t i = 0; i < mesh.positions.size(); i += kStep) {
+    const glm::vec3 d = glm::vec3(place) - mesh.positions[i];
+    const float square = glm::dot(d, d) + 1e-12f,
+                angle = glm::dot(mesh.normals[i], d) / (square * std::sqrt(square));
+    if (angle <= 0) continue;
+    sum += exit_[i] * angle;
+    weight += angle;
+  }
+  return weight > 0 ? sum * (1 / weight) : Rgb{};
+}
+
 // What each object takes of the light without lights, where several meet counted once, and what it
 // sends from the directions that it blocks.
 RealSurfaceStage::ByObjects RealSurfaceStage::by_objects(
@@ -106,7 +123,10 @@ RealSurfaceStage::ByObjects RealSurfaceStage::by_objects(
       out.left[i] = out.left[i] * shared[i];
       if (form_factors[i] <= 0) return;
       const glm::vec3 at(bake_from_world * glm::dvec3(mesh.positions[i]));
-      out.sent[i] += sent.towards(at - field.centre) * form_factors[i];
+      // From directions that an object before it blocks too, that one sends.
+      const float taken = 1 - luminance(alone[k][i]), own = 1 - luminance(shared[i]);
+      const float fraction = taken > 0 ? std::clamp(own / taken, 0.f, 1.f) : 1;
+      out.sent[i] += sent.towards(at - field.centre) * (form_factors[i] * fraction);
     });
   }
   return out;

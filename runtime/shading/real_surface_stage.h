@@ -29,6 +29,8 @@ class RealSurfaceStage {
 
   /// Exit radiance of the real mesh's vertices as last measured.
   std::span<const Rgb> exit() const { return exit_; }
+  /// Mean of it over what faces a place, weighted by the solid angle in which that appears.
+  Rgb radiance_towards(const glm::dvec3& place) const;
   /// What the real mesh takes of the floor's light beside the lights; null where it stands on no
   /// plane.
   const shadows::PlanarShadow* shadow() const { return shadow_.ratio.empty() ? nullptr : &shadow_; }

@@ -43,6 +43,14 @@ class CliTest(unittest.TestCase):
         return subprocess.run([PROGRAM, *map(str, arguments)], env=cls.environment, capture_output=True, text=True,
                               errors="replace", timeout=300 * PATIENCE, cwd=cls.root, check=False)
 
+    def shared_folder(self, relative):
+        """Real pictures that are not part of the repository."""
+        shared = os.environ.get("PENUMBRA_SHARED_DATA") or Path(__file__).parents[3] / "shared" / "data"
+        folder = Path(shared) / relative
+        if not folder.is_dir():
+            self.skipTest(f"shared data folder absent: {folder}")
+        return folder
+
     def run_well(self, *arguments):
         done = self.run_program(*arguments)
         if done.returncode == 2 and re.search(r"EGL|OpenGL ES", done.stderr):

@@ -54,6 +54,10 @@ class DemoAndComposite(CliTest):
             self.assertEqual((runs[0] / name).read_bytes(), (runs[1] / name).read_bytes(), name)
         self.assertEqual((demo / "video.mp4").read_bytes(), (runs[0] / "video.mp4").read_bytes())
         self.assertEqual(files.read_png(demo / "still.png"), files.read_png(runs[0] / frames[-1]))
+        self.run_well("composite", "--capture", record, "--scene", record / "scene.toml", "--out", runs[1],
+                      "--no-stills")
+        self.assertEqual(sorted(p.name for p in runs[1].iterdir()), ["summary.json", "video.mp4"])
+        self.assertEqual((runs[0] / "video.mp4").read_bytes(), (runs[1] / "video.mp4").read_bytes())
         seen = self.run_json("hdr", "environment", record, "-o", self.root / "seen.exr")
         self.assertEqual((seen["coverage"], seen["width"]), (1, 2 * seen["height"]))
         light = self.run_json("light", "estimate", self.root / "seen.exr")["mean_radiance"]
@@ -164,6 +168,13 @@ class HdrMerge(CliTest):
         for name, code in (("a", 25.5), ("b", 102), ("c", 408)):
             files.write_png(cls.root / f"{name}.png", 20, 10,
                             lambda x, y, c=code: (min(255, round(c * (1 if x < 10 else 0.1))),) * 3)
+
+    def test_times_come_from_the_cameras_own_words(self):
+        pictures = sorted(self.shared_folder("eval-only/stacks/pingpong").glob("*.JPG"))
+        told, by_exif = self.root / "told.exr", self.root / "by_exif.exr"
+        self.run_well("hdr", "merge", *pictures, "--times", "0.001,0.004,1/60", "--response", "srgb", "-o", told)
+        self.run_well("hdr", "merge", *pictures, "--response", "srgb", "-o", by_exif)
+        self.assertEqual(told.read_bytes(), by_exif.read_bytes())
 
     def test_bracket_gives_its_radiance(self):
         images = [self.root / f"{n}.png" for n in "abc"]
@@ -577,12 +588,7 @@ class Record(CliTest):
 
 class Calibrate(CliTest):
     def boards(self):
-        folder = pathlib.Path(os.environ.get("PENUMBRA_SHARED_DATA") or
-                              pathlib.Path(__file__).parents[3] / "shared" / "data")
-        folder = folder / "eval-only/calibration/fisheye_gopro"
-        if not folder.is_dir():
-            self.skipTest(f"shared data folder absent: {folder}")
-        return sorted(folder.glob("*.JPG"))[12:18]
+        return sorted(self.shared_folder("eval-only/calibration/fisheye_gopro").glob("*.JPG"))[12:18]
 
     def test_camera_file_is_one_that_the_others_read(self):
         out, report = self.root / "fisheye.toml", self.root / "report"

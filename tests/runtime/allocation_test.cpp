@@ -56,11 +56,15 @@ lighting::LightEstimate turned(lighting::LightEstimate light, std::size_t step) 
   return light;
 }
 
-void expect_none_after_warm_up(Image<Rgb> environment) {
+void expect_none_after_warm_up(Image<Rgb> environment, int knots = 1) {
   // Each worker brings memory of its own when it first takes part, whenever that is.
   const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
   auto world = *capture::FloorWorld::make(std::move(environment));
-  const PreparedScene scene = scene_on(world->mean_floor_albedo());
+  PreparedScene scene = scene_on(world->mean_floor_albedo());
+  for (int i = 1; i < knots; ++i) {
+    PreparedObject& next = scene.objects.emplace_back(scene.objects[0]);
+    next.world_from_bake.translation.x += 1.2 * i;
+  }
   capture::StudioOptions options;
   options.environment_width = 256, options.environment_height = 128;
   options.view_width = 320, options.view_height = 180, options.view_focal_px = 240;
@@ -108,6 +112,12 @@ TEST(Allocations, OfALightUpdateAndAFrameInARoom) {
 TEST(Allocations, OfALightUpdateAndAFrameUnderASun) {
   if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
   expect_none_after_warm_up(capture::make_sky_environment(256, 128, .7));
+}
+
+// Each is in the other's light.
+TEST(Allocations, OfTwoObjectsBesideEachOther) {
+  if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
+  expect_none_after_warm_up(capture::make_sky_environment(256, 128, .7), 2);
 }
 
 }  // namespace

@@ -107,9 +107,9 @@ TEST_F(ProbesBesideAWall, WhatAllProbesHaveAllVerticesGet) {
   part.fill(1), whole.fill(4);
   const std::vector<float> reflected(3 * count, 8.f);
   std::ranges::fill(out, 10.f);
-  probes.add_missing(0, part, whole, -1, reflected, out);
+  probes.take_missing(0, part, whole, reflected, out);
   for (const float x : out) ASSERT_NEAR(x, 10 - .75 * 8, 1e-4);
-  probes.add_missing(0, nothing, nothing, -1, reflected, out);
+  probes.take_missing(0, nothing, nothing, reflected, out);
   for (const float x : out) ASSERT_NEAR(x, 4, 1e-4) << "no floor in sight";
 }
 

@@ -55,6 +55,28 @@ Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::Pinhole
   return masks;
 }
 
+std::vector<bool> shaded_floor(const Image<Rgb>& full, const Image<Rgb>& empty,
+                               const Masks& masks) {
+  constexpr int kRadius = 4;
+  constexpr double kShaded = .95;
+  const int width = full.width(), height = full.height();
+  const auto index = [width](int x, int y) { return static_cast<std::size_t>(y * width + x); };
+  const auto is_shaded = [&](int x, int y) {
+    double with = 0, without = 0;
+    for (int j = std::max(0, y - kRadius); j <= std::min(height - 1, y + kRadius); ++j)
+      for (int i = std::max(0, x - kRadius); i <= std::min(width - 1, x + kRadius); ++i) {
+        if (!masks.floor[index(i, j)]) continue;
+        with += luminance(full.at(i, j));
+        without += luminance(empty.at(i, j));
+      }
+    return with < kShaded * without;
+  };
+  std::vector<bool> out(masks.floor.size());
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) out[index(x, y)] = masks.floor[index(x, y)] && is_shaded(x, y);
+  return out;
+}
+
 namespace {
 
 // Int grad s_a . grad s_b over the floor.
@@ -109,6 +131,7 @@ Rgb shown(Rgb truth, const Rgb& ours) {
 
 Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& empty,
                           const Masks& masks) {
+  const std::vector<bool> shaded = shaded_floor(truth.radiance, empty.radiance, masks);
   double square = 0, mean = 0, bias = 0, objects = 0, shadow_square = 0, shadow_bias = 0,
          shadows = 0, noise = 0, product = 0;
   for (std::size_t i = 0; i < masks.object.size(); ++i) {
@@ -124,9 +147,8 @@ Accuracy compare_pictures(const Still& ours, const Still& truth, const Still& em
       product += error_product(ours.radiance.pixels()[i], truth.half_a.pixels()[i],
                                truth.half_b.pixels()[i]);
       ++objects;
-    } else if (masks.floor[i]) {
+    } else if (shaded[i]) {
       const double open = luminance(empty.radiance.pixels()[i]);
-      if (t / open >= .95) continue;
       shadow_square += std::pow((a - t) / open, 2);
       shadow_bias += (a - t) / open;
       ++shadows;

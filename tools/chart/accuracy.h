@@ -19,11 +19,15 @@ struct Masks {
 Result<Masks> make_masks(const runtime::PreparedScene& scene, const prt::PinholeView& view,
                          double seconds = 0);
 
+/// The floor in shadow: where its mean radiance within four pixels is below .95 of that without the
+/// object. By a pixel's own noise those would be chosen whose truth came out too dark.
+std::vector<bool> shaded_floor(const Image<Rgb>& full, const Image<Rgb>& empty, const Masks& masks);
+
 struct Accuracy {
   double object_rel_rmse = 0;  // luminance, relative to the object's mean
   double object_bias = 0;      // signed, likewise
   double shadow_bias = 0;      // mean error of s, where shadow_rmse is measured
-  double shadow_rmse = 0;      // of s = L/L_0 on the floor where the reference is below .95
+  double shadow_rmse = 0;      // of s = L/L_0 on shaded_floor()
   /// |w/w_ref - 1| of the shadow's edges, in the mean over their energy: edges of one height and
   /// length have Int |grad s|^2 inversely as their width. Noise of the reference is left out (its
   /// halves are multiplied).

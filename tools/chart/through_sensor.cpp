@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <initializer_list>
 #include <utility>
 
 #include "calib/camera/lens_vignetting.h"
@@ -15,6 +14,7 @@
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/pipeline.h"
 #include "tools/common/progress.h"
+#include "tools/common/side_by_side.h"
 
 namespace penumbra::tools {
 
@@ -27,10 +27,6 @@ constexpr double kViewFps = 5;
 constexpr int kSettling = 13, kAveraged = 8;
 constexpr double kStepSeconds = .3;  // a walker with one leg before the other
 constexpr double kVignetting = .3;   // of the view camera
-// A pixel counts as shaded by what is around it: the noise of a pixel's own truth would choose
-// those that came out too dark.
-constexpr int kShadedRadius = 4;
-constexpr double kShaded = .95;
 
 // A far map, and a picture of what stands before the view camera.
 class PicturedWorld : public capture::RadianceWorld {
@@ -130,42 +126,6 @@ void add_radiance(const FramePixels& pixels, const capture::CameraInfo& camera, 
     add(*wide, capture::make_response_table(camera.response, 16, camera.black_level));
 }
 
-Image<Rgb> side_by_side(std::initializer_list<const Image<Rgb>*> pictures, double full_scale) {
-  const int width = (*pictures.begin())->width(), height = (*pictures.begin())->height();
-  Image<Rgb> out(width * static_cast<int>(pictures.size()), height);
-  int left = 0;
-  for (const Image<Rgb>* picture : pictures) {
-    for (int y = 0; y < height; ++y)
-      for (int x = 0; x < width; ++x)
-        out.at(left + x, y) = picture->at(x, y) * static_cast<float>(1 / full_scale);
-    left += width;
-  }
-  return out;
-}
-
-// Where the floor's mean radiance within a few pixels is below .95 of that without the object.
-std::vector<bool> find_shaded(const Image<Rgb>& full, const Image<Rgb>& empty,
-                              const std::vector<bool>& floor) {
-  const auto mean_at = [&](int x, int y) {
-    double with = 0, without = 0;
-    for (int j = std::max(0, y - kShadedRadius);
-         j <= std::min(full.height() - 1, y + kShadedRadius); ++j)
-      for (int i = std::max(0, x - kShadedRadius);
-           i <= std::min(full.width() - 1, x + kShadedRadius); ++i) {
-        if (!floor[static_cast<std::size_t>(j * full.width() + i)]) continue;
-        with += luminance(full.at(i, j));
-        without += luminance(empty.at(i, j));
-      }
-    return with / without;
-  };
-  std::vector<bool> out(floor.size());
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    const auto at = static_cast<int>(i);
-    out[i] = floor[i] && mean_at(at % full.width(), at / full.width()) < kShaded;
-  }
-  return out;
-}
-
 }  // namespace
 
 std::vector<SensorScene> sensor_scenes(std::span<const std::string> assets) {
@@ -212,7 +172,7 @@ Result<SensorBench::World> SensorBench::trace(const std::string& name,
   PENUMBRA_ASSIGN(empty, render_real(in, error, progress_bar(name + ", empty")));
   PENUMBRA_ASSIGN(full,
                   render_reference(in, true, error, std::nullopt, progress_bar(name + ", truth")));
-  std::vector<bool> shaded = find_shaded(full.radiance, empty.radiance, masks_.floor);
+  std::vector<bool> shaded = shaded_floor(full.radiance, empty.radiance, masks_);
   return World{name, &environment, std::move(empty), std::move(full), std::move(shaded)};
 }
 
@@ -319,7 +279,9 @@ Result<SensorPoint> SensorBench::measure(const World& world, const SensorSetting
                                                         options.measure_costs));
   PENUMBRA_ASSIGN(true_map, under_true_map(world, 1 / exposure, config));
   out.true_map = true_map;
-  out.strip = side_by_side({&camera, &composite, &world.full.radiance}, 1 / exposure);
+  const Image<Rgb> pictures[] = {std::move(camera), std::move(composite), world.full.radiance};
+  out.strip = side_by_side(std::span<const Image<Rgb>>(pictures));
+  for (Rgb& c : out.strip.pixels()) c = c * static_cast<float>(exposure);
   return out;
 }
 

@@ -10,6 +10,7 @@
 #include "codec/display.h"
 #include "core/files.h"
 #include "core/log.h"
+#include "tools/common/side_by_side.h"
 
 namespace penumbra::tools {
 
@@ -170,17 +171,8 @@ Result<void> FrameWriter::encode(const VideoJob& frame) {
   moment_ = frame.in_video.time;
   Image<Rgb8>& eye = eyes_[static_cast<std::size_t>(frame.in_video.eye)];
   eye = bytes ? *bytes : codec::to_display(*frame.pixels);
-  if (std::ranges::any_of(eyes_, [](const auto& e) { return e.pixels().empty(); })) return {};
-  int width = 0;
-  for (const Image<Rgb8>& e : eyes_) width += e.width();
-  Image<Rgb8> picture(width, eye.height());
-  for (int y = 0; y < picture.height(); ++y) {
-    int left = 0;
-    for (const Image<Rgb8>& e : eyes_) {
-      for (int x = 0; x < e.width(); ++x) picture.at(left + x, y) = e.at(x, y);
-      left += e.width();
-    }
-  }
+  if (std::ranges::any_of(eyes_, &Image<Rgb8>::empty)) return {};
+  const Image<Rgb8> picture = side_by_side(std::span<const Image<Rgb8>>(eyes_));
   for (Image<Rgb8>& e : eyes_) e = {};
   return encode(picture);
 }
