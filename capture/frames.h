@@ -90,6 +90,7 @@ struct CameraCounts {
   std::uint64_t lost = 0;           // never arrived
   std::uint64_t damaged = 0;        // arrived in part
   std::uint64_t rejected = 0;       // showed another exposure than their label said
+  std::uint64_t overrun = 0;        // came while the program's queue was full
   std::uint64_t reconnected = 0;    // times that the camera came back
   std::optional<int> delay_frames;  // between a request and the first frame that shows it
   bool ignores_controls = false;    // its pictures do not follow the exposures that it is asked for

@@ -28,6 +28,7 @@ struct HdrImage {
   Image<Rgb> pixels;           // linear Rec.709 (converted from the file's chromaticities if other)
   std::size_t non_finite = 0;  // pixels with a NaN or an infinity in any channel
   std::optional<EnvironmentAttribute> environment;  // OpenEXR only
+  Image<float> alpha{};  // as stored; empty where the file has none. OpenEXR only
 };
 
 /// Reads .exr (RGB, grey, luminance/chroma; scan lines or tiles, level 0; first part) or Radiance
@@ -44,10 +45,12 @@ enum class Depth { kHalf, kFloat };
 
 /// Writes .exr (ZIP) or .hdr by extension, atomically. .hdr cannot hold negative values: they are
 /// 0.
-/// errors:  kInvalid (empty, unknown extension), kUnwritable
+/// in:      alpha: written as it is; empty: none
+/// errors:  kInvalid (empty, unknown extension, an alpha of another size or in .hdr), kUnwritable
 Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixels,
                        Depth depth = Depth::kHalf,
-                       std::optional<EnvironmentAttribute> environment = std::nullopt);
+                       std::optional<EnvironmentAttribute> environment = std::nullopt,
+                       const Image<float>& alpha = {});
 
 /// Reads a camera frame by content: 8/16 bit PNG, JPEG, TIFF as RGB codes; EXR/HDR as linear float.
 /// Grey becomes three equal channels; alpha is dropped.

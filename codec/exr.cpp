@@ -168,6 +168,18 @@ void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>
     for (Rgb& p : pixels.pixels()) p = {p.r, p.r, p.r};
 }
 
+Image<float> read_alpha(Imf::InputFile& file) {
+  if (file.header().channels().findChannel("A") == nullptr) return {};
+  const Imath::Box2i window = file.header().dataWindow();
+  Image<float> alpha(window.max.x - window.min.x + 1, window.max.y - window.min.y + 1);
+  Imf::FrameBuffer buffer;
+  buffer.insert("A", Imf::Slice::Make(Imf::FLOAT, alpha.pixels().data(), window, sizeof(float),
+                                      sizeof(float) * static_cast<std::size_t>(alpha.width())));
+  file.setFrameBuffer(buffer);
+  file.readPixels(window.min.y, window.max.y);
+  return alpha;
+}
+
 // Luminance and half-resolution chroma. The library interpolates them in half precision, in which
 // such files are stored anyway.
 void read_luminance_chroma(Bytes bytes, const std::string& name, Image<Rgb>& pixels) {
@@ -231,6 +243,7 @@ Result<HdrImage> decode_checked(Bytes bytes, const std::string& name) {
     read_luminance_chroma(bytes, name, out.pixels);
   else
     read_channels(file, *channels, out.pixels);
+  out.alpha = read_alpha(file);
   PENUMBRA_TRY(convert_to_rec709(header, name, out.pixels));
   out.non_finite = count_non_finite(out.pixels.pixels());
   out.environment = environment_of(header);
@@ -253,7 +266,7 @@ std::vector<Imath::half> to_halves(const Image<Rgb>& pixels) {
 }
 
 std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth depth,
-                       std::optional<EnvironmentAttribute> environment) {
+                       std::optional<EnvironmentAttribute> environment, const Image<float>& alpha) {
   const Imf::PixelType type = depth == Depth::kHalf ? Imf::HALF : Imf::FLOAT;
   Imf::Header header(pixels.width(), pixels.height());
   header.compression() = Imf::ZIP_COMPRESSION;
@@ -274,6 +287,13 @@ std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth 
     buffer.insert(channel,
                   Imf::Slice(type, const_cast<char*>(base) + c * channel_bytes, 3 * channel_bytes,
                              3 * channel_bytes * static_cast<std::size_t>(pixels.width())));
+  }
+  if (!alpha.empty()) {
+    header.channels().insert("A", Imf::Channel(Imf::FLOAT));
+    buffer.insert(
+        "A", Imf::Slice(Imf::FLOAT,
+                        reinterpret_cast<char*>(const_cast<float*>(alpha.pixels().data())),
+                        sizeof(float), sizeof(float) * static_cast<std::size_t>(alpha.width())));
   }
   MemoryOutput stream(name);
   {
@@ -316,15 +336,19 @@ Result<HdrImage> read_hdr(const std::filesystem::path& path) {
 }
 
 Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixels, Depth depth,
-                       std::optional<EnvironmentAttribute> environment) {
+                       std::optional<EnvironmentAttribute> environment, const Image<float>& alpha) {
   const std::string extension = lower_extension(path);
   if (extension != ".exr" && extension != ".hdr")
     return fail(ErrorCode::kInvalid, path.string(), "ends neither in .exr nor in .hdr");
   if (pixels.empty()) return fail(ErrorCode::kInvalid, path.string(), "has no pixels");
   PENUMBRA_TRY(check_size(pixels.width(), pixels.height(), path.string()));
+  if (!alpha.empty() && (extension == ".hdr" || !alpha.same_size(pixels)))
+    return fail(ErrorCode::kInvalid, path.string(),
+                extension == ".hdr" ? "holds no alpha, and .exr does"
+                                    : "has an alpha of another size than its colours");
   if (extension == ".hdr") return write_bytes(path, encode_radiance(pixels));
   try {
-    return write_bytes(path, encode_exr(path.string(), pixels, depth, environment));
+    return write_bytes(path, encode_exr(path.string(), pixels, depth, environment, alpha));
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnwritable, path.string(), e.what());
   }

@@ -13,12 +13,14 @@
 namespace penumbra::service {
 
 void PublishedState::publish(const lighting::LightEstimate& light, TimestampNs now,
-                             std::shared_ptr<const FramePixels> frame) {
+                             std::shared_ptr<const FramePixels> frame,
+                             const runtime::OvertakenFrames& overtaken) {
   const std::scoped_lock lock(mutex_);
   state_.light = light;
   state_.now = now;
   state_.frame = std::move(frame);
   ++state_.frames;
+  state_.overtaken = overtaken;
   published_ = std::chrono::steady_clock::now();
 }
 
@@ -46,9 +48,13 @@ std::string status_of(const PublishedState::Snapshot& s, double stale_after_s) {
 }
 
 nlohmann::json to_json(const capture::CameraCounts& c) {
-  nlohmann::json out = {{"frames", c.frames},           {"lost", c.lost},
-                        {"damaged", c.damaged},         {"rejected", c.rejected},
-                        {"reconnected", c.reconnected}, {"follows_exposure", !c.ignores_controls}};
+  nlohmann::json out = {{"frames", c.frames},
+                        {"lost", c.lost},
+                        {"damaged", c.damaged},
+                        {"rejected", c.rejected},
+                        {"overrun", c.overrun},
+                        {"reconnected", c.reconnected},
+                        {"follows_exposure", !c.ignores_controls}};
   out["delay_frames"] = c.delay_frames ? nlohmann::json(*c.delay_frames) : nlohmann::json(nullptr);
   out["exposures_s"] = nlohmann::json::array();
   out["gains"] = nlohmann::json::array();
@@ -78,7 +84,11 @@ struct HttpApi::Impl {
                  const auto s = state.snapshot();
                  const std::string status = status_of(s, stale_after_s);
                  nlohmann::json body = {
-                     {"status", status}, {"frames", s.frames}, {"stages", runtime::to_json(times)}};
+                     {"status", status},
+                     {"frames", s.frames},
+                     {"dropped",
+                      {{"view", s.overtaken.view}, {"environment", s.overtaken.environment}}},
+                     {"stages", runtime::to_json(times)}};
                  for (const auto& [name, counts] : s.cameras)
                    body["cameras"][name] = to_json(counts);
                  reply(r, body, status == "ok" ? 200 : 503);

@@ -13,6 +13,7 @@
 #include "core/result.h"
 #include "core/stage_times.h"
 #include "lighting/light_estimate.h"
+#include "runtime/pipeline/runner.h"
 
 namespace penumbra::service {
 
@@ -21,7 +22,8 @@ namespace penumbra::service {
 class PublishedState {
  public:
   void publish(const lighting::LightEstimate& light, TimestampNs now,
-               std::shared_ptr<const FramePixels> frame);
+               std::shared_ptr<const FramePixels> frame,
+               const runtime::OvertakenFrames& overtaken = {});
   /// What became of the frames of real cameras, by name.
   void publish_cameras(const std::vector<capture::CameraInfo>& cameras,
                        std::vector<capture::CameraCounts> counts);
@@ -32,6 +34,7 @@ class PublishedState {
     std::shared_ptr<const FramePixels> frame;  // null before the first
     double idle_s = 0;                         // wall time since the last publication
     std::uint64_t frames = 0;
+    runtime::OvertakenFrames overtaken;
     std::vector<std::pair<std::string, capture::CameraCounts>> cameras;  // real ones
   };
   Snapshot snapshot() const;

@@ -49,6 +49,7 @@ class Watch {
 // The first frames, one of each camera at least: they tell how each camera's pictures are coded.
 struct Beginning {
   std::deque<Frame> frames;
+  std::vector<std::uint64_t> dropped;    // one a camera: came long before the last camera's first
   std::vector<capture::Coding> codings;  // one a camera; none when stopped
 };
 
@@ -57,6 +58,7 @@ Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
   const auto& cameras = source.cameras();
   std::vector<std::optional<capture::Coding>> found(cameras.size());
   Beginning out;
+  out.dropped.resize(cameras.size());
   for (;;) {
     const auto silent = std::ranges::find_if(found, [](const auto& coding) { return !coding; });
     if (silent == found.end()) break;
@@ -69,7 +71,10 @@ Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
     if (!frame) return fail(ErrorCode::kUnavailable, name, "has no frame in the source");
     PENUMBRA_ASSIGN(coding, capture::coding_of(*frame));
     found[static_cast<std::size_t>(frame->camera)] = coding;
-    if (out.frames.size() == kMaxEarly) out.frames.pop_front();
+    if (out.frames.size() == kMaxEarly) {
+      ++out.dropped[static_cast<std::size_t>(out.frames.front().camera)];
+      out.frames.pop_front();
+    }
     out.frames.push_back(std::move(*frame));
   }
   for (const auto& coding : found) out.codings.push_back(*coding);
@@ -78,8 +83,13 @@ Result<Beginning> begin(capture::FrameSource& source, const Watch& watch,
 
 class Recorder {
  public:
-  Recorder(capture::RecordingWriter writer, std::size_t cameras, bool live)
-      : writer_(std::move(writer)), live_(live), stations_(cameras) {
+  Recorder(capture::RecordingWriter writer, const capture::FrameSource& source,
+           std::vector<std::uint64_t> dropped_before)
+      : writer_(std::move(writer)),
+        source_(source),
+        dropped_before_(std::move(dropped_before)),
+        live_(source.is_live()),
+        stations_(source.cameras().size()) {
     for (auto& station : stations_) {
       station = std::make_unique<Station>();
       station->thread = std::jthread([this, s = station.get()] { code(*s); });
@@ -102,10 +112,11 @@ class Recorder {
   [[nodiscard]] double seconds() const { return first_ ? (last_ - *first_).count() : 0; }
   [[nodiscard]] RecordCounts counts() const {
     RecordCounts out;
-    for (const auto& station : stations_) {
-      out.frames.push_back(station->written);
-      out.dropped.push_back(station->queue.dropped());
+    for (std::size_t i = 0; i < stations_.size(); ++i) {
+      out.frames.push_back(stations_[i]->written);
+      out.dropped.push_back(dropped_before_[i] + stations_[i]->queue.dropped());
     }
+    out.cameras = source_.counts();
     out.seconds = seconds();
     out.bytes = writer_.bytes();
     return out;
@@ -147,6 +158,8 @@ class Recorder {
   }
 
   capture::RecordingWriter writer_;
+  const capture::FrameSource& source_;
+  std::vector<std::uint64_t> dropped_before_;  // one a camera
   bool live_;
   std::optional<TimestampNs> first_;
   TimestampNs last_{std::numeric_limits<std::int64_t>::min()};
@@ -167,7 +180,7 @@ Result<RecordCounts> record_frames(capture::FrameSource& source, const std::file
   const auto& cameras = source.cameras();
   PENUMBRA_ASSIGN(writer, capture::RecordingWriter::create(path, cameras, beginning.codings,
                                                            source.view_rate()));
-  Recorder recorder(std::move(writer), cameras.size(), source.is_live());
+  Recorder recorder(std::move(writer), source, std::move(beginning.dropped));
   std::optional<Error> failed;
   auto told = Clock::now();
   std::uint64_t taken = 0;

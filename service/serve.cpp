@@ -1,5 +1,6 @@
 
 #include "service/serve.h"
+#include "capture/frames.h"
 #include "core/log.h"
 #include "core/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
@@ -8,6 +9,20 @@
 #include "service/rig_source.h"
 
 namespace penumbra::service {
+
+namespace {
+
+void tell_losses(const std::vector<capture::CameraInfo>& cameras,
+                 const std::vector<capture::CameraCounts>& counts) {
+  for (std::size_t i = 0; i < counts.size(); ++i) {
+    const capture::CameraCounts& c = counts[i];
+    if (c.lost + c.damaged + c.rejected + c.overrun > 0)
+      log_info("{}: {} frames lost, {} damaged, {} rejected, {} overrun", cameras[i].name, c.lost,
+               c.damaged, c.rejected, c.overrun);
+  }
+}
+
+}  // namespace
 
 Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   PENUMBRA_ASSIGN(config, read_rig_config(o.config));
@@ -30,13 +45,14 @@ Result<void> serve(const ServeOptions& o, const ProgressOf& progress) {
   const std::atomic<bool>& stop = catch_stop_signals();
   log_info("listening on http://{}:{}", config.address, api->port());
   const auto publish = [&](const runtime::Output& out) {
-    state.publish(out.light, out.source.time, out.pixels);
+    state.publish(out.light, out.source.time, out.pixels, out.overtaken);
     state.publish_cameras(cameras, rig.source->counts());
     return true;
   };
   PENUMBRA_ASSIGN(counts, pipeline.run_live(*rig.source, publish, stop));
-  log_info("stopped after {} frames in {:.1f} s, {} dropped", counts.frames, counts.seconds,
-           counts.dropped);
+  log_info("stopped after {} frames in {:.1f} s; {} view and {} environment frames dropped",
+           counts.frames, counts.seconds, counts.overtaken.view, counts.overtaken.environment);
+  tell_losses(cameras, rig.source->counts());
   return {};
 }
 

@@ -35,9 +35,8 @@ constexpr int kCodes = 256;
 // A code this close to either end may be clipped or buried in noise.
 constexpr int kBlack = 3, kClipped = 252;
 // Above it the curve is known least (a hat's weight is a tenth) and films glow around bright
-// things: full scale is put a twentieth above it, so that a merge takes such codes as clipped.
-constexpr int kLastTrusted = 240;
-constexpr double kClipLevel = .95;  // the merge's
+// things: it goes on there as it rises from kFirstOfSlope to here.
+constexpr int kFirstOfSlope = 208, kLastTrusted = 240;
 // Fewer pixels than this do not make a curve; more than that only cost time.
 constexpr std::size_t kMinSamples = 50, kMaxSamples = 4000;
 constexpr double kSmoothness = 1e-6;
@@ -346,6 +345,15 @@ std::vector<double> monotone(const std::vector<double>& values) {
   return out;
 }
 
+/// Light of code 255 and of those before it, as a power of the code. It is the 1 of every response
+/// (Response), whatever its source.
+void continue_to_white(std::vector<double>& light) {
+  const double low = light[std::size_t{kFirstOfSlope}], high = light[std::size_t{kLastTrusted}];
+  const double exponent = std::log(high / low) / std::log(double(kLastTrusted) / kFirstOfSlope);
+  for (int z = kLastTrusted + 1; z < kCodes; ++z)
+    light[static_cast<std::size_t>(z)] = high * std::pow(double(z) / kLastTrusted, exponent);
+}
+
 Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_light) {
   std::vector<double> light{0};
   for (const double g : log_light) light.push_back(std::exp(g - log_light.back()));
@@ -353,11 +361,11 @@ Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_ligh
   if (!std::ranges::all_of(light, [](double v) { return std::isfinite(v); }))
     return undetermined("the pictures give no finite curve");
   light = monotone(light);
-  const double white = light[static_cast<std::size_t>(kLastTrusted)] / kClipLevel;
-  if (!(white > 0) || light.front() >= white)
+  if (!(light[std::size_t{kFirstOfSlope}] > light.front()))
     return undetermined("the pictures give no rising curve");
+  continue_to_white(light);
   std::vector<float> decode;
-  for (const double v : light) decode.push_back(static_cast<float>(std::clamp(v / white, 0., 1.)));
+  for (const double v : light) decode.push_back(static_cast<float>(v / light.back()));
   return decode;
 }
 

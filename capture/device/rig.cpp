@@ -73,7 +73,7 @@ struct Rig::Station {
         if (silent > kSilence + 4 * longest) bracketed.disconnect(), silent = Seconds(0);
         if (!frame || !*frame) continue;  // gone, or nothing yet
         (*frame)->camera = index;
-        frames.try_push(std::move(**frame));
+        if (!frames.try_push(std::move(**frame)) && !frames.closed()) ++overrun;
       }
     } catch (const std::exception& e) {
       failed.put({ErrorCode::kUnavailable, camera.info.name, e.what()});
@@ -91,6 +91,8 @@ struct Rig::Station {
     const std::scoped_lock lock(mutex);
     counts = bracketed.counts();
     counts.reconnected = reconnected;
+    counts.overrun = overrun;
+    counts.frames -= overrun;  // the bracketed camera handed them on
   }
 
   RigCamera camera;
@@ -101,7 +103,7 @@ struct Rig::Station {
   Bounded<Frame>& frames;
   Latest<Error>& failed;
   Seconds longest{0}, silent{0};
-  std::uint64_t reconnected = 0;
+  std::uint64_t reconnected = 0, overrun = 0;
   mutable std::mutex mutex;
   CameraCounts counts;  // guarded by mutex
   std::jthread thread;  // last: joined before the rest goes

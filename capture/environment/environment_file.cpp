@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "capture/environment/environment_file.h"
@@ -42,12 +43,15 @@ Result<EnvironmentFile> read_environment(const std::filesystem::path& path,
   if (!projection) return fail(projection.error().code, path.string(), projection.error().detail);
   out.projection = *projection;
   out.table = calib::make_projection_table(out.projection);
-  for (std::size_t i = 0; i < out.radiance.area(); ++i)
-    if (!is_finite(out.radiance.pixels()[i])) {
-      out.radiance.pixels()[i] = {};
-      out.table.confidence[i] = 0;
-      out.table.solid_angle_sr[i] = 0;
-    }
+  for (std::size_t i = 0; i < out.radiance.area(); ++i) {
+    Rgb& pixel = out.radiance.pixels()[i];
+    const bool unseen = !image.alpha.empty() && image.alpha.pixels()[i] == 0 && pixel == Rgb{};
+    if (is_finite(pixel) && !unseen) continue;
+    pixel = {};
+    out.table.confidence[i] = 0;
+    out.table.solid_angle_sr[i] = 0;
+    out.unseen += unseen;
+  }
   return out;
 }
 
@@ -57,36 +61,81 @@ void turn(EnvironmentFile& file, Radians angle) {
   for (glm::vec3& d : file.table.direction) d = glm::vec3(turned * glm::dvec3(d));
 }
 
-Result<Image<Rgb>> to_latlong(const EnvironmentFile& file) {
-  const bool whole_turn = file.projection.kind == calib::ProjectionKind::kLatLong;
-  if (whole_turn && file.world_from_file == glm::dquat(1, 0, 0, 0)) return file.radiance;
-  // As many rows as the source has over half a turn.
-  int height = file.projection.height;
-  if (file.projection.kind == calib::ProjectionKind::kExrCube) height = 2 * file.projection.width;
+namespace {
+
+// As many rows as the source has over half a turn.
+int latlong_rows(const EnvironmentFile& file) {
+  int rows = file.projection.height;
+  if (file.projection.kind == calib::ProjectionKind::kExrCube) rows = 2 * file.projection.width;
   if (file.projection.kind == calib::ProjectionKind::kVerticalCross)
-    height = 2 * file.projection.width / 3;
-  height = std::max(4, height / 2 * 2);
-  Image<Rgb> out(2 * height, height);
-  const int w = file.radiance.width(), h = file.radiance.height();
-  const glm::dquat file_from_world = glm::conjugate(file.world_from_file);
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < 2 * height; ++x) {
-      const auto p = calib::pixel_from_direction(
-          file.projection, file_from_world * latlong_direction(x + .5, y + .5, 2 * height, height));
-      if (!p) continue;
-      // A lat-long map goes on behind its edges.
-      const double px = whole_turn ? std::max(0., p->x - .5 + (p->x < .5 ? w : 0))
-                                   : std::clamp(p->x - .5, 0., w - 1.),
-                   py = std::clamp(p->y - .5, 0., h - 1.);
-      const int ix = std::min(static_cast<int>(px), whole_turn ? w - 1 : std::max(0, w - 2));
-      const int iy = std::min(static_cast<int>(py), std::max(0, h - 2));
-      const auto fx = static_cast<float>(px - ix), fy = static_cast<float>(py - iy);
-      const int jx = whole_turn ? (ix + 1) % w : std::min(ix + 1, w - 1),
-                jy = std::min(iy + 1, h - 1);
-      out.at(x, y) =
-          (file.radiance.at(ix, iy) * (1 - fx) + file.radiance.at(jx, iy) * fx) * (1 - fy) +
-          (file.radiance.at(ix, jy) * (1 - fx) + file.radiance.at(jx, jy) * fx) * fy;
-    }
+    rows = 2 * file.projection.width / 3;
+  return std::max(4, rows / 2 * 2);
+}
+
+// Between four pixels, without those that show nothing.
+class SeenPixels {
+ public:
+  explicit SeenPixels(const EnvironmentFile& file)
+      : file_(file), whole_turn_(file.projection.kind == calib::ProjectionKind::kLatLong) {}
+
+  /// Nothing where none of the four is seen.
+  std::optional<Rgb> at(const glm::dvec2& p) const {
+    const int w = file_.radiance.width(), h = file_.radiance.height();
+    // A lat-long map goes on behind its edges.
+    const double px = whole_turn_ ? std::max(0., p.x - .5 + (p.x < .5 ? w : 0))
+                                  : std::clamp(p.x - .5, 0., w - 1.),
+                 py = std::clamp(p.y - .5, 0., h - 1.);
+    const int x0 = std::min(static_cast<int>(px), whole_turn_ ? w - 1 : std::max(0, w - 2));
+    const int y0 = std::min(static_cast<int>(py), std::max(0, h - 2));
+    const int x1 = whole_turn_ ? (x0 + 1) % w : std::min(x0 + 1, w - 1),
+              y1 = std::min(y0 + 1, h - 1);
+    const auto fx = static_cast<float>(px - x0), fy = static_cast<float>(py - y0);
+    Rgb sum;
+    float seen = 0;
+    const auto add = [&](int x, int y, float weight) {
+      if (file_.table.confidence[static_cast<std::size_t>(y * w + x)] <= 0) return;
+      sum += file_.radiance.at(x, y) * weight;
+      seen += weight;
+    };
+    add(x0, y0, (1 - fx) * (1 - fy)), add(x1, y0, fx * (1 - fy));
+    add(x0, y1, (1 - fx) * fy), add(x1, y1, fx * fy);
+    if (seen <= 0) return std::nullopt;
+    return seen < 1 ? sum * (1 / seen) : sum;
+  }
+
+ private:
+  const EnvironmentFile& file_;
+  bool whole_turn_;
+};
+
+}  // namespace
+
+Result<Environment> to_latlong(const EnvironmentFile& file) {
+  Environment out;
+  const bool kept = file.projection.kind == calib::ProjectionKind::kLatLong &&
+                    file.world_from_file == glm::dquat(1, 0, 0, 0);
+  if (kept) {
+    out.radiance = file.radiance;
+    out.confidence = Image<float>(out.radiance.width(), out.radiance.height());
+    std::ranges::copy(file.table.confidence, out.confidence.pixels().begin());
+  } else {
+    const int rows = latlong_rows(file);
+    out.radiance = Image<Rgb>(2 * rows, rows);
+    out.confidence = Image<float>(2 * rows, rows);
+    const SeenPixels pixels(file);
+    const glm::dquat file_from_world = glm::conjugate(file.world_from_file);
+    for (int y = 0; y < rows; ++y)
+      for (int x = 0; x < 2 * rows; ++x) {
+        const auto p = calib::pixel_from_direction(
+            file.projection, file_from_world * latlong_direction(x + .5, y + .5, 2 * rows, rows));
+        const auto seen = p ? pixels.at(*p) : std::nullopt;
+        if (!seen) continue;
+        out.radiance.at(x, y) = *seen;
+        out.confidence.at(x, y) = 1;
+      }
+  }
+  if (std::ranges::all_of(out.confidence.pixels(), [](float c) { return c > 0; }))
+    out.confidence = {};
   return out;
 }
 

@@ -2,13 +2,16 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <utility>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/projection_table.h"
+#include "core/conventions.h"
 #include "core/log.h"
+#include "lighting/sh/basis.h"
 
 namespace penumbra::runtime {
 
@@ -48,14 +51,34 @@ Result<FileLight> read_light(const std::string& path, const EnvironmentOrientati
                 file.non_finite);
   const calib::ProjectionTable& t = file.table;
   const bool plain = file.projection.kind == calib::ProjectionKind::kLatLong &&
-                     file.non_finite == 0 && orientation.rotation_deg == 0;
+                     file.non_finite + file.unseen == 0 && orientation.rotation_deg == 0;
   auto light = plain ? lighting::project_latlong(file.radiance, kMaxBands)
                      : lighting::project_samples(
                            {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
   if (!light) return fail(light.error().code, path, light.error().detail);
   out.light = *light;
   out.file = std::move(file);
+  constexpr double kWhole = .99;
+  if (out.light.coverage < kWhole)
+    log_warning("{}: shows {:.0f} % of the sphere; the rest of the light is continued from it", path,
+                100 * out.light.coverage);
   return out;
+}
+
+Result<Image<Rgb>> whole_latlong(const FileLight& light) {
+  constexpr int kBands = 3;
+  PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
+  if (map.confidence.empty()) return std::move(map.radiance);
+  const RadianceSh smooth = light.light.light.with_bands(kBands);
+  const int w = map.radiance.width(), h = map.radiance.height();
+  for (int y = 0; y < h; ++y)
+    for (int x = 0; x < w; ++x) {
+      if (map.confidence.at(x, y) > 0) continue;
+      const Rgb filled = lighting::evaluate(smooth, latlong_direction(x + .5, y + .5, w, h));
+      map.radiance.at(x, y) = {std::max(0.f, filled.r), std::max(0.f, filled.g),
+                               std::max(0.f, filled.b)};
+    }
+  return std::move(map.radiance);
 }
 
 }  // namespace penumbra::runtime

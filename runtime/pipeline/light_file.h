@@ -25,10 +25,16 @@ struct EnvironmentOrientation {
 };
 
 /// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are
-/// reported in the log and left out; a projection against the file's own word is said there too.
+/// reported in the log and left out, as are directions that the file does not show; a projection
+/// against the file's own word is said there too.
 /// errors: as capture::read_environment; kInvalid (unknown projection, rotation not in -360..360)
 Result<FileLight> read_light(const std::string& path,
                              const EnvironmentOrientation& orientation = {});
+
+/// The file as a whole lat-long picture. What it does not show is filled by three bands of its
+/// light, which go on from what it shows (docs/methods/environment-assembly.md).
+/// errors: none that read_light lets through
+Result<Image<Rgb>> whole_latlong(const FileLight& light);
 
 }  // namespace penumbra::runtime
 #pragma GCC visibility pop

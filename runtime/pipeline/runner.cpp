@@ -42,7 +42,9 @@ bool deliver(const capture::Frame& frame, const lighting::LightEstimate& light,
   counts.touched += composited.touched.fraction;
   counts.plan = light.plan;
   counts.lights = std::max(counts.lights, static_cast<int>(light.lights.size()));
-  return sink({frame, std::make_shared<const FramePixels>(std::move(composited.pixels)), light});
+  counts.coverage = std::min(counts.coverage, light.coverage);
+  return sink({frame, std::make_shared<const FramePixels>(std::move(composited.pixels)), light,
+               counts.overtaken});
 }
 
 Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstimate& light,
@@ -51,7 +53,7 @@ Result<void> compose_one(const capture::Frame& frame, const lighting::LightEstim
   ++counts.frames;
   if (!light.valid) {
     ++counts.without_light;
-    go_on = sink({frame, frame.pixels, light});
+    go_on = sink({frame, frame.pixels, light, counts.overtaken});
     return {};
   }
   PENUMBRA_ASSIGN(composited, compose.process(frame, light));
@@ -169,6 +171,7 @@ struct Live {
   std::optional<Error> error, last_unusable;  // guarded by mutex
   std::uint64_t unusable = 0;                 // guarded by mutex
 
+  OvertakenFrames overtaken() const { return {view.dropped(), environment.dropped()}; }
   void close() {
     environment.close();
     view.close();
@@ -283,7 +286,7 @@ class LiveFrames {
       if (!go_on_) return {};
       ++counts_.frames;
       ++counts_.without_light;
-      go_on_ = sink_({frame, frame.pixels, light});
+      go_on_ = sink_({frame, frame.pixels, light, counts_.overtaken});
       return {};
     }
     UnderWay& now = last_ == &slots_[0] ? slots_[1] : slots_[0];
@@ -378,6 +381,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
         if (live.view.closed()) break;
         continue;
       }
+      counts.overtaken = live.overtaken();
       if (auto newer = live.light.take()) estimate = std::move(*newer);
       if (auto completions = compose.complete(*frame, estimate); !completions.empty())
         live.completions.put(std::move(completions));
@@ -388,7 +392,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     if (composed) frames.finish_last();
   }
   counts.seconds = since(start);
-  counts.dropped = live.view.dropped() + live.environment.dropped();
+  counts.overtaken = live.overtaken();
   counts.unusable = live.unusable;
   counts.exposures = static_cast<int>(light.exposures());
   if (live.error) return std::unexpected(*live.error);

@@ -16,15 +16,23 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
+/// Frames of a live run that newer ones overtook, by the queue in which they waited.
+struct OvertakenFrames {
+  std::uint64_t view = 0;         // while another one was composited
+  std::uint64_t environment = 0;  // while the light was measured
+  std::uint64_t all() const { return view + environment; }
+};
+
 struct RunCounts {
   std::uint64_t frames = 0;         // view frames handed out
   std::uint64_t without_light = 0;  // of them passed through, since no light was measured yet
-  std::uint64_t dropped = 0;        // view and environment frames that were overtaken
+  OvertakenFrames overtaken;
   // Environment frames all black or all clipped; live also damaged frames
   std::uint64_t unusable = 0;
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
   int lights = 0;                      // most that lit a frame
+  double coverage = 1;                 // of the sphere, least that lit a frame
   std::optional<lighting::Plan> plan;  // the governor's last
   int exposures = 0;                   // distinct exposures of the environment camera
 };
@@ -34,6 +42,7 @@ struct Output {
   const capture::Frame& source;
   std::shared_ptr<const FramePixels> pixels;
   const lighting::LightEstimate& light;
+  OvertakenFrames overtaken;  // so far
 };
 /// False stops the run.
 using Sink = std::function<bool(const Output&)>;

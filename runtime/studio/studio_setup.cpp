@@ -3,7 +3,6 @@
 #include <filesystem>
 
 #include "calib/camera/response.h"
-#include "capture/environment/environment_file.h"
 #include "capture/studio/environments.h"
 #include "prt/geometry/mesh.h"
 #include "runtime/pipeline/light_file.h"
@@ -51,7 +50,7 @@ Result<StudioSetup> set_up_studio(
   if (r.environment) {
     PENUMBRA_ASSIGN(light,
                     read_light(*r.environment, {.rotation_deg = r.environment_rotation_deg}));
-    PENUMBRA_ASSIGN(latlong, capture::to_latlong(light.file));
+    PENUMBRA_ASSIGN(latlong, whole_latlong(light));
     map = std::move(latlong);
   } else {
     map = capture::make_room_environment(4096, 2048);

@@ -3,7 +3,6 @@
 #include <filesystem>
 #include <utility>
 
-#include "capture/environment/environment_file.h"
 #include "capture/studio/environments.h"
 #include "runtime/pipeline/light_file.h"
 
@@ -14,7 +13,7 @@ Result<std::vector<ChartEnvironment>> read_environments(const std::vector<std::s
   std::vector<ChartEnvironment> out;
   for (const std::string& path : files) {
     PENUMBRA_ASSIGN(light, runtime::read_light(path));
-    PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
+    PENUMBRA_ASSIGN(map, runtime::whole_latlong(light));
     out.push_back({std::filesystem::path(path).stem().string(), std::move(map)});
   }
   if (!files.empty() && !with_procedural) return out;

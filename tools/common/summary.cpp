@@ -11,7 +11,8 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
                          const Configuration& c) {
   const auto frames = static_cast<double>(counts.frames);
   return {{"frames", counts.frames},
-          {"dropped", counts.dropped},
+          {"dropped",
+           {{"view", counts.overtaken.view}, {"environment", counts.overtaken.environment}}},
           {"without_light", counts.without_light},
           {"unusable_environment_frames", counts.unusable},
           {"seconds", counts.seconds},
@@ -21,6 +22,7 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
            {{"bands", c.bands},
             {"lights", counts.lights},
             {"plan", counts.plan ? runtime::to_json(*counts.plan) : nlohmann::json()},
+            {"coverage", counts.coverage},
             {"exposures", counts.exposures},
             {"width", c.width},
             {"height", c.height},
@@ -32,13 +34,16 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
 void print_summary(const nlohmann::json& s) {
   const auto& c = s["configuration"];
   fmt::print(
-      "{} frames of {}x{} in {:.2f} s: {:.1f} fps, {} dropped, {:.1f} % of the pixels touched\n",
+      "{} frames of {}x{} in {:.2f} s: {:.1f} fps, {} view and {} environment frames dropped, "
+      "{:.1f} % of the pixels touched\n",
       s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
-      s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"].get<int>(),
+      s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"]["view"].get<int>(),
+      s["dropped"]["environment"].get<int>(),
       100 * s["touched_fraction"].get<double>());
-  fmt::print("{}, {}, at most {}, {}, {}\n", counted(c["objects"].get<int>(), "object"),
+  fmt::print("{}, {}, at most {}, {}, {:.0f} % of the sphere seen, {}\n", counted(c["objects"].get<int>(), "object"),
              counted(c["bands"].get<int>(), "band"), counted(c["lights"].get<int>(), "light"),
-             counted(c["exposures"].get<int>(), "exposure"), c["renderer"].get<std::string>());
+             counted(c["exposures"].get<int>(), "exposure"), 100 * c["coverage"].get<double>(),
+             c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())
     fmt::print("governor: {} bands, {} lights, predicted error {}, {:.1f} ms: {}\n",
                p["bands"].get<int>(), p["lights"].get<int>(),

@@ -1,6 +1,8 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
+#include <algorithm>
+#include <filesystem>
 #include <optional>
 
 #include "capture/frames.h"
@@ -53,6 +55,15 @@ Result<AssembledView> replay(capture::FrameSource& source, runtime::LightEstimat
   return std::move(*seen);
 }
 
+// 1 where a camera saw, 0 elsewhere; empty where all is seen.
+Image<float> seen_pixels(const Environment& map) {
+  const bool all = std::ranges::all_of(map.confidence.pixels(), [](float c) { return c > 0; });
+  if (all) return {};
+  Image<float> out = map.confidence;
+  for (float& c : out.pixels()) c = c > 0 ? 1 : 0;
+  return out;
+}
+
 }  // namespace
 
 Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
@@ -63,7 +74,13 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
                   runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
-  PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat));
+  const Image<float> alpha = seen_pixels(map);
+  if (!alpha.empty() && std::filesystem::path(o.output).extension() == ".hdr")
+    return fail(ErrorCode::kInvalid, o.output,
+                fmt::format("cannot say which directions were seen, and {:.1f} % of the sphere was: "
+                            "write .exr",
+                            100 * seen.coverage));
+  PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, alpha));
   if (!o.json) {
     fmt::print("{}: {}x{} from {} of {}, {:.1f} % of the sphere seen, {:.3f} % clipped\n", o.output,
                map.radiance.width(), map.radiance.height(), counted(stage.gains().size(), "view"),
@@ -93,7 +110,9 @@ void add_hdr_environment(CLI::App& parent, Action& action) {
   c->add_option("--at", surroundings.at_s,
                 "Time in seconds after the first frame, above 0; by default the end of the capture")
       ->check(above_zero);
-  c->add_option("-o,--output", surroundings.output, "Picture to write, .exr or .hdr")->required();
+  c->add_option("-o,--output", surroundings.output, "Picture to write, .exr or, where every direction was seen, .hdr; the "
+                "alpha of .exr is 0 where no camera saw")
+      ->required();
   add_json(c, surroundings.json);
   c->callback([&] { action = [] { return hdr_environment(surroundings); }; });
 }

@@ -31,7 +31,7 @@ Result<void> light_estimate(const LightEstimateOptions& o) {
   PENUMBRA_ASSIGN(bands, choose_bands(o.bands, light.light));
   PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
   PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
-  PENUMBRA_ASSIGN(split, lighting::estimate_map(map, {bands, lights}));
+  PENUMBRA_ASSIGN(split, lighting::LightEstimator({bands, lights}).estimate(map));
   // Measured in the file's own pixels; the split in a lat-long map.
   const lighting::LightEstimate estimate = lighting::make_estimate(light.light, bands);
   if (o.json) {

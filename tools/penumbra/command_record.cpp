@@ -30,7 +30,14 @@ std::string line_of(const std::vector<capture::CameraInfo>& cameras,
   std::string text = fmt::format("recorded {:.1f} s", counts.seconds);
   for (std::size_t i = 0; i < counts.frames.size(); ++i) {
     text += fmt::format(", {} {} frames", cameras[i].name, counts.frames[i]);
-    if (counts.dropped[i]) text += fmt::format(" ({} dropped)", counts.dropped[i]);
+    const auto tell = [&](std::uint64_t count, const char* what) {
+      if (count > 0) text += fmt::format(" ({} {})", count, what);
+    };
+    tell(counts.dropped[i], "dropped");
+    if (counts.cameras.empty()) continue;
+    const capture::CameraCounts& c = counts.cameras[i];
+    tell(c.lost, "lost"), tell(c.damaged, "damaged");
+    tell(c.rejected, "rejected"), tell(c.overrun, "overrun");
   }
   return text + fmt::format(", {:.1f} MB", static_cast<double>(counts.bytes) / 1e6);
 }
@@ -38,9 +45,16 @@ std::string line_of(const std::vector<capture::CameraInfo>& cameras,
 nlohmann::json to_json(const std::vector<capture::CameraInfo>& cameras,
                        const service::RecordCounts& counts) {
   nlohmann::json list = nlohmann::json::array();
-  for (std::size_t i = 0; i < counts.frames.size(); ++i)
-    list.push_back(
-        {{"name", cameras[i].name}, {"frames", counts.frames[i]}, {"dropped", counts.dropped[i]}});
+  for (std::size_t i = 0; i < counts.frames.size(); ++i) {
+    const auto c = counts.cameras.empty() ? capture::CameraCounts{} : counts.cameras[i];
+    list.push_back({{"name", cameras[i].name},
+                    {"frames", counts.frames[i]},
+                    {"dropped", counts.dropped[i]},
+                    {"lost", c.lost},
+                    {"damaged", c.damaged},
+                    {"rejected", c.rejected},
+                    {"overrun", c.overrun}});
+  }
   return {{"seconds", counts.seconds}, {"bytes", counts.bytes}, {"cameras", list}};
 }
 

@@ -4,7 +4,6 @@
 #include <filesystem>
 
 #include "calib/camera/drawable.h"
-#include "capture/environment/environment_file.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
 #include "core/files.h"
@@ -57,7 +56,7 @@ Result<void> render(const RenderOptions& o) {
     return fail(ErrorCode::kInvalid, "--time", "is not within -1e6..1e6 s");
   PENUMBRA_TRY(check_writable(o.output));
   PENUMBRA_ASSIGN(light, runtime::read_light(o.environment, o.orientation));
-  PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
+  PENUMBRA_ASSIGN(map, runtime::whole_latlong(light));
   PENUMBRA_ASSIGN(view, read_view(o.camera));
   PENUMBRA_ASSIGN(bands, choose_bands(o.bands, light.light));
   if (o.truncated_to && (*o.truncated_to < 1 || *o.truncated_to > kMaxBands))
