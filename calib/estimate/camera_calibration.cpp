@@ -191,8 +191,11 @@ struct LensFit {
 template <class Lens>
 class Solver {
  public:
-  Solver(std::span<const BoardView> views, LensFit& fit, bool undistorted)
-      : views_(views), fit_(fit), undistorted_(undistorted) {}
+  /// `fixed`: terms of the distortion that stay at 0.
+  Solver(std::span<const BoardView> views, LensFit& fit, std::span<const int> fixed)
+      : views_(views), fit_(fit) {
+    for (const int term : fixed) fixed_.push_back(kShared + term);
+  }
 
   // False when it does not converge to something finite.
   bool solve(double huber_px, const std::vector<bool>& used) {
@@ -251,10 +254,8 @@ class Solver {
                                  intrinsics, fit_.poses[b]->data());
       }
     }
-    if (undistorted_ && Lens::kDistortion > 0) {
-      std::vector<int> fixed(Lens::kDistortion);
-      std::iota(fixed.begin(), fixed.end(), kShared);
-      problem.SetManifold(intrinsics, new ceres::SubsetManifold(kCount, fixed));
+    if (!fixed_.empty()) {
+      problem.SetManifold(intrinsics, new ceres::SubsetManifold(kCount, fixed_));
     } else if (std::is_same_v<Lens, DoubleSphere>) {
       constexpr double kInside = .999;
       problem.SetParameterLowerBound(intrinsics, kShared, -kInside);
@@ -266,7 +267,7 @@ class Solver {
 
   std::span<const BoardView> views_;
   LensFit& fit_;
-  bool undistorted_;
+  std::vector<int> fixed_;  // of the intrinsics
 };
 
 // ------------------------------------------------------------------------------- the whole
@@ -370,11 +371,9 @@ void of_paper(LensFit& fit) {
 }
 
 template <class Lens>
-Result<CameraCalibration> calibrate(std::span<const BoardView> views, const CameraModel& start,
-                                    bool undistorted) {
-  LensGuess guess = best_guess(views, start.kind, start.width, start.height);
-  if (!std::isfinite(guess.cost))
-    return undetermined("no pose of the board fits this projection: is --projection right?");
+Result<CameraCalibration> fit_lens(std::span<const BoardView> views, const CameraModel& start,
+                                   LensGuess guess, std::span<const int> fixed) {
+  const int free_terms = Lens::kDistortion - static_cast<int>(fixed.size());
   LensFit fit{{guess.focal, guess.focal, start.principal_px.x, start.principal_px.y},
               std::move(guess.poses),
               {}};
@@ -387,7 +386,7 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
   }
   std::vector<bool> used;
   for (const auto& pose : fit.poses) used.push_back(pose.has_value());
-  Solver<Lens> solver(views, fit, undistorted);
+  Solver<Lens> solver(views, fit, fixed);
   CameraCalibration out;
   out.boards.resize(views.size());
   for (std::size_t b = 0; b < views.size(); ++b) out.boards[b].name = views[b].name;
@@ -414,8 +413,8 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
     if (pass < 2) leave_out(out, used);
   }
   measure();
-  const double parameters = (undistorted ? kShared : kShared + Lens::kDistortion) +
-                            6. * static_cast<double>(std::ranges::count(used, true));
+  const double parameters =
+      kShared + free_terms + 6. * static_cast<double>(std::ranges::count(used, true));
   const double freedom = 2. * static_cast<double>(all.size()) - parameters;
   const double variance = out.rms_px * out.rms_px * static_cast<double>(all.size()) / freedom;
   if (!solver.estimate_covariance(variance, used))
@@ -442,13 +441,44 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
   for (std::size_t b = 0; b < views.size(); ++b)
     if (fit.poses[b]) out.boards[b].camera_from_board = in_our_axes(*fit.poses[b]);
   measure_spread(views, out);
-  PENUMBRA_TRY(check_reach(out, Lens::kDistortion > 0 && !undistorted));
-  PENUMBRA_ASSIGN(
-      valid, with_distortion(out.projection,
-                             std::span(out.projection.distortion)
-                                 .first(static_cast<std::size_t>(distortion_count(start.kind)))));
-  out.projection = valid;
+  PENUMBRA_TRY(check_reach(out, free_terms > 0));
+  for (const int term : fixed) out.distortion_fixed[static_cast<std::size_t>(term)] = true;
   return out;
+}
+
+// Which terms of the distortion are held at 0, one list after the other until the rest makes a
+// lens: pictures that end at 20 degrees do not determine what the highest terms do at 30.
+template <class Lens>
+std::vector<std::vector<int>> held_terms(bool undistorted) {
+  std::vector<int> all(Lens::kDistortion);
+  std::iota(all.begin(), all.end(), 0);
+  if (undistorted) return {all};
+  if (std::is_same_v<Lens, Pinhole>) return {{}, {4}, {1, 4}, {1, 2, 3, 4}};
+  if (std::is_same_v<Lens, KannalaBrandt>) return {{}, {3}, {2, 3}, {1, 2, 3}};
+  return {{}};
+}
+
+template <class Lens>
+Result<CameraCalibration> calibrate(std::span<const BoardView> views, const CameraModel& start,
+                                    bool undistorted) {
+  const LensGuess guess = best_guess(views, start.kind, start.width, start.height);
+  if (!std::isfinite(guess.cost))
+    return undetermined("no pose of the board fits this projection: is --projection right?");
+  std::optional<Error> first;
+  for (const std::vector<int>& fixed : held_terms<Lens>(undistorted)) {
+    auto out = fit_lens<Lens>(views, start, guess, fixed);
+    // Fewer terms make up for no picture that is missing.
+    if (!out) return first ? std::unexpected(*first) : std::unexpected(out.error());
+    auto valid = with_distortion(
+        out->projection, std::span(out->projection.distortion)
+                             .first(static_cast<std::size_t>(distortion_count(start.kind))));
+    if (valid) {
+      out->projection = std::move(*valid);
+      return out;
+    }
+    if (!first) first = valid.error();
+  }
+  return std::unexpected(*first);
 }
 
 }  // namespace

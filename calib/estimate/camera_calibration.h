@@ -27,6 +27,7 @@ struct CameraCalibration {
   CameraModel projection;
   glm::dvec2 focal_sigma_px{0, 0}, principal_sigma_px{0, 0};  // one standard deviation
   std::array<double, 5> distortion_sigma{};
+  std::array<bool, 5> distortion_fixed{};  // terms at 0, which the pictures do not determine
   double rms_px = 0;  // over the boards used
   std::vector<BoardFit> boards;
   double reach = 0;     // largest distance of a corner from the middle, in half diagonals
@@ -38,7 +39,8 @@ struct CameraCalibrationOptions {
 };
 
 /// kind: pinhole, equidistant, kb4 or double-sphere. Needs corners that reach outwards and boards
-/// that are tilted; boards whose corners contradict the rest are left out and named.
+/// that are tilted; boards whose corners contradict the rest are left out and named. Terms of the
+/// distortion that would fold the lens back within 30 degrees are left out, the highest first.
 /// errors: kInvalid (kind), kUndetermined (says what to capture instead)
 Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, ProjectionKind kind,
                                            int width, int height,

@@ -174,11 +174,59 @@ std::optional<Dark> dark_of(const StillSeries& series, const Response& response)
               n * static_cast<double>(series.frames() - 1)};
 }
 
+// Means through time of the pixels that are neither clipped nor at code 0; NaN elsewhere.
+std::vector<double> means_of(const StillSeries& series, const Response& response) {
+  std::vector<double> out(series.codes()[0].size(), 0);
+  for (int c = 0; c < 3; ++c) {
+    const Curve curve(response, series.bits(), c);
+    for (std::size_t i = static_cast<std::size_t>(c); i < out.size(); i += 3) {
+      for (const auto& codes : series.codes()) {
+        const double light = curve.light(codes[i]);
+        out[i] += codes[i] == 0 || light > kClip ? NAN : light;
+      }
+      out[i] /= static_cast<double>(series.frames());
+    }
+  }
+  return out;
+}
+
+// What does not grow with the exposure, by the shortest and the longest that have the frames.
+std::optional<double> black_of_exposures(std::span<const StillSeries> still,
+                                         const Response& response) {
+  constexpr double kApart = 2;
+  constexpr std::size_t kFewest = 200;
+  const StillSeries *shortest = nullptr, *longest = nullptr;
+  for (const StillSeries& s : still) {
+    if (s.frames() < kFewestFrames || !(s.product() > 0)) continue;
+    if (!shortest || s.product() < shortest->product()) shortest = &s;
+    if (!longest || s.product() > longest->product()) longest = &s;
+  }
+  if (!shortest || longest->product() < kApart * shortest->product() ||
+      shortest->codes()[0].size() != longest->codes()[0].size() ||
+      shortest->bits() != longest->bits())
+    return std::nullopt;
+  const std::vector<double> a = means_of(*shortest, response), b = means_of(*longest, response);
+  const double ratio = longest->product() / shortest->product();
+  std::vector<std::pair<double, double>> found;  // longer exposure's light, black
+  for (std::size_t i = 0; i < a.size(); ++i)
+    if (std::isfinite(a[i] + b[i])) found.emplace_back(b[i], (ratio * a[i] - b[i]) / (ratio - 1));
+  if (found.size() < kFewest) return std::nullopt;
+  // In the dark, where a curve that is a little wrong adds least.
+  const auto quarter = found.begin() + std::ssize(found) / 4;
+  std::ranges::nth_element(found, quarter);
+  std::vector<double> dark;
+  for (auto it = found.begin(); it != quarter; ++it) dark.push_back(it->second);
+  std::ranges::nth_element(dark, dark.begin() + std::ssize(dark) / 2);
+  return std::max(0., dark[dark.size() / 2]);
+}
+
 // var = g y a + g^2 b with weights by the model's own variance; a = 1 / full well, b = read^2.
 struct NoiseFit {
   double a = 0, b = 0, var_a = 0, var_b = 0, error = 0;
 };
-std::optional<NoiseFit> fit_model(const std::vector<NoisePoint>& points) {
+// Of a wrong black level b takes all, and falls below 0 where it is too low: then a stays as it is,
+// unless the level is known.
+std::optional<NoiseFit> fit_model(const std::vector<NoisePoint>& points, bool black_known) {
   NoiseFit fit;
   // Between points a curve or a camera's own noise reduction is off by this at least.
   constexpr double kModel = .02;
@@ -198,7 +246,7 @@ std::optional<NoiseFit> fit_model(const std::vector<NoisePoint>& points) {
     if (!(determinant > 1e-9 * aa * bb)) return std::nullopt;
     fit.a = (bb * a - ab * b) / determinant;
     fit.b = std::max(0., (aa * b - ab * a) / determinant);
-    if (fit.b == 0) fit.a = a / aa;
+    if (fit.b == 0 && black_known) fit.a = a / aa;
     fit.var_a = bb / determinant, fit.var_b = aa / determinant;
   }
   double square = 0;
@@ -239,7 +287,7 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level) {
-  constexpr double kMaxUncertain = .1;
+  constexpr double kMaxUncertain = .1, kMaxModelError = .15;
   std::size_t frames = 0;
   for (const StillSeries& s : still) frames = std::max(frames, s.frames());
   if (frames < kFewestFrames)
@@ -251,6 +299,9 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   for (const StillSeries& s : capped)
     if (s.frames() >= kFewestFrames)
       if (const auto dark = dark_of(s, response)) darks.emplace_back(s.gain(), *dark);
+  out.black_measured = !darks.empty();
+  if (const auto black = darks.empty() ? black_of_exposures(still, response) : std::nullopt)
+    out.black_level = *black, out.black_measured = true;
   if (!darks.empty()) {
     out.black_level = 0;
     for (const auto& [gain, dark] : darks)
@@ -264,7 +315,7 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
     return undetermined(
         "the noise hardly exceeds the quantisation of the codes: raise the gain, or take raw "
         "frames");
-  const auto fit = fit_model(out.points);
+  const auto fit = fit_model(out.points, out.black_measured);
   const auto [dimmest, brightest] = std::ranges::minmax(out.points, {}, &NoisePoint::signal);
   const std::string more =
       "show it everything from dark to bright, at two exposures four stops apart";
@@ -279,6 +330,12 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   const double sigma_b = std::sqrt(fit->var_b);
   out.read_sigma = fit->b > sigma_b ? sigma_b / (2 * out.model.read_noise) : std::sqrt(sigma_b);
   out.error = fit->error;
+  if (out.error > kMaxModelError)
+    return undetermined(fmt::format(
+        "the noise is {:.0f} % off the model, in which its square grows with the light: the camera "
+        "reduces noise or sharpens, or --camera has the wrong response; switch such processing "
+        "off, or record raw frames",
+        100 * out.error));
   return out;
 }
 

@@ -22,18 +22,20 @@ namespace penumbra::calib {
 /// exposure.
 class StillSeries {
  public:
-  explicit StillSeries(double gain) : gain_(gain) {}
+  /// time: of all series in one unit; 0: unknown
+  explicit StillSeries(double gain, double time = 0) : gain_(gain), time_(time) {}
   /// 8 or 16 bits; frames beyond the first 64 are passed over.
   /// errors: kInvalid (float pixels, another size or depth than the first)
   Result<void> add(const FramePixels& frame, const std::string& name);
   std::size_t frames() const { return codes_.size(); }
   double gain() const { return gain_; }
+  double product() const { return gain_ * time_; }
   int bits() const { return bits_; }
   /// Of one frame: r, g, b of each pixel in turn.
   const std::vector<std::vector<std::uint16_t>>& codes() const { return codes_; }
 
  private:
-  double gain_;
+  double gain_, time_;
   int bits_ = 0, width_ = 0, height_ = 0;
   std::vector<std::vector<std::uint16_t>> codes_;
 };
@@ -49,16 +51,18 @@ struct NoiseCalibration {
   NoiseModel model;
   double full_well_sigma = 0, read_sigma = 0;  // one standard deviation
   double black_level = 0;                      // of full scale
+  bool black_measured = false;  // by the capped lens or by two exposures; else as it was given
   double error = 0;  // of the model's standard deviation, RMS over the points, relative
   std::vector<NoisePoint> points;
 };
 
 /// From series of a still scene, best with everything from dark to bright, and of the capped lens
-/// if there are any: those tell the black level, which is `black_level` without them. Slow changes
-/// of the light are taken out, and samples that are clipped, at code 0 or too quiet for their codes
-/// (a third of a step) are left out.
+/// if there are any: those tell the black level. Without them two exposures of a factor of two
+/// tell it by what does not grow with the exposure, and with one exposure it is `black_level`. Slow
+/// changes of the light are taken out, and samples that are clipped, at code 0 or too quiet for
+/// their codes (a third of a step) are left out.
 /// errors: kUndetermined (says what to capture instead: fewer than 8 frames, one brightness, no
-/// noise above the codes)
+/// noise above the codes, noise that does not follow the model)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level);

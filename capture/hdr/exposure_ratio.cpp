@@ -23,10 +23,9 @@ constexpr std::size_t kFewestBlocks = 50, kMaxBlocks = 4000;
 constexpr double kClipped = .9;
 constexpr unsigned kDarkCode = 8;  // below, codes and noise reduction bend the curve
 constexpr double kStep = .004;     // about a code: the noise that no signal is without
-constexpr int kBins = 24;          // of signal, evenly in its logarithm
+constexpr int kBins = Misfit::kBins;  // of signal, evenly in its logarithm
 constexpr std::size_t kFewestOfBin = 8;
 constexpr int kDraws = 200, kSteps = 30;
-constexpr double kLowestSignal = 1e-4;
 
 struct Block {
   int channel, tile, bin;
@@ -45,12 +44,6 @@ double off(const Block& k, const Line& line) {
 // Noise grows with the signal: in units that all blocks share.
 double sigma(const Block& k, const Line& line) {
   return std::hypot(k.b + kStep, line.slope * (k.a + kStep));
-}
-
-int bin_of(double signal) {
-  const double at = std::log(std::max(signal, kLowestSignal) / kLowestSignal) /
-                    std::log(1 / kLowestSignal) * kBins;
-  return std::clamp(static_cast<int>(at), 0, kBins - 1);
 }
 
 unsigned code_of(const Rgb8& p, int channel) {
@@ -72,7 +65,7 @@ std::optional<Block> read_block(const Image<Rgb8>& a, const Image<Rgb8>& b,
   constexpr double kPixels = kBlockSide * kBlockSide;
   out.a /= kPixels, out.b /= kPixels;
   out.tile = top * kTilesAlong / a.height() * kTilesAlong + left * kTilesAlong / a.width();
-  out.bin = bin_of(std::sqrt(std::max(0., out.a * out.b)));
+  out.bin = Misfit::bin_of(std::sqrt(std::max(0., out.a * out.b)));
   return out;
 }
 
@@ -249,6 +242,36 @@ double curve_variance(const std::vector<Block>& blocks, const Fit& found) {
   return n > 1 ? variance(logs) * (n - 1) * (n - 1) / n : 0;
 }
 
+// The ratio of what is as bright.
+std::array<double, kBins> ratios_by_signal(const std::vector<Block>& all) {
+  std::array<std::vector<double>, kBins> logs;
+  for (const Block& k : all)
+    if (k.a > 0 && k.b > 0) logs[static_cast<std::size_t>(k.bin)].push_back(std::log(k.b / k.a));
+  std::array<double, kBins> out{};
+  for (std::size_t bin = 0; bin < kBins; ++bin)
+    if (logs[bin].size() >= kFewestBlocks) out[bin] = std::exp(median(logs[bin]));
+  return out;
+}
+
+// Blocks whose signals stand apart from those of the others that are as bright, which a wrong curve
+// would move together.
+double moved_fraction(const std::vector<Block>& all, const Line& line) {
+  constexpr double kApart = .12;   // relative: more than codes, noise and a small misalignment
+  constexpr double kSpreads = 8;   // robust standard deviations
+  std::array<std::vector<double>, std::size_t{kBins} * 3> apart;
+  const auto group = [](const Block& k) { return static_cast<std::size_t>(3 * k.bin + k.channel); };
+  for (const Block& k : all) apart[group(k)].push_back(off(k, line) / sigma(k, line));
+  std::size_t moved = 0;
+  for (std::vector<double>& of : apart) {
+    if (of.size() < kFewestOfBin) continue;
+    const double middle = median(of);
+    for (double& v : of) v = std::abs(v - middle);
+    const double limit = std::max(kApart, kSpreads * 1.4826 * median(of));
+    moved += static_cast<std::size_t>(std::ranges::count_if(of, [&](double v) { return v > limit; }));
+  }
+  return static_cast<double>(moved) / static_cast<double>(all.size());
+}
+
 }  // namespace
 
 Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<Rgb8>& b,
@@ -271,12 +294,26 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
   out.fraction = static_cast<double>(all.size()) * kBlockSide * kBlockSide /
                  (3. * static_cast<double>(a.area()));
   out.blocks = blocks.size();
+  out.moved_fraction = moved_fraction(all, found->line);
+  out.by_signal = ratios_by_signal(all);
   out.ratio = found->line.slope;
   const double of_exponent = std::pow(exponent_sigma * std::log(out.ratio), 2);
   const double sd = std::sqrt(*sampling + curve_variance(blocks, *found) + of_exponent);
   out.low = out.ratio * std::exp(-1.96 * sd);
   out.high = out.ratio * std::exp(1.96 * sd);
   return out;
+}
+
+void raise_misfit(const ExposureRatio& found, double told, Misfit& misfit) {
+  std::vector<int> seen;
+  for (int bin = 0; bin < kBins; ++bin)
+    if (found.by_signal[static_cast<std::size_t>(bin)] > 0) seen.push_back(bin);
+  if (seen.empty()) return;
+  for (int bin = 0; bin < kBins; ++bin) {
+    const int nearest = *std::ranges::min_element(seen, {}, [&](int s) { return std::abs(s - bin); });
+    const double ratio = found.by_signal[static_cast<std::size_t>(nearest)];
+    misfit.raise(bin, std::expm1(std::abs(std::log(ratio / told))));
+  }
 }
 
 }  // namespace penumbra::capture

@@ -121,7 +121,7 @@ class Stack {
           in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
             for (int c = 0; c < 3; ++c)
               if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k],
-                             in_.noise, step_, c, max_sigmas(in_.noise_known)))
+                             in_.noise, step_, c, max_sigmas(in_.noise_known), &in_.misfit))
                 return true;
             return false;
           });

@@ -25,9 +25,9 @@ cv::Mat as_matrix(const Image<Rgb8>& picture) {
 
 // Grey pictures of about one brightness, whatever the exposure: features are found in what both
 // show.
-cv::Mat features_of(const Image<Rgb8>& picture) {
+cv::Mat even_grey(const cv::Mat& picture) {
   cv::Mat grey, even;
-  cv::cvtColor(as_matrix(picture), grey, cv::COLOR_RGB2GRAY);
+  cv::cvtColor(picture, grey, cv::COLOR_RGB2GRAY);
   cv::createCLAHE(4, {16, 16})->apply(grey, even);
   return even;
 }
@@ -36,33 +36,107 @@ struct PictureFeatures {
   std::vector<cv::KeyPoint> points;
   cv::Mat descriptors;
 };
-PictureFeatures find_features(const Image<Rgb8>& picture) {
-  constexpr int kMax = 4000;
+PictureFeatures find_features(const cv::Mat& picture, int max_count) {
   PictureFeatures out;
-  cv::SIFT::create(kMax)->detectAndCompute(features_of(picture), {}, out.points, out.descriptors);
+  cv::SIFT::create(max_count)->detectAndCompute(even_grey(picture), {}, out.points,
+                                                out.descriptors);
   return out;
 }
 
-// From the reference's pixels to the picture's; nothing when too few points agree.
-cv::Mat homography_between(const PictureFeatures& reference, const PictureFeatures& picture) {
+struct PointPairs {
+  std::vector<cv::Point2f> reference, picture;
+};
+// Adds the points that look alike, in pixels that are `scale` of the pictures' and begin there.
+void match(const PictureFeatures& reference, const PictureFeatures& picture, double scale,
+           const cv::Point2d& reference_begin, const cv::Point2d& picture_begin, PointPairs& out) {
   constexpr double kDistinct = .75;  // Lowe 2004: nearest over second nearest
-  constexpr double kInlier_px = 2;
-  constexpr int kFewest = 20;
-  if (reference.descriptors.empty() || picture.descriptors.empty()) return {};
+  if (reference.descriptors.empty() || picture.descriptors.empty()) return;
   std::vector<std::vector<cv::DMatch>> matches;
   cv::BFMatcher(cv::NORM_L2).knnMatch(reference.descriptors, picture.descriptors, matches, 2);
-  std::vector<cv::Point2f> from, to;
+  // Centres of pixels are whole numbers to OpenCV.
+  const auto to_picture = [&](const cv::Point2f& p, const cv::Point2d& begin) {
+    return cv::Point2f(static_cast<float>((double(p.x) + .5) / scale - .5 + begin.x),
+                       static_cast<float>((double(p.y) + .5) / scale - .5 + begin.y));
+  };
   for (const auto& m : matches) {
     if (m.size() < 2 || double(m[0].distance) > kDistinct * double(m[1].distance)) continue;
-    from.push_back(reference.points[static_cast<std::size_t>(m[0].queryIdx)].pt);
-    to.push_back(picture.points[static_cast<std::size_t>(m[0].trainIdx)].pt);
+    out.reference.push_back(to_picture(
+        reference.points[static_cast<std::size_t>(m[0].queryIdx)].pt, reference_begin));
+    out.picture.push_back(
+        to_picture(picture.points[static_cast<std::size_t>(m[0].trainIdx)].pt, picture_begin));
   }
-  if (from.size() < kFewest) return {};
+}
+
+// From the reference's pixels to the picture's; nothing when too few points agree.
+cv::Mat homography_through(const PointPairs& pairs, double inlier_px) {
+  constexpr int kFewest = 20;
+  if (pairs.reference.size() < kFewest) return {};
   cv::Mat inliers;
   cv::setRNGSeed(1);  // the same pictures, the same result
-  cv::Mat h = cv::findHomography(from, to, cv::RANSAC, kInlier_px, inliers, 5000, .999);
+  cv::Mat h = cv::findHomography(pairs.reference, pairs.picture, cv::RANSAC, inlier_px, inliers,
+                                 5000, .999);
   return !h.empty() && cv::countNonZero(inliers) >= kFewest ? h : cv::Mat();
 }
+
+constexpr double kInlier_px = 2;
+
+// Finds pictures on the reference: all of them at a moderate size, and where that is coarser than
+// their pixels once more in tiles of the full size. Time and memory stay those of some megapixels.
+class Aligner {
+ public:
+  explicit Aligner(const Image<Rgb8>& reference)
+      : reference_(as_matrix(reference)),
+        scale_(std::min(1., std::sqrt(kModerate_px / static_cast<double>(reference.area())))),
+        features_(find_features(at_moderate_size(reference_), kMaxFeatures)) {}
+
+  /// Nothing when they have too little in common.
+  cv::Mat homography(const Image<Rgb8>& of) const {
+    const cv::Mat picture = as_matrix(of);
+    PointPairs pairs;
+    match(features_, find_features(at_moderate_size(picture), kMaxFeatures), scale_, {}, {}, pairs);
+    const cv::Mat coarse = homography_through(pairs, kInlier_px / scale_);
+    if (coarse.empty() || scale_ == 1) return coarse;
+    const cv::Mat fine = homography_through(match_tiles(picture, coarse), kInlier_px);
+    return fine.empty() ? coarse : fine;
+  }
+
+ private:
+  static constexpr double kModerate_px = 2e6;
+  static constexpr int kMaxFeatures = 4000;
+
+  cv::Mat at_moderate_size(const cv::Mat& picture) const {
+    if (scale_ == 1) return picture;
+    cv::Mat out;
+    cv::resize(picture, out, {}, scale_, scale_, cv::INTER_AREA);
+    return out;
+  }
+
+  PointPairs match_tiles(const cv::Mat& picture, const cv::Mat& coarse) const {
+    constexpr int kAcross = 5, kSide_px = 384, kMaxOfATile = 300;
+    PointPairs pairs;
+    const cv::Rect whole(0, 0, picture.cols, picture.rows);
+    for (int k = 0; k < kAcross * kAcross; ++k) {
+      const cv::Point2d centre((k % kAcross + .5) * picture.cols / kAcross,
+                               (k / kAcross + .5) * picture.rows / kAcross);
+      std::vector<cv::Point2d> there;
+      cv::perspectiveTransform(std::vector{centre}, there, coarse);
+      const auto tile_at = [&](const cv::Point2d& c) {
+        return cv::Rect(static_cast<int>(c.x) - kSide_px / 2, static_cast<int>(c.y) - kSide_px / 2,
+                        kSide_px, kSide_px) &
+               whole;
+      };
+      const cv::Rect here = tile_at(centre), other = tile_at(there[0]);
+      if (here.area() * 2 < kSide_px * kSide_px || other.area() * 2 < kSide_px * kSide_px) continue;
+      match(find_features(reference_(here), kMaxOfATile),
+            find_features(picture(other), kMaxOfATile), 1, here.tl(), other.tl(), pairs);
+    }
+    return pairs;
+  }
+
+  cv::Mat reference_;
+  double scale_;  // of the pictures, at which they are found first
+  PictureFeatures features_;
+};
 
 double mean_shift(const cv::Mat& h, int width, int height) {
   std::vector<cv::Point2d> grid, moved;
@@ -114,12 +188,13 @@ Result<Alignment> align_stack(ExposureStack& stack, std::size_t reference) {
   const auto picture = [&](std::size_t k) -> const Image<Rgb8>& {
     return std::get<Image<Rgb8>>(*stack.frames[k]);
   };
-  const PictureFeatures first = find_features(picture(reference));
+  const auto aligned_to = stack.frames[reference];  // lives as long as the aligner
+  const Aligner aligner(std::get<Image<Rgb8>>(*aligned_to));
   Alignment out{std::vector<double>(stack.frames.size(), 0)};
   stack.valid.assign(stack.frames.size(), {});
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {
     if (k == reference) continue;
-    const cv::Mat h = homography_between(first, find_features(picture(k)));
+    const cv::Mat h = aligner.homography(picture(k));
     if (h.empty())
       return fail(ErrorCode::kUndetermined, fmt::format("picture {}", k + 1),
                   "has too little in common with the reference to be aligned: take exposures that "

@@ -2,6 +2,7 @@
 // not at all.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -24,7 +25,12 @@ struct ExposureRatio {
   double low = 1, high = 1;  // 95 % within
   double fraction = 0;       // of the pictures' patches
   std::size_t blocks = 0;    // of 4x4 pixels that took part
+  double moved_fraction = 0;  // of the patches that both tell: they show something else
+  std::array<double, Misfit::kBins> by_signal{};  // the same by brightness; 0: too few patches
 };
+/// Raises the misfit to what a told ratio is off, bin by bin; bins that nobody saw are as the
+/// nearest.
+void raise_misfit(const ExposureRatio& found, double told, Misfit& misfit);
 /// Standard deviation of the exponent of a curve that was estimated from a bracket.
 inline constexpr double kEstimatedExponentSigma = .03;
 
@@ -32,7 +38,7 @@ inline constexpr double kEstimatedExponentSigma = .03;
 /// what moved has no say, and neither has light that is added to both, as the base of a film.
 /// The interval holds chance (blocks drawn in tiles), what dark and bright parts tell apart,
 /// and the curve's exponent. The ratio holds under the given curve: another
-/// curve, another ratio.
+/// curve, another ratio. What is far off the line and off all that is as bright has moved.
 /// in:     exponent_sigma: of the curve, relative; 0 where it is known
 /// errors: kInvalid (sizes differ), kUndetermined (fewer than fifty blocks that both tell, or no
 ///         line through them)

@@ -30,14 +30,14 @@ Image<Rgb> scene() {
 }
 
 StillSeries film(const capture::Sensor& s, const Image<Rgb>& radiance, int frames, unsigned seed,
-                 double gain = 1, double flicker = 0) {
-  StillSeries out(gain);
+                 double gain = 1, double flicker = 0, double time = 1) {
+  StillSeries out(gain, time);
   for (int n = 0; n < frames; ++n) {
     Image<Rgb> lit = radiance;
     const auto light = static_cast<float>(1 + flicker * std::sin(2.4 * n));
     for (Rgb& p : lit.pixels()) p = light * p;
     const auto frame =
-        test::shot(s, lit, {Seconds(1 / gain), Gain(gain)}, seed * 1000 + static_cast<unsigned>(n));
+        test::shot(s, lit, {Seconds(time / gain), Gain(gain)}, seed * 1000 + static_cast<unsigned>(n));
     EXPECT_TRUE(out.add(*frame, "frame"));
   }
   return out;
@@ -62,6 +62,54 @@ TEST(NoiseCalibration, SeesNoiseThroughTheCodesOfAnEightBitCamera) {
   ASSERT_TRUE(found) << found.error().detail;
   EXPECT_NEAR(found->model.full_well_electrons / 3000, 1, .05);
   EXPECT_NEAR(found->model.read_noise / 4e-3, 1, .15);
+}
+
+// Taken for 0, a black level of .05 puts the full well a fifth off.
+TEST(NoiseCalibration, WithoutACappedLensTwoExposuresTellTheBlackLevel) {
+  const auto raw = sensor(16, Response::linear(), {8000, 1e-3}, .05);
+  const std::vector<StillSeries> still = {film(raw, scene(), 24, 1),
+                                          film(raw, scene(), 24, 2, 1, 0, 1 / 16.)};
+  const auto found = calibrate_noise(still, {}, raw.response, 0);
+  ASSERT_TRUE(found) << found.error().detail;
+  EXPECT_TRUE(found->black_measured);
+  EXPECT_NEAR(found->black_level, .05, 5e-4);
+  EXPECT_NEAR(found->model.full_well_electrons / 8000, 1, .03);
+  EXPECT_NEAR(found->model.read_noise / 1e-3, 1, .15);
+  // Of one exposure the slope is right, and that black was not measured is said.
+  const auto one = calibrate_noise(std::span(still).first(1), {}, raw.response, 0);
+  ASSERT_TRUE(one) << one.error().detail;
+  EXPECT_FALSE(one->black_measured);
+  EXPECT_NEAR(one->model.full_well_electrons / 8000, 1, .05);
+}
+
+// Frames that a camera has smoothed say nothing of its sensor: 77,681 electrons for 8,163.
+TEST(NoiseCalibration, RefusesFramesWithoutTheirNoise) {
+  const auto raw = sensor(8, Response::srgb(), {8000, 2e-3}, 0);
+  StillSeries smoothed(1, 1);
+  for (int n = 0; n < 40; ++n) {
+    const auto frame = test::shot(raw, scene(), {Seconds(1), Gain(1)}, 900 + n);
+    const Image<Rgb8>& codes = std::get<Image<Rgb8>>(*frame);
+    Image<Rgb8> out(codes.width(), codes.height());
+    // In the dark most of all, as cameras do.
+    for (int y = 0; y < codes.height(); ++y)
+      for (int x = 0; x < codes.width(); ++x)
+        for (const auto channel : {&Rgb8::r, &Rgb8::g, &Rgb8::b}) {
+          const int code = codes.at(x, y).*channel, radius = code < 60 ? 4 : code < 120 ? 2 : 1;
+          int sum = 0, count = 0;
+          for (int dy = -radius; dy <= radius; ++dy) {
+            const int there = std::clamp(y + dy, 0, codes.height() - 1);
+            sum += codes.at(x, there).*channel, ++count;
+          }
+          out.at(x, y).*channel = static_cast<std::uint8_t>((sum + count / 2) / count);
+        }
+    ASSERT_TRUE(smoothed.add(FramePixels(std::move(out)), "frame"));
+  }
+  const auto found = calibrate_noise({&smoothed, 1}, {}, raw.response, 0);
+  if (found)
+    std::printf("smoothed: full well %.0f, %.1f %% off the model\n",
+                found->model.full_well_electrons, 100 * found->error);
+  ASSERT_FALSE(found) << "a full well of " << found->model.full_well_electrons;
+  EXPECT_EQ(found.error().code, ErrorCode::kUndetermined);
 }
 
 TEST(NoiseCalibration, LampsThatFlickerAreNoNoiseOfTheCamera) {

@@ -173,7 +173,7 @@ TEST_F(EnvironmentFileTest, CallerTellsMoreThanTheAttribute) {
   ASSERT_TRUE(file);
   EXPECT_EQ(file->projection.kind, ProjectionKind::kLatLong);
   EXPECT_EQ(file->attribute, ProjectionKind::kExrLatLong);
-  EXPECT_EQ(to_latlong(*file)->pixels()[5], file->radiance.pixels()[5]);
+  EXPECT_EQ(to_latlong(*file)->radiance.pixels()[5], file->radiance.pixels()[5]);
 }
 
 TEST_F(EnvironmentFileTest, TurnsCounterClockwiseSeenFromAbove) {
@@ -193,7 +193,7 @@ TEST_F(EnvironmentFileTest, TurnsCounterClockwiseSeenFromAbove) {
   for (int y = 0; y < 32; ++y)
     for (int x = 0; x < 64; ++x)
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR(turned->at(x, y)[c], map.at((x + 16) % 64, y)[c], 1e-5f) << x << ' ' << y;
+        ASSERT_NEAR(turned->radiance.at(x, y)[c], map.at((x + 16) % 64, y)[c], 1e-5f) << x << ' ' << y;
 }
 
 TEST_F(EnvironmentFileTest, CallerTellsMoreThanTheShape) {
@@ -221,6 +221,37 @@ TEST_F(EnvironmentFileTest, NonFinitePixelsAreCountedAndGetNoSolidAngle) {
               4 * kPi - latlong_solid_angle(7, 64, 32) - latlong_solid_angle(20, 64, 32), 1e-4);
 }
 
+// Black by itself is night; where alpha is 0 as well, no camera looked.
+TEST_F(EnvironmentFileTest, BlackPixelsOfAlphaZeroAreUnseen) {
+  Image<Rgb> map(64, 32, {1, 2, 3});
+  Image<float> alpha(64, 32, 1);
+  const auto index = [](int x, int y) { return static_cast<std::size_t>(y * 64 + x); };
+  for (int x = 0; x < 32; ++x) map.at(x, 9) = {}, alpha.at(x, 9) = 0;
+  map.at(40, 9) = {};      // seen, and black
+  alpha.at(41, 9) = 0;     // glows
+  const auto path = folder_.path() / "half.exr";
+  ASSERT_TRUE(codec::write_hdr(path, map, codec::Depth::kFloat, {}, alpha));
+  auto file = read_environment(path, std::nullopt);
+  ASSERT_TRUE(file);
+  EXPECT_EQ(file->unseen, 32U);
+  EXPECT_EQ(file->table.confidence[index(3, 9)], 0);
+  EXPECT_GT(file->table.confidence[index(40, 9)], 0);
+  EXPECT_GT(file->table.confidence[index(41, 9)], 0);
+  EXPECT_NEAR(solid_angle(*file), 4 * kPi - 32 * latlong_solid_angle(9, 64, 32), 1e-4);
+  const auto plain = to_latlong(*file);
+  ASSERT_TRUE(plain);
+  EXPECT_EQ(plain->confidence.at(3, 9), 0);
+  EXPECT_EQ(plain->confidence.at(40, 9), 1);
+  // Turned by half a pixel, what is beside a hole does not darken.
+  turn(*file, Radians(2 * kPi / 64 / 2));
+  const auto turned = to_latlong(*file);
+  ASSERT_TRUE(turned);
+  EXPECT_EQ(std::ranges::count(turned->confidence.pixels(), 0.f), 31);
+  for (std::size_t i = 0; i < turned->radiance.area(); ++i)
+    if (turned->confidence.pixels()[i] > 0 && i / 64 == 9 && i % 64 < 34)
+      EXPECT_NEAR(turned->radiance.pixels()[i].g, 2, 1e-5) << i;
+}
+
 TEST_F(EnvironmentFileTest, ResampledConstantStaysConstant) {
   for (const auto& [kind, width, height] : {std::tuple{ProjectionKind::kVerticalCross, 48, 64},
                                             {ProjectionKind::kAngular, 64, 64},
@@ -229,11 +260,13 @@ TEST_F(EnvironmentFileTest, ResampledConstantStaysConstant) {
                                             {ProjectionKind::kExrCube, 16, 96}}) {
     EnvironmentFile file;
     file.projection = *calib::make_projection(kind, width, height);
+    file.table = calib::make_projection_table(file.projection);
     file.radiance = Image<Rgb>(width, height, {2, 3, 4});
     const auto map = to_latlong(file);
     ASSERT_TRUE(map);
-    EXPECT_EQ(map->width(), 2 * map->height());
-    for (const Rgb& p : map->pixels())
+    EXPECT_TRUE(map->confidence.empty()) << calib::projection_name(kind);
+    EXPECT_EQ(map->radiance.width(), 2 * map->radiance.height());
+    for (const Rgb& p : map->radiance.pixels())
       for (int c = 0; c < 3; ++c)
         ASSERT_NEAR(p[c], float(2 + c), 1e-5f) << calib::projection_name(kind);
   }

@@ -154,6 +154,23 @@ TEST_F(Exr, EnvironmentAttributeSurvivesAndIsAbsentOtherwise) {
   EXPECT_FALSE(plain->environment);
 }
 
+TEST_F(Exr, AlphaComesBackAndIsAbsentOtherwise) {
+  const auto path = folder_.path() / "alpha.exr";
+  Image<float> alpha(5, 3);
+  for (std::size_t i = 0; i < alpha.area(); ++i) alpha.pixels()[i] = static_cast<float>(i % 2);
+  ASSERT_TRUE(write_hdr(path, small_picture(), Depth::kFloat, {}, alpha));
+  const auto with = read_hdr(path);
+  ASSERT_TRUE(with) << with.error().detail;
+  EXPECT_EQ(with->alpha, alpha);
+  expect_same(with->pixels, small_picture());
+  ASSERT_TRUE(write_hdr(path, small_picture(), Depth::kFloat));
+  EXPECT_TRUE(read_hdr(path)->alpha.empty());
+  const auto hdr = write_hdr(folder_.path() / "alpha.hdr", small_picture(), Depth::kFloat, {}, alpha);
+  ASSERT_FALSE(hdr);
+  EXPECT_EQ(hdr.error().code, ErrorCode::kInvalid);
+  EXPECT_FALSE(write_hdr(path, small_picture(), Depth::kFloat, {}, Image<float>(2, 2)));
+}
+
 TEST_F(Exr, DataWindowMayStartAnywhere) {
   const Image<Rgb> image = small_picture();
   for (const int x : {-100000, 7, 1000000000}) {

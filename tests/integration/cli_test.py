@@ -65,6 +65,27 @@ class DemoAndComposite(CliTest):
         self.assertTrue(all(40 < c < 80 for c in light), f"the studio's mean luminance is 60: {light}")
         self.assertNotEqual(files.read_png(demo / "still.png"), files.read_png(demo / "camera.png"), "nothing drawn")
 
+    def test_what_a_fisheye_does_not_see_is_said_by_every_step(self):
+        capture = self.root / "fisheye"
+        files.write_capture(capture)
+        files.write_scene(self.root)
+        for i, code in enumerate((60, 160)):
+            files.write_png(capture / "environment" / f"{i}.png", 32, 32, lambda x, y, c=code: (c, c, c))
+        text = (capture / "capture.toml").read_text()
+        text = text.replace('height = 16\nprojection = "latlong"', 'height = 32\nprojection = "equidistant"\nfocal_px = [10, 10]')
+        (capture / "capture.toml").write_text(text)
+        seen = self.run_json("hdr", "environment", capture, "-o", self.root / "seen.exr")
+        self.assertTrue(.4 < seen["coverage"] < .6, seen)
+        light = self.run_json("light", "estimate", self.root / "seen.exr")
+        self.assert_close(light["coverage"], seen["coverage"], .03)
+        mean = light["mean_radiance"][1]
+        known = self.run_json("light", "estimate", self.root / "seen.exr", "--projection", "latlong")
+        self.assert_close(known["mean_radiance"][1], mean, .01 * mean)
+        self.expect_refusal(["seen.hdr", "write .exr"], "hdr", "environment", capture, "-o", self.root / "seen.hdr")
+        summary = self.run_json("composite", "--capture", capture, "--scene", self.root / "scene.toml",
+                                "--out", self.root / "fisheye-out")
+        self.assert_close(summary["configuration"]["coverage"], seen["coverage"], 1e-6)
+
     def test_no_error_is_promised_over_a_saturated_sun(self):
         files.write_sun_hdr(self.root / "sun.hdr", 256, 128, 3e3)
         record = self.root / "sunny"

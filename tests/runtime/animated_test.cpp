@@ -159,7 +159,7 @@ TEST(AnimatedGroundTruth, TwentyMomentsUnderEightEnvironments) {
     if (only != "1" && file.path().string().find(only) == std::string::npos) continue;
     const auto light = read_light(file.path());
     ASSERT_TRUE(light);
-    const auto map = capture::to_latlong(light->file);
+    const auto map = whole_latlong(*light);
     const Figures f = compare_with_reference(*scene, *map, 20, .015);
     std::printf("%-44s object %.2f %%, bias %+.2f %%, shadow %.4f\n", file.path().stem().c_str(),
                 100 * f.object, 100 * f.bias, f.shadow);

@@ -44,10 +44,12 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   const StageTimes times;
   capture::CameraCounts sky, view;
   sky.frames = 70, sky.lost = 3, sky.rejected = 2, sky.reconnected = 1, sky.delay_frames = 2;
+  sky.overrun = 4;
   view.ignores_controls = true;
   std::vector<capture::CameraInfo> cameras(2);
   cameras[0].name = "sky", cameras[1].name = "view";
   state.publish_cameras(cameras, {sky, view});
+  state.publish({}, {1}, nullptr, {5, 6});
   const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
   ASSERT_TRUE(api);
   httplib::Client client("127.0.0.1", (*api)->port());
@@ -57,6 +59,9 @@ TEST(HttpApi, HealthTellsWhatBecameOfEachCamerasFrames) {
   EXPECT_EQ(body["cameras"]["sky"]["frames"], 70);
   EXPECT_EQ(body["cameras"]["sky"]["lost"], 3);
   EXPECT_EQ(body["cameras"]["sky"]["rejected"], 2);
+  EXPECT_EQ(body["cameras"]["sky"]["overrun"], 4);
+  EXPECT_EQ(body["dropped"]["view"], 5);
+  EXPECT_EQ(body["dropped"]["environment"], 6);
   EXPECT_EQ(body["cameras"]["sky"]["reconnected"], 1);
   EXPECT_EQ(body["cameras"]["sky"]["delay_frames"], 2);
   EXPECT_EQ(body["cameras"]["view"]["follows_exposure"], false);

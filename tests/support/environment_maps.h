@@ -21,7 +21,7 @@ inline Result<Image<Rgb>> environment_map(const std::string& name) {
                 "set PENUMBRA_SHARED_DATA to the folder that holds it");
   auto light = runtime::read_light(path->string());
   if (!light) return std::unexpected(light.error());
-  return capture::to_latlong(light->file);
+  return runtime::whole_latlong(*light);
 }
 
 }  // namespace penumbra::test

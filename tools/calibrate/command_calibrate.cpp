@@ -2,7 +2,9 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
+#include <functional>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/response.h"
@@ -12,6 +14,7 @@
 #include "capture/frames.h"
 #include "codec/codec.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "core/stop_signal.h"
 #include "core/toml_keys.h"
 #include "runtime/pipeline/report.h"
@@ -59,6 +62,7 @@ struct FoundBoards {
   std::vector<calib::BoardView> views;
   int width = 0, height = 0;
   std::size_t pictures = 0;
+  std::vector<std::string> unreadable{};
 };
 
 // A picture of another size than the first is another camera's.
@@ -81,12 +85,21 @@ Result<FoundBoards> look_at_pictures(const std::vector<std::string>& pictures,
                                      const calib::Board& board) {
   FoundBoards found;
   const auto progress = progress_bar("looking for the board");
+  std::optional<Error> first;
   for (const std::string& picture : pictures) {
-    PENUMBRA_ASSIGN(pixels, codec::read_frame(picture));
-    PENUMBRA_TRY(look_at_picture(pixels, board, picture, found));
+    const auto pixels = codec::read_frame(picture);
+    if (pixels) {
+      PENUMBRA_TRY(look_at_picture(*pixels, board, picture, found));
+    } else {
+      if (!first) first = pixels.error();
+      found.unreadable.push_back(picture);
+      log_warning("{}: left out: {}", pixels.error().where, pixels.error().detail);
+    }
     if (progress)
-      progress(static_cast<double>(found.pictures) / static_cast<double>(pictures.size()));
+      progress(static_cast<double>(found.pictures + found.unreadable.size()) /
+               static_cast<double>(pictures.size()));
   }
+  if (found.pictures == 0 && first) return std::unexpected(*first);
   return found;
 }
 
@@ -191,6 +204,7 @@ nlohmann::json to_json(const calib::CameraCalibration& c, const FoundBoards& fou
           {"principal_sigma_px", pair(c.principal_sigma_px)},
           {"distortion", some(p.distortion)},
           {"distortion_sigma", some(c.distortion_sigma)},
+          {"unreadable", found.unreadable},
           {"rms_px", c.rms_px},
           {"coverage", c.coverage},
           {"reach", c.reach},
@@ -209,8 +223,11 @@ void print_table(const calib::CameraCalibration& c, const FoundBoards& found) {
              p.principal_px.y, c.principal_sigma_px.x, c.principal_sigma_px.y);
   for (int i = 0; i < calib::distortion_count(p.kind); ++i) {
     const auto n = static_cast<std::size_t>(i);
-    fmt::print("distortion {:10.6f}             +- {:.6f}\n", p.distortion[n],
-               c.distortion_sigma[n]);
+    if (c.distortion_fixed[n])
+      fmt::print("distortion   left at 0\n");
+    else
+      fmt::print("distortion {:10.6f}             +- {:.6f}\n", p.distortion[n],
+                 c.distortion_sigma[n]);
   }
   fmt::print("corners in {:.0f} % of an 8 x 6 grid, out to {:.0f} % of the half diagonal\n",
              100 * c.coverage, 100 * c.reach);
@@ -219,6 +236,25 @@ void print_table(const calib::CameraCalibration& c, const FoundBoards& found) {
       fmt::print("left out: {} ({})\n", b.name,
                  b.residuals_px.empty() ? "too far from the axis for a first guess of its pose"
                                         : fmt::format("{:.2f} px off", b.rms_px));
+}
+
+// A fit that exists is not yet a good one.
+Result<void> check_errors(const CalibrateCameraOptions& o, const calib::CameraCalibration& c) {
+  // Corners are found to a fraction of a pixel, whose size goes with the picture's.
+  const double usual_px = std::max(1., c.projection.width / 1280.);
+  constexpr double kUseless = 5;
+  const std::string what = fmt::format(
+      "the model is off by {:.1f} px RMS, and good pictures reach 0.1 to 0.5: is --projection "
+      "right, and is the board flat and of the kind that --board says?",
+      c.rms_px);
+  if (c.rms_px > kUseless * usual_px) return fail(ErrorCode::kUndetermined, o.camera, what);
+  if (c.rms_px > usual_px) log_warning("{}: {}", o.camera, what);
+  if (std::ranges::any_of(c.distortion_fixed, std::identity()) && !o.undistorted)
+    log_info(
+        "{}: the highest terms of the distortion stay at 0: the pictures do not determine them; "
+        "bring the board to the borders",
+        o.camera);
+  return {};
 }
 
 }  // namespace
@@ -246,6 +282,7 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
     return fail(ErrorCode::kUndetermined, o.camera, "has no frame in the capture");
   PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height,
                                                   {.undistorted = o.undistorted}));
+  PENUMBRA_TRY(check_errors(o, result));
   PENUMBRA_TRY(write_bytes(o.output, print_camera_file(o.camera, result, o.board)));
   if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
   if (o.json)
@@ -254,6 +291,31 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
     print_table(result, found);
   return {};
 }
+
+namespace {
+
+// A curve that is made of wrong times fits none of them: what the pictures show under it is held
+// against what was told.
+Result<void> check_times_against(const CalibrateResponseOptions& o,
+                                 capture::ExposureStack stack, const calib::Response& response) {
+  constexpr double kFarOff = .1, kEnough = .05;
+  stack.response = response;
+  const auto name = [&](std::size_t k) {
+    return o.captures.empty() ? o.images[k]
+                              : fmt::format("{:.4g} s", stack.exposures[k].time.count());
+  };
+  PENUMBRA_ASSIGN(checked, check_times(stack, capture::kEstimatedExponentSigma));
+  for (const CheckedTime& c : checked)
+    if (c.ratio.fraction > kEnough && std::abs(c.ratio.ratio / c.told - 1) > kFarOff &&
+        (c.told < c.ratio.low || c.told > c.ratio.high))
+      log_warning(
+          "{}: {:.4g} times the exposure of {} by the given times, but {:.4g} by what both show "
+          "under this curve (95 % within {:.4g} to {:.4g}): a time is wrong, or the scene changed",
+          name(c.picture), c.told, name(c.against), c.ratio.ratio, c.ratio.low, c.ratio.high);
+  return {};
+}
+
+}  // namespace
 
 Result<void> calibrate_response(const CalibrateResponseOptions& o) {
   PENUMBRA_TRY(check_writable(o.output));
@@ -269,6 +331,7 @@ Result<void> calibrate_response(const CalibrateResponseOptions& o) {
                 "is not 8-bit, and the response is estimated from 8-bit pictures only");
   const EightBitBracket bracket = eight_bit_bracket(stack);
   PENUMBRA_ASSIGN(result, calib::calibrate_response(bracket.pictures, bracket.times));
+  PENUMBRA_TRY(check_times_against(o, stack, result.response));
   const std::string text =
       fmt::format("# from {} pictures; one standard deviation, of full scale: {:.5f}\n{}",
                   stack.frames.size(), result.sigma, calib::print_response_file(result.response));

@@ -7,6 +7,7 @@
 #include "calib/estimate/noise_calibration.h"
 #include "capture/frames.h"
 #include "core/files.h"
+#include "core/log.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"
@@ -43,7 +44,7 @@ Result<Film> read_film(const std::string& path, const std::string& name) {
     if (!frame) break;
     const double gain = frame->exposure.gain.value();
     const auto [series, added] = by_exposure.try_emplace(
-        std::pair(frame->exposure.time.count(), gain), calib::StillSeries(gain));
+        std::pair(frame->exposure.time.count(), gain), calib::StillSeries(gain, frame->exposure.time.count()));
     if (by_exposure.size() > kMaxExposures)
       return fail(
           ErrorCode::kUndetermined, path,
@@ -63,6 +64,7 @@ nlohmann::json to_json(const calib::NoiseCalibration& c) {
           {"read_noise", c.model.read_noise},
           {"read_sigma", c.read_sigma},
           {"black_level", c.black_level},
+          {"black_measured", c.black_measured},
           {"error", c.error},
           {"points", c.points.size()}};
 }
@@ -80,6 +82,15 @@ Result<void> calibrate_noise(const CalibrateNoiseOptions& o) {
   }
   PENUMBRA_ASSIGN(result, calib::calibrate_noise(film.series, capped, film.camera.response,
                                                  film.camera.black_level));
+  if (!result.black_measured)
+    log_warning(
+        "{}: nothing tells the black level, and {:.5f} of full scale is taken for it: record the "
+        "capped lens for --dark, or two exposures",
+        o.camera, result.black_level);
+  constexpr double kWorthAWord = .07;
+  if (result.error > kWorthAWord)
+    log_warning("{}: the noise is {:.0f} % off the model: does the camera reduce noise?", o.camera,
+                100 * result.error);
   PENUMBRA_TRY(write_bytes(o.output, calib::print_noise_file(result)));
   if (o.report) PENUMBRA_TRY(write_noise_report(*o.report, result));
   if (o.json)

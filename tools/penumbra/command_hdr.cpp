@@ -91,6 +91,19 @@ Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
   return checked;
 }
 
+// Nobody asked what moved, and all pictures count everywhere.
+void warn_of_motion(const HdrMergeOptions& o, const std::vector<CheckedTime>& checked) {
+  constexpr double kVisible = .005;
+  const auto worst = std::ranges::max_element(
+      checked, {}, [](const CheckedTime& c) { return c.ratio.moved_fraction; });
+  if (worst == checked.end() || worst->ratio.moved_fraction < kVisible) return;
+  log_warning(
+      "{} and {}: {:.1f} % of what both expose well is not the same: something moved, or the "
+      "camera did; --reference NUMBER leaves out what moved, --align also brings the pictures "
+      "together",
+      o.images[worst->against], o.images[worst->picture], 100 * worst->ratio.moved_fraction);
+}
+
 struct ReadyStack {
   capture::ExposureStack stack;
   std::vector<CheckedTime> checked;
@@ -122,10 +135,15 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
   if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0])) {
     PENUMBRA_ASSIGN(found, report_times(o, stack));
     checked = std::move(found);
+    if (!o.align && o.reference == 0) warn_of_motion(o, checked);
   } else if (any_unknown(stack)) {
     return fail(ErrorCode::kInvalid, "--times", "a time of ? needs 8-bit pictures");
   }
-  if (o.align || o.reference > 0) priority(stack, reference);
+  if (o.align || o.reference > 0) {
+    priority(stack, reference);
+    for (const CheckedTime& c : checked)
+      if (c.told > 0) capture::raise_misfit(c.ratio, c.told, stack.misfit);
+  }
   return ReadyStack{std::move(stack), std::move(checked)};
 }
 
@@ -138,6 +156,7 @@ nlohmann::json to_json(const ReadyStack& ready, const std::vector<std::string>& 
                    {"low", c.ratio.low},
                    {"high", c.ratio.high},
                    {"blocks", c.ratio.blocks},
+                   {"moved_fraction", c.ratio.moved_fraction},
                    {"told", c.told > 0 ? nlohmann::json(c.told) : nlohmann::json()}});
   return out;
 }

@@ -7,6 +7,7 @@
 
 #include "calib/camera/noise.h"
 #include "calib/camera/response_table.h"
+#include "capture/hdr/merge.h"
 #include "capture/hdr/merge_math.h"
 #include "core/units.h"
 
@@ -33,7 +34,8 @@ struct SignalSample {
 /// of exposures.
 inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const SignalSample& b,
                        const Exposure& exposure_b, const calib::NoiseModel& noise,
-                       const QuantisationStep& step, int channel, double sigmas) {
+                       const QuantisationStep& step, int channel, double sigmas,
+                       const Misfit* misfit = nullptr) {
   if (a.clipped && b.clipped) return false;
   const double ea = exposure_a.product(), eb = exposure_b.product();
   const double xa = a.signal / ea, xb = b.signal / eb;
@@ -44,7 +46,9 @@ inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const 
   };
   const double all = variance(ea, exposure_a.gain.value()) + variance(eb, exposure_b.gain.value()) +
                      kModelError * kModelError * x * x;
-  return std::abs(xa - xb) > sigmas * std::sqrt(all);
+  const double for_all =
+      misfit ? misfit->at(std::sqrt(std::max(0., a.signal * b.signal))) * x : 0;
+  return std::abs(xa - xb) > sigmas * std::sqrt(all) + for_all;
 }
 
 /// For each 8-bit code of one exposure, the codes of another that can show the same radiance: low |
