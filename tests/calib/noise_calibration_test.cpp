@@ -31,7 +31,7 @@ Image<Rgb> scene() {
 
 StillSeries film(const capture::Sensor& s, const Image<Rgb>& radiance, int frames, unsigned seed,
                  double gain = 1, double flicker = 0, double time = 1) {
-  StillSeries out(gain, time);
+  StillSeries out(gain, time / gain);
   for (int n = 0; n < frames; ++n) {
     Image<Rgb> lit = radiance;
     const auto light = static_cast<float>(1 + flicker * std::sin(2.4 * n));

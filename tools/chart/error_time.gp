@@ -17,6 +17,11 @@ array shape[10] = [5, 9, 11, 13, 15, 4, 8, 10, 12, 14]
 blue = '#0072B2'
 stats $data using 1 nooutput
 baselines = STATS_blocks - 4
+# The ticks around a value, so that a few points that lie close together have numbers beside them.
+below(v) = (e = floor(log10(v)), m = v / 10. ** e, 10. ** e * (m >= 5 ? 5 : m >= 2 ? 2 : 1))
+above(v) = (e = floor(log10(v)), m = v / 10. ** e, 10. ** e * (m <= 1 ? 1 : m <= 2 ? 2 : m <= 5 ? 5 : 10))
+ms_low = below(.95 * STATS_min)
+ms_high = above(1.05 * STATS_max)
 
 do for [panel = 2:3] {
   shadow = panel == 2
@@ -36,8 +41,11 @@ do for [panel = 2:3] {
   }
   if (zero_ms > 0) { set xtics add ((shadow ? '' : '0') zero_ms) }
   if (zero > 0) { set ytics add ('0' zero) }
-  set autoscale
-  if (!measured) {
+  if (measured) {
+    stats $data using panel nooutput
+    set xrange [ms_low:ms_high]
+    set yrange [below(.95 * STATS_min):above(1.05 * STATS_max)]
+  } else {
     set label 'not measured' at graph .5,.5 center
     set xrange [.01:10]
     set yrange [.01:10]
