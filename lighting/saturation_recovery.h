@@ -33,10 +33,12 @@ struct ReflectancePatch {
 };
 
 /// A matte surface on both sides of the edge of the shadow that something real casts in the light
-/// of one clipped source. Any scale, any albedo.
+/// of one clipped source. Any scale, any albedo. Of the other light a part may be kept from either
+/// side by what casts the shadow.
 struct ShadowEdge {
   glm::dvec3 normal{0, 1, 0};
   Rgb lit, shadowed;
+  Rgb others_at_lit{1, 1, 1}, others_at_shadowed{1, 1, 1};  // 0..1
 };
 
 /// All clipped lights at once, channel by channel, not negative:
@@ -55,7 +57,7 @@ Result<std::vector<SaturationRecovery>> recover_from_patches(
 ///          them, nothing left)
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch);
-/// E_light = E_others (lit / shadowed - 1).
+/// E_light = E_others (others_at_shadowed lit / shadowed - others_at_lit).
 /// errors:  kInvalid (not a clipped light, bad edge), kNonFinite, kUndetermined (the surface does
 ///          not see the light, the lit side is not brighter)
 Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int source,

@@ -1,5 +1,7 @@
 #include "runtime/shading/floor_recovery.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -10,8 +12,12 @@
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
+#include "core/conventions.h"
+#include "core/log.h"
 #include "core/median.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
 
@@ -20,13 +26,16 @@ namespace penumbra::runtime {
 namespace {
 
 constexpr int kStep_px = 6;  // between the pixels that are read
-constexpr std::size_t kMinPixels = 200;
+constexpr int kMinPixels = 200;
 constexpr float kShadowed = .5f;  // of the median: darker pixels lie in a real shadow
+constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
+constexpr double kGoldenAngle = 2.399963229728653;
 
 // A pixel of the floor; a saturated channel has at least that radiance.
 struct FloorPixel {
   Rgb radiance;
   std::array<bool, 3> saturated{};
+  glm::dvec3 point{0};
 
   bool any_saturated() const { return saturated[0] || saturated[1] || saturated[2]; }
 };
@@ -90,6 +99,46 @@ std::optional<Rgb> lit_radiance(std::vector<FloorPixel>& pixels) {
   return out;
 }
 
+enum class Shade { kHidden, kNone, kPart, kAll };
+
+// Of a point of the floor that the eye looks at: whether a known thing hides it, and what it keeps
+// from it of clipped lights. `kAll` of one light alone.
+Shade shade_at(const prt::RayScene& real, const glm::dvec3& eye, const glm::dvec3& direction,
+               double distance, std::span<const lighting::DistantLight* const> clipped) {
+  if (real.occluded(glm::vec3(eye), glm::vec3(direction), 0, static_cast<float>(distance)))
+    return Shade::kHidden;
+  const glm::vec3 point(eye + distance * direction);
+  int kept = 0, all = 0;
+  for (const lighting::DistantLight* light : clipped) {
+    // Its middle and, about, its rim.
+    const glm::dvec3& axis = light->direction;
+    const glm::dvec3 side = glm::normalize(
+        glm::cross(axis, std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
+    const double reach = std::tan(std::min(light->radius.value(), 1.));
+    for (const glm::dvec2 at : {glm::dvec2(0, 0), {1, 0}, {-1, 0}, {0, 1}, {0, -1}}) {
+      const glm::dvec3 d = axis + reach * (at.x * side + at.y * glm::cross(axis, side));
+      kept += real.occluded(point, glm::vec3(glm::normalize(d)), kOff_m, kFar_m), ++all;
+    }
+  }
+  if (kept == 0) return Shade::kNone;
+  return kept == all && clipped.size() == 1 ? Shade::kAll : Shade::kPart;
+}
+
+// Of the floor, from its lit side, once the light is known.
+float albedo_by(const lighting::SaturationRecovery& found, const Rgb& lit,
+                const lighting::LightEstimate& light, const glm::dvec3& normal) {
+  Rgb open = lighting::evaluate(lighting::irradiance(light.light), normal);
+  for (const lighting::DistantLight& d : light.lights) {
+    if (d.id != found.source) {
+      open += lighting::irradiance(d, normal);
+      continue;
+    }
+    const double cosine = std::max(0., glm::dot(d.direction, normal));
+    open += found.power * static_cast<float>(cosine);
+  }
+  return static_cast<float>(kPi) * luminance(lit) / std::max(luminance(open), 1e-30f);
+}
+
 }  // namespace
 
 Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
@@ -101,7 +150,7 @@ Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
     };
   };
   for (const prt::Plane& plane : scene.planes)
-    if (!out.floor_ && luminance(plane.albedo) > 0 &&
+    if (!out.floor_ && (luminance(plane.albedo) > 0 || !scene.real_mesh.triangles.empty()) &&
         std::ranges::any_of(scene.objects, stands_on(plane)))
       out.floor_ = &plane;
   if (out.floor_ && !scene.real_mesh.triangles.empty()) {
@@ -117,49 +166,122 @@ bool FloorRecovery::is_near_an_object(const glm::dvec3& point) const {
   });
 }
 
-// Past what stands there, as far as it is known. In the shadow of a wall most of the floor may lie.
-bool FloorRecovery::is_seen_and_lit(const glm::dvec3& eye, const glm::dvec3& direction,
-                                    double distance, std::span<const glm::dvec3> towards) const {
-  if (!real_) return true;
-  constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
-  if (real_->occluded(glm::vec3(eye), glm::vec3(direction), 0, static_cast<float>(distance)))
-    return false;
-  const glm::vec3 point(eye + distance * direction);
-  return std::ranges::none_of(towards, [&](const glm::dvec3& light) {
-    return real_->occluded(point, glm::vec3(light), kOff_m, kFar_m);
-  });
-}
+struct FloorRecovery::SeenFloor {
+  std::vector<FloorPixel> lit;       // as far as is known
+  std::vector<FloorPixel> shadowed;  // by a known thing, from all of one clipped light
+};
 
-std::optional<lighting::ReflectancePatch> FloorRecovery::measure(
+FloorRecovery::SeenFloor FloorRecovery::look(
     const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
-    std::span<const glm::dvec3> towards) const {
+    std::span<const lighting::DistantLight* const> clipped) const {
   const PixelReader read{curve, 1 / static_cast<float>(frame.exposure.product())};
   const calib::CameraModel& p = camera.projection;
   const Vignetting vignetting = calib::vignetting_of(p, camera.vignetting);
   const glm::dvec3 eye = frame.world_from_camera.translation;
   const double height = glm::dot(eye - floor_->point, floor_->normal);
-  if (!(height > 0)) return std::nullopt;  // its underside
-  std::vector<FloorPixel> seen;
+  SeenFloor out;
+  if (!(height > 0)) return out;  // its underside
   for (int y = kStep_px / 2; y < p.height; y += kStep_px)
     for (int x = kStep_px / 2; x < p.width; x += kStep_px) {
       const auto ray = calib::direction_from_pixel(p, {x + .5, y + .5});
       if (!ray) continue;
       const glm::dvec3 d = frame.world_from_camera.rotation * *ray;
       const double distance = -height / glm::dot(d, floor_->normal);
-      if (!(distance > 0) || !is_near_an_object(eye + distance * d)) continue;
-      if (!is_seen_and_lit(eye, d, distance, towards)) continue;
+      const glm::dvec3 point = eye + distance * d;
+      if (!(distance > 0) || !is_near_an_object(point)) continue;
+      const Shade shade = real_ ? shade_at(*real_, eye, d, distance, clipped) : Shade::kNone;
+      if (shade == Shade::kHidden || shade == Shade::kPart) continue;
       auto pixel = std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
       if (!pixel) continue;
-      const auto left = static_cast<float>(vignetting.at({x + .5, y + .5}));
-      pixel->radiance = pixel->radiance * (1 / left);
-      seen.push_back(*pixel);
+      pixel->radiance = pixel->radiance * (1 / static_cast<float>(vignetting.at({x + .5, y + .5})));
+      pixel->point = point;
+      (shade == Shade::kNone ? out.lit : out.shadowed).push_back(*pixel);
     }
-  if (std::cmp_less(std::ranges::count_if(seen, std::not_fn(&FloorPixel::any_saturated)),
-                    kMinPixels))
+  return out;
+}
+
+Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
+                                  const lighting::LightEstimate& light) const {
+  constexpr int kRays = 64;
+  const glm::dvec3& n = floor_->normal;
+  const glm::dvec3 side = glm::normalize(
+      glm::cross(n, std::abs(n.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
+  const glm::dvec3 across = glm::cross(n, side);
+  Rgb all, left;
+  for (int k = 0; k < kRays; ++k) {
+    // By the cosine, on a spiral.
+    const double sine2 = (k + .5) / kRays, turn = k * kGoldenAngle, sine = std::sqrt(sine2);
+    const glm::dvec3 d = sine * std::cos(turn) * side + sine * std::sin(turn) * across +
+                         std::sqrt(1 - sine2) * n;
+    Rgb radiance = lighting::evaluate(light.light, d);
+    for (int c = 0; c < 3; ++c) radiance[c] = std::max(0.f, radiance[c]);
+    all += radiance;
+    if (!real_->occluded(glm::vec3(point), glm::vec3(d), kOff_m, kFar_m)) left += radiance;
+  }
+  Rgb out{1, 1, 1};
+  for (int c = 0; c < 3; ++c)
+    if (all[c] > 0) out[c] = left[c] / all[c];
+  return out;
+}
+
+// Nothing where too little is lit or shadowed, or more than one light would be told by it.
+std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
+    const SeenFloor& floor, const lighting::LightEstimate& light) const {
+  constexpr std::size_t kFewest = 40, kMost = 64;
+  if (!real_ || std::ranges::count(light.lights, true, &lighting::DistantLight::clipped) != 1)
     return std::nullopt;
-  const auto radiance = lit_radiance(seen);
-  if (!radiance) return std::nullopt;
-  return lighting::ReflectancePatch{floor_->normal, *radiance, floor_->albedo};
+  const auto side = [&](std::vector<FloorPixel> pixels,
+                        Rgb& others) -> std::optional<Rgb> {
+    if (pixels.size() < kFewest) return std::nullopt;
+    const auto radiance = lit_radiance(pixels);
+    if (!radiance) return std::nullopt;
+    const std::size_t apart = (pixels.size() + kMost - 1) / kMost;
+    Rgb sum;
+    float count = 0;
+    for (std::size_t i = 0; i < pixels.size(); i += apart, ++count)
+      sum += left_of_others(pixels[i].point, light);
+    others = sum * (1 / count);
+    return radiance;
+  };
+  lighting::ShadowEdge out{floor_->normal, {}, {}};
+  const auto lit = side(floor.lit, out.others_at_lit),
+             shadowed = side(floor.shadowed, out.others_at_shadowed);
+  if (!lit || !shadowed) return std::nullopt;
+  out.lit = *lit, out.shadowed = *shadowed;
+  return out;
+}
+
+Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
+    const SeenFloor& floor, const lighting::LightEstimate& light, const std::string& camera) {
+  std::optional<lighting::SaturationRecovery> by_shadow;
+  std::optional<Rgb> lit;
+  if (const auto edge = shadow_edge(floor, light)) {
+    const auto clipped = std::ranges::find(light.lights, true, &lighting::DistantLight::clipped);
+    if (const auto found = lighting::complete_from_shadow(light, clipped->id, *edge))
+      by_shadow = *found;
+  }
+  std::vector<FloorPixel> pixels = floor.lit;
+  if (std::ranges::count_if(pixels, std::not_fn(&FloorPixel::any_saturated)) >= kMinPixels)
+    lit = lit_radiance(pixels);
+  if (by_shadow && lit) {
+    const float measured = albedo_by(*by_shadow, *lit, light, floor_->normal), given = luminance(floor_->albedo);
+    const bool contradicts =
+        given > kAlbedoFactor * measured || measured > kAlbedoFactor * given;
+    if (!contradicts) by_shadow.reset();
+    if (contradicts && !std::exchange(warned_, true))
+      log_warning(
+          "{}: the floor's albedo is {:.2f} by a shadow on it{}; saturated light is recovered by "
+          "that shadow",
+          camera, measured, given > 0 ? fmt::format(", not {:.2f} as given", given) : "");
+  }
+  if (by_shadow) return std::vector{*by_shadow};
+  if (!lit)
+    return fail(ErrorCode::kUndetermined, camera,
+                "shows too little of the floor, or overexposes it");
+  if (!(luminance(floor_->albedo) > 0))
+    return fail(ErrorCode::kUndetermined, camera,
+                "shows a floor of unknown albedo, and no shadow of a known thing");
+  return lighting::recover_jointly(light, {floor_->normal, *lit, floor_->albedo});
 }
 
 bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found) const {
@@ -175,18 +297,14 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
     const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
     const lighting::LightEstimate& light) {
   std::vector<int> clipped;
-  std::vector<glm::dvec3> towards;
+  std::vector<const lighting::DistantLight*> lights;
   for (const lighting::DistantLight& d : light.lights)
-    if (d.clipped) clipped.push_back(d.id), towards.push_back(d.direction);
+    if (d.clipped) clipped.push_back(d.id), lights.push_back(&d);
   if (!floor_ || clipped.empty() || (last_ && frame.time - *last_ < kAgain && clipped == tried_))
     return std::vector<lighting::SaturationRecovery>{};
   last_ = frame.time;
   tried_ = std::move(clipped);
-  const auto patch = measure(frame, camera, curve, towards);
-  if (!patch)
-    return fail(ErrorCode::kUndetermined, camera.name,
-                "shows too little of the floor, or overexposes it");
-  auto found = lighting::recover_jointly(light, *patch);
+  auto found = recover(look(frame, camera, curve, lights), light, camera.name);
   if (!found) return found;
   if (!is_news(*found)) return std::vector<lighting::SaturationRecovery>{};
   said_ = *found;

@@ -1,9 +1,10 @@
-// What sources that are saturated in every exposure really send, read off a real floor of known
-// albedo in the view camera's picture.
+// What sources that are saturated in every exposure really send, read off a real floor in the view
+// camera's picture: by its albedo, or by the shadow that a known real thing casts on it.
 // threads: thread-bound
 #pragma once
 
 #include <optional>
+#include <string>
 #include <span>
 #include <vector>
 
@@ -26,16 +27,19 @@ class FloorRecovery {
   static constexpr Seconds kAgain{1};
   static constexpr float kMinChange = .03f;
 
-  /// Idle in a scene without a plane of known albedo that an object stands on. The scene must
-  /// outlive it.
+  /// A given albedo is believed while a known thing's shadow does not contradict it by this factor.
+  static constexpr float kAlbedoFactor = 1.6f;
+
+  /// Idle in a scene without a plane that an object stands on, and where neither the plane's albedo
+  /// nor a real mesh is known. The scene must outlive it.
   /// errors: kUnavailable (Embree)
   static Result<FloorRecovery> create(const PreparedScene& scene);
 
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View
   /// out: completions of the light's clipped lights; empty when there is nothing (new) to say
-  /// errors: as recover_jointly; kUndetermined when too little of the floor is in view or it is
-  /// overexposed
+  /// errors: as recover_jointly and complete_from_shadow; kUndetermined when too little of the floor
+  /// is in view or it is overexposed
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
   Result<std::vector<lighting::SaturationRecovery>> observe(const capture::Frame& frame,
                                                             const capture::CameraInfo& camera,
@@ -43,12 +47,19 @@ class FloorRecovery {
                                                             const lighting::LightEstimate& light);
 
  private:
-  std::optional<lighting::ReflectancePatch> measure(const capture::Frame& frame,
-                                                    const capture::CameraInfo& camera,
-                                                    const ResponseTable* curve,
-                                                    std::span<const glm::dvec3> towards) const;
-  bool is_seen_and_lit(const glm::dvec3& eye, const glm::dvec3& direction, double distance,
-                       std::span<const glm::dvec3> towards) const;
+  // The floor in the picture, what is in a known thing's shadow apart.
+  struct SeenFloor;
+  SeenFloor look(const capture::Frame& frame, const capture::CameraInfo& camera,
+                 const ResponseTable* curve,
+                 std::span<const lighting::DistantLight* const> clipped) const;
+  // What real things keep from a point of the floor of all light but the clipped one: the part that
+  // is left.
+  Rgb left_of_others(const glm::dvec3& point, const lighting::LightEstimate& light) const;
+  std::optional<lighting::ShadowEdge> shadow_edge(const SeenFloor& floor,
+                                                  const lighting::LightEstimate& light) const;
+  Result<std::vector<lighting::SaturationRecovery>> recover(const SeenFloor& floor,
+                                                            const lighting::LightEstimate& light,
+                                                            const std::string& camera);
   bool is_near_an_object(const glm::dvec3& point) const;
   bool is_news(const std::vector<lighting::SaturationRecovery>& found) const;
 
@@ -58,6 +69,7 @@ class FloorRecovery {
   std::optional<TimestampNs> last_;
   std::vector<int> tried_;  // lights of the last attempt
   std::vector<lighting::SaturationRecovery> said_;
+  bool warned_ = false;  // of the albedo
 };
 
 }  // namespace penumbra::runtime
