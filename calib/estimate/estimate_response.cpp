@@ -23,6 +23,7 @@
 
 #include "calib/camera/response.h"
 #include "calib/estimate/estimate_response.h"
+#include "core/median.h"
 #include "core/parallel.h"
 
 namespace penumbra::calib {
@@ -34,9 +35,10 @@ using Pictures = std::span<const Picture* const>;
 constexpr int kCodes = 256;
 // A code this close to either end may be clipped or buried in noise.
 constexpr int kBlack = 3, kClipped = 252;
-// Above it the curve is known least (a hat's weight is a tenth) and films glow around bright
-// things: it goes on there as it rises from kFirstOfSlope to here.
-constexpr int kFirstOfSlope = 208, kLastTrusted = 240;
+// The last code of which the pictures tell the light.
+constexpr int kLastTrusted = kClipped - 1;
+// Between it and the end of the codes pixels tell where a channel saturates.
+constexpr int kBrightest = 230;
 // Fewer pixels than this do not make a curve; more than that only cost time.
 constexpr std::size_t kMinSamples = 50, kMaxSamples = 4000;
 constexpr double kSmoothness = 1e-6;
@@ -213,24 +215,52 @@ struct Equations {
   double total_weight = 0;
 };
 
+using CodesAndTimes = std::vector<std::pair<int, double>>;  // code, logarithm of the time
+
 /// One pixel: min over ln E of sum w_k (g_k - ln t_k - ln E)^2 = sum w_k (g_k - ln t_k)^2 less its
-/// weighted mean's square.
-void add_pixel(Equations& equations, std::span<const std::pair<int, double>> codes_and_log_times) {
+/// weighted mean's square. `trust`: how much the pixel counts.
+void add_pixel(Equations& equations, const CodesAndTimes& seen, double trust) {
   double weights = 0, log_time = 0;
-  for (const auto& [code, t] : codes_and_log_times) {
+  for (const auto& [code, t] : seen) {
     weights += weight_of(code);
     log_time += weight_of(code) * t;
   }
   if (weights <= 0) return;
   log_time /= weights;
-  equations.total_weight += weights;
-  for (const auto& [a, ta] : codes_and_log_times) {
-    const double wa = weight_of(a);
+  equations.total_weight += trust * weights;
+  for (const auto& [a, ta] : seen) {
+    const double wa = trust * weight_of(a);
     equations.right.at<double>(a - 1) += wa * (ta - log_time);
     equations.matrix.at<double>(a - 1, a - 1) += wa;
-    for (const auto& [b, tb] : codes_and_log_times)
+    for (const auto& [b, tb] : seen)
       equations.matrix.at<double>(a - 1, b - 1) -= wa * weight_of(b) / weights;
   }
+}
+
+/// How far a pixel's codes contradict each other under a curve, RMS of ln of the light.
+double contradiction_of(const CodesAndTimes& seen, const cv::Mat& curve) {
+  double weights = 0, sum = 0, square = 0;
+  for (const auto& [code, t] : seen) {
+    const double w = weight_of(code), light = curve.at<double>(code - 1) - t;
+    weights += w, sum += w * light, square += w * light * light;
+  }
+  if (weights <= 0) return 0;
+  return std::sqrt(std::max(0., square / weights - sum * sum / (weights * weights)));
+}
+
+/// Pixels that contradict themselves more than others do: something moved over them.
+/// source: biweight, Beaton & Tukey 1974
+std::vector<double> trust_in(const std::vector<CodesAndTimes>& pixels, const cv::Mat& curve) {
+  constexpr double kFar = 4.685, kUsual = .02;  // a code's rounding and noise at least
+  std::vector<double> out;
+  for (const CodesAndTimes& p : pixels) out.push_back(contradiction_of(p, curve));
+  std::vector<double> sorted = out;
+  const double scale = std::max(kUsual, 1.4826 * median(sorted));
+  for (double& v : out) {
+    const double u = v / (kFar * scale);
+    v = u < 1 ? std::pow(1 - u * u, 2) : 0;
+  }
+  return out;
 }
 
 /// The curves that are looked for, as Grossberg & Nayar 2004 look within a few terms: the local
@@ -296,26 +326,32 @@ std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
 /// ln of the light for codes 1..255 of one channel.
 Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Seconds> times,
                                         const std::vector<SquareCandidate>& samples, int channel) {
+  constexpr int kRounds = 4;
   try {
-    Equations equations;
-    std::vector<std::pair<int, double>> codes_and_log_times;
+    std::vector<CodesAndTimes> pixels;
     for (const SquareCandidate& s : samples) {
-      codes_and_log_times.clear();
+      CodesAndTimes& seen = pixels.emplace_back();
       for (std::size_t k = 0; k < pictures.size(); ++k) {
         const int code = channel_of(pictures[k]->at(s.x, s.y), channel);
-        if (weight_of(code) > 0) codes_and_log_times.emplace_back(code, std::log(times[k].count()));
+        if (weight_of(code) > 0) seen.emplace_back(code, std::log(times[k].count()));
       }
-      add_pixel(equations, codes_and_log_times);
     }
     const cv::Mat terms = curve_terms();
-    const auto exponents =
-        rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
-               terms.t() * equations.right);
-    if (!exponents)
-      return undetermined(
-          fmt::format("the pictures do not determine the curve of {}: its equations are singular",
-                      kChannelNames[static_cast<std::size_t>(channel)]));
-    const cv::Mat curve = terms * *exponents;
+    std::vector<double> trust(pixels.size(), 1);
+    cv::Mat curve;
+    for (int round = 0; round < kRounds; ++round) {
+      Equations equations;
+      for (std::size_t i = 0; i < pixels.size(); ++i) add_pixel(equations, pixels[i], trust[i]);
+      const auto exponents =
+          rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
+                 terms.t() * equations.right);
+      if (!exponents)
+        return undetermined(fmt::format(
+            "the pictures do not determine the curve of {}: its equations are singular",
+            kChannelNames[static_cast<std::size_t>(channel)]));
+      curve = terms * *exponents;
+      trust = trust_in(pixels, curve);
+    }
     return std::vector<double>(curve.begin<double>(), curve.end<double>());
   } catch (const std::exception& e) {  // cv::Exception is one
     return undetermined(std::string("OpenCV: ") + e.what());
@@ -345,25 +381,67 @@ std::vector<double> monotone(const std::vector<double>& values) {
   return out;
 }
 
-/// Light of code 255 and of those before it, as a power of the code. It is the 1 of every response
-/// (Response), whatever its source.
-void continue_to_white(std::vector<double>& light) {
-  const double low = light[std::size_t{kFirstOfSlope}], high = light[std::size_t{kLastTrusted}];
-  const double exponent = std::log(high / low) / std::log(double(kLastTrusted) / kFirstOfSlope);
-  for (int z = kLastTrusted + 1; z < kCodes; ++z)
-    light[static_cast<std::size_t>(z)] = high * std::pow(double(z) / kLastTrusted, exponent);
+/// Light at which a channel saturates, by pixels that shorter exposures tell: the limit that parts
+/// codes 255 from lower ones best. Nothing where too few pixels are on either side.
+std::optional<double> saturation_light(Pictures pictures, std::span<const Seconds> times,
+                                       const std::vector<SquareCandidate>& samples, int channel,
+                                       const std::vector<double>& log_light) {
+  constexpr std::size_t kFewest = 30;
+  std::vector<std::pair<double, bool>> seen;  // logarithm of the light, saturated
+  for (const SquareCandidate& s : samples) {
+    double weights = 0, sum = 0;
+    const auto code_in = [&](std::size_t k) { return channel_of(pictures[k]->at(s.x, s.y), channel); };
+    for (std::size_t k = 0; k < pictures.size(); ++k) {
+      const int code = code_in(k);
+      const double w = code < kBrightest ? weight_of(code) : 0;
+      if (w <= 0) continue;
+      weights += w;
+      sum += w * (log_light[static_cast<std::size_t>(code - 1)] - std::log(times[k].count()));
+    }
+    if (weights <= 0) continue;
+    for (std::size_t k = 0; k < pictures.size(); ++k)
+      if (code_in(k) >= kBrightest)
+        seen.emplace_back(sum / weights + std::log(times[k].count()), code_in(k) == kCodes - 1);
+  }
+  std::ranges::sort(seen);
+  const auto saturated = static_cast<std::size_t>(
+      std::ranges::count(seen, true, &std::pair<double, bool>::second));
+  if (saturated < kFewest || seen.size() - saturated < kFewest) return std::nullopt;
+  // Wrong: saturated ones below the limit, others above it.
+  std::size_t wrong = seen.size() - saturated, fewest = wrong, at = 0;
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    seen[i].second ? ++wrong : --wrong;
+    if (wrong < fewest) fewest = wrong, at = i + 1;
+  }
+  if (at == 0 || at == seen.size()) return std::nullopt;
+  return std::exp((seen[at - 1].first + seen[at].first) / 2);
 }
 
-Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_light) {
+/// The last codes, up to 255: to the light that saturates or, where nobody saw it, on as the codes
+/// before rise. It is the 1 of every response, whatever its source.
+void continue_to_white(std::vector<double>& light, std::optional<double> white) {
+  const auto last = std::size_t{kLastTrusted}, before = last - 8;
+  if (!white || *white < light[last]) {
+    const double exponent = std::log(light[last] / light[before]) /
+                            std::log(static_cast<double>(last) / static_cast<double>(before));
+    white = light[last] * std::pow((kCodes - 1.) / kLastTrusted, exponent);
+  }
+  for (std::size_t z = last + 1; z < light.size(); ++z)
+    light[z] = std::lerp(light[last], *white, static_cast<double>(z - last) /
+                                                  static_cast<double>(kCodes - 1 - kLastTrusted));
+}
+
+Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_light,
+                                             std::optional<double> white) {
   std::vector<double> light{0};
-  for (const double g : log_light) light.push_back(std::exp(g - log_light.back()));
+  for (const double g : log_light) light.push_back(std::exp(g));
   light[0] = std::max(0., 2 * light[1] - light[2]);  // a logarithm cannot say 0
   if (!std::ranges::all_of(light, [](double v) { return std::isfinite(v); }))
     return undetermined("the pictures give no finite curve");
   light = monotone(light);
-  if (!(light[std::size_t{kFirstOfSlope}] > light.front()))
+  if (!(light[std::size_t{kLastTrusted}] > light.front()))
     return undetermined("the pictures give no rising curve");
-  continue_to_white(light);
+  continue_to_white(light, white);
   std::vector<float> decode;
   for (const double v : light) decode.push_back(static_cast<float>(v / light.back()));
   return decode;
@@ -382,7 +460,8 @@ Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
     const auto n = static_cast<std::size_t>(c);
     const auto count = std::min(kMaxSamples, survey.candidates[n].size());
     PENUMBRA_ASSIGN(curve, solve_curve(pictures, times, spread(survey.candidates[n], count), c));
-    PENUMBRA_ASSIGN(channel, decode_from_curve(curve));
+    const auto white = saturation_light(pictures, times, survey.candidates[n], c, curve);
+    PENUMBRA_ASSIGN(channel, decode_from_curve(curve, white));
     decode[n] = std::move(channel);
   }
   return Response::from_table(std::move(decode));
@@ -413,8 +492,10 @@ Result<Response> estimate_from(Pictures pictures, std::span<const Seconds> times
   return estimate_response(pointers, times);
 }
 
+constexpr int kLastReliable = static_cast<int>(kLastReliableCode * (kCodes - 1));
+
 struct CodeRange {
-  int low = kBlack + 1, high = kLastTrusted;
+  int low = kBlack + 1, high = kLastReliable;
 };
 
 // What a part's pictures hold, without the outermost hundredth: beyond it its curve is a guess.
@@ -424,9 +505,9 @@ CodeRange codes_of(Pictures pictures, PictureHalf part) {
   for (const Picture* whole : pictures)
     for (const Rgb8& p : part_of(*whole, part).pixels())
       for (const int code : {p.r, p.g, p.b})
-        if (code > kBlack && code <= kLastTrusted) ++counts[static_cast<std::size_t>(code)], ++all;
+        if (code > kBlack && code <= kLastReliable) ++counts[static_cast<std::size_t>(code)], ++all;
   CodeRange range;
-  for (std::size_t seen = 0; range.low < kLastTrusted; ++range.low)
+  for (std::size_t seen = 0; range.low < kLastReliable; ++range.low)
     if ((seen += counts[static_cast<std::size_t>(range.low)]) * 100 > all) break;
   for (std::size_t seen = 0; range.high > kBlack; --range.high)
     if ((seen += counts[static_cast<std::size_t>(range.high)]) * 100 > all) break;

@@ -13,8 +13,13 @@
 #pragma GCC visibility push(default)
 namespace penumbra::calib {
 
-/// Response from a registered 8-bit bracket, clipped codes left out, made monotone. Masked pixels
-/// are pure blue (0,0,255) registration borders.
+/// Of the codes: below, the curve is a guess, and above, films glow around bright things and it is
+/// known least, so that a merge of the very bracket does better without them.
+inline constexpr double kFirstReliableCode = 8 / 255., kLastReliableCode = 240 / 255.;
+
+/// Response from a registered 8-bit bracket, clipped codes left out, made monotone. As of any
+/// response 1 is the light that saturates: where longer exposures clip what shorter ones tell, else
+/// where the curve leads. Masked pixels are pure blue (0,0,255) registration borders.
 /// errors: kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one
 ///         colour)
 /// source: Debevec & Malik 1997

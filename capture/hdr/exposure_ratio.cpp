@@ -20,12 +20,13 @@ constexpr int kBlockSide = 4;   // pixels
 constexpr int kTilesAlong = 8;  // of a picture, which are drawn whole: neighbours are alike
 constexpr int kTiles = kTilesAlong * kTilesAlong;
 constexpr std::size_t kFewestBlocks = 50, kMaxBlocks = 4000;
-constexpr double kClipped = .9;
-constexpr unsigned kDarkCode = 8;  // below, codes and noise reduction bend the curve
+constexpr unsigned kDarkCode = 8;     // below, codes and noise reduction bend the curve
+constexpr unsigned kBrightCode = 236;  // above, glow does, and a shoulder
 constexpr double kStep = .004;     // about a code: the noise that no signal is without
-constexpr int kBins = Misfit::kBins;  // of signal, evenly in its logarithm
+constexpr int kBins = 24;          // of signal, evenly in its logarithm
 constexpr std::size_t kFewestOfBin = 8;
 constexpr int kDraws = 200, kSteps = 30;
+constexpr double kLowestSignal = 1e-4;
 
 struct Block {
   int channel, tile, bin;
@@ -46,26 +47,39 @@ double sigma(const Block& k, const Line& line) {
   return std::hypot(k.b + kStep, line.slope * (k.a + kStep));
 }
 
+int bin_of(double signal) {
+  const double at = std::log(std::max(signal, kLowestSignal) / kLowestSignal) /
+                    std::log(1 / kLowestSignal) * kBins;
+  return std::clamp(static_cast<int>(at), 0, kBins - 1);
+}
+
 unsigned code_of(const Rgb8& p, int channel) {
   return channel == 0 ? p.r : channel == 1 ? p.g : p.b;
+}
+
+// A shoulder may have any height: what is bright is to be the same for all curves.
+double unit_of(const ResponseTable& curve, int channel) {
+  return .9 / double(curve.decode(channel, kBrightCode));
 }
 
 // Of a block's signals in one channel, if no pixel of either picture clips or is dark.
 std::optional<Block> read_block(const Image<Rgb8>& a, const Image<Rgb8>& b,
                                 const ResponseTable& curve, int channel, int left, int top) {
   Block out{channel, 0, 0, 0, 0};
+  const double unit = unit_of(curve, channel);
   for (int y = top; y < top + kBlockSide; ++y)
     for (int x = left; x < left + kBlockSide; ++x) {
       const unsigned code_a = code_of(a.at(x, y), channel), code_b = code_of(b.at(x, y), channel);
-      if (std::min(code_a, code_b) < kDarkCode) return std::nullopt;
-      const double ya = curve.decode(channel, code_a), yb = curve.decode(channel, code_b);
-      if (ya > kClipped || yb > kClipped) return std::nullopt;
+      if (std::min(code_a, code_b) < kDarkCode || std::max(code_a, code_b) > kBrightCode)
+        return std::nullopt;
+      const double ya = unit * double(curve.decode(channel, code_a)),
+                   yb = unit * double(curve.decode(channel, code_b));
       out.a += ya, out.b += yb;
     }
   constexpr double kPixels = kBlockSide * kBlockSide;
   out.a /= kPixels, out.b /= kPixels;
   out.tile = top * kTilesAlong / a.height() * kTilesAlong + left * kTilesAlong / a.width();
-  out.bin = Misfit::bin_of(std::sqrt(std::max(0., out.a * out.b)));
+  out.bin = bin_of(std::sqrt(std::max(0., out.a * out.b)));
   return out;
 }
 
@@ -242,17 +256,6 @@ double curve_variance(const std::vector<Block>& blocks, const Fit& found) {
   return n > 1 ? variance(logs) * (n - 1) * (n - 1) / n : 0;
 }
 
-// The ratio of what is as bright.
-std::array<double, kBins> ratios_by_signal(const std::vector<Block>& all) {
-  std::array<std::vector<double>, kBins> logs;
-  for (const Block& k : all)
-    if (k.a > 0 && k.b > 0) logs[static_cast<std::size_t>(k.bin)].push_back(std::log(k.b / k.a));
-  std::array<double, kBins> out{};
-  for (std::size_t bin = 0; bin < kBins; ++bin)
-    if (logs[bin].size() >= kFewestBlocks) out[bin] = std::exp(median(logs[bin]));
-  return out;
-}
-
 // Blocks whose signals stand apart from those of the others that are as bright, which a wrong curve
 // would move together.
 double moved_fraction(const std::vector<Block>& all, const Line& line) {
@@ -295,25 +298,12 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
                  (3. * static_cast<double>(a.area()));
   out.blocks = blocks.size();
   out.moved_fraction = moved_fraction(all, found->line);
-  out.by_signal = ratios_by_signal(all);
   out.ratio = found->line.slope;
   const double of_exponent = std::pow(exponent_sigma * std::log(out.ratio), 2);
   const double sd = std::sqrt(*sampling + curve_variance(blocks, *found) + of_exponent);
   out.low = out.ratio * std::exp(-1.96 * sd);
   out.high = out.ratio * std::exp(1.96 * sd);
   return out;
-}
-
-void raise_misfit(const ExposureRatio& found, double told, Misfit& misfit) {
-  std::vector<int> seen;
-  for (int bin = 0; bin < kBins; ++bin)
-    if (found.by_signal[static_cast<std::size_t>(bin)] > 0) seen.push_back(bin);
-  if (seen.empty()) return;
-  for (int bin = 0; bin < kBins; ++bin) {
-    const int nearest = *std::ranges::min_element(seen, {}, [&](int s) { return std::abs(s - bin); });
-    const double ratio = found.by_signal[static_cast<std::size_t>(nearest)];
-    misfit.raise(bin, std::expm1(std::abs(std::log(ratio / told))));
-  }
 }
 
 }  // namespace penumbra::capture

@@ -80,9 +80,24 @@ template <class Pixel>
 class Stack {
  public:
   Stack(const ExposureStack& in, const ResponseTable* curve)
-      : in_(in), curve_(curve), order_(in.priority) {
+      : in_(in), curve_(curve), noise_(in.noise), sigmas_(max_sigmas(in.noise_known)), order_(in.priority) {
     for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
-    if (curve) step_ = QuantisationStep(*curve);
+    if (curve) {
+      step_ = apart_ = QuantisationStep(*curve);
+      // Developed pictures of 8 bits have noise of about a code, whatever a sensor's would be under
+      // their curve, and in the dark glare, or the base of a film.
+      if (std::is_same_v<Pixel, Rgb8> && !in.noise_known) {
+        constexpr double kGlare = .001;   // of the light of a bright code
+        noise_ = {1e12, kGlare * double(curve->decode(1, 240))};
+        apart_ = QuantisationStep(*curve, 1);
+        sigmas_ = kMaxSigmas;
+      }
+      last_code_ = in.last_code * curve->largest_code();
+      first_code_ = in.first_code * curve->largest_code();
+      for (int c = 0; c < 3; ++c)
+        first_signal_[static_cast<std::size_t>(c)] =
+            double(curve->decode(c, static_cast<unsigned>(std::lround(first_code_))));
+    }
     if constexpr (std::is_same_v<Pixel, Rgb>)
       parallel_for(0, 3,
                    [&](int c) { clip_level_[static_cast<std::size_t>(c)] = clip_level(in, c); });
@@ -103,7 +118,9 @@ class Stack {
               !finite || code >= clip_level_[static_cast<std::size_t>(c)]};
     } else {
       const double signal = static_cast<double>(curve_->decode(c, code));
-      return {signal, signal + in_.black_level >= kClipLevel};
+      SignalSample out{signal, signal + in_.black_level >= kClipLevel || code > last_code_};
+      if (code < first_code_) out.at_most = first_signal_[static_cast<std::size_t>(c)];
+      return out;
     }
   }
 
@@ -121,7 +138,7 @@ class Stack {
           in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
             for (int c = 0; c < 3; ++c)
               if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k],
-                             in_.noise, step_, c, max_sigmas(in_.noise_known), &in_.misfit))
+                             noise_, apart_, c, sigmas_))
                 return true;
             return false;
           });
@@ -129,8 +146,9 @@ class Stack {
     }
   }
   MergedValue merge(std::size_t i, int c, std::span<const std::size_t> exposures) const {
-    thread_local std::vector<Measurement> measured;
+    thread_local std::vector<Measurement> measured, dark;
     measured.clear();
+    dark.clear();
     double lower_bound = 0, longest = 0, longest_gain = 1;
     for (const std::size_t k : exposures) {
       const SignalSample s = sample(k, i, c);
@@ -139,9 +157,12 @@ class Stack {
         lower_bound = std::max(lower_bound, s.signal / e);
         continue;
       }
-      measured.push_back({s.signal, e, g});
+      (s.at_most ? dark : measured).push_back({s.signal, e, g});
       if (e > longest) longest = e, longest_gain = g;
     }
+    // What is dark in all is told best by the longest.
+    if (measured.empty() && !dark.empty())
+      measured.push_back(*std::ranges::max_element(dark, {}, &Measurement::product));
     if (measured.empty()) return {lower_bound, true, false};
     const double x = estimate_radiance(measured, in_.noise, step_, c);
     const double floor = in_.noise.variance(0, longest_gain) + step_.variance(c, 0);
@@ -151,7 +172,11 @@ class Stack {
  private:
   const ExposureStack& in_;
   const ResponseTable* curve_;
-  QuantisationStep step_;
+  calib::NoiseModel noise_;  // for contradictions, as `apart_` and `sigmas_`
+  double sigmas_;
+  QuantisationStep step_, apart_;
+  double first_code_ = 0, last_code_ = 0;
+  std::array<double, 3> first_signal_{};
   std::array<float, 3> clip_level_{};  // of float pictures
   std::vector<std::size_t> order_;
   std::vector<const Image<Pixel>*> images_;

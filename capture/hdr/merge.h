@@ -2,9 +2,6 @@
 // threads: reentrant
 #pragma once
 
-#include <algorithm>
-#include <array>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -21,28 +18,6 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
-/// By how much, relative, curve and times contradict what two pictures show alike, by the geometric
-/// mean of their signals.
-class Misfit {
- public:
-  static constexpr int kBins = 24;  // evenly in the logarithm
-  static constexpr double kLowestSignal = 1e-4;
-  static int bin_of(double signal) {
-    const double at = std::log(std::max(signal, kLowestSignal) / kLowestSignal) /
-                      std::log(1 / kLowestSignal) * kBins;
-    return std::clamp(static_cast<int>(at), 0, kBins - 1);
-  }
-  double at(double signal) const { return relative_[static_cast<std::size_t>(bin_of(signal))]; }
-  /// Raises what is less.
-  void raise(int bin, double relative) {
-    double& known = relative_[static_cast<std::size_t>(bin)];
-    known = std::max(known, relative);
-  }
-
- private:
-  std::array<double, kBins> relative_{};
-};
-
 /// Registered pictures of one camera at different exposures.
 struct ExposureStack {
   std::vector<std::shared_ptr<const FramePixels>> frames;
@@ -55,7 +30,9 @@ struct ExposureStack {
   /// Empty: nothing moved between the exposures, and all count.
   std::vector<std::size_t> priority{};
   bool noise_known = true;  // of a guess, more has to be explained
-  Misfit misfit{};          // samples that lie no further apart contradict nothing
+  // Of the codes: those above count as clipped, as bright ones do anyway; those below say that the
+  // light is at most as much as there, and count where nothing else does.
+  double first_code = 0, last_code = 1;
   /// For each frame 1 where it shows anything; empty: everywhere. A frame's own may be empty, too.
   std::vector<Image<std::uint8_t>> valid{};
 };

@@ -19,7 +19,9 @@ inline constexpr double kClipLevel = .95;
 class QuantisationStep {
  public:
   QuantisationStep() = default;
-  explicit QuantisationStep(const ResponseTable& curve) : curve_(&curve) {}
+  /// noise_codes: standard deviation of noise to add, where that is all that is known of it
+  explicit QuantisationStep(const ResponseTable& curve, double noise_codes = 0)
+      : curve_(&curve), square_codes_(1 / 12. + noise_codes * noise_codes) {}
   double variance(int channel, double signal) const {
     if (curve_ == nullptr) return 0;
     const unsigned code = curve_->encode(channel, static_cast<float>(signal));
@@ -27,11 +29,12 @@ class QuantisationStep {
     const unsigned low = code > 0 ? code - 1 : 0, high = code < last ? code + 1 : last;
     const double step =
         (curve_->decode(channel, high) - curve_->decode(channel, low)) / (high - low);
-    return step * step / 12;
+    return step * step * square_codes_;
   }
 
  private:
   const ResponseTable* curve_ = nullptr;
+  double square_codes_ = 1 / 12.;
 };
 
 /// One unclipped measurement of a pixel: linear signal y of exposure e = time x gain.

@@ -101,7 +101,7 @@ class Aligner {
   }
 
  private:
-  static constexpr double kModerate_px = 2e6;
+  static constexpr double kModerate_px = 3e6;
   static constexpr int kMaxFeatures = 4000;
 
   cv::Mat at_moderate_size(const cv::Mat& picture) const {

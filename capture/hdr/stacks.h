@@ -2,7 +2,6 @@
 // not at all.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -26,13 +25,9 @@ struct ExposureRatio {
   double fraction = 0;       // of the pictures' patches
   std::size_t blocks = 0;    // of 4x4 pixels that took part
   double moved_fraction = 0;  // of the patches that both tell: they show something else
-  std::array<double, Misfit::kBins> by_signal{};  // the same by brightness; 0: too few patches
 };
-/// Raises the misfit to what a told ratio is off, bin by bin; bins that nobody saw are as the
-/// nearest.
-void raise_misfit(const ExposureRatio& found, double told, Misfit& misfit);
 /// Standard deviation of the exponent of a curve that was estimated from a bracket.
-inline constexpr double kEstimatedExponentSigma = .03;
+inline constexpr double kEstimatedExponentSigma = .055;
 
 /// A robust line through the signals of blocks of 4x4 pixels in which neither clips nor is dark. So
 /// what moved has no say, and neither has light that is added to both, as the base of a film.

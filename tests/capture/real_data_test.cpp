@@ -49,6 +49,7 @@ TEST(RealBracket, MemorialAgreesWithTheAssembledPicture) {
   const auto response = calib::estimate_response(pointers, times);
   ASSERT_TRUE(response) << response.error().detail;
   stack.response = *response;
+  stack.first_code = calib::kFirstReliableCode, stack.last_code = calib::kLastReliableCode;
   const auto merged = merge(stack);
   ASSERT_TRUE(merged);
   const auto truth = codec::read_hdr(assembled);

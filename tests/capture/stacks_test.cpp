@@ -234,7 +234,10 @@ TEST(RealStack, PersonInPingpongLeavesNoGhost) {
   const auto response = response_of(stack);
   ASSERT_TRUE(response) << response.error().detail;
   stack.response = naive.response = *response;
+  stack.first_code = naive.first_code = calib::kFirstReliableCode;
+  stack.last_code = naive.last_code = calib::kLastReliableCode;
   stack.priority = {1, 0, 2};
+  stack.noise_known = false;
   const auto merged = merge(stack), plain = merge(naive);
   ASSERT_TRUE(merged && plain);
   const ResponseTable curve = make_response_table(*response, 8, 0);
@@ -261,6 +264,7 @@ TEST(RealStack, TaipeiMergesOverItsWholeRange) {
   const auto response = response_of(stack);
   ASSERT_TRUE(response) << response.error().detail;
   stack.response = *response;
+  stack.first_code = calib::kFirstReliableCode, stack.last_code = calib::kLastReliableCode;
   const auto merged = merge(stack);
   ASSERT_TRUE(merged);
   EXPECT_LT(merged->clipped_fraction, .001);

@@ -131,6 +131,8 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
   }
   PENUMBRA_ASSIGN(response, find_response(o, stack));
   stack.response = response;
+  if (!o.response)
+    stack.first_code = calib::kFirstReliableCode, stack.last_code = calib::kLastReliableCode;
   std::vector<CheckedTime> checked;
   if (std::holds_alternative<Image<Rgb8>>(*stack.frames[0])) {
     PENUMBRA_ASSIGN(found, report_times(o, stack));
@@ -141,8 +143,6 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
   }
   if (o.align || o.reference > 0) {
     priority(stack, reference);
-    for (const CheckedTime& c : checked)
-      if (c.told > 0) capture::raise_misfit(c.ratio, c.told, stack.misfit);
   }
   return ReadyStack{std::move(stack), std::move(checked)};
 }

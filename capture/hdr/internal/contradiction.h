@@ -4,10 +4,10 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <optional>
 
 #include "calib/camera/noise.h"
 #include "calib/camera/response_table.h"
-#include "capture/hdr/merge.h"
 #include "capture/hdr/merge_math.h"
 #include "core/units.h"
 
@@ -24,31 +24,31 @@ inline constexpr double max_sigmas(bool noise_known) {
 /// Of the radiance: what response curve and exposure times leave wrong.
 inline constexpr double kModelError = .01;
 
-/// A sample that may be clipped; then its signal is a lower bound.
+/// A sample that may be clipped, whose signal is a lower bound then, or too dark for the curve: then
+/// `at_most` bounds it from above.
 struct SignalSample {
   double signal;
   bool clipped;
+  std::optional<double> at_most{};
 };
 
 /// Both under the hypothesis that they show one radiance, whose estimate is their sum over the sum
 /// of exposures.
 inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const SignalSample& b,
                        const Exposure& exposure_b, const calib::NoiseModel& noise,
-                       const QuantisationStep& step, int channel, double sigmas,
-                       const Misfit* misfit = nullptr) {
+                       const QuantisationStep& step, int channel, double sigmas) {
   if (a.clipped && b.clipped) return false;
   const double ea = exposure_a.product(), eb = exposure_b.product();
   const double xa = a.signal / ea, xb = b.signal / eb;
   if ((a.clipped && xb >= xa) || (b.clipped && xa >= xb)) return false;
+  if ((a.at_most && xb * ea <= *a.at_most) || (b.at_most && xa * eb <= *b.at_most)) return false;
   const double x = std::max(0., (a.signal + b.signal) / (ea + eb));
   const auto variance = [&](double e, double gain) {
     return (noise.variance(e * x, gain) + step.variance(channel, e * x)) / (e * e);
   };
   const double all = variance(ea, exposure_a.gain.value()) + variance(eb, exposure_b.gain.value()) +
                      kModelError * kModelError * x * x;
-  const double for_all =
-      misfit ? misfit->at(std::sqrt(std::max(0., a.signal * b.signal))) * x : 0;
-  return std::abs(xa - xb) > sigmas * std::sqrt(all) + for_all;
+  return std::abs(xa - xb) > sigmas * std::sqrt(all);
 }
 
 /// For each 8-bit code of one exposure, the codes of another that can show the same radiance: low |
