@@ -163,6 +163,8 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
                   without_lights ? measure_whole(environment) : measure_split(environment));
   make_estimate(projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
+  if (out.plan && !environment.confidence.empty())
+    out.plan = governor_->with_unseen(*out.plan, hole_fit_->unseen_above());
   if (out.plan && holds_a_lower_bound(environment, out.lights)) {
     out.plan->lower_bound = true;
     out.plan->within_budget = false;
@@ -188,6 +190,17 @@ Plan LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
   errors_.predict({&residual.upper_moments, split_.lights}, governor_config_->probes,
                   governor_config_->limits.max_bands, governor_config_->limits.max_lights);
   return governor_->update(errors_, time);
+}
+
+Result<ShProjection> project_seen(const Environment& environment) {
+  LightExtraction split;
+  ExtractionOptions all;
+  all.min_irradiance_fraction /= 2;
+  PENUMBRA_TRY(extract_lights(environment.radiance, all, split, environment.clipped));
+  PENUMBRA_ASSIGN(moments, project_latlong(split.residual, kMaxBands));
+  PENUMBRA_ASSIGN(out, ShInpainting(environment.confidence).fill(moments.light));
+  add_distant_lights(split.lights, out);
+  return out;
 }
 
 LightEstimate make_estimate(const ShProjection& projection, int bands,

@@ -90,6 +90,12 @@ class LightEstimator {
   std::unique_ptr<LatLongProjector> projector_;
 };
 
+/// The whole light of one map of which a part was not seen, on nine bands. Compact lights are taken
+/// out before the rest is continued: smoothly through a sun, it would ring over all that is unseen.
+/// in:     the confidence is not empty
+/// errors: as project_latlong and ShInpainting::fill
+Result<ShProjection> project_seen(const Environment& environment);
+
 /// A light estimate from a projection on nine bands: truncates and predicts what truncation costs.
 /// `lights` come on top of the projection.
 LightEstimate make_estimate(const ShProjection& nine_bands, int bands,

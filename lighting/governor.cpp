@@ -124,6 +124,14 @@ Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
   return plan;
 }
 
+Plan Governor::with_unseen(Plan plan, double unseen_above) const {
+  const bool kept = plan.error <= limits_.budget;
+  plan.error = std::hypot(plan.error, factor_ * kUnseen * unseen_above);
+  plan.unseen = kept && plan.error > limits_.budget;
+  plan.within_budget = plan.within_budget && !plan.unseen;
+  return plan;
+}
+
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
   const Plan needed = cheapest(errors, limits_.budget);
   if (!current_ || current_->lights > max_lights()) {

@@ -68,6 +68,8 @@ struct Plan {
   /// A light is saturated in every exposure and not recovered. `error` is that of the light as it
   /// was measured; the true one is unknown, and nothing is within the budget.
   bool lower_bound = false;
+  /// What no camera sees is more than the budget lets pass: `error` counts it, and no plan helps.
+  bool unseen = false;
 };
 
 /// Chooses the cheapest bands and lights whose predicted error, times `kConformalFactor`, is within
@@ -84,6 +86,10 @@ class Governor {
   static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
+  /// RMS error of s for each part of the floor's view of the sky that no camera sees. Continued from
+  /// the rest, the irradiance from there is off by a third in the RMS (docs/methods/governor.md),
+  /// half of which shows in a ratio.
+  static constexpr double kUnseen = .175;
 
   struct Limits {
     double budget = .05;  // RMS of s
@@ -98,6 +104,8 @@ class Governor {
   Plan update(const ErrorTable& errors, TimestampNs now);
   /// From the next update on, at once: lights for which there is time, whatever the limits say.
   void allow_lights(int max_count) { affordable_lights_ = std::max(max_count, 0); }
+  /// The plan, with what no camera sees of the floor's view of the sky counted in.
+  Plan with_unseen(Plan plan, double unseen_above) const;
   int max_lights() const { return std::min(limits_.max_lights, affordable_lights_); }
 
  private:

@@ -385,6 +385,7 @@ ShInpainting::ShInpainting(const Image<float>& confidence) : confidence_(confide
   const int block = std::max(1, (width + 255) / 256);
   NormalEquations sums(kMaxCoefficients);
   Eigen::VectorXd basis(kMaxCoefficients);
+  double seen_above = 0, above = 0;
   for (int y = 0; y < height; y += block)
     for (int x = 0; x < width; x += block) {
       const int x1 = std::min(x + block, width), y1 = std::min(y + block, height);
@@ -392,12 +393,17 @@ ShInpainting::ShInpainting(const Image<float>& confidence) : confidence_(confide
       for (int j = y; j < y1; ++j)
         for (int i = x; i < x1; ++i)
           w += latlong_solid_angle(j, width, height) * double(confidence.at(i, j));
+      const glm::dvec3 middle = latlong_direction((x + x1) / 2., (y + y1) / 2., width, height);
+      for (int j = y; j < y1; ++j)
+        above += std::max(0., middle.y) * (x1 - x) * latlong_solid_angle(j, width, height);
+      seen_above += std::max(0., middle.y) * w;
       if (w <= 0) continue;
-      evaluate_basis(kMaxBands, latlong_direction((x + x1) / 2., (y + y1) / 2., width, height),
+      evaluate_basis(kMaxBands, middle,
                      {basis.data(), static_cast<std::size_t>(kMaxCoefficients)});
       sums.add(basis, Eigen::RowVector3d::Zero(), w, true);
     }
   coverage_ = std::min(1., sums.seen_sr / (4 * kPi));
+  unseen_above_ = std::clamp(1 - seen_above / above, 0., 1.);
   system_.compute(penalised(sums.gram, kMaxBands, 1 - coverage_));
 }
 

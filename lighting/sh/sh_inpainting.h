@@ -15,13 +15,15 @@ class ShInpainting {
 
   const Image<float>& confidence() const { return confidence_; }
   double coverage() const { return coverage_; }
+  /// Unseen part of a level floor's view of the sky, by the cosine.
+  double unseen_above() const { return unseen_above_; }
   /// From the moments of the map with its holes black.
   /// errors: kUndetermined (coverage below 2 %)
   Result<ShProjection> fill(const RadianceSh& moments) const;
 
  private:
   Image<float> confidence_;
-  double coverage_ = 0;
+  double coverage_ = 0, unseen_above_ = 0;
   Eigen::LDLT<Eigen::MatrixXd> system_;
 };
 

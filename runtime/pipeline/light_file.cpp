@@ -11,6 +11,7 @@
 #include "calib/camera/projection_table.h"
 #include "core/conventions.h"
 #include "core/log.h"
+#include "lighting/estimate.h"
 #include "lighting/sh/basis.h"
 
 namespace penumbra::runtime {
@@ -50,11 +51,13 @@ Result<FileLight> read_light(const std::string& path, const EnvironmentOrientati
     log_warning("{}: {} pixels are NaN or infinite and are left out of the light", path,
                 file.non_finite);
   const calib::ProjectionTable& t = file.table;
+  PENUMBRA_ASSIGN(map, capture::to_latlong(file));
   const bool plain = file.projection.kind == calib::ProjectionKind::kLatLong &&
-                     file.non_finite + file.unseen == 0 && orientation.rotation_deg == 0;
-  auto light = plain ? lighting::project_latlong(file.radiance, kMaxBands)
-                     : lighting::project_samples(
-                           {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
+                     orientation.rotation_deg == 0;
+  auto light = !map.confidence.empty() ? lighting::project_seen(map)
+               : plain ? lighting::project_latlong(file.radiance, kMaxBands)
+                       : lighting::project_samples(
+                             {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
   if (!light) return fail(light.error().code, path, light.error().detail);
   out.light = *light;
   out.file = std::move(file);

@@ -40,6 +40,9 @@ inline const char* reason_of(const lighting::Plan& p) {
   if (p.lower_bound)
     return "a light is saturated in every exposure and not recovered: it sends at least what was "
            "measured, and the error is unknown";
+  if (p.unseen)
+    return "a part of the surroundings that no camera sees may change the shadow by more than the "
+           "limit";
   if (p.within_budget) return "the cheapest whose predicted shadow error is within the limit";
   if (p.time_limited) return "the most accurate that a frame's time allows";
   return "the most accurate there is; none is within the limit";

@@ -2,9 +2,13 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "lighting/lighting.h"
+#include "prt/prt.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 
 #include <gtest/gtest.h>
+
+#include <cmath>
+#include <optional>
 
 #include "runtime/shading/composite_stage.h"
 
@@ -102,40 +106,84 @@ TEST(FloorRecovery, RealShadowOverAThirdOfTheFloorDoesNotCount) {
   EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
 }
 
-// More than half of the floor around the object lies in the shadow of a thing that is known.
-TEST(FloorRecovery, ShadowOfAKnownThingOverMostOfTheFloorDoesNotCount) {
-  ClippedSun c;
-  c.options.view_width = 640, c.options.view_height = 360, c.options.view_focal_px = 472;
-  lighting::LightExtraction split;
-  ASSERT_TRUE(lighting::extract_lights(c.world->environment(), {}, split));
-  const glm::vec3 sun(split.lights.at(0).direction), middle = 4.f * sun;
-  const PreparedScene without = c.scene;
-  c.scene.real_mesh =
-      prt::make_box(middle - glm::vec3(.75f), middle + glm::vec3(.75f), 1, {.5f, .5f, .5f});
-  const auto box = *prt::RayScene::build(c.scene.real_mesh);
-  int dark = 0, near = 0;
-  const auto shade = [&](Image<Rgb8>& picture) {
+// A box that stands between the sun and the floor around the object, and the shade that it throws
+// there: what is left is the sky's light, as far as the box lets it through.
+class SunBox {
+ public:
+  explicit SunBox(ClippedSun& c, float side, float away = 4) : eye_(c.options.world_from_view) {
+    c.options.view_width = 640, c.options.view_height = 360, c.options.view_focal_px = 472;
+    lighting::LightExtraction split;
+    EXPECT_TRUE(lighting::extract_lights(c.world->environment(), {}, split));
+    sun_ = glm::vec3(split.lights.at(0).direction);
+    const glm::vec3 middle = away * sun_, half(side / 2);
+    c.scene.real_mesh = prt::make_box(middle - half, middle + half, 1, {.5f, .5f, .5f});
+    box_.emplace(*prt::RayScene::build(c.scene.real_mesh));
+    const Rgb whole = c.world->floor_irradiance(),
+              sun = lighting::irradiance(split.lights[0], {0, 1, 0});
+    for (int ch = 0; ch < 3; ++ch) left_[ch] = 1 - sun[ch] / whole[ch];
+  }
+  void operator()(Image<Rgb8>& picture) {
+    const calib::Response srgb = calib::Response::srgb();
     dark = near = 0;
     for (int y = 0; y < picture.height(); ++y)
       for (int x = 0; x < picture.width(); ++x) {
-        const Pose& eye = c.options.world_from_view;
         const glm::dvec3 d =
-            eye.rotation * glm::dvec3((x + .5 - 320) / 472, (180 - y - .5) / 472, -1);
+            eye_.rotation * glm::dvec3((x + .5 - 320) / 472, (180 - y - .5) / 472, -1);
         if (d.y >= 0) continue;
-        const glm::dvec3 at = eye.translation - eye.translation.y / d.y * d;
-        const bool in_shade = box.occluded(glm::vec3(at), sun, 1e-3f, 100);
+        const glm::dvec3 at = eye_.translation - eye_.translation.y / d.y * d;
+        const bool in_shade = box_->occluded(glm::vec3(at), sun_, 1e-3f, 100);
         if (glm::length(at) < FloorRecovery::kNear_m) ++near, dark += in_shade;
         if (!in_shade) continue;
         Rgb8& p = picture.at(x, y);
-        p = {static_cast<std::uint8_t>(p.r / 3), static_cast<std::uint8_t>(p.g / 3),
-             static_cast<std::uint8_t>(p.b / 3)};
+        const auto shaded = [&](std::uint8_t code, int ch) {
+          return static_cast<std::uint8_t>(std::lround(
+              255 * srgb.encode(srgb.decode(code / 255., ch) * double(left_[ch]), ch)));
+        };
+        p = {shaded(p.r, 0), shaded(p.g, 1), shaded(p.b, 2)};
       }
-  };
+  }
+  int dark = 0, near = 0;
+
+ private:
+  Pose eye_;
+  glm::vec3 sun_{0};
+  std::optional<prt::RayScene> box_;
+  Rgb left_;
+};
+
+// More than half of the floor around the object lies in the shadow of a thing that is known.
+TEST(FloorRecovery, ShadowOfAKnownThingOverMostOfTheFloorDoesNotCount) {
+  ClippedSun c;
+  const PreparedScene without = c.scene;
+  SunBox box(c, 1.5f);
+  const auto shade = [&](Image<Rgb8>& picture) { box(picture); };
   auto naive = *FloorRecovery::create(without);
   EXPECT_LT(sun_fraction(watch(c, naive, shade).last, c.truth), .6f) << "the test shows nothing";
-  EXPECT_GT(dark, near / 2) << near;
+  EXPECT_GT(box.dark, box.near / 2) << box.near;
   auto recovery = *FloorRecovery::create(c.scene);
   EXPECT_NEAR(sun_fraction(watch(c, recovery, shade).last, c.truth), 1, .06f);
+}
+
+// A wrong albedo divides the floor's light by what it is off: by a shadow of a known thing the sun
+// comes out right whatever the albedo, and so does the albedo.
+TEST(FloorRecovery, AShadowTellsTheSunWhereTheAlbedoIsWrongOrMissing) {
+  for (const float factor : {3.f, .3f, 0.f}) {
+    ClippedSun c;
+    SunBox box(c, .4f, 8);
+    const auto shade = [&](Image<Rgb8>& picture) { box(picture); };
+    Rgb& albedo = c.scene.planes[0].albedo;
+    albedo = albedo * factor;
+    PreparedScene without = c.scene;
+    without.real_mesh = {};
+    auto naive = *FloorRecovery::create(without);
+    const float by_albedo = sun_fraction(watch(c, naive, shade).last, c.truth);
+    EXPECT_GT(std::abs(by_albedo - 1), .5f) << factor << ": the test shows nothing";
+    auto recovery = *FloorRecovery::create(c.scene);
+    const float by_shadow = sun_fraction(watch(c, recovery, shade).last, c.truth);
+    std::printf("albedo times %.1f: sun %.3f of its irradiance, by the albedo %.3f\n",
+                double(factor), double(by_shadow), double(by_albedo));
+    EXPECT_NEAR(by_shadow, 1, .12f) << factor;
+  }
 }
 
 TEST(FloorRecovery, OverexposedFloorSaysSoAndLeavesTheLight) {
