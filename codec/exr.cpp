@@ -291,9 +291,9 @@ std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth 
   if (!alpha.empty()) {
     header.channels().insert("A", Imf::Channel(Imf::FLOAT));
     buffer.insert(
-        "A", Imf::Slice(Imf::FLOAT,
-                        reinterpret_cast<char*>(const_cast<float*>(alpha.pixels().data())),
-                        sizeof(float), sizeof(float) * static_cast<std::size_t>(alpha.width())));
+        "A",
+        Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(const_cast<float*>(alpha.pixels().data())),
+                   sizeof(float), sizeof(float) * static_cast<std::size_t>(alpha.width())));
   }
   MemoryOutput stream(name);
   {

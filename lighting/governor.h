@@ -86,9 +86,9 @@ class Governor {
   static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
-  /// RMS error of s for each part of the floor's view of the sky that no camera sees. Continued from
-  /// the rest, the irradiance from there is off by a third in the RMS (docs/methods/governor.md),
-  /// half of which shows in a ratio.
+  /// RMS error of s for each part of the floor's view of the sky that no camera sees. Continued
+  /// from the rest, the irradiance from there is off by a third in the RMS
+  /// (docs/methods/governor.md), half of which shows in a ratio.
   static constexpr double kUnseen = .175;
 
   struct Limits {

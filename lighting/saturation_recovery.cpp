@@ -204,10 +204,10 @@ Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int 
                                         [&](const DistantLight& d) { return &d == &*at; });
   SaturationRecovery out{source, {}};
   for (int c = 0; c < 3; ++c)
-    out.power[c] = std::max(
-        0.f, others[c] *
-                 (edge.others_at_shadowed[c] * edge.lit[c] / edge.shadowed[c] - edge.others_at_lit[c]) /
-                 static_cast<float>(seen));
+    out.power[c] = std::max(0.f, others[c] *
+                                     (edge.others_at_shadowed[c] * edge.lit[c] / edge.shadowed[c] -
+                                      edge.others_at_lit[c]) /
+                                     static_cast<float>(seen));
   if (!(luminance(out.power) > 0))
     return fail(ErrorCode::kUndetermined, "shadow edge",
                 "has no light in the shadow to compare with");

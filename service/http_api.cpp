@@ -83,12 +83,10 @@ struct HttpApi::Impl {
                [&state, &times, stale_after_s](const httplib::Request&, httplib::Response& r) {
                  const auto s = state.snapshot();
                  const std::string status = status_of(s, stale_after_s);
-                 nlohmann::json body = {
-                     {"status", status},
-                     {"frames", s.frames},
-                     {"dropped",
-                      {{"view", s.overtaken.view}, {"environment", s.overtaken.environment}}},
-                     {"stages", runtime::to_json(times)}};
+                 nlohmann::json body = {{"status", status},
+                                        {"frames", s.frames},
+                                        {"dropped", runtime::to_json(s.overtaken)},
+                                        {"stages", runtime::to_json(times)}};
                  for (const auto& [name, counts] : s.cameras)
                    body["cameras"][name] = to_json(counts);
                  reply(r, body, status == "ok" ? 200 : 503);

@@ -96,9 +96,11 @@ TABLES = {
         "compare": ["tools/chart/command_compare.cpp: print_json("]},
 }
 # Names that stand somewhere below a heading, in rows on what holds them or in prose.
+OVERTAKEN = f"{REPORT}: json to_json(const OvertakenFrames&"
 MENTIONED = {
+    "http.md": {"`/healthz`": OVERTAKEN},
     "json.md": {
-        "demo, composite and summary.json": f"{REPORT}: json to_json(const StageTimes&",
+        "demo, composite and summary.json": f"{REPORT}: json to_json(const StageTimes& + {OVERTAKEN}",
         "record": f"{RECORD} > push_back(",
         "bake": CLIP + ': print_json({{"shard"',
         "hdr merge and hdr environment": f"{ENVIRONMENT}: views.push_back(",

@@ -28,7 +28,7 @@ struct CameraCalibration {
   glm::dvec2 focal_sigma_px{0, 0}, principal_sigma_px{0, 0};  // one standard deviation
   std::array<double, 5> distortion_sigma{};
   std::array<bool, 5> distortion_fixed{};  // terms at 0, which the pictures do not determine
-  double rms_px = 0;  // over the boards used
+  double rms_px = 0;                       // over the boards used
   std::vector<BoardFit> boards;
   double reach = 0;     // largest distance of a corner from the middle, in half diagonals
   double coverage = 0;  // part of an 8 x 6 grid over the picture with a corner in each cell

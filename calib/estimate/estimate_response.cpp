@@ -346,9 +346,9 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
           rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
                  terms.t() * equations.right);
       if (!exponents)
-        return undetermined(fmt::format(
-            "the pictures do not determine the curve of {}: its equations are singular",
-            kChannelNames[static_cast<std::size_t>(channel)]));
+        return undetermined(
+            fmt::format("the pictures do not determine the curve of {}: its equations are singular",
+                        kChannelNames[static_cast<std::size_t>(channel)]));
       curve = terms * *exponents;
       trust = trust_in(pixels, curve);
     }
@@ -390,7 +390,9 @@ std::optional<double> saturation_light(Pictures pictures, std::span<const Second
   std::vector<std::pair<double, bool>> seen;  // logarithm of the light, saturated
   for (const SquareCandidate& s : samples) {
     double weights = 0, sum = 0;
-    const auto code_in = [&](std::size_t k) { return channel_of(pictures[k]->at(s.x, s.y), channel); };
+    const auto code_in = [&](std::size_t k) {
+      return channel_of(pictures[k]->at(s.x, s.y), channel);
+    };
     for (std::size_t k = 0; k < pictures.size(); ++k) {
       const int code = code_in(k);
       const double w = code < kBrightest ? weight_of(code) : 0;
@@ -404,8 +406,8 @@ std::optional<double> saturation_light(Pictures pictures, std::span<const Second
         seen.emplace_back(sum / weights + std::log(times[k].count()), code_in(k) == kCodes - 1);
   }
   std::ranges::sort(seen);
-  const auto saturated = static_cast<std::size_t>(
-      std::ranges::count(seen, true, &std::pair<double, bool>::second));
+  const auto saturated =
+      static_cast<std::size_t>(std::ranges::count(seen, true, &std::pair<double, bool>::second));
   if (saturated < kFewest || seen.size() - saturated < kFewest) return std::nullopt;
   // Wrong: saturated ones below the limit, others above it.
   std::size_t wrong = seen.size() - saturated, fewest = wrong, at = 0;
@@ -427,8 +429,9 @@ void continue_to_white(std::vector<double>& light, std::optional<double> white) 
     white = light[last] * std::pow((kCodes - 1.) / kLastTrusted, exponent);
   }
   for (std::size_t z = last + 1; z < light.size(); ++z)
-    light[z] = std::lerp(light[last], *white, static_cast<double>(z - last) /
-                                                  static_cast<double>(kCodes - 1 - kLastTrusted));
+    light[z] =
+        std::lerp(light[last], *white,
+                  static_cast<double>(z - last) / static_cast<double>(kCodes - 1 - kLastTrusted));
 }
 
 Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_light,

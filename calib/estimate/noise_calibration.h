@@ -52,7 +52,7 @@ struct NoiseCalibration {
   double full_well_sigma = 0, read_sigma = 0;  // one standard deviation
   double black_level = 0;                      // of full scale
   bool black_measured = false;  // by the capped lens or by two exposures; else as it was given
-  double error = 0;  // of the model's standard deviation, RMS over the points, relative
+  double error = 0;             // of the model's standard deviation, RMS over the points, relative
   std::vector<NoisePoint> points;
 };
 

@@ -20,10 +20,10 @@ constexpr int kBlockSide = 4;   // pixels
 constexpr int kTilesAlong = 8;  // of a picture, which are drawn whole: neighbours are alike
 constexpr int kTiles = kTilesAlong * kTilesAlong;
 constexpr std::size_t kFewestBlocks = 50, kMaxBlocks = 4000;
-constexpr unsigned kDarkCode = 8;     // below, codes and noise reduction bend the curve
+constexpr unsigned kDarkCode = 8;      // below, codes and noise reduction bend the curve
 constexpr unsigned kBrightCode = 236;  // above, glow does, and a shoulder
-constexpr double kStep = .004;     // about a code: the noise that no signal is without
-constexpr int kBins = 24;          // of signal, evenly in its logarithm
+constexpr double kStep = .004;         // about a code: the noise that no signal is without
+constexpr int kBins = 24;              // of signal, evenly in its logarithm
 constexpr std::size_t kFewestOfBin = 8;
 constexpr int kDraws = 200, kSteps = 30;
 constexpr double kLowestSignal = 1e-4;
@@ -259,8 +259,8 @@ double curve_variance(const std::vector<Block>& blocks, const Fit& found) {
 // Blocks whose signals stand apart from those of the others that are as bright, which a wrong curve
 // would move together.
 double moved_fraction(const std::vector<Block>& all, const Line& line) {
-  constexpr double kApart = .12;   // relative: more than codes, noise and a small misalignment
-  constexpr double kSpreads = 8;   // robust standard deviations
+  constexpr double kApart = .12;  // relative: more than codes, noise and a small misalignment
+  constexpr double kSpreads = 8;  // robust standard deviations
   std::array<std::vector<double>, std::size_t{kBins} * 3> apart;
   const auto group = [](const Block& k) { return static_cast<std::size_t>(3 * k.bin + k.channel); };
   for (const Block& k : all) apart[group(k)].push_back(off(k, line) / sigma(k, line));
@@ -270,7 +270,8 @@ double moved_fraction(const std::vector<Block>& all, const Line& line) {
     const double middle = median(of);
     for (double& v : of) v = std::abs(v - middle);
     const double limit = std::max(kApart, kSpreads * 1.4826 * median(of));
-    moved += static_cast<std::size_t>(std::ranges::count_if(of, [&](double v) { return v > limit; }));
+    moved +=
+        static_cast<std::size_t>(std::ranges::count_if(of, [&](double v) { return v > limit; }));
   }
   return static_cast<double>(moved) / static_cast<double>(all.size());
 }

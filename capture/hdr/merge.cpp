@@ -80,14 +80,18 @@ template <class Pixel>
 class Stack {
  public:
   Stack(const ExposureStack& in, const ResponseTable* curve)
-      : in_(in), curve_(curve), noise_(in.noise), sigmas_(max_sigmas(in.noise_known)), order_(in.priority) {
+      : in_(in),
+        curve_(curve),
+        noise_(in.noise),
+        sigmas_(max_sigmas(in.noise_known)),
+        order_(in.priority) {
     for (const auto& f : in.frames) images_.push_back(&std::get<Image<Pixel>>(*f));
     if (curve) {
       step_ = apart_ = QuantisationStep(*curve);
       // Developed pictures of 8 bits have noise of about a code, whatever a sensor's would be under
       // their curve, and in the dark glare, or the base of a film.
       if (std::is_same_v<Pixel, Rgb8> && !in.noise_known) {
-        constexpr double kGlare = .001;   // of the light of a bright code
+        constexpr double kGlare = .001;  // of the light of a bright code
         noise_ = {1e12, kGlare * double(curve->decode(1, 240))};
         apart_ = QuantisationStep(*curve, 1);
         sigmas_ = kMaxSigmas;
@@ -134,14 +138,13 @@ class Stack {
     out.clear();
     for (const std::size_t k : order_) {
       if (!shows(in_, k, i)) continue;
-      const bool fits =
-          in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
-            for (int c = 0; c < 3; ++c)
-              if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c), in_.exposures[k],
-                             noise_, apart_, c, sigmas_))
-                return true;
-            return false;
-          });
+      const bool fits = in_.priority.empty() || std::ranges::none_of(out, [&](std::size_t j) {
+                          for (int c = 0; c < 3; ++c)
+                            if (contradict(sample(j, i, c), in_.exposures[j], sample(k, i, c),
+                                           in_.exposures[k], noise_, apart_, c, sigmas_))
+                              return true;
+                          return false;
+                        });
       if (fits) out.push_back(k);
     }
   }

@@ -60,8 +60,8 @@ void match(const PictureFeatures& reference, const PictureFeatures& picture, dou
   };
   for (const auto& m : matches) {
     if (m.size() < 2 || double(m[0].distance) > kDistinct * double(m[1].distance)) continue;
-    out.reference.push_back(to_picture(
-        reference.points[static_cast<std::size_t>(m[0].queryIdx)].pt, reference_begin));
+    out.reference.push_back(
+        to_picture(reference.points[static_cast<std::size_t>(m[0].queryIdx)].pt, reference_begin));
     out.picture.push_back(
         to_picture(picture.points[static_cast<std::size_t>(m[0].trainIdx)].pt, picture_begin));
   }

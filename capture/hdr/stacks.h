@@ -21,9 +21,9 @@ struct ExposureStack;
 /// Exposure of `b` over that of `a` by the pixels that both tell.
 struct ExposureRatio {
   double ratio = 1;
-  double low = 1, high = 1;  // 95 % within
-  double fraction = 0;       // of the pictures' patches
-  std::size_t blocks = 0;    // of 4x4 pixels that took part
+  double low = 1, high = 1;   // 95 % within
+  double fraction = 0;        // of the pictures' patches
+  std::size_t blocks = 0;     // of 4x4 pixels that took part
   double moved_fraction = 0;  // of the patches that both tell: they show something else
 };
 /// Standard deviation of the exponent of a curve that was estimated from a bracket.

@@ -398,8 +398,7 @@ ShInpainting::ShInpainting(const Image<float>& confidence) : confidence_(confide
         above += std::max(0., middle.y) * (x1 - x) * latlong_solid_angle(j, width, height);
       seen_above += std::max(0., middle.y) * w;
       if (w <= 0) continue;
-      evaluate_basis(kMaxBands, middle,
-                     {basis.data(), static_cast<std::size_t>(kMaxCoefficients)});
+      evaluate_basis(kMaxBands, middle, {basis.data(), static_cast<std::size_t>(kMaxCoefficients)});
       sums.add(basis, Eigen::RowVector3d::Zero(), w, true);
     }
   coverage_ = std::min(1., sums.seen_sr / (4 * kPi));

@@ -52,19 +52,20 @@ Result<FileLight> read_light(const std::string& path, const EnvironmentOrientati
                 file.non_finite);
   const calib::ProjectionTable& t = file.table;
   PENUMBRA_ASSIGN(map, capture::to_latlong(file));
-  const bool plain = file.projection.kind == calib::ProjectionKind::kLatLong &&
-                     orientation.rotation_deg == 0;
+  const bool plain =
+      file.projection.kind == calib::ProjectionKind::kLatLong && orientation.rotation_deg == 0;
   auto light = !map.confidence.empty() ? lighting::project_seen(map)
-               : plain ? lighting::project_latlong(file.radiance, kMaxBands)
-                       : lighting::project_samples(
-                             {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
+               : plain
+                   ? lighting::project_latlong(file.radiance, kMaxBands)
+                   : lighting::project_samples(
+                         {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
   if (!light) return fail(light.error().code, path, light.error().detail);
   out.light = *light;
   out.file = std::move(file);
   constexpr double kWhole = .99;
   if (out.light.coverage < kWhole)
-    log_warning("{}: shows {:.0f} % of the sphere; the rest of the light is continued from it", path,
-                100 * out.light.coverage);
+    log_warning("{}: shows {:.0f} % of the sphere; the rest of the light is continued from it",
+                path, 100 * out.light.coverage);
   return out;
 }
 

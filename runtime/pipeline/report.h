@@ -11,6 +11,7 @@
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
+#include "runtime/pipeline/runner.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
@@ -78,6 +79,11 @@ inline nlohmann::json to_json(const lighting::LightEstimate& e) {
           {"truncation_error",
            e.truncation_error ? nlohmann::json(*e.truncation_error) : nlohmann::json()},
           {"plan", e.plan ? to_json(*e.plan) : nlohmann::json()}};
+}
+
+/// By the queue in which they waited.
+inline nlohmann::json to_json(const OvertakenFrames& frames) {
+  return {{"view", frames.view}, {"environment", frames.environment}};
 }
 
 inline nlohmann::json to_json(const StageTimes& times) {

@@ -204,15 +204,15 @@ Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
                                   const lighting::LightEstimate& light) const {
   constexpr int kRays = 64;
   const glm::dvec3& n = floor_->normal;
-  const glm::dvec3 side = glm::normalize(
-      glm::cross(n, std::abs(n.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
+  const glm::dvec3 side =
+      glm::normalize(glm::cross(n, std::abs(n.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
   const glm::dvec3 across = glm::cross(n, side);
   Rgb all, left;
   for (int k = 0; k < kRays; ++k) {
     // By the cosine, on a spiral.
     const double sine2 = (k + .5) / kRays, turn = k * kGoldenAngle, sine = std::sqrt(sine2);
-    const glm::dvec3 d = sine * std::cos(turn) * side + sine * std::sin(turn) * across +
-                         std::sqrt(1 - sine2) * n;
+    const glm::dvec3 d =
+        sine * std::cos(turn) * side + sine * std::sin(turn) * across + std::sqrt(1 - sine2) * n;
     Rgb radiance = lighting::evaluate(light.light, d);
     for (int c = 0; c < 3; ++c) radiance[c] = std::max(0.f, radiance[c]);
     all += radiance;
@@ -230,8 +230,7 @@ std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
   constexpr std::size_t kFewest = 40, kMost = 64;
   if (!real_ || std::ranges::count(light.lights, true, &lighting::DistantLight::clipped) != 1)
     return std::nullopt;
-  const auto side = [&](std::vector<FloorPixel> pixels,
-                        Rgb& others) -> std::optional<Rgb> {
+  const auto side = [&](std::vector<FloorPixel> pixels, Rgb& others) -> std::optional<Rgb> {
     if (pixels.size() < kFewest) return std::nullopt;
     const auto radiance = lit_radiance(pixels);
     if (!radiance) return std::nullopt;
@@ -264,9 +263,9 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
   if (std::ranges::count_if(pixels, std::not_fn(&FloorPixel::any_saturated)) >= kMinPixels)
     lit = lit_radiance(pixels);
   if (by_shadow && lit) {
-    const float measured = albedo_by(*by_shadow, *lit, light, floor_->normal), given = luminance(floor_->albedo);
-    const bool contradicts =
-        given > kAlbedoFactor * measured || measured > kAlbedoFactor * given;
+    const float measured = albedo_by(*by_shadow, *lit, light, floor_->normal),
+                given = luminance(floor_->albedo);
+    const bool contradicts = given > kAlbedoFactor * measured || measured > kAlbedoFactor * given;
     if (!contradicts) by_shadow.reset();
     if (contradicts && !std::exchange(warned_, true))
       log_warning(

@@ -4,8 +4,8 @@
 #pragma once
 
 #include <optional>
-#include <string>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "calib/camera/response_table.h"
@@ -38,8 +38,8 @@ class FloorRecovery {
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View
   /// out: completions of the light's clipped lights; empty when there is nothing (new) to say
-  /// errors: as recover_jointly and complete_from_shadow; kUndetermined when too little of the floor
-  /// is in view or it is overexposed
+  /// errors: as recover_jointly; kUndetermined when too little of the floor is in view or it is
+  /// overexposed, or its albedo is unknown and no known thing's shadow is in view
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
   Result<std::vector<lighting::SaturationRecovery>> observe(const capture::Frame& frame,
                                                             const capture::CameraInfo& camera,

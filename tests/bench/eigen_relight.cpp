@@ -19,9 +19,8 @@ struct EigenRelight::Matrices {
 EigenRelight::EigenRelight(std::span<const float> transfer, std::span<const float> light)
     : matrices_(std::make_unique<Matrices>()) {
   const auto points = static_cast<Eigen::Index>(transfer.size()) / kCoefficients;
-  matrices_->transfer =
-      Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, kCoefficients>>(transfer.data(), points,
-                                                                           kCoefficients);
+  matrices_->transfer = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, kCoefficients>>(
+      transfer.data(), points, kCoefficients);
   matrices_->light =
       Eigen::Map<const Eigen::Matrix<float, kCoefficients, 3, Eigen::RowMajor>>(light.data());
   matrices_->radiance.resize(points, 3);

@@ -85,11 +85,14 @@ void relight(benchmark::State& state) {
   const auto move_bytes = [&] {
     constexpr std::size_t kParts = 64;
     parallel_for(std::size_t{0}, kParts, [&](std::size_t k) {
-      const auto part = [&](std::size_t size) { return std::pair(k * size / kParts, (k + 1) * size / kParts); };
+      const auto part = [&](std::size_t size) {
+        return std::pair(k * size / kParts, (k + 1) * size / kParts);
+      };
       const auto [first, last] = part(words.size());
       benchmark::DoNotOptimize(sum_of(words.subspan(first, last - first)));
       const auto [begin, end] = part(written.size());
-      std::fill(written.begin() + std::ptrdiff_t(begin), written.begin() + std::ptrdiff_t(end), 1.f);
+      std::fill(written.begin() + std::ptrdiff_t(begin), written.begin() + std::ptrdiff_t(end),
+                1.f);
     });
     benchmark::DoNotOptimize(written.data());
   };

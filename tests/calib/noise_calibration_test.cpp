@@ -36,8 +36,8 @@ StillSeries film(const capture::Sensor& s, const Image<Rgb>& radiance, int frame
     Image<Rgb> lit = radiance;
     const auto light = static_cast<float>(1 + flicker * std::sin(2.4 * n));
     for (Rgb& p : lit.pixels()) p = light * p;
-    const auto frame =
-        test::shot(s, lit, {Seconds(time / gain), Gain(gain)}, seed * 1000 + static_cast<unsigned>(n));
+    const auto frame = test::shot(s, lit, {Seconds(time / gain), Gain(gain)},
+                                  seed * 1000 + static_cast<unsigned>(n));
     EXPECT_TRUE(out.add(*frame, "frame"));
   }
   return out;

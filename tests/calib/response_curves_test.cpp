@@ -96,7 +96,8 @@ double decode(const Curve& curve, double code) {
 // RMS over the codes that a merge uses, of full scale, after the best common factor.
 double rms(const std::array<double, 256>& found, const Curve& curve) {
   std::array<double, 256> truth{};
-  for (int code = 0; code < 256; ++code) truth[static_cast<std::size_t>(code)] = decode(curve, code);
+  for (int code = 0; code < 256; ++code)
+    truth[static_cast<std::size_t>(code)] = decode(curve, code);
   double xy = 0, xx = 0;
   for (std::size_t i = kFirst; i <= kLast; ++i) {
     xy += found[i] * truth[i];

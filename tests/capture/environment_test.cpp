@@ -193,7 +193,8 @@ TEST_F(EnvironmentFileTest, TurnsCounterClockwiseSeenFromAbove) {
   for (int y = 0; y < 32; ++y)
     for (int x = 0; x < 64; ++x)
       for (int c = 0; c < 3; ++c)
-        ASSERT_NEAR(turned->radiance.at(x, y)[c], map.at((x + 16) % 64, y)[c], 1e-5f) << x << ' ' << y;
+        ASSERT_NEAR(turned->radiance.at(x, y)[c], map.at((x + 16) % 64, y)[c], 1e-5f)
+            << x << ' ' << y;
 }
 
 TEST_F(EnvironmentFileTest, CallerTellsMoreThanTheShape) {
@@ -227,8 +228,8 @@ TEST_F(EnvironmentFileTest, BlackPixelsOfAlphaZeroAreUnseen) {
   Image<float> alpha(64, 32, 1);
   const auto index = [](int x, int y) { return static_cast<std::size_t>(y * 64 + x); };
   for (int x = 0; x < 32; ++x) map.at(x, 9) = {}, alpha.at(x, 9) = 0;
-  map.at(40, 9) = {};      // seen, and black
-  alpha.at(41, 9) = 0;     // glows
+  map.at(40, 9) = {};   // seen, and black
+  alpha.at(41, 9) = 0;  // glows
   const auto path = folder_.path() / "half.exr";
   ASSERT_TRUE(codec::write_hdr(path, map, codec::Depth::kFloat, {}, alpha));
   auto file = read_environment(path, std::nullopt);

@@ -113,7 +113,8 @@ TEST_F(RigOfFakes, CountsWhatComesWhileTheQueueIsFull) {
   EXPECT_GE(overrun(0), 5u);
   EXPECT_GE(overrun(1), 5u);
   const std::vector<CameraCounts> counts = (*rig)->counts();
-  EXPECT_LE(counts[0].frames + counts[1].frames, 10u) << "more than the queue holds and two in hand";
+  EXPECT_LE(counts[0].frames + counts[1].frames, 10u)
+      << "more than the queue holds and two in hand";
   EXPECT_EQ(counts[0].lost + counts[1].lost, 0u) << "the cameras delivered all";
 }
 

@@ -165,7 +165,8 @@ TEST_F(Exr, AlphaComesBackAndIsAbsentOtherwise) {
   expect_same(with->pixels, small_picture());
   ASSERT_TRUE(write_hdr(path, small_picture(), Depth::kFloat));
   EXPECT_TRUE(read_hdr(path)->alpha.empty());
-  const auto hdr = write_hdr(folder_.path() / "alpha.hdr", small_picture(), Depth::kFloat, {}, alpha);
+  const auto hdr =
+      write_hdr(folder_.path() / "alpha.hdr", small_picture(), Depth::kFloat, {}, alpha);
   ASSERT_FALSE(hdr);
   EXPECT_EQ(hdr.error().code, ErrorCode::kInvalid);
   EXPECT_FALSE(write_hdr(path, small_picture(), Depth::kFloat, {}, Image<float>(2, 2)));

@@ -173,6 +173,23 @@ TEST(ErrorTable, NoProbesOrNoLightGiveNumbers) {
 
 // -------------------------------------------------------------------------- the choice
 
+// A plan that keeps the budget for what is seen promises nothing for what is not.
+TEST(Governor, WhatNoCameraSeesOfTheSkyCountsInTheError) {
+  const Governor governor({.budget = .05}, {});
+  Plan plan;
+  plan.error = .03;
+  const Plan all = governor.with_unseen(plan, 0), some = governor.with_unseen(plan, .03),
+             half = governor.with_unseen(plan, .5);
+  EXPECT_EQ(all.error, .03);
+  EXPECT_TRUE(all.within_budget && some.within_budget);
+  EXPECT_GT(some.error, .03);
+  EXPECT_TRUE(half.unseen && !half.within_budget);
+  EXPECT_GT(half.error, .15);
+  EXPECT_EQ(half.lights, plan.lights) << "no light of the seen part helps";
+  plan.error = .07, plan.within_budget = false;
+  EXPECT_FALSE(governor.with_unseen(plan, .5).unseen) << "the plan itself is over";
+}
+
 TEST(Governor, TakesTheCheapestPlanWithinTheBudget) {
   const ShadowProbes probes = some_probes();
   Light mixed = directional();

@@ -136,8 +136,8 @@ class SunBox {
         if (!in_shade) continue;
         Rgb8& p = picture.at(x, y);
         const auto shaded = [&](std::uint8_t code, int ch) {
-          return static_cast<std::uint8_t>(std::lround(
-              255 * srgb.encode(srgb.decode(code / 255., ch) * double(left_[ch]), ch)));
+          return static_cast<std::uint8_t>(
+              std::lround(255 * srgb.encode(srgb.decode(code / 255., ch) * double(left_[ch]), ch)));
         };
         p = {shaded(p.r, 0), shaded(p.g, 1), shaded(p.b, 2)};
       }

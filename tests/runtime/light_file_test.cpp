@@ -20,7 +20,8 @@ Image<float> ahead(const Image<Rgb>& map) {
   Image<float> seen(map.width(), map.height());
   for (int y = 0; y < map.height(); ++y)
     for (int x = 0; x < map.width(); ++x)
-      seen.at(x, y) = latlong_direction(x + .5, y + .5, map.width(), map.height()).z < 0 ? 1.f : 0.f;
+      seen.at(x, y) =
+          latlong_direction(x + .5, y + .5, map.width(), map.height()).z < 0 ? 1.f : 0.f;
   return seen;
 }
 

@@ -24,6 +24,12 @@ TEST(Report, APlanSaysWhyItWasTaken) {
   EXPECT_NE(why(false, false).find("none is within the limit"), std::string::npos);
 }
 
+TEST(Report, WhatNoCameraSeesIsTheReason) {
+  lighting::Plan plan;
+  plan.error = .2, plan.unseen = true, plan.within_budget = false;
+  EXPECT_NE(to_json(plan)["why"].get<std::string>().find("no camera sees"), std::string::npos);
+}
+
 TEST(Report, NoErrorIsPromisedOverALowerBound) {
   lighting::Plan plan;
   plan.error = .03, plan.lower_bound = true, plan.within_budget = false;

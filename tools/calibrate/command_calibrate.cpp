@@ -296,8 +296,8 @@ namespace {
 
 // A curve that is made of wrong times fits none of them: what the pictures show under it is held
 // against what was told.
-Result<void> check_times_against(const CalibrateResponseOptions& o,
-                                 capture::ExposureStack stack, const calib::Response& response) {
+Result<void> check_times_against(const CalibrateResponseOptions& o, capture::ExposureStack stack,
+                                 const calib::Response& response) {
   constexpr double kFarOff = .1, kEnough = .05;
   stack.response = response;
   const auto name = [&](std::size_t k) {

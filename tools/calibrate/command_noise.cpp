@@ -43,8 +43,9 @@ Result<Film> read_film(const std::string& path, const std::string& name) {
     PENUMBRA_ASSIGN(frame, frames.next());
     if (!frame) break;
     const double gain = frame->exposure.gain.value();
-    const auto [series, added] = by_exposure.try_emplace(
-        std::pair(frame->exposure.time.count(), gain), calib::StillSeries(gain, frame->exposure.time.count()));
+    const auto [series, added] =
+        by_exposure.try_emplace(std::pair(frame->exposure.time.count(), gain),
+                                calib::StillSeries(gain, frame->exposure.time.count()));
     if (by_exposure.size() > kMaxExposures)
       return fail(
           ErrorCode::kUndetermined, path,

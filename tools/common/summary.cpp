@@ -11,8 +11,7 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
                          const Configuration& c) {
   const auto frames = static_cast<double>(counts.frames);
   return {{"frames", counts.frames},
-          {"dropped",
-           {{"view", counts.overtaken.view}, {"environment", counts.overtaken.environment}}},
+          {"dropped", runtime::to_json(counts.overtaken)},
           {"without_light", counts.without_light},
           {"unusable_environment_frames", counts.unusable},
           {"seconds", counts.seconds},
@@ -38,10 +37,10 @@ void print_summary(const nlohmann::json& s) {
       "{:.1f} % of the pixels touched\n",
       s["frames"].get<int>(), c["width"].get<int>(), c["height"].get<int>(),
       s["seconds"].get<double>(), s["fps"].get<double>(), s["dropped"]["view"].get<int>(),
-      s["dropped"]["environment"].get<int>(),
-      100 * s["touched_fraction"].get<double>());
-  fmt::print("{}, {}, at most {}, {}, {:.0f} % of the sphere seen, {}\n", counted(c["objects"].get<int>(), "object"),
-             counted(c["bands"].get<int>(), "band"), counted(c["lights"].get<int>(), "light"),
+      s["dropped"]["environment"].get<int>(), 100 * s["touched_fraction"].get<double>());
+  fmt::print("{}, {}, at most {}, {}, {:.0f} % of the sphere seen, {}\n",
+             counted(c["objects"].get<int>(), "object"), counted(c["bands"].get<int>(), "band"),
+             counted(c["lights"].get<int>(), "light"),
              counted(c["exposures"].get<int>(), "exposure"), 100 * c["coverage"].get<double>(),
              c["renderer"].get<std::string>());
   if (const auto& p = c["plan"]; !p.is_null())

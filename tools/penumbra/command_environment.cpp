@@ -76,10 +76,11 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   const Environment& map = seen.map;
   const Image<float> alpha = seen_pixels(map);
   if (!alpha.empty() && std::filesystem::path(o.output).extension() == ".hdr")
-    return fail(ErrorCode::kInvalid, o.output,
-                fmt::format("cannot say which directions were seen, and {:.1f} % of the sphere was: "
-                            "write .exr",
-                            100 * seen.coverage));
+    return fail(
+        ErrorCode::kInvalid, o.output,
+        fmt::format("cannot say which directions were seen, and {:.1f} % of the sphere was: "
+                    "write .exr",
+                    100 * seen.coverage));
   PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, alpha));
   if (!o.json) {
     fmt::print("{}: {}x{} from {} of {}, {:.1f} % of the sphere seen, {:.3f} % clipped\n", o.output,
@@ -110,7 +111,8 @@ void add_hdr_environment(CLI::App& parent, Action& action) {
   c->add_option("--at", surroundings.at_s,
                 "Time in seconds after the first frame, above 0; by default the end of the capture")
       ->check(above_zero);
-  c->add_option("-o,--output", surroundings.output, "Picture to write, .exr or, where every direction was seen, .hdr; the "
+  c->add_option("-o,--output", surroundings.output,
+                "Picture to write, .exr or, where every direction was seen, .hdr; the "
                 "alpha of .exr is 0 where no camera saw")
       ->required();
   add_json(c, surroundings.json);

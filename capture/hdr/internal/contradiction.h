@@ -24,8 +24,8 @@ inline constexpr double max_sigmas(bool noise_known) {
 /// Of the radiance: what response curve and exposure times leave wrong.
 inline constexpr double kModelError = .01;
 
-/// A sample that may be clipped, whose signal is a lower bound then, or too dark for the curve: then
-/// `at_most` bounds it from above.
+/// A sample that may be clipped, whose signal is a lower bound then, or too dark for the curve:
+/// then `at_most` bounds it from above.
 struct SignalSample {
   double signal;
   bool clipped;
