@@ -70,12 +70,16 @@ Result<ShProjection> LightEstimator::project_rest() {
   return projector_->project_read(split_.residual);
 }
 
+const ShInpainting& LightEstimator::holes(const Image<float>& confidence) {
+  if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
+    hole_fit_ = std::make_unique<ShInpainting>(confidence);
+  return *hole_fit_;
+}
+
 Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& moments,
                                                 const Image<float>& confidence) {
   if (!moments || confidence.empty()) return moments;
-  if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
-    hole_fit_ = std::make_unique<ShInpainting>(confidence);
-  return hole_fit_->fill(moments->light);
+  return holes(confidence).fill(moments->light);
 }
 
 // Into split_ and unused_.
@@ -83,6 +87,7 @@ Result<void> LightEstimator::peel(const Environment& environment) {
   maps_since_split_ = 0;
   ExtractionOptions found = options_.lights;
   found.min_irradiance_fraction /= 2;
+  if (!environment.confidence.empty()) found.coverage = holes(environment.confidence).coverage();
   const Image<Rgb>& map = environment.radiance;
   if (in_quarters(map.width())) {
     PENUMBRA_TRY(projector_for(map).read(map, luminance_));
@@ -164,7 +169,7 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
   make_estimate(projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
   if (out.plan && !environment.confidence.empty())
-    out.plan = governor_->with_unseen(*out.plan, hole_fit_->unseen_above());
+    out.plan = governor_->with_unseen(*out.plan, holes(environment.confidence).unseen_above());
   if (out.plan && holds_a_lower_bound(environment, out.lights)) {
     out.plan->lower_bound = true;
     out.plan->within_budget = false;
@@ -192,14 +197,17 @@ Plan LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
   return governor_->update(errors_, time);
 }
 
-Result<ShProjection> project_seen(const Environment& environment) {
+Result<SeenLight> project_seen(const Environment& environment) {
+  const ShInpainting holes(environment.confidence);
   LightExtraction split;
   ExtractionOptions all;
   all.min_irradiance_fraction /= 2;
+  all.coverage = holes.coverage();
   PENUMBRA_TRY(extract_lights(environment.radiance, all, split, environment.clipped));
   PENUMBRA_ASSIGN(moments, project_latlong(split.residual, kMaxBands));
-  PENUMBRA_ASSIGN(out, ShInpainting(environment.confidence).fill(moments.light));
-  add_distant_lights(split.lights, out);
+  PENUMBRA_ASSIGN(whole, holes.fill(moments.light));
+  SeenLight out{whole, whole.light};
+  add_distant_lights(split.lights, out.whole);
   return out;
 }
 

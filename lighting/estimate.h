@@ -63,6 +63,7 @@ class LightEstimator {
   LatLongProjector& projector_for(const Image<Rgb>& map);
   Result<ShProjection> project(const Image<Rgb>& map);
   Result<ShProjection> project_rest();
+  const class ShInpainting& holes(const Image<float>& confidence);
   Result<ShProjection> fill_holes(const Result<ShProjection>& moments,
                                   const Image<float>& confidence);
   Plan plan_for(const ShProjection& residual, TimestampNs time);
@@ -90,11 +91,16 @@ class LightEstimator {
   std::unique_ptr<LatLongProjector> projector_;
 };
 
-/// The whole light of one map of which a part was not seen, on nine bands. Compact lights are taken
-/// out before the rest is continued: smoothly through a sun, it would ring over all that is unseen.
+/// The light of one map of which a part was not seen, on nine bands.
+struct SeenLight {
+  ShProjection whole;
+  RadianceSh residual;  // without compact lights: what goes on where nothing was seen
+};
+/// Compact lights are taken out before the rest is continued: smoothly through a sun, it would ring
+/// over all that is unseen.
 /// in:     the confidence is not empty
 /// errors: as project_latlong and ShInpainting::fill
-Result<ShProjection> project_seen(const Environment& environment);
+Result<SeenLight> project_seen(const Environment& environment);
 
 /// A light estimate from a projection on nine bands: truncates and predicts what truncation costs.
 /// `lights` come on top of the projection.

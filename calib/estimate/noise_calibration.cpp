@@ -245,8 +245,8 @@ std::optional<NoiseFit> fit_model(const std::vector<NoisePoint>& points, bool bl
     const double determinant = aa * bb - ab * ab;
     if (!(determinant > 1e-9 * aa * bb)) return std::nullopt;
     fit.a = (bb * a - ab * b) / determinant;
-    fit.b = std::max(0., (aa * b - ab * a) / determinant);
-    if (fit.b == 0 && black_known) fit.a = a / aa;
+    fit.b = (aa * b - ab * a) / determinant;
+    if (fit.b < 0 && black_known) fit.a = a / aa, fit.b = 0;
     fit.var_a = bb / determinant, fit.var_b = aa / determinant;
   }
   double square = 0;
@@ -287,7 +287,7 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level) {
-  constexpr double kMaxUncertain = .1, kMaxModelError = .15;
+  constexpr double kMaxUncertain = .1, kMaxModelError = .12;
   std::size_t frames = 0;
   for (const StillSeries& s : still) frames = std::max(frames, s.frames());
   if (frames < kFewestFrames)
@@ -326,7 +326,7 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                     100 * std::sqrt(fit->var_a) / fit->a, more));
   out.model.full_well_electrons = 1 / fit->a;
   out.full_well_sigma = std::sqrt(fit->var_a) / (fit->a * fit->a);
-  out.model.read_noise = std::sqrt(fit->b);
+  out.model.read_noise = std::sqrt(std::max(0., fit->b));
   const double sigma_b = std::sqrt(fit->var_b);
   out.read_sigma = fit->b > sigma_b ? sigma_b / (2 * out.model.read_noise) : std::sqrt(sigma_b);
   out.error = fit->error;

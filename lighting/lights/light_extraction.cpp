@@ -449,11 +449,12 @@ Result<void> Peeler::run() {
   PENUMBRA_ASSIGN(whole, mean());
   split_.mean_luminance = whole;
   if (!(whole > 0)) return {};
-  min_flux_ = options_.min_irradiance_fraction * kPi * whole;
+  const double shown = 1 / std::clamp(options_.coverage, 1e-3, 1.);
+  min_flux_ = options_.min_irradiance_fraction * kPi * whole * shown;
   // The mean of what is not a source: three steps bring it within a percent.
   double residual = whole;
-  for (int i = 0; i < 3; ++i) residual = mean_below(kAboveMean * residual);
-  const auto level = static_cast<float>(kAboveMean * residual);
+  for (int i = 0; i < 3; ++i) residual = mean_below(kAboveMean * shown * residual);
+  const auto level = static_cast<float>(kAboveMean * shown * residual);
   if (!clipped_.empty()) cut_clipped(level);
   auto regions = regions_above(level);
   Vector<std::pair<double, const BrightRegion*>> order(memory_);

@@ -19,6 +19,9 @@ struct ExtractionOptions {
   int max_count = 8;
   /// A source matters when it sends a surface that faces it this fraction of the mean irradiance.
   double min_irradiance_fraction = .02;
+  /// Part of the sphere that the map shows; the rest is black. Means are those of what is shown:
+  /// else a small bright view would be one light.
+  double coverage = 1;
 };
 
 /// A map in which every source has been cut down to its surroundings, and the sources.

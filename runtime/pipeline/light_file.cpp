@@ -54,11 +54,17 @@ Result<FileLight> read_light(const std::string& path, const EnvironmentOrientati
   PENUMBRA_ASSIGN(map, capture::to_latlong(file));
   const bool plain =
       file.projection.kind == calib::ProjectionKind::kLatLong && orientation.rotation_deg == 0;
-  auto light = !map.confidence.empty() ? lighting::project_seen(map)
-               : plain
-                   ? lighting::project_latlong(file.radiance, kMaxBands)
-                   : lighting::project_samples(
-                         {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands);
+  const auto project = [&]() -> Result<lighting::ShProjection> {
+    if (!map.confidence.empty()) {
+      PENUMBRA_ASSIGN(seen, lighting::project_seen(map));
+      out.residual = seen.residual;
+      return seen.whole;
+    }
+    if (plain) return lighting::project_latlong(file.radiance, kMaxBands);
+    return lighting::project_samples({t.direction, t.solid_angle_sr, {}, file.radiance.pixels()},
+                                     kMaxBands);
+  };
+  const auto light = project();
   if (!light) return fail(light.error().code, path, light.error().detail);
   out.light = *light;
   out.file = std::move(file);
@@ -73,7 +79,7 @@ Result<Image<Rgb>> whole_latlong(const FileLight& light) {
   constexpr int kBands = 3;
   PENUMBRA_ASSIGN(map, capture::to_latlong(light.file));
   if (map.confidence.empty()) return std::move(map.radiance);
-  const RadianceSh smooth = light.light.light.with_bands(kBands);
+  const RadianceSh smooth = light.residual.with_bands(kBands);
   const int w = map.radiance.width(), h = map.radiance.height();
   for (int y = 0; y < h; ++y)
     for (int x = 0; x < w; ++x) {

@@ -16,6 +16,7 @@ namespace penumbra::runtime {
 struct FileLight {
   capture::EnvironmentFile file;
   lighting::ShProjection light{RadianceSh(kMaxBands), RadianceSh(kMaxBands), 1};
+  RadianceSh residual{1};  // without compact lights; only where the file does not show all
 };
 
 /// How an environment file is to be read.
@@ -24,7 +25,8 @@ struct EnvironmentOrientation {
   double rotation_deg = 0;                  // about the vertical, counter-clockwise seen from above
 };
 
-/// Reads the file and projects it in its own pixels, without resampling. Non-finite pixels are
+/// Reads the file and projects it: in its own pixels, or by way of lat-long where it does not show
+/// all. Non-finite pixels are
 /// reported in the log and left out, as are directions that the file does not show; a projection
 /// against the file's own word is said there too.
 /// errors: as capture::read_environment; kInvalid (unknown projection, rotation not in -360..360)
@@ -32,7 +34,8 @@ Result<FileLight> read_light(const std::string& path,
                              const EnvironmentOrientation& orientation = {});
 
 /// The file as a whole lat-long picture. What it does not show is filled by three bands of its
-/// light, which go on from what it shows (docs/methods/environment-assembly.md).
+/// light without its compact lights, which go on from what it shows
+/// (docs/methods/environment-assembly.md).
 /// errors: none that read_light lets through
 Result<Image<Rgb>> whole_latlong(const FileLight& light);
 

@@ -125,18 +125,17 @@ Shade shade_at(const prt::RayScene& real, const glm::dvec3& eye, const glm::dvec
 }
 
 // Of the floor, from its lit side, once the light is known.
-float albedo_by(const lighting::SaturationRecovery& found, const Rgb& lit,
-                const lighting::LightEstimate& light, const glm::dvec3& normal) {
-  Rgb open = lighting::evaluate(lighting::irradiance(light.light), normal);
+float albedo_by(const lighting::SaturationRecovery& found, const lighting::ShadowEdge& edge,
+                const lighting::LightEstimate& light) {
+  Rgb others = lighting::evaluate(lighting::irradiance(light.light), edge.normal), own;
   for (const lighting::DistantLight& d : light.lights) {
-    if (d.id != found.source) {
-      open += lighting::irradiance(d, normal);
-      continue;
-    }
-    const double cosine = std::max(0., glm::dot(d.direction, normal));
-    open += found.power * static_cast<float>(cosine);
+    if (d.id != found.source)
+      others += lighting::irradiance(d, edge.normal);
+    else
+      own = found.power * static_cast<float>(std::max(0., glm::dot(d.direction, edge.normal)));
   }
-  return static_cast<float>(kPi) * luminance(lit) / std::max(luminance(open), 1e-30f);
+  const float open = luminance(others * edge.others_at_lit + own);
+  return static_cast<float>(kPi) * luminance(edge.lit) / std::max(open, 1e-30f);
 }
 
 }  // namespace
@@ -149,10 +148,13 @@ Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
       return std::abs(glm::dot(o.world_from_bake.translation - plane.point, plane.normal)) < 1e-3;
     };
   };
-  for (const prt::Plane& plane : scene.planes)
-    if (!out.floor_ && (luminance(plane.albedo) > 0 || !scene.real_mesh.triangles.empty()) &&
-        std::ranges::any_of(scene.objects, stands_on(plane)))
-      out.floor_ = &plane;
+  // One of known albedo, or else any on which a known thing may throw a shadow.
+  for (const bool known : {true, false})
+    for (const prt::Plane& plane : scene.planes)
+      if (!out.floor_ &&
+          (known ? luminance(plane.albedo) > 0 : !scene.real_mesh.triangles.empty()) &&
+          std::ranges::any_of(scene.objects, stands_on(plane)))
+        out.floor_ = &plane;
   if (out.floor_ && !scene.real_mesh.triangles.empty()) {
     PENUMBRA_ASSIGN(real, prt::RayScene::build(scene.real_mesh));
     out.real_ = std::move(real);
@@ -218,6 +220,14 @@ Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
     all += radiance;
     if (!real_->occluded(glm::vec3(point), glm::vec3(d), kOff_m, kFar_m)) left += radiance;
   }
+  const auto irradiance_of_a_ray = static_cast<float>(kPi / kRays);
+  all = all * irradiance_of_a_ray, left = left * irradiance_of_a_ray;
+  for (const lighting::DistantLight& d : light.lights) {
+    if (d.clipped) continue;
+    const Rgb own = lighting::irradiance(d, n);
+    all += own;
+    if (!real_->occluded(glm::vec3(point), glm::vec3(d.direction), kOff_m, kFar_m)) left += own;
+  }
   Rgb out{1, 1, 1};
   for (int c = 0; c < 3; ++c)
     if (all[c] > 0) out[c] = left[c] / all[c];
@@ -252,35 +262,43 @@ std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
 
 Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
     const SeenFloor& floor, const lighting::LightEstimate& light, const std::string& camera) {
-  std::optional<lighting::SaturationRecovery> by_shadow;
+  const float given = luminance(floor_->albedo);
   std::optional<Rgb> lit;
-  if (const auto edge = shadow_edge(floor, light)) {
-    const auto clipped = std::ranges::find(light.lights, true, &lighting::DistantLight::clipped);
-    if (const auto found = lighting::complete_from_shadow(light, clipped->id, *edge))
-      by_shadow = *found;
-  }
   std::vector<FloorPixel> pixels = floor.lit;
   if (std::ranges::count_if(pixels, std::not_fn(&FloorPixel::any_saturated)) >= kMinPixels)
     lit = lit_radiance(pixels);
-  if (by_shadow && lit) {
-    const float measured = albedo_by(*by_shadow, *lit, light, floor_->normal),
-                given = luminance(floor_->albedo);
-    const bool contradicts = given > kAlbedoFactor * measured || measured > kAlbedoFactor * given;
-    if (!contradicts) by_shadow.reset();
-    if (contradicts && !std::exchange(warned_, true))
-      log_warning(
-          "{}: the floor's albedo is {:.2f} by a shadow on it{}; saturated light is recovered by "
-          "that shadow",
-          camera, measured, given > 0 ? fmt::format(", not {:.2f} as given", given) : "");
-  }
-  if (by_shadow) return std::vector{*by_shadow};
-  if (!lit)
+  if (given > 0 && !lit)
     return fail(ErrorCode::kUndetermined, camera,
                 "shows too little of the floor, or overexposes it");
-  if (!(luminance(floor_->albedo) > 0))
+  if (const auto edge = shadow_edge(floor, light)) {
+    const auto clipped = std::ranges::find(light.lights, true, &lighting::DistantLight::clipped);
+    const auto found = lighting::complete_from_shadow(light, clipped->id, *edge);
+    if (found && contradicts_albedo(albedo_by(*found, *edge, light), camera))
+      return std::vector{*found};
+  }
+  if (!(given > 0))
     return fail(ErrorCode::kUndetermined, camera,
                 "shows a floor of unknown albedo, and no shadow of a known thing");
   return lighting::recover_jointly(light, {floor_->normal, *lit, floor_->albedo});
+}
+
+// By more than it takes to believe the albedo again: the sun must not jump between two powers.
+bool FloorRecovery::contradicts_albedo(float measured, const std::string& camera) {
+  const float given = luminance(floor_->albedo);
+  const float factor = by_shadow_ ? kAgreeingFactor : kAlbedoFactor;
+  by_shadow_ = given > factor * measured || measured > factor * given;
+  if (by_shadow_ && !std::exchange(warned_, true))
+    log_warning(
+        "{}: the floor's albedo is {:.2f} by a shadow on it{}; saturated light is recovered by "
+        "that "
+        "shadow",
+        camera, measured,
+        given > 0
+            ? fmt::format(", not {:.2f} as given, or this camera and that of the surroundings "
+                          "count light differently",
+                          given)
+            : "");
+  return by_shadow_;
 }
 
 bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found) const {

@@ -28,7 +28,7 @@ class FloorRecovery {
   static constexpr float kMinChange = .03f;
 
   /// A given albedo is believed while a known thing's shadow does not contradict it by this factor.
-  static constexpr float kAlbedoFactor = 1.6f;
+  static constexpr float kAlbedoFactor = 1.6f, kAgreeingFactor = 1.4f;
 
   /// Idle in a scene without a plane that an object stands on, and where neither the plane's albedo
   /// nor a real mesh is known. The scene must outlive it.
@@ -60,6 +60,7 @@ class FloorRecovery {
   Result<std::vector<lighting::SaturationRecovery>> recover(const SeenFloor& floor,
                                                             const lighting::LightEstimate& light,
                                                             const std::string& camera);
+  bool contradicts_albedo(float measured, const std::string& camera);
   bool is_near_an_object(const glm::dvec3& point) const;
   bool is_news(const std::vector<lighting::SaturationRecovery>& found) const;
 
@@ -69,7 +70,8 @@ class FloorRecovery {
   std::optional<TimestampNs> last_;
   std::vector<int> tried_;  // lights of the last attempt
   std::vector<lighting::SaturationRecovery> said_;
-  bool warned_ = false;  // of the albedo
+  bool by_shadow_ = false;  // last time
+  bool warned_ = false;     // of the albedo
 };
 
 }  // namespace penumbra::runtime

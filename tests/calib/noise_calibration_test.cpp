@@ -94,7 +94,7 @@ TEST(NoiseCalibration, RefusesFramesWithoutTheirNoise) {
     for (int y = 0; y < codes.height(); ++y)
       for (int x = 0; x < codes.width(); ++x)
         for (const auto channel : {&Rgb8::r, &Rgb8::g, &Rgb8::b}) {
-          const int code = codes.at(x, y).*channel, radius = code < 60 ? 4 : code < 120 ? 2 : 1;
+          const int code = codes.at(x, y).*channel, radius = code < 60 ? 8 : code < 120 ? 2 : 0;
           int sum = 0, count = 0;
           for (int dy = -radius; dy <= radius; ++dy) {
             const int there = std::clamp(y + dy, 0, codes.height() - 1);

@@ -231,7 +231,7 @@ class HdrMerge(CliTest):
 
     def test_unknown_time_is_refused_where_hardly_anything_is_well_exposed_in_both(self):
         # Four in a thousand patches of the picture lie between black and white in both.
-        for name, lit in (("few-a", 30), ("few-b", 60)):
+        for name, lit in (("few-a", 32), ("few-b", 64)):
             files.write_png(self.root / f"{name}.png", 320, 240,
                             lambda x, y, lit=lit: (lit + x % 4,) * 3 if x < 36 and y < 8 else (0, 0, 0))
         out = self.root / "few.hdr"

@@ -57,8 +57,35 @@ TEST(LightFile, WhatNoCameraSawIsContinuedAndNotBlack) {
   const auto map = whole_latlong(*light);
   ASSERT_TRUE(map);
   EXPECT_EQ(map->at(64, 10), half.at(64, 10)) << "what was seen stays";
+  const auto filled = lighting::project_latlong(*map, kMaxBands);
+  ASSERT_TRUE(filled);
+  EXPECT_NEAR(up(*filled) / up(*truth), 1, .06) << "the sun counts once";
   EXPECT_TRUE(std::ranges::all_of(map->pixels(), [](const Rgb& p) { return p.g >= 0; }));
   EXPECT_GT(map->at(0, 10).g, .1f * whole.at(0, 10).g) << "behind the camera";
+}
+
+// A small bright view of an even room is no light of its own.
+TEST(LightFile, AConstantRoomIsConstantThroughAnyWindow) {
+  const test::TempFolder folder;
+  for (const double half_angle : {.45, .65, .8, 1.2, 1.8}) {
+    Image<Rgb> map(128, 64);
+    Image<float> seen(128, 64);
+    for (int y = 0; y < 64; ++y)
+      for (int x = 0; x < 128; ++x)
+        if (-latlong_direction(x + .5, y + .5, 128, 64).z > std::cos(half_angle))
+          map.at(x, y) = {1, 2, 3}, seen.at(x, y) = 1;
+    const auto path = folder.path() / "window.exr";
+    ASSERT_TRUE(codec::write_hdr(path, map, codec::Depth::kFloat, {}, seen));
+    const auto light = read_light(path);
+    ASSERT_TRUE(light) << light.error().detail;
+    EXPECT_NEAR(light->light.coverage, (1 - std::cos(half_angle)) / 2, .01);
+    EXPECT_NEAR(light->light.light[0].g, 2 * std::sqrt(4 * kPi), .01) << half_angle;
+    lighting::LightEstimator estimator({});
+    const auto estimate = estimator.estimate({map, seen, {}, 0, 0});
+    ASSERT_TRUE(estimate);
+    EXPECT_TRUE(estimate->lights.empty()) << half_angle;
+    EXPECT_NEAR(estimate->mean_radiance.g, 2, .01) << half_angle;
+  }
 }
 
 }  // namespace

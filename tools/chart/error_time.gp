@@ -6,6 +6,9 @@
 set encoding utf8
 set terminal svg size 1040,860 font 'sans-serif,13' background '#ffffff' noenhanced
 set datafile separator '\t'
+stats $data using 1 name 'ms' nooutput
+stats $data using 2 name 'shadows' nooutput
+stats $data using 3 name 'objects' nooutput
 set multiplot layout 2,1 title heading font ',16' noenhanced margins screen .085,.70,.075,.93 spacing screen .03
 set logscale xy
 set border lw .8
@@ -15,13 +18,10 @@ set tics scale .8,.4 font ',12'
 array colour[6] = ['#D55E00', '#009E73', '#000000', '#CC79A7', '#E69F00', '#56B4E9']
 array shape[10] = [5, 9, 11, 13, 15, 4, 8, 10, 12, 14]
 blue = '#0072B2'
-stats $data using 1 nooutput
-baselines = STATS_blocks - 4
+baselines = ms_blocks - 4
 # The ticks around a value, so that a few points that lie close together have numbers beside them.
 below(v) = (e = floor(log10(v)), m = v / 10. ** e, 10. ** e * (m >= 5 ? 5 : m >= 2 ? 2 : 1))
 above(v) = (e = floor(log10(v)), m = v / 10. ** e, 10. ** e * (m <= 1 ? 1 : m <= 2 ? 2 : m <= 5 ? 5 : 10))
-ms_low = below(.95 * STATS_min)
-ms_high = above(1.05 * STATS_max)
 
 do for [panel = 2:3] {
   shadow = panel == 2
@@ -42,9 +42,8 @@ do for [panel = 2:3] {
   if (zero_ms > 0) { set xtics add ((shadow ? '' : '0') zero_ms) }
   if (zero > 0) { set ytics add ('0' zero) }
   if (measured) {
-    stats $data using panel nooutput
-    set xrange [ms_low:ms_high]
-    set yrange [below(.95 * STATS_min):above(1.05 * STATS_max)]
+    set xrange [below(.95 * ms_min):above(1.05 * ms_max)]
+    set yrange [below(.95 * (shadow ? shadows_min : objects_min)):above(1.05 * (shadow ? shadows_max : objects_max))]
   } else {
     set label 'not measured' at graph .5,.5 center
     set xrange [.01:10]

@@ -39,10 +39,10 @@ inline bool contradict(const SignalSample& a, const Exposure& exposure_a, const 
                        const QuantisationStep& step, int channel, double sigmas) {
   if (a.clipped && b.clipped) return false;
   const double ea = exposure_a.product(), eb = exposure_b.product();
-  const double xa = a.signal / ea, xb = b.signal / eb;
+  const double xa = a.at_most.value_or(a.signal) / ea, xb = b.at_most.value_or(b.signal) / eb;
   if ((a.clipped && xb >= xa) || (b.clipped && xa >= xb)) return false;
-  if ((a.at_most && xb * ea <= *a.at_most) || (b.at_most && xa * eb <= *b.at_most)) return false;
-  const double x = std::max(0., (a.signal + b.signal) / (ea + eb));
+  if ((a.at_most && xb <= xa) || (b.at_most && xa <= xb)) return false;
+  const double x = std::max(0., (xa * ea + xb * eb) / (ea + eb));
   const auto variance = [&](double e, double gain) {
     return (noise.variance(e * x, gain) + step.variance(channel, e * x)) / (e * e);
   };
