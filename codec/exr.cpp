@@ -153,7 +153,8 @@ std::string channel_names(const Imf::ChannelList& list) {
 }
 
 // Float slices, since the library's RGBA interface would clamp 32 bit channels to half.
-void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>& pixels) {
+void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>& pixels,
+                   Image<float>& alpha) {
   const Imath::Box2i window = file.header().dataWindow();
   const bool grey = channels.rgb[0] == channels.rgb[1];
   Imf::FrameBuffer buffer;
@@ -162,22 +163,16 @@ void read_channels(Imf::InputFile& file, const ExrChannels& channels, Image<Rgb>
         channels.rgb[c],
         Imf::Slice::Make(Imf::FLOAT, &pixels.at(0, 0)[static_cast<int>(c)], window, sizeof(Rgb),
                          sizeof(Rgb) * static_cast<std::size_t>(pixels.width())));
+  const Imf::Channel* const stored = file.header().channels().findChannel("A");
+  if (stored && stored->xSampling == 1 && stored->ySampling == 1) {
+    alpha = Image<float>(pixels.width(), pixels.height());
+    buffer.insert("A", Imf::Slice::Make(Imf::FLOAT, alpha.pixels().data(), window, sizeof(float),
+                                        sizeof(float) * static_cast<std::size_t>(alpha.width())));
+  }
   file.setFrameBuffer(buffer);
   file.readPixels(window.min.y, window.max.y);
   if (grey)
     for (Rgb& p : pixels.pixels()) p = {p.r, p.r, p.r};
-}
-
-Image<float> read_alpha(Imf::InputFile& file) {
-  if (file.header().channels().findChannel("A") == nullptr) return {};
-  const Imath::Box2i window = file.header().dataWindow();
-  Image<float> alpha(window.max.x - window.min.x + 1, window.max.y - window.min.y + 1);
-  Imf::FrameBuffer buffer;
-  buffer.insert("A", Imf::Slice::Make(Imf::FLOAT, alpha.pixels().data(), window, sizeof(float),
-                                      sizeof(float) * static_cast<std::size_t>(alpha.width())));
-  file.setFrameBuffer(buffer);
-  file.readPixels(window.min.y, window.max.y);
-  return alpha;
 }
 
 // Luminance and half-resolution chroma. The library interpolates them in half precision, in which
@@ -242,8 +237,7 @@ Result<HdrImage> decode_checked(Bytes bytes, const std::string& name) {
   if (channels->luminance_chroma)
     read_luminance_chroma(bytes, name, out.pixels);
   else
-    read_channels(file, *channels, out.pixels);
-  out.alpha = read_alpha(file);
+    read_channels(file, *channels, out.pixels, out.alpha);
   PENUMBRA_TRY(convert_to_rec709(header, name, out.pixels));
   out.non_finite = count_non_finite(out.pixels.pixels());
   out.environment = environment_of(header);

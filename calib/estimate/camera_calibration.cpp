@@ -464,11 +464,14 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
   const LensGuess guess = best_guess(views, start.kind, start.width, start.height);
   if (!std::isfinite(guess.cost))
     return undetermined("no pose of the board fits this projection: is --projection right?");
+  constexpr double kAsGood = 1.1;  // RMS against that of all terms
   std::optional<Error> first;
+  double rms_of_all = 0;
   for (const std::vector<int>& fixed : held_terms<Lens>(undistorted)) {
     auto out = fit_lens<Lens>(views, start, guess, fixed);
     // Fewer terms make up for no picture that is missing.
     if (!out) return first ? std::unexpected(*first) : std::unexpected(out.error());
+    if (first && out->rms_px > kAsGood * rms_of_all) break;
     auto valid = with_distortion(
         out->projection, std::span(out->projection.distortion)
                              .first(static_cast<std::size_t>(distortion_count(start.kind))));
@@ -476,7 +479,7 @@ Result<CameraCalibration> calibrate(std::span<const BoardView> views, const Came
       out->projection = std::move(*valid);
       return out;
     }
-    if (!first) first = valid.error();
+    if (!first) first = valid.error(), rms_of_all = out->rms_px;
   }
   return std::unexpected(*first);
 }

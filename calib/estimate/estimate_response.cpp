@@ -94,6 +94,7 @@ struct Survey {
   std::array<std::vector<SquareCandidate>, 3> candidates;  // usable in two pictures or more
   std::array<bool, 3> moves{};  // some usable pixel changes its code with the exposure
   bool any_pixel = false, any_above_black = false, any_below_clip = false;
+  std::array<std::array<std::size_t, kCodes>, 3> histogram{};
 };
 
 int contrast_at(Pictures pictures, int x, int y, int c) {
@@ -115,6 +116,7 @@ void survey_channel(Pictures pictures, int x, int y, int c, Survey& survey) {
   for (const Picture* p : pictures) {
     const int code = channel_of(p->at(x, y), c);
     sum += code;
+    ++survey.histogram[static_cast<std::size_t>(c)][static_cast<std::size_t>(code)];
     survey.any_above_black |= code > kBlack;
     survey.any_below_clip |= code < kClipped;
     if (code <= kBlack || code >= kClipped) continue;
@@ -146,6 +148,20 @@ Survey survey_bracket(Pictures pictures) {
   return survey;
 }
 
+/// The largest code of a channel, where pictures pile up at it below those codes that are left out
+/// anyway: a camera that does not use its whole range saturates there.
+std::optional<int> early_saturation(const std::array<std::size_t, kCodes>& histogram) {
+  constexpr int kBefore = 8;
+  constexpr std::size_t kFewest = 20, kPile = 10;  // times the codes before
+  int last = kCodes - 1;
+  while (last > 0 && histogram[static_cast<std::size_t>(last)] == 0) --last;
+  if (last >= kClipped || last <= kBefore) return std::nullopt;
+  std::size_t before = 0;
+  for (int z = last - kBefore; z < last; ++z) before += histogram[static_cast<std::size_t>(z)];
+  const std::size_t pile = histogram[static_cast<std::size_t>(last)];
+  return pile >= kFewest && pile * kBefore > kPile * before ? std::optional(last) : std::nullopt;
+}
+
 Result<void> check_survey(const Survey& survey) {
   if (!survey.any_pixel)
     return undetermined("every pixel lies outside one of the aligned pictures");
@@ -165,6 +181,12 @@ Result<void> check_survey(const Survey& survey) {
     if (!survey.moves[c])
       return undetermined(fmt::format("{} does not change with the exposure", kChannelNames[c]));
   }
+  for (std::size_t c = 0; c < 3; ++c)
+    if (const auto last = early_saturation(survey.histogram[c]))
+      return undetermined(fmt::format(
+          "{} saturates at code {} instead of 255: let the camera deliver the full range "
+          "of codes",
+          kChannelNames[c], *last));
   return {};
 }
 
@@ -248,9 +270,11 @@ double contradiction_of(const CodesAndTimes& seen, const cv::Mat& curve) {
   return std::sqrt(std::max(0., square / weights - sum * sum / (weights * weights)));
 }
 
-/// Pixels that contradict themselves more than others do: something moved over them.
+/// Pixels that contradict themselves more than others do: something moved over them. At first by the
+/// sum of distances, which has one minimum; then those far off have no say at all.
 /// source: biweight, Beaton & Tukey 1974
-std::vector<double> trust_in(const std::vector<CodesAndTimes>& pixels, const cv::Mat& curve) {
+std::vector<double> trust_in(const std::vector<CodesAndTimes>& pixels, const cv::Mat& curve,
+                             bool first) {
   constexpr double kFar = 4.685, kUsual = .02;  // a code's rounding and noise at least
   std::vector<double> out;
   for (const CodesAndTimes& p : pixels) out.push_back(contradiction_of(p, curve));
@@ -258,7 +282,7 @@ std::vector<double> trust_in(const std::vector<CodesAndTimes>& pixels, const cv:
   const double scale = std::max(kUsual, 1.4826 * median(sorted));
   for (double& v : out) {
     const double u = v / (kFar * scale);
-    v = u < 1 ? std::pow(1 - u * u, 2) : 0;
+    v = first ? kUsual / std::max(v, kUsual) : u < 1 ? std::pow(1 - u * u, 2) : 0;
   }
   return out;
 }
@@ -326,7 +350,7 @@ std::optional<cv::Mat> rising(const cv::Mat& matrix, const cv::Mat& right) {
 /// ln of the light for codes 1..255 of one channel.
 Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Seconds> times,
                                         const std::vector<SquareCandidate>& samples, int channel) {
-  constexpr int kRounds = 4;
+  constexpr int kFirstRounds = 12, kRounds = 16;
   try {
     std::vector<CodesAndTimes> pixels;
     for (const SquareCandidate& s : samples) {
@@ -350,7 +374,7 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
             fmt::format("the pictures do not determine the curve of {}: its equations are singular",
                         kChannelNames[static_cast<std::size_t>(channel)]));
       curve = terms * *exponents;
-      trust = trust_in(pixels, curve);
+      trust = trust_in(pixels, curve, round < kFirstRounds);
     }
     return std::vector<double>(curve.begin<double>(), curve.end<double>());
   } catch (const std::exception& e) {  // cv::Exception is one

@@ -11,6 +11,7 @@
 
 #include "core/background_task.h"
 #include "core/image.h"
+#include "core/median.h"
 #include "core/toml_keys.h"
 
 namespace penumbra::calib {
@@ -211,13 +212,19 @@ std::optional<double> black_of_exposures(std::span<const StillSeries> still,
   for (std::size_t i = 0; i < a.size(); ++i)
     if (std::isfinite(a[i] + b[i])) found.emplace_back(b[i], (ratio * a[i] - b[i]) / (ratio - 1));
   if (found.size() < kFewest) return std::nullopt;
-  // In the dark, where a curve that is a little wrong adds least.
-  const auto quarter = found.begin() + std::ssize(found) / 4;
-  std::ranges::nth_element(found, quarter);
-  std::vector<double> dark;
-  for (auto it = found.begin(); it != quarter; ++it) dark.push_back(it->second);
-  std::ranges::nth_element(dark, dark.begin() + std::ssize(dark) / 2);
-  return std::max(0., dark[dark.size() / 2]);
+  // In the dark, where a curve that is a little wrong adds least, and apart from it: what differs
+  // there is no black level but a wrong curve or time.
+  std::ranges::sort(found);
+  const auto middle_of = [&](std::size_t first, std::size_t last) {
+    std::vector<double> part;
+    for (std::size_t i = first; i < last; ++i) part.push_back(found[i].second);
+    return median(part);
+  };
+  const double dark = middle_of(0, found.size() / 4),
+               rest = middle_of(found.size() / 4, found.size() / 2);
+  constexpr double kAgree = .002;
+  if (std::abs(dark - rest) > kAgree) return std::nullopt;
+  return std::max(0., dark);
 }
 
 // var = g y a + g^2 b with weights by the model's own variance; a = 1 / full well, b = read^2.
@@ -287,7 +294,7 @@ Result<void> StillSeries::add(const FramePixels& frame, const std::string& name)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level) {
-  constexpr double kMaxUncertain = .1, kMaxModelError = .12;
+  constexpr double kMaxUncertain = .1;
   std::size_t frames = 0;
   for (const StillSeries& s : still) frames = std::max(frames, s.frames());
   if (frames < kFewestFrames)
@@ -330,12 +337,6 @@ Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
   const double sigma_b = std::sqrt(fit->var_b);
   out.read_sigma = fit->b > sigma_b ? sigma_b / (2 * out.model.read_noise) : std::sqrt(sigma_b);
   out.error = fit->error;
-  if (out.error > kMaxModelError)
-    return undetermined(fmt::format(
-        "the noise is {:.0f} % off the model, in which its square grows with the light: the camera "
-        "reduces noise or sharpens, or --camera has the wrong response; switch such processing "
-        "off, or record raw frames",
-        100 * out.error));
   return out;
 }
 

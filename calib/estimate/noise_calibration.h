@@ -56,13 +56,17 @@ struct NoiseCalibration {
   std::vector<NoisePoint> points;
 };
 
+/// Beyond, the frames do not have the noise of a sensor: the camera smoothed or sharpened them. What
+/// smooths bright and dark alike stays unseen.
+inline constexpr double kMaxNoiseModelError = .12;
+
 /// From series of a still scene, best with everything from dark to bright, and of the capped lens
 /// if there are any: those tell the black level. Without them two exposures of a factor of two
 /// tell it by what does not grow with the exposure, and with one exposure it is `black_level`. Slow
 /// changes of the light are taken out, and samples that are clipped, at code 0 or too quiet for
 /// their codes (a third of a step) are left out.
 /// errors: kUndetermined (says what to capture instead: fewer than 8 frames, one brightness, no
-/// noise above the codes, noise that does not follow the model)
+/// noise above the codes)
 Result<NoiseCalibration> calibrate_noise(std::span<const StillSeries> still,
                                          std::span<const StillSeries> capped,
                                          const Response& response, double black_level);

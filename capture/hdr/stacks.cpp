@@ -96,11 +96,29 @@ class Aligner {
     match(features_, find_features(at_moderate_size(picture), kMaxFeatures), scale_, {}, {}, pairs);
     const cv::Mat coarse = homography_through(pairs, kInlier_px / scale_);
     if (coarse.empty() || scale_ == 1) return coarse;
-    const cv::Mat fine = homography_through(match_tiles(picture, coarse), kInlier_px);
-    return fine.empty() ? coarse : fine;
+    PointPairs in_tiles = match_tiles(picture, coarse);
+    // With the others, which hold it where a tile shows nothing to find.
+    in_tiles.reference.insert(in_tiles.reference.end(), pairs.reference.begin(),
+                              pairs.reference.end());
+    in_tiles.picture.insert(in_tiles.picture.end(), pairs.picture.begin(), pairs.picture.end());
+    const cv::Mat fine = homography_through(in_tiles, kInlier_px);
+    return fine.empty() || farthest(fine, coarse) > 2 * kInlier_px / scale_ ? coarse : fine;
   }
 
  private:
+  // Between what two homographies make of the picture's corners, pixels.
+  double farthest(const cv::Mat& a, const cv::Mat& b) const {
+    const auto w = static_cast<double>(reference_.cols), h = static_cast<double>(reference_.rows);
+    const std::vector<cv::Point2d> corners{{0, 0}, {w, 0}, {0, h}, {w, h}};
+    std::vector<cv::Point2d> by_a, by_b;
+    cv::perspectiveTransform(corners, by_a, a);
+    cv::perspectiveTransform(corners, by_b, b);
+    double out = 0;
+    for (std::size_t i = 0; i < corners.size(); ++i)
+      out = std::max(out, cv::norm(by_a[i] - by_b[i]));
+    return out;
+  }
+
   static constexpr double kModerate_px = 3e6;
   static constexpr int kMaxFeatures = 4000;
 
@@ -120,6 +138,9 @@ class Aligner {
                                (k / kAcross + .5) * picture.rows / kAcross);
       std::vector<cv::Point2d> there;
       cv::perspectiveTransform(std::vector{centre}, there, coarse);
+      if (!whole.contains(
+              cv::Point(cv::saturate_cast<int>(there[0].x), cv::saturate_cast<int>(there[0].y))))
+        continue;
       const auto tile_at = [&](const cv::Point2d& c) {
         return cv::Rect(static_cast<int>(c.x) - kSide_px / 2, static_cast<int>(c.y) - kSide_px / 2,
                         kSide_px, kSide_px) &

@@ -58,6 +58,7 @@ inline nlohmann::json to_json(const lighting::Plan& p) {
           {"within_budget", p.within_budget},
           {"time_limited", p.time_limited},
           {"lower_bound", p.lower_bound},
+          {"unseen", p.unseen},
           {"why", reason_of(p)}};
 }
 

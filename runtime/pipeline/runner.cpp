@@ -42,7 +42,7 @@ bool deliver(const capture::Frame& frame, const lighting::LightEstimate& light,
   counts.touched += composited.touched.fraction;
   counts.plan = light.plan;
   counts.lights = std::max(counts.lights, static_cast<int>(light.lights.size()));
-  counts.coverage = std::min(counts.coverage, light.coverage);
+  counts.coverage = std::min(counts.coverage.value_or(1), light.coverage);
   return sink({frame, std::make_shared<const FramePixels>(std::move(composited.pixels)), light,
                counts.overtaken});
 }

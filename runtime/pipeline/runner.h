@@ -32,7 +32,7 @@ struct RunCounts {
   double touched = 0;  // sum of the touched fractions
   double seconds = 0;
   int lights = 0;                      // most that lit a frame
-  double coverage = 1;                 // of the sphere, least that lit a frame
+  std::optional<double> coverage;      // of the sphere, least that lit a frame
   std::optional<lighting::Plan> plan;  // the governor's last
   int exposures = 0;                   // distinct exposures of the environment camera
 };

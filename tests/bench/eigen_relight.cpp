@@ -28,7 +28,11 @@ EigenRelight::EigenRelight(std::span<const float> transfer, std::span<const floa
 EigenRelight::~EigenRelight() = default;
 
 bool EigenRelight::missing() {
+#ifdef __x86_64__
   return !(__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"));
+#else
+  return false;
+#endif
 }
 
 void EigenRelight::run() {

@@ -1,5 +1,5 @@
 // Eigen's relight, in a file of its own: it is built for the instructions that ours picks at run
-// time, AVX2 and FMA with 16-bit floats, and nothing that others include may be.
+// time, AVX2 and FMA, and nothing that others include may be. It reads floats, ours 16-bit ones.
 #pragma once
 
 #include <memory>

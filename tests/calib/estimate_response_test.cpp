@@ -190,6 +190,32 @@ TEST(EstimateResponse, RefusesPicturesWithoutOverlap) {
                  "do not overlap");
 }
 
+// A curve would call the pile at 235 so much light, and a sun would never be clipped.
+TEST(EstimateResponse, RefusesACameraThatSaturatesBelowFullScaleByName) {
+  for (const double last : {250., 235.}) {
+    const auto found =
+        simulate([last](double x) { return std::min(gamma22(x), last / 255); }, kTimes).estimate();
+    ASSERT_FALSE(found) << last;
+    EXPECT_EQ(found.error().code, ErrorCode::kUndetermined);
+    EXPECT_NE(found.error().detail.find("saturates at code " + std::to_string(int(last))),
+              std::string::npos)
+        << found.error().detail;
+  }
+}
+
+// Somebody walks through the exposures: an eighth of the pixels tells another curve.
+TEST(EstimateResponse, WhatMovedHasNoSay) {
+  Bracket b = simulate(gamma22, kTimes);
+  for (std::size_t k = 0; k < b.pictures.size(); ++k)
+    for (int y = 0; y < 15; ++y)
+      for (int x = 0; x < 160; ++x) {
+        Rgb8& p = b.pictures[k].at(x, y);
+        if ((x / 20 + static_cast<int>(k)) % 3 == 0)
+          p = {std::uint8_t(p.r / 2), std::uint8_t(p.g / 2), std::uint8_t(p.b / 2)};
+      }
+  expect_recovers(b, Response::gamma(2.2), .03);
+}
+
 TEST(EstimateResponse, RefusesOneColour) {
   expect_refused(constant({{50, 50, 50}, {90, 90, 90}, {150, 150, 150}}).estimate(),
                  ErrorCode::kUndetermined, "too even");

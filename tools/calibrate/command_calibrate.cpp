@@ -192,6 +192,9 @@ nlohmann::json to_json(const calib::CameraCalibration& c, const FoundBoards& fou
   const auto some = [&](const std::array<double, 5>& v) {
     return std::vector<double>(v.begin(), v.begin() + calib::distortion_count(p.kind));
   };
+  nlohmann::json sigmas = some(c.distortion_sigma);
+  for (std::size_t i = 0; i < sigmas.size(); ++i)
+    if (c.distortion_fixed[i]) sigmas[i] = nullptr;
   nlohmann::json boards = nlohmann::json::array();
   for (const calib::BoardFit& b : c.boards)
     boards.push_back({{"name", b.name}, {"rms_px", b.rms_px}, {"used", b.used}});
@@ -203,7 +206,7 @@ nlohmann::json to_json(const calib::CameraCalibration& c, const FoundBoards& fou
           {"principal_px", pair(p.principal_px)},
           {"principal_sigma_px", pair(c.principal_sigma_px)},
           {"distortion", some(p.distortion)},
-          {"distortion_sigma", some(c.distortion_sigma)},
+          {"distortion_sigma", sigmas},
           {"unreadable", found.unreadable},
           {"rms_px", c.rms_px},
           {"coverage", c.coverage},
@@ -282,9 +285,10 @@ Result<void> calibrate_camera(const CalibrateCameraOptions& o) {
     return fail(ErrorCode::kUndetermined, o.camera, "has no frame in the capture");
   PENUMBRA_ASSIGN(result, calib::calibrate_camera(found.views, kind, found.width, found.height,
                                                   {.undistorted = o.undistorted}));
+  // Who is refused needs the report most.
+  if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
   PENUMBRA_TRY(check_errors(o, result));
   PENUMBRA_TRY(write_bytes(o.output, print_camera_file(o.camera, result, o.board)));
-  if (o.report) PENUMBRA_TRY(write_camera_report(*o.report, result, found.views));
   if (o.json)
     print_json(to_json(result, found));
   else

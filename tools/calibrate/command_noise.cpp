@@ -70,6 +70,26 @@ nlohmann::json to_json(const calib::NoiseCalibration& c) {
           {"points", c.points.size()}};
 }
 
+Result<void> check_model(const CalibrateNoiseOptions& o, const calib::NoiseCalibration& c) {
+  if (c.error > calib::kMaxNoiseModelError)
+    return fail(
+        ErrorCode::kUndetermined, o.camera,
+        fmt::format("the noise is {:.0f} % off the model, in which its square grows with the "
+                    "light: the camera reduces noise or sharpens, or has another response; "
+                    "switch such processing off, or record raw frames",
+                    100 * c.error));
+  constexpr double kWorthAWord = .07;
+  if (c.error > kWorthAWord)
+    log_warning("{}: the noise is {:.0f} % off the model: does the camera reduce noise?", o.camera,
+                100 * c.error);
+  if (!c.black_measured)
+    log_warning(
+        "{}: nothing tells the black level, and {:.5f} of full scale is taken for it: record the "
+        "capped lens for --dark, or two exposures",
+        o.camera, c.black_level);
+  return {};
+}
+
 }  // namespace
 
 Result<void> calibrate_noise(const CalibrateNoiseOptions& o) {
@@ -83,17 +103,9 @@ Result<void> calibrate_noise(const CalibrateNoiseOptions& o) {
   }
   PENUMBRA_ASSIGN(result, calib::calibrate_noise(film.series, capped, film.camera.response,
                                                  film.camera.black_level));
-  if (!result.black_measured)
-    log_warning(
-        "{}: nothing tells the black level, and {:.5f} of full scale is taken for it: record the "
-        "capped lens for --dark, or two exposures",
-        o.camera, result.black_level);
-  constexpr double kWorthAWord = .07;
-  if (result.error > kWorthAWord)
-    log_warning("{}: the noise is {:.0f} % off the model: does the camera reduce noise?", o.camera,
-                100 * result.error);
-  PENUMBRA_TRY(write_bytes(o.output, calib::print_noise_file(result)));
   if (o.report) PENUMBRA_TRY(write_noise_report(*o.report, result));
+  PENUMBRA_TRY(check_model(o, result));
+  PENUMBRA_TRY(write_bytes(o.output, calib::print_noise_file(result)));
   if (o.json)
     print_json(to_json(result));
   else

@@ -21,7 +21,7 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
            {{"bands", c.bands},
             {"lights", counts.lights},
             {"plan", counts.plan ? runtime::to_json(*counts.plan) : nlohmann::json()},
-            {"coverage", counts.coverage},
+            {"coverage", counts.coverage.value_or(0)},
             {"exposures", counts.exposures},
             {"width", c.width},
             {"height", c.height},

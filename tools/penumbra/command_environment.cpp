@@ -55,6 +55,12 @@ Result<AssembledView> replay(capture::FrameSource& source, runtime::LightEstimat
   return std::move(*seen);
 }
 
+bool is_exr_name(const std::string& path) {
+  std::string extension = std::filesystem::path(path).extension().string();
+  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return extension == ".exr";
+}
+
 // 1 where a camera saw, 0 elsewhere; empty where all is seen.
 Image<float> seen_pixels(const Environment& map) {
   const bool all = std::ranges::all_of(map.confidence.pixels(), [](float c) { return c > 0; });
@@ -75,7 +81,7 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
   const Image<float> alpha = seen_pixels(map);
-  if (!alpha.empty() && std::filesystem::path(o.output).extension() == ".hdr")
+  if (!alpha.empty() && !is_exr_name(o.output))
     return fail(
         ErrorCode::kInvalid, o.output,
         fmt::format("cannot say which directions were seen, and {:.1f} % of the sphere was: "

@@ -141,9 +141,7 @@ Result<ReadyStack> prepare(const HdrMergeOptions& o) {
   } else if (any_unknown(stack)) {
     return fail(ErrorCode::kInvalid, "--times", "a time of ? needs 8-bit pictures");
   }
-  if (o.align || o.reference > 0) {
-    priority(stack, reference);
-  }
+  if (o.align || o.reference > 0) priority(stack, reference);
   return ReadyStack{std::move(stack), std::move(checked)};
 }
 
