@@ -40,8 +40,8 @@ struct CameraCalibrationOptions {
 
 /// kind: pinhole, equidistant, kb4 or double-sphere. Needs corners that reach outwards and boards
 /// that are tilted; boards whose corners contradict the rest are left out and named. Terms of the
-/// distortion that would fold the lens back within 30 degrees are left out, the highest first, where
-/// the rest fits as well.
+/// distortion that would fold the lens back within 30 degrees are left out, the highest first,
+/// where the rest fits as well.
 /// errors: kInvalid (kind), kUndetermined (says what to capture instead)
 Result<CameraCalibration> calibrate_camera(std::span<const BoardView> views, ProjectionKind kind,
                                            int width, int height,

@@ -270,8 +270,8 @@ double contradiction_of(const CodesAndTimes& seen, const cv::Mat& curve) {
   return std::sqrt(std::max(0., square / weights - sum * sum / (weights * weights)));
 }
 
-/// Pixels that contradict themselves more than others do: something moved over them. At first by the
-/// sum of distances, which has one minimum; then those far off have no say at all.
+/// Pixels that contradict themselves more than others do: something moved over them. At first by
+/// the sum of distances, which has one minimum; then those far off have no say at all.
 /// source: biweight, Beaton & Tukey 1974
 std::vector<double> trust_in(const std::vector<CodesAndTimes>& pixels, const cv::Mat& curve,
                              bool first) {

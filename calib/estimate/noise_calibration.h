@@ -56,8 +56,8 @@ struct NoiseCalibration {
   std::vector<NoisePoint> points;
 };
 
-/// Beyond, the frames do not have the noise of a sensor: the camera smoothed or sharpened them. What
-/// smooths bright and dark alike stays unseen.
+/// Beyond, the frames do not have the noise of a sensor: the camera smoothed or sharpened them.
+/// What smooths bright and dark alike stays unseen.
 inline constexpr double kMaxNoiseModelError = .12;
 
 /// From series of a still scene, best with everything from dark to bright, and of the capped lens

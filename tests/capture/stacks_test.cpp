@@ -98,12 +98,17 @@ TEST(ExposureRatio, WhatMovedHasNoSay) {
   sensor.response = calib::Response::srgb();
   Image<Rgb> scene = room();
   const auto a = test::shot(sensor, scene, {Seconds(.1), Gain(1)}, 1);
+  const auto still = estimate_exposure_ratio(
+      bytes(a), bytes(test::shot(sensor, scene, {Seconds(.3), Gain(1)}, 3)), srgb());
+  ASSERT_TRUE(still);
+  EXPECT_LT(still->moved_fraction, .001);
   for (int y = 40; y < 120; ++y)
     for (int x = 100; x < 180; ++x) scene.at(x, y) = scene.at(x, y) * .3f;
   const auto b = test::shot(sensor, scene, {Seconds(.3), Gain(1)}, 2);
   const auto found = estimate_exposure_ratio(bytes(a), bytes(b), srgb());
   ASSERT_TRUE(found);
   EXPECT_NEAR(found->ratio, 3, .05);
+  EXPECT_GT(found->moved_fraction, .05) << "an eighth of the picture moved";
 }
 
 TEST(ExposureRatio, WithoutOverlapThereIsNone) {
@@ -162,6 +167,44 @@ TEST(AlignStack, BringsAHandHeldStackBackToAFractionOfAPixel) {
   };
   EXPECT_LT(off(stack.frames[1]), .02);
   EXPECT_GT(off(before), .1) << "without it";
+}
+
+// Above three megapixels features are found in small pictures first. What is left has to be a
+// fraction of a pixel of the large ones, not of the small.
+TEST(AlignStack, LargePicturesAreAlignedToAFractionOfTheirOwnPixels) {
+  Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  constexpr int kWidth = 3600, kHeight = 2400;
+  const Image<Rgb> part = tiles(720, 480);
+  Image<Rgb> scene(kWidth, kHeight);
+  cv::Mat small(480, 720, CV_32FC3, const_cast<Rgb*>(part.pixels().data())),
+      large(kHeight, kWidth, CV_32FC3, scene.pixels().data());
+  // Shades that differ from place to place, and edges as sharp as the pixels.
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x)
+      scene.at(x, y) =
+          part.at((x + y / 480 * 97) % 720, y % 480) * (.6f + .4f * static_cast<float>(x) / kWidth);
+  const cv::Mat turn = (cv::Mat_<double>(3, 3) << std::cos(.01), -std::sin(.01), 24, std::sin(.01),
+                        std::cos(.01), -19, 0, 0, 1);
+  Image<Rgb> turned(kWidth, kHeight);
+  cv::Mat target(kHeight, kWidth, CV_32FC3, turned.pixels().data());
+  cv::warpPerspective(large, target, turn, target.size(), cv::INTER_CUBIC);
+  ExposureStack stack{{}, {}, sensor.response, sensor.noise, 0};
+  stack.frames = {test::shot(sensor, scene, {Seconds(.5), Gain(1)}, 1),
+                  test::shot(sensor, turned, {Seconds(1), Gain(1)}, 2)};
+  stack.exposures = {{Seconds(.5), Gain(1)}, {Seconds(1), Gain(1)}};
+  const auto alignment = align_stack(stack, 0);
+  ASSERT_TRUE(alignment) << alignment.error().detail;
+  const ResponseTable curve = srgb();
+  double sum = 0, n = 0;
+  for (int y = 200; y < kHeight - 200; y += 3)
+    for (int x = 200; x < kWidth - 200; x += 3) {
+      const double truth = double(scene.at(x, y).g);
+      if (truth > .8) continue;
+      sum += std::abs(double(curve.decode(1, bytes(stack.frames[1]).at(x, y).g)) - truth), ++n;
+    }
+  std::printf("large pictures: off by %.4f in the mean\n", sum / n);
+  EXPECT_LT(sum / n, .015);
 }
 
 TEST(AlignStack, PicturesOfNothingInCommonAreNamed) {

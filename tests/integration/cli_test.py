@@ -618,6 +618,11 @@ class Calibrate(CliTest):
         printed = self.run_json("calibrate", "camera", *self.boards(), "--board", "chessboard:15x9:0.026",
                                 "--projection", "kb4", "-o", out, "--report", report)
         self.assertLess(printed["rms_px"], .35)
+        damaged = self.root / "damaged.jpg"
+        damaged.write_bytes(self.boards()[0].read_bytes()[:50])
+        without = self.run_json("calibrate", "camera", *self.boards(), damaged, "--board", "chessboard:15x9:0.026",
+                                "--projection", "kb4", "-o", self.root / "again.toml")
+        self.assertEqual((without["unreadable"], without["rms_px"]), ([str(damaged)], printed["rms_px"]))
         self.assertAlmostEqual(printed["focal_px"][0], 436.9, delta=8)  # six boards
         self.assertEqual(sorted(p.name for p in report.iterdir()),
                          ["boards.svg", "coverage.svg", "residuals.csv", "residuals.svg"])
