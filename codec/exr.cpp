@@ -10,6 +10,7 @@
 #include <ImfPartType.h>
 #include <ImfRgbaFile.h>
 #include <ImfStandardAttributes.h>
+#include <ImfThreading.h>
 #include <ImfTileDescriptionAttribute.h>
 
 #include <array>
@@ -18,6 +19,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "codec/codec.h"
@@ -291,7 +293,9 @@ std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth 
   }
   MemoryOutput stream(name);
   {
-    Imf::OutputFile file(stream, header, 0);
+    // Compression takes most of the time; 0 would be this thread alone.
+    Imf::setGlobalThreadCount(static_cast<int>(std::thread::hardware_concurrency()));
+    Imf::OutputFile file(stream, header, static_cast<int>(std::thread::hardware_concurrency()));
     file.setFrameBuffer(buffer);
     file.writePixels(pixels.height());
   }  // the table of offsets is written when the file closes

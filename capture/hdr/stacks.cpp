@@ -87,7 +87,10 @@ class Aligner {
   explicit Aligner(const Image<Rgb8>& reference)
       : reference_(as_matrix(reference)),
         scale_(std::min(1., std::sqrt(kModerate_px / static_cast<double>(reference.area())))),
-        features_(find_features(at_moderate_size(reference_), kMaxFeatures)) {}
+        features_(find_features(at_moderate_size(reference_), kMaxFeatures)) {
+    for (int tile = 0; tile < kAcross * kAcross && scale_ < 1; ++tile)
+      tiles_.push_back(find_features(reference_(tile_at(tile_centre(tile))), kMaxOfATile));
+  }
 
   /// Nothing when they have too little in common.
   cv::Mat homography(const Image<Rgb8>& of) const {
@@ -121,6 +124,7 @@ class Aligner {
 
   static constexpr double kModerate_px = 3e6;
   static constexpr int kMaxFeatures = 4000;
+  static constexpr int kAcross = 4, kSide_px = 384, kMaxOfATile = 300;  // tiles
 
   cv::Mat at_moderate_size(const cv::Mat& picture) const {
     if (scale_ == 1) return picture;
@@ -129,27 +133,29 @@ class Aligner {
     return out;
   }
 
+  cv::Rect tile_at(const cv::Point2d& centre) const {
+    const int half = kSide_px / 2;
+    return cv::Rect(cv::saturate_cast<int>(centre.x) - half,
+                    cv::saturate_cast<int>(centre.y) - half, kSide_px, kSide_px) &
+           cv::Rect(0, 0, reference_.cols, reference_.rows);
+  }
+  cv::Point2d tile_centre(int tile) const {
+    return {(tile % kAcross + .5) * reference_.cols / kAcross,
+            (tile / kAcross + .5) * reference_.rows / kAcross};
+  }
+
   PointPairs match_tiles(const cv::Mat& picture, const cv::Mat& coarse) const {
-    constexpr int kAcross = 5, kSide_px = 384, kMaxOfATile = 300;
     PointPairs pairs;
     const cv::Rect whole(0, 0, picture.cols, picture.rows);
-    for (int k = 0; k < kAcross * kAcross; ++k) {
-      const cv::Point2d centre((k % kAcross + .5) * picture.cols / kAcross,
-                               (k / kAcross + .5) * picture.rows / kAcross);
+    for (int tile = 0; tile < kAcross * kAcross; ++tile) {
       std::vector<cv::Point2d> there;
-      cv::perspectiveTransform(std::vector{centre}, there, coarse);
-      if (!whole.contains(
-              cv::Point(cv::saturate_cast<int>(there[0].x), cv::saturate_cast<int>(there[0].y))))
+      cv::perspectiveTransform(std::vector{tile_centre(tile)}, there, coarse);
+      if (!whole.contains(cv::Point(cv::saturate_cast<int>(there[0].x),
+                                    cv::saturate_cast<int>(there[0].y))))
         continue;
-      const auto tile_at = [&](const cv::Point2d& c) {
-        return cv::Rect(static_cast<int>(c.x) - kSide_px / 2, static_cast<int>(c.y) - kSide_px / 2,
-                        kSide_px, kSide_px) &
-               whole;
-      };
-      const cv::Rect here = tile_at(centre), other = tile_at(there[0]);
-      if (here.area() * 2 < kSide_px * kSide_px || other.area() * 2 < kSide_px * kSide_px) continue;
-      match(find_features(reference_(here), kMaxOfATile),
-            find_features(picture(other), kMaxOfATile), 1, here.tl(), other.tl(), pairs);
+      const cv::Rect here = tile_at(tile_centre(tile)), other = tile_at(there[0]);
+      match(tiles_[static_cast<std::size_t>(tile)], find_features(picture(other), kMaxOfATile), 1,
+            here.tl(), other.tl(), pairs);
     }
     return pairs;
   }
@@ -157,6 +163,7 @@ class Aligner {
   cv::Mat reference_;
   double scale_;  // of the pictures, at which they are found first
   PictureFeatures features_;
+  std::vector<PictureFeatures> tiles_;  // of the reference at its full size
 };
 
 double mean_shift(const cv::Mat& h, int width, int height) {

@@ -284,8 +284,8 @@ void expect_undetermined(float radiance, const std::string& word) {
   }
 }
 
-// An estimated curve is a guess in the dark: four times too bright here. Where the short exposure is
-// trusted most, its word kept the long one out, and a dark tree became one value.
+// An estimated curve is a guess in the dark: four times too bright here. Where the short exposure
+// is trusted most, its word kept the long one out, and a dark tree became one value.
 TEST(Merge, DarkCodesOfAGuessedCurveOnlyBoundTheLight) {
   const auto guessed = [] {
     std::vector<float> table;
