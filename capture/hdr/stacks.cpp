@@ -150,8 +150,8 @@ class Aligner {
     for (int tile = 0; tile < kAcross * kAcross; ++tile) {
       std::vector<cv::Point2d> there;
       cv::perspectiveTransform(std::vector{tile_centre(tile)}, there, coarse);
-      if (!whole.contains(cv::Point(cv::saturate_cast<int>(there[0].x),
-                                    cv::saturate_cast<int>(there[0].y))))
+      if (!whole.contains(
+              cv::Point(cv::saturate_cast<int>(there[0].x), cv::saturate_cast<int>(there[0].y))))
         continue;
       const cv::Rect here = tile_at(tile_centre(tile)), other = tile_at(there[0]);
       match(tiles_[static_cast<std::size_t>(tile)], find_features(picture(other), kMaxOfATile), 1,

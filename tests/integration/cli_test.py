@@ -678,6 +678,9 @@ class Calibrate(CliTest):
             self.assertAlmostEqual(float(rows[code][2]) / top, (code / 240) ** 2.2, delta=.01)
         self.assertEqual(self.run_json("inspect", out)["kind"], "response")
         self.run_well("hdr", "merge", *pictures, *given, "--response", out, "-o", self.root / "m.exr")
+        self.assertNotIn("a time is wrong", self.run_program("calibrate", "response", *pictures, *given, "-o", out).stderr)
+        wrong = ["--times", ",".join(str(t * (1.8 if k == 1 else 1)) for k, t in enumerate(times))]
+        self.assertIn("a time is wrong", self.run_program("calibrate", "response", *pictures, *wrong, "-o", out).stderr)
         self.expect_refusal(["equal"], "calibrate", "response", *pictures, "--times", "1,1,1", "-o",
                             self.root / "no.toml")
         self.assertFalse((self.root / "no.toml").exists())

@@ -399,6 +399,31 @@ LightEstimator governed_estimator(bool filter) {
   return estimator;
 }
 
+// A fisheye that looks ahead sees half of the sky, one that looks up all of it.
+TEST(GovernedEstimator, ThePlanCountsWhatNoCameraSeesOfTheSky) {
+  const auto plan_where = [](const auto& is_seen) {
+    Environment e = even_map(1, 0);
+    e.confidence = Image<float>(kMapWidth, kMapHeight);
+    for (int y = 0; y < kMapHeight; ++y)
+      for (int x = 0; x < kMapWidth; ++x) {
+        const bool seen = is_seen(latlong_direction(x + .5, y + .5, kMapWidth, kMapHeight));
+        e.confidence.at(x, y) = seen ? 1 : 0;
+        if (!seen) e.radiance.at(x, y) = {};
+      }
+    LightEstimator estimator = governed_estimator(false);
+    const auto estimate = estimator.estimate(e);
+    EXPECT_TRUE(estimate && estimate->plan);
+    EXPECT_NEAR(estimate->coverage, .5, .01);
+    return *estimate->plan;
+  };
+  const Plan ahead = plan_where([](const glm::dvec3&d) { return d.z < 0; }),
+             up = plan_where([](const glm::dvec3&d) { return d.y > 0; });
+  EXPECT_TRUE(ahead.unseen && !ahead.within_budget);
+  EXPECT_NEAR(ahead.error, Governor::kConformalFactor * Governor::kUnseen * .5, .02);
+  EXPECT_FALSE(up.unseen);
+  EXPECT_TRUE(up.within_budget);
+}
+
 TEST(GovernedEstimator, WithoutTimeForLightsAllLightIsInHarmonics) {
   for (const bool filter : {false, true}) {
     LightEstimator estimator = governed_estimator(filter);
