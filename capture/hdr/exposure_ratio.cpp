@@ -83,11 +83,18 @@ std::optional<Block> read_block(const Image<Rgb8>& a, const Image<Rgb8>& b,
   return out;
 }
 
+// Blocks from one that is read to the next, along each axis: a quarter of a million tell enough.
+int apart_in(const Image<Rgb8>& a) {
+  constexpr double kMost_px = 4e6;
+  return std::max(1, static_cast<int>(std::sqrt(static_cast<double>(a.area()) / kMost_px) + .5));
+}
+
 std::vector<Block> read_blocks(const Image<Rgb8>& a, const Image<Rgb8>& b,
                                const ResponseTable& curve) {
   std::vector<Block> out;
-  for (int y = 0; y + kBlockSide <= a.height(); y += kBlockSide)
-    for (int x = 0; x + kBlockSide <= a.width(); x += kBlockSide)
+  const int step = kBlockSide * apart_in(a);
+  for (int y = 0; y + kBlockSide <= a.height(); y += step)
+    for (int x = 0; x + kBlockSide <= a.width(); x += step)
       for (int c = 0; c < 3; ++c)
         if (const auto block = read_block(a, b, curve, c, x, y)) out.push_back(*block);
   return out;
@@ -295,8 +302,9 @@ Result<ExposureRatio> estimate_exposure_ratio(const Image<Rgb8>& a, const Image<
   const auto sampling = found ? sampling_variance(blocks, *found) : std::nullopt;
   if (!sampling) return undetermined("what both pictures show tells no ratio");
   ExposureRatio out;
-  out.fraction = static_cast<double>(all.size()) * kBlockSide * kBlockSide /
-                 (3. * static_cast<double>(a.area()));
+  const double side = kBlockSide * apart_in(a);
+  out.fraction = std::min(
+      1., static_cast<double>(all.size()) * side * side / (3. * static_cast<double>(a.area())));
   out.blocks = blocks.size();
   out.moved_fraction = moved_fraction(all, found->line);
   out.ratio = found->line.slope;

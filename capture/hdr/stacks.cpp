@@ -86,7 +86,7 @@ class Aligner {
  public:
   explicit Aligner(const Image<Rgb8>& reference)
       : reference_(as_matrix(reference)),
-        scale_(std::min(1., std::sqrt(kModerate_px / static_cast<double>(reference.area())))),
+        scale_(scale_of(static_cast<double>(reference.area()))),
         features_(find_features(at_moderate_size(reference_), kMaxFeatures)) {
     for (int tile = 0; tile < kAcross * kAcross && scale_ < 1; ++tile)
       tiles_.push_back(find_features(reference_(tile_at(tile_centre(tile))), kMaxOfATile));
@@ -122,7 +122,12 @@ class Aligner {
     return out;
   }
 
-  static constexpr double kModerate_px = 3e6;
+  // Small enough for features of all of it at once; above, a small picture is a start for the tiles.
+  static double scale_of(double area_px) {
+    constexpr double kMost_px = 3e6, kSmall_px = 1.5e6;
+    return area_px > kMost_px ? std::sqrt(kSmall_px / area_px) : 1;
+  }
+
   static constexpr int kMaxFeatures = 4000;
   static constexpr int kAcross = 4, kSide_px = 384, kMaxOfATile = 300;  // tiles
 
