@@ -261,6 +261,17 @@ std::vector<Imath::half> to_halves(const Image<Rgb>& pixels) {
   return out;
 }
 
+// Compression takes most of the time of a write. The library's pool is made once: to change its size
+// while others write is not safe.
+int compression_threads() {
+  static const int threads = [] {
+    const int count = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+    Imf::setGlobalThreadCount(count);
+    return count;
+  }();
+  return threads;
+}
+
 std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth depth,
                        std::optional<EnvironmentAttribute> environment, const Image<float>& alpha) {
   const Imf::PixelType type = depth == Depth::kHalf ? Imf::HALF : Imf::FLOAT;
@@ -293,9 +304,7 @@ std::string encode_exr(const std::string& name, const Image<Rgb>& pixels, Depth 
   }
   MemoryOutput stream(name);
   {
-    // Compression takes most of the time; 0 would be this thread alone.
-    Imf::setGlobalThreadCount(static_cast<int>(std::thread::hardware_concurrency()));
-    Imf::OutputFile file(stream, header, static_cast<int>(std::thread::hardware_concurrency()));
+    Imf::OutputFile file(stream, header, compression_threads());
     file.setFrameBuffer(buffer);
     file.writePixels(pixels.height());
   }  // the table of offsets is written when the file closes

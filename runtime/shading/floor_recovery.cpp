@@ -110,12 +110,15 @@ Shade shade_at(const prt::RayScene& real, const glm::dvec3& eye, const glm::dvec
   const glm::vec3 point(eye + distance * direction);
   int kept = 0, all = 0;
   for (const lighting::DistantLight* light : clipped) {
-    // Its middle and, about, its rim.
+    // Its middle and, about, its rim; of a sun, whose half shadow is narrow, its middle.
     const glm::dvec3& axis = light->direction;
     const glm::dvec3 side = glm::normalize(
         glm::cross(axis, std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
     const double reach = std::tan(std::min(light->radius.value(), 1.));
-    for (const glm::dvec2 at : {glm::dvec2(0, 0), {1, 0}, {-1, 0}, {0, 1}, {0, -1}}) {
+    constexpr std::array<glm::dvec2, 5> kPlaces{
+        {{0., 0.}, {1., 0.}, {-1., 0.}, {0., 1.}, {0., -1.}}};
+    const std::size_t places = light->radius <= lighting::kSunLike ? 1 : kPlaces.size();
+    for (const glm::dvec2& at : std::span(kPlaces).first(places)) {
       const glm::dvec3 d = axis + reach * (at.x * side + at.y * glm::cross(axis, side));
       kept += real.occluded(point, glm::vec3(glm::normalize(d)), kOff_m, kFar_m), ++all;
     }
