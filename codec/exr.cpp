@@ -261,8 +261,8 @@ std::vector<Imath::half> to_halves(const Image<Rgb>& pixels) {
   return out;
 }
 
-// Compression takes most of the time of a write. The library's pool is made once: to change its size
-// while others write is not safe.
+// Compression takes most of the time of a write. The library's pool is made once: to change its
+// size while others write is not safe.
 int compression_threads() {
   static const int threads = [] {
     const int count = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));

@@ -122,7 +122,7 @@ class Aligner {
     return out;
   }
 
-  // Small enough for features of all of it at once; above, a small picture is a start for the tiles.
+  // Small enough for features of all of it at once; above, a small picture is the tiles' start.
   static double scale_of(double area_px) {
     constexpr double kMost_px = 3e6, kSmall_px = 1.5e6;
     return area_px > kMost_px ? std::sqrt(kSmall_px / area_px) : 1;

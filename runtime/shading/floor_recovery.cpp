@@ -108,23 +108,23 @@ Shade shade_at(const prt::RayScene& real, const glm::dvec3& eye, const glm::dvec
   if (real.occluded(glm::vec3(eye), glm::vec3(direction), 0, static_cast<float>(distance)))
     return Shade::kHidden;
   const glm::vec3 point(eye + distance * direction);
-  int kept = 0, all = 0;
+  const auto keeps = [&](const glm::dvec3& d) {
+    return real.occluded(point, glm::vec3(glm::normalize(d)), kOff_m, kFar_m);
+  };
+  Shade out = Shade::kNone;
   for (const lighting::DistantLight* light : clipped) {
-    // Its middle and, about, its rim; of a sun, whose half shadow is narrow, its middle.
     const glm::dvec3& axis = light->direction;
+    if (!keeps(axis)) continue;
+    // Its rim, about: half shadows would make the dark side too bright.
     const glm::dvec3 side = glm::normalize(
         glm::cross(axis, std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
+    const glm::dvec3 across = glm::cross(axis, side);
     const double reach = std::tan(std::min(light->radius.value(), 1.));
-    constexpr std::array<glm::dvec2, 5> kPlaces{
-        {{0., 0.}, {1., 0.}, {-1., 0.}, {0., 1.}, {0., -1.}}};
-    const std::size_t places = light->radius <= lighting::kSunLike ? 1 : kPlaces.size();
-    for (const glm::dvec2& at : std::span(kPlaces).first(places)) {
-      const glm::dvec3 d = axis + reach * (at.x * side + at.y * glm::cross(axis, side));
-      kept += real.occluded(point, glm::vec3(glm::normalize(d)), kOff_m, kFar_m), ++all;
-    }
+    const bool whole = keeps(axis + reach * side) && keeps(axis - reach * side) &&
+                       keeps(axis + reach * across) && keeps(axis - reach * across);
+    out = whole && clipped.size() == 1 ? Shade::kAll : Shade::kPart;
   }
-  if (kept == 0) return Shade::kNone;
-  return kept == all && clipped.size() == 1 ? Shade::kAll : Shade::kPart;
+  return out;
 }
 
 // Of the floor, from its lit side, once the light is known.
