@@ -351,7 +351,7 @@ Result<void> write_hdr(const std::filesystem::path& path, const Image<Rgb>& pixe
   PENUMBRA_TRY(check_size(pixels.width(), pixels.height(), path.string()));
   if (!alpha.empty() && (extension == ".hdr" || !alpha.same_size(pixels)))
     return fail(ErrorCode::kInvalid, path.string(),
-                extension == ".hdr" ? "holds no alpha, and .exr does"
+                extension == ".hdr" ? "cannot say which pixels were seen, their alpha: write .exr"
                                     : "has an alpha of another size than its colours");
   if (extension == ".hdr") return write_bytes(path, encode_radiance(pixels));
   try {

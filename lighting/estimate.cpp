@@ -70,16 +70,16 @@ Result<ShProjection> LightEstimator::project_rest() {
   return projector_->project_read(split_.residual);
 }
 
-const ShInpainting& LightEstimator::holes(const Image<float>& confidence) {
-  if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
+void LightEstimator::follow_holes(const Image<float>& confidence) {
+  if (confidence.empty())
+    hole_fit_.reset();
+  else if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
     hole_fit_ = std::make_unique<ShInpainting>(confidence);
-  return *hole_fit_;
 }
 
-Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& moments,
-                                                const Image<float>& confidence) {
-  if (!moments || confidence.empty()) return moments;
-  return holes(confidence).fill(moments->light);
+Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& moments) const {
+  if (!moments || !hole_fit_) return moments;
+  return hole_fit_->fill(moments->light);
 }
 
 // Into split_ and unused_.
@@ -87,7 +87,7 @@ Result<void> LightEstimator::peel(const Environment& environment) {
   maps_since_split_ = 0;
   ExtractionOptions found = options_.lights;
   found.min_irradiance_fraction /= 2;
-  if (!environment.confidence.empty()) found.coverage = holes(environment.confidence).coverage();
+  if (hole_fit_) found.coverage = hole_fit_->coverage();
   const Image<Rgb>& map = environment.radiance;
   if (in_quarters(map.width())) {
     PENUMBRA_TRY(projector_for(map).read(map, luminance_));
@@ -117,12 +117,12 @@ void LightEstimator::choose_max_lights() {
 Result<ShProjection> LightEstimator::measure_whole(const Environment& environment) {
   if (++maps_since_split_ >= kGlance) {
     PENUMBRA_TRY(peel(environment));
-    PENUMBRA_ASSIGN(residual, fill_holes(project_rest(), environment.confidence));
+    PENUMBRA_ASSIGN(residual, fill_holes(project_rest()));
     add_distant_lights(unused_, residual);
     plan_ = plan_for(residual, environment.time);
   }
   split_.lights.clear();
-  auto whole = fill_holes(project(environment.radiance), environment.confidence);
+  auto whole = fill_holes(project(environment.radiance));
   if (whole && options_.filter) filter_.update(environment.time, *whole);
   return whole;
 }
@@ -132,8 +132,7 @@ Result<ShProjection> LightEstimator::measure_split(const Environment& environmen
   unused_.clear();
   if (options_.lights.max_count > 0) PENUMBRA_TRY(peel(environment));
   auto projection =
-      fill_holes(options_.lights.max_count > 0 ? project_rest() : project(environment.radiance),
-                 environment.confidence);
+      fill_holes(options_.lights.max_count > 0 ? project_rest() : project(environment.radiance));
   if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
   // What tracked ones leave over is not filtered: it completes the light of this map.
@@ -153,6 +152,7 @@ Result<ShProjection> LightEstimator::measure_split(const Environment& environmen
 Result<void> LightEstimator::estimate(const Environment& environment, LightEstimate& out) {
   if (environment.radiance.empty())
     return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  follow_holes(environment.confidence);
   // A source at the edge of clipping must not change sides with every map.
   maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
   const bool without_lights = options_.lights.max_count > 0 && governor_ &&
@@ -168,8 +168,8 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
                   without_lights ? measure_whole(environment) : measure_split(environment));
   make_estimate(projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
-  if (out.plan && !environment.confidence.empty())
-    out.plan = governor_->with_unseen(*out.plan, holes(environment.confidence).unseen_above());
+  if (out.plan && hole_fit_)
+    out.plan = governor_->with_unseen(*out.plan, hole_fit_->unseen_above());
   if (out.plan && holds_a_lower_bound(environment, out.lights)) {
     out.plan->lower_bound = true;
     out.plan->within_budget = false;

@@ -63,16 +63,15 @@ class LightEstimator {
   LatLongProjector& projector_for(const Image<Rgb>& map);
   Result<ShProjection> project(const Image<Rgb>& map);
   Result<ShProjection> project_rest();
-  const class ShInpainting& holes(const Image<float>& confidence);
-  Result<ShProjection> fill_holes(const Result<ShProjection>& moments,
-                                  const Image<float>& confidence);
+  void follow_holes(const Image<float>& confidence);
+  Result<ShProjection> fill_holes(const Result<ShProjection>& moments) const;
   Plan plan_for(const ShProjection& residual, TimestampNs time);
   Result<void> peel(const Environment& environment);
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
   Result<ShProjection> measure_split(const Environment& environment);
 
-  std::unique_ptr<class ShInpainting> hole_fit_;
+  std::unique_ptr<class ShInpainting> hole_fit_;  // of the newest map; null without holes
   EstimateOptions options_;
   MapLuminance luminance_;
   LightExtraction split_;

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
 #include <utility>
 
@@ -30,6 +31,34 @@ Result<calib::ProjectionKind> kind_of_map(const std::string& name) {
   return *kind;
 }
 
+// Of the sphere: a few pixels that are not finite are no hole.
+constexpr double kWhole = .99;
+
+// In the file's own pixels or, where it does not show all, by way of lat-long.
+Result<void> project(const std::string& path, const capture::EnvironmentFile& file,
+                     FileLight& out) {
+  const calib::ProjectionTable& t = file.table;
+  const double seen_sr = std::reduce(t.solid_angle_sr.begin(), t.solid_angle_sr.end(), 0.);
+  const bool plain = file.projection.kind == calib::ProjectionKind::kLatLong &&
+                     file.world_from_file == glm::dquat(1, 0, 0, 0);
+  const auto projected = [&]() -> Result<lighting::SeenLight> {
+    if (seen_sr < kWhole * 4 * kPi) {
+      PENUMBRA_ASSIGN(map, capture::to_latlong(file));
+      return lighting::project_seen(map);
+    }
+    PENUMBRA_ASSIGN(
+        light, plain && file.non_finite + file.unseen == 0
+                   ? lighting::project_latlong(file.radiance, kMaxBands)
+                   : lighting::project_samples(
+                         {t.direction, t.solid_angle_sr, {}, file.radiance.pixels()}, kMaxBands));
+    return lighting::SeenLight{light, light.light};
+  }();
+  if (!projected) return fail(projected.error().code, path, projected.error().detail);
+  out.light = projected->whole;
+  out.residual = projected->residual;
+  return {};
+}
+
 }  // namespace
 
 Result<FileLight> read_light(const std::string& path, const EnvironmentOrientation& orientation) {
@@ -50,25 +79,8 @@ Result<FileLight> read_light(const std::string& path, const EnvironmentOrientati
   if (file.non_finite > 0)
     log_warning("{}: {} pixels are NaN or infinite and are left out of the light", path,
                 file.non_finite);
-  const calib::ProjectionTable& t = file.table;
-  PENUMBRA_ASSIGN(map, capture::to_latlong(file));
-  const bool plain =
-      file.projection.kind == calib::ProjectionKind::kLatLong && orientation.rotation_deg == 0;
-  const auto project = [&]() -> Result<lighting::ShProjection> {
-    if (!map.confidence.empty()) {
-      PENUMBRA_ASSIGN(seen, lighting::project_seen(map));
-      out.residual = seen.residual;
-      return seen.whole;
-    }
-    if (plain) return lighting::project_latlong(file.radiance, kMaxBands);
-    return lighting::project_samples({t.direction, t.solid_angle_sr, {}, file.radiance.pixels()},
-                                     kMaxBands);
-  };
-  const auto light = project();
-  if (!light) return fail(light.error().code, path, light.error().detail);
-  out.light = *light;
+  PENUMBRA_TRY(project(path, file, out));
   out.file = std::move(file);
-  constexpr double kWhole = .99;
   if (out.light.coverage < kWhole)
     log_warning("{}: shows {:.0f} % of the sphere; the rest of the light is continued from it",
                 path, 100 * out.light.coverage);

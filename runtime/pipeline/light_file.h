@@ -16,7 +16,7 @@ namespace penumbra::runtime {
 struct FileLight {
   capture::EnvironmentFile file;
   lighting::ShProjection light{RadianceSh(kMaxBands), RadianceSh(kMaxBands), 1};
-  RadianceSh residual{1};  // without compact lights; only where the file does not show all
+  RadianceSh residual{1};  // what goes on where the file shows nothing
 };
 
 /// How an environment file is to be read.

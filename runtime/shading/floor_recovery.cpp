@@ -19,6 +19,7 @@
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "prt/geometry/plane.h"
+#include "prt/geometry/ray_pattern.h"
 #include "prt/geometry/rays.h"
 
 namespace penumbra::runtime {
@@ -116,12 +117,10 @@ Shade shade_at(const prt::RayScene& real, const glm::dvec3& eye, const glm::dvec
     const glm::dvec3& axis = light->direction;
     if (!keeps(axis)) continue;
     // Its rim, about: half shadows would make the dark side too bright.
-    const glm::dvec3 side = glm::normalize(
-        glm::cross(axis, std::abs(axis.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
-    const glm::dvec3 across = glm::cross(axis, side);
+    const glm::dmat3 frame(prt::frame_around(glm::vec3(axis)));
     const double reach = std::tan(std::min(light->radius.value(), 1.));
-    const bool whole = keeps(axis + reach * side) && keeps(axis - reach * side) &&
-                       keeps(axis + reach * across) && keeps(axis - reach * across);
+    const bool whole = keeps(axis + reach * frame[0]) && keeps(axis - reach * frame[0]) &&
+                       keeps(axis + reach * frame[1]) && keeps(axis - reach * frame[1]);
     out = whole && clipped.size() == 1 ? Shade::kAll : Shade::kPart;
   }
   return out;
@@ -209,15 +208,13 @@ Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
                                   const lighting::LightEstimate& light) const {
   constexpr int kRays = 64;
   const glm::dvec3& n = floor_->normal;
-  const glm::dvec3 side =
-      glm::normalize(glm::cross(n, std::abs(n.y) < .9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0)));
-  const glm::dvec3 across = glm::cross(n, side);
+  const glm::dmat3 frame(prt::frame_around(glm::vec3(n)));
   Rgb all, left;
   for (int k = 0; k < kRays; ++k) {
     // By the cosine, on a spiral.
     const double sine2 = (k + .5) / kRays, turn = k * kGoldenAngle, sine = std::sqrt(sine2);
     const glm::dvec3 d =
-        sine * std::cos(turn) * side + sine * std::sin(turn) * across + std::sqrt(1 - sine2) * n;
+        frame * glm::dvec3(sine * std::cos(turn), sine * std::sin(turn), std::sqrt(1 - sine2));
     Rgb radiance = lighting::evaluate(light.light, d);
     for (int c = 0; c < 3; ++c) radiance[c] = std::max(0.f, radiance[c]);
     all += radiance;
@@ -237,49 +234,39 @@ Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
   return out;
 }
 
-// Nothing where too little is lit or shadowed, or more than one light would be told by it.
+// Nothing where too little is in the shadow of one light alone.
 std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
-    const SeenFloor& floor, const lighting::LightEstimate& light) const {
+    SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light) const {
   constexpr std::size_t kFewest = 40, kMost = 64;
-  if (!real_ || std::ranges::count(light.lights, true, &lighting::DistantLight::clipped) != 1)
-    return std::nullopt;
-  const auto side = [&](std::vector<FloorPixel> pixels, Rgb& others) -> std::optional<Rgb> {
-    if (pixels.size() < kFewest) return std::nullopt;
-    const auto radiance = lit_radiance(pixels);
-    if (!radiance) return std::nullopt;
+  if (floor.shadowed.size() < kFewest) return std::nullopt;
+  const auto shadowed = lit_radiance(floor.shadowed);
+  if (!shadowed) return std::nullopt;
+  const auto others_at = [&](const std::vector<FloorPixel>& pixels) {
     const std::size_t apart = (pixels.size() + kMost - 1) / kMost;
     Rgb sum;
     float count = 0;
     for (std::size_t i = 0; i < pixels.size(); i += apart, ++count)
       sum += left_of_others(pixels[i].point, light);
-    others = sum * (1 / count);
-    return radiance;
+    return sum * (1 / count);
   };
-  lighting::ShadowEdge out{floor_->normal, {}, {}};
-  const auto lit = side(floor.lit, out.others_at_lit),
-             shadowed = side(floor.shadowed, out.others_at_shadowed);
-  if (!lit || !shadowed) return std::nullopt;
-  out.lit = *lit, out.shadowed = *shadowed;
-  return out;
+  return lighting::ShadowEdge{floor_->normal, lit, *shadowed, others_at(floor.lit),
+                              others_at(floor.shadowed)};
 }
 
 Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
-    const SeenFloor& floor, const lighting::LightEstimate& light, const std::string& camera) {
-  const float given = luminance(floor_->albedo);
-  std::optional<Rgb> lit;
-  std::vector<FloorPixel> pixels = floor.lit;
-  if (std::ranges::count_if(pixels, std::not_fn(&FloorPixel::any_saturated)) >= kMinPixels)
-    lit = lit_radiance(pixels);
-  if (given > 0 && !lit)
+    SeenFloor floor, const lighting::LightEstimate& light, const std::string& camera) {
+  const auto usable = std::ranges::count_if(floor.lit, std::not_fn(&FloorPixel::any_saturated));
+  const auto lit = usable >= kMinPixels ? lit_radiance(floor.lit) : std::nullopt;
+  if (!lit)
     return fail(ErrorCode::kUndetermined, camera,
                 "shows too little of the floor, or overexposes it");
-  if (const auto edge = shadow_edge(floor, light)) {
+  if (const auto edge = shadow_edge(floor, *lit, light)) {
     const auto clipped = std::ranges::find(light.lights, true, &lighting::DistantLight::clipped);
     const auto found = lighting::complete_from_shadow(light, clipped->id, *edge);
     if (found && contradicts_albedo(albedo_by(*found, *edge, light), camera))
       return std::vector{*found};
   }
-  if (!(given > 0))
+  if (!(luminance(floor_->albedo) > 0))
     return fail(ErrorCode::kUndetermined, camera,
                 "shows a floor of unknown albedo, and no shadow of a known thing");
   return lighting::recover_jointly(light, {floor_->normal, *lit, floor_->albedo});
@@ -293,8 +280,7 @@ bool FloorRecovery::contradicts_albedo(float measured, const std::string& camera
   if (by_shadow_ && !std::exchange(warned_, true))
     log_warning(
         "{}: the floor's albedo is {:.2f} by a shadow on it{}; saturated light is recovered by "
-        "that "
-        "shadow",
+        "that shadow",
         camera, measured,
         given > 0
             ? fmt::format(", not {:.2f} as given, or this camera and that of the surroundings "

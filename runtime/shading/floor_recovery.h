@@ -55,9 +55,9 @@ class FloorRecovery {
   // What real things keep from a point of the floor of all light but the clipped one: the part that
   // is left.
   Rgb left_of_others(const glm::dvec3& point, const lighting::LightEstimate& light) const;
-  std::optional<lighting::ShadowEdge> shadow_edge(const SeenFloor& floor,
+  std::optional<lighting::ShadowEdge> shadow_edge(SeenFloor& floor, const Rgb& lit,
                                                   const lighting::LightEstimate& light) const;
-  Result<std::vector<lighting::SaturationRecovery>> recover(const SeenFloor& floor,
+  Result<std::vector<lighting::SaturationRecovery>> recover(SeenFloor floor,
                                                             const lighting::LightEstimate& light,
                                                             const std::string& camera);
   bool contradicts_albedo(float measured, const std::string& camera);

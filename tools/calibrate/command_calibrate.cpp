@@ -302,7 +302,7 @@ namespace {
 // against what was told.
 Result<void> check_times_against(const CalibrateResponseOptions& o, capture::ExposureStack stack,
                                  const calib::Response& response) {
-  constexpr double kFarOff = .1, kEnough = .05;
+  constexpr double kEnough = .05;
   stack.response = response;
   const auto name = [&](std::size_t k) {
     return o.captures.empty() ? o.images[k]
@@ -310,8 +310,7 @@ Result<void> check_times_against(const CalibrateResponseOptions& o, capture::Exp
   };
   PENUMBRA_ASSIGN(checked, check_times(stack, capture::kEstimatedExponentSigma));
   for (const CheckedTime& c : checked)
-    if (c.ratio.fraction > kEnough && std::abs(c.ratio.ratio / c.told - 1) > kFarOff &&
-        (c.told < c.ratio.low || c.told > c.ratio.high))
+    if (c.contradicts_told(kEnough))
       log_warning(
           "{}: {:.4g} times the exposure of {} by the given times, but {:.4g} by what both show "
           "under this curve (95 % within {:.4g} to {:.4g}): a time is wrong, or the scene changed",

@@ -2,7 +2,6 @@
 #include <CLI/CLI.hpp>
 
 #include <algorithm>
-#include <filesystem>
 #include <optional>
 
 #include "capture/frames.h"
@@ -55,12 +54,6 @@ Result<AssembledView> replay(capture::FrameSource& source, runtime::LightEstimat
   return std::move(*seen);
 }
 
-bool is_exr_name(const std::string& path) {
-  std::string extension = std::filesystem::path(path).extension().string();
-  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return extension == ".exr";
-}
-
 // 1 where a camera saw, 0 elsewhere; empty where all is seen.
 Image<float> seen_pixels(const Environment& map) {
   const bool all = std::ranges::all_of(map.confidence.pixels(), [](float c) { return c > 0; });
@@ -80,14 +73,8 @@ Result<void> hdr_environment(const HdrEnvironmentOptions& o) {
                   runtime::LightEstimationStage::create(source->cameras(), {.bands = 3}, times));
   PENUMBRA_ASSIGN(seen, replay(*source, stage, o.capture, o.at_s));
   const Environment& map = seen.map;
-  const Image<float> alpha = seen_pixels(map);
-  if (!alpha.empty() && !is_exr_name(o.output))
-    return fail(
-        ErrorCode::kInvalid, o.output,
-        fmt::format("cannot say which directions were seen, and {:.1f} % of the sphere was: "
-                    "write .exr",
-                    100 * seen.coverage));
-  PENUMBRA_TRY(codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, alpha));
+  PENUMBRA_TRY(
+      codec::write_hdr(o.output, map.radiance, codec::Depth::kFloat, {}, seen_pixels(map)));
   if (!o.json) {
     fmt::print("{}: {}x{} from {} of {}, {:.1f} % of the sphere seen, {:.3f} % clipped\n", o.output,
                map.radiance.width(), map.radiance.height(), counted(stage.gains().size(), "view"),

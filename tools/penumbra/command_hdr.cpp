@@ -72,8 +72,7 @@ std::size_t middle_exposure(const capture::ExposureStack& stack) {
 // Says what the pictures themselves tell of their exposures.
 Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
                                               capture::ExposureStack& stack) {
-  constexpr double kFarOff = .1;
-  constexpr double kEnough = .2;  // of the picture: less may be its border, or haze in a lens
+  constexpr double kEnough = .2;  // of the picture
   const std::vector<std::string>& images = o.images;
   PENUMBRA_ASSIGN(checked, check_times(stack, o.response ? 0 : capture::kEstimatedExponentSigma));
   for (const CheckedTime& c : checked) {
@@ -84,8 +83,7 @@ Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
     if (c.told == 0)
       log_info("{}: {}: {:.4g} s", images[c.picture], by_overlap,
                stack.exposures[c.picture].time.count());
-    else if (c.ratio.fraction > kEnough && std::abs(c.ratio.ratio / c.told - 1) > kFarOff &&
-             (c.told < c.ratio.low || c.told > c.ratio.high))
+    else if (c.contradicts_told(kEnough))
       log_warning("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap, c.told);
   }
   return checked;

@@ -238,6 +238,12 @@ Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack, doub
   return out;
 }
 
+bool CheckedTime::contradicts_told(double fraction) const {
+  constexpr double kFarOff = .1;
+  return told > 0 && ratio.fraction > fraction && std::abs(ratio.ratio / told - 1) > kFarOff &&
+         (told < ratio.low || told > ratio.high);
+}
+
 EightBitBracket eight_bit_bracket(const capture::ExposureStack& stack) {
   EightBitBracket out;
   for (std::size_t k = 0; k < stack.frames.size(); ++k) {
