@@ -97,7 +97,7 @@ class Aligner {
     const cv::Mat picture = as_matrix(of);
     PointPairs pairs;
     match(features_, find_features(at_moderate_size(picture), kMaxFeatures), scale_, {}, {}, pairs);
-    const cv::Mat coarse = homography_through(pairs, kInlier_px / scale_);
+    cv::Mat coarse = homography_through(pairs, kInlier_px / scale_);
     if (coarse.empty() || scale_ == 1) return coarse;
     PointPairs in_tiles = match_tiles(picture, coarse);
     // With the others, which hold it where a tile shows nothing to find.
