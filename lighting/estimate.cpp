@@ -9,6 +9,7 @@
 #include "lighting/lights/distant_light.h"
 #include "lighting/lights/light_extraction.h"
 #include "lighting/sh/irradiance.h"
+#include "lighting/sh/map_average.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/sh_inpainting.h"
 
@@ -107,7 +108,10 @@ void LightEstimator::choose_max_lights() {
   auto used = std::min(split_.lights.size(), static_cast<std::size_t>(plan_->lights));
   for (std::size_t i = used; i < split_.lights.size(); ++i)
     if (split_.lights[i].clipped) used = i + 1;
-  plan_->lights = std::max(plan_->lights, static_cast<int>(used));
+  if (const int more = static_cast<int>(used) - plan_->lights; more > 0) {
+    plan_->lights += more;
+    plan_->fine_lights += more;
+  }
   unused_.insert(unused_.end(), split_.lights.begin() + static_cast<std::ptrdiff_t>(used),
                  split_.lights.end());
   split_.lights.resize(used);
@@ -149,9 +153,23 @@ Result<ShProjection> LightEstimator::measure_split(const Environment& environmen
   return projection;
 }
 
-Result<void> LightEstimator::estimate(const Environment& environment, LightEstimate& out) {
-  if (environment.radiance.empty())
-    return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+// What is clipped or hidden is told by pixel.
+const Environment& LightEstimator::averaged(const Environment& environment) {
+  const Image<Rgb>& map = environment.radiance;
+  const bool whole = environment.clipped.empty() && environment.confidence.empty();
+  map_rows_ = map.height();
+  max_map_step_ = whole && divides_into_blocks(map, kMapBlock) ? kMapBlock : 1;
+  const int step = std::min(plan_ ? plan_->map_step : options_.map_step, max_map_step_);
+  if (step == 1) return environment;
+  average_blocks(map, step, averaged_.radiance);
+  averaged_.time = environment.time;
+  averaged_.clipped_fraction = environment.clipped_fraction;
+  return averaged_;
+}
+
+Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimate& out) {
+  if (whole_map.radiance.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
+  const Environment& environment = averaged(whole_map);
   follow_holes(environment.confidence);
   // A source at the edge of clipping must not change sides with every map.
   maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
@@ -164,9 +182,12 @@ Result<void> LightEstimator::estimate(const Environment& environment, LightEstim
     filter_ = LightFilter();
   }
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
-  PENUMBRA_ASSIGN(projection,
-                  without_lights ? measure_whole(environment) : measure_split(environment));
-  make_estimate(projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
+  const auto projection = without_lights ? measure_whole(environment) : measure_split(environment);
+  // The whole map names its own pixel.
+  if (!projection && &environment != &whole_map)
+    PENUMBRA_TRY(project_latlong(whole_map.radiance, 1));
+  if (!projection) return std::unexpected(projection.error());
+  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;
   if (out.plan && hole_fit_)
     out.plan = governor_->with_unseen(*out.plan, hole_fit_->unseen_above());
@@ -192,8 +213,9 @@ void LightEstimator::allow_lights(int max_count) {
 }
 
 Plan LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
-  errors_.predict({&residual.upper_moments, split_.lights}, governor_config_->probes,
-                  governor_config_->limits.max_bands, governor_config_->limits.max_lights);
+  errors_.predict({&residual.upper_moments, split_.lights, map_rows_, max_map_step_},
+                  governor_config_->probes, governor_config_->limits.max_bands,
+                  governor_config_->limits.max_lights);
   return governor_->update(errors_, time);
 }
 

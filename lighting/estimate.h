@@ -29,6 +29,9 @@ struct EstimateOptions {
   int bands = 5;
   ExtractionOptions lights{};  // max_count = 0: harmonics alone
   bool filter = true;          // of streams, see LightFilter
+  /// Maps are read averaged over blocks of so many pixels squared, where nothing in them is clipped
+  /// or hidden and their size allows; a governor overrules it.
+  int map_step = 1;
 };
 
 /// Keeps tables between environments of one size.
@@ -39,8 +42,8 @@ class LightEstimator {
   ~LightEstimator();
   LightEstimator(LightEstimator&&) noexcept;
   LightEstimator& operator=(LightEstimator&&) noexcept;
-  /// From now on bands and lights are the governor's choice within the options'; estimates carry
-  /// the plan.
+  /// From now on bands, lights and map step are the governor's choice, bands and lights within the
+  /// options'; estimates carry the plan.
   void set_governor(const GovernorConfig& governor_config);
   /// As Governor::allow_lights; nothing without a governor. With none the map is split only now and
   /// then, for the prediction, unless something in it is clipped.
@@ -66,6 +69,7 @@ class LightEstimator {
   void follow_holes(const Image<float>& confidence);
   Result<ShProjection> fill_holes(const Result<ShProjection>& moments) const;
   Plan plan_for(const ShProjection& residual, TimestampNs time);
+  const Environment& averaged(const Environment& environment);
   Result<void> peel(const Environment& environment);
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
@@ -83,6 +87,8 @@ class LightEstimator {
   std::optional<Governor> governor_;
   ErrorTable errors_;
   std::optional<Plan> plan_;
+  Environment averaged_;
+  int map_rows_ = 0, max_map_step_ = 1;  // of the newest map, as it came
   int maps_since_split_ = 0;
   bool without_lights_ = false;  // the map before was measured whole
   int maps_unclipped_ = 0;

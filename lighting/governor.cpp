@@ -1,9 +1,12 @@
+#include "lighting/governor.h"
+
 #include <algorithm>
 #include <cmath>
 #include <memory_resource>
+#include <numeric>
 
+#include "core/conventions.h"
 #include "core/scratch.h"
-#include "lighting/governor.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
@@ -13,108 +16,268 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr double kNegligible_ms = .25;
 constexpr double kOwnSteps = .008;  // of bake, maps and interpolation, whatever the light
-// Of samples and the form of a light, relative to what the light brings.
-constexpr double kTraced = .035;
-// Error that a point-like source causes when nine bands hold it, relative to what it brings. Wider
-// ones cause less, by what of their energy lies beyond band 8.
-constexpr double kBeyondNineBands = .28;
+// Of what is tilted, that and what lights do is more: the sphere's light is cut, not the floor's.
+constexpr double kTilted = 2.5;
+// Of samples and the form of a light, relative to what the light brings. Long shadows of low lights
+// are drawn with larger cells, those of wide ones with fewer; what they bring the floor counts by
+// the cosine.
+constexpr double kFine = .008, kCoarse = .04, kOnObject = .021;
+constexpr double kOfLength = .0058, kOfWideLength = .014, kLowest = .1;
+// Error that a point-like source causes when nine bands hold it on the floor, and five on objects,
+// relative to what it brings. Wider ones cause less, by what of their energy lies beyond.
+constexpr double kBeyondOnFloor = .28, kBeyondOnObject = .25;
+constexpr double kHeldByNine_rad = .37, kHeldByFive_rad = .63;  // 21 and 36 degrees: all of it
+// Of a light that is narrower than the blocks of pixels that it is found in, for a degree.
+constexpr double kInBlocks = .06, kInBlocksOnObject = .03;
 
-// Fraction of a round source's irradiance-weighted structure that nine bands cannot hold: 1 for a
+// Fraction of a round source's irradiance-weighted structure that harmonics cannot hold: 1 for a
 // point.
-double narrowness(const DistantLight& source) {
-  constexpr double kHeldByNine = .37;  // radians: 21 degrees, where 81 coefficients suffice
-  const double t = source.radius.value() / kHeldByNine;
+double narrowness(const DistantLight& source, double held_rad) {
+  const double t = source.radius.value() / held_rad;
   return t >= 1 ? 0 : (1 - t) * (1 - t);
 }
 
-// s at the probes under harmonics `light`, with `traced` irradiance that is taken care of
-// elsewhere.
-void add_ratio(const ShadowProbes& probes, const RadianceSh& light, double open, double sign,
-               std::span<double> out) {
-  if (!(open > 0)) return;
-  for (std::size_t p = 0; p < out.size(); ++p) {
-    double sum = 0;
-    for (int n = 0; n < light.size(); ++n)
-      sum += double(luminance(light[n])) *
-             double(probes.deficit[p * kMaxCoefficients + static_cast<std::size_t>(n)]);
-    out[p] += sign * sum / open;
-  }
+// The size of a block in degrees, as far as a light is not wider: how narrow it is cannot be told
+// from blocks, so it counts alike however it was found.
+double too_large_blocks_deg(const DistantLight& source, int map_rows) {
+  constexpr double kFrom = .8, kTo = 1.2;
+  const double block_rad = kMapBlock * kPi / map_rows,
+               wider = (kTo - source.radius.value() / block_rad) / (kTo - kFrom);
+  return std::clamp(wider, 0., 1.) * block_rad * 180 / kPi;
 }
+
+double mean_square(std::span<const double> values) {
+  double sum = 0;
+  for (const double v : values) sum += v * v;
+  return values.empty() ? 0 : sum / static_cast<double>(values.size());
+}
+
+double open_irradiance(const RadianceSh& light) {
+  return std::max(double(luminance(evaluate(irradiance(light), glm::dvec3(0, 1, 0)))), 1e-30);
+}
+
+void add(RadianceSh& sum, const RadianceSh& other) {
+  for (int n = 0; n < sum.size(); ++n) sum[n] += other[n];
+}
+
+// What harmonics leave at the points of a table, [point][n] of so many bands.
+class ProbeValues {
+ public:
+  ProbeValues(std::span<const float> table, int bands, std::pmr::memory_resource* memory)
+      : table_(table),
+        stride_(static_cast<std::size_t>(coefficient_count(bands))),
+        values_(table.size() / stride_, memory) {}
+
+  /// factor * light, from nothing or onto what is there.
+  void set(const RadianceSh& light, double factor) {
+    std::ranges::fill(values_, 0);
+    add(light, factor);
+  }
+  void add(const RadianceSh& light, double factor) {
+    const auto terms = std::min(static_cast<std::size_t>(light.size()), stride_);
+    for (std::size_t p = 0; p < values_.size(); ++p) {
+      double sum = 0;
+      for (std::size_t n = 0; n < terms; ++n)
+        sum += double(luminance(light[static_cast<int>(n)])) * double(table_[p * stride_ + n]);
+      values_[p] += factor * sum;
+    }
+  }
+  void copy(const ProbeValues& other) { std::ranges::copy(other.values_, values_.begin()); }
+  double mean_square() const { return lighting::mean_square(values_); }
+  bool empty() const { return values_.empty(); }
+
+ private:
+  std::span<const float> table_;
+  std::size_t stride_;
+  std::pmr::vector<double> values_;
+};
 
 }  // namespace
 
-void ErrorTable::predict(const SplitLight& light, const ShadowProbes& probes, int max_bands,
+// The light without its sources and each source, as moments; what the errors are fractions of.
+struct ErrorTable::Parts {
+  std::pmr::vector<RadianceSh> moments;  // of each light
+  std::pmr::vector<double> irradiance;   // of the open floor, by each light
+  std::pmr::vector<Squares> fractions;   // of all that the floor gets and the objects send
+  double of_objects = 0;                 // mean square of the whole light at their points
+
+  Parts(const SplitLight& light, const SceneProbes& probes, std::pmr::memory_resource* memory)
+      : moments(memory), irradiance(memory), fractions(memory) {
+    ProbeValues object(probes.transfer, std::max(1, probes.transfer_bands), memory);
+    std::pmr::vector<double> on_objects(memory);
+    RadianceSh all = light.upper_residual->with_bands(kMaxBands);
+    for (const DistantLight& d : light.lights) {
+      moments.push_back(project_upper_distant_light(d, kMaxBands));
+      irradiance.push_back(luminance(lighting::irradiance(d, glm::dvec3(0, 1, 0))));
+      object.set(upper_hemisphere_light(moments.back(), object_bands(probes)), 1);
+      on_objects.push_back(object.mean_square());
+      add(all, moments.back());
+    }
+    object.set(upper_hemisphere_light(all, object_bands(probes)), 1);
+    of_objects = std::max(object.mean_square(), 1e-60);
+    const double open = open_irradiance(upper_hemisphere_light(all, kMaxBands));
+    for (std::size_t j = 0; j < moments.size(); ++j) {
+      const double shadow = std::pow((probes.level ? 1 : kTilted) * irradiance[j] / open, 2);
+      fractions.push_back({shadow, object.empty() ? shadow : on_objects[j] / of_objects});
+    }
+  }
+  static int object_bands(const SceneProbes& probes) {
+    return std::clamp(probes.transfer_bands, 1, kMaxBands);
+  }
+};
+
+void ErrorTable::predict_traced(const SplitLight& light, const Parts& parts) {
+  traced_.assign(static_cast<std::size_t>(max_lights_) + 1, {});
+  is_wide_.clear();
+  const auto add = [](Squares& sum, double shadow, double object, const Squares& fraction) {
+    sum.shadow += shadow * shadow * fraction.shadow;
+    sum.object += object * object * fraction.object;
+  };
+  for (std::size_t j = 0; j + 1 < traced_.size(); ++j) {
+    const DistantLight& d = light.lights[j];
+    Traced& t = traced_[j + 1] = traced_[j];
+    const bool wide = d.radius >= kWideLight;
+    const double length = (wide ? kOfWideLength : kOfLength) / std::max(d.direction.y, kLowest),
+                 fine = kFine + length;
+    add(t.fine, fine, kOnObject, parts.fractions[j]);
+    add(t.coarse, wide ? fine : std::hypot(fine, kCoarse + length), kOnObject, parts.fractions[j]);
+    const double block_deg = too_large_blocks_deg(d, map_rows_);
+    add(t.in_blocks, kInBlocks * block_deg, kInBlocksOnObject * block_deg, parts.fractions[j]);
+    is_wide_.push_back(wide ? 1 : 0);
+  }
+}
+
+// The floor's ratio and the objects' light at the probes: with fewer bands against all that there
+// are.
+void ErrorTable::predict_bands(int lights, const RadianceSh& moments, double traced_irradiance,
+                               const SceneProbes& probes, const Parts& parts) {
+  const Scratch::Scope scope;
+  const int object_bands = Parts::object_bands(probes);
+  ProbeValues floor(probes.deficit, kMaxBands, scope.memory()),
+      floor_cut(probes.deficit, kMaxBands, scope.memory());
+  ProbeValues object(probes.transfer, object_bands, scope.memory()),
+      object_cut(probes.transfer, object_bands, scope.memory());
+  const RadianceSh full = upper_hemisphere_light(moments, kMaxBands);
+  floor.set(full, 1 / (open_irradiance(full) + traced_irradiance));
+  object.set(upper_hemisphere_light(moments, object_bands), 1);
+  for (int bands = 1; bands <= max_bands_; ++bands) {
+    Squares& out = omitted_[static_cast<std::size_t>(lights * max_bands_ + bands - 1)].bands;
+    out = {1, 1};
+    if (!probes.tell_of_bands() && bands < max_bands_) continue;
+    const RadianceSh cut = upper_hemisphere_light(moments, bands);
+    floor_cut.copy(floor);
+    floor_cut.add(cut, -1 / (open_irradiance(cut) + traced_irradiance));
+    out = {floor_cut.mean_square(), 0};
+    if (bands >= object_bands || !probes.tell_of_bands()) continue;
+    object_cut.copy(object);
+    object_cut.add(cut, -1);
+    out.object = object_cut.mean_square() / parts.of_objects;
+  }
+}
+
+void ErrorTable::predict(const SplitLight& light, const SceneProbes& probes, int max_bands,
                          int max_lights) {
   max_bands_ = max_bands;
   max_lights_ = std::min(max_lights, static_cast<int>(light.lights.size()));
+  map_rows_ = light.map_rows;
+  max_map_step_ = light.max_map_step;
+  own_ = probes.level ? kOwnSteps : kTilted * kOwnSteps;
+  omitted_.resize(static_cast<std::size_t>((max_lights_ + 1) * max_bands_));
   const Scratch::Scope scope;
-  std::pmr::vector<double> truth(scope.memory()), difference(probes.count(), scope.memory());
-  const glm::dvec3 up(0, 1, 0);
-  const auto open_of = [&](const RadianceSh& l) { return luminance(evaluate(irradiance(l), up)); };
-  errors_.resize(static_cast<std::size_t>((max_lights_ + 1) * max_bands_));
-  for (int lights = max_lights_; lights >= 0; --lights) {
-    RadianceSh upper_moments = light.upper_residual->with_bands(kMaxBands);
-    double traced = 0, traced_square = 0, beyond = 0;
-    for (std::size_t j = 0; j < light.lights.size(); ++j) {
-      const DistantLight& d = light.lights[j];
-      const double own = luminance(irradiance(d, up));
-      if (j < static_cast<std::size_t>(lights)) {
-        traced += own;
-        traced_square += own * own;
-        continue;
-      }
-      beyond += std::pow(narrowness(d) * own, 2);
-      const RadianceSh moments = project_upper_distant_light(d, kMaxBands);
-      for (int n = 0; n < kMaxCoefficients; ++n) upper_moments[n] += moments[n];
+  const Parts parts(light, probes, scope.memory());
+  predict_traced(light, parts);
+  // From all lights in the harmonics to as few as may be.
+  RadianceSh moments = light.upper_residual->with_bands(kMaxBands);
+  Squares beyond;
+  for (std::size_t j = light.lights.size() + 1; j-- > 0;) {
+    if (const auto lights = static_cast<int>(j); lights <= max_lights_) {
+      const double traced =
+          std::accumulate(parts.irradiance.begin(), parts.irradiance.begin() + lights, 0.);
+      predict_bands(lights, moments, traced, probes, parts);
+      for (int bands = 1; bands <= max_bands_; ++bands)
+        omitted_[static_cast<std::size_t>(lights * max_bands_ + bands - 1)].lights = beyond;
     }
-    const RadianceSh full = upper_hemisphere_light(upper_moments, kMaxBands);
-    const double open = std::max(open_of(full) + traced, 1e-30);
-    truth.assign(probes.count(), 0);
-    add_ratio(probes, full, open, -1, truth);
-    for (int bands = 1; bands <= max_bands_; ++bands) {
-      const RadianceSh cut = upper_hemisphere_light(upper_moments, bands);
-      std::ranges::copy(truth, difference.begin());
-      add_ratio(probes, cut, open_of(cut) + traced, 1, difference);
-      double square = 0;
-      for (const double d : difference) square += d * d;
-      if (!difference.empty()) square /= static_cast<double>(difference.size());
-      square += (kBeyondNineBands * kBeyondNineBands * beyond + kTraced * kTraced * traced_square) /
-                (open * open);
-      errors_[static_cast<std::size_t>(lights * max_bands_ + bands - 1)] =
-          std::sqrt(square + kOwnSteps * kOwnSteps);
-    }
+    if (j == 0) break;
+    const DistantLight& d = light.lights[j - 1];
+    const Squares& fraction = parts.fractions[j - 1];
+    add(moments, parts.moments[j - 1]);
+    beyond.shadow += std::pow(kBeyondOnFloor * narrowness(d, kHeldByNine_rad), 2) * fraction.shadow;
+    beyond.object +=
+        std::pow(kBeyondOnObject * narrowness(d, kHeldByFive_rad), 2) * fraction.object;
   }
+}
+
+PredictedErrors ErrorTable::errors(const Treatment& t) const {
+  const int lights = std::clamp(t.lights, 0, max_lights_);
+  const Omitted& out = omitted(std::clamp(t.bands, 1, max_bands_), lights);
+  const Traced& all = traced_[static_cast<std::size_t>(lights)];
+  const Traced& fine = traced_[static_cast<std::size_t>(std::clamp(t.fine_lights, 0, lights))];
+  const Squares in_blocks = t.map_step > 1 ? all.in_blocks : Squares{};
+  const double drawn = fine.fine.shadow + all.coarse.shadow - fine.coarse.shadow;
+  return {std::sqrt(own_ * own_ + out.bands.shadow + out.lights.shadow + drawn + in_blocks.shadow),
+          std::sqrt(own_ * own_ + out.bands.object + out.lights.object + all.fine.object +
+                    in_blocks.object)};
+}
+
+PredictedErrors ErrorTable::errors_of_bands(int bands, int lights) const {
+  const Squares& out =
+      omitted(std::clamp(bands, 1, max_bands_), std::clamp(lights, 0, max_lights_)).bands;
+  return {std::sqrt(out.shadow), std::sqrt(out.object)};
+}
+
+UpdateCost ErrorTable::cost(const Treatment& t, const CostModel& costs) const {
+  const double size = map_rows_ / 512.;
+  UpdateCost out;
+  out.reading_ms = (t.map_step > 1 ? costs.read_blocks_ms : costs.read_ms) * size * size;
+  out.relighting_ms = costs.relight_ms + costs.per_coefficient_ms * coefficient_count(t.bands);
+  for (int j = 0; j < std::min(t.lights, max_lights_); ++j) {
+    out.lights_ms += is_wide_[static_cast<std::size_t>(j)] ? costs.wide_light_ms
+                     : j < t.fine_lights                   ? costs.fine_light_ms
+                                                           : costs.coarse_light_ms;
+  }
+  return out;
+}
+
+Plan Governor::judge(const ErrorTable& errors, const Treatment& treatment, double budget) const {
+  const PredictedErrors predicted = errors.errors(treatment);
+  Plan plan;
+  static_cast<Treatment&>(plan) = treatment;
+  plan.error = factor_ * predicted.shadow;
+  plan.object_error = factor_ * predicted.object;
+  plan.cost = errors.cost(treatment, costs_);
+  plan.ms = plan.cost.ms();
+  plan.within_budget = std::max(plan.error, plan.object_error) <= budget;
+  return plan;
 }
 
 Plan Governor::cheapest(const ErrorTable& errors, double budget) const {
   return cheapest(errors, budget, max_lights());
 }
 
+bool Governor::takes_too_few_bands(const ErrorTable& errors, const Treatment& t,
+                                   double budget) const {
+  const int all = std::min(errors.max_bands(), limits_.max_bands);
+  return t.bands < all &&
+         (t.bands < kMinBands ||
+          errors.errors_of_bands(t.bands, t.lights).larger() > kBandsPart * budget);
+}
+
 Plan Governor::cheapest(const ErrorTable& errors, double budget, int lights_allowed) const {
-  Plan best, most_accurate;
-  bool found = false;
-  double min_error = HUGE_VAL;
-  for (int lights = 0; lights <= std::min(errors.max_lights(), lights_allowed); ++lights)
-    for (int bands = 1; bands <= std::min(errors.max_bands(), limits_.max_bands); ++bands) {
-      Plan plan{bands, lights, factor_ * errors.error(bands, lights), costs_.ms(bands, lights),
-                true};
-      if (plan.error < min_error) min_error = plan.error, most_accurate = plan;
-      if (plan.error > budget || (found && plan.ms >= best.ms)) continue;
-      best = plan;
-      found = true;
-    }
-  if (!found) best = most_accurate, best.within_budget = false;
-  // Bands that cost next to nothing also serve the objects' own shading, which the prediction does
-  // not see.
-  while (best.bands < std::min(errors.max_bands(), limits_.max_bands) &&
-         costs_.ms(best.bands + 1, best.lights) < best.ms + kNegligible_ms) {
-    ++best.bands;
-    best.error = factor_ * errors.error(best.bands, best.lights);
-  }
-  best.ms = costs_.ms(best.bands, best.lights);
-  return best;
+  std::optional<Plan> best, most_accurate;
+  const auto error_of = [](const Plan& p) { return std::max(p.error, p.object_error); };
+  Treatment t;
+  for (t.lights = 0; t.lights <= std::min(errors.max_lights(), lights_allowed); ++t.lights)
+    for (t.fine_lights = 0; t.fine_lights <= t.lights; ++t.fine_lights)
+      for (const int step : {1, kMapBlock})
+        for (t.bands = 1; t.bands <= std::min(errors.max_bands(), limits_.max_bands); ++t.bands) {
+          t.map_step = step;
+          if (step > errors.max_map_step() || takes_too_few_bands(errors, t, budget)) continue;
+          const Plan plan = judge(errors, t, budget);
+          if (!most_accurate || error_of(plan) < error_of(*most_accurate)) most_accurate = plan;
+          if (plan.within_budget && (!best || plan.ms < best->ms)) best = plan;
+        }
+  return best ? *best : *most_accurate;
 }
 
 Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
@@ -134,15 +297,16 @@ Plan Governor::with_unseen(Plan plan, double unseen_above) const {
 
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
   const Plan needed = cheapest(errors, limits_.budget);
-  if (!current_ || current_->lights > max_lights()) {
+  if (!current_ || current_->lights > max_lights() || current_->map_step > errors.max_map_step()) {
     could_do_less_since_.reset();
     return *(current_ = needed);
   }
-  const double present =
-      factor_ * errors.error(current_->bands, std::min(current_->lights, errors.max_lights()));
-  const bool too_little = present > limits_.budget && needed.error < present;
+  const Plan present = judge(errors, *current_, limits_.budget);
+  const auto error_of = [](const Plan& p) { return std::max(p.error, p.object_error); };
+  const bool too_little = (!present.within_budget && error_of(needed) < error_of(present)) ||
+                          takes_too_few_bands(errors, *current_, limits_.budget);
   const Plan modest = cheapest(errors, kMargin * limits_.budget);
-  const bool could_do_less = modest.within_budget && modest.ms < current_->ms;
+  const bool could_do_less = modest.within_budget && modest.ms < present.ms;
   if (!could_do_less) could_do_less_since_.reset();
   if (could_do_less && !could_do_less_since_) could_do_less_since_ = now;
   if (too_little) {
@@ -152,8 +316,7 @@ Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
     current_ = modest;
     could_do_less_since_.reset();
   } else {
-    current_->error = present;
-    current_->within_budget = present <= limits_.budget;
+    current_ = present;
   }
   return *current_;
 }

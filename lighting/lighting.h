@@ -12,6 +12,7 @@
 #include "lighting/saturation_recovery.h"      // IWYU pragma: export
 #include "lighting/sh/basis.h"                 // IWYU pragma: export
 #include "lighting/sh/irradiance.h"            // IWYU pragma: export
+#include "lighting/sh/map_average.h"           // IWYU pragma: export
 #include "lighting/sh/map_luminance.h"         // IWYU pragma: export
 #include "lighting/sh/projection.h"            // IWYU pragma: export
 #include "lighting/sh/rotation.h"              // IWYU pragma: export

@@ -1,22 +1,29 @@
 #include "runtime/pipeline/governor_config.h"
 
 #include <algorithm>
+#include <cmath>
 #include <glm/geometric.hpp>
 #include <vector>
 
 #include "core/conventions.h"
+#include "lighting/estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
+#include "runtime/pipeline/internal/kept_costs.h"
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "runtime/shading/occlusion_probes.h"
+#include "runtime/shading/scene_light.h"
 #include "shadows/field/planar_shadow.h"
 
 namespace penumbra::runtime {
 
 namespace {
+
+constexpr std::size_t kObjectProbes = 64;  // of each object
+constexpr int kRuns = 5;
 
 // An object with its planar shadow, as a stage relights them.
 class Relit {
@@ -43,14 +50,73 @@ class Relit {
   shadows::PlanarShadow shadow_;
 };
 
+// Steps by the golden ratio reach all of a mesh evenly, whatever the order of its vertices.
+void add_object_probes(const prt::Transfer& transfer, lighting::SceneProbes& out) {
+  const auto count = std::min<std::size_t>(transfer.points, kObjectProbes);
+  const int green = transfer.channels == 1 ? 0 : 1;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double at = std::fmod(.5 + static_cast<double>(i) * .6180339887498949, 1.);
+    const auto point = static_cast<std::size_t>(at * static_cast<double>(transfer.points));
+    for (int n = 0; n < coefficient_count(out.transfer_bands); ++n)
+      out.transfer.push_back(n < coefficient_count(transfer.bands) ? transfer.value(green, n, point)
+                                                                   : 0.f);
+  }
+}
+
+// Of one light, at places that it has not been at before; it brings a third of what floors get.
+double time_light(const PreparedScene& scene, DirectLightStage& lights,
+                  const OcclusionProbes& around, double radius_rad, bool fine) {
+  lighting::DistantLight light;
+  light.id = 1;
+  light.radius = Radians(radius_rad);
+  light.radiance = {1, 1, 1};
+  const std::vector<Rgb> open(scene.planes.size(), 3 * light.irradiance());
+  const auto move = [&](int run) {
+    light.direction = glm::normalize(glm::dvec3(1, 1.2, .1 * run));
+    lights.update({&light, 1}, 1, around, open, fine ? 1 : 0);
+  };
+  const double ms = time_single_threaded(kRuns, move).p50_ms;
+  lights.update({}, 1, around);  // forgets it
+  return ms;
+}
+
+// A bright ceiling and four lamps: finding them takes as long as the projection.
+Image<Rgb> lit_map(int rows) {
+  Image<Rgb> map(2 * rows, rows, {1, 1, 1});
+  for (int y = 0; y < rows / 8; ++y)
+    for (Rgb& pixel : map.row(y)) pixel = {4, 4, 4};
+  for (int lamp = 0; lamp < 4; ++lamp)
+    for (int y = 0; y < rows / 16; ++y)
+      for (int x = 0; x < rows / 16; ++x)
+        map.at(rows / 2 * lamp + x, rows / 4 + y) = {200, 200, 200};
+  return map;
+}
+
+double time_reading(int map_step) {
+  penumbra::Environment environment;
+  environment.radiance = lit_map(512);
+  lighting::EstimateOptions options;
+  options.map_step = map_step;
+  lighting::LightEstimator estimator(options);
+  lighting::LightEstimate out;
+  const auto read = [&](int) { (void)estimator.estimate(environment, out); };
+  read(0);  // makes its tables
+  return time_single_threaded(kRuns, read).p50_ms;
+}
+
 }  // namespace
 
-lighting::ShadowProbes shadow_probes(const PreparedScene& scene) {
-  lighting::ShadowProbes out;
-  for (const PreparedObject& o : scene.objects)
+lighting::SceneProbes scene_probes(const PreparedScene& scene) {
+  lighting::SceneProbes out;
+  out.planes_only = scene.real_mesh.triangles.empty();
+  for (const PreparedObject& o : scene.objects) {
+    out.transfer_bands = std::max(out.transfer_bands, o.baked.transfer.bands);
+    out.level = out.level && stands_level(o.baked, o.world_from_bake);
     for (std::size_t p = 0; p < o.baked.shadow_probes.points; ++p)
       for (int n = 0; n < kMaxCoefficients; ++n)
         out.deficit.push_back(static_cast<float>(kPi) * o.baked.shadow_probes.value(0, n, p));
+  }
+  for (const PreparedObject& o : scene.objects) add_object_probes(o.baked.transfer, out);
   return out;
 }
 
@@ -59,6 +125,8 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   const OcclusionProbes alone(
       scene);  // nothing looked at yet: what stands around costs the same for any plan
   lighting::CostModel costs;
+  costs.read_ms = time_reading(1);
+  costs.read_blocks_ms = time_reading(lighting::kMapBlock);
   std::vector<Relit> things;
   for (const PreparedObject& o : scene.objects) things.emplace_back(o);
   const RadianceSh light(kMaxBands);
@@ -66,22 +134,19 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
     const auto all = [&](int) {
       for (Relit& thing : things) thing.relight(light, reflected);
     };
-    return time_single_threaded(5, all).p50_ms;
+    return time_single_threaded(kRuns, all).p50_ms;
   };
   // What is baked is read whole, whatever the bands of the light; the first light brings reflected
   // light.
+  costs.relight_ms = relight(nullptr);
   costs.per_coefficient_ms = 0;
-  costs.base_ms = relight(nullptr);
-  const double reflected_ms = std::max(0., relight(&light) - costs.base_ms);
-  lighting::DistantLight sun;
-  sun.id = 1;
-  sun.radius = Radians(.02);
-  sun.radiance = {1, 1, 1};
-  const auto move = [&](int run) {
-    sun.direction = glm::normalize(glm::dvec3(1, 1.2, .3 + .1 * run));
-    lights.update({&sun, 1}, 1, alone);
+  const double reflected_ms = std::max(0., relight(&light) - costs.relight_ms);
+  const auto time = [&](Radians radius, bool fine) {
+    return reflected_ms + time_light(scene, lights, alone, radius.value(), fine);
   };
-  costs.per_light_ms = reflected_ms + time_single_threaded(3, move).p50_ms;
+  costs.fine_light_ms = time(.2 * lighting::kWideLight, true);
+  costs.coarse_light_ms = time(.2 * lighting::kWideLight, false);
+  costs.wide_light_ms = time(2 * lighting::kWideLight, true);
   return costs;
 }
 
@@ -89,9 +154,9 @@ Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene
                                                       bool fitted) {
   lighting::GovernorConfig out;
   out.limits.budget = budget;
-  out.probes = shadow_probes(scene);
+  out.probes = scene_probes(scene);
   if (!fitted) return out;
-  PENUMBRA_ASSIGN(costs, fit_costs(scene));
+  PENUMBRA_ASSIGN(costs, recall_or_fit(scene, [&] { return fit_costs(scene); }));
   out.costs = costs;
   return out;
 }

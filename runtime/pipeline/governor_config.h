@@ -9,15 +9,16 @@
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// The baked probes of all objects on a floor.
-lighting::ShadowProbes shadow_probes(const PreparedScene& scene);
+/// Of all objects: what the floors under them lose, as baked, and some of their own points.
+lighting::SceneProbes scene_probes(const PreparedScene& scene);
 
-/// Time of relighting and of tracing one light in this scene on one thread, fitted.
+/// Times of reading a map, of relighting this scene and of tracing one light in it on one thread,
+/// fitted here and now.
 /// errors: kUnavailable (Embree)
 Result<lighting::CostModel> fit_costs(const PreparedScene& scene);
 
-/// For a scene. `fitted`: costs measured here and now; else fixed ones, so that a replay makes the
-/// same choices everywhere.
+/// For a scene. `fitted`: costs measured on this machine, at the first start with such a scene, and
+/// kept in the cache folder; else fixed ones, so that a replay makes the same choices everywhere.
 /// errors: kUnavailable
 Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene, double budget,
                                                       bool fitted);

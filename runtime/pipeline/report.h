@@ -44,17 +44,26 @@ inline const char* reason_of(const lighting::Plan& p) {
   if (p.unseen)
     return "a part of the surroundings that no camera sees may change the shadow by more than the "
            "limit";
-  if (p.within_budget) return "the cheapest whose predicted shadow error is within the limit";
+  if (p.within_budget) return "the cheapest whose predicted errors are within the limit";
   if (p.time_limited) return "the most accurate that a frame's time allows";
   return "the most accurate there is; none is within the limit";
 }
 
 /// What the governor picked and why.
 inline nlohmann::json to_json(const lighting::Plan& p) {
+  const auto unless_unknown = [&](double error) {
+    return p.lower_bound ? nlohmann::json() : nlohmann::json(error);
+  };
   return {{"bands", p.bands},
           {"lights", p.lights},
-          {"predicted_error", p.lower_bound ? nlohmann::json() : nlohmann::json(p.error)},
+          {"fine_lights", p.fine_lights},
+          {"map_step", p.map_step},
+          {"predicted_error", unless_unknown(p.error)},
+          {"predicted_object_error", unless_unknown(p.object_error)},
           {"predicted_ms", p.ms},
+          {"reading_ms", p.cost.reading_ms},
+          {"relighting_ms", p.cost.relighting_ms},
+          {"lights_ms", p.cost.lights_ms},
           {"within_budget", p.within_budget},
           {"time_limited", p.time_limited},
           {"lower_bound", p.lower_bound},

@@ -40,6 +40,8 @@ std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
   return fmt::format("{:016x}.glb", h.value());
 }
 
+}  // namespace
+
 std::optional<fs::path> cache_folder() {
   const char* cache = std::getenv("XDG_CACHE_HOME");
   const char* home = std::getenv("HOME");
@@ -47,8 +49,6 @@ std::optional<fs::path> cache_folder() {
   if (home && *home) return fs::path(home) / ".cache" / "penumbra";
   return std::nullopt;
 }
-
-}  // namespace
 
 void prune_cache(const fs::path& folder, std::uintmax_t max_bytes) {
   struct CacheEntry {

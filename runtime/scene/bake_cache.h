@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 
 #include "prt/bake/bake.h"
@@ -11,6 +12,9 @@
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
+
+/// $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra; nothing where neither is told.
+std::optional<std::filesystem::path> cache_folder();
 
 /// From $XDG_CACHE_HOME/penumbra or ~/.cache/penumbra when it was baked before, otherwise baked and
 /// put there. The folder keeps what was used last, at most `kCacheBytes`; one that cannot be

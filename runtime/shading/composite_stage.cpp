@@ -172,8 +172,10 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   bool lights_changed = false;
   {
     const StageTimer timer(times_, "lights");
-    lights_changed =
-        lights_.update(light.lights, kPi * luminance(light.mean_radiance), surroundings_, open_);
+    const std::size_t fine = light.plan ? static_cast<std::size_t>(light.plan->fine_lights)
+                                        : DirectLightStage::kAllLights;
+    lights_changed = lights_.update(light.lights, kPi * luminance(light.mean_radiance),
+                                    surroundings_, open_, fine);
   }
   if (lamps_.any()) {
     const StageTimer timer(times_, "lamps");

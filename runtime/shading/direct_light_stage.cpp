@@ -259,7 +259,7 @@ void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool
 // More at once, less only when a good deal less would do: a light at the limit must not change back
 // and forth.
 DirectLightStage::TracedDetail DirectLightStage::detail_for(const lighting::DistantLight& source,
-                                                            const OpenLight& open,
+                                                            bool fine, const OpenLight& open,
                                                             const TracedDetail& before) const {
   constexpr double kGoodDeal = .7;
   const auto of_plane = [](double fraction) {
@@ -270,7 +270,7 @@ DirectLightStage::TracedDetail DirectLightStage::detail_for(const lighting::Dist
     const Rgb here = fraction_of(source, scene_->planes[p], open.on_planes[p]);
     fraction = std::max({fraction, double(here.r), double(here.g), double(here.b)});
   }
-  TracedDetail out{sampling_.object, of_plane(fraction)};
+  TracedDetail out{sampling_.object, of_plane(fraction), fine};
   if (before.plane > out.plane) out.plane = std::min(before.plane, of_plane(fraction / kGoodDeal));
   // Two rays are the fewest that are soft. (Under immenstadter's sun the knot is 1.91 instead of
   // 1.86 % off.)
@@ -290,6 +290,7 @@ void DirectLightStage::trace_planes(TracedLight& t) {
                                          real, near_m_, &memo_};
     shadows::ShadowMapOptions options = sampling_.plane;
     options.resolution_scale = std::min(options.resolution_scale, t.detail.plane);
+    if (!t.detail.fine && !shadows::is_wide(t.source)) options = options.coarse();
     shadows::render_shadow_maps(casters, scene_->planes[p], t.source, options, t.on_plane[p]);
     options.size /= 2;
     if (!real.empty())
@@ -300,7 +301,7 @@ void DirectLightStage::trace_planes(TracedLight& t) {
 
 bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
                               double mean_irradiance, const OcclusionProbes& around,
-                              std::span<const Rgb> open_irradiance) {
+                              std::span<const Rgb> open_irradiance, std::size_t fine_lights) {
   if (!lights.empty()) follow_forms();
   const bool poses_changed =
       std::ranges::any_of(moved_from_, [](const auto& p) { return p.has_value(); });
@@ -318,11 +319,13 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
     changed |= known == before_.end() || change > kVisibleFraction * mean_irradiance;
     const lighting::DistantLight before = t.source;
     t.source = source;
-    const TracedDetail detail = detail_for(source, {mean_irradiance, open_irradiance}, t.detail);
+    const bool fine = traced_.size() < fine_lights;
+    const TracedDetail detail =
+        detail_for(source, fine, {mean_irradiance, open_irradiance}, t.detail);
     const bool anew = t.cosine.empty() || move > kMinMove + .1 * source.radius.value() ||
                       std::abs(t.radius - source.radius.value()) > .1 * source.radius.value() ||
                       detail.object_samples > t.detail.object_samples ||
-                      detail.plane > t.detail.plane;
+                      detail.plane > t.detail.plane || detail.fine > t.detail.fine;
     if (anew) t.detail = detail;
     if (anew || poses_changed) {
       trace(t, around, anew);

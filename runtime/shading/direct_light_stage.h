@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -45,8 +46,12 @@ class DirectLightStage {
   /// was traced or a radiance changed visibly, relative to `mean_irradiance`. `open_irradiance[p]`
   /// is the light of open plane p, lights included: shadows of what brings little of it are drawn
   /// less finely; none: all finely.
+  /// The first `fine_lights` throw finely drawn shadows on planes. Of the others narrow ones throw
+  /// coarse ones; wide ones are drawn by what they bring anyway.
   bool update(std::span<const lighting::DistantLight> lights, double mean_irradiance,
-              const OcclusionProbes& around, std::span<const Rgb> open_irradiance = {});
+              const OcclusionProbes& around, std::span<const Rgb> open_irradiance = {},
+              std::size_t fine_lights = kAllLights);
+  static constexpr std::size_t kAllLights = std::numeric_limits<std::size_t>::max();
 
   /// Mesh i of virtual_things is object i. Of real_things the real mesh is the first, where there
   /// is one; planes follow, where there are several.
@@ -88,6 +93,7 @@ class DirectLightStage {
   struct TracedDetail {
     int object_samples = 0;
     double plane = 0;  // ShadowMapOptions::resolution_scale
+    bool fine = false;
   };
   struct TracedLight {
     TracedDetail detail;            // as it was traced
@@ -119,7 +125,7 @@ class DirectLightStage {
   /// changed.
   void trace(TracedLight& traced, const OcclusionProbes& around, bool all);
   void trace_planes(TracedLight& traced);
-  TracedDetail detail_for(const lighting::DistantLight& source, const OpenLight& open,
+  TracedDetail detail_for(const lighting::DistantLight& source, bool fine, const OpenLight& open,
                           const TracedDetail& before) const;
   bool may_have_changed(std::size_t object, const lighting::DistantLight& source) const;
   void shade_hits(std::size_t object, const lighting::DistantLight& source,

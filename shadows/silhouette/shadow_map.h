@@ -2,6 +2,7 @@
 // threads: reentrant
 #pragma once
 
+#include <algorithm>
 #include <glm/vec3.hpp>
 #include <span>
 #include <vector>
@@ -24,6 +25,12 @@ struct ShadowMapOptions {
   /// Of a wide light so many of these directions are taken, and (1 + resolution_scale)/2 of these
   /// cells: 1, 1/2 or 1/4. Steps in the shadow of what brings little light are small.
   double resolution_scale = 1;
+
+  /// For a light whose shadow's steps nobody will see: a quarter of the directions, four at least,
+  /// and half of the cells along a side.
+  ShadowMapOptions coarse() const {
+    return {std::min(samples, std::max(4, samples / 4)), std::max(16, size / 2), resolution_scale};
+  }
 };
 
 /// The fraction of one light that virtual things take from a real plane, on a rectangle that holds

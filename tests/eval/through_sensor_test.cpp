@@ -72,7 +72,7 @@ TEST(ThroughSensor, BesideRealThingsItIsAsInTheWorld) {
     EXPECT_LT(got->sensor.shadow_rmse, .05) << scene.name;
     EXPECT_LT(got->sensor.object_rel_rmse, .08) << scene.name;
     EXPECT_LT(std::abs(got->sensor.object_bias), .03) << scene.name;
-    EXPECT_EQ(got->bands, 5) << scene.name << ": an object needs more than its shadow does";
+    EXPECT_EQ(got->bands, 5) << scene.name << ": in the shade all light is in the harmonics";
   }
   EXPECT_EQ(scenes, 2);
 }

@@ -114,6 +114,34 @@ TEST(DirectLightStage, TheShadowOnAPlaneGoesWithItsObject) {
   }
 }
 
+// A quarter of the directions and half of the cells: a little off, and never left like that when
+// the light is to be drawn finely.
+TEST(DirectLightStage, CoarseShadowsAreCloseAndBecomeFineAtOnce) {
+  const PreparedScene scene = two_balls();
+  const OcclusionProbes around(scene);
+  const std::vector<Rgb> open{{1, 1, 1}};
+  auto stage = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  const auto drawn = [&](std::size_t fine) {
+    stage->update(std::vector{sun(0)}, 1, around, open, fine);
+    const auto all = shadows_of(*stage, open);
+    EXPECT_FALSE(all.empty());
+    double area = 0;
+    int cells = 0;
+    for (const auto& on_plane : all) {
+      const shadows::ShadowMap& s = *on_plane.shadow;
+      cells = std::max({cells, s.taken.width(), s.taken.height()});
+      for (const float taken : s.taken.pixels()) area += double(taken) * s.cell_m * s.cell_m;
+    }
+    return std::pair(area, cells);
+  };
+  const auto [coarse, few] = drawn(0);
+  const auto [fine, many] = drawn(1);
+  EXPECT_GT(many, 1.8 * few);
+  EXPECT_NEAR(coarse, fine, .02 * fine);
+  EXPECT_EQ(drawn(0).second, many) << "drawn finely already, and the light has not moved";
+}
+
 // Look-ups find what rays find, which neighbours share on so coarse a mesh; where the other object
 // may stand before the lamp rays are asked.
 TEST(DirectLightStage, WhatObjectsWereBakedToSeeIsAsked) {

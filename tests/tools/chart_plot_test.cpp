@@ -73,7 +73,8 @@ TEST(ChartCsv, HeaderNamesUnitsAndRowsMatchIt) {
     EXPECT_NE(lines[0].find(name), std::string::npos) << name;
   EXPECT_EQ(std::ranges::count(lines[0], ','), std::ranges::count(lines[1], ','));
   // Neither penumbra error nor flicker has been measured.
-  EXPECT_EQ(lines[1], "room,knot,SH,0,25,0,16,4,0,0,0,1,0.0125,0,0,0,,0,,0.25,0,12345678901,1,0,0");
+  EXPECT_EQ(lines[1],
+            "room,knot,SH,0,25,0,0,16,4,0,0,0,1,0.0125,0,0,0,,0,,0.25,0,12345678901,1,0,0,,");
 }
 
 TEST(ChartCsv, QuotesOnlyWhatNeedsIt) {

@@ -121,9 +121,9 @@ Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& e
   PENUMBRA_TRY(lighting::extract_lights(environment, {}, split));
   PENUMBRA_ASSIGN(residual, lighting::project_latlong(split.residual, kMaxBands));
   const lighting::Governor::Limits limits;
-  const lighting::ErrorTable table({&residual.upper_moments, split.lights},
-                                   runtime::shadow_probes(scene.prepared()), limits.max_bands,
-                                   limits.max_lights);
+  const lighting::ErrorTable table(
+      {&residual.upper_moments, split.lights, environment.height(), lighting::kMapBlock},
+      runtime::scene_probes(scene.prepared()), limits.max_bands, limits.max_lights);
   return lighting::Governor({}, costs).cheapest(table, limits.budget);
 }
 

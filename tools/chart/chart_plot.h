@@ -20,6 +20,7 @@ struct ChartPoint {
   bool baseline = false;  // a method of others, to compare with
   int max_lights = 0;     // allowed; `lights` is how many there were
   int coefficients = 0, lights = 0, map_size = 0, bake_rays = 0, environment_rows = 0;
+  int fine_lights = 0;                   // with finely drawn shadows
   int sampling = 0, object_samples = 0;  // of a light: on the floor, and at an object's vertex
   double update_rate = 1;                // light updates a frame
   double object_rel_rmse = 0, object_bias = 0;  // relative to the object's mean luminance
@@ -31,6 +32,11 @@ struct ChartPoint {
   std::size_t bytes = 0;
   double reference_error = 0;  // noise of the reference on the object, taken out of object_rel_rmse
   bool chosen = false;         // what the program picks by itself here
+  bool full = false;           // every knob as far as it goes by default
+  // Of what is chosen: the time of every knob at full over its own, and its own over that of the
+  // cheapest point that keeps the default limit.
+  double saved = std::numeric_limits<double>::quiet_NaN(),
+         regret = std::numeric_limits<double>::quiet_NaN();
 };
 
 /// Rows of objects as CSV: a header of the columns' names, cells quoted as RFC 4180 asks, lines

@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
+#include <optional>
+#include <span>
 
 #include "core/conventions.h"
 #include "lighting/estimate.h"
@@ -43,7 +46,8 @@ struct Method {
   int age_columns = 0;  // how far the map has turned since the light was measured
   double update_rate = 1;
   bool chosen = false;
-  bool default_plan = false;
+  bool full = false;                   // every knob as far as it goes by default
+  std::optional<lighting::Plan> plan;  // of what is chosen
 };
 
 Method with(const std::function<void(Method&)>& change) {
@@ -55,7 +59,7 @@ Method with(const std::function<void(Method&)>& change) {
 
 // Around the default, one axis at a time, and bands against lights.
 std::vector<Method> sweep(const ChartOptions& o) {
-  std::vector<Method> out{with([](Method& m) { m.default_plan = true; })};
+  std::vector<Method> out{with([](Method& m) { m.full = true; })};
   if (!o.bands.empty()) {
     out.clear();
     for (const int b : o.bands)
@@ -136,7 +140,7 @@ class Charter {
       : o_(o), asset_(asset), bench_(bench), points_(points) {}
 
   Result<void> run(const ChartEnvironment& environment) {
-    if (o_.bands.empty() && costs_.per_light_ms < 0) {
+    if (o_.bands.empty() && costs_.relight_ms < 0) {
       PENUMBRA_ASSIGN(costs,
                       runtime::fit_costs(baked_with(lighting::Governor::Limits{}.max_bands)));
       costs_ = costs;
@@ -160,6 +164,7 @@ class Charter {
       PENUMBRA_TRY(governed(environment, truth));
       PENUMBRA_TRY(baselines(environment, truth));
       PENUMBRA_TRY(time_again());
+      compare_choice(std::span(points_).subspan(first));
     }
     for (std::size_t i = first; i < points_.size() && !o_.json; ++i) print(points_[i]);
     return {};
@@ -172,14 +177,17 @@ class Charter {
     if (!plan) return fail(plan.error().code, e.name, plan.error().detail);
     Method m;
     m.label = "governor", m.bands = plan->bands, m.max_lights = plan->lights, m.chosen = true;
+    m.plan = *plan;
     return ours(m, e, truth);
   }
 
   Result<void> ours(const Method& m, const ChartEnvironment& e, const Truth& truth) {
-    const lighting::EstimateOptions options{m.bands, {m.max_lights, .02}};
+    lighting::EstimateOptions options{m.bands, {m.max_lights, .02}};
+    if (m.plan) options.map_step = m.plan->map_step;
     Image<Rgb> map = seen_by(m, e);
     auto light = lighting::estimate_map(map, options);
     if (!light) return fail(light.error().code, e.name, light.error().detail);
+    light->plan = m.plan;
     lighting::LightEstimator estimator(options);
     penumbra::Environment measured;
     measured.radiance = std::move(map);
@@ -194,7 +202,7 @@ class Charter {
       measured.time = time;
       return estimator.estimate(measured);
     };
-    const bool may_flicker = m.chosen || m.default_plan;
+    const bool may_flicker = m.chosen || m.full;
     PENUMBRA_ASSIGN(scene, baked_for(m));
     return add(m, e, *scene, *light, estimate, may_flicker ? again : LightOf(), truth);
   }
@@ -297,6 +305,9 @@ class Charter {
     p.map_size = m.sampling.plane.size;
     p.bake_rays = m.bake_rays;
     p.environment_rows = m.rows > 0 ? m.rows : e.map.height();
+    if (m.plan) p.environment_rows /= m.plan->map_step;
+    p.fine_lights = m.plan ? m.plan->fine_lights : p.lights;
+    p.full = m.full;
     p.update_rate = m.update_rate;
     p.object_rel_rmse = a.object_without_noise;
     p.object_bias = a.object_bias;
@@ -364,6 +375,24 @@ class Charter {
     return {};
   }
 
+  // What is chosen beside every knob at full, and beside the cheapest that would have kept the
+  // limit. Fewer updates are no choice here: where nothing moves there are none.
+  static void compare_choice(std::span<ChartPoint> points) {
+    constexpr double kLimit = lighting::Governor::Limits{}.budget;
+    double full_ms = std::numeric_limits<double>::quiet_NaN(), cheapest_ms = HUGE_VAL;
+    for (const ChartPoint& p : points) {
+      if (p.full) full_ms = p.ms_p50;
+      if (!p.baseline && p.update_rate == 1 && p.shadow_rmse <= kLimit &&
+          p.object_rel_rmse <= kLimit)
+        cheapest_ms = std::min(cheapest_ms, p.ms_p50);
+    }
+    for (ChartPoint& p : points) {
+      if (!p.chosen) continue;
+      p.saved = full_ms / p.ms_p50;
+      if (std::isfinite(cheapest_ms)) p.regret = p.ms_p50 / cheapest_ms;
+    }
+  }
+
   static void print(const ChartPoint& p) {
     fmt::print(
         "{:<28.28} {:<8.8} {:<26.26} {:>3} {:>3} {:>3} {:>4} {:>4} {:>4} {:>5.2f} {:>9.2f} "
@@ -379,8 +408,8 @@ class Charter {
   const std::string& asset_;
   const ChartScene& bench_;
   std::vector<ChartPoint>& points_;
-  std::vector<Image<Rgb>> maps_;         // of the environment at hand, measured again and again
-  lighting::CostModel costs_{0, 0, -1};  // until fitted
+  std::vector<Image<Rgb>> maps_;  // of the environment at hand, measured again and again
+  lighting::CostModel costs_{.relight_ms = -1};                   // until fitted
   std::map<std::pair<int, int>, runtime::PreparedScene> scenes_;  // by bands and rays of the bake
   std::vector<Timing> timings_;                                   // of the environment at hand
 };

@@ -20,8 +20,9 @@ inline constexpr double kDefaultMaxShadowError = .05;
 
 inline constexpr const char* kMaxLightsHelp = "Maximum number of distant lights, 0 to 64; auto: 8";
 inline constexpr const char* kMaxShadowErrorHelp =
-    "Limit of the RMS error of the shadow ratio, above 0 and at most 1: the governor takes the "
-    "cheapest light that keeps to it, within --bands and --max-lights";
+    "Limit of the RMS error of the shadow ratio, and of the objects relative to their own light, "
+    "above 0 and at most 1: the governor takes the cheapest light that keeps to it, within --bands "
+    "and --max-lights";
 /// Of commands in which the governor chooses the bands.
 inline constexpr const char* kMaxBandsHelp =
     "Maximum number of bands of spherical harmonics, 1 to 9";

@@ -30,6 +30,25 @@ nlohmann::json summarise(const runtime::RunCounts& counts, const StageTimes& tim
           {"touched_fraction", frames > 0 ? counts.touched / frames : 0}};
 }
 
+namespace {
+
+void print_plan(const nlohmann::json& p) {
+  const auto error = [&](const char* key) {
+    return p[key].is_null() ? std::string("unknown") : fmt::format("{:.3f}", p[key].get<double>());
+  };
+  fmt::print(
+      "governor: {} bands, {} lights ({} with fine shadows), map {}, predicted error of shadows "
+      "{}, "
+      "of objects {}, {:.1f} ms (map {:.1f}, relighting {:.1f}, lights {:.1f}): {}\n",
+      p["bands"].get<int>(), p["lights"].get<int>(), p["fine_lights"].get<int>(),
+      p["map_step"].get<int>() > 1 ? "in blocks" : "whole", error("predicted_error"),
+      error("predicted_object_error"), p["predicted_ms"].get<double>(),
+      p["reading_ms"].get<double>(), p["relighting_ms"].get<double>(), p["lights_ms"].get<double>(),
+      p["why"].get<std::string>());
+}
+
+}  // namespace
+
 void print_summary(const nlohmann::json& s) {
   const auto& c = s["configuration"];
   fmt::print(
@@ -43,13 +62,7 @@ void print_summary(const nlohmann::json& s) {
              counted(c["lights"].get<int>(), "light"),
              counted(c["exposures"].get<int>(), "exposure"), 100 * c["coverage"].get<double>(),
              c["renderer"].get<std::string>());
-  if (const auto& p = c["plan"]; !p.is_null())
-    fmt::print("governor: {} bands, {} lights, predicted error {}, {:.1f} ms: {}\n",
-               p["bands"].get<int>(), p["lights"].get<int>(),
-               p["predicted_error"].is_null()
-                   ? "unknown"
-                   : fmt::format("{:.3f}", p["predicted_error"].get<double>()),
-               p["predicted_ms"].get<double>(), p["why"].get<std::string>());
+  if (const auto& p = c["plan"]; !p.is_null()) print_plan(p);
   fmt::print("{:<16} {:>8} {:>10} {:>10}\n", "stage", "count", "p50 ms", "p99 ms");
   for (const auto& [name, stage] : s["stages"].items())
     fmt::print("{:<16} {:>8} {:>10.3f} {:>10.3f}\n", name, stage["count"].get<int>(),
