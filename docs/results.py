@@ -44,6 +44,7 @@ class Values(list):
     """The figures of one name. Formatting shows the only one, or what all are."""
     cases = property(len)
     mean = property(lambda self: sum(self) / len(self))
+    median = property(lambda self: sorted(self)[len(self) // 2])
     min = property(lambda self: min(self))
     max = property(lambda self: max(self))
     worst = property(lambda self: max(self, key=abs))
@@ -123,12 +124,18 @@ def select(rows, row):
 
 # ---- Commands and what is kept of them. ----
 
-def environment_maps():
+# What stands for several files of the shared data: their folder, their names, the flag before each.
+SEVERAL = {"{maps}": ("envmaps", ["*_1k.hdr"], None),
+           "{meshes}": ("eval-only/meshes", ["*.obj", "dragon.ply"], "--asset")}
+
+
+def shared_files(placeholder):
+    folder, patterns, flag = SEVERAL[placeholder]
     shared = Path(os.environ.get("PENUMBRA_SHARED_DATA") or ROOT / ".." / "shared" / "data")
-    maps = sorted(str(path) for path in (shared / "envmaps").glob("*_1k.hdr"))
-    if not maps:
-        raise Absent("shared data folder absent: envmaps (set PENUMBRA_SHARED_DATA)")
-    return maps
+    files = sorted(str(path) for name in patterns for path in (shared / folder).glob(name))
+    if not files:
+        raise Absent(f"shared data folder absent: {folder} (set PENUMBRA_SHARED_DATA)")
+    return [word for file in files for word in ([flag, file] if flag else [file])]
 
 
 def arguments_of(command, binaries, folder):
@@ -145,13 +152,14 @@ def arguments_of(command, binaries, folder):
         program += "_test"
     out = [str(binaries / program)]
     for word in rest:
-        out += environment_maps() if word == "{maps}" else [word.replace("{out}", str(folder))]
+        out += shared_files(word) if word in SEVERAL else [word.replace("{out}", str(folder))]
     return out, added
 
 
 def shown(command):
     """A command as readers type it."""
-    for hidden, instead in ((" --out {out}", ""), (" --json", ""), ("{maps}", "MAPS")):
+    for hidden, instead in ((" --out {out}", ""), (" --json", ""), ("{maps}", "MAPS"),
+                            ("{meshes}", "--asset MESHES")):
         command = command.replace(hidden, instead)
     return f"`{command}`"
 

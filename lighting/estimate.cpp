@@ -52,11 +52,15 @@ LightEstimator::LightEstimator(LightEstimator&&) noexcept = default;
 LightEstimator& LightEstimator::operator=(LightEstimator&&) noexcept = default;
 
 LatLongProjector& LightEstimator::projector_for(const Image<Rgb>& map) {
-  if (!projector_ || width_ != map.width() || height_ != map.height()) {
-    projector_ = std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands);
-    width_ = map.width();
-    height_ = map.height();
+  auto known = std::ranges::find_if(projectors_, [&](const auto& p) { return p.is_for(map); });
+  if (known == projectors_.end()) {
+    // Over the one that was not used last: of other sizes nothing comes back.
+    known = projectors_[0].projector.get() == projector_ ? projectors_.begin() + 1
+                                                         : projectors_.begin();
+    *known = {map.width(), map.height(),
+              std::make_unique<LatLongProjector>(map.width(), map.height(), kMaxBands)};
   }
+  projector_ = known->projector.get();
   return *projector_;
 }
 
@@ -103,14 +107,17 @@ Result<void> LightEstimator::peel(const Environment& environment) {
   return {};
 }
 
-// As many as the plan says, and all that are clipped; the others are left over.
+// As many as the plan says, and all that are clipped, drawn finely; the others are left over.
 void LightEstimator::choose_max_lights() {
   auto used = std::min(split_.lights.size(), static_cast<std::size_t>(plan_->lights));
   for (std::size_t i = used; i < split_.lights.size(); ++i)
     if (split_.lights[i].clipped) used = i + 1;
-  if (const int more = static_cast<int>(used) - plan_->lights; more > 0) {
-    plan_->lights += more;
-    plan_->fine_lights += more;
+  if (static_cast<int>(used) > plan_->lights) {
+    Treatment with_clipped = *plan_;
+    with_clipped.lights = with_clipped.fine_lights = static_cast<int>(used);
+    const bool time_limited = plan_->time_limited;
+    plan_ = governor_->judge(errors_, with_clipped, governor_config_->limits.budget);
+    plan_->time_limited = time_limited && !plan_->within_budget;
   }
   unused_.insert(unused_.end(), split_.lights.begin() + static_cast<std::ptrdiff_t>(used),
                  split_.lights.end());
@@ -159,9 +166,9 @@ const Environment& LightEstimator::averaged(const Environment& environment) {
   const bool whole = environment.clipped.empty() && environment.confidence.empty();
   map_rows_ = map.height();
   max_map_step_ = whole && divides_into_blocks(map, kMapBlock) ? kMapBlock : 1;
-  const int step = std::min(plan_ ? plan_->map_step : options_.map_step, max_map_step_);
-  if (step == 1) return environment;
-  average_blocks(map, step, averaged_.radiance);
+  const int wanted = plan_ ? plan_->map_step : options_.map_step;
+  if (wanted == 1 || max_map_step_ == 1) return environment;
+  average_blocks(map, kMapBlock, averaged_.radiance);
   averaged_.time = environment.time;
   averaged_.clipped_fraction = environment.clipped_fraction;
   return averaged_;

@@ -2,6 +2,7 @@
 // threads: free functions reentrant; LightEstimator thread-bound
 #pragma once
 
+#include <array>
 #include <memory>
 #include <optional>
 #include <span>
@@ -29,12 +30,12 @@ struct EstimateOptions {
   int bands = 5;
   ExtractionOptions lights{};  // max_count = 0: harmonics alone
   bool filter = true;          // of streams, see LightFilter
-  /// Maps are read averaged over blocks of so many pixels squared, where nothing in them is clipped
-  /// or hidden and their size allows; a governor overrules it.
+  /// 1, or kMapBlock: maps are read averaged over blocks of so many pixels squared, where nothing
+  /// in them is clipped or hidden and their size allows. A governor overrules it.
   int map_step = 1;
 };
 
-/// Keeps tables between environments of one size.
+/// Keeps tables between environments of one size, and of its blocks.
 /// threads: thread-bound; no allocation after the first environment of a size without holes
 class LightEstimator {
  public:
@@ -92,8 +93,15 @@ class LightEstimator {
   int maps_since_split_ = 0;
   bool without_lights_ = false;  // the map before was measured whole
   int maps_unclipped_ = 0;
-  int width_ = 0, height_ = 0;
-  std::unique_ptr<LatLongProjector> projector_;
+  struct SizedProjector {
+    int width = 0, height = 0;
+    std::unique_ptr<LatLongProjector> projector;
+    bool is_for(const Image<Rgb>& map) const {
+      return projector && width == map.width() && height == map.height();
+    }
+  };
+  std::array<SizedProjector, 2> projectors_;  // of a map as it is, and in blocks
+  LatLongProjector* projector_ = nullptr;     // of them, which the newest map was read by
 };
 
 /// The light of one map of which a part was not seen, on nine bands.

@@ -1,6 +1,7 @@
 #include "lighting/governor.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory_resource>
 #include <numeric>
@@ -41,7 +42,8 @@ double narrowness(const DistantLight& source, double held_rad) {
 // The size of a block in degrees, as far as a light is not wider: how narrow it is cannot be told
 // from blocks, so it counts alike however it was found.
 double too_large_blocks_deg(const DistantLight& source, int map_rows) {
-  constexpr double kFrom = .8, kTo = 1.2;
+  // A point on the corner of four blocks looks as wide as 1.13 of them.
+  constexpr double kFrom = 1.15, kTo = 1.7;
   const double block_rad = kMapBlock * kPi / map_rows,
                wider = (kTo - source.radius.value() / block_rad) / (kTo - kFrom);
   return std::clamp(wider, 0., 1.) * block_rad * 180 / kPi;
@@ -76,10 +78,11 @@ class ProbeValues {
   }
   void add(const RadianceSh& light, double factor) {
     const auto terms = std::min(static_cast<std::size_t>(light.size()), stride_);
+    std::array<double, kMaxCoefficients> grey;
+    for (std::size_t n = 0; n < terms; ++n) grey[n] = double(luminance(light[static_cast<int>(n)]));
     for (std::size_t p = 0; p < values_.size(); ++p) {
       double sum = 0;
-      for (std::size_t n = 0; n < terms; ++n)
-        sum += double(luminance(light[static_cast<int>(n)])) * double(table_[p * stride_ + n]);
+      for (std::size_t n = 0; n < terms; ++n) sum += grey[n] * double(table_[p * stride_ + n]);
       values_[p] += factor * sum;
     }
   }
@@ -119,7 +122,8 @@ struct ErrorTable::Parts {
     const double open = open_irradiance(upper_hemisphere_light(all, kMaxBands));
     for (std::size_t j = 0; j < moments.size(); ++j) {
       const double shadow = std::pow((probes.level ? 1 : kTilted) * irradiance[j] / open, 2);
-      fractions.push_back({shadow, object.empty() ? shadow : on_objects[j] / of_objects});
+      fractions.push_back(
+          {probes.has_floor ? shadow : 0, object.empty() ? shadow : on_objects[j] / of_objects});
     }
   }
   static int object_bands(const SceneProbes& probes) {
@@ -129,7 +133,7 @@ struct ErrorTable::Parts {
 
 void ErrorTable::predict_traced(const SplitLight& light, const Parts& parts) {
   traced_.assign(static_cast<std::size_t>(max_lights_) + 1, {});
-  is_wide_.clear();
+  wide_.assign(1, 0);
   const auto add = [](Squares& sum, double shadow, double object, const Squares& fraction) {
     sum.shadow += shadow * shadow * fraction.shadow;
     sum.object += object * object * fraction.object;
@@ -144,7 +148,7 @@ void ErrorTable::predict_traced(const SplitLight& light, const Parts& parts) {
     add(t.coarse, wide ? fine : std::hypot(fine, kCoarse + length), kOnObject, parts.fractions[j]);
     const double block_deg = too_large_blocks_deg(d, map_rows_);
     add(t.in_blocks, kInBlocks * block_deg, kInBlocksOnObject * block_deg, parts.fractions[j]);
-    is_wide_.push_back(wide ? 1 : 0);
+    wide_.push_back(wide_.back() + (wide ? 1 : 0));
   }
 }
 
@@ -231,11 +235,12 @@ UpdateCost ErrorTable::cost(const Treatment& t, const CostModel& costs) const {
   UpdateCost out;
   out.reading_ms = (t.map_step > 1 ? costs.read_blocks_ms : costs.read_ms) * size * size;
   out.relighting_ms = costs.relight_ms + costs.per_coefficient_ms * coefficient_count(t.bands);
-  for (int j = 0; j < std::min(t.lights, max_lights_); ++j) {
-    out.lights_ms += is_wide_[static_cast<std::size_t>(j)] ? costs.wide_light_ms
-                     : j < t.fine_lights                   ? costs.fine_light_ms
-                                                           : costs.coarse_light_ms;
-  }
+  const int lights = std::clamp(t.lights, 0, max_lights_),
+            fine = std::clamp(t.fine_lights, 0, lights);
+  const auto wide = [&](int of) { return wide_[static_cast<std::size_t>(of)]; };
+  const int narrow_fine = fine - wide(fine), narrow = lights - wide(lights);
+  out.lights_ms = wide(lights) * costs.wide_light_ms + narrow_fine * costs.fine_light_ms +
+                  (narrow - narrow_fine) * costs.coarse_light_ms;
   return out;
 }
 
@@ -288,35 +293,47 @@ Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
 }
 
 Plan Governor::with_unseen(Plan plan, double unseen_above) const {
-  const bool kept = plan.error <= limits_.budget;
-  plan.error = std::hypot(plan.error, factor_ * kUnseen * unseen_above);
-  plan.unseen = kept && plan.error > limits_.budget;
-  plan.within_budget = plan.within_budget && !plan.unseen;
+  const bool kept = plan.within_budget;
+  const double unseen = factor_ * kUnseen * unseen_above;
+  plan.error = std::hypot(plan.error, unseen);
+  plan.object_error = std::hypot(plan.object_error, unseen);
+  plan.within_budget = kept && std::max(plan.error, plan.object_error) <= limits_.budget;
+  plan.unseen = kept && !plan.within_budget;
   return plan;
 }
 
+// No knob of what is taken now further down.
+Treatment Governor::at_least(const Treatment& now, const Treatment& needed) const {
+  Treatment out;
+  out.bands = std::max(now.bands, needed.bands);
+  out.lights = std::max(now.lights, needed.lights);
+  out.fine_lights = std::max(now.fine_lights, needed.fine_lights);
+  out.map_step = std::min(now.map_step, needed.map_step);
+  return out;
+}
+
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
-  const Plan needed = cheapest(errors, limits_.budget);
-  if (!current_ || current_->lights > max_lights() || current_->map_step > errors.max_map_step()) {
+  const double budget = limits_.budget;
+  const Plan needed = cheapest(errors, budget);
+  if (!current_ || current_->lights > max_lights()) {
     could_do_less_since_.reset();
     return *(current_ = needed);
   }
-  const Plan present = judge(errors, *current_, limits_.budget);
-  const auto error_of = [](const Plan& p) { return std::max(p.error, p.object_error); };
-  const bool too_little = (!present.within_budget && error_of(needed) < error_of(present)) ||
-                          takes_too_few_bands(errors, *current_, limits_.budget);
-  const Plan modest = cheapest(errors, kMargin * limits_.budget);
-  const bool could_do_less = modest.within_budget && modest.ms < present.ms;
-  if (!could_do_less) could_do_less_since_.reset();
-  if (could_do_less && !could_do_less_since_) could_do_less_since_ = now;
-  if (too_little) {
-    current_ = needed;
+  Treatment present = *current_;
+  present.map_step = std::min(present.map_step, errors.max_map_step());
+  *current_ = judge(errors, present, budget);
+  if (!current_->within_budget || takes_too_few_bands(errors, present, budget)) {
     could_do_less_since_.reset();
-  } else if (could_do_less && now - *could_do_less_since_ >= kPatience) {
-    current_ = modest;
+    return *(current_ = judge(errors, at_least(present, needed), budget));
+  }
+  const Plan modest = cheapest(errors, kMargin * budget);
+  if (!modest.within_budget || modest.ms >= current_->ms)
     could_do_less_since_.reset();
-  } else {
-    current_ = present;
+  else if (!could_do_less_since_)
+    could_do_less_since_ = now;
+  else if (now - *could_do_less_since_ >= kPatience) {
+    could_do_less_since_.reset();
+    current_ = judge(errors, modest, budget);
   }
   return *current_;
 }

@@ -37,7 +37,10 @@ struct UpdateCost {
 
 /// What a light update costs here, fitted where it runs.
 struct CostModel {
-  double relight_ms = .1, per_coefficient_ms = .003;
+  double relight_ms = .1;
+  /// Hardly anything, as a bake is read whole; but of two treatments that cost the same the one
+  /// with fewer bands is taken.
+  double per_coefficient_ms = .001;
   /// Of one light, with its shadow on planes; the direct light of a wide one is looked up in what
   /// was baked.
   double fine_light_ms = 1.6, coarse_light_ms = 1.3, wide_light_ms = .7;
@@ -60,13 +63,18 @@ struct SceneProbes {
   /// t_n at points of the objects, green: [point][n]; none: their light is taken for the floor's.
   std::vector<float> transfer;
   int transfer_bands = 0;
-  /// Whether all objects stand upright on level floors: the light of others is cut without the
+  /// Whether anything throws its shadow on a floor.
+  bool has_floor = true;
+  /// Whether all floors that something stands on are level: the light of others is cut without the
   /// floor's help.
   bool level = true;
-  /// Whether planes are all that is real. In the shade of a real mesh all light is in the harmonics.
-  bool planes_only = true;
+  /// Whether planes are all that is real, and every object stands on one. In the shade of a real
+  /// mesh, or in the air, all directions count.
+  bool on_planes_only = true;
   /// Else all of them are taken.
-  bool tell_of_bands() const { return level && planes_only; }
+  bool tell_of_bands() const {
+    return level && on_planes_only && floor_points() + object_points() > 0;
+  }
   std::size_t floor_points() const { return deficit.size() / kMaxCoefficients; }
   std::size_t object_points() const {
     return transfer.size() /
@@ -126,7 +134,7 @@ class ErrorTable {
   double own_ = 0;  // of our own steps
   std::vector<Omitted> omitted_;
   std::vector<Traced> traced_;  // by number of lights
-  std::vector<char> is_wide_;   // by light
+  std::vector<int> wide_;       // how many of so many lights are wide
 };
 
 struct Plan : Treatment {
@@ -151,7 +159,7 @@ struct Plan : Treatment {
 ///         docs/methods/governor.md
 class Governor {
  public:
-  static constexpr double kConformalFactor = 2.25;
+  static constexpr double kConformalFactor = 2.3;
   static constexpr Seconds kPatience{2};
   static constexpr double kMargin = .8;
   /// Bands cost so little that what is left out may take no more of the budget, and never what
@@ -186,6 +194,7 @@ class Governor {
   Plan cheapest(const ErrorTable& errors, double budget, int max_lights) const;
   Plan choose(const ErrorTable& errors, TimestampNs now);
   bool takes_too_few_bands(const ErrorTable& errors, const Treatment& t, double budget) const;
+  Treatment at_least(const Treatment& now, const Treatment& needed) const;
 
   Limits limits_;
   int affordable_lights_ = std::numeric_limits<int>::max();

@@ -8,6 +8,7 @@
 #include "core/conventions.h"
 #include "lighting/estimate.h"
 #include "lighting/lights/distant_light.h"
+#include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
 #include "runtime/pipeline/internal/kept_costs.h"
@@ -22,7 +23,7 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr std::size_t kObjectProbes = 64;  // of each object
+constexpr std::size_t kProbesEach = 64, kProbes = 256;  // of an object, of all
 constexpr int kRuns = 5;
 
 // An object with its planar shadow, as a stage relights them.
@@ -50,17 +51,30 @@ class Relit {
   shadows::PlanarShadow shadow_;
 };
 
-// Steps by the golden ratio reach all of a mesh evenly, whatever the order of its vertices.
-void add_object_probes(const prt::Transfer& transfer, lighting::SceneProbes& out) {
-  const auto count = std::min<std::size_t>(transfer.points, kObjectProbes);
-  const int green = transfer.channels == 1 ? 0 : 1;
-  for (std::size_t i = 0; i < count; ++i) {
-    const double at = std::fmod(.5 + static_cast<double>(i) * .6180339887498949, 1.);
-    const auto point = static_cast<std::size_t>(at * static_cast<double>(transfer.points));
-    for (int n = 0; n < coefficient_count(out.transfer_bands); ++n)
-      out.transfer.push_back(n < coefficient_count(transfer.bands) ? transfer.value(green, n, point)
-                                                                   : 0.f);
+// A row of a table of harmonics in the world's frame.
+class WorldRow {
+ public:
+  WorldRow(const Pose& world_from_bake, int bands)
+      : turn_(world_from_bake.rotation_matrix(), bands), row_(bands) {}
+  void add(const prt::Transfer& table, int channel, std::size_t point, float scale,
+           std::vector<float>& out) {
+    for (int n = 0; n < row_.size(); ++n) {
+      const bool known = n < coefficient_count(table.bands);
+      row_[n].g = known ? scale * table.value(channel, n, point) : 0.f;
+    }
+    const RadianceSh turned = turn_ * row_;
+    for (int n = 0; n < row_.size(); ++n) out.push_back(turned[n].g);
   }
+
+ private:
+  lighting::ShRotation turn_;
+  RadianceSh row_;
+};
+
+// Steps by the golden ratio reach all of a table evenly, whatever the order of its points.
+std::size_t evenly(std::size_t i, std::size_t points) {
+  const double at = std::fmod(.5 + static_cast<double>(i) * .6180339887498949, 1.);
+  return static_cast<std::size_t>(at * static_cast<double>(points));
 }
 
 // Of one light, at places that it has not been at before; it brings a third of what floors get.
@@ -106,17 +120,30 @@ double time_reading(int map_step) {
 
 }  // namespace
 
-lighting::SceneProbes scene_probes(const PreparedScene& scene) {
+lighting::SceneProbes scene_probes(const PreparedScene& scene, int bands) {
   lighting::SceneProbes out;
-  out.planes_only = scene.real_mesh.triangles.empty();
+  out.has_floor = !scene.planes.empty();
+  out.on_planes_only = scene.real_mesh.triangles.empty();
   for (const PreparedObject& o : scene.objects) {
-    out.transfer_bands = std::max(out.transfer_bands, o.baked.transfer.bands);
-    out.level = out.level && stands_level(o.baked, o.world_from_bake);
-    for (std::size_t p = 0; p < o.baked.shadow_probes.points; ++p)
-      for (int n = 0; n < kMaxCoefficients; ++n)
-        out.deficit.push_back(static_cast<float>(kPi) * o.baked.shadow_probes.value(0, n, p));
+    out.transfer_bands = std::max(out.transfer_bands, std::min(bands, o.baked.transfer.bands));
+    if (!o.baked.receiver)
+      out.on_planes_only = false;
+    else
+      out.level = out.level && stands_level(o.baked, o.world_from_bake);
   }
-  for (const PreparedObject& o : scene.objects) add_object_probes(o.baked.transfer, out);
+  const std::size_t each = std::max<std::size_t>(
+      8, std::min(kProbesEach, kProbes / std::max<std::size_t>(1, scene.objects.size())));
+  for (const PreparedObject& o : scene.objects) {
+    const prt::Transfer &floor = o.baked.shadow_probes, &surface = o.baked.transfer;
+    WorldRow on_floor(o.world_from_bake, kMaxBands);
+    for (std::size_t i = 0; i < std::min(each, floor.points); ++i)
+      on_floor.add(floor, 0, i, static_cast<float>(kPi), out.deficit);
+    if (out.transfer_bands == 0) continue;
+    WorldRow on_surface(o.world_from_bake, out.transfer_bands);
+    for (std::size_t i = 0; i < std::min(each, surface.points); ++i)
+      on_surface.add(surface, surface.channels == 1 ? 0 : 1, evenly(i, surface.points), 1,
+                     out.transfer);
+  }
   return out;
 }
 
@@ -136,10 +163,8 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
     };
     return time_single_threaded(kRuns, all).p50_ms;
   };
-  // What is baked is read whole, whatever the bands of the light; the first light brings reflected
-  // light.
+  // The first light brings reflected light.
   costs.relight_ms = relight(nullptr);
-  costs.per_coefficient_ms = 0;
   const double reflected_ms = std::max(0., relight(&light) - costs.relight_ms);
   const auto time = [&](Radians radius, bool fine) {
     return reflected_ms + time_light(scene, lights, alone, radius.value(), fine);
@@ -150,14 +175,17 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
   return costs;
 }
 
-Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene, double budget,
-                                                      bool fitted) {
+Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene,
+                                                      const lighting::Governor::Limits& limits,
+                                                      CostSource costs) {
   lighting::GovernorConfig out;
-  out.limits.budget = budget;
-  out.probes = scene_probes(scene);
-  if (!fitted) return out;
-  PENUMBRA_ASSIGN(costs, recall_or_fit(scene, [&] { return fit_costs(scene); }));
-  out.costs = costs;
+  out.limits = limits;
+  out.probes = scene_probes(scene, limits.max_bands);
+  if (costs == CostSource::kFixed) return out;
+  const auto fit = [&] { return fit_costs(scene); };
+  auto fitted = costs == CostSource::kKept ? recall_or_fit(scene, fit) : fit();
+  if (!fitted) return std::unexpected(std::move(fitted).error());
+  out.costs = *fitted;
   return out;
 }
 

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <fstream>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
@@ -27,24 +28,24 @@ constexpr std::pair<const char*, double lighting::CostModel::*> kTimes[] = {
     {"read_ms", &lighting::CostModel::read_ms},
     {"read_blocks_ms", &lighting::CostModel::read_blocks_ms}};
 
-// Times of one processor say nothing of another.
-std::string processor() {
-  const auto text = read_text("/proc/cpuinfo");
-  const std::size_t from = text ? text->find("model name") : std::string::npos;
-  if (from == std::string::npos) return "unknown";
-  return text->substr(from, text->find('\n', from) - from);
-}
+#ifdef NDEBUG
+constexpr bool kOptimised = true;
+#else
+constexpr bool kOptimised = false;
+#endif
 
 std::string name_of(const PreparedScene& scene) {
-  constexpr int kVersion = 1;
-  const std::string here = processor();
+  constexpr int kVersion = 1;  // of what is measured
+  const std::string here = processor_name();
   Fnv1a h;
-  h.add(kVersion).add(here.data(), here.size()).add(scene.planes.size());
+  h.add(kVersion).add(kOptimised).add(here.data(), here.size()).add(scene.planes.size());
   for (const PreparedObject& o : scene.objects)
     h.add(o.baked.mesh.positions.size())
         .add(o.baked.mesh.triangles.size())
         .add(o.baked.transfer.bands)
         .add(o.baked.transfer.channels)
+        .add(o.baked.visibility.empty())
+        .add(o.animation != nullptr)
         .add(o.baked.ground_deficit.points);
   h.add(scene.real_mesh.triangles.size());
   return fmt::format("costs-{:016x}.json", h.value());
@@ -71,6 +72,17 @@ Result<void> write_costs(const std::filesystem::path& file, const lighting::Cost
 }
 
 }  // namespace
+
+// Read line by line: the kernel's files have no size.
+std::string processor_name() {
+  std::ifstream file("/proc/cpuinfo");
+  std::string processor, line;
+  while (std::getline(file, line) && !line.empty())  // the first one's lines
+    if (line.starts_with("model name") || line.starts_with("CPU part") ||
+        line.starts_with("CPU implementer"))
+      processor += line;
+  return processor;
+}
 
 Result<lighting::CostModel> recall_or_fit(const PreparedScene& scene,
                                           const std::function<Result<lighting::CostModel>()>& fit) {

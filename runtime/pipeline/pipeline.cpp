@@ -114,8 +114,12 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
   if (any_shows_surroundings(cameras)) {
     PENUMBRA_ASSIGN(light, runtime::LightEstimationStage::create(cameras, estimate_options(options),
                                                                  *impl->times));
-    PENUMBRA_ASSIGN(config, runtime::make_governor_config(*impl->scene, options.max_shadow_error,
-                                                          options.measure_costs));
+    const auto costs = !options.measure_costs   ? runtime::CostSource::kFixed
+                       : options.bake.use_cache ? runtime::CostSource::kKept
+                                                : runtime::CostSource::kFitted;
+    const lighting::Governor::Limits limits{options.max_shadow_error, options.bands,
+                                            options.max_lights};
+    PENUMBRA_ASSIGN(config, runtime::make_governor_config(*impl->scene, limits, costs));
     light.set_governor(config);
     impl->light.emplace(std::move(light));
   }

@@ -56,7 +56,7 @@ lighting::LightEstimate turned(lighting::LightEstimate light, std::size_t step) 
   return light;
 }
 
-void expect_none_after_warm_up(Image<Rgb> environment, int knots = 1) {
+void expect_none_after_warm_up(Image<Rgb> environment, int knots = 1, int rows = 128) {
   // Each worker brings memory of its own when it first takes part, whenever that is.
   const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
   auto world = *capture::FloorWorld::make(std::move(environment));
@@ -66,7 +66,7 @@ void expect_none_after_warm_up(Image<Rgb> environment, int knots = 1) {
     next.world_from_bake.translation.x += 1.2 * i;
   }
   capture::StudioOptions options;
-  options.environment_width = 256, options.environment_height = 128;
+  options.environment_width = 2 * rows, options.environment_height = rows;
   options.view_width = 320, options.view_height = 180, options.view_focal_px = 240;
   options.world_from_view = capture::look_at({.2, .6, 1.4}, {0, .2, 0});
   options.sensor.response = calib::Response::srgb();
@@ -74,7 +74,7 @@ void expect_none_after_warm_up(Image<Rgb> environment, int knots = 1) {
   capture::Studio studio(world, options);
   StageTimes times;
   auto light = *LightEstimationStage::create(studio.cameras(), {}, times);
-  const auto governor_config = make_governor_config(scene, .02, false);
+  const auto governor_config = make_governor_config(scene, {.budget = .02}, CostSource::kFixed);
   ASSERT_TRUE(governor_config);
   light.set_governor(*governor_config);
   auto compose = CompositeStage::create(studio.cameras(), scene,
@@ -112,6 +112,12 @@ TEST(Allocations, OfALightUpdateAndAFrameInARoom) {
 TEST(Allocations, OfALightUpdateAndAFrameUnderASun) {
   if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
   expect_none_after_warm_up(capture::make_sky_environment(256, 128, .7));
+}
+
+// Read in blocks of pixels.
+TEST(Allocations, OfALargerMapUnderAnEvenSky) {
+  if (!test::kCountsAllocations) GTEST_SKIP() << "a sanitizer counts them in its own way";
+  expect_none_after_warm_up(capture::make_room_environment(512, 256), 1, 256);
 }
 
 // Each is in the other's light.

@@ -279,7 +279,8 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   hurried.view_frames = 1 << 30;
   hurried.clip = 2;
   capture::Studio studio(bench().world, hurried);
-  const auto governor_config = make_governor_config(bench().scene, .001, false);
+  const auto governor_config =
+      make_governor_config(bench().scene, {.budget = .001}, CostSource::kFixed);
   ASSERT_TRUE(governor_config);
   s.light->set_governor(*governor_config);
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);

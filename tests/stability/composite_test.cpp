@@ -549,7 +549,7 @@ TEST_F(Composite, TenMinutesOfOneSceneStandStill) {
   test::add_distant_light(scene, test::direction_at(.5, .8), 6 * kDegree, {90, 85, 70});
   test::add_distant_light(scene, test::direction_at(-2, .4), 4 * kDegree, {90, 85, 70});
   lighting::LightEstimator estimator({});
-  estimator.set_governor({{}, {}, scene_probes(scene_)});
+  estimator.set_governor({{}, {}, scene_probes(scene_, 5)});
   const std::vector<bool> open = open_pixels();
   std::mt19937 random(7);
   std::normal_distribution<float> gauss(1, kNoise);

@@ -13,6 +13,7 @@
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/lights/light_extraction.h"
+#include "lighting/sh/map_average.h"
 #include "lighting/sh/projection.h"
 #include "lighting/sh/rotation.h"
 #include "prt/geometry/pinhole_view.h"
@@ -121,9 +122,11 @@ Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& e
   PENUMBRA_TRY(lighting::extract_lights(environment, {}, split));
   PENUMBRA_ASSIGN(residual, lighting::project_latlong(split.residual, kMaxBands));
   const lighting::Governor::Limits limits;
-  const lighting::ErrorTable table(
-      {&residual.upper_moments, split.lights, environment.height(), lighting::kMapBlock},
-      runtime::scene_probes(scene.prepared()), limits.max_bands, limits.max_lights);
+  const bool has_blocks = lighting::divides_into_blocks(environment, lighting::kMapBlock);
+  const lighting::ErrorTable table({&residual.upper_moments, split.lights, environment.height(),
+                                    has_blocks ? lighting::kMapBlock : 1},
+                                   runtime::scene_probes(scene.prepared(), limits.max_bands),
+                                   limits.max_bands, limits.max_lights);
   return lighting::Governor({}, costs).cheapest(table, limits.budget);
 }
 

@@ -31,6 +31,9 @@ Result<void> chart_governor(const ChartOptions& o) {
   PENUMBRA_ASSIGN(costs, runtime::fit_costs(calibration[0].prepared));
   PENUMBRA_ASSIGN(proof, prove_governor(calibration, others, costs, o.budget, o.governor,
                                         progress_bar("random scenes")));
+  if (proof.needed_factor > lighting::Governor::kConformalFactor)
+    log_warning("the calibration scenes need a factor of {:.2f}, more than the program's {:.2f}",
+                proof.needed_factor, lighting::Governor::kConformalFactor);
   if (o.json) {
     print_json({{"needed_factor", proof.needed_factor},
                 {"factor", proof.factor},

@@ -38,14 +38,16 @@ class Trials {
   Trials(const std::vector<TrialScene>& scenes, std::uint32_t first)
       : scenes_(scenes), seed_(first) {}
 
+  /// errors: kUndetermined (no shadow worth measuring in a hundred scenes), else as Trial::make
   Result<ScenePlans> next() {
-    for (;;) {
+    for (int tries = 0; tries < 100; ++tries) {
       const TrialScene& scene = scenes_[seed_ % scenes_.size()];
       const Image<Rgb> map = capture::make_random_environment(2 * kMapRows, kMapRows, seed_++);
       const auto trial = Trial::make(scene, map, kReferenceRays);
       if (trial) return measure_plans(*trial);
       if (trial.error().code != ErrorCode::kUndetermined) return std::unexpected(trial.error());
     }
+    return fail(ErrorCode::kUndetermined, "governor", "finds no shadow to measure in 100 scenes");
   }
 
  private:
@@ -57,7 +59,7 @@ void count_choice(const ScenePlans& plans, const lighting::Plan& chosen, double 
                   GovernorProof& proof) {
   const lighting::PredictedErrors measured = plans.measured_errors(chosen);
   ++proof.promised;
-  proof.kept += measured.larger() <= budget ? 1 : 0;
+  proof.kept += plans.keeps(chosen, budget) ? 1 : 0;
   proof.mean_shadow += measured.shadow;
   proof.mean_object += measured.object;
   proof.worst_shadow = std::max(proof.worst_shadow, measured.shadow);
@@ -88,7 +90,7 @@ ScenePlans measure_plans(const Trial& trial) {
 
 lighting::PredictedErrors ScenePlans::measured_errors(const lighting::Treatment& t) const {
   const auto found = std::ranges::find(measured, t, [](const auto& m) { return m.first; });
-  return found == measured.end() ? lighting::PredictedErrors{} : found->second;
+  return found == measured.end() ? lighting::PredictedErrors{HUGE_VAL, HUGE_VAL} : found->second;
 }
 
 std::optional<lighting::Plan> ScenePlans::choose(const lighting::CostModel& costs, double budget,
@@ -108,7 +110,7 @@ double ScenePlans::min_factor(const lighting::CostModel& costs, double budget) c
   double smallest = factors.front();
   for (const double factor : factors) {
     const auto chosen = choose(costs, budget, factor);
-    if (chosen && measured_errors(*chosen).larger() > budget) return smallest;
+    if (chosen && !keeps(*chosen, budget)) return smallest;
     smallest = factor;
   }
   return 0;

@@ -21,7 +21,11 @@ struct ScenePlans {
   lighting::ErrorTable predicted;
   std::vector<std::pair<lighting::Treatment, lighting::PredictedErrors>> measured;
 
+  /// in: one of `measured`
   lighting::PredictedErrors measured_errors(const lighting::Treatment& treatment) const;
+  bool keeps(const lighting::Treatment& treatment, double budget) const {
+    return measured_errors(treatment).larger() <= budget;
+  }
   /// The governor's choice with this factor; nothing when it finds none within the budget.
   std::optional<lighting::Plan> choose(const lighting::CostModel& costs, double budget,
                                        double factor) const;

@@ -323,7 +323,7 @@ Result<Trial> Trial::make(const TrialScene& scene, const Image<Rgb>& map, int ra
   const lighting::Governor::Limits limits;
   out.predicted_.predict(
       {&out.splits_[0].residual.upper_moments, lights, map.height(), lighting::kMapBlock},
-      runtime::scene_probes(scene.prepared), limits.max_bands, limits.max_lights);
+      runtime::scene_probes(scene.prepared, limits.max_bands), limits.max_bands, limits.max_lights);
   return out;
 }
 
@@ -371,7 +371,7 @@ TrialValues Trial::values(const lighting::Treatment& t) const {
 }
 
 lighting::PredictedErrors Trial::measured(const lighting::Treatment& treatment) const {
-  return measured_errors(values(treatment), truth_).value_or(lighting::PredictedErrors{});
+  return *measured_errors(values(treatment), truth_);  // the truth has a shadow: see make
 }
 
 }  // namespace penumbra::tools

@@ -13,6 +13,7 @@
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
+#include "lighting/sh/map_average.h"
 #include "lighting/sh/projection.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/single_thread_time.h"
@@ -97,27 +98,6 @@ std::vector<Method> sweep(const ChartOptions& o) {
   return out;
 }
 
-// Box filter to so many rows.
-Image<Rgb> reduced(const Image<Rgb>& map, int rows) {
-  const int block = std::max(1, map.height() / rows);
-  Image<Rgb> out(map.width() / block, map.height() / block);
-  for (int y = 0; y < out.height(); ++y) {
-    double weight = 0;
-    for (int j = 0; j < block; ++j)
-      weight += latlong_solid_angle(y * block + j, map.width(), map.height());
-    for (int x = 0; x < out.width(); ++x) {
-      Rgb sum;
-      for (int j = 0; j < block; ++j) {
-        const double w = latlong_solid_angle(y * block + j, map.width(), map.height());
-        for (int i = 0; i < block; ++i)
-          sum += map.at(x * block + i, y * block + j) * static_cast<float>(w / weight / block);
-      }
-      out.at(x, y) = sum;
-    }
-  }
-  return out;
-}
-
 Image<Rgb> turned(const Image<Rgb>& map, int columns) {
   Image<Rgb> out(map.width(), map.height());
   for (int y = 0; y < map.height(); ++y)
@@ -191,16 +171,13 @@ class Charter {
     lighting::LightEstimator estimator(options);
     penumbra::Environment measured;
     measured.radiance = std::move(map);
-    const TimeOf estimate = [options, m, &e] {
-      lighting::LightEstimator fresh(options);
-      penumbra::Environment environment;
-      environment.radiance = seen_by(m, e);
-      return time_of(fresh, environment);
-    };
-    const LightOf again = [&estimator, &measured](const Image<Rgb>& newer, TimestampNs time) {
+    const TimeOf estimate = [options, m, &e] { return reading_time(options, m, e); };
+    const LightOf again = [&estimator, &measured, &m](const Image<Rgb>& newer, TimestampNs time) {
       measured.radiance = newer;
       measured.time = time;
-      return estimator.estimate(measured);
+      auto newest = estimator.estimate(measured);
+      if (newest) newest->plan = m.plan;
+      return newest;
     };
     const bool may_flicker = m.chosen || m.full;
     PENUMBRA_ASSIGN(scene, baked_for(m));
@@ -209,7 +186,24 @@ class Charter {
 
   static Image<Rgb> seen_by(const Method& m, const ChartEnvironment& e) {
     Image<Rgb> map = m.age_columns > 0 ? turned(e.map, m.age_columns) : e.map;
-    return m.rows > 0 ? reduced(map, m.rows) : map;
+    const int side = m.rows > 0 ? std::max(1, map.height() / m.rows) : 1;
+    if (side == 1) return map;
+    Image<Rgb> reduced;
+    lighting::average_blocks(map, side, reduced);
+    return reduced;
+  }
+  // With what averaging takes, as a program that comes by the whole map has to do it.
+  static runtime::LightTime reading_time(const lighting::EstimateOptions& options, const Method& m,
+                                         const ChartEnvironment& e) {
+    lighting::LightEstimator estimator(options);
+    penumbra::Environment environment;
+    environment.radiance = seen_by(m, e);
+    const int side = e.map.height() / environment.radiance.height();
+    (void)estimator.estimate(environment);  // makes its tables
+    return runtime::time_single_threaded(9, [&](int) {
+      if (side > 1) lighting::average_blocks(e.map, side, environment.radiance);
+      (void)estimator.estimate(environment);
+    });
   }
 
   const runtime::PreparedScene& baked_with(int bands) {

@@ -275,8 +275,10 @@ Result<SensorPoint> SensorBench::measure(const World& world, const SensorSetting
     if (!plan->lower_bound) out.predicted_error = plan->error;
   }
   out.sensor = compare(composite, camera, world, 1 / exposure);
-  PENUMBRA_ASSIGN(config, runtime::make_governor_config(*told_, options.max_shadow_error,
-                                                        options.measure_costs));
+  const lighting::Governor::Limits limits{options.max_shadow_error, options.bands,
+                                          options.max_lights};
+  PENUMBRA_ASSIGN(config,
+                  runtime::make_governor_config(*told_, limits, runtime::CostSource::kFixed));
   PENUMBRA_ASSIGN(true_map, under_true_map(world, 1 / exposure, config));
   out.true_map = true_map;
   const Image<Rgb> pictures[] = {std::move(camera), std::move(composite), world.full.radiance};

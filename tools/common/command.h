@@ -14,8 +14,8 @@ namespace penumbra::tools {
 /// What the arguments ask for; run after parsing.
 using Action = std::function<Result<void>()>;
 
-/// Of the shadow ratio's RMS error, kept with 95 % confidence; the mean error comes out at a
-/// quarter of it.
+/// Of the RMS errors of shadows and objects, kept with 95 % confidence; the mean error comes out at
+/// a quarter of it.
 inline constexpr double kDefaultMaxShadowError = .05;
 
 inline constexpr const char* kMaxLightsHelp = "Maximum number of distant lights, 0 to 64; auto: 8";

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <string>
 
 #include "core/result.h"
 #include "lighting/governor.h"
@@ -10,10 +11,13 @@
 
 namespace penumbra::runtime {
 
+/// Of the first processor: times of one say nothing of another. Empty where the kernel tells none.
+std::string processor_name();
+
 /// Of this scene on this processor, from the cache folder of bakes, else fitted and put there. One
 /// that is damaged is fitted anew; one that cannot be written is fitted at every start.
 /// errors: of `fit`
-Result<lighting::CostModel> recall_or_fit(
-    const PreparedScene& scene, const std::function<Result<lighting::CostModel>()>& fit);
+Result<lighting::CostModel> recall_or_fit(const PreparedScene& scene,
+                                          const std::function<Result<lighting::CostModel>()>& fit);
 
 }  // namespace penumbra::runtime
