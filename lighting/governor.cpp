@@ -27,16 +27,14 @@ constexpr double kFine = .008, kCoarse = .04, kOnObject = .021;
 constexpr double kOfLength = .0058, kOfWideLength = .014, kLowest = .1;
 // Error that a point-like source causes when nine bands hold it on the floor, and five on objects,
 // relative to what it brings. Wider ones cause less, by what of their energy lies beyond.
-constexpr double kBeyondOnFloor = .28, kBeyondOnObject = .25;
+constexpr double kBeyondOnFloor = .28, kBeyondOnObject = .22;
 constexpr double kHeldByNine_rad = .37, kHeldByFive_rad = .63;  // 21 and 36 degrees: all of it
 // Of a light that is narrower than the blocks of pixels that it is found in, for a degree.
 constexpr double kInBlocks = .06, kInBlocksOnObject = .03;
 
-// Fraction of a round source's irradiance-weighted structure that harmonics cannot hold: 1 for a
-// point.
+// How far a round source is from what harmonics hold: 1 for a point, 0 from `held_rad` on.
 double narrowness(const DistantLight& source, double held_rad) {
-  const double t = source.radius.value() / held_rad;
-  return t >= 1 ? 0 : (1 - t) * (1 - t);
+  return std::max(0., 1 - source.radius.value() / held_rad);
 }
 
 // The size of a block in degrees, as far as a light is not wider: how narrow it is cannot be told
@@ -206,9 +204,10 @@ void ErrorTable::predict(const SplitLight& light, const SceneProbes& probes, int
     const DistantLight& d = light.lights[j - 1];
     const Squares& fraction = parts.fractions[j - 1];
     add(moments, parts.moments[j - 1]);
-    beyond.shadow += std::pow(kBeyondOnFloor * narrowness(d, kHeldByNine_rad), 2) * fraction.shadow;
-    beyond.object +=
-        std::pow(kBeyondOnObject * narrowness(d, kHeldByFive_rad), 2) * fraction.object;
+    const double on_floor = kBeyondOnFloor * std::pow(narrowness(d, kHeldByNine_rad), 2),
+                 on_object = kBeyondOnObject * narrowness(d, kHeldByFive_rad);
+    beyond.shadow += on_floor * on_floor * fraction.shadow;
+    beyond.object += on_object * on_object * fraction.object;
   }
 }
 
