@@ -160,23 +160,24 @@ Result<ShProjection> LightEstimator::measure_split(const Environment& environmen
   return projection;
 }
 
-// What is clipped or hidden is told by pixel.
-const Environment& LightEstimator::averaged(const Environment& environment) {
+// Null where it is to be read as it is: also what is clipped or hidden is told by pixel.
+const Environment* LightEstimator::in_blocks(const Environment& environment) {
   const Image<Rgb>& map = environment.radiance;
   const bool whole = environment.clipped.empty() && environment.confidence.empty();
   map_rows_ = map.height();
   max_map_step_ = whole && divides_into_blocks(map, kMapBlock) ? kMapBlock : 1;
   const int wanted = plan_ ? plan_->map_step : options_.map_step;
-  if (wanted == 1 || max_map_step_ == 1) return environment;
-  average_blocks(map, kMapBlock, averaged_.radiance);
-  averaged_.time = environment.time;
-  averaged_.clipped_fraction = environment.clipped_fraction;
-  return averaged_;
+  if (wanted == 1 || max_map_step_ == 1) return nullptr;
+  average_blocks(map, kMapBlock, in_blocks_.radiance);
+  in_blocks_.time = environment.time;
+  in_blocks_.clipped_fraction = environment.clipped_fraction;
+  return &in_blocks_;
 }
 
 Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimate& out) {
   if (whole_map.radiance.empty()) return fail(ErrorCode::kInvalid, "environment", "has no pixels");
-  const Environment& environment = averaged(whole_map);
+  const Environment* const blocks = in_blocks(whole_map);
+  const Environment& environment = blocks ? *blocks : whole_map;
   follow_holes(environment.confidence);
   // A source at the edge of clipping must not change sides with every map.
   maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
@@ -191,8 +192,7 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   // All nine bands are measured whatever is used: the rest predicts the truncation error.
   const auto projection = without_lights ? measure_whole(environment) : measure_split(environment);
   // The whole map names its own pixel.
-  if (!projection && &environment != &whole_map)
-    PENUMBRA_TRY(project_latlong(whole_map.radiance, 1));
+  if (!projection && blocks) PENUMBRA_TRY(project_latlong(whole_map.radiance, 1));
   if (!projection) return std::unexpected(projection.error());
   make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
   out.plan = plan_;

@@ -70,7 +70,7 @@ class LightEstimator {
   void follow_holes(const Image<float>& confidence);
   Result<ShProjection> fill_holes(const Result<ShProjection>& moments) const;
   Plan plan_for(const ShProjection& residual, TimestampNs time);
-  const Environment& averaged(const Environment& environment);
+  const Environment* in_blocks(const Environment& environment);
   Result<void> peel(const Environment& environment);
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
@@ -88,7 +88,7 @@ class LightEstimator {
   std::optional<Governor> governor_;
   ErrorTable errors_;
   std::optional<Plan> plan_;
-  Environment averaged_;
+  Environment in_blocks_;
   int map_rows_ = 0, max_map_step_ = 1;  // of the newest map, as it came
   int maps_since_split_ = 0;
   bool without_lights_ = false;  // the map before was measured whole
