@@ -313,17 +313,17 @@ Treatment Governor::at_least(const Treatment& now, const Treatment& needed) cons
 
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
   const double budget = limits_.budget;
-  const Plan needed = cheapest(errors, budget);
+  const auto needed = [&] { return cheapest(errors, budget); };
   if (!current_ || current_->lights > max_lights()) {
     could_do_less_since_.reset();
-    return *(current_ = needed);
+    return *(current_ = needed());
   }
   Treatment present = *current_;
   present.map_step = std::min(present.map_step, errors.max_map_step());
   *current_ = judge(errors, present, budget);
   if (!current_->within_budget || takes_too_few_bands(errors, present, budget)) {
     could_do_less_since_.reset();
-    return *(current_ = judge(errors, at_least(present, needed), budget));
+    return *(current_ = judge(errors, at_least(present, needed()), budget));
   }
   const Plan modest = cheapest(errors, kMargin * budget);
   if (!modest.within_budget || modest.ms >= current_->ms)

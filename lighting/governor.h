@@ -102,7 +102,6 @@ class ErrorTable {
   void predict(const SplitLight& light, const SceneProbes& probes, int max_bands, int max_lights);
   int max_bands() const { return max_bands_; }
   int max_lights() const { return max_lights_; }
-  int map_rows() const { return map_rows_; }
   int max_map_step() const { return max_map_step_; }
   /// in: lights at most max_lights(); more are taken for that many
   PredictedErrors errors(const Treatment& treatment) const;

@@ -38,8 +38,7 @@ void print_plan(const nlohmann::json& p) {
   };
   fmt::print(
       "governor: {} bands, {} lights ({} with fine shadows), map {}, predicted error of shadows "
-      "{}, "
-      "of objects {}, {:.1f} ms (map {:.1f}, relighting {:.1f}, lights {:.1f}): {}\n",
+      "{}, of objects {}, {:.1f} ms (map {:.1f}, relighting {:.1f}, lights {:.1f}): {}\n",
       p["bands"].get<int>(), p["lights"].get<int>(), p["fine_lights"].get<int>(),
       p["map_step"].get<int>() > 1 ? "in blocks" : "whole", error("predicted_error"),
       error("predicted_object_error"), p["predicted_ms"].get<double>(),
