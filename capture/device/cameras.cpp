@@ -13,6 +13,9 @@ CameraList list_cameras() {
 }
 
 Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings) {
+  if (is_libcamera(settings.device) && settings.white_balance_k > 0)
+    return fail(ErrorCode::kInvalid, settings.device,
+                "takes no white_balance_k, which is for V4L2 cameras");
   return is_libcamera(settings.device) ? open_libcamera(settings) : open_v4l2(settings);
 }
 

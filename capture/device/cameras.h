@@ -53,6 +53,7 @@ struct CameraSettings {
   double fps = 30;
   // The driver's value that counts as gain 1; 0: where it stands (libcamera: its least)
   double unit_gain = 0;
+  double white_balance_k = 0;  // at which a V4L2 camera's is fixed; 0: the driver's preset
 };
 
 /// The driver's account of a frame.
@@ -88,9 +89,9 @@ class CameraDevice {
 };
 
 /// Opens, negotiates and starts. Automatic exposure, gain and white balance are switched off where
-/// there are such.
-/// errors: kNotFound, kUnavailable (busy, not a capture device, no streaming), kInvalid (format or
-/// size not offered)
+/// there are such, and white balance is fixed by value where the driver takes one.
+/// errors: kNotFound, kUnavailable (busy, not a capture device, no streaming, a white balance that
+/// cannot be fixed), kInvalid (format, size or white balance not offered)
 Result<std::unique_ptr<CameraDevice>> open_camera(const CameraSettings& settings);
 
 }  // namespace penumbra::capture

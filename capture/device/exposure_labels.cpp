@@ -3,10 +3,7 @@
 #include <cmath>
 #include <numeric>
 
-#include "calib/camera/response_table.h"
 #include "capture/device/internal/bracketed_camera.h"
-#include "capture/hdr/merge.h"
-#include "core/background_task.h"
 #include "core/median.h"
 
 namespace penumbra::capture {
@@ -87,41 +84,12 @@ std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, Time
 }
 
 Brightness BrightnessMeter::measure(const FramePixels& pixels) {
-  constexpr int kSamples = 10;  // a side of a block
-  constexpr float kClipped = .95f, kDark = .005f;
-  const auto meter = [](const auto& image, const ResponseTable& codes) {
-    Brightness out;
-    for (int by = 0; by < Brightness::kRows; ++by)
-      for (int bx = 0; bx < Brightness::kColumns; ++bx) {
-        float sum = 0;
-        int usable = 0;
-        for (int k = 0; k < kSamples * kSamples; ++k) {
-          const int x = ((bx * kSamples + k % kSamples) * 2 + 1) * image.width() /
-                        (2 * kSamples * Brightness::kColumns),
-                    y = ((by * kSamples + k / kSamples) * 2 + 1) * image.height() /
-                        (2 * kSamples * Brightness::kRows);
-          const auto& p = image.at(x, y);
-          const float linear[] = {codes.decode(0, p.r), codes.decode(1, p.g), codes.decode(2, p.b)};
-          const float largest = std::max({linear[0], linear[1], linear[2]}),
-                      mean = (linear[0] + linear[1] + linear[2]) / 3;
-          if (largest > kClipped || mean < kDark) continue;
-          sum += mean, ++usable;
-        }
-        // Blocks that are partly clipped would seem too dark.
-        out.blocks.push_back(usable == kSamples * kSamples ? sum / static_cast<float>(usable)
-                                                           : 0.f);
-      }
-    return out;
-  };
-  if (const auto* codes8 = std::get_if<Image<Rgb8>>(&pixels)) return meter(*codes8, curve(8));
-  if (const auto* codes16 = std::get_if<Image<Rgb16>>(&pixels)) return meter(*codes16, curve(16));
-  return {};
-}
-
-const ResponseTable& BrightnessMeter::curve(int bits) {
-  if (!curve_ || curve_->largest_code() + 1 != 1u << bits)
-    curve_ = make_response_table(camera_.response, bits, camera_.black_level);
-  return *curve_;
+  constexpr CellGrid kGrid{Brightness::kColumns, Brightness::kRows, 10, 10, .005f};
+  meter_.measure(pixels, kGrid, cells_);
+  Brightness out;
+  for (const Rgb& cell : cells_)
+    out.blocks.push_back(std::isnan(cell.g) ? 0 : (cell.r + cell.g + cell.b) / 3);
+  return out;
 }
 
 void ExposureLabels::requested(std::uint64_t after_frame, Exposure exposure) {

@@ -10,8 +10,9 @@ namespace penumbra::capture {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kDeviceKeys[] = {"device", "format",    "fps",          "exposures_s",
-                                            "gains",  "unit_gain", "delay_frames", "light_error"};
+constexpr std::string_view kDeviceKeys[] = {"device",       "format",      "fps",
+                                            "exposures_s",  "gains",       "unit_gain",
+                                            "delay_frames", "light_error", "white_balance_k"};
 
 Result<std::vector<Exposure>> read_schedule(const TomlKeys& keys) {
   std::vector<Exposure> schedule;
@@ -85,6 +86,12 @@ Result<RigCamera> read_rig_camera(const TomlKeys& keys) {
     PENUMBRA_ASSIGN(unit, keys.number("unit_gain"));
     if (!(unit > 0)) return keys.invalid("unit_gain", "is not positive");
     camera.settings.unit_gain = unit;
+  }
+  if (keys.has("white_balance_k")) {
+    PENUMBRA_ASSIGN(kelvin, keys.number("white_balance_k"));
+    if (!(kelvin >= 1000 && kelvin <= 25000))
+      return keys.invalid("white_balance_k", "is not from 1000 to 25000 K");
+    camera.settings.white_balance_k = kelvin;
   }
   if (keys.has("delay_frames")) {
     PENUMBRA_ASSIGN(delay, keys.integer("delay_frames", 1, 10));

@@ -27,8 +27,29 @@ void stop_automatics(const V4l2Node& node) {
   node.set(V4L2_CID_EXPOSURE_AUTO, V4L2_EXPOSURE_MANUAL);
   node.set(V4L2_CID_EXPOSURE_AUTO_PRIORITY, 0);
   node.set(V4L2_CID_AUTOGAIN, 0);
-  node.set(V4L2_CID_AUTO_WHITE_BALANCE, 0);
   node.set(V4L2_CID_BACKLIGHT_COMPENSATION, 0);
+}
+
+// By a value of its own, so that colours are the same at each start, however the camera was left.
+Result<void> fix_white_balance(const V4l2Node& node, double wanted_k) {
+  node.set(V4L2_CID_AUTO_WHITE_BALANCE, 0);
+  if (node.value(V4L2_CID_AUTO_WHITE_BALANCE).value_or(0) != 0)
+    return fail(ErrorCode::kUnavailable, node.device(),
+                "does not let its automatic white balance be switched off, so that the colour of "
+                "the light would follow its pictures");
+  const auto control = node.control(V4L2_CID_WHITE_BALANCE_TEMPERATURE);
+  if (!control) {
+    if (wanted_k <= 0) return {};
+    return fail(ErrorCode::kInvalid, node.device(),
+                "has no white balance in kelvin, as white_balance_k asks for");
+  }
+  const double value = wanted_k > 0 ? wanted_k : control->preset;
+  if (value < control->low || value > control->high)
+    return fail(ErrorCode::kInvalid, node.device(),
+                fmt::format("takes a white_balance_k of {} to {} K", control->low, control->high));
+  if (const int e = node.set(control->id, static_cast<int>(std::lround(value))))
+    return std::unexpected(node.error(ErrorCode::kUnavailable, "refuses its white balance", e));
+  return {};
 }
 
 class V4l2Device : public CameraDevice {
@@ -226,6 +247,7 @@ Result<std::unique_ptr<CameraDevice>> open_v4l2(const CameraSettings& s) {
     return fail(converter.error().code, s.device,
                 converter.error().where + ": " + converter.error().detail);
   stop_automatics(node);
+  PENUMBRA_TRY(fix_white_balance(node, s.white_balance_k));
   auto device = std::make_unique<V4l2Device>(std::move(node), std::move(*converter), s);
   PENUMBRA_TRY(device->start());
   return device;

@@ -136,7 +136,8 @@ std::optional<V4l2Node::Control> V4l2Node::control(std::uint32_t id) const {
   if (call(VIDIOC_QUERYCTRL, &query) != 0 || (query.flags & V4L2_CTRL_FLAG_DISABLED))
     return std::nullopt;
   return Control{id, static_cast<double>(query.minimum), static_cast<double>(query.maximum),
-                 static_cast<double>(std::max(query.step, 1))};
+                 static_cast<double>(std::max(query.step, 1)),
+                 static_cast<double>(query.default_value)};
 }
 
 std::optional<int> V4l2Node::value(std::uint32_t id) const {

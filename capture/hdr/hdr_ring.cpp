@@ -10,6 +10,7 @@
 #include "calib/camera/lens_vignetting.h"
 #include "calib/camera/response_table.h"
 #include "capture/hdr/internal/contradiction.h"
+#include "capture/hdr/internal/frame_watch.h"
 #include "capture/hdr/internal/table_merger.h"
 #include "capture/hdr/merge_math.h"
 #include "capture/hdr/pose_warp.h"
@@ -44,7 +45,8 @@ void to_half(const MergedFloat& in, double shortest, MergedImage& out) {
 
 HdrRing::HdrRing(CameraInfo camera, int slots)
     : camera_(std::move(camera)),
-      max_slots_(static_cast<std::size_t>(std::clamp(slots, 1, kMaxSlots))) {}
+      max_slots_(static_cast<std::size_t>(std::clamp(slots, 1, kMaxSlots))),
+      watch_(std::make_unique<FrameWatch>(camera_)) {}
 HdrRing::~HdrRing() = default;
 HdrRing::HdrRing(HdrRing&&) noexcept = default;
 HdrRing& HdrRing::operator=(HdrRing&&) noexcept = default;
@@ -97,15 +99,21 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
                             height(*frame.pixels), w, h));
   std::optional<Frame> replaced;
   const double gain_log = std::log(frame.exposure.gain.value());
-  if (RingSlot* const old = slot_of(frame.exposure)) {
+  RingSlot* const old = slot_of(frame.exposure);
+  const Exposure nominal = old ? old->nominal : frame.exposure;
+  const auto shorter = std::ranges::find_if(
+      slots_, [&](const RingSlot& s) { return s.nominal.product() < .99 * nominal.product(); });
+  Frame steady =
+      watch_->steady(frame, nominal, shorter == slots_.end() ? nullptr : &shorter->frame);
+  if (old) {
     came_back_ = true;
     came_again_ = 0;
-    replaced = std::exchange(old->frame, frame);
+    replaced = std::exchange(old->frame, std::move(steady));
     old->placed = taken_++;
     old->gain_log += .1 * (gain_log - old->gain_log);
   } else {
     PENUMBRA_TRY(make_room(frame));
-    slots_.push_back({frame, frame.exposure, gain_log, taken_++});
+    slots_.push_back({std::move(steady), frame.exposure, gain_log, taken_++});
     std::ranges::stable_sort(slots_, [](const RingSlot& a, const RingSlot& b) {
       return a.nominal.product() > b.nominal.product();
     });
@@ -121,6 +129,28 @@ Result<const MergedImage*> HdrRing::add(const Frame& frame) {
   if (merged_.black_fraction == 1)
     return fail(ErrorCode::kUndetermined, camera_.name, "every pixel is black in every exposure");
   return &merged_;
+}
+
+bool HdrRing::shortest_clips() const {
+  if (slots_.empty()) return false;
+  const auto any = [&](const auto& image, unsigned largest) {
+    std::array<unsigned, 3> first{};  // code that is clipped, by channel
+    for (int c = 0; c < 3; ++c) {
+      unsigned& code = first[static_cast<std::size_t>(c)];
+      for (unsigned step = (largest + 1) / 2; step > 0; step /= 2)
+        if (code + step <= largest &&
+            camera_.response.decode(double(code + step) / largest, c) < kClipLevel)
+          code += step;
+      ++code;
+    }
+    return std::ranges::any_of(image.pixels(), [&](const auto& p) {
+      return p.r >= first[0] || p.g >= first[1] || p.b >= first[2];
+    });
+  };
+  const FramePixels& shortest = *slots_.back().frame.pixels;
+  if (const auto* codes8 = std::get_if<Image<Rgb8>>(&shortest)) return any(*codes8, 255);
+  if (const auto* codes16 = std::get_if<Image<Rgb16>>(&shortest)) return any(*codes16, 65535);
+  return merged_.clipped_fraction > 0;
 }
 
 // True when a slot was taken with the camera turned otherwise, by more than a quarter of a pixel.
@@ -158,9 +188,7 @@ void HdrRing::fill_unseen(RingSlot& slot, const Frame& newest) const {
   for (int c = 0; c < 3; ++c)
     for (unsigned code = 0; code < 256; ++code)
       expected[static_cast<std::size_t>(c)][code] =
-          double(curve.decode(c, code)) + camera_.black_level >= kClipLevel
-              ? 255
-              : curve.encode8(c, curve.decode(c, code) * static_cast<float>(ratio));
+          static_cast<std::uint8_t>(scaled_code(curve, camera_.black_level, c, code, ratio));
   Image<Rgb8> filled = *seen;
   for (std::size_t i = 0; i < filled.area(); ++i) {
     if (slot.valid.pixels()[i]) continue;

@@ -17,6 +17,7 @@
 #pragma GCC visibility push(default)
 namespace penumbra::capture {
 
+class FrameWatch;   // private: frame_watch.h
 class TableMerger;  // private: table_merger.h
 
 /// The merge at camera rate: every new frame replaces the one of its exposure and publishes a new
@@ -25,7 +26,9 @@ class TableMerger;  // private: table_merger.h
 /// from one place while another becomes brighter than the newest exposure can tell. In frames of 8
 /// bits that light stays whole until a shorter exposure has seen it. When the camera turns
 /// (Frame::world_from_camera) older exposures are turned with it; what they did not see is taken
-/// from the newest.
+/// from the newest. Bands that light on the mains leaves under a rolling shutter are taken out of a
+/// frame first, once eight frames of its exposure have shown them. A white balance that moves is
+/// warned of once.
 /// source: sample rejection at 3.5 sigma, Granados et al. 2010
 class HdrRing {
  public:
@@ -40,6 +43,9 @@ class HdrRing {
   Result<const MergedImage*> add(const Frame& frame);
   /// Different exposures that stand in the ring.
   std::size_t exposures() const { return slots_.size(); }
+  /// Whether the shortest exposure's own frame holds a clipped pixel. Where it holds none, what is
+  /// clipped in the merged image only waits for it.
+  bool shortest_clips() const;
   /// False while a shorter exposure may still come: until one came back, or so many different ones
   /// stand in the ring.
   bool bracket_complete() const { return came_back_ || slots_.size() >= kUsualBracket; }
@@ -77,6 +83,7 @@ class HdrRing {
   std::vector<LeftExposure> left_;  // of late, for want of room
   std::size_t came_again_ = 0;      // frames in a row whose exposure had left
   bool told_ = false;               // that exposures leave
+  std::unique_ptr<FrameWatch> watch_;
   std::vector<Exposure> table_exposures_;
   std::unique_ptr<TableMerger> table_;
   MergedImage merged_;

@@ -37,6 +37,15 @@ class QuantisationStep {
   double square_codes_ = 1 / 12.;
 };
 
+/// What a code becomes where the light on it is `factor` times as much; the largest where it is
+/// clipped.
+inline unsigned scaled_code(const ResponseTable& curve, double black_level, int channel,
+                            unsigned code, double factor) {
+  const auto linear = static_cast<double>(curve.decode(channel, code));
+  if (linear + black_level >= kClipLevel) return curve.largest_code();
+  return curve.encode(channel, static_cast<float>(linear * factor));
+}
+
 /// One unclipped measurement of a pixel: linear signal y of exposure e = time x gain.
 struct Measurement {
   double signal;

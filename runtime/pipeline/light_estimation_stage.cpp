@@ -237,14 +237,15 @@ Result<void> LightEstimationStage::process(const capture::Frame& frame,
 
 void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
   if (!warned_ && std::ranges::any_of(estimate.lights, &lighting::DistantLight::clipped)) {
-    warned_ = true;
-    const auto clips = std::ranges::find_if(
-        views_, [](const RegionView& v) { return v.fresh && v.map.clipped_fraction > 0; });
-    const RegionView& view = clips == views_.end() ? views_[0] : *clips;
-    log_warning(
-        "{}: a light is saturated in every exposure: its power is a lower bound until it is "
-        "recovered from a floor of known albedo",
-        cameras_[static_cast<std::size_t>(view.camera)].name);
+    const auto clips = std::ranges::find_if(views_, [](const RegionView& v) {
+      return v.fresh && v.map.clipped_fraction > 0 && v.ring->shortest_clips();
+    });
+    warned_ = clips != views_.end();
+    if (warned_)
+      log_warning(
+          "{}: a light is saturated in every exposure: its power is a lower bound until it is "
+          "recovered from a floor of known albedo",
+          cameras_[static_cast<std::size_t>(clips->camera)].name);
   }
   if (!blend_ || told_gains_ || !ready()) return;
   told_gains_ = true;

@@ -7,9 +7,12 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
+#include "core/log.h"
 #include "lighting/lighting.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/shading/composite_stage.h"
+#include "runtime/shading/scene_light.h"
+#include "tests/support/mains.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -69,6 +72,70 @@ TEST(LightEstimationStage, ElevenExposuresOfAStillSceneGiveOneLight) {
   }
   ASSERT_GT(frames, 44);
   EXPECT_LT(most / least, 1.005);
+}
+
+capture::CameraInfo filmed_by(const capture::Sensor& sensor, int width, int height) {
+  capture::CameraInfo camera = camera_of(calib::ProjectionKind::kLatLong, width, height);
+  camera.response = sensor.response;
+  camera.noise = sensor.noise;
+  camera.noise_known = true;
+  return camera;
+}
+
+// Lamps that swell with the mains under a rolling shutter: the light stands, in all and by itself.
+TEST(LightEstimationStage, BandsOfTheMainsDoNotReachTheLight) {
+  capture::Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  const Image<Rgb> room = test::room_on_mains(256, 128);
+  Stage s(filmed_by(sensor, 256, 128));
+  std::vector<double> all, lamps, up;
+  for (std::uint64_t n = 0; n < 300; ++n) {
+    const auto estimate =
+        s.light->process(test::film_on_mains(sensor, room, n, {.016, .004, .001}, {}));
+    ASSERT_TRUE(estimate) << estimate.error().detail;
+    if (n < 210) continue;
+    all.push_back(double(luminance(estimate->mean_radiance)));
+    double sum = 0;
+    for (const lighting::DistantLight& l : estimate->lights)
+      sum += double(luminance(l.irradiance()));
+    lamps.push_back(sum);
+    up.push_back(double(luminance(open_irradiance(*estimate, {0, 1, 0}))));
+  }
+  std::printf("flicker of 20 %% in the light: %.2f %% of it, lamps %.2f %%, a floor %.2f %%\n",
+              100 * test::flicker_of(all), 100 * test::flicker_of(lamps),
+              100 * test::flicker_of(up));
+  EXPECT_GT(lamps[0], 0);
+  EXPECT_LT(test::flicker_of(all), .005);
+  EXPECT_LT(test::flicker_of(lamps), .005);
+  EXPECT_LT(test::flicker_of(up), .005);
+}
+
+std::vector<std::string> warnings_of_a_moving_lamp(float brightest) {
+  std::vector<std::string> out;
+  set_log_sink([&](LogLevel level, std::string_view line) {
+    if (level == LogLevel::kWarning) out.emplace_back(line);
+  });
+  capture::Sensor sensor;
+  sensor.response = calib::Response::srgb();
+  Stage s(filmed_by(sensor, 256, 128));
+  const std::vector<double> times_s = {1, 1. / 4, 1. / 16, 1. / 64};
+  for (std::uint64_t n = 0; n < 32; ++n) {
+    Image<Rgb> map(256, 128, {.2f, .2f, .2f});
+    const int left = static_cast<int>(20 + 40 * n) % 240;
+    for (int y = 30; y < 40; ++y)
+      for (int x = left; x < left + 10; ++x) map.at(x, y) = {brightest, brightest, brightest};
+    EXPECT_TRUE(s.light->process(test::film_on_mains(sensor, map, n, times_s, {100, 0})));
+  }
+  set_log_sink({});
+  return out;
+}
+
+// What moves waits for a shorter exposure to see it where it is. That is no saturated camera.
+TEST(LightEstimationStage, ALampIsSaturatedOnlyWhereTheShortestExposureClips) {
+  EXPECT_TRUE(warnings_of_a_moving_lamp(20).empty());
+  const auto bright = warnings_of_a_moving_lamp(200);
+  ASSERT_EQ(bright.size(), 1u);
+  EXPECT_NE(bright[0].find("saturated in every exposure"), std::string::npos) << bright[0];
 }
 
 TEST(LightEstimationStage, NonFinitePixelsAreLeftOutAndDoNotEndTheRun) {

@@ -8,10 +8,10 @@
 #include <optional>
 #include <vector>
 
-#include "calib/camera/response_table.h"
 #include "capture/device/cameras.h"
 #include "capture/device/internal/exposure_schedule.h"
 #include "capture/frames.h"
+#include "capture/hdr/picture_cells.h"
 
 namespace penumbra::capture {
 
@@ -37,20 +37,19 @@ class FrameCounter {
   double latency_ = 1e9;        // seconds from a frame's time to its arrival, the least of late
 };
 
-/// Mean linear signal on a coarse grid; 0 where too much is clipped or dark to tell.
+/// Mean linear signal on a coarse grid; 0 where something is clipped or dark.
 struct Brightness {
   static constexpr int kColumns = 16, kRows = 9;
   std::vector<float> blocks;
 };
 class BrightnessMeter {
  public:
-  explicit BrightnessMeter(const CameraInfo& camera) : camera_(camera) {}
+  explicit BrightnessMeter(const CameraInfo& camera) : meter_(camera) {}
   Brightness measure(const FramePixels& pixels);
 
  private:
-  const ResponseTable& curve(int bits);
-  CameraInfo camera_;
-  std::optional<ResponseTable> curve_;
+  CellMeter meter_;
+  std::vector<Rgb> cells_;
 };
 
 /// The exposure in force at each frame, from the requests and the camera's delay, checked against

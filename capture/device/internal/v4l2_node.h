@@ -43,7 +43,7 @@ class V4l2Node {
 
   struct Control {
     std::uint32_t id;
-    double low, high, step;
+    double low, high, step, preset;
   };
   std::optional<Control> control(std::uint32_t id) const;
   std::optional<int> value(std::uint32_t id) const;
