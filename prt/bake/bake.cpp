@@ -8,8 +8,10 @@
 #include <cmath>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <utility>
 
+#include "core/half.h"
 #include "core/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
@@ -32,6 +34,7 @@ static_assert(kLanes == lighting::kBasisLanes);
 constexpr int kManyRays = 512;        // a quarter of them is enough for reflected light
 constexpr std::size_t kChunk = 64;    // points a task takes at once
 constexpr double kFineFraction = .2;  // of a bake's progress
+constexpr int kFloorAgainBands = 5;
 
 struct BakePoint {
   glm::vec3 position, normal;
@@ -66,9 +69,10 @@ class Baker {
     for (glm::vec3& p : mesh_.positions) p = (p - centre_) * scale_;
     for (std::size_t i = 0; i < mesh_.positions.size(); ++i)
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
+    if (options.receiver && !options.floor_apart) floor_albedo_ = options.receiver->albedo;
     if (options.receiver) add_receiver_points(options.receiver->grid);
     if (options.bounces > 0) bands_ = std::max(bands_, options.indirect_bands);
-    coefficients_ = static_cast<std::size_t>(coefficient_count(bands_));
+    coefficients_ = solved_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
 
   Result<BakedObject> run(Mesh mesh);
@@ -78,7 +82,6 @@ class Baker {
   bool is_ground_point(std::size_t i) const { return i >= mesh_.positions.size(); }
   float plane_height() const { return (options_.receiver->grid.height - centre_.y) * scale_; }
   bool grey() const;
-
   void trace_point(const RayScene& scene, const RayPatterns& patterns, std::size_t index,
                    PointResult& out) const;
   std::uint64_t trace_all(const RayScene& scene, std::vector<PointResult>& out);
@@ -88,9 +91,13 @@ class Baker {
   std::uint32_t ground_mask(const RayScene::RayPacket& packet) const;
   void start_transfer(std::size_t index, const PointResult& result);
   void bounce(std::size_t index, const std::vector<BounceHit>& hits);
+  void bounce_all(const std::vector<PointResult>& results, int bounces, double progress);
+  void gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far);
+  void bake_floor(const std::vector<PointResult>& results, BakedObject& out);
   std::array<double, 3> added_by_last_bounce() const;
   void add_further_bounces(const std::array<double, 3>& fraction);
-  void add_ground_bounce(const BounceHit& hit, int channel, float* sum) const;
+  void add_ground_bounce(const BounceHit& hit, int channel, float albedo,
+                         std::span<const float> far, float* sum) const;
   void report_progress(double fraction);
   std::vector<PointQuality> quality(const std::vector<PointResult>& results) const;
   double standard_error(const std::vector<PointResult>& results,
@@ -98,6 +105,7 @@ class Baker {
   Transfer packed_vertices() const;
   Transfer packed_deficit() const;
   Transfer packed_indirect(std::size_t first, std::size_t count) const;
+  Transfer packed(std::size_t first, std::size_t count, int bands) const;
   Transfer shadow_probes() const;
 
   const float* transfer_at(std::size_t point, int channel) const {
@@ -112,10 +120,12 @@ class Baker {
   glm::vec3 centre_{};
   float scale_ = 1;
   std::vector<BakePoint> points_;
-  std::size_t coefficients_ = 0;
+  std::size_t coefficients_ = 0, solved_ = 0;  // kept, and what bounces are found for
   int channels_ = 1;
+  Rgb floor_albedo_;  // of the receiver, as far as its light is counted in
   std::vector<float> shadowed_, current_, next_;  // [point][channel][n]
   std::vector<float> ground_far_;                 // transfer of an unshadowed receiver, per n
+  std::vector<float> far_;                        // of what bounces, beyond the receiver's grid
   VisibilityMap visibility_;
   std::mutex progress_mutex_;
   double progress_ = 0;
@@ -133,8 +143,7 @@ void Baker::add_receiver_points(const GroundGrid& grid) {
 }
 
 bool Baker::grey() const {
-  return std::ranges::all_of(mesh_.albedo, is_grey) &&
-         (!options_.receiver || is_grey(options_.receiver->albedo));
+  return std::ranges::all_of(mesh_.albedo, is_grey) && is_grey(floor_albedo_);
 }
 
 std::uint32_t Baker::ground_mask(const RayScene::RayPacket& packet) const {
@@ -250,12 +259,14 @@ void Baker::start_transfer(std::size_t index, const PointResult& result) {
     }
 }
 
-void Baker::add_ground_bounce(const BounceHit& hit, int channel, float* sum) const {
-  const float k = hit.weight * options_.receiver->albedo[channel];
+// far: of the receiver beyond its grid
+void Baker::add_ground_bounce(const BounceHit& hit, int channel, float albedo,
+                              std::span<const float> far, float* sum) const {
+  const float k = hit.weight * albedo;
   if (k == 0) return;
   const int size = options_.receiver->grid.size;
   if (hit.u < 0 || hit.u >= 1 || hit.v < 0 || hit.v >= 1 || !std::isfinite(hit.u + hit.v)) {
-    for (std::size_t n = 0; n < coefficients_; ++n) sum[n] += k * ground_far_[n];
+    for (std::size_t n = 0; n < solved_; ++n) sum[n] += k * far[n];
     return;
   }
   const float x =
@@ -272,7 +283,7 @@ void Baker::add_ground_bounce(const BounceHit& hit, int channel, float* sum) con
   const float* const t11 = transfer_at(base + static_cast<std::size_t>(size) + 1, channel);
   const float w00 = k * (1 - fx) * (1 - fy), w10 = k * fx * (1 - fy), w01 = k * (1 - fx) * fy,
               w11 = k * fx * fy;
-  for (std::size_t n = 0; n < coefficients_; ++n)
+  for (std::size_t n = 0; n < solved_; ++n)
     sum[n] += w00 * t00[n] + w10 * t10[n] + w01 * t01[n] + w11 * t11[n];
 }
 
@@ -281,10 +292,10 @@ void Baker::bounce(std::size_t index, const std::vector<BounceHit>& hits) {
     const std::size_t at =
         (index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) * coefficients_;
     float sum[kMaxCoefficients];
-    std::copy_n(&shadowed_[at], coefficients_, sum);
+    std::copy_n(&shadowed_[at], solved_, sum);
     for (const BounceHit& hit : hits) {
       if (hit.triangle == BounceHit::kGround) {
-        add_ground_bounce(hit, c, sum);
+        add_ground_bounce(hit, c, floor_albedo_[c], far_, sum);
         continue;
       }
       const auto& t = mesh_.triangles[hit.triangle];
@@ -293,11 +304,43 @@ void Baker::bounce(std::size_t index, const std::vector<BounceHit>& hits) {
                         hit.v * mesh_.albedo[t[2]][c];
       const float k = hit.weight * rho;
       const float *a = transfer_at(t[0], c), *b = transfer_at(t[1], c), *d = transfer_at(t[2], c);
-      for (std::size_t n = 0; n < coefficients_; ++n)
+      for (std::size_t n = 0; n < solved_; ++n)
         sum[n] += k * (w0 * a[n] + hit.u * b[n] + hit.v * d[n]);
     }
-    std::copy_n(sum, coefficients_, &next_[at]);
+    std::copy_n(sum, solved_, &next_[at]);
   }
+}
+
+// What of current_ comes by one reflection on a white receiver, into shadowed_.
+void Baker::gather_from_floor(const std::vector<PointResult>& results, std::span<const float> far) {
+  parallel_for(std::size_t{0}, points_.size(), [&](std::size_t index) {
+    for (int c = 0; c < channels_; ++c) {
+      float* const sum =
+          &shadowed_[(index * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c)) *
+                     coefficients_];
+      std::fill_n(sum, solved_, 0.f);
+      for (const BounceHit& hit : results[index].hits)
+        if (hit.triangle == BounceHit::kGround) add_ground_bounce(hit, c, 1, far, sum);
+    }
+  });
+}
+
+// Solves current_ = shadowed_ + what current_ reflects, by bounces.
+void Baker::bounce_all(const std::vector<PointResult>& results, int bounces, double progress) {
+  current_ = shadowed_;
+  if (bounces == 0) return;
+  next_.resize(current_.size());
+  std::array<double, 3> added{}, fraction{};
+  for (int b = 0; b < bounces; ++b) {
+    parallel_for(std::size_t{0}, points_.size(), kChunk, [&](const Indices<std::size_t>& range) {
+      for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
+    });
+    std::swap(current_, next_);
+    const std::array<double, 3> before = std::exchange(added, added_by_last_bounce());
+    for (std::size_t c = 0; c < 3; ++c) fraction[c] = before[c] > 0 ? added[c] / before[c] : 0;
+    report_progress(progress / bounces);
+  }
+  add_further_bounces(fraction);
 }
 
 // What the last bounce added under a constant light, summed over all points.
@@ -323,7 +366,7 @@ void Baker::add_further_bounces(const std::array<double, 3>& fraction) {
       const double q = std::clamp(fraction[c], 0., kMaxFraction);
       const auto further = static_cast<float>(q / (1 - q));
       const std::size_t at = (p * channels + c) * coefficients_;
-      for (std::size_t n = at; n < at + coefficients_; ++n)
+      for (std::size_t n = at; n < at + solved_; ++n)
         current_[n] += further * (current_[n] - next_[n]);
     }
   });
@@ -396,6 +439,50 @@ Transfer Baker::packed_indirect(std::size_t first, std::size_t count) const {
   return out;
 }
 
+// All of it.
+Transfer Baker::packed(std::size_t first, std::size_t count, int bands) const {
+  Transfer out(bands, channels_, count);
+  for (std::size_t p = 0; p < count; ++p)
+    for (int c = 0; c < channels_; ++c)
+      for (int n = 0; n < coefficient_count(bands); ++n)
+        out.set(c, n, p, transfer_at(first + p, c)[n]);
+  return out;
+}
+
+// t(rho) = sum_k rho^k t_k with t_k = (1 - A)^-1 G t_(k-1): G by one reflection on the white floor,
+// A by the object. From the third on each is the one before times the echo.
+void Baker::bake_floor(const std::vector<PointResult>& results, BakedObject& out) {
+  const std::size_t vertices = mesh_.positions.size();
+  const auto sums = [&] {
+    std::array<double, 3> sum{};
+    for (std::size_t p = 0; p < points_.size(); ++p)
+      for (int c = 0; c < channels_; ++c)
+        sum[static_cast<std::size_t>(c)] += double(transfer_at(p, c)[0]);
+    return sum;
+  };
+  gather_from_floor(results, ground_far_);
+  bounce_all(results, options_.bounces, .05);
+  out.floor = packed(0, vertices, options_.indirect_bands);
+  out.ground_floor = packed(vertices, points_.size() - vertices, options_.indirect_bands);
+  // What comes to the floor a second time is faint, and nearly the same wherever it came from.
+  const int few_bands = std::min(kFloorAgainBands, bands_);
+  solved_ = static_cast<std::size_t>(coefficient_count(few_bands));
+  far_.assign(coefficients_, 0);
+  gather_from_floor(results, far_);
+  bounce_all(results, options_.bounces, 0);
+  out.floor_again = packed(0, vertices, few_bands);
+  out.ground_floor_again = packed(vertices, points_.size() - vertices, few_bands);
+  const std::array<double, 3> twice = sums();
+  gather_from_floor(results, far_);
+  bounce_all(results, options_.bounces, 0);
+  const std::array<double, 3> thrice = sums();
+  for (int c = 0; c < 3; ++c) {
+    const auto from = static_cast<std::size_t>(c < channels_ ? c : 0);
+    if (twice[from] > 0)
+      out.floor_echo[c] = static_cast<float>(std::clamp(thrice[from] / twice[from], 0., .95));
+  }
+}
+
 Transfer Baker::shadow_probes() const {
   std::vector<std::size_t> dark;
   for (std::size_t p = mesh_.positions.size(); p < points_.size(); ++p)
@@ -456,22 +543,8 @@ Result<BakedObject> Baker::run(Mesh mesh) {
 
   std::vector<PointResult> results(points_.size());
   const std::uint64_t rays = trace_all(scene, results);
-  const auto parallel = [&](auto&& body) {
-    parallel_for(std::size_t{0}, points_.size(), kChunk, body);
-  };
-  current_ = shadowed_;
-  if (options_.bounces > 0) next_.resize(floats);
-  std::array<double, 3> added{}, fraction{};
-  for (int b = 0; b < options_.bounces; ++b) {
-    parallel([&](const Indices<std::size_t>& range) {
-      for (std::size_t i = range.begin(); i < range.end(); ++i) bounce(i, results[i].hits);
-    });
-    std::swap(current_, next_);
-    const std::array<double, 3> before = std::exchange(added, added_by_last_bounce());
-    for (std::size_t c = 0; c < 3; ++c) fraction[c] = before[c] > 0 ? added[c] / before[c] : 0;
-    report_progress(.1 / options_.bounces);
-  }
-  if (options_.bounces > 0) add_further_bounces(fraction);
+  far_ = ground_far_;
+  bounce_all(results, options_.bounces, options_.floor_apart ? .05 : .1);
   BakedObject out;
   const std::size_t vertices = mesh_.positions.size();
   out.transfer = packed_vertices();
@@ -482,6 +555,10 @@ Result<BakedObject> Baker::run(Mesh mesh) {
     out.shadow_probes = shadow_probes();
     out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
   }
+  if (options_.floor_apart && options_.receiver) {
+    out.receiver->albedo = {};
+    if (options_.bounces > 0) bake_floor(results, out);
+  }
   out.visibility = std::move(visibility_);
   out.mesh = std::move(mesh);
   if (options_.progress) options_.progress(1);  // parts do not add up to it to the last bit
@@ -491,7 +568,49 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   return out;
 }
 
+struct ScaledTransfer {
+  const Transfer* transfer;
+  Rgb factor;
+};
+
+// The sum on the bands of the first, and on as many channels as the factors ask for.
+Transfer with_added(const Transfer& to, const ScaledTransfer (&parts)[2]) {
+  const bool grey = is_grey(parts[0].factor);
+  Transfer out(to.bands, grey ? to.channels : 3, to.points);
+  parallel_for(0, out.channels * coefficient_count(to.bands), [&](int row) {
+    const int c = row / coefficient_count(to.bands), n = row % coefficient_count(to.bands),
+              from = std::min(c, to.channels - 1);
+    std::vector<float> sum(to.points);
+    for (std::size_t p = 0; p < to.points; ++p) sum[p] = to.value(from, n, p);
+    for (const auto& [part, factor] : parts)
+      for (std::size_t p = 0; n < coefficient_count(part->bands) && p < to.points; ++p)
+        sum[p] += factor[c] * part->value(from, n, p);
+    for (std::size_t p = 0; p < to.points; ++p) out.set(c, n, p, sum[p]);
+  });
+  return out;
+}
+
 }  // namespace
+
+BakedObject on_floor(const BakedObject& baked, const Rgb& albedo) {
+  BakedObject out = baked;
+  out.floor = out.ground_floor = out.floor_again = out.ground_floor_again = {};
+  out.floor_echo = {};
+  if (!out.receiver || baked.floor.points == 0) return out;
+  out.receiver->albedo = albedo;
+  if (albedo == Rgb{}) return out;
+  Rgb again;
+  for (int c = 0; c < 3; ++c)
+    again[c] = albedo[c] * albedo[c] / (1 - albedo[c] * baked.floor_echo[c]);
+  const auto lit = [&](const Transfer& t, float sign, const Transfer& once, const Transfer& more) {
+    return with_added(t, {{&once, sign * albedo}, {&more, sign * again}});
+  };
+  out.transfer = lit(baked.transfer, 1, baked.floor, baked.floor_again);
+  out.indirect = lit(baked.indirect, 1, baked.floor, baked.floor_again);
+  out.ground_deficit = lit(baked.ground_deficit, -1, baked.ground_floor, baked.ground_floor_again);
+  out.ground_indirect = lit(baked.ground_indirect, 1, baked.ground_floor, baked.ground_floor_again);
+  return out;
+}
 
 Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
   if (mesh.triangles.empty()) return fail(ErrorCode::kInvalid, "mesh", "has no triangles");

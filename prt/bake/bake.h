@@ -31,6 +31,9 @@ struct BakeOptions {
   int ground_rays = 1024;   // per receiver texel, a multiple of 64
   bool visibility = false;  // whether to find BakedObject::visibility
   std::optional<Receiver> receiver;
+  /// Keeps what the receiver reflects apart (BakedObject::floor), so that it can get any albedo
+  /// later; its own counts as 0.
+  bool floor_apart = false;
   /// Bands of what comes by reflection (BakedObject::indirect).
   int indirect_bands = kIndirectBands;
   /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places.
@@ -67,6 +70,12 @@ struct BakedObject {
   /// object and receiver: smooth, so at most kIndirectBands, and what a light needs beside its
   /// direct light.
   Transfer indirect, ground_indirect;
+  /// What the receiver's reflection adds to the surface, and to the receiver's own irradiance/pi:
+  /// at its albedo rho, rho times `floor` of light that it reflects once, and
+  /// rho^2 / (1 - rho floor_echo) times `floor_again` of light that it reflects more often. Empty
+  /// where it is counted in, or none.
+  Transfer floor, ground_floor, floor_again, ground_floor_again;
+  Rgb floor_echo{};  // of light that comes to a white floor again, what comes once more
   /// The deficit on all nine bands at up to kShadowProbes of the receiver's texels that a uniform
   /// sky would darken by 5 %: what the governor predicts truncation from. No points without
   /// receiver or bounces.
@@ -76,6 +85,9 @@ struct BakedObject {
   VisibilityMap visibility;
   BakeReport report;
 };
+
+/// A bake with its floor apart on a floor of this albedo. One without a floor apart stays as it is.
+BakedObject on_floor(const BakedObject& baked, const Rgb& albedo);
 
 /// Precomputes transfer at every vertex, and at the texels of the receiver with the object in
 /// place.

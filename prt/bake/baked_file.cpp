@@ -25,7 +25,7 @@
 namespace penumbra::prt {
 namespace {
 
-constexpr int kVersion = 3;
+constexpr int kVersion = 4;
 using tinygltf::Model;
 using tinygltf::Value;
 
@@ -70,6 +70,7 @@ Value number(double v) {
 // Accessors of the transfers that no viewer needs.
 struct OwnAccessors {
   int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
+  int floor = -1, ground_floor = -1, floor_again = -1, ground_floor_again = -1;
   int visibility = -1, refined_visibility = -1, fine_visibility = -1;
 };
 
@@ -84,9 +85,9 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
   if (!o.visibility.empty())
-    d["vertex_sight"] = Value(Value::Object{{"open", Value(own.visibility)},
-                                            {"refined", Value(own.refined_visibility)},
-                                            {"fine", Value(own.fine_visibility)}});
+    d["visibility"] = Value(Value::Object{{"open", Value(own.visibility)},
+                                          {"refined", Value(own.refined_visibility)},
+                                          {"fine", Value(own.fine_visibility)}});
   if (o.receiver) {
     const GroundGrid& g = o.receiver->grid;
     const Rgb& a = o.receiver->albedo;
@@ -99,6 +100,16 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
     r["deficit"] = Value(own.ground_deficit);
     r["indirect"] = Value(own.ground_indirect);
     r["probes"] = Value(own.shadow_probes);
+    if (o.floor.points > 0) {
+      const Rgb& echo = o.floor_echo;
+      r["floor"] = Value(Value::Object{
+          {"surface", Value(own.floor)},
+          {"ground", Value(own.ground_floor)},
+          {"surface_again", Value(own.floor_again)},
+          {"ground_again", Value(own.ground_floor_again)},
+          {"again_bands", Value(o.floor_again.bands)},
+          {"echo", Value(Value::Array{number(echo.r), number(echo.g), number(echo.b)})}});
+    }
     r["probe_count"] = Value(static_cast<int>(o.shadow_probes.points));
     d["receiver"] = Value(r);
   }
@@ -151,6 +162,12 @@ Model to_model(const BakedObject& o) {
   if (o.receiver) {
     own.ground_deficit = add_halves(o.ground_deficit);
     own.ground_indirect = add_halves(o.ground_indirect);
+    if (o.floor.points > 0) {
+      own.floor = add_halves(o.floor);
+      own.ground_floor = add_halves(o.ground_floor);
+      own.floor_again = add_halves(o.floor_again);
+      own.ground_floor_again = add_halves(o.ground_floor_again);
+    }
     if (o.shadow_probes.points > 0) own.shadow_probes = add_halves(o.shadow_probes);
   }
   model.meshes.emplace_back().primitives.push_back(primitive);
@@ -264,7 +281,7 @@ bool read_halves(const Model& m, double index, int bands, int channels, std::siz
 
 // Words of 32 bits.
 template <class T>
-bool read_words(const Model& m, double index, std::size_t count, std::vector<T>& out) {
+bool read_words(const Model& m, double index, std::size_t count, CowVector<T>& out) {
   if (!(index >= 0 && index < static_cast<double>(m.accessors.size()))) return false;
   const auto bytes = accessor_bytes(m, static_cast<int>(index),
                                     TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR, 4);
@@ -282,6 +299,26 @@ bool read_visibility(const Model& m, const Value& own, std::size_t vertices, Vis
   std::size_t blocks = 0;
   for (const std::uint64_t r : out.refined) blocks += static_cast<std::size_t>(std::popcount(r));
   return blocks == 0 || read_words(m, get(own, "fine"), blocks, out.fine);
+}
+
+bool read_floor(const Model& m, const Value& floor, std::size_t texels, BakedObject& o) {
+  if (!floor.IsObject()) return false;
+  o.floor_echo = {static_cast<float>(get(floor, "echo", 0)),
+                  static_cast<float>(get(floor, "echo", 1)),
+                  static_cast<float>(get(floor, "echo", 2))};
+  for (int c = 0; c < 3; ++c)
+    if (!(o.floor_echo[c] >= 0 && o.floor_echo[c] < 1)) return false;
+  const double again = get(floor, "again_bands");
+  if (!(again >= 1 && again <= kMaxBands)) return false;
+  const auto read = [&](const char* surface, const char* ground, int bands, Transfer& to_surface,
+                        Transfer& to_ground) {
+    const int channels = o.transfer.channels;
+    return read_halves(m, get(floor, surface), bands, channels, o.transfer.points, to_surface) &&
+           read_halves(m, get(floor, ground), bands, channels, texels, to_ground);
+  };
+  return read("surface", "ground", o.indirect.bands, o.floor, o.ground_floor) &&
+         read("surface_again", "ground_again", static_cast<int>(again), o.floor_again,
+              o.ground_floor_again);
 }
 
 bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
@@ -305,6 +342,7 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
     return false;
   const std::size_t texels = static_cast<std::size_t>(g.size) * static_cast<std::size_t>(g.size);
   o.receiver = Receiver{g, albedo};
+  if (r.Has("floor") && !read_floor(m, r.Get("floor"), texels, o)) return false;
   return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,
                      o.ground_deficit) &&
          read_halves(m, get(r, "indirect"), o.indirect.bands, o.transfer.channels, texels,
@@ -341,8 +379,8 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
       !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
                    o.transfer.channels, o.transfer.points, o.indirect))
     return fail(ErrorCode::kUnreadable, file, "has damaged indirect transfer");
-  if (extras->Has("vertex_sight") &&
-      !read_visibility(m, extras->Get("vertex_sight"), o.transfer.points, o.visibility))
+  if (extras->Has("visibility") &&
+      !read_visibility(m, extras->Get("visibility"), o.transfer.points, o.visibility))
     return fail(ErrorCode::kUnreadable, file, "has a damaged visibility map");
   if (extras->Has("receiver") && !read_receiver(m, extras->Get("receiver"), o))
     return fail(ErrorCode::kUnreadable, file, "has a damaged receiver");

@@ -129,8 +129,11 @@ void VisibilityBake::refine(const std::function<void(double)>& progress) {
     }
     progress(static_cast<double>(range.size()) / static_cast<double>(fine.size()));
   });
-  for (const auto& of_vertex : fine)
-    visibility_.fine.insert(visibility_.fine.end(), of_vertex.begin(), of_vertex.end());
+  std::size_t count = 0;
+  for (const auto& of_vertex : fine) count += of_vertex.size();
+  visibility_.fine.resize(count);
+  auto to = visibility_.fine.begin();
+  for (const auto& of_vertex : fine) to = std::ranges::copy(of_vertex, to).out;
 }
 
 }  // namespace penumbra::prt

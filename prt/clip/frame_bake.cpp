@@ -238,6 +238,7 @@ void FrameBaker::mark_hidden(const BakeReport& report, Transfer& transfer) const
 // Lookups beside a point that is hidden for a while still touch it: it goes straight from what it
 // was before to what it will be, and if it never shows it continues what is around it.
 void FrameBaker::complete_hidden(std::span<Transfer> frames, const KeyFrames& keys) const {
+  for (Transfer& t : frames) t.values.make_own();
   parallel_for(std::size_t{0}, layout_.points(), 64, [&](const auto& range) {
     for (std::size_t p = range.begin(); p < range.end(); ++p) complete_in_time(p, frames, keys);
   });
@@ -306,6 +307,7 @@ void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& t
   constexpr float kSigmas = .7f, kNormalPower = 256;
   const int count = coefficient_count(transfer.bands);
   const std::vector<float> before = floats_of(transfer);
+  transfer.values.make_own();
   std::vector<float> open(layout_.points() * static_cast<std::size_t>(count));
   parallel_for(std::size_t{0}, layout_.points(), 256, [&](const auto& range) {
     double basis[kMaxCoefficients];
@@ -379,6 +381,7 @@ void to_materials(const SurfaceLayout& layout, const std::vector<glm::mat3>& tur
   std::vector<lighting::ShRotation> rotations;
   for (const glm::mat3& turn : turns)
     rotations.emplace_back(glm::dmat3(glm::transpose(turn)), transfer.bands);
+  transfer.values.make_own();
   parallel_for(std::size_t{0}, layout.points(), 256, [&](const auto& range) {
     TransferSh t(transfer.bands);
     for (std::size_t p = range.begin(); p < range.end(); ++p) {

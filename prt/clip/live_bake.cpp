@@ -322,6 +322,7 @@ void LiveBake::Impl::write(BakedObject& out) const {
   const auto shaped = [&](Transfer& t, int bands, std::size_t points) {
     if (t.bands != bands || t.channels != channels || t.points != points)
       t = Transfer(bands, channels, points);
+    t.values.make_own();  // before threads write into it
   };
   shaped(out.transfer, options.bands, vertices);
   shaped(out.indirect, traced_bands, vertices);

@@ -224,6 +224,7 @@ void TransferSequence::relight(double frame, const RadianceSh& light,
 void TransferSequence::decode(double frame, std::span<const glm::mat3> turns, Transfer& out) const {
   if (out.bands != bands_ || out.channels != channels_ || out.points != points_)
     out = Transfer(bands_, channels_, points_);
+  out.values.make_own();  // before threads write into it
   const auto planes = static_cast<std::size_t>(channels_);
   parallel_for(std::size_t{0}, groups_.size() / planes, [&](std::size_t part) {
     constexpr std::size_t kBlock = 64;

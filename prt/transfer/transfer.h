@@ -4,8 +4,8 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
+#include "core/cow_vector.h"
 #include "core/sh.h"
 
 #pragma GCC visibility push(default)
@@ -20,8 +20,8 @@ struct Transfer {
   int bands = 0;
   int channels = 1;
   std::size_t points = 0;
-  std::size_t stride = 0;  // points rounded up to a multiple of 64; the padding is zero
-  std::vector<std::uint16_t> values;
+  std::size_t stride = 0;           // points rounded up to a multiple of 64; the padding is zero
+  CowVector<std::uint16_t> values;  // copies share it
 
   Transfer() = default;
   Transfer(int bands_, int channels_, std::size_t points_);
@@ -32,6 +32,7 @@ struct Transfer {
            point;
   }
   float value(int channel, int n, std::size_t point) const;
+  /// threads: one, or several for different points after values.make_own()
   void set(int channel, int n, std::size_t point, float v);
 };
 

@@ -11,6 +11,7 @@
 #include <span>
 #include <vector>
 
+#include "core/cow_vector.h"
 #include "prt/geometry/mesh.h"
 #include "prt/transfer/vertex_samples.h"
 
@@ -25,12 +26,12 @@ struct VisibilityMap {
   static constexpr int kBlocks = 8;                   // of cells, along a side
   static constexpr std::size_t kWords = 32;           // a vertex
   /// kWords a vertex, two blocks of four by four cells in each.
-  std::vector<std::uint32_t> open;
+  CowVector<std::uint32_t> open;
   /// By vertex, bit by block: whether it has finer cells. All cells of others are alike.
-  std::vector<std::uint64_t> refined;
+  CowVector<std::uint64_t> refined;
   /// Eight by eight finer cells of a refined block in each: those of the first vertex, then of the
   /// next one.
-  std::vector<std::uint64_t> fine;
+  CowVector<std::uint64_t> fine;
 
   VisibilityMap() = default;
   explicit VisibilityMap(std::size_t vertices) : open(kWords * vertices), refined(vertices) {}

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
 #include <limits>
 
 #include "core/log.h"
@@ -17,6 +18,7 @@
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/relight.h"
 #include "runtime/scene/bake_cache.h"
+#include "runtime/scene/standing.h"
 
 namespace penumbra::runtime {
 
@@ -153,6 +155,17 @@ Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
   return add_shadow_probes(out);
 }
 
+// In metres from here on. Transfer has no length.
+void enlarge(Animation& animation, double scale) {
+  const auto k = static_cast<float>(scale);
+  animation.character.frame = glm::mat4(glm::mat3(k)) * animation.character.frame;
+  if (std::optional<prt::Receiver>& receiver = animation.sequence.receiver) {
+    receiver->grid.centre *= k;
+    receiver->grid.half_extent *= k;
+    receiver->grid.height *= k;
+  }
+}
+
 // A baked clip stands upright on the plane that it was baked on; transfer has no length, so scaling
 // is all.
 Result<PreparedObject> place_baked_clip(const SceneObject& o,
@@ -170,8 +183,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   const glm::vec3 extent = room.high - room.low;
   const double scale =
       o.place_on_floor ? o.fit_size_m / std::max({extent.x, extent.y, extent.z, 1e-9f}) : o.scale;
-  animation->character.frame =
-      glm::mat4(glm::mat3(static_cast<float>(scale))) * animation->character.frame;
+  enlarge(*animation, scale);
   const prt::Plane* const plane =
       plane_under(planes, {glm::vec3(o.position), glm::vec3(o.position)});
   PreparedObject out;
@@ -190,13 +202,7 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
   out.world_from_bake = {o.rotation, frame.translation + aside};
   if (plane && std::abs(glm::dot(o.position - plane->point, plane->normal)) > 1e-3)
     log_warning("{}: its clip is baked for standing on the floor, so it is placed there", o.name);
-  if (std::optional<prt::Receiver>& receiver = animation->sequence.receiver) {
-    const auto k = static_cast<float>(scale);
-    receiver->grid.centre *= k;
-    receiver->grid.half_extent *= k;
-    receiver->grid.height *= k;
-    if (!plane) receiver.reset();  // nothing there to take the shadow
-  }
+  if (!plane) animation->sequence.receiver.reset();  // nothing there to take the shadow
   PENUMBRA_TRY(start(std::move(animation), out));
   return out;
 }
@@ -205,20 +211,27 @@ Result<PreparedObject> place_baked_clip(const SceneObject& o,
 
 namespace {
 
-// Puts a character where the scene wants it, on the plane under it; null: there is none.
-const prt::Plane* place(const SceneObject& o, const std::vector<prt::Plane>& planes,
-                        Animation& animation, PreparedObject& out) {
+struct PlacedCharacter {
+  const prt::Plane* plane;  // under it; null: there is none
+  double scale;             // metres of its unit
+};
+
+// Stands a character in its own units as it stands on its plane: what its bake depends on.
+PlacedCharacter place(const SceneObject& o, const std::vector<prt::Plane>& planes,
+                      Animation& animation, PreparedObject& out) {
   prt::Character& character = animation.character;
   character.frame = glm::mat4(1);
   const prt::Mesh room = room_of(animation);
+  prt::Mesh in_world = room;
+  prt::transform(in_world, world_from_mesh(o, room, floor_normal(planes, o.position)));
+  const prt::Plane* const plane = plane_under(planes, prt::bounds_of(in_world));
+  const Standing standing = standing_of(o, room, plane);
   character.frame =
-      glm::mat4(world_from_mesh(o, room, floor_normal(planes, o.position))) * character.frame;
-  const prt::Plane* const plane = plane_under(planes, prt::bounds_of(room_of(animation)));
+      glm::mat4(glm::translate(glm::dmat4(1), standing.shift) * glm::mat4_cast(standing.tilt));
   out.name = o.name;
   out.spin_rpm = o.spin_rpm;
-  out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
-  character.frame = glm::mat4(out.world_from_bake.inverse().matrix()) * character.frame;
-  return plane;
+  out.world_from_bake = standing.world_from_bake;
+  return {plane, standing.scale};
 }
 
 // Nothing is baked but the first pose, so that there is something to begin with.
@@ -244,7 +257,8 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   animation->live_seconds = o.transfer_ms / 1e3;
   animation->bands = settings.bands;
   PreparedObject out;
-  const prt::Plane* const plane = place(o, planes, *animation, out);
+  const auto [plane, scale] = place(o, planes, *animation, out);
+  enlarge(*animation, scale);
   animation->layout = prt::lay_out(animation->character, 0, 0);
   if (plane)
     out.baked.receiver =
@@ -273,7 +287,7 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
   auto animation =
       std::make_shared<Animation>(playing(std::move(standing.character), standing.clip));
   PreparedObject out;
-  const prt::Plane* const plane = place(o, planes, *animation, out);
+  const auto [plane, scale] = place(o, planes, *animation, out);
   prt::SequenceOptions options = sequence_options(settings);
   options.map_width = o.light_map[0];
   options.map_height = o.light_map[1];
@@ -285,6 +299,7 @@ Result<PreparedObject> prepare_animated(const SceneObject& o, const std::vector<
   PENUMBRA_ASSIGN(sequence, bake_or_recall(o.name, animation->character, animation->clip, options,
                                            settings.use_cache));
   animation->sequence = std::move(sequence);
+  enlarge(*animation, scale);
   PENUMBRA_TRY(start(std::move(animation), out));
   return out;
 }

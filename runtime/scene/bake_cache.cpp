@@ -27,11 +27,11 @@ constexpr const char *kClipKind = ".shlm", *kJournalKind = ".journal";
 
 // Everything that the bake's result depends on; the version changes with the bake's own code.
 std::string cache_name(const prt::Mesh& mesh, const prt::BakeOptions& o) {
-  constexpr std::uint64_t kBakeVersion = 11;
+  constexpr std::uint64_t kBakeVersion = 12;
   Fnv1a h;
   h.add(kBakeVersion).add(mesh.positions).add(mesh.normals).add(mesh.albedo).add(mesh.triangles);
   for (const int n : {o.bands, o.bounces, o.rays, o.ground_rays, static_cast<int>(o.visibility),
-                      o.receiver ? o.receiver->grid.size : 0})
+                      static_cast<int>(o.floor_apart), o.receiver ? o.receiver->grid.size : 0})
     h.add(n);
   if (o.receiver) {
     const prt::GroundGrid& g = o.receiver->grid;
@@ -97,6 +97,20 @@ Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
     prune_cache(*folder, kCacheBytes);
   }
   return baked;
+}
+
+Result<prt::BakedObject> AssetBakes::get(const std::string& name, prt::Mesh mesh,
+                                         const prt::BakeOptions& options, const Rgb& floor) {
+  const std::string key = cache_name(mesh, options);
+  auto asset = assets_.find(key);
+  if (asset == assets_.end()) {
+    PENUMBRA_ASSIGN(baked, bake_or_recall(name, std::move(mesh), options, use_cache_));
+    asset = assets_.emplace(key, Asset{std::move(baked), {}}).first;
+  }
+  std::vector<OnFloor>& floors = asset->second.floors;
+  const auto same = std::ranges::find(floors, floor, &OnFloor::albedo);
+  if (same != floors.end()) return same->baked;
+  return floors.emplace_back(floor, prt::on_floor(asset->second.baked, floor)).baked;
 }
 
 namespace {

@@ -2,8 +2,10 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "prt/bake/bake.h"
 #include "prt/clip/sequence.h"
@@ -22,6 +24,30 @@ std::optional<std::filesystem::path> cache_folder();
 /// errors: of prt::bake, naming `name`
 Result<prt::BakedObject> bake_or_recall(const std::string& name, prt::Mesh mesh,
                                         const prt::BakeOptions& options, bool use_cache);
+
+/// The bakes of one scene: an asset is baked once, however many copies of it stand there, and those
+/// on floors of one albedo share their transfer.
+/// threads: thread-bound
+class AssetBakes {
+ public:
+  explicit AssetBakes(bool use_cache) : use_cache_(use_cache) {}
+  /// floor: its albedo; the options keep the floor apart
+  /// errors: of prt::bake, naming `name`
+  Result<prt::BakedObject> get(const std::string& name, prt::Mesh mesh,
+                               const prt::BakeOptions& options, const Rgb& floor);
+
+ private:
+  struct OnFloor {
+    Rgb albedo;
+    prt::BakedObject baked;
+  };
+  struct Asset {
+    prt::BakedObject baked;
+    std::vector<OnFloor> floors;
+  };
+  bool use_cache_;
+  std::map<std::string, Asset> assets_;  // by cache name
+};
 
 /// The same for a clip. Frames that a bake finished before it was stopped are kept there as well.
 /// errors: of prt::bake_frames, naming `name`

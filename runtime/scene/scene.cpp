@@ -15,6 +15,7 @@
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"
 #include "runtime/scene/depth_mesh.h"
+#include "runtime/scene/standing.h"
 
 namespace penumbra::runtime {
 
@@ -62,7 +63,8 @@ namespace {
 // A file that is baked already stands on the plane that it was baked on; transfer has no length, so
 // scaling and shifting its frame is all.
 Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane) {
-  PENUMBRA_ASSIGN(baked, prt::read_baked(o.asset));
+  PENUMBRA_ASSIGN(read, prt::read_baked(o.asset));
+  prt::BakedObject baked = prt::on_floor(read, plane ? plane->albedo : Rgb{});
   const prt::Bounds b = bounds_of(baked.mesh);
   const glm::vec3 size = b.high - b.low;
   const double scale =
@@ -70,16 +72,7 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
   glm::dvec3 shift(0);
   if (o.place_on_floor) shift = -glm::dvec3(b.centre().x, b.low.y, b.centre().z);
   if (baked.receiver) shift.y = -double(baked.receiver->grid.height);
-  glm::dmat4 place{glm::dmat3(scale)};
-  place[3] = glm::dvec4(scale * shift, 1);
-  prt::transform(baked.mesh, place);
-  if (baked.receiver) {
-    prt::GroundGrid& g = baked.receiver->grid;
-    const auto k = static_cast<float>(scale);
-    g.centre = k * (g.centre + glm::vec2(shift.x, shift.z));
-    g.half_extent *= k;
-    g.height = 0;
-  }
+  put_in_place(baked, scale, shift);
   if (!plane) baked.receiver.reset();  // nothing there to take the shadow
   const Pose frame = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
   const glm::dvec3 up = glm::conjugate(frame.rotation) * (o.rotation * glm::dvec3(0, 1, 0));
@@ -90,8 +83,16 @@ Result<PreparedObject> place_baked(const SceneObject& o, const prt::Plane* plane
                         nullptr};
 }
 
+// The plane under a mesh where it is placed; null: there is none.
+const prt::Plane* plane_below(const SceneObject& o, const prt::Mesh& mesh,
+                              const std::vector<prt::Plane>& planes) {
+  prt::Mesh in_world = mesh;
+  prt::transform(in_world, world_from_mesh(o, mesh, floor_normal(planes, o.position)));
+  return plane_under(planes, bounds_of(in_world));
+}
+
 Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene& scene,
-                                      const BakeSettings& settings,
+                                      const BakeSettings& settings, AssetBakes& bakes,
                                       const std::function<void(double)>& progress) {
   if (!o.animation.empty()) return prepare_animated(o, scene.planes, settings, progress);
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
@@ -100,13 +101,10 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   constexpr float kEdgeFraction =
       .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
   PENUMBRA_ASSIGN(mesh, load_asset(o.asset, o.albedo, kEdgeFraction));
-  prt::transform(mesh, world_from_mesh(o, mesh, floor_normal(scene.planes, o.position)));
-  const prt::Plane* plane = plane_under(scene.planes, bounds_of(mesh));
-  PreparedObject out;
-  out.name = o.name;
-  out.spin_rpm = o.spin_rpm;
-  out.world_from_bake = plane ? frame_on_plane(*plane, o.position) : Pose{{1, 0, 0, 0}, o.position};
-  prt::transform(mesh, out.world_from_bake.inverse().matrix());
+  const prt::Plane* const plane = plane_below(o, mesh, scene.planes);
+  const Standing standing = standing_of(o, mesh, plane);
+  if (standing.tilt != glm::dquat(1, 0, 0, 0))
+    prt::transform(mesh, glm::dmat4(glm::mat3_cast(standing.tilt)));
   prt::BakeOptions options;
   options.bands = settings.bands;
   options.bounces = settings.bounces;
@@ -114,10 +112,12 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   options.ground_rays = settings.ground_rays;
   options.visibility = settings.visibility;
   options.progress = progress;
-  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, 0), plane->albedo};
-  PENUMBRA_ASSIGN(baked, bake_or_recall(o.name, std::move(mesh), options, settings.use_cache));
-  out.baked = std::move(baked);
-  return out;
+  options.floor_apart = true;
+  if (plane) options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, standing.height), {}};
+  PENUMBRA_ASSIGN(baked,
+                  bakes.get(o.name, std::move(mesh), options, plane ? plane->albedo : Rgb{}));
+  put_in_place(baked, standing.scale, standing.shift);
+  return PreparedObject{o.name, std::move(baked), standing.world_from_bake, o.spin_rpm, nullptr};
 }
 
 }  // namespace
@@ -250,9 +250,10 @@ Result<PreparedScene> prepare(
     if (real.depth.empty()) prt::transform(mesh, world_from_mesh(real, mesh));
     append(out.real_mesh, mesh);
   }
+  AssetBakes bakes(settings.use_cache);
   for (const SceneObject& object : scene.objects) {
     PENUMBRA_ASSIGN(prepared,
-                    prepare_object(object, out, settings, progress("bake " + object.name)));
+                    prepare_object(object, out, settings, bakes, progress("bake " + object.name)));
     out.objects.push_back(std::move(prepared));
   }
   if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;

@@ -129,9 +129,17 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     object.prepared = &o;
     object.handle = handle;
     object.relit.resize(3 * o.baked.transfer.stride);
-    if (!o.animation) object.patterns.emplace(o.baked);
+    if (!o.animation) object.patterns = stage->patterns_of(o.baked);
   }
   return stage;
+}
+
+std::shared_ptr<const RelightBases> CompositeStage::patterns_of(
+    const prt::BakedObject& baked) const {
+  for (const StageObject& o : objects_)
+    if (o.patterns && o.prepared->baked.transfer.values.shares(baked.transfer.values))
+      return o.patterns;
+  return std::make_shared<const RelightBases>(baked);
 }
 
 // Brings all that moves by itself to a time. Where shadows can meet others their coefficients are
@@ -157,7 +165,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   std::vector<Pose>& poses = poses_;
   poses.clear();
   for (std::size_t i = 0; i < objects_.size(); ++i) {
-    poses.push_back(objects_[i].prepared->pose_at(seconds));
+    poses.push_back(moves_.pose_of(i, seconds));
     compositor_->set_pose(objects_[i].handle, poses[i]);
     lights_.set_pose(i, poses[i]);
   }

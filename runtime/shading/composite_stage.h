@@ -26,6 +26,7 @@
 #include "runtime/shading/direct_light_stage.h"
 #include "runtime/shading/floor_recovery.h"
 #include "runtime/shading/lamp_stage.h"
+#include "runtime/shading/object_moves.h"
 #include "runtime/shading/occlusion_probes.h"
 #include "runtime/shading/real_surface_stage.h"
 #include "runtime/shading/scene_light.h"
@@ -95,6 +96,8 @@ class CompositeStage {
   Result<void> draw(const capture::Frame& frame, const lighting::LightEstimate& light,
                     PendingFrame& out);
   compositor::Compositor& output() { return *compositor_; }
+  /// Where objects are put from the next frame on.
+  ObjectMoves& moves() { return moves_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can
   /// tell; empty where it cannot.
   std::vector<lighting::SaturationRecovery> complete(const capture::Frame& frame,
@@ -125,7 +128,8 @@ class CompositeStage {
     const PreparedObject* prepared;
     int handle;
     std::optional<ObjectLight> light_used{};
-    std::optional<RelightBases> patterns{};    // none of an animation
+    // Of all copies that share their transfer; none of an animation
+    std::shared_ptr<const RelightBases> patterns{};
     std::vector<float> relit{};                // irradiance/pi of the object's vertices
     std::vector<float> taken{};                // of the receiver's irradiance/pi
     std::vector<float> more{};                 // scratch: what is added to either
@@ -148,10 +152,12 @@ class CompositeStage {
         scene_(scene),
         lights_(std::move(lights)),
         recovery_(std::move(recovery)),
+        moves_(scene),
         surroundings_(scene),
         lamps_(scene),
         real_(scene),
         times_(times) {}
+  std::shared_ptr<const RelightBases> patterns_of(const prt::BakedObject& baked) const;
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
                        const std::vector<Pose>& poses) const;
@@ -196,6 +202,7 @@ class CompositeStage {
   const PreparedScene& scene_;
   DirectLightStage lights_;
   FloorRecovery recovery_;
+  ObjectMoves moves_;
   OcclusionProbes surroundings_;
   LampStage lamps_;
   RealSurfaceStage real_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <glm/gtc/matrix_transform.hpp>
 #include <optional>
@@ -243,6 +244,66 @@ TEST(Bake, SizeAndPlaceLeaveTheTransferUnchanged) {
     constexpr double kOneRay = .75 / 256;
     EXPECT_LT(worst, placing.offset > 0 ? kOneRay : 1e-3) << placing.scale << ' ' << placing.offset;
   }
+}
+
+// ------------------------------------------------------------------------------------- floors
+
+// RMS difference of two transfers, coefficient by coefficient, over the RMS of the first.
+double apart(const Transfer& a, const Transfer& b) {
+  EXPECT_EQ(a.points, b.points);
+  EXPECT_EQ(a.bands, b.bands);
+  double difference = 0, all = 0;
+  for (std::size_t p = 0; p < a.points; ++p)
+    for (int n = 0; n < coefficient_count(a.bands); ++n)
+      for (int c = 0; c < 3; ++c) {
+        const double x = a.value(std::min(c, a.channels - 1), n, p),
+                     y = b.value(std::min(c, b.channels - 1), n, p);
+        difference += std::pow(x - y, 2), all += x * x;
+      }
+  return std::sqrt(difference / all);
+}
+
+// One bake serves floors of all albedos. The truth is a bake for each, with bounces to the end.
+TEST(Bake, OneBakeStandsOnAnyFloor) {
+  for (const Rgb own : {Rgb{.7f, .7f, .7f}, Rgb{.9f, .5f, .2f}}) {
+    const Mesh knot = make_knot(.5f, 120, 24, own);
+    const float below = bounds_of(knot).low.y;
+    BakeOptions options = settings(5, 4, 256, Receiver{fit_ground_grid(knot, below, 32), kBlack});
+    options.floor_apart = true;
+    const BakedObject any = baked(knot, options);
+    options.floor_apart = false;
+    options.bounces = 40;
+    for (const Rgb floor : {kBlack, Rgb{.15f, .15f, .15f}, Rgb{.4f, .4f, .4f}, Rgb{.8f, .6f, .3f},
+                            Rgb{.95f, .95f, .95f}}) {
+      options.receiver->albedo = floor;
+      const BakedObject truth = baked(knot, options), ours = on_floor(any, floor);
+      EXPECT_EQ(ours.receiver->albedo, floor);
+      const double off = apart(truth.transfer, ours.transfer),
+                   on_ground = apart(truth.ground_deficit, ours.ground_deficit),
+                   without = apart(truth.transfer, any.transfer);
+      std::printf(
+          "object %.1f %.1f %.1f, floor %.2f %.2f %.2f: %.3f %% (without it %.1f), "
+          "deficit %.3f %%\n",
+          double(own.r), double(own.g), double(own.b), double(floor.r), double(floor.g),
+          double(floor.b), 100 * off, 100 * without, 100 * on_ground);
+      const bool bright = double(floor.r) > .5;
+      EXPECT_LT(off, bright ? .015 : .002);
+      EXPECT_LT(on_ground, bright ? .035 : .002);
+      EXPECT_LT(apart(truth.indirect, ours.indirect), bright ? .03 : .01);
+      EXPECT_LT(apart(truth.ground_indirect, ours.ground_indirect), bright ? .12 : .015);
+      EXPECT_GT(without, .1 * double(floor.g)) << "the test must be able to fail";
+    }
+  }
+}
+
+TEST(Bake, CopiesShareTheirTransferUntilOneIsWritten) {
+  const BakedObject one = baked(grey_knot(.5f), settings(3, 1, 64));
+  BakedObject two = one;
+  EXPECT_TRUE(two.transfer.values.shares(one.transfer.values));
+  const float before = one.transfer.value(0, 0, 0);
+  two.transfer.set(0, 0, 0, before + 1);
+  EXPECT_FALSE(two.transfer.values.shares(one.transfer.values));
+  EXPECT_EQ(one.transfer.value(0, 0, 0), before);
 }
 
 // ------------------------------------------------------------------------------------- errors

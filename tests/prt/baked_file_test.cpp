@@ -22,7 +22,8 @@ namespace fs = std::filesystem;
 
 class BakedFile : public testing::Test {
  protected:
-  static BakedObject object(bool with_receiver, Rgb albedo, int bands = 3) {
+  static BakedObject object(bool with_receiver, Rgb albedo, int bands = 3,
+                            bool floor_apart = false) {
     BakeOptions options;
     options.bands = bands;
     options.rays = options.ground_rays = 64;
@@ -31,6 +32,7 @@ class BakedFile : public testing::Test {
     const Mesh mesh = make_knot(.37f, 12, 5, albedo);
     if (with_receiver)
       options.receiver = Receiver{fit_ground_grid(mesh, -.01f, 9), {.2f, .3f, .7f}};
+    options.floor_apart = floor_apart;
     auto result = bake(mesh, options);
     EXPECT_TRUE(result);
     return result ? *result : BakedObject{};
@@ -75,6 +77,11 @@ void expect_same(const BakedObject& a, const BakedObject& b) {
   EXPECT_EQ(a.mesh.triangles, b.mesh.triangles);
   expect_same(a.transfer, b.transfer);
   expect_same(a.ground_deficit, b.ground_deficit);
+  expect_same(a.floor, b.floor);
+  expect_same(a.ground_floor, b.ground_floor);
+  expect_same(a.floor_again, b.floor_again);
+  expect_same(a.ground_floor_again, b.ground_floor_again);
+  EXPECT_EQ(a.floor_echo, b.floor_echo);
   EXPECT_EQ(a.visibility.refined, b.visibility.refined);
   EXPECT_EQ(a.visibility.fine, b.visibility.fine);
   EXPECT_EQ(a.visibility.open, b.visibility.open);
@@ -102,6 +109,18 @@ TEST_F(BakedFile, RoundTripIsExact) {
         ASSERT_TRUE(after) << after.error().detail;
         expect_same(before, *after);
       }
+}
+
+TEST_F(BakedFile, FloorApartComesBack) {
+  for (const Rgb albedo : {Rgb{.5f, .5f, .5f}, Rgb{.9f, .1f, .35f}}) {
+    const BakedObject before = object(true, albedo, 3, true);
+    ASSERT_GT(before.floor.points, 0u);
+    const auto bytes = written(before);
+    put(file("apart.glb"), bytes);
+    const auto after = read_baked(file("apart.glb"));
+    ASSERT_TRUE(after) << after.error().detail;
+    expect_same(before, *after);
+  }
 }
 
 TEST_F(BakedFile, VisibilityWithoutFinerCellsComesBack) {
@@ -229,8 +248,8 @@ TEST_F(BakedFile, DamagedDescriptionsAreErrors) {
   EXPECT_EQ(code("\"size\":9", "\"size\":1"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"count\":60", "\"count\":0"), ErrorCode::kUnreadable) << "no vertices";
   EXPECT_EQ(code("\"deficit\":", "\"surplus\":"), ErrorCode::kUnreadable);
-  EXPECT_EQ(code("\"version\":3", "\"version\":4"), ErrorCode::kInvalid) << "another version";
-  EXPECT_EQ(code("\"vertex_sight\":", "\"vertex_sight\":7,\"x\":"), ErrorCode::kUnreadable);
+  EXPECT_EQ(code("\"version\":4", "\"version\":5"), ErrorCode::kInvalid) << "another version";
+  EXPECT_EQ(code("\"visibility\":", "\"visibility\":7,\"x\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"receiver\":", "\"receiver\":7,\"x\":"), ErrorCode::kUnreadable);
   EXPECT_EQ(code("\"fine\":", "\"open\":"), ErrorCode::kUnreadable) << "no finer cells";
   EXPECT_EQ(code("\"fine\":", "\"fine\":9"), ErrorCode::kUnreadable) << "no such accessor";

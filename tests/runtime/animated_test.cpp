@@ -386,7 +386,7 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
   scene.objects[0].live = true;
   const auto prepared = prepare_quickly(scene);
   ASSERT_TRUE(prepared);
-  std::vector<std::uint16_t> first;
+  CowVector<std::uint16_t> first;
   for (int run = 0; run < 2; ++run) {
     PreparedObject o = prepared->objects[0];
     ASSERT_TRUE(o.begin_live());

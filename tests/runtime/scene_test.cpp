@@ -4,8 +4,11 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <fstream>
 #include <glm/gtc/quaternion.hpp>
+#include <glm/gtx/quaternion.hpp>
+#include <set>
 
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
@@ -383,6 +386,139 @@ TEST_F(SceneFile, BakedFileKeepsItsScaleHoweverItIsTurned) {
     const prt::Bounds b = prt::bounds_of(scene->objects[0].baked.mesh);
     EXPECT_NEAR(b.high.y - b.low.y, .8, 1e-5) << turn.w << ' ' << turn.x;
   }
+}
+
+// ------------------------------------------------------------------------- one bake per asset
+
+/// A cache of its own, and how often something was baked into it.
+class OneBake : public testing::Test {
+ protected:
+  OneBake() : before_(std::getenv("XDG_CACHE_HOME") ? std::getenv("XDG_CACHE_HOME") : "") {
+    ::setenv("XDG_CACHE_HOME", folder_.path().c_str(), 1);
+  }
+  ~OneBake() override {
+    if (before_.empty())
+      ::unsetenv("XDG_CACHE_HOME");
+    else
+      ::setenv("XDG_CACHE_HOME", before_.c_str(), 1);
+  }
+  PreparedScene prepared(const Scene& scene) {
+    BakeSettings settings = quick();
+    settings.use_cache = true;
+    settings.bounces = 1;
+    auto out =
+        prepare(scene, settings, [&](const std::string& name) -> std::function<void(double)> {
+          return [this, name](double) { baked_.insert(name); };
+        });
+    EXPECT_TRUE(out) << out.error().detail;
+    return out ? std::move(*out) : PreparedScene{};
+  }
+  static SceneObject twist() {
+    SceneObject o;
+    o.name = "twist";
+    o.asset = "builtin:twist";
+    return o;
+  }
+  static RealGeometry floor_of(Rgb albedo, const glm::dvec3& normal = {0, 1, 0}) {
+    RealGeometry floor;
+    floor.plane = RealPlane{{.1, .2, -.3}, normal};
+    floor.albedo = albedo;
+    return floor;
+  }
+  test::TempFolder folder_;
+  std::set<std::string> baked_;
+
+ private:
+  std::string before_;
+};
+
+// Wherever it stands on its plane, however it is turned and how large it is.
+TEST_F(OneBake, ServesEveryPlaceTurnSizeAndFloor) {
+  SceneObject o = twist();
+  o.place_on_floor = true;
+  const RealGeometry floor = floor_of({.4f, .4f, .4f});
+  o.position = {.1, .2, -.3};
+  prepared({{o}, {floor}});
+  ASSERT_EQ(baked_.size(), 1u);
+  baked_.clear();
+  std::vector<Scene> others;
+  const auto changed = [&](const auto& change) {
+    Scene scene{{o}, {floor}};
+    change(scene);
+    others.push_back(scene);
+  };
+  changed([](Scene& s) { s.objects[0].position.x += .01; });
+  changed([](Scene& s) { s.objects[0].position = {-17.3, .2, 1e3}; });
+  changed([](Scene& s) { s.objects[0].rotation = glm::angleAxis(.7, glm::dvec3(0, 1, 0)); });
+  changed([](Scene& s) { s.objects[0].rotation = glm::dquat(0, 0, 1, 0); });
+  changed([](Scene& s) { s.objects[0].fit_size_m *= 1.06; });
+  changed([](Scene& s) { s.real[0].albedo = Rgb{.1f, .5f, .2f}; });
+  changed([](Scene& s) { s.real[0].albedo.reset(); });
+  changed([](Scene& s) { s.objects[0].spin_rpm = 5; });
+  changed([](Scene& s) {  // the floor slopes, and the object stands upright on it
+    s.real[0].plane->normal = glm::normalize(glm::dvec3(.2, 1, .1));
+    s.objects[0].rotation = glm::rotation(glm::dvec3(0, 1, 0), s.real[0].plane->normal);
+    s.objects[0].position = s.real[0].plane->point;
+  });
+  for (const Scene& scene : others) prepared(scene);
+  EXPECT_TRUE(baked_.empty());
+}
+
+TEST_F(OneBake, ServesCopiesWhichShareItsMemory) {
+  Scene scene{{}, {floor_of({.4f, .4f, .4f})}};
+  for (int i = 0; i < 4; ++i) {
+    SceneObject o = twist();
+    o.name += std::to_string(i);
+    o.place_on_floor = true;
+    o.position = {.1 + i, .2, -.3};
+    o.fit_size_m = .3 + .1 * i;
+    scene.objects.push_back(o);
+  }
+  const PreparedScene out = prepared(scene);
+  EXPECT_EQ(baked_.size(), 1u);
+  ASSERT_EQ(out.objects.size(), 4u);
+  const prt::BakedObject& first = out.objects[0].baked;
+  for (const PreparedObject& o : out.objects) {
+    EXPECT_TRUE(o.baked.transfer.values.shares(first.transfer.values));
+    EXPECT_TRUE(o.baked.indirect.values.shares(first.indirect.values));
+    EXPECT_TRUE(o.baked.ground_deficit.values.shares(first.ground_deficit.values));
+    EXPECT_TRUE(o.baked.visibility.open.shares(first.visibility.open));
+    EXPECT_EQ(o.baked.receiver->albedo, (Rgb{.4f, .4f, .4f}));
+  }
+}
+
+// Every vertex stands where the scene file says, whatever its bake was made of.
+TEST_F(OneBake, StandsWhereTheSceneSays) {
+  const auto mesh = load_asset("builtin:twist", {.7f, .7f, .7f}, .03f);
+  ASSERT_TRUE(mesh);
+  const glm::dvec3 slope = glm::normalize(glm::dvec3(.2, 1, .1));
+  for (const glm::dvec3& normal : {glm::dvec3(0, 1, 0), slope})
+    for (const glm::dquat& rotation :
+         {glm::dquat(1, 0, 0, 0), glm::angleAxis(2.2, glm::dvec3(0, 1, 0)),
+          glm::angleAxis(.6, glm::normalize(glm::dvec3(1, .5, -.3))),
+          glm::angleAxis(kPi, glm::dvec3(1, 0, 0))})
+      for (const int how : {0, 1, 2}) {
+        SceneObject o = twist();
+        o.rotation = rotation;
+        o.place_on_floor = how == 0;
+        o.fit_size_m = .37;
+        o.scale = 1.7;
+        const RealGeometry floor = floor_of({.4f, .4f, .4f}, normal);
+        o.position = floor.plane->point + (how == 2 ? 3. : 0.) * normal;
+        Scene scene{{o}, {}};
+        if (how < 2) scene.real.push_back(floor);
+        const PreparedScene out = prepared(scene);
+        const prt::Mesh world = world_mesh(out, true);
+        const glm::dmat4 place = world_from_mesh(
+            o, *mesh, how < 2 ? floor_normal(out.planes, o.position) : glm::dvec3(0, 1, 0));
+        ASSERT_EQ(world.positions.size(), mesh->positions.size());
+        double worst = 0;
+        for (std::size_t i = 0; i < world.positions.size(); ++i)
+          worst =
+              std::max(worst, glm::distance(glm::dvec3(world.positions[i]),
+                                            glm::dvec3(place * glm::dvec4(mesh->positions[i], 1))));
+        EXPECT_LT(worst, 2e-4) << how << ' ' << rotation.w << ' ' << normal.x;
+      }
 }
 
 TEST_F(SceneFile, TurntableTurnsAboutTheNormalAndClosesAfterOneTurn) {

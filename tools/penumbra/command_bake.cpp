@@ -46,12 +46,9 @@ Result<void> bake(const BakeCommandOptions& o) {
   options.rays = o.samples;
   options.ground_rays = 4 * o.samples;
   options.visibility = true;
-  if (!(o.receiver_albedo >= 0 && o.receiver_albedo <= 1))
-    return fail(ErrorCode::kInvalid, "--receiver-albedo", "is not within 0..1");
-  const auto a = static_cast<float>(o.receiver_albedo);
-  // The receiver is the plane that the asset stands on.
-  options.receiver =
-      prt::Receiver{prt::fit_ground_grid(mesh, prt::bounds_of(mesh).low.y), {a, a, a}};
+  // The receiver is the plane that the asset stands on; what it reflects is the scene's to say.
+  options.receiver = prt::Receiver{prt::fit_ground_grid(mesh, prt::bounds_of(mesh).low.y), {}};
+  options.floor_apart = true;
   options.progress = progress_bar("bake " + std::filesystem::path(o.asset).filename().string());
   auto baked = prt::bake(std::move(mesh), options);
   if (!baked) return fail(baked.error().code, o.asset, baked.error().detail);
@@ -107,16 +104,18 @@ void add_bake(CLI::App& parent, Action& action) {
       ->expected(3)
       ->check(within(0, 1))
       ->capture_default_str();
-  c->add_option("--receiver-albedo", bake_options.receiver_albedo,
-                "Albedo of the plane under the object, 0 to 1; 0: it reflects no light")
-      ->check(within(0, 1))
-      ->capture_default_str();
   add_json(c, bake_options.json);
   const char* const kClip = "A clip of a character";
   CLI::Option* const clip = c->add_option("--animation", bake_options.animation,
                                           "Clip to bake, by name or number, instead of one pose")
                                 ->check(not_empty)
                                 ->group(kClip);
+  c->add_option("--receiver-albedo", bake_options.receiver_albedo,
+                "Albedo of the plane under the clip, 0 to 1; 0: it reflects no light")
+      ->check(within(0, 1))
+      ->capture_default_str()
+      ->needs(clip)
+      ->group(kClip);
   c->add_option("--fps", bake_options.fps,
                 "Key frames that are baked for each second of the clip, above 0 and at most 1000")
       ->capture_default_str()

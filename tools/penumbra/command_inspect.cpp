@@ -82,10 +82,11 @@ Result<json> inspect_baked(const std::string& file) {
               {"standard_error", baked.report.standard_error}};
   if (baked.receiver) {
     const prt::GroundGrid& g = baked.receiver->grid;
-    out["receiver"] = {{"texels", g.size * g.size},
-                       {"half_extent_m", g.half_extent},
-                       {"height_m", g.height},
-                       {"albedo", runtime::to_json(baked.receiver->albedo)}};
+    out["receiver"] = {
+        {"texels", g.size * g.size},
+        {"half_extent_m", g.half_extent},
+        {"height_m", g.height},
+        {"albedo", baked.floor.points > 0 ? json() : runtime::to_json(baked.receiver->albedo)}};
   }
   return out;
 }

@@ -1,0 +1,84 @@
+#include "runtime/scene/standing.h"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtx/quaternion.hpp>
+#include <limits>
+
+#include "prt/geometry/receiver.h"
+#include "runtime/scene/animated.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+// Rotations and heights that differ by rounding alone are one bake.
+double rounded(double value, double step) {
+  return std::round(value / step) * step;
+}
+
+// The turn that leans the mesh as it stands, without the turn about the plane's normal.
+glm::dquat tilt_of(const glm::dquat& rotation, const glm::dvec3& normal) {
+  constexpr double kStep = 1e-9;
+  const glm::dvec3 exact = glm::conjugate(rotation) * normal;
+  const glm::dvec3 own_up = glm::normalize(
+      glm::dvec3(rounded(exact.x, kStep), rounded(exact.y, kStep), rounded(exact.z, kStep)));
+  if (own_up.y > 1 - 1e-12) return {1, 0, 0, 0};
+  return glm::rotation(own_up, glm::dvec3(0, 1, 0));
+}
+
+glm::dquat turn_about_y(const glm::dquat& rotation) {
+  return glm::normalize(glm::dquat(rotation.w, 0, rotation.y, 0));
+}
+
+double lowest(const prt::Mesh& mesh, const glm::dquat& tilt) {
+  double low = std::numeric_limits<double>::infinity();
+  for (const glm::vec3& p : mesh.positions) low = std::min(low, (tilt * glm::dvec3(p)).y);
+  return low;
+}
+
+}  // namespace
+
+Standing standing_of(const Placement& p, const prt::Mesh& mesh, const prt::Plane* plane) {
+  Standing out;
+  const prt::Bounds bounds = prt::bounds_of(mesh);
+  const glm::dvec3 size(bounds.high - bounds.low);
+  out.scale = p.place_on_floor ? p.fit_size_m / std::max({size.x, size.y, size.z, 1e-9}) : p.scale;
+  const glm::dvec3 normal = plane ? plane->normal : glm::dvec3(0, 1, 0);
+  const glm::dquat tilt = tilt_of(p.rotation, normal);
+  const double low = lowest(mesh, tilt);
+  if (p.place_on_floor) {
+    const glm::dvec3 centre = tilt * glm::dvec3(bounds.centre());
+    out.shift = {-centre.x, -low, -centre.z};
+  }
+  constexpr double kStep = 1e-4;  // of the radius: less lifts nothing
+  const double radius = std::max(double(prt::radius_around(mesh, bounds.centre())), 1e-30);
+  out.tilt = tilt;
+  double height = low;
+  if (plane && !p.place_on_floor) {
+    const double above = glm::dot(p.position - plane->point, plane->normal);
+    height = -above / out.scale;
+    height = std::abs(height - low) < kStep * radius ? low : rounded(height, kStep * radius);
+    out.shift = {0, -height, 0};
+  }
+  out.height = static_cast<float>(height);
+  const Pose frame = plane ? frame_on_plane(*plane, p.position) : Pose{{1, 0, 0, 0}, p.position};
+  const glm::dquat turn =
+      turn_about_y(glm::conjugate(frame.rotation) * p.rotation * glm::conjugate(tilt));
+  out.world_from_bake = {frame.rotation * turn, frame.translation};
+  return out;
+}
+
+void put_in_place(prt::BakedObject& baked, double scale, const glm::dvec3& shift) {
+  glm::dmat4 place{glm::dmat3(scale)};
+  place[3] = glm::dvec4(scale * shift, 1);
+  prt::transform(baked.mesh, place);
+  if (!baked.receiver) return;
+  prt::GroundGrid& grid = baked.receiver->grid;
+  const auto k = static_cast<float>(scale);
+  grid.centre = k * (grid.centre + glm::vec2(shift.x, shift.z));
+  grid.half_extent *= k;
+  grid.height = 0;
+}
+
+}  // namespace penumbra::runtime

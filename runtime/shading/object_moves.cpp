@@ -1,0 +1,183 @@
+#include "runtime/shading/object_moves.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <map>
+
+#include "core/conventions.h"
+#include "core/files.h"
+#include "core/spelling.h"
+
+namespace penumbra::runtime {
+
+namespace {
+
+constexpr std::string_view kHeader = "time_s,object,x_m,y_m,z_m,turn_deg";
+constexpr std::size_t kColumns = 6;
+
+// Signed distance of a place from the plane that a pose stands on.
+double off_plane(const Pose& standing, const glm::dvec3& position) {
+  return glm::dot(position - standing.translation, standing.rotation * glm::dvec3(0, 1, 0));
+}
+
+ObjectPlace between(const ObjectPlace& a, const ObjectPlace& b, double fraction) {
+  return {a.position_m + fraction * (b.position_m - a.position_m),
+          std::lerp(a.turn_rad, b.turn_rad, fraction)};
+}
+
+std::string_view without_edges(std::string_view text) {
+  const auto first = text.find_first_not_of(" \t\r"), last = text.find_last_not_of(" \t\r");
+  return first == std::string_view::npos ? "" : text.substr(first, last - first + 1);
+}
+
+// Nothing where there are not as many as columns.
+std::optional<std::array<std::string_view, kColumns>> split(std::string_view line) {
+  std::array<std::string_view, kColumns> out;
+  for (std::size_t i = 0; i < kColumns; ++i) {
+    const auto comma = line.find(',');
+    if ((comma == std::string_view::npos) != (i + 1 == kColumns)) return std::nullopt;
+    out[i] = without_edges(line.substr(0, comma));
+    line.remove_prefix(
+        std::min(line.size(), comma == std::string_view::npos ? line.size() : comma + 1));
+  }
+  return out;
+}
+
+std::optional<double> number(std::string_view text) {
+  double value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  const bool whole = error == std::errc() && end == text.data() + text.size();
+  return whole && std::isfinite(value) ? std::optional(value) : std::nullopt;
+}
+
+}  // namespace
+
+Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
+  PENUMBRA_ASSIGN(bytes, read_bytes(path));
+  std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  if (text.starts_with("\xef\xbb\xbf")) text.remove_prefix(3);
+  ObjectTrack out;
+  std::map<std::string, double, std::less<>> last;
+  for (int line = 1; !text.empty(); ++line) {
+    const auto end = std::min(text.find('\n'), text.size());
+    const std::string_view row = without_edges(text.substr(0, end));
+    text.remove_prefix(std::min(text.size(), end + 1));
+    const auto invalid = [&](const std::string& detail) {
+      return fail(ErrorCode::kInvalid, fmt::format("{}:{}", path.string(), line), detail);
+    };
+    if (line == 1) {
+      if (row != kHeader) return invalid(fmt::format("does not begin with {}", kHeader));
+      continue;
+    }
+    if (row.empty()) continue;
+    const auto columns = split(row);
+    if (!columns) return invalid(fmt::format("does not have {} columns", kColumns));
+    std::array<double, kColumns> values{};
+    for (const std::size_t i : {0, 2, 3, 4, 5}) {
+      const auto value = number((*columns)[i]);
+      if (!value) return invalid(fmt::format("\"{}\" is not a number", (*columns)[i]));
+      values[i] = *value;
+    }
+    const std::string object((*columns)[1]);
+    const auto before = last.find(object);
+    if (before != last.end() && values[0] <= before->second)
+      return invalid(fmt::format("\"{}\" has a time that is not after the one before", object));
+    last[object] = values[0];
+    out.keys.push_back(
+        {values[0], object, {{values[2], values[3], values[4]}, values[5] * kPi / 180}});
+  }
+  if (out.keys.empty()) return fail(ErrorCode::kInvalid, path.string(), "has no places");
+  return out;
+}
+
+ObjectMoves::ObjectMoves(const PreparedScene& scene)
+    : scene_(scene), places_(scene.objects.size()) {
+  for (const PreparedObject& o : scene.objects)
+    resting_.push_back({o.name, o.world_from_bake, o.baked.receiver.has_value()});
+}
+
+Result<std::size_t> ObjectMoves::index_of(std::string_view object) const {
+  const auto found = std::ranges::find(resting_, object, &Resting::name);
+  if (found != resting_.end()) return static_cast<std::size_t>(found - resting_.begin());
+  std::vector<std::string_view> names;
+  for (const Resting& o : resting_) names.push_back(o.name);
+  const auto near = nearest_word(object, names);
+  return fail(ErrorCode::kNotFound, fmt::format("object \"{}\"", object),
+              near ? fmt::format("is not in the scene: did you mean \"{}\"?", *near)
+                   : fmt::format("is not in the scene, which has {}", fmt::join(names, ", ")));
+}
+
+Result<void> ObjectMoves::check(std::size_t object, const ObjectPlace& place) const {
+  constexpr double kOff_m = .01;
+  const Resting& o = resting_[object];
+  const std::string where = fmt::format("object \"{}\"", o.name);
+  const glm::dvec3& p = place.position_m;
+  if (!std::isfinite(p.x + p.y + p.z + place.turn_rad))
+    return fail(ErrorCode::kNonFinite, where, "is put at a place that is not finite");
+  const double off = o.on_plane ? off_plane(o.world_from_bake, p) : 0;
+  if (std::abs(off) <= kOff_m) return {};
+  return fail(ErrorCode::kInvalid, where,
+              fmt::format("belongs to its plane and is put {:.3f} m off it: give the place on the "
+                          "plane that is under it",
+                          off));
+}
+
+Pose ObjectMoves::pose_at(std::size_t object, const ObjectPlace& place, double seconds) const {
+  const Resting& o = resting_[object];
+  const glm::dvec3 normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
+  const glm::dvec3 at =
+      place.position_m - (o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0) * normal;
+  const Pose turn{glm::angleAxis(place.turn_rad, glm::dvec3(0, 1, 0)), {0, 0, 0}};
+  // A turntable turns it about its own axis, as from the scene's pose.
+  const Pose spun = o.world_from_bake.inverse() * scene_.objects[object].pose_at(seconds);
+  return Pose{o.world_from_bake.rotation, at} * turn * spun;
+}
+
+Result<void> ObjectMoves::put(std::string_view object, const ObjectPlace& place) {
+  PENUMBRA_ASSIGN(index, index_of(object));
+  PENUMBRA_TRY(check(index, place));
+  const std::scoped_lock lock(mutex_);
+  places_[index] = {{0, place}};
+  return {};
+}
+
+Result<void> ObjectMoves::follow(const ObjectTrack& track) {
+  std::vector<std::vector<TimedPlace>> places(scene_.objects.size());
+  for (const ObjectTrack::TrackKey& key : track.keys) {
+    const auto at = [&](const Error& e) {
+      return fail(e.code, fmt::format("{} at {} s", e.where, key.time_s), e.detail);
+    };
+    const auto index = index_of(key.object);
+    if (!index) return at(index.error());
+    if (const auto good = check(*index, key.place); !good) return at(good.error());
+    std::vector<TimedPlace>& of_object = places[*index];
+    if (!(std::isfinite(key.time_s) && (of_object.empty() || key.time_s > of_object.back().time_s)))
+      return at({ErrorCode::kInvalid, fmt::format("object \"{}\"", key.object),
+                 "has a time that is not after the one before"});
+    of_object.push_back({key.time_s, key.place});
+  }
+  const std::scoped_lock lock(mutex_);
+  for (std::size_t i = 0; i < places.size(); ++i)
+    if (!places[i].empty()) places_[i] = std::move(places[i]);
+  return {};
+}
+
+Pose ObjectMoves::pose_of(std::size_t object, double seconds) const {
+  const std::scoped_lock lock(mutex_);
+  const std::vector<TimedPlace>& places = places_[object];
+  if (places.empty()) return scene_.objects[object].pose_at(seconds);
+  const auto next = std::ranges::upper_bound(places, seconds, {}, &TimedPlace::time_s);
+  if (next == places.begin()) return pose_at(object, next->place, seconds);
+  const auto last = next - 1;
+  if (next == places.end()) return pose_at(object, last->place, seconds);
+  const double fraction = (seconds - last->time_s) / (next->time_s - last->time_s);
+  return pose_at(object, between(last->place, next->place, fraction), seconds);
+}
+
+}  // namespace penumbra::runtime

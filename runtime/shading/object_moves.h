@@ -1,0 +1,77 @@
+// Where objects are put while a pipeline runs: by call, or by a track over time.
+#pragma once
+
+#include <filesystem>
+#include <glm/vec3.hpp>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/pose.h"
+#include "core/result.h"
+#include "runtime/scene/scene.h"
+
+#pragma GCC visibility push(default)
+namespace penumbra::runtime {
+
+/// A place on the plane that an object stands on, and a turn about the plane's normal from how the
+/// scene has it.
+struct ObjectPlace {
+  glm::dvec3 position_m{0, 0, 0};
+  double turn_rad = 0;
+};
+
+/// Places over time of some objects; between two of an object's it glides and turns evenly, before
+/// the first and after the last it rests there.
+struct ObjectTrack {
+  struct TrackKey {
+    double time_s = 0;  // as frames count it
+    std::string object;
+    ObjectPlace place;
+  };
+  std::vector<TrackKey> keys;  // of each object in order of time
+};
+
+/// A CSV file: time_s,object,x_m,y_m,z_m,turn_deg.
+/// errors: kNotFound, kInvalid (file and line: a number, a time out of order)
+Result<ObjectTrack> read_object_track(const std::filesystem::path& path);
+
+/// threads: thread-safe
+class ObjectMoves {
+ public:
+  /// The scene must outlive it.
+  explicit ObjectMoves(const PreparedScene& scene);
+  /// In effect with the next frame, until another place or track comes. A turntable goes on
+  /// turning.
+  /// errors: kNotFound (no such object: says which there are), kNonFinite, kInvalid (off the plane
+  ///         that its bake stands on by more than a centimetre)
+  Result<void> put(std::string_view object, const ObjectPlace& place);
+  /// Objects without a key in it stay where they are.
+  /// errors: as put(), by the key's time; kInvalid (an object's times are not in order)
+  Result<void> follow(const ObjectTrack& track);
+  Pose pose_of(std::size_t object, double seconds) const;
+
+ private:
+  struct TimedPlace {
+    double time_s;
+    ObjectPlace place;
+  };
+  // As the scene has it. Others change an object while it plays.
+  struct Resting {
+    std::string name;
+    Pose world_from_bake;
+    bool on_plane;
+  };
+  Result<std::size_t> index_of(std::string_view object) const;
+  Result<void> check(std::size_t object, const ObjectPlace& place) const;
+  Pose pose_at(std::size_t object, const ObjectPlace& place, double seconds) const;
+  const PreparedScene& scene_;
+  std::vector<Resting> resting_;
+  mutable std::mutex mutex_;
+  std::vector<std::vector<TimedPlace>> places_;  // by object; empty: as the scene has it
+};
+
+}  // namespace penumbra::runtime
+#pragma GCC visibility pop
