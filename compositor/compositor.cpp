@@ -281,6 +281,10 @@ bool Compositor::present(const Image<Rgb8>& picture) {
   return impl_->context->show();
 }
 
+Pointer Compositor::pointer() const {
+  return impl_->context->pointer();
+}
+
 std::string Compositor::renderer() const {
   impl_->context->make_current();
   const auto* name = reinterpret_cast<const char*>(glGetString(GL_RENDERER));

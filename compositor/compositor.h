@@ -109,6 +109,13 @@ class Drawn {
   std::unique_ptr<Impl> impl_;
 };
 
+/// The mouse over a window, after the last picture.
+struct Pointer {
+  glm::dvec2 place{0, 0};            // in the picture, from its upper left corner (0, 0) to (1, 1)
+  bool left = false, right = false;  // buttons that are held
+  double wheel = 0;                  // notches, away from the user, since the picture before
+};
+
 class Compositor {
  public:
   enum class Surface { kOffscreen, kWindow };
@@ -177,6 +184,8 @@ class Compositor {
   bool has_window() const;
   /// Shows an 8-bit picture; nothing without a window. False when the user has closed the window.
   bool present(const Image<Rgb8>& picture);
+  /// All zero without a window.
+  Pointer pointer() const;
 
   std::string renderer() const;  // what GL calls itself
 

@@ -1,6 +1,8 @@
 #define GLFW_INCLUDE_NONE
 #include <GLFW/glfw3.h>
 
+#include <algorithm>
+
 #include "compositor/internal/gl.h"
 
 namespace penumbra::compositor {
@@ -9,7 +11,12 @@ namespace {
 
 class WindowContext final : public GlContext {
  public:
-  explicit WindowContext(GLFWwindow* window) : window_(window) {}
+  explicit WindowContext(GLFWwindow* window) : window_(window) {
+    glfwSetWindowUserPointer(window, this);
+    glfwSetScrollCallback(window, [](GLFWwindow* w, double, double notches) {
+      static_cast<WindowContext*>(glfwGetWindowUserPointer(w))->wheel_ += notches;
+    });
+  }
   ~WindowContext() override {
     glfwDestroyWindow(window_);
     glfwTerminate();
@@ -20,8 +27,20 @@ class WindowContext final : public GlContext {
   }
   bool show() override {
     glfwSwapBuffers(window_);
+    wheel_ = 0;
     glfwPollEvents();
     return !glfwWindowShouldClose(window_) && glfwGetKey(window_, GLFW_KEY_ESCAPE) != GLFW_PRESS;
+  }
+  Pointer pointer() const override {
+    Pointer out;
+    int width = 0, height = 0;
+    glfwGetWindowSize(window_, &width, &height);
+    glfwGetCursorPos(window_, &out.place.x, &out.place.y);
+    out.place /= glm::dvec2(std::max(width, 1), std::max(height, 1));
+    out.left = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_LEFT) == GLFW_PRESS;
+    out.right = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_RIGHT) == GLFW_PRESS;
+    out.wheel = wheel_;
+    return out;
   }
   std::pair<int, int> size() const override {
     std::pair<int, int> out;
@@ -31,6 +50,7 @@ class WindowContext final : public GlContext {
 
  private:
   GLFWwindow* window_;
+  double wheel_ = 0;  // notches since the last show()
 };
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <string>
 #include <utility>
 
+#include "compositor/compositor.h"
 #include "core/result.h"
 
 namespace penumbra::compositor {
@@ -92,6 +93,8 @@ class GlContext {
   virtual bool show() = 0;
   /// Size of the window's framebuffer in pixels.
   virtual std::pair<int, int> size() const = 0;
+  /// As of the last show().
+  virtual Pointer pointer() const { return {}; }
 };
 
 Result<std::unique_ptr<GlContext>> make_offscreen_context();

@@ -177,6 +177,14 @@ Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
   return out;
 }
 
+Result<void> Pipeline::move_object(std::string_view object, const runtime::ObjectPlace& place) {
+  return impl_->composite->moves().put(object, place);
+}
+
+Result<void> Pipeline::follow(const runtime::ObjectTrack& track) {
+  return impl_->composite->moves().follow(track);
+}
+
 Result<runtime::RunCounts> Pipeline::replay(capture::FrameSource& source,
                                             const runtime::Sink& sink) {
   PENUMBRA_TRY(impl_->check(source));

@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "capture/frames.h"
@@ -18,6 +19,7 @@
 #include "runtime/pipeline/runner.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composite_stage.h"
+#include "runtime/shading/object_moves.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra {
@@ -75,6 +77,14 @@ class Pipeline {
   /// Puts the objects into a view frame. Before there is light the frame comes back as it is.
   /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)
   Result<runtime::Composited> composite(const capture::Frame& view);
+
+  /// Puts an object elsewhere on the plane that it stands on, from the next frame on. Nothing is
+  /// baked for it.
+  /// threads: any, also during a run
+  /// errors: kNotFound (no such object), kNonFinite, kInvalid (off its plane)
+  Result<void> move_object(std::string_view object, const runtime::ObjectPlace& place);
+  /// The same over time, by the times of the view frames.
+  Result<void> follow(const runtime::ObjectTrack& track);
 
   /// All frames of a source in order of time on this thread: with a new pipeline the same input
   /// gives the same bytes. light() stays as it was before.

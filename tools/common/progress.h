@@ -1,4 +1,5 @@
-// A progress bar on standard error for long work; silent when that is not a terminal.
+// Progress of long work on standard error: a bar, or a line now and then where that is not a
+// terminal.
 #pragma once
 
 #include <unistd.h>
@@ -12,9 +13,23 @@
 
 namespace penumbra::tools {
 
+/// A line every ten seconds, for logs.
+inline std::function<void(double)> progress_lines(const std::string& what) {
+  using Clock = std::chrono::steady_clock;
+  return [what, first = -1., start = Clock::now(), told = Clock::now()](double done) mutable {
+    if (first < 0 || done < first) first = done, start = Clock::now();
+    if (done >= 1 || Clock::now() - told < std::chrono::seconds(10)) return;
+    told = Clock::now();
+    const double since = std::chrono::duration<double>(told - start).count();
+    const long left = done > first ? std::lround(since * (1 - done) / (done - first)) : 0;
+    std::fprintf(stderr, "%s: %d %%, %ld:%02ld left\n", what.c_str(), static_cast<int>(done * 100),
+                 left / 60, left % 60);
+  };
+}
+
 /// Done: 0..1; falling back begins another round, with a bar of its own.
 inline std::function<void(double)> progress_bar(const std::string& what) {
-  if (!isatty(STDERR_FILENO)) return {};
+  if (!isatty(STDERR_FILENO)) return progress_lines(what);
   using Clock = std::chrono::steady_clock;
   return [what, last = -1, first = -1., start = Clock::now()](double done) mutable {
     const int percent = static_cast<int>(done * 100);

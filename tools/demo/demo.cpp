@@ -19,6 +19,7 @@
 #include "runtime/studio/studio_setup.h"
 #include "tools/common/command.h"
 #include "tools/common/light_options.h"
+#include "tools/common/object_mouse.h"
 #include "tools/common/output.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
@@ -156,10 +157,21 @@ Result<void> demo(const DemoOptions& o) {
     recording.emplace(studio, std::move(recorder));
   }
   std::shared_ptr<const FramePixels> last, last_source;
+  ObjectMouse mouse(pipeline.scene(), [&](std::string_view object, const auto& place) {
+    return pipeline.move_object(object, place);
+  });
+  if (pipeline.output().has_window())
+    log_info(
+        "window: the left mouse button drags an object, the right one and the wheel turn it; "
+        "Escape ends");
   const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
     if (stop || !show(pipeline.output(), *out.pixels)) return false;
+    const auto camera = static_cast<std::size_t>(out.source.camera);
+    if (pipeline.output().has_window())
+      mouse.update(pipeline.output().pointer(), studio.cameras()[camera].projection,
+                   out.source.world_from_camera);
     return writer->write("", out.pixels, FrameWriter::InVideo{out.source.time});
   };
   capture::FrameSource& source =

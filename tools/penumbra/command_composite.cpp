@@ -22,7 +22,7 @@ namespace penumbra::tools {
 namespace {
 
 struct CompositeOptions {
-  std::string capture, scene, output;
+  std::string capture, scene, output, moves;
   int bands = 5;
   std::string lights = "auto";
   double budget = kDefaultMaxShadowError;
@@ -69,7 +69,13 @@ Result<void> composite(const CompositeOptions& o) {
   options.max_lights = lights.max_count;
   options.max_shadow_error = o.budget;
   options.progress = progress_bar;
+  runtime::ObjectTrack track;
+  if (!o.moves.empty()) {
+    PENUMBRA_ASSIGN(read, runtime::read_object_track(o.moves));
+    track = std::move(read);
+  }
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, scene, options));
+  PENUMBRA_TRY(pipeline.follow(track));
   const std::atomic<bool>& stop = catch_stop_signals();
   PENUMBRA_TRY(folder.begin());
   const std::vector<int> in_video = cameras_in_video(cameras);
@@ -117,6 +123,9 @@ void add_composite(CLI::App& parent, Action& action) {
   c->add_option("--out", composite_options.output,
                 "Folder for the frames, the video and the summary")
       ->required();
+  c->add_option("--moves", composite_options.moves,
+                "Places of objects over time, a CSV file with the columns "
+                "time_s,object,x_m,y_m,z_m,turn_deg");
   c->add_option("--bands", composite_options.bands, kMaxBandsHelp)->capture_default_str();
   c->add_option("--max-lights", composite_options.lights, kMaxLightsHelp)->capture_default_str();
   c->add_option("--max-shadow-error", composite_options.budget, kMaxShadowErrorHelp)

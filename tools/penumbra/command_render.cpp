@@ -65,7 +65,7 @@ Result<void> render(const RenderOptions& o) {
   runtime::BakeSettings settings;
   settings.bands = bands;
   if (o.reference || o.without_objects)
-    settings.rays = settings.ground_rays = 64, settings.bounces = 0;
+    settings.rays = settings.ground_rays = 64, settings.bounces = 0, settings.visibility = false;
   PENUMBRA_ASSIGN(prepared, runtime::prepare(scene, settings, progress_bar));
 
   const StillScene in{&prepared, &map, view, o.time_s};

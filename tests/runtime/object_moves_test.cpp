@@ -1,0 +1,228 @@
+#include "runtime/shading/object_moves.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+
+#include "calib/calib.h"
+#include "capture/capture.h"
+#include "core/conventions.h"
+#include "lighting/lighting.h"
+#include "runtime/pipeline/pipeline.h"
+#include "tests/support/temp_folder.h"
+
+namespace penumbra::runtime {
+namespace {
+
+BakeSettings quick() {
+  return {.bands = 3,
+          .bounces = 1,
+          .rays = 64,
+          .ground_rays = 64,
+          .visibility = false,
+          .use_cache = false};
+}
+
+SceneObject thing(const char* name, const glm::dvec3& position, double turn_rad = 0) {
+  SceneObject o;
+  o.name = name;
+  o.asset = "builtin:twist";
+  o.place_on_floor = true;
+  o.fit_size_m = .3;
+  o.position = position;
+  o.rotation = glm::angleAxis(turn_rad, glm::dvec3(0, 1, 0));
+  return o;
+}
+
+Scene scene_of(std::vector<SceneObject> objects) {
+  RealGeometry floor;
+  floor.plane = RealPlane{};
+  floor.albedo = Rgb{.4f, .4f, .4f};
+  return {std::move(objects), {floor}};
+}
+
+std::shared_ptr<const PreparedScene> prepared(const Scene& scene) {
+  auto out = prepare(scene, quick(), [](const std::string&) { return [](double) {}; });
+  EXPECT_TRUE(out) << out.error().detail;
+  return std::make_shared<const PreparedScene>(out ? std::move(*out) : PreparedScene{});
+}
+
+// ------------------------------------------------------------------------------- what is drawn
+
+capture::StudioOptions view() {
+  capture::StudioOptions o;
+  o.environment_width = 128, o.environment_height = 64;
+  o.view_width = 192, o.view_height = 128;
+  o.view_focal_px = 160;
+  o.view_frames = 8;
+  o.world_from_view = capture::look_at({.2, .7, 1.6}, {0, .15, 0});
+  o.sensor.response = calib::Response::srgb();
+  return o;
+}
+
+/// A sun and a sky, and one view camera that looks at the floor.
+class MovedObjects : public testing::Test {
+ protected:
+  MovedObjects()
+      : world_(*capture::FloorWorld::make(capture::make_sky_environment(256, 128, .7))),
+        studio_(world_, view()) {
+    light_ = *lighting::estimate_map(capture::make_sky_environment(256, 128, .7), {});
+    while (auto frame = *studio_.next())
+      if (studio_.cameras()[static_cast<std::size_t>(frame->camera)].role == capture::Role::kView)
+        frames_.push_back(*frame);
+  }
+  Result<Pipeline> pipeline(const Scene& scene) {
+    auto out = Pipeline::create(studio_.cameras(), prepared(scene));
+    if (out) out->set_light(light_);
+    return out;
+  }
+  Image<Rgb8> drawn(Pipeline& pipeline, std::size_t frame) {
+    auto out = pipeline.composite(frames_[frame]);
+    EXPECT_TRUE(out) << out.error().detail;
+    return std::get<Image<Rgb8>>(out->pixels);
+  }
+  std::shared_ptr<const capture::RadianceWorld> world_;
+  capture::Studio studio_;
+  lighting::LightEstimate light_;
+  std::vector<capture::Frame> frames_;
+};
+
+// Pixels that differ by more than a few codes.
+std::size_t different(const Image<Rgb8>& a, const Image<Rgb8>& b, int codes) {
+  std::size_t out = 0;
+  for (std::size_t i = 0; i < a.area(); ++i) {
+    const Rgb8 &p = a.pixels()[i], &q = b.pixels()[i];
+    out += std::max({std::abs(p.r - q.r), std::abs(p.g - q.g), std::abs(p.b - q.b)}) > codes;
+  }
+  return out;
+}
+
+#define NEED_GL(pipeline)                                                \
+  if (!(pipeline) && (pipeline).error().code == ErrorCode::kUnavailable) \
+  GTEST_SKIP() << "no OpenGL ES 3.1 here: " << (pipeline).error().detail
+
+// Moved to a place, all of it looks as if the scene had it there: object, shadow, and what another
+// one takes of its light.
+TEST_F(MovedObjects, LookAsIfTheSceneHadThemThere) {
+  const glm::dvec3 from(-.3, 0, .1), to(.25, 0, -.1), neighbour(.02, 0, .05);
+  const double turn = 1.1;
+  auto moved = pipeline(scene_of({thing("moved", from), thing("other", neighbour)}));
+  NEED_GL(moved);
+  ASSERT_TRUE(moved) << moved.error().detail;
+  auto there = *pipeline(scene_of({thing("moved", to, turn), thing("other", neighbour)}));
+  const Image<Rgb8> before = drawn(*moved, 0);
+  ASSERT_TRUE(moved->move_object("moved", {to, turn}));
+  drawn(*moved, 1);  // what things reflect onto each other is a frame old
+  drawn(there, 1);
+  const Image<Rgb8> after = drawn(*moved, 2), truth = drawn(there, 2);
+  EXPECT_GT(different(before, after, 8), 500u) << "it moved";
+  EXPECT_LT(different(after, truth, 3), 20u);
+  // And back again, in small steps, as it was.
+  for (int i = 1; i <= 4; ++i)
+    ASSERT_TRUE(moved->move_object("moved", {to + i / 4. * (from - to), turn * (1 - i / 4.)}));
+  drawn(*moved, 0);
+  EXPECT_LT(different(before, drawn(*moved, 0), 3), 20u);
+}
+
+TEST_F(MovedObjects, ATrackIsFollowedByTheFramesTimes) {
+  const glm::dvec3 a(-.3, 0, .1), b(.3, 0, 0);
+  auto tracked = pipeline(scene_of({thing("walker", a)}));
+  NEED_GL(tracked);
+  ASSERT_TRUE(tracked) << tracked.error().detail;
+  const double begin = (frames_[1].time - TimestampNs{0}).count(),
+               end = (frames_[5].time - TimestampNs{0}).count();
+  ASSERT_TRUE(tracked->follow({{{begin, "walker", {a, 0}}, {end, "walker", {b, 2}}}}));
+  for (const std::size_t frame : {std::size_t{0}, std::size_t{3}, std::size_t{7}}) {
+    const double t = (frames_[frame].time - TimestampNs{0}).count(),
+                 fraction = std::clamp((t - begin) / (end - begin), 0., 1.);
+    auto there = *pipeline(scene_of({thing("walker", a + fraction * (b - a), 2 * fraction)}));
+    EXPECT_LT(different(drawn(*tracked, frame), drawn(there, frame), 3), 20u) << frame;
+  }
+}
+
+// -------------------------------------------------------------------------------- what is told
+
+TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
+  const auto scene = prepared(scene_of({thing("cup", {0, 0, 0})}));
+  ObjectMoves moves(*scene);
+  const Pose before = moves.pose_of(0, 0);
+  const auto unknown = moves.put("cap", {});
+  ASSERT_FALSE(unknown);
+  EXPECT_EQ(unknown.error().code, ErrorCode::kNotFound);
+  EXPECT_NE(unknown.error().detail.find("cup"), std::string::npos) << unknown.error().detail;
+  for (const ObjectPlace& place : {ObjectPlace{{NAN, 0, 0}, 0}, ObjectPlace{{0, 0, 0}, INFINITY}})
+    EXPECT_EQ(moves.put("cup", place).error().code, ErrorCode::kNonFinite);
+  EXPECT_EQ(moves.put("cup", {{0, .2, 0}, 0}).error().code, ErrorCode::kInvalid);
+  const auto track = moves.follow({{{0, "cup", {{1, 0, 0}, 0}}, {1.5, "cup", {{1, -3, 0}, 0}}}});
+  ASSERT_FALSE(track);
+  EXPECT_NE(track.error().where.find("1.5 s"), std::string::npos) << track.error().where;
+  for (const double second : {1., 0., double(NAN)})
+    EXPECT_EQ(moves.follow({{{1, "cup", {}}, {second, "cup", {}}}}).error().code,
+              ErrorCode::kInvalid);
+  EXPECT_EQ(moves.pose_of(0, 0), before);
+  EXPECT_TRUE(moves.put("cup", {{1, .002, -2}, .5}));
+  EXPECT_NEAR(moves.pose_of(0, 0).translation.x, 1, 1e-12);
+  EXPECT_NEAR(moves.pose_of(0, 0).translation.y, 0, 1e-12) << "on its plane";
+}
+
+TEST(ObjectMoves, ATurntableGoesOnTurning) {
+  SceneObject o = thing("cup", {0, 0, 0}, .3);
+  o.spin_rpm = 10;
+  const auto scene = prepared(scene_of({o}));
+  ObjectMoves moves(*scene);
+  ASSERT_TRUE(moves.put("cup", {{1, 0, 0}, .7}));
+  const glm::dvec3 nose(0, 0, 1);
+  for (const double t : {0., 1., 2.5}) {
+    const double turn = .3 + .7 + 2 * kPi / 6 * t;
+    const glm::dvec3 at = moves.pose_of(0, t) * nose;
+    EXPECT_NEAR(at.x, 1 + std::sin(turn), 1e-9) << t;
+    EXPECT_NEAR(at.z, std::cos(turn), 1e-9) << t;
+  }
+}
+
+class TrackFile : public testing::Test {
+ protected:
+  Result<ObjectTrack> read(const std::string& text) {
+    std::ofstream(path(), std::ios::binary) << text;
+    return read_object_track(path());
+  }
+  std::filesystem::path path() const { return folder_.path() / "moves.csv"; }
+  void expect_invalid(const std::string& text, int line, const std::string& word) {
+    const auto track = read(text);
+    ASSERT_FALSE(track) << text;
+    EXPECT_EQ(track.error().where, path().string() + ":" + std::to_string(line)) << text;
+    EXPECT_NE(track.error().detail.find(word), std::string::npos) << track.error().detail;
+  }
+  test::TempFolder folder_;
+};
+
+constexpr const char* kHead = "time_s,object,x_m,y_m,z_m,turn_deg\n";
+
+TEST_F(TrackFile, IsReadAsItStands) {
+  const auto track = read(std::string("\xef\xbb\xbf") + kHead +
+                          "0,a cup,1,0,-2.5,90\r\n\n .5 , a cup , 1e0 , .25,0 ,-180\n1,b,0,0,0,0");
+  ASSERT_TRUE(track) << track.error().detail;
+  ASSERT_EQ(track->keys.size(), 3u);
+  EXPECT_EQ(track->keys[0].object, "a cup");
+  EXPECT_EQ(track->keys[0].place.position_m, glm::dvec3(1, 0, -2.5));
+  EXPECT_NEAR(track->keys[0].place.turn_rad, kPi / 2, 1e-12);
+  EXPECT_EQ(track->keys[1].time_s, .5);
+  EXPECT_NEAR(track->keys[1].place.turn_rad, -kPi, 1e-12);
+  EXPECT_EQ(track->keys[2].object, "b");
+}
+
+TEST_F(TrackFile, DamagedOnesAreNamedByFileAndLine) {
+  const std::string head = kHead;
+  EXPECT_EQ(read("").error().code, ErrorCode::kInvalid);
+  expect_invalid("time,object\n0,a", 1, "time_s,object");
+  expect_invalid(head + "0,a,1,2,3\n", 2, "columns");
+  expect_invalid(head + "0,a,1,2,3,4,5\n", 2, "columns");
+  expect_invalid(head + "0,a,1,2,x,4\n", 2, "\"x\"");
+  expect_invalid(head + "0,a,1,2,nan,4\n", 2, "\"nan\"");
+  expect_invalid(head + "1,a,1,2,3,4\n\n1,a,1,2,3,4\n", 4, "not after");
+  EXPECT_EQ(read_object_track(folder_.path() / "none.csv").error().code, ErrorCode::kNotFound);
+}
+
+}  // namespace
+}  // namespace penumbra::runtime

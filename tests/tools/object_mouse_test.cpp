@@ -1,0 +1,104 @@
+#include "tools/common/object_mouse.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <map>
+#include <string>
+
+#include "capture/capture.h"
+#include "core/conventions.h"
+#include "prt/prt.h"
+
+namespace penumbra::tools {
+namespace {
+
+/// Two balls on a floor, and a camera that looks down on them.
+class Mouse : public testing::Test {
+ protected:
+  Mouse() {
+    for (const auto& [name, x] : {std::pair{"left", -.4}, {"right", .4}}) {
+      runtime::PreparedObject o;
+      o.name = name;
+      o.baked.mesh = prt::make_sphere({0, .15f, 0}, .15f, 2, {.5f, .5f, .5f});
+      o.baked.receiver = prt::Receiver{};
+      o.world_from_bake = {{1, 0, 0, 0}, {x, 0, 0}};
+      scene_.objects.push_back(o);
+    }
+    camera_ = *calib::make_projection(calib::ProjectionKind::kPinhole, 640, 480);
+    world_from_camera_ = capture::look_at({0, 1.2, 2}, {0, 0, 0});
+    mouse_.emplace(scene_, [this](std::string_view name, const runtime::ObjectPlace& place) {
+      places_[std::string(name)] = place;
+      return Result<void>{};
+    });
+  }
+  glm::dvec2 seen(const glm::dvec3& world) const {
+    const auto pixel =
+        calib::pixel_from_direction(camera_, glm::normalize(world_from_camera_.inverse() * world));
+    EXPECT_TRUE(pixel);
+    return *pixel / glm::dvec2(camera_.width, camera_.height);
+  }
+  void at(const glm::dvec2& place, bool left, bool right = false, double wheel = 0) {
+    mouse_->update({place, left, right, wheel}, camera_, world_from_camera_);
+  }
+  runtime::PreparedScene scene_;
+  calib::CameraModel camera_;
+  Pose world_from_camera_;
+  std::optional<ObjectMouse> mouse_;
+  std::map<std::string, runtime::ObjectPlace> places_;
+};
+
+TEST_F(Mouse, DragsTheObjectUnderItAlongTheFloor) {
+  at(seen({-.4, .15, 0}), false);
+  at(seen({-.4, 0, 0}), true);  // its foot
+  EXPECT_TRUE(places_.empty()) << "pressed, not yet moved";
+  at(seen({-.1, 0, .3}), true);
+  ASSERT_EQ(places_.size(), 1u);
+  EXPECT_LT(glm::distance(places_.at("left").position_m, glm::dvec3(-.1, 0, .3)), 1e-6);
+  at(seen({.2, 0, -.5}), true);
+  at(seen({.2, 0, -.5}), false);
+  at(seen({.9, 0, .9}), false);
+  EXPECT_LT(glm::distance(places_.at("left").position_m, glm::dvec3(.2, 0, -.5)), 1e-6)
+      << "let go, it stays";
+  // Taken hold of above its foot it does not jump.
+  places_.clear();
+  const glm::dvec2 top = seen({.4, .25, 0});
+  at(top, true);
+  at(top, true);
+  EXPECT_LT(glm::distance(places_.at("right").position_m, glm::dvec3(.4, 0, 0)), 1e-9);
+}
+
+TEST_F(Mouse, TurnsByTheWheelAndTheRightButton) {
+  at(seen({.4, .15, 0}), false, false, 2);
+  EXPECT_NEAR(places_.at("right").turn_rad, 20 * kPi / 180, 1e-12);
+  at(seen({.4, .15, 0}), false);
+  const glm::dvec2 hold = seen({-.4, .15, 0});
+  at(hold, false, true);
+  at(hold + glm::dvec2(.25, 0), false, true);
+  EXPECT_NEAR(places_.at("left").turn_rad, kPi / 2, 1e-12);
+  EXPECT_LT(glm::distance(places_.at("left").position_m, glm::dvec3(-.4, 0, 0)), 1e-9);
+}
+
+TEST_F(Mouse, BesideObjectsAndInTheSkyItMovesNothing) {
+  at(seen({0, 0, .6}), true);
+  at(seen({.2, 0, .6}), true);
+  at(seen({.2, 0, .6}), false, false, 1);
+  EXPECT_TRUE(places_.empty());
+  at(seen({-.4, .15, 0}), false);
+  at(seen({-.4, .15, 0}), true);
+  world_from_camera_ = capture::look_at({0, 1.2, 2}, {0, 1.3, 0});  // no floor in view
+  at({.5, .1}, true);
+  EXPECT_TRUE(places_.empty());
+}
+
+// Onto an object that the mouse has crossed with its button held nothing happens either.
+TEST_F(Mouse, TakesHoldOnlyWhereTheButtonWentDown) {
+  at(seen({0, 0, .6}), true);
+  at(seen({-.4, .1, 0}), true);
+  at(seen({0, 0, 0}), true);
+  EXPECT_TRUE(places_.empty());
+}
+
+}  // namespace
+}  // namespace penumbra::tools

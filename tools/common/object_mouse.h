@@ -1,0 +1,54 @@
+// Objects under the mouse of a window.
+#pragma once
+
+#include <functional>
+#include <glm/vec2.hpp>
+#include <glm/vec3.hpp>
+#include <optional>
+#include <string_view>
+#include <vector>
+
+#include "calib/camera/camera_model.h"
+#include "compositor/compositor.h"
+#include "core/pose.h"
+#include "core/result.h"
+#include "runtime/scene/scene.h"
+#include "runtime/shading/object_moves.h"
+
+namespace penumbra::tools {
+
+/// The left button drags an object along the plane that it stands on, the right one and the wheel
+/// turn it about the plane's normal.
+/// threads: thread-bound
+class ObjectMouse {
+ public:
+  using Move = std::function<Result<void>(std::string_view, const runtime::ObjectPlace&)>;
+  /// The scene must outlive it.
+  ObjectMouse(const runtime::PreparedScene& scene, Move move);
+  /// After each frame, with the camera that it shows.
+  void update(const compositor::Pointer& pointer, const calib::CameraModel& camera,
+              const Pose& world_from_camera);
+
+ private:
+  struct Ray {
+    glm::dvec3 origin, direction;
+  };
+  struct Held {
+    std::size_t object;
+    glm::dvec3 grip_m;  // from where it was taken hold of on its plane to its place
+  };
+  std::optional<std::size_t> object_at(const Ray& ray) const;
+  std::optional<glm::dvec3> on_plane(std::size_t object, const Ray& ray) const;
+  void drag(const Ray& ray);
+  void turn(double angle_rad);
+  void put(std::size_t object);
+
+  const runtime::PreparedScene& scene_;
+  Move move_;
+  std::vector<runtime::ObjectPlace> places_;
+  std::optional<Held> held_;
+  bool pressed_ = false;  // a button, at the last update
+  double last_x_ = 0;
+};
+
+}  // namespace penumbra::tools
