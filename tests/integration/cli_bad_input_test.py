@@ -216,6 +216,22 @@ class BadCaptures(CliTest):
                       self.root / "good", "--bands", 2)
         self.assertEqual(len(list((self.root / "good").glob("frame_*.png"))), 3)
 
+    def test_moves_put_objects_elsewhere_and_bad_ones_are_refused(self):
+        moves = self.root / "moves.csv"
+        head = "time_s,object,x_m,y_m,z_m,turn_deg\n"
+        command = ("composite", "--capture", self.capture(), "--scene", self.root / "scene.toml", "--bands", 2)
+        pictures = []
+        for x in (0, .4):
+            moves.write_text(f"{head}0,cube,{x},0,0,0\n")
+            self.run_well(*command, "--moves", moves, "--out", self.root / f"moved-{x}")
+            pictures.append((self.root / f"moved-{x}" / "frame_000000.png").read_bytes())
+        self.assertNotEqual(*pictures)
+        for words, text in ((["moves.csv", "cubes"], head + "0,cubes,0,0,0,0\n"),
+                            (["moves.csv:2", "not a number"], head + "0,cube,0,x,0,0\n"),
+                            (["cube", "off it"], head + "0,cube,0,3,0,0\n"), (["moves.csv:1"], "0,cube,0,0,0,0\n")):
+            moves.write_text(text)
+            self.expect_refusal(words, *command, "--moves", moves, "--out", self.root / "out" / "refused")
+
     def test_surroundings_of_no_capture(self):
         for words, capture in ((["nowhere"], self.root / "nowhere"), (["scene.toml"], self.root / "scene.toml")):
             self.expect_refusal(words, "hdr", "environment", capture, "-o", self.root / "out" / "seen.exr")

@@ -49,6 +49,18 @@ std::vector<int> cameras_in_video(const std::vector<capture::CameraInfo>& camera
   return left >= 0 && right >= 0 ? std::vector{left, right} : std::vector{first};
 }
 
+// Before the long work also by the names of objects; empty without a file.
+Result<runtime::ObjectTrack> read_moves(const std::string& file, const runtime::Scene& scene) {
+  if (file.empty()) return runtime::ObjectTrack{};
+  PENUMBRA_ASSIGN(track, runtime::read_object_track(file));
+  for (const runtime::ObjectTrack::TrackKey& key : track.keys)
+    if (std::ranges::find(scene.objects, key.object, &runtime::SceneObject::name) ==
+        scene.objects.end())
+      return fail(ErrorCode::kInvalid, file,
+                  fmt::format("moves \"{}\", which is no object of the scene", key.object));
+  return track;
+}
+
 }  // namespace
 
 Result<void> composite(const CompositeOptions& o) {
@@ -69,11 +81,7 @@ Result<void> composite(const CompositeOptions& o) {
   options.max_lights = lights.max_count;
   options.max_shadow_error = o.budget;
   options.progress = progress_bar;
-  runtime::ObjectTrack track;
-  if (!o.moves.empty()) {
-    PENUMBRA_ASSIGN(read, runtime::read_object_track(o.moves));
-    track = std::move(read);
-  }
+  PENUMBRA_ASSIGN(track, read_moves(o.moves, scene));
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, scene, options));
   PENUMBRA_TRY(pipeline.follow(track));
   const std::atomic<bool>& stop = catch_stop_signals();
