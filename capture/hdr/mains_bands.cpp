@@ -156,14 +156,19 @@ std::optional<MainsBands::Wave> MainsBands::find(const PictureHistory::Compariso
   if (compared.frames < kMinFrames || compared.now.empty()) return std::nullopt;
   find_rows(compared);
   if (rows_that_tell() < kMinRows) return std::nullopt;
-  double mean = centre_rows();
+  double mean = centre_rows(), weights = 0;
+  for (const RowChange& r : rows_) weights += r.weight;
+  if (squares_of_rows() < weights * kSeen * kSeen / 2) {  // the usual case, and a cheap one
+    seen.waves = std::max(0, seen.waves - 2);
+    return std::nullopt;
+  }
   const std::size_t best = best_candidate(squares_of_rows());
   // A thing that moves changes its own rows by itself.
   drop_outliers(fit_wave<1 + kFirstOvertone>(rows_, bases()[best]), best);
   if (rows_that_tell() < kMinRows) return std::nullopt;
   mean += centre_rows();
   const WaveFit fit = fit_wave<1 + kFirstOvertone>(rows_, bases()[best]);
-  double weights = 0;
+  weights = 0;
   for (const RowChange& r : rows_) weights += r.weight;
   const double varied = squares_of_rows();
   const bool explained =

@@ -9,13 +9,14 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kMinFrames = 4;           // in the mean
-constexpr std::size_t kMinCells = 100;  // that tell
-constexpr float kDark = .02f;           // of full scale: below, noise moves colours
-constexpr double kShift = .03;          // 3 %: less is drift of lamps and of the sensor
-constexpr double kUniform = .2;         // of the shift: the cells' median distance from it
-constexpr double kStill = .5;           // of the shift: green changes by less
-constexpr int kLasting = 3;             // frames
+constexpr int kMinFrames = 4;          // in the mean
+constexpr std::size_t kEvery = 3;      // of the cells
+constexpr std::size_t kMinCells = 40;  // that tell
+constexpr float kDark = .02f;          // of full scale: below, noise moves colours
+constexpr double kShift = .03;         // 3 %: less is drift of lamps and of the sensor
+constexpr double kUniform = .2;        // of the shift: the cells' median distance from it
+constexpr double kStill = .5;          // of the shift: green changes by less
+constexpr int kLasting = 3;            // frames
 
 struct Spread {
   double middle, distance;  // median, and the median distance from it
@@ -34,7 +35,7 @@ std::optional<WhiteBalanceWatch::Shift> WhiteBalanceWatch::see(
     const PictureHistory::Comparison& compared) {
   if (compared.frames < kMinFrames) return std::nullopt;
   red_.clear(), green_.clear(), blue_.clear();
-  for (std::size_t i = 0; i < compared.now.size(); ++i) {
+  for (std::size_t i = 0; i < compared.now.size(); i += kEvery) {
     const Rgb &usual = compared.usual[i], &now = compared.now[i];
     const bool tells = std::min({usual.r, usual.g, usual.b}) > kDark &&
                        std::min({now.r, now.g, now.b}) > kDark;  // NaN does not

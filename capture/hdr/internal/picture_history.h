@@ -13,7 +13,7 @@ namespace penumbra::capture {
 /// threads: thread-bound
 class PictureHistory {
  public:
-  static constexpr CellGrid kGrid{32, 48, 4, 4};
+  static constexpr CellGrid kGrid{32, 48, 2, 4};
 
   explicit PictureHistory(const CameraInfo& camera) : meter_(camera) {}
 
