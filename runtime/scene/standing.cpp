@@ -55,11 +55,12 @@ Standing standing_of(const Placement& p, const prt::Mesh& mesh, const prt::Plane
   const double radius = std::max(double(prt::radius_around(mesh, bounds.centre())), 1e-30);
   out.tilt = tilt;
   double height = low;
-  if (plane && !p.place_on_floor) {
-    const double above = glm::dot(p.position - plane->point, plane->normal);
-    height = -above / out.scale;
-    height = std::abs(height - low) < kStep * radius ? low : rounded(height, kStep * radius);
-    out.shift = {0, -height, 0};
+  if (plane) {
+    // Of its lowest point with fit_size_m, which stands at the position; else of its own origin.
+    const double above = glm::dot(p.position - plane->point, plane->normal),
+                 exact = (p.place_on_floor ? low : 0) - above / out.scale;
+    if (std::abs(exact - low) >= kStep * radius) height = rounded(exact, kStep * radius);
+    out.shift.y = -height;
   }
   out.height = static_cast<float>(height);
   const Pose frame = plane ? frame_on_plane(*plane, p.position) : Pose{{1, 0, 0, 0}, p.position};

@@ -497,20 +497,20 @@ TEST_F(OneBake, StandsWhereTheSceneSays) {
          {glm::dquat(1, 0, 0, 0), glm::angleAxis(2.2, glm::dvec3(0, 1, 0)),
           glm::angleAxis(.6, glm::normalize(glm::dvec3(1, .5, -.3))),
           glm::angleAxis(kPi, glm::dvec3(1, 0, 0))})
-      for (const int how : {0, 1, 2}) {
+      for (const int how : {0, 1, 2, 3}) {  // 3: on something that stands on the plane
         SceneObject o = twist();
         o.rotation = rotation;
-        o.place_on_floor = how == 0;
+        o.place_on_floor = how == 0 || how == 3;
         o.fit_size_m = .37;
         o.scale = 1.7;
         const RealGeometry floor = floor_of({.4f, .4f, .4f}, normal);
-        o.position = floor.plane->point + (how == 2 ? 3. : 0.) * normal;
+        o.position = floor.plane->point + (how == 2 ? 3. : how == 3 ? .35 : 0.) * normal;
         Scene scene{{o}, {}};
-        if (how < 2) scene.real.push_back(floor);
+        if (how != 2) scene.real.push_back(floor);
         const PreparedScene out = prepared(scene);
         const prt::Mesh world = world_mesh(out, true);
         const glm::dmat4 place = world_from_mesh(
-            o, *mesh, how < 2 ? floor_normal(out.planes, o.position) : glm::dvec3(0, 1, 0));
+            o, *mesh, how != 2 ? floor_normal(out.planes, o.position) : glm::dvec3(0, 1, 0));
         ASSERT_EQ(world.positions.size(), mesh->positions.size());
         double worst = 0;
         for (std::size_t i = 0; i < world.positions.size(); ++i)
