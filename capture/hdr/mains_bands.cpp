@@ -171,8 +171,8 @@ std::optional<MainsBands::Wave> MainsBands::find(const PictureHistory::Compariso
   weights = 0;
   for (const RowChange& r : rows_) weights += r.weight;
   const double varied = squares_of_rows();
-  const bool explained =
-      fit.left<(1 - kExplained) * varied, seen_at_all = varied / weights> kSeen * kSeen / 2;
+  const bool explained = fit.left < (1 - kExplained) * varied;
+  const bool seen_at_all = varied / weights > kSeen * kSeen / 2;
   Wave wave{
       cycles(best), mean + fit.terms[0], {fit.terms[1], fit.terms[2], fit.terms[3], fit.terms[4]}};
   follow_level(seen, wave);

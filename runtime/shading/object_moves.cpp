@@ -59,9 +59,8 @@ std::optional<double> number(std::string_view text) {
 }  // namespace
 
 Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
-  PENUMBRA_ASSIGN(bytes, read_bytes(path));
-  std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
-  if (text.starts_with("\xef\xbb\xbf")) text.remove_prefix(3);
+  PENUMBRA_ASSIGN(whole, read_text(path));
+  std::string_view text = whole;
   ObjectTrack out;
   std::map<std::string, double, std::less<>> last;
   for (int line = 1; !text.empty(); ++line) {

@@ -15,8 +15,8 @@ namespace penumbra::capture {
 /// Light on the mains swells 100 or 120 times a second. A shutter that opens row after row turns
 /// that into bands, elsewhere in each frame and the stronger the shorter the exposure. Against the
 /// mean of the same exposure's frames, in which they cancel out, a wave over the rows is fitted
-/// with its first overtone; its length is the same in all frames. A wave that explains
-/// most of the rows' change, frame after frame, and stands elsewhere each time, is taken out.
+/// with its first overtone; its length is the same in all frames. A wave that explains most of the
+/// rows' change, and goes on from frame to frame as the mains do, is taken out.
 /// Limits: bands that stand still, and light of which only a part is on the mains, whose rows
 /// change by their median.
 /// threads: thread-bound
