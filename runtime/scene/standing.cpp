@@ -40,33 +40,24 @@ double lowest(const prt::Mesh& mesh, const glm::dquat& tilt) {
 }  // namespace
 
 Standing standing_of(const Placement& p, const prt::Mesh& mesh, const prt::Plane* plane) {
-  Standing out;
-  const prt::Bounds bounds = prt::bounds_of(mesh);
-  const glm::dvec3 size(bounds.high - bounds.low);
-  out.scale = p.place_on_floor ? p.fit_size_m / std::max({size.x, size.y, size.z, 1e-9}) : p.scale;
-  const glm::dvec3 normal = plane ? plane->normal : glm::dvec3(0, 1, 0);
-  const glm::dquat tilt = tilt_of(p.rotation, normal);
-  const double low = lowest(mesh, tilt);
-  if (p.place_on_floor) {
-    const glm::dvec3 centre = tilt * glm::dvec3(bounds.centre());
-    out.shift = {-centre.x, -low, -centre.z};
-  }
   constexpr double kStep = 1e-4;  // of the radius: less lifts nothing
-  const double radius = std::max(double(prt::radius_around(mesh, bounds.centre())), 1e-30);
-  out.tilt = tilt;
-  double height = low;
-  if (plane) {
-    // Of its lowest point with fit_size_m, which stands at the position; else of its own origin.
-    const double above = glm::dot(p.position - plane->point, plane->normal),
-                 exact = (p.place_on_floor ? low : 0) - above / out.scale;
-    if (std::abs(exact - low) >= kStep * radius) height = rounded(exact, kStep * radius);
-    out.shift.y = -height;
-  }
-  out.height = static_cast<float>(height);
+  const glm::dvec3 normal = plane ? plane->normal : glm::dvec3(0, 1, 0);
+  const glm::dmat4 world = world_from_mesh(p, mesh, normal);
+  Standing out;
+  out.scale = glm::length(glm::dvec3(world[0]));
+  out.tilt = tilt_of(p.rotation, normal);
   const Pose frame = plane ? frame_on_plane(*plane, p.position) : Pose{{1, 0, 0, 0}, p.position};
   const glm::dquat turn =
-      turn_about_y(glm::conjugate(frame.rotation) * p.rotation * glm::conjugate(tilt));
+      turn_about_y(glm::conjugate(frame.rotation) * p.rotation * glm::conjugate(out.tilt));
   out.world_from_bake = {frame.rotation * turn, frame.translation};
+  out.shift = (out.world_from_bake.inverse() * glm::dvec3(world[3])) / out.scale;
+  if (!plane) return out;
+  const double low = lowest(mesh, out.tilt),
+               radius = prt::radius_around(mesh, prt::bounds_of(mesh).centre());
+  const bool stands = std::abs(-out.shift.y - low) < kStep * radius;
+  const double height = stands ? low : rounded(-out.shift.y, kStep * std::max(radius, 1e-30));
+  out.height = static_cast<float>(height);
+  out.shift.y = -height;
   return out;
 }
 
