@@ -1,6 +1,5 @@
 #include <fmt/format.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -15,9 +14,8 @@ namespace penumbra::lighting {
 
 namespace {
 
-constexpr double kMinCosine = .05;   // mean over a light, of a surface that sees it
-constexpr double kMinContrast = .1;  // sine of the angle between a column and those before it
-constexpr double kMinPower = .9;     // of the measured lower bound: noise of the patches
+constexpr double kMinCosine = .05;  // mean over a light, of a surface that sees it
+constexpr double kMinPower = .9;    // of the measured lower bound: noise of the patches
 constexpr std::size_t kMaxKnown = 16;
 
 Rgb power(const DistantLight& source) {
@@ -40,8 +38,8 @@ Rgb irradiance_without(const LightEstimate& light, const IrradianceSh& residual,
   return sum;
 }
 
-Result<void> check(const ReflectancePatch& patch, std::size_t index) {
-  const auto where = fmt::format("patch {}", index + 1);
+Result<void> check(const ReflectancePatch& patch) {
+  const char* const where = "patch";
   if (!(std::abs(glm::dot(patch.normal, patch.normal) - 1) < 1e-3))
     return fail(ErrorCode::kInvalid, where, "has a normal that is not a unit vector");
   if (!is_finite(patch.radiance))
@@ -54,102 +52,11 @@ Result<void> check(const ReflectancePatch& patch, std::size_t index) {
   return {};
 }
 
-// Whether the patches can tell the sources apart: what is left of a column of unit length where the
-// others are taken away, which is what a pivoted Cholesky factorisation has on its diagonal.
-Result<void> check(const Eigen::MatrixXd& seen, std::span<const DistantLight* const> lights) {
-  if (seen.rows() < seen.cols())
-    return fail(ErrorCode::kUndetermined, "patches",
-                fmt::format("are {}, too few for {} saturated lights", seen.rows(), seen.cols()));
-  for (Eigen::Index j = 0; j < seen.cols(); ++j)
-    if (seen.col(j).maxCoeff() < kMinCosine)
-      return fail(
-          ErrorCode::kUndetermined, "patches",
-          fmt::format("do not face saturated light {}", lights[static_cast<std::size_t>(j)]->id));
-  const Eigen::MatrixXd columns = seen.colwise().normalized();
-  const Eigen::LDLT<Eigen::MatrixXd> factors(columns.transpose() * columns);
-  if (factors.vectorD().minCoeff() < kMinContrast * kMinContrast)
-    return fail(
-        ErrorCode::kUndetermined, "patches",
-        fmt::format("face too similar directions to tell {} saturated lights apart", seen.cols()));
-  return {};
-}
-
-// min |a x - b|, x >= 0; columns of a apart (check above), so that the normal equations serve.
-// source: Lawson & Hanson 1974, algorithm NNLS (23.10)
-Eigen::VectorXd non_negative_least_squares(const Eigen::MatrixXd& a, const Eigen::VectorXd& b) {
-  Eigen::VectorXd x = Eigen::VectorXd::Zero(a.cols());
-  std::vector<Eigen::Index> free, bound(static_cast<std::size_t>(a.cols()));
-  for (std::size_t i = 0; i < bound.size(); ++i) bound[i] = static_cast<Eigen::Index>(i);
-  const double tiny = 1e-12 * (a.transpose() * b).cwiseAbs().maxCoeff();
-  for (Eigen::Index step = 0; step < 3 * a.cols() && !bound.empty(); ++step) {
-    const Eigen::VectorXd slope = a.transpose() * (b - a * x);
-    const auto best = std::ranges::max_element(bound, {}, [&](Eigen::Index i) { return slope[i]; });
-    if (!(slope[*best] > tiny)) break;
-    free.push_back(*best);
-    bound.erase(best);
-    while (!free.empty()) {
-      const Eigen::MatrixXd part = a(Eigen::all, free);
-      const Eigen::VectorXd s = (part.transpose() * part).ldlt().solve(part.transpose() * b);
-      double stride = 1;
-      for (std::size_t k = 0; k < free.size(); ++k) {
-        const double here = x[free[k]], there = s[static_cast<Eigen::Index>(k)];
-        if (there <= 0) stride = std::min(stride, here > 0 ? here / (here - there) : 0);
-      }
-      for (std::size_t k = 0; k < free.size(); ++k)
-        x[free[k]] += stride * (s[static_cast<Eigen::Index>(k)] - x[free[k]]);
-      if (stride == 1) break;
-      std::erase_if(free, [&](Eigen::Index i) {
-        if (x[i] > 1e-14 * x.maxCoeff()) return false;
-        x[i] = 0;
-        bound.push_back(i);
-        return true;
-      });
-    }
-  }
-  return x;
-}
-
 }  // namespace
-
-Result<std::vector<SaturationRecovery>> recover_from_patches(
-    const LightEstimate& light, std::span<const ReflectancePatch> patches) {
-  std::vector<const DistantLight*> lights;
-  for (const DistantLight& d : light.lights)
-    if (d.clipped) lights.push_back(&d);
-  if (lights.empty()) return fail(ErrorCode::kInvalid, "light", "has no saturated light");
-  const auto rows = static_cast<Eigen::Index>(patches.size()),
-             columns = static_cast<Eigen::Index>(lights.size());
-  Eigen::MatrixXd seen(rows, columns), missing(rows, 3);
-  const IrradianceSh residual = irradiance(light.light);
-  for (Eigen::Index p = 0; p < rows; ++p) {
-    const ReflectancePatch& patch = patches[static_cast<std::size_t>(p)];
-    PENUMBRA_TRY(check(patch, static_cast<std::size_t>(p)));
-    const Rgb others = irradiance_without(light, residual, patch.normal, &DistantLight::clipped);
-    for (int c = 0; c < 3; ++c)
-      missing(p, c) = kPi * double(patch.radiance[c] / patch.albedo[c]) - double(others[c]);
-    for (Eigen::Index j = 0; j < columns; ++j)
-      seen(p, j) = response(*lights[static_cast<std::size_t>(j)], patch.normal);
-  }
-  PENUMBRA_TRY(check(seen, lights));
-  std::vector<SaturationRecovery> out;
-  for (const DistantLight* source : lights) out.push_back({source->id, {}});
-  for (int c = 0; c < 3; ++c) {
-    const Eigen::VectorXd x = non_negative_least_squares(seen, missing.col(c));
-    for (Eigen::Index j = 0; j < columns; ++j)
-      out[static_cast<std::size_t>(j)].power[c] = static_cast<float>(x[j]);
-  }
-  for (const SaturationRecovery& recovery : out)
-    if (!(luminance(recovery.power) > 0))
-      return fail(ErrorCode::kUndetermined, "patches",
-                  fmt::format("get no light from saturated light {}: they lie in its shadow, or "
-                              "their albedo or scale is wrong",
-                              recovery.source));
-  return out;
-}
 
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch) {
-  PENUMBRA_TRY(check(patch, 0));
+  PENUMBRA_TRY(check(patch));
   const auto is_sun = [](const DistantLight& d) { return d.clipped && d.radius <= kSunLike; };
   const bool suns = std::ranges::any_of(light.lights, is_sun);
   const auto fractions = [&](const DistantLight& d) { return suns ? is_sun(d) : d.clipped; };

@@ -41,20 +41,14 @@ struct ShadowEdge {
   Rgb others_at_lit{1, 1, 1}, others_at_shadowed{1, 1, 1};  // 0..1
 };
 
-/// All clipped lights at once, channel by channel, not negative:
-/// E_p - E_unclipped,p = sum_j b_j Int cos+ over light j.
-/// errors:  kInvalid (no clipped light, bad patch: which), kNonFinite, kUndetermined (fewer patches
-///          than clipped lights, no patch sees a light, patches that do not tell lights apart,
-///          nothing left for a light)
-/// source:  Debevec, Graham, Busch & Bolas 2012; least squares of Lawson & Hanson 1974
-Result<std::vector<SaturationRecovery>> recover_from_patches(
-    const LightEstimate& light, std::span<const ReflectancePatch> patches);
 /// Divides the irradiance missing at one patch among several saturated lights, in proportion to
 /// what was measured of each. Where some are sun-like, among those alone: a sun or a bulb exceeds
 /// what saturates by orders of magnitude, a window by little. The light on the patch comes out
 /// right, its division between the lights is a guess.
-/// errors:  kInvalid, kNonFinite as recover_from_patches, kUndetermined (the patch sees none of
-///          them, nothing left)
+///   E_p - E_others = sum_j b_j Int cos+ over light j
+/// errors:  kInvalid (no clipped light, bad patch), kNonFinite, kUndetermined (the patch sees none
+///          of them, nothing left)
+/// source:  Debevec, Graham, Busch & Bolas 2012
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch);
 /// E_light = E_others (others_at_shadowed lit / shadowed - others_at_lit).
