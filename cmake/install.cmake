@@ -46,8 +46,11 @@ target_link_options(penumbra_shared PRIVATE
 set_property(TARGET penumbra_shared APPEND PROPERTY LINK_DEPENDS ${CMAKE_SOURCE_DIR}/cmake/exports.map)
 install(TARGETS penumbra_shared LIBRARY COMPONENT library NAMELINK_COMPONENT dev OPTIONAL)
 configure_file(cmake/penumbra.pc.in penumbra.pc @ONLY)
-install(FILES ${CMAKE_BINARY_DIR}/penumbra.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig
-        COMPONENT dev)
+# It names the shared library, so it goes where that goes.
+install(CODE "if(EXISTS \"$<TARGET_FILE:penumbra_shared>\")
+    file(INSTALL DESTINATION \"\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_LIBDIR}/pkgconfig\"
+         TYPE FILE FILES \"${CMAKE_BINARY_DIR}/penumbra.pc\")
+  endif()" COMPONENT dev)
 
 # Manual pages and completion come from the same tables of options as --help.
 set(manuals)
