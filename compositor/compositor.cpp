@@ -144,11 +144,11 @@ void Compositor::set_pose(int object, const Pose& world_from_bake) {
 }
 
 void Compositor::set_light(int object, std::span<const float> relit,
-                           const shadows::PlanarShadow& shadow) {
+                           const shadows::PlanarShadow& shadow, const Rgb& of_open) {
   impl_->context->make_current();
   impl_->layers->set_light(object, relit);
   if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
-    impl_->receivers.set_shadow(r, shadow);
+    impl_->receivers.set_shadow(r, shadow, of_open);
 }
 
 void Compositor::add_real_receiver(const prt::GroundGrid& grid, const Pose& world_from_grid) {

@@ -137,8 +137,10 @@ class Compositor {
   /// Rigid placement of the bake frame in the world.
   void set_pose(int object, const Pose& world_from_bake);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
-  /// shadow.
-  void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow);
+  /// shadow. of_open: the light that the shadow's ratio is of, over that of the open plane; below 1
+  /// where real things keep some of it from the object.
+  void set_light(int object, std::span<const float> relit, const shadows::PlanarShadow& shadow,
+                 const Rgb& of_open = {1, 1, 1});
 
   /// Ways in for real things:
   ///   add_plane          a plane: hides objects; a shadow is seen where its plane is the nearest

@@ -25,12 +25,18 @@ void Receivers::add_real(const prt::GroundGrid& grid, const Pose& world_from_bak
 
 namespace {
 
-void take(const shadows::PlanarShadow& shadow, auto& r) {
+void take(const shadows::PlanarShadow& shadow, const Rgb& of_open, auto& r) {
   r.visible = !shadow.empty();
   if (!r.visible) return;
   if (!r.ratio.same_size(shadow.ratio))
     r.ratio = Image<std::uint32_t>(shadow.ratio.width(), shadow.ratio.height());
-  std::ranges::transform(shadow.ratio.pixels(), r.ratio.pixels().begin(), PackedRatio::pack);
+  const bool all = of_open == Rgb{1, 1, 1};
+  std::ranges::transform(shadow.ratio.pixels(), r.ratio.pixels().begin(), [&](const Rgb& ratio) {
+    if (all) return PackedRatio::pack(ratio);
+    Rgb of_the_open;
+    for (int c = 0; c < 3; ++c) of_the_open[c] = std::max(0.f, 1 - of_open[c] * (1 - ratio[c]));
+    return PackedRatio::pack(of_the_open);
+  });
   // One texel more on each side: bilinear reads reach half a texel out.
   const auto at = [&](int x, int y) {
     const auto size = static_cast<float>(r.grid.size);
@@ -43,12 +49,12 @@ void take(const shadows::PlanarShadow& shadow, auto& r) {
 
 }  // namespace
 
-void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow) {
-  take(shadow, receivers_[static_cast<std::size_t>(receiver)]);
+void Receivers::set_shadow(int receiver, const shadows::PlanarShadow& shadow, const Rgb& of_open) {
+  take(shadow, of_open, receivers_[static_cast<std::size_t>(receiver)]);
 }
 
 void Receivers::set_real_shadow(const shadows::PlanarShadow& shadow) {
-  if (real_) take(shadow, *real_);
+  if (real_) take(shadow, {1, 1, 1}, *real_);
 }
 
 void Receivers::set_shadow_maps(std::span<const ShadowMapOnPlane> lights) {
@@ -319,9 +325,6 @@ void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, fl
     const std::span<float> lr(&left[0], width), lg(&left[width], width),
         lb(&left[2 * width], width);
     if (real_lookup_) multiply(*real_lookup_, y, area, lr.data(), lg.data(), lb.data());
-    for (std::size_t c = 0; c < 3; ++c)
-      for (std::size_t x = 0; x < width; ++x)
-        rows[c][x] = 1 - left[c * width + x] * (1 - rows[c][x]);
     subtract_taken();
     take_missing(y, area, lr, lg, lb);
     for (std::size_t c = 0; c < 3; ++c)

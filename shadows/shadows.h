@@ -2,7 +2,6 @@
 // For programs and tests; the rooms themselves include what they need.
 #pragma once
 
-#include "shadows/field/occlusion_field.h"        // IWYU pragma: export
 #include "shadows/field/planar_shadow.h"          // IWYU pragma: export
 #include "shadows/silhouette/occluders.h"         // IWYU pragma: export
 #include "shadows/silhouette/shadow_map.h"        // IWYU pragma: export

@@ -39,16 +39,19 @@ ROOMS = {
                           " lighting/sh core",
     "compositor": "shadows/field shadows/silhouette prt/clip prt/bake prt/transfer prt/geometry"
                   " calib/camera codec core",
-    "runtime/scene": "shadows/visibility shadows/field shadows/silhouette prt/clip prt/bake"
+    "runtime/scene": "shadows/visibility shadows/silhouette prt/clip prt/bake"
                      " prt/transfer prt/geometry capture/recording capture calib/camera codec"
                      " core",
-    "runtime/shading": "runtime/scene compositor shadows/visibility shadows/field"
-                       " shadows/silhouette prt/clip prt/bake prt/transfer prt/geometry"
-                       " capture/hdr capture calib/camera lighting lighting/lights lighting/sh"
-                       " core",
-    "runtime/pipeline": "runtime/shading runtime/scene compositor shadows/field prt/bake"
-                        " prt/transfer prt/geometry capture/environment capture/hdr capture"
-                        " calib/camera lighting lighting/lights lighting/sh core",
+    "runtime/surroundings": "runtime/scene compositor shadows/field shadows/silhouette"
+                            " prt/bake prt/geometry core",
+    "runtime/shading": "runtime/surroundings runtime/scene compositor shadows/visibility"
+                       " shadows/field shadows/silhouette prt/clip prt/bake prt/transfer"
+                       " prt/geometry capture/hdr capture calib/camera lighting lighting/lights"
+                       " lighting/sh core",
+    "runtime/pipeline": "runtime/shading runtime/surroundings runtime/scene compositor"
+                        " shadows/field prt/bake prt/transfer prt/geometry capture/environment"
+                        " capture/hdr capture calib/camera lighting lighting/lights lighting/sh"
+                        " core",
     "runtime/studio": "runtime/pipeline runtime/scene prt/reference prt/geometry capture/studio"
                       " calib/camera capture/environment capture core",
     "service": "runtime/studio runtime/pipeline runtime/shading runtime/scene compositor"

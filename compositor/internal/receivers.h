@@ -79,7 +79,8 @@ class Receivers {
     planes_.push_back({point, normal});
   }
   void set_pose(int receiver, const Pose& world_from_bake);
-  void set_shadow(int receiver, const shadows::PlanarShadow& shadow);
+  void set_shadow(int receiver, const shadows::PlanarShadow& shadow,
+                  const Rgb& of_open = {1, 1, 1});
   /// What real things take of a plane's light without lights, r below. At most one.
   void add_real(const prt::GroundGrid& grid, const Pose& world_from_bake);
   void set_real_shadow(const shadows::PlanarShadow& shadow);
@@ -89,7 +90,8 @@ class Receivers {
   /// Prepares for one view; returns the pixels that any shadow can reach.
   Rect prepare(const prt::PinholeView& view);
   /// The ratios s of row y, pixels [area.x0, area.x1), into r, g, b, which hold 1 on entry:
-  ///   s = 1 - (r (1 - product of the objects' ratios) + sum_j F_j q_j)/(r - sum_j F_j m_j)
+  ///   s = 1 - (1 - product of the objects' ratios + sum_j F_j q_j)/(r - sum_j F_j m_j)
+  /// An object's ratio is 1 - of_open (1 - its shadow's), so that all is of the open plane's light.
   /// Virtual things take q_j of light j, real things m_j anyway; F_j is its fraction of the open
   /// plane's light. r is what real things leave of the rest. False when no shadow reaches the row.
   /// area: may be narrower; reach_in_row alone is shaded

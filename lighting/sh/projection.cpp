@@ -347,14 +347,6 @@ RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands) {
   return to_light(fit, bands);
 }
 
-RadianceSh with_floor_below(const RadianceSh& light, const Rgb& floor) {
-  RadianceSh out = moments_above(light);
-  const double one = std::sqrt(4 * kPi);  // first coefficient of radiance 1
-  for (int i = 0; i < out.size(); ++i)
-    out[i] += floor * static_cast<float>(one * ((i == 0 ? 1 : 0) - upper_gram()(i, 0)));
-  return out;
-}
-
 Result<ShProjection> project_samples(const LightSamples& s, int bands) {
   const std::size_t n = s.radiance.size();
   if (s.direction.size() != n || s.solid_angle_sr.size() != n ||

@@ -33,9 +33,6 @@ struct ShProjection {
 inline constexpr double kBelowWeight =
     .03;  // lower weights win little and blow the coefficients up
 RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands);
-/// The whole sphere's light over a floor that sends `floor` everywhere.
-/// in: light, as upper_hemisphere_light gives it
-RadianceSh with_floor_below(const RadianceSh& light, const Rgb& floor);
 
 /// Projects lat-long maps of one size; all tables are made at construction.
 /// Each row is reduced to its Fourier sums about +y (quarter-period symmetries folded). They are

@@ -38,6 +38,12 @@ std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions) {
   return first;
 }
 
+std::uint32_t nearest_corner(const Mesh& mesh, std::size_t triangle, float u, float v) {
+  const auto& corners = mesh.triangles[triangle];
+  const float w = 1 - u - v;
+  return w >= u && w >= v ? corners[0] : u >= v ? corners[1] : corners[2];
+}
+
 float radius_around(const Mesh& mesh, const glm::vec3& centre) {
   float largest = 0;
   for (const glm::vec3& p : mesh.positions) largest = std::max(largest, glm::distance(p, centre));

@@ -33,6 +33,8 @@ Bounds bounds_of(const Mesh& mesh);
 /// By vertex, the first one in the same place, to the bit (0 and -0 are one): normals and the like
 /// split vertices where the surface goes on.
 std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions);
+/// The vertex of a triangle that is nearest to the point (1-u-v) a + u b + v c.
+std::uint32_t nearest_corner(const Mesh& mesh, std::size_t triangle, float u, float v);
 /// Largest distance of a vertex from `centre`.
 float radius_around(const Mesh& mesh, const glm::vec3& centre);
 /// Affine map of positions; normals follow by the inverse transpose.

@@ -15,8 +15,8 @@
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "runtime/shading/occlusion_probes.h"
 #include "runtime/shading/scene_light.h"
+#include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/field/planar_shadow.h"
 
 namespace penumbra::runtime {

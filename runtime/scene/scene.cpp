@@ -6,6 +6,7 @@
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 #include <glm/gtx/quaternion.hpp>
+#include <limits>
 
 #include "core/conventions.h"
 #include "core/log.h"
@@ -187,22 +188,14 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
 namespace {
 
 // Shadows on real meshes live at their vertices.
-Result<void> prepare_receivers(
-    PreparedScene& scene,
-    const std::function<std::function<void(double)>(const std::string&)>& progress) {
+void prepare_receivers(PreparedScene& scene) {
   constexpr float kReceiverEdge = .08f;  // of the smallest object's radius
   constexpr std::size_t kMaxTriangles = 150'000;
-  float smallest = 1e30f;
-  for (PreparedObject& o : scene.objects) {
-    shadows::FieldOptions options;
-    options.progress = progress("shadow field " + o.name);
-    auto field = shadows::bake_occlusion_field(o.baked.mesh, options);
-    if (!field) return fail(field.error().code, o.name, field.error().detail);
-    smallest = std::min(smallest, field->radius);
-    o.field = std::make_shared<const shadows::OcclusionField>(std::move(*field));
-  }
+  float smallest = std::numeric_limits<float>::max();
+  for (const PreparedObject& o : scene.objects)
+    smallest =
+        std::min(smallest, prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
   prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMaxTriangles);
-  return {};
 }
 
 // What real things hide from and reflect onto each other and the floor: few rays, it is a fraction
@@ -257,7 +250,7 @@ Result<PreparedScene> prepare(
     out.objects.push_back(std::move(prepared));
   }
   if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;
-  PENUMBRA_TRY(prepare_receivers(out, progress));
+  prepare_receivers(out);
   PENUMBRA_TRY(bake_real(out, settings, progress("bake real geometry")));
   return out;
 }

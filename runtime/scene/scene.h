@@ -18,7 +18,6 @@
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
-#include "shadows/field/occlusion_field.h"
 #include "shadows/visibility/lamp.h"
 
 #pragma GCC visibility push(default)
@@ -108,8 +107,6 @@ struct PreparedObject {
   prt::BakedObject baked;
   Pose world_from_bake;  // at time 0
   double spin_rpm = 0;
-  /// What it takes from the space around it; baked where real meshes can catch its shadow.
-  std::shared_ptr<const shadows::OcclusionField> field{};
   std::shared_ptr<const Animation> animation{};  // null: it does not move by itself
   double frame = 0;                      // of the animation; seconds where its transfer is live
   std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live

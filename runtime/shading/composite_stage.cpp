@@ -11,6 +11,9 @@
 #include "capture/hdr/merge.h"
 #include "core/background_task.h"
 #include "core/log.h"
+#include "core/parallel.h"
+#include "lighting/sh/basis.h"
+#include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/geometry/animation.h"
@@ -172,6 +175,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
     surroundings_.look(lights_.occluders(), poses);
+    ground_probes_.look(lights_.occluders(), poses, other_form);
   }
   open_.clear();
   for (const prt::Plane& plane : scene_.planes)
@@ -194,26 +198,29 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     const StageTimer timer(times_, "real mesh");
     measured = real_.measure(light, lights_, lights_changed);
   }
+  lights_.shadows(open_, on_planes_);
+  lamps_.append(open_, on_planes_);
+  light_planes(poses);
   bool relit = false;
   // What things reflect onto each other is known from the last update, at first from a round of its
   // own.
   const int rounds = !lit_before_ && surroundings_.any() ? 2 : 1;
   for (int round = 0; round < rounds; ++round) {
     for (std::size_t i = 0; i < objects_.size(); ++i)
-      relit |= update_object(i, poses, light, lights_changed, other_form);
+      relit |= update_object(i, poses, light, lights_changed || round > 0, other_form);
     if (round + 1 == rounds) break;
     combine_object_shadows(poses);
-    shade_real_mesh(light, poses);
+    light_planes(poses);
+    shade_real_mesh(light, poses, other_form);
   }
   lit_before_ = true;
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
   const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_before_;
   if (!relit && !lights_changed && !moved && !measured) return false;
   combine_object_shadows(poses);
-  lights_.shadows(open_, on_planes_);
-  lamps_.append(open_, on_planes_);
+  light_planes(poses);
   compositor_->set_shadow_maps(on_planes_);
-  shade_real_mesh(light, poses);
+  shade_real_mesh(light, poses, other_form);
   if (real_.any()) {
     compositor_->set_ratios(0, real_ratios_);
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());
@@ -221,13 +228,50 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   return true;
 }
 
+void CompositeStage::light_planes(const std::vector<Pose>& poses) {
+  if (!surroundings_.any_real()) return;
+  std::vector<ShadowOnPlane> shadows;
+  if (real_.any() && real_.shadow())
+    shadows.push_back({real_.shadow(), &scene_.real->baked.receiver->grid,
+                       scene_.real->world_from_bake.inverse(), true});
+  for (std::size_t k = 0; k < objects_.size(); ++k)
+    if (const prt::BakedObject& baked = objects_[k].prepared->baked; baked.receiver)
+      shadows.push_back({&objects_[k].shown(), &baked.receiver->grid, poses[k].inverse(), false,
+                         objects_[k].of_open});
+  plane_light_.emplace(scene_.planes, open_, on_planes_, std::move(shadows));
+}
+
+// What virtual things change in the light of the real mesh beside the lights.
 void CompositeStage::shade_real_mesh(const lighting::LightEstimate& light,
-                                     const std::vector<Pose>& poses) {
+                                     const std::vector<Pose>& poses, bool other_form) {
   if (!real_.any()) return;
   const StageTimer timer(times_, "real mesh");
-  std::vector<std::span<const float>> relit_of_objects;
-  for (const StageObject& o : objects_) relit_of_objects.emplace_back(o.relit);
-  real_ratios_ = real_.ratios(light, poses, relit_of_objects, lamps_);
+  gathered_.look(lights_.occluders(), poses, surroundings_, other_form);
+  const RadianceSh& sky =
+      rest_for(light, stands_level(scene_.real->baked, scene_.real->world_from_bake));
+  of_points_.resize(gathered_.points());
+  parallel_for(std::size_t{0}, of_points_.size(),
+               [&](std::size_t p) { of_points_[p] = lost_at(p, sky); });
+  lost_.resize(scene_.real_mesh.positions.size());
+  gathered_.interpolate(of_points_, lost_);
+  real_ratios_ = real_.ratios(light, lost_, lamps_);
+}
+
+Rgb CompositeStage::lost_at(std::size_t point, const RadianceSh& sky) const {
+  Rgb out;
+  for (const GatherHit& hit : gathered_.hits(point)) {
+    PlaneLight::Radiance seen;
+    if (!hit.real)
+      seen.before = lighting::evaluate(sky, glm::dvec3(hit.direction));
+    else if (hit.behind.plane != RealPoint::kMesh)
+      seen = exit_of_real(hit.behind);
+    else  // what the mesh loses to virtual things counts at its own vertices
+      seen.before = exit_of_real(hit.behind).before;
+    if (hit.object != GatherHit::kNone)
+      seen.now = exit_of_object(static_cast<std::size_t>(hit.object), hit.vertex);
+    out += seen.before - seen.now;
+  }
+  return out * (1.f / IrradianceCache::kRays);
 }
 
 namespace {
@@ -246,7 +290,7 @@ bool may_meet(const prt::BakedObject& a, const Pose& at_a, const prt::BakedObjec
 }  // namespace
 
 // What objects take of each other's light. What real things take is not in their own: they were
-// shaded by light past those (ObjectLight::receiver).
+// shaded by light past those (ObjectLight::local).
 void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     StageObject& o = objects_[k];
@@ -258,7 +302,7 @@ void CompositeStage::combine_object_shadows(const std::vector<Pose>& poses) {
       shadows::combine_shadows({&other.prepared->baked, poses[i], &other.shadow},
                                {&o.prepared->baked, poses[k], &o.shadow}, o.shared);
     }
-    compositor_->set_light(o.handle, o.relit, o.shown());
+    compositor_->set_light(o.handle, o.relit, o.shown(), o.of_open);
   }
 }
 
@@ -268,8 +312,12 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
   StageObject& o = objects_[index];
   ObjectLight light = light_at(index, estimate, poses);
   const bool other_form = moved && o.prepared->animation;
-  if (!lights_changed && !other_form && o.light_used && !differs_visibly(*o.light_used, light))
+  // Its shadow depends on what is behind it, too.
+  const bool other_place = surroundings_.any_real() && o.pose_used != poses[index];
+  if (!lights_changed && !other_form && !other_place && o.light_used &&
+      !differs_visibly(*o.light_used, light))
     return false;
+  o.pose_used = poses[index];
   if (!estimate.lights.empty() || lamps_.any())
     add_distant_lights(index, estimate, poses[index], light);
   {
@@ -278,26 +326,77 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
   }
   if (o.prepared->baked.receiver) {
     const StageTimer timer(times_, "shadow");
-    compose_shadow(o, light);
+    compose_shadow(index, estimate, poses[index], light);
   }
   o.light_used = light;
   return true;
 }
 
-void CompositeStage::compose_shadow(StageObject& o, const ObjectLight& light) const {
-  shadows::ReceiverLight on_receiver(light.receiver);
+void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEstimate& estimate,
+                                    const Pose& pose, const ObjectLight& light) {
+  StageObject& o = objects_[index];
+  const prt::BakedObject& baked = o.prepared->baked;
+  shadows::ReceiverLight on_receiver(light.local);
   on_receiver.lights = light.receiver_lights;
   on_receiver.distant_irradiance = light.distant_irradiance;
-  const prt::BakedObject& baked = o.prepared->baked;
   o.taken.resize(3 * baked.ground_deficit.stride);
   // What is taken is what is lost less what comes back by reflection.
   RadianceSh given_back = light.receiver_lights;
   for (Rgb& term : given_back.terms()) term = term * -1.f;
-  relight_parts(o, PreparedObject::TransferPart::kGround, light.receiver,
+  relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
                 luminance(light.distant_irradiance) > 0 ? &given_back : nullptr, o.taken);
+  if (ground_probes_.any())
+    take_what_is_behind(index, rest_for(estimate, stands_level(baked, pose)), pose, light.local,
+                        o.taken);
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.taken},
       on_receiver, o.shadow);
+  // The compositor knows what real things leave of the open floor's light at each place.
+  const auto floor_light = [&](const RadianceSh& residual) {
+    return lighting::evaluate(lighting::irradiance(residual.with_bands(baked.ground_deficit.bands)),
+                              {0, 1, 0}) +
+           light.distant_irradiance;
+  };
+  const Rgb local = floor_light(light.local), open = floor_light(light.open);
+  for (int c = 0; c < 3; ++c) o.of_open[c] = open[c] > 0 ? std::max(0.f, local[c] / open[c]) : 1;
+}
+
+// The bake takes the local light in all directions in which the object stands. From a point of the
+// floor another part of a real thing may be behind the object, or before it; and of what is seen
+// past it the object has taken some.
+void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
+                                         const RadianceSh& local, std::span<float> taken) const {
+  std::array<Rgb, GroundProbes::kPoints> more{};
+  std::array<float, GroundProbes::kPoints> own;
+  for (std::size_t p = 0; p < own.size(); ++p)
+    own[p] = own_fraction(index, ground_probes_.place(index, p));
+  const glm::dquat bake_from_world = glm::conjugate(pose.rotation);
+  for (const GroundHit& hit : ground_probes_.hits(index)) {
+    const glm::dvec3 d(hit.direction);
+    const PlaneLight::Radiance there =
+        hit.real ? exit_of_real(hit.at) : PlaneLight::Radiance{lighting::evaluate(sky, d), {}};
+    Rgb change = hit.object_first ? there.before : (there.before - there.now) * own[hit.point];
+    if (hit.bake_blocks) change = change - lighting::evaluate(local, bake_from_world * d);
+    more[hit.point] += change * (1.f / GroundProbes::kRays);
+  }
+  ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, taken);
+}
+
+// What real things have lost is of all objects: each takes its part of that from the floor, the
+// nearer one more.
+float CompositeStage::own_fraction(std::size_t index, const glm::dvec3& place) const {
+  if (objects_.size() == 1) return 1;
+  double all = 0, own = 0;
+  for (std::size_t k = 0; k < objects_.size(); ++k) {
+    const auto& receiver = objects_[k].prepared->baked.receiver;
+    if (!receiver) continue;
+    const double off =
+        glm::length(place - poses_[k].translation) / double(receiver->grid.half_extent);
+    const double near = std::max(0., 1 - off) + 1e-6;
+    all += near;
+    if (k == index) own = near;
+  }
+  return all > 0 ? static_cast<float>(own / all) : 0;
 }
 
 const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePixels& pixels) {

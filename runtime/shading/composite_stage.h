@@ -27,9 +27,12 @@
 #include "runtime/shading/floor_recovery.h"
 #include "runtime/shading/lamp_stage.h"
 #include "runtime/shading/object_moves.h"
-#include "runtime/shading/occlusion_probes.h"
 #include "runtime/shading/real_surface_stage.h"
 #include "runtime/shading/scene_light.h"
+#include "runtime/surroundings/ground_probes.h"
+#include "runtime/surroundings/irradiance_cache.h"
+#include "runtime/surroundings/occlusion_probes.h"
+#include "runtime/surroundings/plane_light.h"
 #include "shadows/field/planar_shadow.h"
 
 #pragma GCC visibility push(default)
@@ -83,7 +86,7 @@ class CompositeStage {
   void warm_up();
   /// Composites one view frame under `light`.
   /// out:    keeps its memory: once it has had a frame nothing comes from the heap, without real
-  ///         meshes, lamps, clips and turntables (whose shadows grow now and then)
+  ///         meshes, several planes, lamps, clips and turntables (whose shadows grow now and then)
   /// errors: as Compositor::composite
   Result<void> process(const capture::Frame& frame, const lighting::LightEstimate& light,
                        Composited& out);
@@ -112,9 +115,9 @@ class CompositeStage {
  private:
   // In the bake frame.
   struct ObjectLight {
-    RadianceSh open, receiver;  // receiver: past real geometry, which is no shadow of ours
-    // By probe: irradiance/pi by what stands around less that of the sky in its place, and what of
-    // the residual the floor and the object send here, by the bake and past what stands around
+    RadianceSh open, local;  // local: with real things in it as the object's surface sees it
+    // By probe: irradiance/pi by what stands around less that by the local light in its place, and
+    // what of the local light floor and object send here, by the bake and past what stands around
     std::array<Rgb, OcclusionProbes::kProbes> around{};
     OcclusionProbes::Values reflected{}, reflected_left{};
     float left(std::size_t probe) const {
@@ -135,6 +138,8 @@ class CompositeStage {
     std::vector<float> more{};                 // scratch: what is added to either
     shadows::PlanarShadow shadow{}, shared{};  // alone, and without what others before it take
     bool shares = false;
+    Rgb of_open{1, 1, 1};             // the local light on the floor, over that of the open floor
+    std::optional<Pose> pose_used{};  // as last shaded
     const shadows::PlanarShadow& shown() const { return shares ? shared : shadow; }
   };
   struct ViewCamera {
@@ -156,6 +161,8 @@ class CompositeStage {
         surroundings_(scene),
         lamps_(scene),
         real_(scene),
+        gathered_(scene),
+        ground_probes_(scene),
         times_(times) {}
   std::shared_ptr<const RelightBases> patterns_of(const prt::BakedObject& baked) const;
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
@@ -164,33 +171,46 @@ class CompositeStage {
   void see_surroundings(std::size_t index, const lighting::LightEstimate& light,
                         const std::vector<Pose>& poses, const lighting::ShRotation& turn,
                         ObjectLight& out) const;
-  struct FloorLight {
+  struct FloorLight {     // of the open floor's residual
     float counted, left;  // by the bake, and past what stands around
   };
   struct FloorShadow {
     const shadows::PlanarShadow* shadow;
     const prt::GroundGrid* grid;
     Pose bake_from_world;
+    float of_open;  // as Compositor::set_light
+    bool real = false;
     // Of the object that is looked from: what its bake counts on
     const shadows::PlanarShadow* counted = nullptr;
   };
   void find_floor_shadows(std::size_t index, const std::vector<Pose>& poses,
                           std::pmr::vector<FloorShadow>& out) const;
   static FloorLight floor_at(const glm::vec3& point, std::span<const FloorShadow> floor_shadows,
-                             float all);
+                             float local, float all);
   float lit_fraction(std::size_t source, std::size_t index, const Pose& pose) const;
   void add_distant_lights(std::size_t index, const lighting::LightEstimate& light, const Pose& pose,
                           ObjectLight& out) const;
   Rgb exit_of(const ProbeHit& hit) const;
+  // Without, and with what virtual things do
+  PlaneLight::Radiance exit_of_real(const RealPoint& at) const;
+  Rgb exit_of_object(std::size_t object, std::uint32_t vertex) const;
+  RadianceSh with_real_things(const RadianceSh& light, std::size_t index) const;
   void relight(StageObject& object, const ObjectLight& light, std::size_t index,
                const lighting::LightEstimate& estimate, const Pose& pose) const;
   void take_away_shaded(StageObject& object, const ObjectLight& light, std::size_t index,
                         const lighting::LightEstimate& estimate, const Pose& pose) const;
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
-  void compose_shadow(StageObject& object, const ObjectLight& light) const;
+  void compose_shadow(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
+                      const ObjectLight& light);
+  void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
+                           const RadianceSh& local, std::span<float> taken) const;
+  float own_fraction(std::size_t index, const glm::dvec3& place) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
-  void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses);
+  void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,
+                       bool other_form);
+  void light_planes(const std::vector<Pose>& poses);
+  Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_to(double seconds);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
@@ -206,8 +226,12 @@ class CompositeStage {
   OcclusionProbes surroundings_;
   LampStage lamps_;
   RealSurfaceStage real_;
-  std::vector<Rgb> real_ratios_;     // at its vertices, as last shown
-  bool could_not_complete_ = false;  // was said
+  IrradianceCache gathered_;
+  GroundProbes ground_probes_;
+  std::optional<PlaneLight> plane_light_;  // of this update
+  std::vector<Rgb> of_points_, lost_;      // scratch
+  std::vector<Rgb> real_ratios_;           // at its vertices, as last shown
+  bool could_not_complete_ = false;        // was said
   bool keeps_time_ = false;
   StageTimes& times_;
   std::vector<ViewCamera> views_;  // by camera index; unused entries for environment cameras

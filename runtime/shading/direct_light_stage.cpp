@@ -10,7 +10,6 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
-#include "shadows/field/occlusion_field.h"
 #include "shadows/visibility/direct_light.h"
 
 namespace penumbra::runtime {
@@ -26,7 +25,7 @@ constexpr double kVisibleFraction = .005;
 constexpr std::array<float, 2> kCoarse = {1e-3f, 2e-3f};
 // Radii of an object within which it matters what real things leave: as far as its planar shadow
 // goes.
-constexpr double kAround = shadows::kFieldReach;
+constexpr double kAround = 5;
 const shadows::ShadowMap kNoShadow;
 
 double angle_between(const glm::dvec3& a, const glm::dvec3& b) {

@@ -15,7 +15,7 @@
 #include "prt/geometry/rays.h"
 #include "prt/transfer/visibility_map.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/occlusion_probes.h"
+#include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"
 #include "shadows/silhouette/silhouette_cache.h"

@@ -16,8 +16,8 @@
 #include "prt/transfer/transfer.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/composite_stage.h"
-#include "runtime/shading/occlusion_probes.h"
 #include "runtime/shading/scene_light.h"
+#include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/visibility/lamp.h"
 
 namespace penumbra::runtime {
@@ -28,13 +28,19 @@ void add(RadianceSh& sum, const RadianceSh& other, float factor) {
   for (int n = 0; n < sum.size(); ++n) sum[n] += factor * other[n];
 }
 
+RadianceSh difference(const RadianceSh& a, const RadianceSh& b) {
+  RadianceSh out = a;
+  add(out, b, -1);
+  return out;
+}
+
 }  // namespace
 
 bool CompositeStage::differs_visibly(const ObjectLight& before, const ObjectLight& now) {
   const auto differs = [](const RadianceSh& a, const RadianceSh& b) {
     return !(a == b) && lighting::largest_visible_change(a, b) >= kVisibleChange;
   };
-  bool any = differs(before.open, now.open) || differs(before.receiver, now.receiver);
+  bool any = differs(before.open, now.open) || differs(before.local, now.local);
   const float visible =
       static_cast<float>(kVisibleChange * luminance(now.open[0]) / std::sqrt(4 * kPi));
   for (std::size_t k = 0; k < now.around.size(); ++k)
@@ -50,19 +56,44 @@ CompositeStage::ObjectLight CompositeStage::light_at(std::size_t index,
       rest_for(estimate, stands_level(objects_[index].prepared->baked, poses[index]));
   const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
   ObjectLight out;
-  out.open = out.receiver = turn * light;
+  out.open = out.local = turn * light;
   if (surroundings_.any()) see_surroundings(index, estimate, poses, turn, out);
   return out;
 }
 
+PlaneLight::Radiance CompositeStage::exit_of_real(const RealPoint& at) const {
+  if (at.plane != RealPoint::kMesh)
+    return plane_light_->at(static_cast<std::size_t>(at.plane), at.on_plane);
+  if (at.back) return {};
+  const Rgb before = real_.exit()[at.vertex];
+  return {before, real_ratios_.empty() ? before : before * real_ratios_[at.vertex]};
+}
+
 Rgb CompositeStage::exit_of(const ProbeHit& hit) const {
-  if (hit.thing == ProbeHit::kReal)
-    return real_.exit()[hit.vertex] *
-           (real_ratios_.empty() ? Rgb{1, 1, 1} : real_ratios_[hit.vertex]);
-  const StageObject& o = objects_[static_cast<std::size_t>(hit.thing)];
+  if (hit.thing == ProbeHit::kReal) return exit_of_real(hit.real).now;
+  return exit_of_object(static_cast<std::size_t>(hit.thing), hit.vertex);
+}
+
+Rgb CompositeStage::exit_of_object(std::size_t object, std::uint32_t vertex) const {
+  const StageObject& o = objects_[object];
   const std::size_t stride = o.relit.size() / 3;
-  return Rgb{o.relit[hit.vertex], o.relit[stride + hit.vertex], o.relit[2 * stride + hit.vertex]} *
-         o.prepared->baked.mesh.albedo[hit.vertex];
+  return Rgb{o.relit[vertex], o.relit[stride + vertex], o.relit[2 * stride + vertex]} *
+         o.prepared->baked.mesh.albedo[vertex];
+}
+
+// The light around an object with the real mesh in it, as the object's surface sees it as a whole.
+RadianceSh CompositeStage::with_real_things(const RadianceSh& light, std::size_t index) const {
+  RadianceSh out = light;
+  constexpr auto kSolidAngle = static_cast<float>(4 * kPi / OcclusionProbes::kSphereRays);
+  double basis[kMaxCoefficients];
+  for (const RealHit& hit : surroundings_.by_real(index)) {
+    const glm::dvec3 d(hit.direction);
+    const Rgb change = exit_of_real(hit.at).now - lighting::evaluate(light, d);
+    lighting::evaluate_basis(light.bands(), d, basis);
+    for (int n = 0; n < out.size(); ++n)
+      out[n] += change * (kSolidAngle * static_cast<float>(basis[n]));
+  }
+  return out;
 }
 
 // Shadows whose plane a floor point may lie on. What two objects block in common the shown ones
@@ -71,33 +102,36 @@ void CompositeStage::find_floor_shadows(std::size_t index, const std::vector<Pos
                                         std::pmr::vector<FloorShadow>& out) const {
   if (real_.any() && real_.shadow() && scene_.real->baked.receiver)
     out.push_back({real_.shadow(), &scene_.real->baked.receiver->grid,
-                   scene_.real->world_from_bake.inverse()});
+                   scene_.real->world_from_bake.inverse(), 1, true});
   for (std::size_t k = 0; k < objects_.size(); ++k) {
     const StageObject& o = objects_[k];
     if (o.prepared->baked.receiver && !o.shadow.ratio.empty())
       out.push_back({&o.shown(), &o.prepared->baked.receiver->grid, poses[k].inverse(),
-                     k == index ? &o.shadow : nullptr});
+                     luminance(o.of_open), false, k == index ? &o.shadow : nullptr});
   }
 }
 
 // A shadow's ratio counts the lights, so that what it takes of the residual is more of that.
-// in: all, irradiance of the open floor, over that of the residual
+// in: local, the local residual, and all, light with distant lights, over the open residual
 CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
                                                     std::span<const FloorShadow> floor_shadows,
-                                                    float all) {
+                                                    float local, float all) {
   constexpr double kOnPlane_m = 1e-3;
-  FloorLight out{1, 1};
+  FloorLight out{local, 1};
+  float taken = 0;  // by objects
   for (const FloorShadow& s : floor_shadows) {
     const glm::dvec3 p = s.bake_from_world * glm::dvec3(point);
     if (std::abs(p.y - double(s.grid->height)) > kOnPlane_m) continue;
-    const auto residual_left = [&](const shadows::PlanarShadow& shadow) {
-      const float ratio = luminance(shadows::ratio_at(shadow, *s.grid, {p.x, p.z}));
-      return std::max(0.f, 1 - (1 - ratio) * all);
+    const auto taken_by = [&](const shadows::PlanarShadow& shadow) {
+      return s.of_open * (1 - luminance(shadows::ratio_at(shadow, *s.grid, {p.x, p.z}))) * all;
     };
-    out.left *= residual_left(*s.shadow);
-    if (s.counted) out.counted *= residual_left(*s.counted);
+    if (s.real)
+      out.left -= taken_by(*s.shadow);
+    else
+      taken += taken_by(*s.shadow);
+    if (s.counted) out.counted -= taken_by(*s.counted);
   }
-  return out;
+  return {std::max(out.counted, 0.f), std::max(std::max(out.left, 0.f) - taken, 0.f)};
 }
 
 void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEstimate& estimate,
@@ -106,16 +140,18 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   const Pose& pose = poses[index];
   const prt::BakedObject& baked = objects_[index].prepared->baked;
   const RadianceSh& light = rest_for(estimate, stands_level(baked, pose));
-  const glm::dvec3 centre = pose * glm::dvec3(prt::bounds_of(baked.mesh).centre());
-  out.receiver = turn * with_occluder_radiance(light, surroundings_.by_real(index),
-                                               real_.radiance_towards(centre));
+  // What is left for the probes to mend is little, so that little is lost between them.
+  const RadianceSh local = with_real_things(light, index);
+  out.local = turn * local;
   constexpr float kWeight = 1.f / OcclusionProbes::kRays;
-  const IrradianceSh irradiance = lighting::irradiance(light);
+  const IrradianceSh irradiance = lighting::irradiance(light),
+                     local_irradiance = lighting::irradiance(local);
   const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
-  const auto sent_on = [&](const Rgb& albedo, const glm::dvec3& normal) {
-    return std::max(0.f, luminance(albedo * lighting::evaluate(irradiance, normal)));
+  const auto sent_on = [&](const Rgb& albedo, const glm::dvec3& normal, const IrradianceSh& by) {
+    return std::max(0.f, luminance(albedo * lighting::evaluate(by, normal)));
   };
-  const float of_floor = baked.receiver ? sent_on(baked.receiver->albedo, up) : 0;
+  const Rgb floor_albedo = baked.receiver ? baked.receiver->albedo : Rgb{};
+  const float of_floor = sent_on(floor_albedo, up, irradiance);
   const Scratch::Scope scope;
   std::pmr::vector<FloorShadow> shadows_there(scope.memory());
   find_floor_shadows(index, poses, shadows_there);
@@ -123,12 +159,15 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   float all = residual;
   for (const lighting::DistantLight& d : estimate.lights)
     all += luminance(lighting::irradiance(d, up));
+  const float local_residual = luminance(lighting::evaluate(local_irradiance, up)),
+              of_residual = residual > 0 ? local_residual / residual : 1;
   all = residual > 0 ? all / residual : 1;
   for (const ProbeHit& hit : surroundings_.hits(index)) {
     if (hit.thing == ProbeHit::kProbe) continue;
     if (hit.thing == ProbeHit::kItself) {
-      const float own = sent_on(baked.mesh.albedo[hit.vertex],
-                                pose.rotation * glm::dvec3(baked.mesh.normals[hit.vertex]));
+      const float own =
+          sent_on(baked.mesh.albedo[hit.vertex],
+                  pose.rotation * glm::dvec3(baked.mesh.normals[hit.vertex]), local_irradiance);
       out.reflected[hit.probe] += own;
       out.reflected_left[hit.probe] += own;
       continue;
@@ -136,13 +175,16 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
     const bool thing = hit.thing != ProbeHit::kFloor;  // a real or a virtual one
     if (thing) out.around[hit.probe] += exit_of(hit) * kWeight;
     if (hit.above_floor) {
-      const FloorLight floor = floor_at(hit.point, shadows_there, all);
+      const FloorLight floor = floor_at(hit.point, shadows_there, of_residual, all);
       out.reflected[hit.probe] += of_floor * floor.counted;
       if (!thing) out.reflected_left[hit.probe] += of_floor * floor.left;
     } else {
-      out.around[hit.probe] += lighting::evaluate(light, glm::dvec3(hit.direction)) * -kWeight;
+      out.around[hit.probe] += lighting::evaluate(local, glm::dvec3(hit.direction)) * -kWeight;
     }
   }
+  const RadianceSh gone = difference(light, local);
+  for (const OpenRay& ray : surroundings_.open_rays(index))
+    out.around[ray.probe] += lighting::evaluate(gone, glm::dvec3(ray.direction)) * kWeight;
 }
 
 // How much of a distant light reaches the object past everything else: what it has to reflect onto
@@ -223,7 +265,7 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
     o.prepared->relight(PreparedObject::TransferPart::kReflected, reflected, o.more);
     surroundings_.take_missing(index, left, all, o.more, o.relit);
   };
-  take(light.open.with_bands(prt::kIndirectBands), light.reflected_left, light.reflected);
+  take(light.local.with_bands(prt::kIndirectBands), light.reflected_left, light.reflected);
   const std::span<const ProbeHit> hits = surroundings_.hits(index);
   for (std::size_t j = 0; j < estimate.lights.size(); ++j) {
     OcclusionProbes::Values left{}, all{};
@@ -253,7 +295,7 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
 void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size_t index,
                              const lighting::LightEstimate& estimate, const Pose& pose) const {
   const bool lights = light.lights.bands() > 1;
-  relight_parts(o, PreparedObject::TransferPart::kSurface, light.open,
+  relight_parts(o, PreparedObject::TransferPart::kSurface, light.local,
                 lights ? &light.lights : nullptr, o.relit);
   if (surroundings_.any()) {
     take_away_shaded(o, light, index, estimate, pose);

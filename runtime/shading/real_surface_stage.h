@@ -20,7 +20,8 @@ class RealSurfaceStage {
   /// The scene must outlive the stage.
   explicit RealSurfaceStage(const PreparedScene& scene);
 
-  bool any() const { return !scene_->real_mesh.triangles.empty(); }
+  /// False where no object can meet the light of a real mesh.
+  bool any() const { return scene_->real != nullptr; }
 
   /// Renews what depends on the light where that changed visibly, or `lights_changed`. True when it
   /// did.
@@ -29,33 +30,23 @@ class RealSurfaceStage {
 
   /// Exit radiance of the real mesh's vertices as last measured.
   std::span<const Rgb> exit() const { return exit_; }
-  /// Mean of it over what faces a place, weighted by the solid angle in which that appears.
-  Rgb radiance_towards(const glm::dvec3& place) const;
   /// What the real mesh takes of the floor's light beside the lights; null where it stands on no
   /// plane.
   const shadows::PlanarShadow* shadow() const { return shadow_.ratio.empty() ? nullptr : &shadow_; }
 
-  /// Ratios at the vertices: s = 1 - (what virtual things take - what they send)/(what really
-  /// arrives).
-  /// in: of each of the scene's objects its pose, and irradiance/pi of its vertices
-  std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Pose> poses,
-                          std::span<const std::span<const float>> relit,
+  /// Ratios at the vertices: s = 1 - (what virtual things change)/(what really arrives).
+  /// in: lost, irradiance/pi of the vertices without that of lights, negative where virtual things
+  /// send more than they take
+  std::vector<Rgb> ratios(const lighting::LightEstimate& light, std::span<const Rgb> lost,
                           const LampStage& lamps) const;
 
  private:
   void relight(const lighting::LightEstimate& light);
-  struct ByObjects {
-    std::vector<Rgb> left;  // fraction of the light without lights
-    std::vector<Rgb> sent;  // irradiance by what the objects reflect
-  };
-  ByObjects by_objects(const RadianceSh& light, std::span<const Pose> poses,
-                       std::span<const std::span<const float>> relit) const;
 
   const PreparedScene* scene_;
-  std::vector<std::vector<float>> areas_;  // of the objects' vertices in their first form
-  RadianceSh measured_;                    // the light, without lights
-  DirectLightStage::AtVertices lights_;    // at the vertices
-  std::vector<Rgb> arrives_, exit_;        // irradiance and radiance of the vertices
+  RadianceSh measured_;                  // the light, without lights
+  DirectLightStage::AtVertices lights_;  // at the vertices
+  std::vector<Rgb> arrives_, exit_;      // irradiance and radiance of the vertices
   std::vector<float> relit_, reflected_;
   shadows::PlanarShadow shadow_;
 };

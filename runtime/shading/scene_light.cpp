@@ -28,15 +28,6 @@ RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose
       .with_bands(prt::kIndirectBands);
 }
 
-RadianceSh rest_around(const lighting::LightEstimate& light, std::span<const prt::Plane> planes) {
-  const auto floor = std::ranges::find_if(
-      planes, [](const prt::Plane& p) { return p.normal.y > kLevel && luminance(p.albedo) > 0; });
-  if (floor == planes.end()) return light.light;
-  return lighting::with_floor_below(
-      light.upper_hemisphere_light,
-      floor->albedo * open_irradiance(light, floor->normal) * static_cast<float>(1 / kPi));
-}
-
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal) {
   Rgb sum = lighting::evaluate(
       lighting::irradiance(normal.y > kLevel ? light.upper_hemisphere_light : light.light), normal);

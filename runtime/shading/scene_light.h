@@ -31,10 +31,6 @@ RadianceSh reflected_for(const lighting::DistantLight& source, bool level);
 /// out part of its own
 RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
                                    int bands = prt::kIndirectBands);
-/// The residual around a thing: of a level floor of known albedo what that sends back stands in for
-/// the map's lower half, which shows the floor under the camera, or none.
-/// in: planes of the scene
-RadianceSh rest_around(const lighting::LightEstimate& light, std::span<const prt::Plane> planes);
 /// Irradiance of an open plane of this orientation, lights included.
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 

@@ -6,7 +6,6 @@
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/transfer.h"
-#include "shadows/field/occlusion_field.h"
 #include "shadows/field/planar_shadow.h"
 
 namespace penumbra::shadows {
@@ -99,36 +98,6 @@ void combine_shadows(const PlacedShadow& first, const PlacedShadow& second, Plan
       if (turned) rotate(rotation, bands, a.coefficients);
       const Overlap shared = overlap(a.coefficients, b.coefficients, coefficient_count(bands));
       for (int c = 0; c < 3; ++c) s[c] = without_common(a.ratio[c], s[c], shared);
-    }
-  });
-}
-
-void smooth_ratios(const PlacedField& first, const PlacedField& second,
-                   std::span<const glm::vec3> positions, std::span<const Rgb> first_ratios,
-                   std::span<Rgb> ratios) {
-  const Rgb open{1, 1, 1};
-  const int bands = std::min(first.field->bands, second.field->bands),
-            count = coefficient_count(bands);
-  const Pose first_from_world = first.world_from_bake.inverse(),
-             second_from_world = second.world_from_bake.inverse();
-  const lighting::ShRotation rotation((second_from_world * first.world_from_bake).rotation_matrix(),
-                                      first.field->bands);
-  constexpr std::size_t kMax = kMaxFieldBands * kMaxFieldBands;
-  parallel_for(std::size_t{0}, positions.size(), 256, [&](const auto& part) {
-    float a[kMax], b[kMax];
-    for (std::size_t i = part.begin(); i < part.end(); ++i) {
-      if (first_ratios[i] == open || ratios[i] == open) continue;
-      const glm::dvec3 p(positions[i]);
-      blocked_at(
-          *first.field, glm::vec3(first_from_world * p),
-          std::span(a).first(static_cast<std::size_t>(coefficient_count(first.field->bands))));
-      blocked_at(
-          *second.field, glm::vec3(second_from_world * p),
-          std::span(b).first(static_cast<std::size_t>(coefficient_count(second.field->bands))));
-      rotate(rotation, first.field->bands, a);
-      const Overlap shared = overlap(a, b, count);
-      for (int c = 0; c < 3; ++c)
-        ratios[i][c] = without_common(first_ratios[i][c], ratios[i][c], shared);
     }
   });
 }

@@ -339,6 +339,39 @@ TEST_F(CompositorTest, FloorIsMultipliedByTheShadowRatioOfItsPlace) {
   EXPECT_LT(deepest, .6f);
 }
 
+// Real things leave half of the floor's light, and 60 % of it to the object: what that takes is held
+// against the half. A real shadow alone changes nothing, it is in the picture.
+TEST_F(CompositorTest, WhatAnObjectTakesIsOfWhatRealThingsLeave) {
+  const auto object = test::baked_sphere(true);
+  const int handle = test::add_lit(*compositor_, object, side_light());
+  const test::Lit l = test::lit(object, side_light());
+  compositor_->set_light(handle, l.relit, l.shadow, {.6f, .6f, .6f});
+  compositor_->add_real_receiver(object.receiver->grid, {});
+  shadows::PlanarShadow half = l.shadow;
+  std::ranges::fill(half.ratio.pixels(), Rgb{.5f, .5f, .5f});
+  half.x0 = half.y0 = 0, half.x1 = half.y1 = half.ratio.width();
+  compositor_->set_real_shadow(half);
+  const Image<Rgb> frame = test::noise_frame<Rgb>(7);
+  const View v = view();
+  const auto out = composited_floats(frame, v);
+  int shaded = 0;
+  for (int y = 0; y < kSceneHeight; ++y)
+    for (int x = 0; x < kSceneWidth; ++x) {
+      const auto foot = test::floor_hit(v.camera, x + .5, y + .5);
+      if (!foot || test::distance_to_ray(v.camera, x + .5, y + .5, dvec3(0, .4, 0)) < .43) continue;
+      const glm::vec2 uv = object.receiver->grid.uv(glm::vec2(*foot));
+      if (std::max(std::abs(2 * uv.x - 1), std::abs(2 * uv.y - 1)) > .95) continue;
+      const Rgb s = ratio_at(object.receiver->grid, l.shadow, *foot);
+      for (int c = 0; c < 3; ++c) {
+        const float expected = std::max(0.f, 1 - .6f * (1 - s[c]) / .5f);
+        ASSERT_NEAR(out.at(x, y)[c], frame.at(x, y)[c] * expected, .01 * frame.at(x, y)[c])
+            << x << ' ' << y << " s " << s[c];
+      }
+      shaded += s.g < .9f;
+    }
+  EXPECT_GT(shaded, 200);
+}
+
 TEST_F(CompositorTest, CoincidentObjectsMultiplyTheirRatiosAndStayInTheBounds) {
   const auto object = test::baked_sphere(true);
   const Image<Rgb> white(kSceneWidth, kSceneHeight, {1, 1, 1});

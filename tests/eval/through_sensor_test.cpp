@@ -69,8 +69,8 @@ TEST(ThroughSensor, BesideRealThingsItIsAsInTheWorld) {
     ++scenes;
     const auto got = filmed(scene, sky(), {8, Seconds(1. / 64000)});
     ASSERT_FILMED(got);
-    EXPECT_LT(got->sensor.shadow_rmse, .05) << scene.name;
-    EXPECT_LT(got->sensor.object_rel_rmse, .08) << scene.name;
+    EXPECT_LT(got->sensor.shadow_rmse, .035) << scene.name;
+    EXPECT_LT(got->sensor.object_rel_rmse, .05) << scene.name;
     EXPECT_LT(std::abs(got->sensor.object_bias), .03) << scene.name;
     EXPECT_EQ(got->bands, 5) << scene.name << ": in the shade all light is in the harmonics";
   }

@@ -238,26 +238,6 @@ TEST(FloorLight, DarkGroundCostsTheWholeSphereProjectionPercentsAndThisNone) {
   EXPECT_LT(error_above_horizon(map, upper_hemisphere_light(p->upper_moments, 5)), .005);
 }
 
-// A floor in place of the map's lower half: what faces down is lit by it alone, what faces up not.
-TEST(ShProjection, FloorBelowReplacesTheLowerHalf) {
-  Image<Rgb> map(64, 32, {9, 9, 9});
-  for (int y = 0; y < 16; ++y)
-    for (int x = 0; x < 64; ++x) map.at(x, y) = {2, 1, .5f};
-  const auto p = project_latlong(map, kMaxBands);
-  ASSERT_TRUE(p);
-  const RadianceSh light =
-      with_floor_below(upper_hemisphere_light(p->upper_moments, 5), {.1f, .2f, .3f});
-  const auto lit = [&](const glm::dvec3& normal) {
-    return evaluate(irradiance(light), normal) * static_cast<float>(1 / kPi);
-  };
-  const Rgb up{2, 1, .5f}, down{.1f, .2f, .3f};
-  for (int c = 0; c < 3; ++c) {
-    EXPECT_NEAR(lit({0, 1, 0})[c], up[c], .03);
-    EXPECT_NEAR(lit({0, -1, 0})[c], down[c], .03);
-    EXPECT_NEAR(lit({1, 0, 0})[c], (up[c] + down[c]) / 2, .03);
-  }
-}
-
 TEST(FloorLight, OddRowsShareTheHorizonRow) {
   const auto even = make_map(64, 64, [](const dvec3& d) {
     return Rgb{float(2 + d.x), 1, float(1 + d.y)};

@@ -1,5 +1,5 @@
 // What probes on an object see of a wall and of the floor, and how vertices take it from them.
-#include "runtime/shading/occlusion_probes.h"
+#include "runtime/surroundings/occlusion_probes.h"
 
 #include <gtest/gtest.h>
 
@@ -70,8 +70,11 @@ TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
       EXPECT_GT(wall[p], OcclusionProbes::kRays / 3);
     }
   }
-  EXPECT_GT(probes.by_real(0).fraction, .15f);
-  EXPECT_LT(probes.by_real(0).fraction, .5f);
+  const double hidden = double(probes.by_real(0).size()) / OcclusionProbes::kSphereRays;
+  EXPECT_GT(hidden, .15);
+  EXPECT_LT(hidden, .5);
+  for (const RealHit& hit : probes.by_real(0)) EXPECT_LT(hit.direction.x, 0);
+  EXPECT_FALSE(probes.open_rays(0).empty());
 }
 
 // Looking again from the same place costs nothing; from another one it is seen anew.

@@ -2,6 +2,7 @@
 // darken it.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "capture/capture.h"
@@ -117,6 +118,35 @@ TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
   EXPECT_GT(rms(*naive, masks->floor), .2);
   EXPECT_LT(rms(*ours, masks->object), .05);
   EXPECT_GT(rms(*naive, masks->object), .2);
+}
+
+// A lamp among real things and nothing virtual that could throw a shadow: no light comes from the
+// real mesh, and nothing stops.
+TEST(VirtualLamp, WithoutAnObjectARealMeshIsNoReasonToStop) {
+  Scene scene;
+  RealGeometry box;
+  box.mesh = "builtin:box";
+  scene.real.push_back(box);
+  scene.lamps.push_back({{.4, .6, 0}, .02, {2, 1, .5f}});
+  const auto prepared =
+      prepare(scene, {}, [](const std::string&) { return std::function<void(double)>(); });
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const prt::PinholeView view{
+      160, 120, {150, 150}, {80, 60}, capture::look_at({0, 1.6, 1.2}, {0, 0, 0})};
+  lighting::LightEstimate light;
+  light.valid = true;
+  light.light = RadianceSh(5);
+  light.light[0] = {1, 1, 1};
+  light.upper_hemisphere_light = light.light;
+  light.mean_radiance = {1, 1, 1};
+  Still real;
+  real.radiance = Image<Rgb>(160, 120, {.4f, .4f, .4f});
+  const auto shown = render_composite({&*prepared, nullptr, view}, light, real);
+  if (!shown && shown.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << shown.error().detail;
+  ASSERT_TRUE(shown) << shown.error().detail;
+  EXPECT_TRUE(
+      std::ranges::all_of(shown->radiance.pixels(), [](const Rgb& c) { return is_finite(c); }));
 }
 
 }  // namespace

@@ -75,7 +75,8 @@ TEST_P(Coincident, TwoEqualObjectsInOnePlaceLookLikeOne) {
     ASSERT_TRUE(light);
     const auto a = composited(*single, *light), b = composited(*twice, *light);
     if (!a || !b) GTEST_SKIP() << "no OpenGL ES 3.1 here";
-    EXPECT_LT(worst_difference(*b, *a), 1e-3);
+    // Beside a box each sees the box past the other: of the rays some end on that.
+    EXPECT_LT(worst_difference(*b, *a), GetParam() ? 3e-3 : 1e-3);
     // What a product of two shadows would be.
     Image<Rgb> product = *a;
     for (Rgb& c : product.pixels()) c = c * std::min(1.f, luminance(c) / .5f);

@@ -23,8 +23,8 @@
 #include "prt/transfer/transfer.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "runtime/shading/occlusion_probes.h"
 #include "runtime/shading/scene_light.h"
+#include "runtime/surroundings/occlusion_probes.h"
 #include "tools/common/progress.h"
 #include "tools/pictures/still.h"
 

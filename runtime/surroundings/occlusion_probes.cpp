@@ -1,12 +1,12 @@
-#include "runtime/shading/occlusion_probes.h"
+#include "runtime/surroundings/occlusion_probes.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "core/conventions.h"
 #include "core/parallel.h"
-#include "lighting/sh/basis.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 
@@ -14,10 +14,10 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr int kSphereRays = 256;  // of by_real
-constexpr int kTries = 4;         // vertices that a direction is tried from until one is open to it
-constexpr int kTerms = shadows::kMaxFieldBands * shadows::kMaxFieldBands;
-constexpr float kLevelRay = 1e-3f;  // a ray that falls less never meets the floor
+constexpr int kSphereRays = OcclusionProbes::kSphereRays;
+constexpr int kTries = 4;  // vertices that a direction is tried from until one is open to it
+constexpr std::size_t kGrain = 2048;  // vertices
+constexpr float kLevelRay = 1e-3f;    // a ray that falls less never meets the floor
 
 // Squared distance of two vertices: a normal turned by 60 degrees is as far as half a radius.
 class VertexDistance {
@@ -87,42 +87,69 @@ void set_ray(prt::RayWorld::Rays& rays, int lane, const glm::vec3& from, const g
   rays.dx[lane] = to.x, rays.dy[lane] = to.y, rays.dz[lane] = to.z;
 }
 
-std::uint32_t nearest_corner(const prt::Mesh& mesh, std::uint32_t triangle, float u, float v) {
-  const auto& corners = mesh.triangles[triangle];
-  const float w = 1 - u - v;
-  return w >= u && w >= v ? corners[0] : u >= v ? corners[1] : corners[2];
-}
-
 // What of the sphere around an object real things hide, as rays from all over its surface see it.
 // Directions that the object hides from itself do not count: its transfer knows of them.
-BlockedSh hidden_by_real(const prt::Mesh& mesh, int own, bool has_floor, const Pose& pose,
-                         const shadows::RayOccluders& occluders) {
-  BlockedSh out;
-  const glm::mat3 turn = pose.rotation_matrix();
-  const glm::vec3 shift = pose.translation;
-  prt::RayWorld::Rays ray;
-  for (int k = 0; k < kSphereRays; ++k) {
-    const glm::dvec3 d = direction_of(k);
-    if (has_floor && glm::dot(glm::vec3(d), turn[1]) <= -kLevelRay) continue;
+class HiddenSphere {
+ public:
+  HiddenSphere(const PreparedScene& scene, std::size_t object, const Pose& pose,
+               const shadows::RayOccluders& occluders, int own_plane)
+      : scene_(scene),
+        mesh_(scene.objects[object].baked.mesh),
+        own_(static_cast<int>(object)),
+        own_plane_(own_plane),
+        turn_(pose.rotation_matrix()),
+        shift_(pose.translation),
+        occluders_(occluders) {}
+
+  void look(bool has_floor, std::vector<RealHit>& out) {
+    out.clear();
+    for (int k = 0; k < kSphereRays; ++k) {
+      const glm::vec3 d(direction_of(k));
+      if (has_floor && glm::dot(d, turn_[1]) <= -kLevelRay) continue;
+      const auto from = open_place(k, d);
+      if (!from) continue;
+      set_ray(rays_, filled_++, *from, d);
+      if (filled_ == prt::RayWorld::kPacket) flush(out);
+    }
+    flush(out);
+  }
+
+ private:
+  std::optional<glm::vec3> open_place(int k, const glm::vec3& d) const {
+    prt::RayWorld::Rays ray;
     for (int attempt = 0; attempt < kTries; ++attempt) {
       const double place = std::fmod((k * kTries + attempt) * .6180339887498949, 1.);
-      const auto v = static_cast<std::size_t>(place * double(mesh.positions.size()));
-      const glm::vec3 n = turn * mesh.normals[v];
-      if (glm::dot(n, glm::vec3(d)) <= 0) continue;
-      set_ray(ray, 0, turn * mesh.positions[v] + shift + occluders.near_m * n, glm::vec3(d));
-      if (occluders.virtual_things->occluded_by(own, ray, 1) != 0) continue;
-      if (occluders.real_things->occluded_by(0, ray, 1) != 0) {
-        double basis[kTerms];
-        lighting::evaluate_basis(shadows::kMaxFieldBands, d, basis);
-        for (std::size_t i = 0; i < out.blocked.size(); ++i)
-          out.blocked[i] += static_cast<float>(4 * kPi / kSphereRays * basis[i]);
-        out.fraction += 1.f / kSphereRays;
-      }
-      break;
+      const auto v = static_cast<std::size_t>(place * double(mesh_.positions.size()));
+      const glm::vec3 n = turn_ * mesh_.normals[v];
+      if (glm::dot(n, d) <= 0) continue;
+      const glm::vec3 from = turn_ * mesh_.positions[v] + shift_ + occluders_.near_m * n;
+      set_ray(ray, 0, from, d);
+      if (occluders_.virtual_things->occluded_by(own_, ray, 1) == 0) return from;
     }
+    return {};
   }
-  return out;
-}
+  void flush(std::vector<RealHit>& out) {
+    if (filled_ == 0) return;
+    prt::RayWorld::Hits met;
+    for (int i = filled_; i < prt::RayWorld::kPacket; ++i)
+      set_ray(rays_, i, {rays_.ox[0], rays_.oy[0], rays_.oz[0]},
+              {rays_.dx[0], rays_.dy[0], rays_.dz[0]});
+    if (!scene_.real_mesh.triangles.empty()) occluders_.real_things->intersect(0, rays_, met);
+    const int filled = std::exchange(filled_, 0);
+    for (int i = 0; i < filled; ++i)
+      if (const auto at = meet_real(scene_.planes, scene_.real_mesh, rays_, met, i, own_plane_))
+        out.push_back({{rays_.dx[i], rays_.dy[i], rays_.dz[i]}, at->point});
+  }
+
+  const PreparedScene& scene_;
+  const prt::Mesh& mesh_;
+  int own_, own_plane_;
+  glm::mat3 turn_;
+  glm::vec3 shift_;
+  const shadows::RayOccluders& occluders_;
+  prt::RayWorld::Rays rays_;
+  int filled_ = 0;
+};
 
 }  // namespace
 
@@ -133,8 +160,12 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
     const prt::Mesh& mesh = scene.objects[i].baked.mesh;
     Object& o = objects_[i];
     o.probes = choose_probes(mesh);
+    o.centre = prt::bounds_of(mesh).centre();
+    o.radius = prt::radius_around(mesh, o.centre);
+    o.blocks.resize((o.probes.size() + kPerBlock - 1) / kPerBlock);
     o.nearby.resize(mesh.positions.size());
     o.hits.reserve(kMaxHits);
+    if (any_real()) o.open.reserve(kProbes * kRays);
     const VertexDistance distance(mesh);
     parallel_for(std::size_t{0}, o.nearby.size(), [&](std::size_t v) {
       o.nearby[v] = nearest_probes<Nearby>(distance, o.probes, v);
@@ -145,9 +176,14 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
 void OcclusionProbes::look(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
   if (!any() || std::ranges::equal(poses, poses_)) return;
   poses_.assign(poses.begin(), poses.end());
-  parallel_for(std::size_t{0}, poses.size(),
-               [&](std::size_t i) { look_from(i, occluders, poses[i]); });
+  for (std::size_t i = 0; i < poses.size(); ++i) look_from(i, occluders);
 }
+
+struct OcclusionProbes::Other {
+  int object;
+  glm::vec3 centre;  // world
+  float radius;
+};
 
 // What stands around one object, for the rays of its probes.
 struct OcclusionProbes::Surroundings {
@@ -157,6 +193,8 @@ struct OcclusionProbes::Surroundings {
   glm::mat3 turn;  // world from bake frame
   glm::vec3 shift;
   std::optional<float> floor_height;  // in the bake frame
+  int own_plane;                      // that is this floor
+  std::span<const Other> others;      // that are not this one
 
   const prt::Mesh& mesh() const { return scene.objects[object].baked.mesh; }
   float above_floor(const glm::vec3& world) const {
@@ -169,12 +207,13 @@ struct OcclusionProbes::Met {
   prt::RayWorld::Rays rays;
   prt::RayWorld::Hits by_itself, by_virtual, by_real;
 
-  void trace(const Surroundings& in) {
-    const int own = static_cast<int>(in.object);
-    const prt::RayWorld& others = *in.occluders.virtual_things;
-    others.intersect(own, rays, by_itself);
-    for (int k = 0; k < static_cast<int>(in.scene.objects.size()); ++k)
-      if (k != own) others.intersect(k, rays, by_virtual);
+  // in: where the rays start, and what way the surface faces there
+  void trace(const Surroundings& in, const glm::vec3& from, const glm::vec3& normal) {
+    const prt::RayWorld& things = *in.occluders.virtual_things;
+    things.intersect(static_cast<int>(in.object), rays, by_itself);
+    for (const Other& o : in.others)
+      if (glm::dot(o.centre - from, normal) > -o.radius)
+        things.intersect(o.object, rays, by_virtual);
     if (!in.scene.real_mesh.triangles.empty())
       in.occluders.real_things->intersect(0, rays, by_real);
   }
@@ -189,7 +228,7 @@ std::optional<ProbeHit> OcclusionProbes::hit_of(const Met& met, int lane, std::s
                {met.rays.dx[lane], met.rays.dy[lane], met.rays.dz[lane]},
                {}};
   const auto vertex_of = [lane](const prt::RayWorld::Hits& hits, const prt::Mesh& mesh) {
-    return nearest_corner(mesh, hits.triangle[lane], hits.u[lane], hits.v[lane]);
+    return prt::nearest_corner(mesh, hits.triangle[lane], hits.u[lane], hits.v[lane]);
   };
   if (met.by_itself.mesh[lane] >= 0) {  // whatever stands in between: that is in no bake
     hit.thing = ProbeHit::kItself;
@@ -210,40 +249,71 @@ std::optional<ProbeHit> OcclusionProbes::hit_of(const Met& met, int lane, std::s
     hit.vertex =
         vertex_of(met.by_virtual, in.scene.objects[static_cast<std::size_t>(k)].baked.mesh);
   }
-  if (met.by_real.mesh[lane] >= 0 && met.by_real.distance[lane] < distance) {
+  if (const auto real =
+          meet_real(in.scene.planes, in.scene.real_mesh, met.rays, met.by_real, lane, in.own_plane);
+      real && real->distance < distance) {
     hit.thing = ProbeHit::kReal;
-    hit.vertex = vertex_of(met.by_real, in.scene.real_mesh);
+    hit.real = real->point;
   }
   if (hit.thing == ProbeHit::kFloor && !hit.above_floor) return {};  // open sky
   return hit;
 }
 
-void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& occluders,
-                                const Pose& pose) {
+void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& occluders) {
   Object& o = objects_[index];
+  const Pose& pose = poses_[index];
   const prt::BakedObject& baked = scene_->objects[index].baked;
-  Surroundings in{*scene_, occluders, index, pose.rotation_matrix(), pose.translation, {}};
-  if (baked.receiver) in.floor_height = baked.receiver->grid.height;
-  if (!scene_->real_mesh.triangles.empty())
-    o.by_real = hidden_by_real(baked.mesh, static_cast<int>(index), baked.receiver.has_value(),
-                               pose, occluders);
+  std::vector<Other> others;
+  for (std::size_t k = 0; k < objects_.size(); ++k)
+    if (k != index)
+      others.push_back({static_cast<int>(k), glm::vec3(poses_[k] * glm::dvec3(objects_[k].centre)),
+                        objects_[k].radius});
+  Surroundings in{*scene_, occluders,        index, pose.rotation_matrix(), pose.translation,
+                  {},      RealPoint::kMesh, others};
+  if (baked.receiver) {
+    in.floor_height = baked.receiver->grid.height;
+    in.own_plane = plane_at(scene_->planes, pose * glm::dvec3(0, *in.floor_height, 0),
+                            pose.rotation * glm::dvec3(0, 1, 0));
+  }
+  if (any_real())
+    HiddenSphere(*scene_, index, pose, occluders, in.own_plane)
+        .look(baked.receiver.has_value(), o.by_real);
+  parallel_for(std::size_t{0}, o.blocks.size(),
+               [&](std::size_t block) { look_from_block(o, block, in); });
   o.hits.clear();
+  o.open.clear();
+  for (const ProbeBlock& b : o.blocks) {
+    o.hits.insert(o.hits.end(), b.hits.begin(), b.hits.end());
+    o.open.insert(o.open.end(), b.open.begin(), b.open.end());
+  }
+}
+
+void OcclusionProbes::look_from_block(Object& o, std::size_t block, const Surroundings& in) const {
   constexpr int kPacket = prt::RayWorld::kPacket;
+  ProbeBlock& out = o.blocks[block];
+  out.hits.clear();
+  out.open.clear();
+  const std::size_t first = block * kPerBlock, last = std::min(first + kPerBlock, o.probes.size());
   prt::RayScene::RayPacket packet;
-  for (std::size_t p = 0; p < o.probes.size(); ++p) {
+  for (std::size_t p = first; p < last; ++p) {
     const std::uint32_t v = o.probes[p];
-    const glm::vec3 n = in.turn * baked.mesh.normals[v],
-                    from = in.turn * baked.mesh.positions[v] + in.shift + occluders.near_m * n;
+    const glm::vec3 n = in.turn * in.mesh().normals[v],
+                    from = in.turn * in.mesh().positions[v] + in.shift + in.occluders.near_m * n;
     const glm::mat3 frame = prt::frame_around(n);
-    o.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false, v, n, {}});
-    for (int block = 0; block < kRays / kPacket; ++block) {
-      patterns_.cosine_block(prt::RayPatterns::turn_of(p), block, frame, packet);
+    out.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false, v, n, {}});
+    for (int rays = 0; rays < kRays / kPacket; ++rays) {
+      patterns_.cosine_block(prt::RayPatterns::turn_of(p), rays, frame, packet);
       Met met;
       for (int i = 0; i < kPacket; ++i)
         set_ray(met.rays, i, from, {packet.x[i], packet.y[i], packet.z[i]});
-      met.trace(in);
-      for (int i = 0; i < kPacket; ++i)
-        if (const auto hit = hit_of(met, i, p, in)) o.hits.push_back(*hit);
+      met.trace(in, from, n);
+      for (int i = 0; i < kPacket; ++i) {
+        if (const auto hit = hit_of(met, i, p, in))
+          out.hits.push_back(*hit);
+        else if (!o.by_real.empty())
+          out.open.push_back(
+              {static_cast<std::uint16_t>(p), {packet.x[i], packet.y[i], packet.z[i]}});
+      }
     }
   }
 }
@@ -252,38 +322,33 @@ void OcclusionProbes::spread(std::size_t object, std::span<const Rgb> of_probes,
                              std::span<float> out) const {
   const std::vector<Nearby>& nearby = objects_[object].nearby;
   const std::size_t stride = out.size() / 3;
-  for (std::size_t v = 0; v < nearby.size(); ++v) {
-    Rgb sum;
-    for (std::size_t k = 0; k < kNearest; ++k)
-      sum += of_probes[nearby[v].probe[k]] * nearby[v].weight[k];
-    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += sum[static_cast<int>(c)];
-  }
+  parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& part) {
+    for (std::size_t v = part.begin(); v < part.end(); ++v) {
+      Rgb sum;
+      for (std::size_t k = 0; k < kNearest; ++k)
+        sum += of_probes[nearby[v].probe[k]] * nearby[v].weight[k];
+      for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += sum[static_cast<int>(c)];
+    }
+  });
 }
 
 void OcclusionProbes::take_missing(std::size_t object, const Values& part, const Values& whole,
                                    std::span<const float> in, std::span<float> out) const {
   const std::vector<Nearby>& nearby = objects_[object].nearby;
   const std::size_t stride = out.size() / 3;
-  for (std::size_t v = 0; v < nearby.size(); ++v) {
-    float left = 0, all = 0;
-    for (std::size_t k = 0; k < kNearest; ++k) {
-      const std::size_t p = nearby[v].probe[k];
-      left += part[p] * nearby[v].weight[k];
-      all += whole[p] * nearby[v].weight[k];
+  parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& vertices) {
+    for (std::size_t v = vertices.begin(); v < vertices.end(); ++v) {
+      float left = 0, all = 0;
+      for (std::size_t k = 0; k < kNearest; ++k) {
+        const std::size_t p = nearby[v].probe[k];
+        left += part[p] * nearby[v].weight[k];
+        all += whole[p] * nearby[v].weight[k];
+      }
+      if (all <= 0) continue;
+      const float missing = 1 - left / all;
+      for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= missing * in[c * stride + v];
     }
-    if (all <= 0) continue;
-    const float missing = 1 - left / all;
-    for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= missing * in[c * stride + v];
-  }
-}
-
-RadianceSh with_occluder_radiance(const RadianceSh& light, const BlockedSh& hidden,
-                                  const Rgb& radiance) {
-  if (hidden.fraction == 0) return light;
-  RadianceSh out = shadows::FieldLight(light, shadows::kMaxFieldBands).seen_through(hidden.blocked);
-  for (int n = 0; n < out.size() && n < kTerms; ++n)
-    out[n] += radiance * hidden.blocked[static_cast<std::size_t>(n)];
-  return out;
+  });
 }
 
 }  // namespace penumbra::runtime

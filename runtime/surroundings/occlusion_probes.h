@@ -1,6 +1,6 @@
 // What stands around each virtual object, as seen from points all over its surface: real meshes,
 // other objects, and the floor that things shade. Lights have their own rays.
-// threads: thread-bound
+// threads: thread-bound, parallel inside
 #pragma once
 
 #include <array>
@@ -11,19 +11,19 @@
 #include <vector>
 
 #include "core/pose.h"
-#include "core/sh.h"
 #include "prt/geometry/ray_pattern.h"
 #include "runtime/scene/scene.h"
-#include "shadows/field/occlusion_field.h"
+#include "runtime/surroundings/real_point.h"
 #include "shadows/silhouette/occluders.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
-/// b_n = Int (fraction of the surface that sees something else there) Y_n dw, world frame.
-struct BlockedSh {
-  std::array<float, shadows::kMaxFieldBands * shadows::kMaxFieldBands> blocked{};
-  float fraction = 0;  // of the sphere
+/// A direction, of OcclusionProbes::kSphereRays even ones, in which something real hides the sky
+/// from an object. The floor that the object stands on does not count.
+struct RealHit {
+  glm::vec3 direction;  // unit, world
+  RealPoint at;
 };
 
 /// Where a ray of a probe ends, if not in the open sky. Each probe itself is one more, without
@@ -34,26 +34,30 @@ struct ProbeHit {
   std::uint16_t probe;
   std::int16_t thing;    // a Thing, or the number of another object
   bool above_floor;      // the bake counted on the floor in this direction
-  std::uint32_t vertex;  // of the thing's mesh, the nearest
+  std::uint32_t vertex;  // of the virtual thing's mesh, the nearest
   glm::vec3 direction;   // unit, world
   glm::vec3 point;       // world: where the ray meets or would meet the floor
+  RealPoint real{};      // of a kReal
+};
+
+/// A ray of a probe that ends in the open sky.
+struct OpenRay {
+  std::uint16_t probe;
+  glm::vec3 direction;  // unit, world
 };
 
 /// Probes are vertices, apart in place and normal, each with rays by the cosine. Every vertex lies
 /// between the nearest of them.
 class OcclusionProbes {
  public:
-  static constexpr int kProbes = 64, kRays = 64, kNearest = 4;
+  static constexpr int kProbes = 256, kRays = 32, kNearest = 8, kSphereRays = 256;
   static constexpr std::size_t kMaxHits = kProbes * (kRays + 1);  // of an object
 
   /// The scene must outlive it.
   explicit OcclusionProbes(const PreparedScene& scene);
 
   /// False for an object alone on one plane: nothing needs to be looked at.
-  bool any() const {
-    return scene_->objects.size() > 1 || !scene_->real_mesh.triangles.empty() ||
-           scene_->planes.size() > 1;
-  }
+  bool any() const { return scene_->objects.size() > 1 || any_real(); }
 
   /// Looks around from every object. The same again when nothing has moved costs nothing.
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
@@ -61,6 +65,12 @@ class OcclusionProbes {
 
   /// As last looked at; rays of weight 1/kRays.
   std::span<const ProbeHit> hits(std::size_t object) const { return objects_[object].hits; }
+  /// True where there is anything real but one plane.
+  bool any_real() const {
+    return !scene_->real_mesh.triangles.empty() || scene_->planes.size() > 1;
+  }
+  /// Of an object that real things hide something of the sphere from; else empty.
+  std::span<const OpenRay> open_rays(std::size_t object) const { return objects_[object].open; }
   using Values = std::array<float, kProbes>;
   /// out[v] += what the probes around vertex v have, a plane for each colour.
   void spread(std::size_t object, std::span<const Rgb> of_probes, std::span<float> out) const;
@@ -69,34 +79,45 @@ class OcclusionProbes {
   void take_missing(std::size_t object, const Values& part, const Values& whole,
                     std::span<const float> in, std::span<float> out) const;
   /// Of the object as a whole.
-  const BlockedSh& by_real(std::size_t object) const { return objects_[object].by_real; }
+  std::span<const RealHit> by_real(std::size_t object) const { return objects_[object].by_real; }
+  /// Vertices of the object that are its probes.
+  std::span<const std::uint32_t> probes(std::size_t object) const {
+    return objects_[object].probes;
+  }
 
  private:
   struct Nearby {
     std::array<std::uint16_t, kNearest> probe;
     std::array<float, kNearest> weight;
   };
+  static constexpr std::size_t kPerBlock = 32;  // probes that one thread looks from
+  struct ProbeBlock {
+    std::vector<ProbeHit> hits;
+    std::vector<OpenRay> open;
+  };
   struct Object {
     std::vector<std::uint32_t> probes;  // vertices
     std::vector<Nearby> nearby;         // by vertex
+    glm::vec3 centre{0};                // bake frame, in its first form
+    float radius = 0;
+    std::vector<ProbeBlock> blocks;
     std::vector<ProbeHit> hits;
-    BlockedSh by_real;
+    std::vector<OpenRay> open;
+    std::vector<RealHit> by_real;
   };
   struct Surroundings;
   struct Met;
+  struct Other;
   static std::optional<ProbeHit> hit_of(const Met& met, int lane, std::size_t probe,
                                         const Surroundings& in);
-  void look_from(std::size_t index, const shadows::RayOccluders& occluders, const Pose& pose);
+  void look_from(std::size_t index, const shadows::RayOccluders& occluders);
+  void look_from_block(Object& object, std::size_t block, const Surroundings& in) const;
 
   const PreparedScene* scene_;
   prt::RayPatterns patterns_{kRays};
   std::vector<Pose> poses_;
   std::vector<Object> objects_;
 };
-
-/// The light with the hidden directions replaced by an even radiance.
-RadianceSh with_occluder_radiance(const RadianceSh& light, const BlockedSh& hidden,
-                                  const Rgb& radiance);
 
 }  // namespace penumbra::runtime
 #pragma GCC visibility pop
