@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/drawable.h"
@@ -248,7 +249,7 @@ void CompositeStage::shade_real_mesh(const lighting::LightEstimate& light,
   const StageTimer timer(times_, "real mesh");
   gathered_.look(lights_.occluders(), poses, surroundings_, other_form);
   const RadianceSh& sky =
-      rest_for(light, stands_level(scene_.real->baked, scene_.real->world_from_bake));
+      residual_for(light, stands_level(scene_.real->baked, scene_.real->world_from_bake));
   of_points_.resize(gathered_.points());
   parallel_for(std::size_t{0}, of_points_.size(),
                [&](std::size_t p) { of_points_[p] = lost_at(p, sky); });
@@ -346,7 +347,7 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
                 luminance(light.distant_irradiance) > 0 ? &given_back : nullptr, o.taken);
   if (ground_probes_.any())
-    take_what_is_behind(index, rest_for(estimate, stands_level(baked, pose)), pose, light.local,
+    take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
                         o.taken);
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.taken},
@@ -367,36 +368,39 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
 void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
                                          const RadianceSh& local, std::span<float> taken) const {
   std::array<Rgb, GroundProbes::kPoints> more{};
-  std::array<float, GroundProbes::kPoints> own;
+  std::array<bool, GroundProbes::kPoints> own{};
   for (std::size_t p = 0; p < own.size(); ++p)
-    own[p] = own_fraction(index, ground_probes_.place(index, p));
+    own[p] = is_nearest(index, ground_probes_.place(index, p));
   const glm::dquat bake_from_world = glm::conjugate(pose.rotation);
   for (const GroundHit& hit : ground_probes_.hits(index)) {
     const glm::dvec3 d(hit.direction);
     const PlaneLight::Radiance there =
         hit.real ? exit_of_real(hit.at) : PlaneLight::Radiance{lighting::evaluate(sky, d), {}};
-    Rgb change = hit.object_first ? there.before : (there.before - there.now) * own[hit.point];
+    Rgb change;
+    if (hit.object_first)
+      change = there.before;
+    else if (own[hit.point])
+      change = there.before - there.now;
     if (hit.bake_blocks) change = change - lighting::evaluate(local, bake_from_world * d);
     more[hit.point] += change * (1.f / GroundProbes::kRays);
   }
   ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, taken);
 }
 
-// What real things have lost is of all objects: each takes its part of that from the floor, the
-// nearer one more.
-float CompositeStage::own_fraction(std::size_t index, const glm::dvec3& place) const {
-  if (objects_.size() == 1) return 1;
-  double all = 0, own = 0;
-  for (std::size_t k = 0; k < objects_.size(); ++k) {
+// What real things have lost is of all objects together: the nearest takes it from a place of the
+// floor, in the measure of its grid. Several in one place all do, and have it in common
+// (combine_shadows).
+bool CompositeStage::is_nearest(std::size_t index, const glm::dvec3& place) const {
+  const auto distance = [&](std::size_t k) {
     const auto& receiver = objects_[k].prepared->baked.receiver;
-    if (!receiver) continue;
-    const double off =
-        glm::length(place - poses_[k].translation) / double(receiver->grid.half_extent);
-    const double near = std::max(0., 1 - off) + 1e-6;
-    all += near;
-    if (k == index) own = near;
-  }
-  return all > 0 ? static_cast<float>(own / all) : 0;
+    return receiver
+               ? glm::length(place - poses_[k].translation) / double(receiver->grid.half_extent)
+               : std::numeric_limits<double>::max();
+  };
+  constexpr double kSame = 1e-3;
+  for (std::size_t k = 0; k < objects_.size(); ++k)
+    if (distance(k) < distance(index) - kSame) return false;
+  return true;
 }
 
 const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePixels& pixels) {

@@ -205,7 +205,7 @@ class CompositeStage {
                       const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
                            const RadianceSh& local, std::span<float> taken) const;
-  float own_fraction(std::size_t index, const glm::dvec3& place) const;
+  bool is_nearest(std::size_t index, const glm::dvec3& place) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,
                        bool other_form);

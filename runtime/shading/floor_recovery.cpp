@@ -306,7 +306,7 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
   std::vector<const lighting::DistantLight*> lights;
   for (const lighting::DistantLight& d : light.lights)
     if (d.clipped) clipped.push_back(d.id), lights.push_back(&d);
-  if (!floor_ || clipped.empty() || (last_ && frame.time - *last_ < kAgain && clipped == tried_))
+  if (!floor_ || clipped.empty() || (last_ && frame.time - *last_ < kInterval && clipped == tried_))
     return std::vector<lighting::SaturationRecovery>{};
   last_ = frame.time;
   tried_ = std::move(clipped);

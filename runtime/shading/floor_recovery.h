@@ -24,7 +24,7 @@ class FloorRecovery {
   /// Around each object the floor counts for so far.
   static constexpr double kNear_m = 1.5;
   /// A measurement is repeated after this time and passed on when it differs by kMinChange.
-  static constexpr Seconds kAgain{1};
+  static constexpr Seconds kInterval{1};
   static constexpr float kMinChange = .03f;
 
   /// A given albedo is believed while a known thing's shadow does not contradict it by this factor.

@@ -53,7 +53,7 @@ CompositeStage::ObjectLight CompositeStage::light_at(std::size_t index,
                                                      const lighting::LightEstimate& estimate,
                                                      const std::vector<Pose>& poses) const {
   const RadianceSh& light =
-      rest_for(estimate, stands_level(objects_[index].prepared->baked, poses[index]));
+      residual_for(estimate, stands_level(objects_[index].prepared->baked, poses[index]));
   const lighting::ShRotation turn(glm::transpose(poses[index].rotation_matrix()), light.bands());
   ObjectLight out;
   out.open = out.local = turn * light;
@@ -139,7 +139,7 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
                                       const lighting::ShRotation& turn, ObjectLight& out) const {
   const Pose& pose = poses[index];
   const prt::BakedObject& baked = objects_[index].prepared->baked;
-  const RadianceSh& light = rest_for(estimate, stands_level(baked, pose));
+  const RadianceSh& light = residual_for(estimate, stands_level(baked, pose));
   // What is left for the probes to mend is little, so that little is lost between them.
   const RadianceSh local = with_real_things(light, index);
   out.local = turn * local;

@@ -39,7 +39,7 @@ void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
   const prt::BakedObject& baked = scene_->real->baked;
   const Pose& pose = scene_->real->world_from_bake;
   const bool level = stands_level(baked, pose);
-  const RadianceSh& open = rest_for(light, level);
+  const RadianceSh& open = residual_for(light, level);
   const RadianceSh residual =
       lighting::ShRotation(glm::transpose(pose.rotation_matrix()), open.bands()) * open;
   RadianceSh sum(prt::kIndirectBands);

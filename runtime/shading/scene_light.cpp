@@ -12,7 +12,7 @@
 
 namespace penumbra::runtime {
 
-const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level) {
+const RadianceSh& residual_for(const lighting::LightEstimate& light, bool level) {
   return level ? light.upper_hemisphere_light : light.light;
 }
 

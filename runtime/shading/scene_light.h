@@ -24,7 +24,7 @@ inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_b
   return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
 }
 /// The residual, and one light for what is reflected of it (kIndirectBands), world frame.
-const RadianceSh& rest_for(const lighting::LightEstimate& light, bool level);
+const RadianceSh& residual_for(const lighting::LightEstimate& light, bool level);
 RadianceSh reflected_for(const lighting::DistantLight& source, bool level);
 /// A sum of reflected_for turned into the bake frame.
 /// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave

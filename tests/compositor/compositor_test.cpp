@@ -339,8 +339,8 @@ TEST_F(CompositorTest, FloorIsMultipliedByTheShadowRatioOfItsPlace) {
   EXPECT_LT(deepest, .6f);
 }
 
-// Real things leave half of the floor's light, and 60 % of it to the object: what that takes is held
-// against the half. A real shadow alone changes nothing, it is in the picture.
+// Real things leave half of the floor's light, and 60 % of it to the object: what that takes is
+// held against the half. A real shadow alone changes nothing, it is in the picture.
 TEST_F(CompositorTest, WhatAnObjectTakesIsOfWhatRealThingsLeave) {
   const auto object = test::baked_sphere(true);
   const int handle = test::add_lit(*compositor_, object, side_light());
