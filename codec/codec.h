@@ -12,13 +12,14 @@
 
 #include "codec/range_coder.h"  // IWYU pragma: export
 #include "core/image.h"
+#include "core/picture_size.h"  // IWYU pragma: export
 #include "core/result.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::codec {
 
-/// Largest picture that any reader accepts; checked before anything is allocated.
-inline constexpr int kMaxSide = 32768;
+/// Larger pictures no reader accepts; checked before anything is allocated.
+using penumbra::kMaxSide;
 inline constexpr std::size_t kMaxArea = std::size_t{1} << 28;
 
 /// The OpenEXR standard attribute "envmap" (OpenEXR documentation, "Environment Maps").

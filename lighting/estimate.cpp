@@ -69,8 +69,8 @@ Result<ShProjection> LightEstimator::project(const Image<Rgb>& map) {
   return projector_for(map).project(map);
 }
 
-// After peel().
-Result<ShProjection> LightEstimator::project_rest() {
+// After extract().
+Result<ShProjection> LightEstimator::project_residual() {
   if (!in_quarters(split_.residual.width())) return project_latlong(split_.residual, kMaxBands);
   return projector_->project_read(split_.residual);
 }
@@ -88,7 +88,7 @@ Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& mome
 }
 
 // Into split_ and unused_.
-Result<void> LightEstimator::peel(const Environment& environment) {
+Result<void> LightEstimator::extract(const Environment& environment) {
   maps_since_split_ = 0;
   ExtractionOptions found = options_.lights;
   found.min_irradiance_fraction /= 2;
@@ -127,8 +127,8 @@ void LightEstimator::choose_max_lights() {
 // Without lights: the whole light in harmonics. Split now and then, for what the governor predicts.
 Result<ShProjection> LightEstimator::measure_whole(const Environment& environment) {
   if (++maps_since_split_ >= kGlance) {
-    PENUMBRA_TRY(peel(environment));
-    PENUMBRA_ASSIGN(residual, fill_holes(project_rest()));
+    PENUMBRA_TRY(extract(environment));
+    PENUMBRA_ASSIGN(residual, fill_holes(project_residual()));
     add_distant_lights(unused_, residual);
     plan_ = plan_for(residual, environment.time);
   }
@@ -141,9 +141,9 @@ Result<ShProjection> LightEstimator::measure_whole(const Environment& environmen
 // With the plan's lights in split_, all others in harmonics.
 Result<ShProjection> LightEstimator::measure_split(const Environment& environment) {
   unused_.clear();
-  if (options_.lights.max_count > 0) PENUMBRA_TRY(peel(environment));
-  auto projection =
-      fill_holes(options_.lights.max_count > 0 ? project_rest() : project(environment.radiance));
+  if (options_.lights.max_count > 0) PENUMBRA_TRY(extract(environment));
+  auto projection = fill_holes(options_.lights.max_count > 0 ? project_residual()
+                                                             : project(environment.radiance));
   if (!projection) return projection;
   // Sources too weak for a number are part of the rest whichever side of the limit they are on.
   // What tracked ones leave over is not filtered: it completes the light of this map.

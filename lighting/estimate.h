@@ -66,12 +66,12 @@ class LightEstimator {
  private:
   LatLongProjector& projector_for(const Image<Rgb>& map);
   Result<ShProjection> project(const Image<Rgb>& map);
-  Result<ShProjection> project_rest();
+  Result<ShProjection> project_residual();
   void follow_holes(const Image<float>& confidence);
   Result<ShProjection> fill_holes(const Result<ShProjection>& moments) const;
   Plan plan_for(const ShProjection& residual, TimestampNs time);
   const Environment* in_blocks(const Environment& environment);
-  Result<void> peel(const Environment& environment);
+  Result<void> extract(const Environment& environment);
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
   Result<ShProjection> measure_split(const Environment& environment);

@@ -17,7 +17,7 @@ from pathlib import Path
 ROOMS = {
     "core": "",
     "codec": "core",
-    "calib/camera": "codec core",
+    "calib/camera": "core",
     "calib/estimate": "calib/camera codec core",
     "capture": "calib/camera codec core",
     "capture/hdr": "capture calib/camera core",

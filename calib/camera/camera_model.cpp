@@ -8,8 +8,8 @@
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/internal/radial_lens.h"
-#include "codec/codec.h"
 #include "core/conventions.h"
+#include "core/picture_size.h"
 
 namespace penumbra::calib {
 namespace {
@@ -215,9 +215,9 @@ std::optional<glm::dvec2> pinhole_pixel(const CameraModel& p, const glm::dvec3& 
 Result<void> check_shape(ProjectionKind kind, int width, int height) {
   const std::string where(projection_name(kind));
   const std::string size = fmt::format("{}x{}", width, height);
-  if (width < 1 || height < 1 || width > codec::kMaxSide || height > codec::kMaxSide)
+  if (width < 1 || height < 1 || width > kMaxSide || height > kMaxSide)
     return fail(ErrorCode::kInvalid, where,
-                fmt::format("the size {} is not within 1..{} pixels", size, codec::kMaxSide));
+                fmt::format("the size {} is not within 1..{} pixels", size, kMaxSide));
   if (kind == ProjectionKind::kVerticalCross && width * 4 != height * 3)
     return fail(ErrorCode::kInvalid, where,
                 "the size " + size + " is not that of a cross of 3 x 4 squares");

@@ -99,7 +99,7 @@ Result<FrameBaker> FrameBaker::create(const Character& c, int clip, const Sequen
     return fail(ErrorCode::kInvalid, "receiver", "has a size that is not within 2..4096");
   if (!(o.error > 0 && o.error < 1))
     return fail(ErrorCode::kInvalid, "error", "is not above 0 and below 1");
-  if (!(o.between >= 0 && o.between < 1))
+  if (!(o.interpolation_error >= 0 && o.interpolation_error < 1))
     return fail(ErrorCode::kInvalid, "interpolation error", "is not at least 0 and below 1");
   return FrameBaker(c, clip, o);
 }
@@ -129,7 +129,7 @@ double FrameBaker::seconds_at(int position) const {
 // One grid for all frames, on the plane y = 0 of the character's frame.
 void FrameBaker::find_receiver() {
   Mesh all, mesh;
-  for (int p = 0; p < positions(); p += kSplit) {
+  for (int p = 0; p < positions(); p += kMaxParts) {
     deform(character_,
            sample(character_, character_.clips[static_cast<std::size_t>(clip_)], seconds_at(p)),
            mesh);

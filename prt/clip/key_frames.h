@@ -17,7 +17,7 @@ struct Transfer;
 /// clip begins anew.
 struct KeyFrames {
   // Parts at most of what lies between two frames of the rate asked for
-  static constexpr std::uint32_t kSplit = 8;
+  static constexpr std::uint32_t kMaxParts = 8;
   std::uint32_t parts = 1;
   std::vector<std::uint32_t> at{0};
 
@@ -42,7 +42,7 @@ std::vector<double> interpolation_errors(const KeyFrames& keys, std::span<const 
 /// What interpolation may err by, relative, given what is asked for and the bake's standard error:
 /// a quarter of that no further frames mend (its pattern is the same in all frames, so it hardly
 /// bends).
-inline double allowed_between(double asked, double standard_error) {
+inline double allowed_interpolation_error(double asked, double standard_error) {
   return std::max(asked, .25 * standard_error);
 }
 

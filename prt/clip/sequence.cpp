@@ -56,7 +56,7 @@ Result<void> bake_frames(const Character& character, int clip, const SequenceOpt
   PENUMBRA_ASSIGN(journal, Journal::open(journal_path, baker.key()));
   std::vector<int> wanted;
   for (int f = shard.index; f < baker.frames(); f += shard.count)
-    wanted.push_back(f * FrameBaker::kSplit);
+    wanted.push_back(f * FrameBaker::kMaxParts);
   PENUMBRA_TRY(bake_positions(baker, wanted, journal, options.progress, [](auto&&) {}));
   if (shard.count > 1) return {};
   const std::filesystem::path journals[] = {journal_path};
@@ -82,7 +82,7 @@ Result<Records> gather(const FrameBaker& baker, std::span<const std::filesystem:
     for (FrameRecord& r : records) out[r.frame] = std::move(r);
   }
   for (int f = 0; f < baker.frames(); ++f)
-    if (!out.contains(static_cast<std::uint32_t>(f * FrameBaker::kSplit)))
+    if (!out.contains(static_cast<std::uint32_t>(f * FrameBaker::kMaxParts)))
       return fail(ErrorCode::kInvalid, journals.empty() ? "journals" : journals[0].string(),
                   fmt::format("frame {} of {} is in none of the {} journals: bake it first", f,
                               baker.frames(), journals.size()));
@@ -163,7 +163,7 @@ std::vector<std::uint32_t> positions_between(const FrameBaker& baker, const Reco
                                              double bound) {
   const KeyFrames keys = keys_of(baker, records);
   const std::vector<double> errors = errors_between(baker, keys, records);
-  const double allowed = allowed_between(bound, standard_error(records));
+  const double allowed = allowed_interpolation_error(bound, standard_error(records));
   std::vector<std::uint32_t> out;
   for (std::size_t i = 0; i < errors.size(); ++i)
     if (errors[i] > allowed && keys.width(i) > 1) out.push_back(keys.at[i] + keys.width(i) / 2);
@@ -185,10 +185,11 @@ Chosen choose(const FrameBaker& baker, Records known, double bound) {
     if (found == known.end()) return out.missing.push_back(static_cast<int>(position));
     out.records.insert(known.extract(found));
   };
-  for (int p = 0; p < baker.positions(); p += FrameBaker::kSplit)
+  for (int p = 0; p < baker.positions(); p += FrameBaker::kMaxParts)
     take(static_cast<std::uint32_t>(p));
   if (bound == 0 || !baker.moves()) return out;
-  while (out.missing.empty()) {  // ends: every round halves an interval, of kSplit parts at first
+  while (
+      out.missing.empty()) {  // ends: every round halves an interval, of kMaxParts parts at first
     const auto wanted = positions_between(baker, out.records, bound);
     if (wanted.empty()) break;
     std::ranges::for_each(wanted, take);
@@ -214,19 +215,19 @@ Result<bool> bake_between(const Character& character, int clip, const SequenceOp
                           const std::filesystem::path& journal_path) {
   PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
   PENUMBRA_ASSIGN(known, gather(baker, journals));
-  if (options.between == 0 || !baker.moves()) return false;
+  if (options.interpolation_error == 0 || !baker.moves()) return false;
   std::error_code ignored;
   const bool other = std::ranges::find(journals, journal_path) == journals.end();
   if (other && std::filesystem::exists(journal_path, ignored)) {
     PENUMBRA_ASSIGN(kept, read_journal(journal_path, baker.key()));
     for (FrameRecord& r : kept) known.try_emplace(r.frame, std::move(r));
   }
-  Chosen chosen = choose(baker, std::move(known), options.between);
+  Chosen chosen = choose(baker, std::move(known), options.interpolation_error);
   while (!chosen.missing.empty()) {
     PENUMBRA_ASSIGN(journal, Journal::open(journal_path, baker.key()));
     PENUMBRA_TRY(bake_positions(baker, chosen.missing, journal, options.progress,
                                 [&](FrameRecord&& r) { chosen.records[r.frame] = std::move(r); }));
-    chosen = choose(baker, std::move(chosen.records), options.between);
+    chosen = choose(baker, std::move(chosen.records), options.interpolation_error);
   }
   return other && std::filesystem::exists(journal_path, ignored);
 }
@@ -235,7 +236,7 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,
                                       std::span<const std::filesystem::path> journals) {
   PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
-  PENUMBRA_ASSIGN(records, gather_all(baker, options.between, journals));
+  PENUMBRA_ASSIGN(records, gather_all(baker, options.interpolation_error, journals));
   BakedSequence out;
   out.keys = keys_of(baker, records);
   out.clip = character.clips[static_cast<std::size_t>(clip)].name;
@@ -277,7 +278,7 @@ Result<std::vector<Transfer>> baked_surface(const Character& character, int clip
                                             const SequenceOptions& options,
                                             std::span<const std::filesystem::path> journals) {
   PENUMBRA_ASSIGN(baker, FrameBaker::create(character, clip, options));
-  PENUMBRA_ASSIGN(records, gather_all(baker, options.between, journals));
+  PENUMBRA_ASSIGN(records, gather_all(baker, options.interpolation_error, journals));
   return frames_of(baker, records, FrameBaker::kSurface);
 }
 

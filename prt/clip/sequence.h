@@ -149,9 +149,9 @@ struct SequenceOptions {
   /// light of mean_band_energy, relative.
   double error = .005;
   /// The same measure that a straight line between two key frames may be off by: where it is more
-  /// than allowed_between of it, further frames are baked between them, up to KeyFrames::kSplit -
-  /// 1. 0: none are.
-  double between = .02;
+  /// than allowed_interpolation_error of it, further frames are baked between them, up to
+  /// KeyFrames::kMaxParts - 1. 0: none are.
+  double interpolation_error = .02;
   std::function<void(double done)> progress;  // 0..1
 };
 
@@ -187,10 +187,10 @@ struct Shard {
 /// errors: kInvalid (options, clip, a journal of another bake), kUnwritable, kUnavailable
 Result<void> bake_frames(const Character& character, int clip, const SequenceOptions& options,
                          Shard shard, const std::filesystem::path& journal);
-/// Bakes the frames that options.between asks for besides those of `journals`, which hold the
-/// others, into `journal`, round
-/// by round: progress begins anew with each. What is baked does not depend on how frames were
-/// shared out, nor on kills. True when compress_frames needs `journal` besides `journals`.
+/// Bakes the frames that options.interpolation_error asks for besides those of `journals`, which
+/// hold the others, into `journal`, round by round: progress begins anew with each. What is baked
+/// does not depend on how frames were shared out, nor on kills. True when compress_frames needs
+/// `journal` besides `journals`.
 /// errors: as bake_frames, as compress_frames
 Result<bool> bake_between(const Character& character, int clip, const SequenceOptions& options,
                           std::span<const std::filesystem::path> journals,
@@ -200,8 +200,8 @@ Result<bool> bake_between(const Character& character, int clip, const SequenceOp
 Result<std::uint64_t> bake_key(const Character& character, int clip,
                                const SequenceOptions& options);
 /// Joins journals that together hold every frame of the rate that was asked for, and those of
-/// bake_between. Others that they hold besides, as of another options.between, are left out. The
-/// result does not depend on how frames were shared out.
+/// bake_between. Others that they hold besides, as of another options.interpolation_error, are left
+/// out. The result does not depend on how frames were shared out.
 /// errors: kNotFound, kUnreadable, kInvalid (frames missing: which; a journal of another bake)
 Result<BakedSequence> compress_frames(const Character& character, int clip,
                                       const SequenceOptions& options,

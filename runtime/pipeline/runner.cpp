@@ -367,11 +367,11 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     const std::jthread producer([&] { produce(live, source, light, times, stop); });
     const std::jthread measurer([&] { measure(live, light); });
     // Also when something throws here: the threads are released before they are joined.
-    const auto let_go = [&](Live* l) {
+    const auto close_all = [&](Live* l) {
       source.close();
       l->close();
     };
-    const std::unique_ptr<Live, decltype(let_go)> release(&live, let_go);
+    const std::unique_ptr<Live, decltype(close_all)> release(&live, close_all);
     lighting::LightEstimate estimate;
     FrameBudget pace(period_ms(source));
     LiveFrames frames(compose, sink, counts);

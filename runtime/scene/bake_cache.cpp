@@ -173,8 +173,8 @@ Result<prt::BakedSequence> bake_or_recall(const std::string& name, const prt::Ch
   if (!key) return named(key.error());
   std::optional<fs::path> folder = use_cache ? cache_folder() : std::nullopt;
   if (folder && !make_folder(*folder)) folder.reset();
-  const std::string stem =
-      fmt::format("{:016x}", Fnv1a().add(*key).add(options.error).add(options.between).value());
+  const std::string stem = fmt::format(
+      "{:016x}", Fnv1a().add(*key).add(options.error).add(options.interpolation_error).value());
   const fs::path file = folder ? *folder / (stem + kClipKind) : fs::path();
   std::error_code ignored;
   if (folder)

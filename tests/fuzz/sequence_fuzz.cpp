@@ -25,7 +25,7 @@ struct Clip {
   Clip() {
     prt::SequenceOptions o;
     o.frames_per_second = 3;
-    o.between = 0;
+    o.interpolation_error = 0;
     o.bands = 2;
     o.bounces = 1;
     o.rays = o.ground_rays = 64;

@@ -44,6 +44,26 @@ def check_packages(build, folder):
         check(wanted in depends, f"{name} does not depend on {wanted}: {depends}")
 
 
+COMPONENTS = "core codec camera calib capture devices lighting prt shadows compositor runtime".split()
+
+
+def check_components(prefix, folder, environment):
+    """Each component alone: what the package files look for is enough to link it."""
+    (folder / "main.cpp").write_text("int main() {}\n")
+    for component in COMPONENTS:
+        (folder / "CMakeLists.txt").write_text(
+            "cmake_minimum_required(VERSION 3.25)\nproject(one CXX)\n"
+            f"find_package(penumbra REQUIRED COMPONENTS {component})\n"
+            "add_executable(one main.cpp)\n"
+            f"target_link_libraries(one PRIVATE penumbra::{component})\n")
+        tree = folder / component
+        run("cmake", "-S", folder, "-B", tree, f"-DCMAKE_PREFIX_PATH={prefix}", env=environment)
+        run("cmake", "--build", tree)
+    light = (folder / "camera" / "CMakeCache.txt").read_text()
+    check("OpenCV_DIR" not in light and "OpenEXR_DIR" not in light,
+          "the component camera looks for OpenCV or OpenEXR")
+
+
 def main(build, examples, program, compiler):
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
@@ -51,6 +71,9 @@ def main(build, examples, program, compiler):
         run("cmake", "--build", build, "--target", "penumbra_shared")
         run("cmake", "--install", build, "--prefix", prefix)
         environment = os.environ | {"CXX": compiler}
+
+        (folder / "one").mkdir()
+        check_components(prefix, folder / "one", environment)
 
         # The light alone: nothing of cameras, rays or pictures is looked for or linked.
         run("cmake", "-S", examples, "-B", tree, f"-DCMAKE_PREFIX_PATH={prefix}",

@@ -33,7 +33,7 @@ SequenceOptions quick(double fps = 6) {
   o.bands = 3;
   o.bounces = 1;
   o.rays = o.ground_rays = 64;
-  o.between = 0;
+  o.interpolation_error = 0;
   return o;
 }
 
@@ -436,7 +436,7 @@ TEST(Sequence, FramesAreBakedBetweenWhereLinesAreTooCoarse) {
   o.error = 1e-3;
   const Baked even = bake_clip(c, 0, o);
   ASSERT_EQ(even.frames.size(), 17u);
-  o.between = .03;
+  o.interpolation_error = .03;
   const Baked b = bake_clip(c, 0, o);
   const KeyFrames& keys = b.sequence.keys;
   ASSERT_EQ(keys.at.size(), b.frames.size());
@@ -444,11 +444,11 @@ TEST(Sequence, FramesAreBakedBetweenWhereLinesAreTooCoarse) {
   // Where it stands those of the rate do.
   for (std::size_t i = 0; i < keys.at.size(); ++i)
     if (keys.at[i] > .4 * keys.parts && keys.at[i] < .9 * keys.parts) {
-      EXPECT_EQ(keys.width(i), KeyFrames::kSplit) << i;
+      EXPECT_EQ(keys.width(i), KeyFrames::kMaxParts) << i;
     }
   EXPECT_LT(b.sequence.report.worst_interpolation, .03);
   SequenceOptions fine = o;
-  fine.between = 0;
+  fine.interpolation_error = 0;
   fine.frames_per_second = 120;
   const Baked truth = bake_clip(c, 0, fine);
   EXPECT_GT(worst_between(c, truth, even.sequence), .08);
@@ -459,7 +459,7 @@ TEST(Sequence, WhatIsBakedBetweenDependsOnNothingElse) {
   const test::TempFolder folder;
   const Character c = hasty();
   SequenceOptions o = quick(9);
-  o.between = .04;
+  o.interpolation_error = .04;
   const auto file_of = [&](std::span<const fs::path> journals, const std::string& name) {
     const auto sequence = compress_frames(c, 0, o, journals);
     EXPECT_TRUE(sequence) << (sequence ? "" : sequence.error().detail);
@@ -491,15 +491,15 @@ TEST(Sequence, WhatIsBakedBetweenDependsOnNothingElse) {
   EXPECT_EQ(file_of(journals, "b"), expected);
   // What another bound has asked for is not in the way, and not lost.
   SequenceOptions finer = o;
-  finer.between = .03;
+  finer.interpolation_error = .03;
   EXPECT_TRUE(*bake_between(c, 0, finer, shards, between));
   EXPECT_GT(fs::file_size(between), bytes);
   EXPECT_EQ(file_of(journals, "b"), expected);
-  o.between = 0;
+  o.interpolation_error = 0;
   EXPECT_FALSE(*bake_between(c, 0, o, shards, folder.path() / "none"));
   EXPECT_FALSE(fs::exists(folder.path() / "none"));
   EXPECT_EQ(compress_frames(c, 0, o, journals)->keys.at.size(), 10u);
-  o.between = .04;
+  o.interpolation_error = .04;
   EXPECT_FALSE(bake_between(c, 0, o, shards.first(2), folder.path() / "none"));
   EXPECT_FALSE(fs::exists(folder.path() / "none")) << "nothing is left of a refusal";
   // After a kill among the frames between.

@@ -52,7 +52,7 @@ CoarseWalk coarse_walk(const test::TempFolder& folder, const Rgb& albedo) {
   EXPECT_TRUE(standing);
   prt::SequenceOptions options;
   options.frames_per_second = 6;
-  options.between = 0;
+  options.interpolation_error = 0;
   options.bands = 3;
   options.rays = options.ground_rays = 64;
   options.ground_size = 32;
@@ -198,7 +198,8 @@ PreparedScene baked_finely(const PreparedScene& scene, double from_s, double len
   options.ground_size = o.baked.receiver->grid.size;
   options.ground_albedo = o.baked.receiver->albedo;
   options.error = 1e-4;
-  options.between = 0;  // what is cut out jumps where it begins anew, and nobody looks there
+  // What is cut out jumps where it begins anew, and nobody looks there.
+  options.interpolation_error = 0;
   const test::TempFolder folder;
   const std::filesystem::path journals[] = {folder.path() / "journal"};
   EXPECT_TRUE(prt::bake_frames(fine->character, fine->clip, options, {}, journals[0]));

@@ -91,7 +91,7 @@ Result<ClipBench> ClipBench::make(const ChartOptions& o, const std::filesystem::
   options.map_height = size[1];
   options.rays = o.samples;
   options.frames_per_second = clip.seconds > 0 ? o.frames / clip.seconds : 1;
-  options.between = 0;  // every coder has the same frames, evenly apart
+  options.interpolation_error = 0;  // every coder has the same frames, evenly apart
   options.progress = progress_bar("bake " + std::filesystem::path(asset).filename().string());
   PENUMBRA_TRY(prt::bake_frames(character, standing.clip, options, {}, journal));
   const std::filesystem::path journals[] = {journal};

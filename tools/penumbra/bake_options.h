@@ -17,7 +17,7 @@ struct BakeCommandOptions {
   bool json = false;
   // Of a clip:
   std::string animation;
-  double fps = 30, error = .005, between = .02;
+  double fps = 30, error = .005, interpolation_error = .02;
   std::string light_map;  // "256x128", or empty: at vertices
   std::string shard;      // "i/n"
   int merge = 0;          // so many shards

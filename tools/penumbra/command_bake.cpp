@@ -135,7 +135,7 @@ void add_bake(CLI::App& parent, Action& action) {
       ->needs(clip)
       ->group(kClip);
   c->add_option(
-       "--interpolation-error", bake_options.between,
+       "--interpolation-error", bake_options.interpolation_error,
        "Relative error of the rendered picture that interpolation between two key frames may add, "
        "0 to 1: where it is more, further key frames are baked; 0: none are")
       ->capture_default_str()

@@ -34,7 +34,7 @@ Result<prt::SequenceOptions> options_of(const BakeCommandOptions& o) {
   out.bounces = o.bounces;
   out.rays = out.ground_rays = o.samples;
   out.error = o.error;
-  out.between = o.between;
+  out.interpolation_error = o.interpolation_error;
   if (!o.light_map.empty()) {
     PENUMBRA_ASSIGN(size, read_map_size("--light-map", o.light_map));
     out.map_width = size[0];
@@ -69,15 +69,16 @@ double relight_ms(const prt::BakedSequence& s, const runtime::StandingCharacter&
 
 // Key frames besides those of --fps.
 std::size_t frames_between(const prt::BakedSequence& s) {
-  return s.keys.at.size() - s.keys.parts / prt::KeyFrames::kSplit;
+  return s.keys.at.size() - s.keys.parts / prt::KeyFrames::kMaxParts;
 }
 
 // What the result does not keep to.
 void warn(const BakeCommandOptions& o, const prt::BakedSequence& s) {
   const prt::SequenceReport& r = s.report;
-  const bool coarse =
-      o.between > 0 ? r.worst_interpolation > prt::allowed_between(o.between, r.standard_error)
-                    : r.interpolation_error > 2 * o.error;
+  const bool coarse = o.interpolation_error > 0
+                          ? r.worst_interpolation > prt::allowed_interpolation_error(
+                                                        o.interpolation_error, r.standard_error)
+                          : r.interpolation_error > 2 * o.error;
   if (coarse)
     log_warning(
         "{}: the clip moves fast, or jumps: interpolation between key frames errs by {:.1f} % at "

@@ -31,11 +31,11 @@ class FrameBaker {
   static Result<FrameBaker> create(const Character& character, int clip,
                                    const SequenceOptions& options);
 
-  /// Of the rate that was asked for: one every kSplit positions in time.
+  /// Of the rate that was asked for: one every kMaxParts positions in time.
   int frames() const { return frames_; }
   /// Positions that a frame can be baked at, all alike apart.
-  static constexpr int kSplit = KeyFrames::kSplit;
-  int positions() const { return frames_ * kSplit; }
+  static constexpr int kMaxParts = KeyFrames::kMaxParts;
+  int positions() const { return frames_ * kMaxParts; }
   const SurfaceLayout& layout() const { return layout_; }
   const std::optional<Receiver>& receiver() const { return receiver_; }
   JournalKey key() const;
