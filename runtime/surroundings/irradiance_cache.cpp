@@ -204,9 +204,8 @@ void IrradianceCache::look(const shadows::RayOccluders& occluders, std::span<con
   std::vector<Neighbour> neighbours(poses.size());
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const prt::Mesh& mesh = scene_->objects[i].baked.mesh;
-    const glm::vec3 centre = prt::bounds_of(mesh).centre();
-    neighbours[i].radius = prt::radius_around(mesh, centre);
-    neighbours[i].centre = glm::vec3(poses[i] * glm::dvec3(centre));
+    neighbours[i].radius = around.radius(i);
+    neighbours[i].centre = glm::vec3(poses[i] * glm::dvec3(around.centre(i)));
     for (const std::uint32_t v : around.probes(i))
       neighbours[i].surface.emplace_back(poses[i] * glm::dvec3(mesh.positions[v]));
   }

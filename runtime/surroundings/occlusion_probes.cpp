@@ -192,9 +192,10 @@ struct OcclusionProbes::Surroundings {
   std::size_t object;
   glm::mat3 turn;  // world from bake frame
   glm::vec3 shift;
-  std::optional<float> floor_height;  // in the bake frame
-  int own_plane;                      // that is this floor
-  std::span<const Other> others;      // that are not this one
+  std::optional<float> floor_height;   // in the bake frame
+  std::span<const prt::Plane> planes;  // empty where nothing is real but one
+  int own_plane;                       // that is this floor
+  std::span<const Other> others;       // that are not this one
 
   const prt::Mesh& mesh() const { return scene.objects[object].baked.mesh; }
   float above_floor(const glm::vec3& world) const {
@@ -250,7 +251,7 @@ std::optional<ProbeHit> OcclusionProbes::hit_of(const Met& met, int lane, std::s
         vertex_of(met.by_virtual, in.scene.objects[static_cast<std::size_t>(k)].baked.mesh);
   }
   if (const auto real =
-          meet_real(in.scene.planes, in.scene.real_mesh, met.rays, met.by_real, lane, in.own_plane);
+          meet_real(in.planes, in.scene.real_mesh, met.rays, met.by_real, lane, in.own_plane);
       real && real->distance < distance) {
     hit.thing = ProbeHit::kReal;
     hit.real = real->point;
@@ -268,8 +269,9 @@ void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& 
     if (k != index)
       others.push_back({static_cast<int>(k), glm::vec3(poses_[k] * glm::dvec3(objects_[k].centre)),
                         objects_[k].radius});
-  Surroundings in{*scene_, occluders,        index, pose.rotation_matrix(), pose.translation,
-                  {},      RealPoint::kMesh, others};
+  const auto planes = any_real() ? std::span(scene_->planes) : std::span<const prt::Plane>();
+  Surroundings in{*scene_, occluders,        index, pose.rotation_matrix(), pose.translation, {},
+                  planes,  RealPoint::kMesh, others};
   if (baked.receiver) {
     in.floor_height = baked.receiver->grid.height;
     in.own_plane = plane_at(scene_->planes, pose * glm::dvec3(0, *in.floor_height, 0),

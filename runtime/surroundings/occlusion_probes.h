@@ -80,6 +80,9 @@ class OcclusionProbes {
                     std::span<const float> in, std::span<float> out) const;
   /// Of the object as a whole.
   std::span<const RealHit> by_real(std::size_t object) const { return objects_[object].by_real; }
+  /// Around the object in its first form, bake frame, metres.
+  const glm::vec3& centre(std::size_t object) const { return objects_[object].centre; }
+  float radius(std::size_t object) const { return objects_[object].radius; }
   /// Vertices of the object that are its probes.
   std::span<const std::uint32_t> probes(std::size_t object) const {
     return objects_[object].probes;

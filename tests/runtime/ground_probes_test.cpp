@@ -7,6 +7,7 @@
 
 #include "prt/prt.h"
 #include "runtime/surroundings/plane_light.h"
+#include "tests/support/ball_and_wall.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -14,37 +15,19 @@ namespace {
 using glm::dvec3;
 
 // A ball of 20 cm on the floor, a large wall 50 cm behind it, at z = -1/2 m.
-class BallOnTheFloor : public testing::Test {
+class BallOnTheFloor : public testing::Test, public test::BallAndWall {
  protected:
-  void SetUp() override {
-    PreparedObject& ball = scene_.objects.emplace_back();
-    ball.baked.mesh = prt::make_sphere({0, .2f, 0}, .2f, 4, {1, 1, 1});
-    ball.baked.receiver = prt::Receiver{prt::fit_ground_grid(ball.baked.mesh, 0, 64), {}};
-    prt::Mesh& wall = scene_.real_mesh;
-    wall.positions = {{-9, 0, -.5f}, {-9, 9, -.5f}, {9, 9, -.5f}, {9, 0, -.5f}};
-    wall.normals.assign(4, {0, 0, 1});
-    wall.albedo.assign(4, {.5f, .5f, .5f});
-    wall.triangles = {{0, 1, 2}, {0, 2, 3}};
-    auto virtual_things = prt::RayWorld::create(), real_things = prt::RayWorld::create();
-    ASSERT_TRUE(virtual_things && real_things);
-    virtual_.emplace(std::move(*virtual_things));
-    real_.emplace(std::move(*real_things));
-    ASSERT_TRUE(virtual_->add(scene_.objects[0].baked.mesh));
-    ASSERT_TRUE(real_->add(wall));
-  }
-  shadows::RayOccluders occluders() const { return {&*virtual_, &*real_, 1e-4f}; }
+  BallOnTheFloor()
+      : BallAndWall({{{-9, 0, -.5f}, {-9, 9, -.5f}, {9, 9, -.5f}, {9, 0, -.5f}}}, {0, 0, 1}, {}) {}
   glm::vec2 place_of(int point) const {
     constexpr int n = GroundProbes::kSize;
-    return scene_.objects[0].baked.receiver->grid.position(
+    return scene.objects[0].baked.receiver->grid.position(
         {(float(point % n) + .5f) / n, (float(point / n) + .5f) / n});
   }
-
-  PreparedScene scene_;
-  std::optional<prt::RayWorld> virtual_, real_;
 };
 
 TEST_F(BallOnTheFloor, BeforeItTheWallIsBehindItAndBehindItTheSky) {
-  GroundProbes probes(scene_);
+  GroundProbes probes(scene);
   const Pose here;
   probes.look(occluders(), {&here, 1}, false);
   std::array<int, GroundProbes::kPoints> by_ball{}, wall_behind{}, wall{};
@@ -84,9 +67,9 @@ TEST_F(BallOnTheFloor, BeforeItTheWallIsBehindItAndBehindItTheSky) {
 
 TEST_F(BallOnTheFloor, WhatAllPointsHaveAllTexelsGetAndASlopeStaysASlope) {
   constexpr int kTexels = 64, n = GroundProbes::kSize;
-  scene_.real_mesh = prt::make_box({50, 0, 50}, {51, 1, 51}, 1, {.5f, .5f, .5f});
-  real_->set_pose(0, Pose{{1, 0, 0, 0}, {0, 0, -90}});  // the wall is far
-  GroundProbes probes(scene_);
+  scene.real_mesh = prt::make_box({50, 0, 50}, {51, 1, 51}, 1, {.5f, .5f, .5f});
+  real_things->set_pose(0, Pose{{1, 0, 0, 0}, {0, 0, -90}});  // the wall is far
+  GroundProbes probes(scene);
   const Pose here;
   probes.look(occluders(), {&here, 1}, false);
   std::array<Rgb, GroundProbes::kPoints> values;

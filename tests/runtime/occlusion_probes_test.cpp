@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "prt/prt.h"
+#include "tests/support/ball_and_wall.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -13,35 +14,17 @@ namespace {
 using glm::dvec3;
 
 // A ball of 20 cm in front of a wall of 4 x 4 m that stands at x = -1/2 m.
-class ProbesBesideAWall : public testing::Test {
+class ProbesBesideAWall : public testing::Test, public test::BallAndWall {
  protected:
-  void SetUp() override {
-    scene_.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});
-    PreparedObject ball;
-    ball.baked.mesh = prt::make_sphere({0, .2f, 0}, .2f, 4, {1, 1, 1});
-    ball.baked.receiver =
-        prt::Receiver{prt::fit_ground_grid(ball.baked.mesh, 0, 64), {.5f, .5f, .5f}};
-    scene_.objects.push_back(std::move(ball));
-    prt::Mesh& wall = scene_.real_mesh;
-    wall.positions = {{-.5f, 0, -2}, {-.5f, 4, -2}, {-.5f, 4, 2}, {-.5f, 0, 2}};
-    wall.normals.assign(4, {1, 0, 0});
-    wall.albedo.assign(4, {.5f, .5f, .5f});
-    wall.triangles = {{0, 1, 2}, {0, 2, 3}};
-    auto virtual_things = prt::RayWorld::create(), real_things = prt::RayWorld::create();
-    ASSERT_TRUE(virtual_things && real_things);
-    virtual_.emplace(std::move(*virtual_things));
-    real_.emplace(std::move(*real_things));
-    ASSERT_TRUE(virtual_->add(scene_.objects[0].baked.mesh));
-    ASSERT_TRUE(real_->add(wall));
+  ProbesBesideAWall()
+      : BallAndWall({{{-.5f, 0, -2}, {-.5f, 4, -2}, {-.5f, 4, 2}, {-.5f, 0, 2}}}, {1, 0, 0},
+                    {.5f, .5f, .5f}) {
+    scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});
   }
-  shadows::RayOccluders occluders() const { return {&*virtual_, &*real_, 1e-4f}; }
-
-  PreparedScene scene_;
-  std::optional<prt::RayWorld> virtual_, real_;
 };
 
 TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
-  OcclusionProbes probes(scene_);
+  OcclusionProbes probes(scene);
   const Pose here;
   probes.look(occluders(), {&here, 1});
   std::array<int, OcclusionProbes::kProbes> wall{}, floor{};
@@ -79,7 +62,7 @@ TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
 
 // Looking again from the same place costs nothing; from another one it is seen anew.
 TEST_F(ProbesBesideAWall, FollowTheObject) {
-  OcclusionProbes probes(scene_);
+  OcclusionProbes probes(scene);
   const Pose here, far{{1, 0, 0, 0}, dvec3(1e4, 0, 0)};
   const auto sees_wall = [&] {
     return std::ranges::any_of(probes.hits(0),
@@ -87,18 +70,18 @@ TEST_F(ProbesBesideAWall, FollowTheObject) {
   };
   probes.look(occluders(), {&here, 1});
   EXPECT_TRUE(sees_wall());
-  real_->set_pose(0, far);  // behind the probes' back: only poses of objects are looked at
+  real_things->set_pose(0, far);  // behind the probes' back: only poses of objects are looked at
   probes.look(occluders(), {&here, 1});
   EXPECT_TRUE(sees_wall()) << "rays were cast though nothing has moved";
-  real_->set_pose(0, here);
-  virtual_->set_pose(0, far);
+  real_things->set_pose(0, here);
+  virtual_things->set_pose(0, far);
   probes.look(occluders(), {&far, 1});
   EXPECT_FALSE(sees_wall());
 }
 
 TEST_F(ProbesBesideAWall, WhatAllProbesHaveAllVerticesGet) {
-  const OcclusionProbes probes(scene_);
-  const std::size_t count = scene_.objects[0].baked.mesh.positions.size();
+  const OcclusionProbes probes(scene);
+  const std::size_t count = scene.objects[0].baked.mesh.positions.size();
   std::vector<float> out(3 * count, 1.f);
   probes.spread(0, std::vector<Rgb>(OcclusionProbes::kProbes, Rgb{1, 2, -1}), out);
   for (std::size_t v = 0; v < count; ++v) {
@@ -118,17 +101,36 @@ TEST_F(ProbesBesideAWall, WhatAllProbesHaveAllVerticesGet) {
 
 // A smooth field over the surface comes out smooth: no vertex is far from its neighbours' mean.
 TEST_F(ProbesBesideAWall, ASlopeStaysASlope) {
-  OcclusionProbes probes(scene_);
+  OcclusionProbes probes(scene);
   const Pose here;
   probes.look(occluders(), {&here, 1});
   std::vector<Rgb> values(OcclusionProbes::kProbes);
   for (const ProbeHit& hit : probes.hits(0))
     if (hit.thing == ProbeHit::kProbe) values[hit.probe] = Rgb{1, 1, 1} * hit.direction.x;
-  const prt::Mesh& mesh = scene_.objects[0].baked.mesh;
+  const prt::Mesh& mesh = scene.objects[0].baked.mesh;
   std::vector<float> out(3 * mesh.positions.size(), 0.f);
   probes.spread(0, values, out);
   for (std::size_t v = 0; v < mesh.positions.size(); ++v)
     ASSERT_NEAR(out[v], mesh.normals[v].x, .25) << v;
+}
+
+// Two objects over one plane, of which one was baked without a floor: the plane is nobody's
+// surroundings, and what lies below is the sky's as in the bake.
+TEST(OcclusionProbes, OnePlaneIsNotAround) {
+  test::BallAndWall world({{{-90, 0, -1}, {-90, 1, -1}, {-90, 1, 1}, {-90, 0, 1}}}, {1, 0, 0}, {});
+  world.scene.real_mesh = {};
+  world.scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, {.5f, .5f, .5f}, {}});
+  world.scene.objects.push_back(world.scene.objects[0]);
+  world.scene.objects[1].baked.receiver.reset();
+  ASSERT_TRUE(world.virtual_things->add(world.scene.objects[1].baked.mesh));
+  const Pose poses[] = {{}, {{1, 0, 0, 0}, dvec3(2, .5, 0)}};
+  world.virtual_things->set_pose(1, poses[1]);
+  OcclusionProbes probes(world.scene);
+  EXPECT_FALSE(probes.any_real());
+  probes.look(world.occluders(), poses);
+  for (std::size_t i = 0; i < 2; ++i)
+    for (const ProbeHit& hit : probes.hits(i)) EXPECT_NE(hit.thing, ProbeHit::kReal) << i;
+  EXPECT_TRUE(probes.by_real(1).empty());
 }
 
 TEST(OcclusionProbes, AnObjectAloneOnAFloorSeesNothing) {
