@@ -23,8 +23,8 @@ namespace penumbra::runtime {
 namespace {
 
 // A square column twisted by a third of a turn, rounded by its own normals: shows its rotation.
-prt::Mesh make_twist(Rgb albedo) {
-  prt::Mesh mesh = prt::make_box({-.13f, 0, -.13f}, {.13f, .62f, .13f}, 28, albedo);
+prt::Mesh make_twist(int quads, Rgb albedo) {
+  prt::Mesh mesh = prt::make_box({-.13f, 0, -.13f}, {.13f, .62f, .13f}, quads, albedo);
   for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
     glm::vec3 &p = mesh.positions[i], &n = mesh.normals[i];
     constexpr float kTurn = 2.1f / .62f;  // radians a metre
@@ -99,9 +99,7 @@ Result<PreparedObject> prepare_object(const SceneObject& o, const PreparedScene&
   if (!o.asset.starts_with("builtin:") && prt::is_baked_file(o.asset))
     return place_baked(o,
                        plane_under(scene.planes, {glm::vec3(o.position), glm::vec3(o.position)}));
-  constexpr float kEdgeFraction =
-      .03f;  // a vertex every 3 % of the radius holds the edges of a sun's shadow
-  PENUMBRA_ASSIGN(mesh, load_asset(o.asset, o.albedo, kEdgeFraction));
+  PENUMBRA_ASSIGN(mesh, load_asset(o.asset, o.albedo, settings.max_edge_fraction));
   const prt::Plane* const plane = plane_below(o, mesh, scene.planes);
   const Standing standing = standing_of(o, mesh, plane);
   if (standing.tilt != glm::dquat(1, 0, 0, 0))
@@ -160,11 +158,12 @@ Pose PreparedObject::pose_at(double seconds) const {
 
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
   prt::Mesh mesh;
+  const int fineness = edge_fraction > .05f ? 1 : 2;  // of shapes that are made as finely as asked
   if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "is an empty name");
   if (asset == "builtin:knot") {
-    mesh = prt::make_knot(.5f, 480, 80, albedo);
+    mesh = prt::make_knot(.5f, 240 * fineness, 40 * fineness, albedo);
   } else if (asset == "builtin:twist") {
-    mesh = make_twist(albedo);
+    mesh = make_twist(14 * fineness, albedo);
   } else if (asset == "builtin:box") {
     mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
   } else if (asset == "builtin:walker") {

@@ -22,11 +22,37 @@ def check(truth, what):
         sys.exit(f"package_test: {what}")
 
 
+def check_installed(files, folder, examples, environment, lines):
+    """The packages can be installed on this Debian, and what they put there serves and runs."""
+    root = folder / "root"
+    for file in files:
+        run("dpkg-deb", "--extract", file, root)
+    # A dependency that this Debian does not have fails here.
+    plan = run("apt-get", "install", "--simulate", "--no-install-recommends", *files)
+    for name in ("libpenumbra0.1", "penumbra-dev", "penumbra-tools"):
+        check(f"Inst {name} " in plan or f"{name} is already" in plan,
+              f"apt would not install {name}:\n{plan}")
+    installed = environment | {"LD_LIBRARY_PATH": str(next(root.rglob("libpenumbra.so")).parent)}
+    version = run(root / "usr/bin/penumbra", "--version", env=installed)
+    check("0.1" in version, f"the installed program says {version!r}")
+    run(root / "usr/bin/penumbra", "demo", "--headless", "--frames", "1", "--width", "160", "--height",
+        "90", "--asset", "builtin:box", "--no-turntable", "--no-video", "--out", folder / "installed",
+        env=installed)
+    check((folder / "installed" / "still.png").stat().st_size > 1000,
+          "the installed programs draw no demo")
+    run("cmake", "-S", examples, "-B", folder / "against", f"-DCMAKE_PREFIX_PATH={root}/usr",
+        "-DCMAKE_BUILD_TYPE=Release", "-DEXAMPLES_ALL=OFF", env=installed)
+    run("cmake", "--build", folder / "against")
+    check(run(folder / "against" / "light").splitlines() == lines,
+          "what is built against the packages prints another light")
+
+
 def check_packages(build, folder):
-    """The Debian packages, made and looked into, not installed."""
+    """Makes the Debian packages and looks into them; returns their files."""
     run("cpack", "-G", "DEB", "--config", Path(build) / "CPackConfig.cmake", "-B", folder / "packages")
     packages = {}
-    for file in (folder / "packages").glob("*.deb"):
+    archives = sorted((folder / "packages").glob("*.deb"))
+    for file in archives:
         name = run("dpkg-deb", "--field", file, "Package").strip()
         packages[name] = run("dpkg-deb", "--field", file, "Depends"), run("dpkg-deb", "--contents", file)
     check(sorted(packages) == ["libpenumbra0.1", "penumbra-dev", "penumbra-tools"],
@@ -42,6 +68,7 @@ def check_packages(build, folder):
         check("/internal/" not in contents, f"{name} has private headers")
         wanted = "libpenumbra0.1" if name == "penumbra-dev" else "libc6"
         check(wanted in depends, f"{name} does not depend on {wanted}: {depends}")
+    return archives
 
 
 COMPONENTS = "core codec camera calib capture devices lighting prt shadows compositor runtime".split()
@@ -107,7 +134,7 @@ def main(build, examples, program, compiler):
         check((folder / "box.glb").stat().st_size > 1000, "bake.cpp writes an object")
         cache = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
         run(program, "demo", "--fine", "--headless", "--frames", "4", "--width", "160", "--height", "90",
-            "--no-video", "--record", folder / "capture", "--out", folder / "out", env=cache)
+            "--asset", "builtin:box", "--no-turntable", "--no-video", "--record", folder / "capture", "--out", folder / "out", env=cache)
         run(tree / "composite", folder / "capture", folder / "capture" / "scene.toml",
             folder / "picture.png", env=cache)
         picture = (folder / "picture.png").read_bytes()
@@ -135,7 +162,7 @@ def main(build, examples, program, compiler):
         names = run("bash", "-c", "source " + str(next(prefix.rglob("completions/penumbra"))) +
                     "; COMP_WORDS=(penumbra de); COMP_CWORD=1; _penumbra; echo ${COMPREPLY[@]}")
         check(names.split() == ["demo"], f"completion of 'penumbra de' is {names!r}")
-        check_packages(build, folder)
+        check_installed(check_packages(build, folder), folder, examples, environment | cache, lines)
     print("installed, linked and run from outside of the tree")
 
 
