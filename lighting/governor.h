@@ -165,9 +165,9 @@ class Governor {
   /// engines expect at least.
   static constexpr double kBandsPart = .2;
   static constexpr int kMinBands = 3;
-  /// RMS error of s for each part of the floor's view of the sky that no camera sees. Continued
-  /// from the rest, the irradiance from there is off by a third in the RMS
-  /// (docs/methods/governor.md), half of which shows in a ratio.
+  /// RMS error of s for each part of the floor's view of the sky that no camera sees: continued
+  /// from the rest, the irradiance from there was off by .35 in the RMS of ten maps (half of the
+  /// sphere, or a cone of 60 degrees, hidden from four sides), half of which shows in a ratio.
   static constexpr double kUnseen = .175;
 
   struct Limits {

@@ -96,11 +96,22 @@ TABLES = {
         "compare": ["tools/chart/command_compare.cpp: print_json("]},
 }
 # Names that stand somewhere below a heading, in rows on what holds them or in prose.
+INSPECT = "tools/penumbra/command_inspect.cpp"
 OVERTAKEN = f"{REPORT}: json to_json(const OvertakenFrames&"
 MENTIONED = {
     "http.md": {"`/healthz`": OVERTAKEN},
     "json.md": {
         "demo, composite and summary.json": f"{REPORT}: json to_json(const StageTimes& + {OVERTAKEN}",
+        "inspect": " + ".join(f"{INSPECT}: {start}" for start in (
+            "json to_json(const capture::CameraInfo&", "inspect_capture(", "inspect_baked(",
+            "inspect_mesh(", "inspect_picture(", "inspect_camera(", "inspect_response(",
+            "inspect_noise(", "inspect_vignetting(", "inspect_colour(", "inspect_poses(",
+            "inspect_rig(", "inspect_scene(", "inspect_cameras(", '".shlm") {',
+            "inspect(const")) + " - calibration colour",
+        "calibrate": " + ".join(f"tools/calibrate/command_{place}" for place in (
+            "calibrate.cpp: json to_json(", 'calibrate.cpp: print_json({{"pictures"',
+            "vignetting.cpp: print_json(", "ball.cpp: {{\"centre_m\"", "noise.cpp: json to_json(",
+            "rig.cpp: json to_json(", "colour.cpp: print_json(")),
         "record": f"{RECORD} > push_back(",
         "bake": CLIP + ': print_json({{"shard"',
         "hdr merge and hdr environment": f"{ENVIRONMENT}: views.push_back(",

@@ -17,9 +17,8 @@ inline constexpr float kConeFrom = 1.15f;
 inline constexpr float kHiddenFraction = .25f;
 
 /// Bands of a character's reflected light. It is smooth, but where lights are split off their whole
-/// reflection comes from
-/// these bands: under a sharp sun three leave 3.4 % of the light out, five 1.2 %, seven none
-/// (walker, rustig_koppie).
+/// reflection comes from these bands: under a sharp sun three leave 3.4 % of the light out, five
+/// 1.2 %, seven none (walker, rustig_koppie).
 constexpr int reflected_bands(int bands) {
   return bands > 3 ? 6 : bands;
 }

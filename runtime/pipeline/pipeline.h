@@ -57,7 +57,7 @@ class Pipeline {
   ///         (no OpenGL ES, no Embree)
   static Result<Pipeline> create(const std::vector<capture::CameraInfo>& cameras,
                                  const runtime::Scene& scene, const PipelineOptions& options = {});
-  /// The same for a scene that is prepared; it is shared with others that draw it.
+  /// For a scene that is loaded and baked already; several pipelines may share it.
   static Result<Pipeline> create(const std::vector<capture::CameraInfo>& cameras,
                                  std::shared_ptr<const runtime::PreparedScene> scene,
                                  const PipelineOptions& options = {});

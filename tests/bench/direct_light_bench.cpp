@@ -56,7 +56,7 @@ void vertices(benchmark::State& state) {
   compare(
       state, [&] { trace(caster, 4); }, [&] { trace(alone, 16); });
 }
-BENCHMARK(vertices)->Name("shadows/disc_light_of_the_knot_vs_16_rays_each")->Apply(by_radius);
+BENCHMARK(vertices)->Name("shadows/distant_light_on_the_knot_vs_16_rays_each")->Apply(by_radius);
 
 void floor_map(benchmark::State& state) {
   const Threads threads(1);
@@ -81,7 +81,7 @@ void floor_map(benchmark::State& state) {
                                             dense);
   });
 }
-BENCHMARK(floor_map)->Name("shadows/disc_shadow_map_vs_16_rays_a_node")->Apply(by_radius);
+BENCHMARK(floor_map)->Name("shadows/shadow_map_vs_16_rays_a_node")->Apply(by_radius);
 
 }  // namespace
 }  // namespace penumbra::bench

@@ -134,7 +134,8 @@ def main(build, examples, program, compiler):
         check((folder / "box.glb").stat().st_size > 1000, "bake.cpp writes an object")
         cache = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
         run(program, "demo", "--fine", "--headless", "--frames", "4", "--width", "160", "--height", "90",
-            "--asset", "builtin:box", "--no-turntable", "--no-video", "--record", folder / "capture", "--out", folder / "out", env=cache)
+            "--asset", "builtin:box", "--no-turntable", "--no-video", "--record", folder / "capture",
+            "--out", folder / "out", env=cache)
         run(tree / "composite", folder / "capture", folder / "capture" / "scene.toml",
             folder / "picture.png", env=cache)
         picture = (folder / "picture.png").read_bytes()
