@@ -38,7 +38,8 @@ Result<void> check_size(const CameraInfo& camera, int width, int height) {
 CameraRegion lens_visibility(const Lens& lens, const std::array<double, 3>& vignetting) {
   const Vignetting left = calib::vignetting_of(lens.projection, vignetting);
   const glm::dquat lens_from_camera = glm::conjugate(lens.camera_from_lens);
-  const Look look = [lens, lens_from_camera, left](const glm::dvec3& d) -> std::optional<PixelHit> {
+  const PixelLookup find_pixel = [lens, lens_from_camera,
+                                  left](const glm::dvec3& d) -> std::optional<PixelHit> {
     const glm::dvec3 in_lens = lens_from_camera * d;
     const double off_axis = std::atan2(std::hypot(in_lens.x, in_lens.y), -in_lens.z);
     if (off_axis > lens.half_field_rad) return std::nullopt;
@@ -54,7 +55,7 @@ CameraRegion lens_visibility(const Lens& lens, const std::array<double, 3>& vign
           lens.projection.width,
           lens.projection.height,
           rows_of(lens.projection),
-          look,
+          find_pixel,
           lens.projection,
           lens.camera_from_lens,
           !left.none()};
@@ -109,9 +110,9 @@ Result<CameraRegion> ball_region(const CameraInfo& camera, const Pose& world_fro
   constexpr int kSmallest_px = 8;
   if (std::min(width, height) < kSmallest_px)
     return undetermined(fmt::format("is only {} x {} pixels large", width, height));
-  const Look look = [ball, projection = camera.projection,
-                     left = calib::vignetting_of(camera.projection, camera.vignetting), x,
-                     y](const glm::dvec3& d) -> std::optional<PixelHit> {
+  const PixelLookup find_pixel = [ball, projection = camera.projection,
+                                  left = calib::vignetting_of(camera.projection, camera.vignetting),
+                                  x, y](const glm::dvec3& d) -> std::optional<PixelHit> {
     const auto seen = ball.ray_from_light(d);
     if (!seen) return std::nullopt;
     const auto px = calib::pixel_from_direction(projection, seen->ray);
@@ -119,9 +120,15 @@ Result<CameraRegion> ball_region(const CameraInfo& camera, const Pose& world_fro
     return PixelHit{*px - glm::dvec2(x, y), seen->from_rim, left.at(*px)};
   };
   // In the middle a ball of radius r shows r / 2 pixels a radian.
-  return CameraRegion{
-      x,    y, width, height, static_cast<int>(kPi * width / 4), look, std::nullopt, {1, 0, 0, 0},
-      false};
+  return CameraRegion{x,
+                      y,
+                      width,
+                      height,
+                      static_cast<int>(kPi * width / 4),
+                      find_pixel,
+                      std::nullopt,
+                      {1, 0, 0, 0},
+                      false};
 }
 
 template <class Pixel>
@@ -140,12 +147,13 @@ Image<Pixel> cut(const Image<Pixel>& picture, const CameraRegion& part) {
 CameraRegion plain_region(const calib::CameraModel& p, const std::array<double, 3>& vignetting) {
   const Vignetting left = calib::vignetting_of(p, vignetting);
   const bool whole_sphere = !calib::has_intrinsics(p.kind);
-  const Look look = [p, whole_sphere, left](const glm::dvec3& d) -> std::optional<PixelHit> {
+  const PixelLookup find_pixel = [p, whole_sphere,
+                                  left](const glm::dvec3& d) -> std::optional<PixelHit> {
     const auto px = calib::pixel_from_direction(p, d);
     if (!px) return std::nullopt;
     return PixelHit{*px, whole_sphere ? 1 : from_edge(*px, p.width, p.height), left.at(*px)};
   };
-  return {0, 0, p.width, p.height, rows_of(p), look, p, {1, 0, 0, 0}, !left.none()};
+  return {0, 0, p.width, p.height, rows_of(p), find_pixel, p, {1, 0, 0, 0}, !left.none()};
 }
 
 bool shows_surroundings(const CameraInfo& camera) {
@@ -171,7 +179,7 @@ std::optional<glm::dvec2> find_in_picture(std::span<const CameraRegion> regions,
   std::optional<glm::dvec2> found;
   double best = -1;
   for (const CameraRegion& s : regions)
-    if (const auto seen = s.look(direction); seen && seen->from_rim > best) {
+    if (const auto seen = s.find_pixel(direction); seen && seen->from_rim > best) {
       best = seen->from_rim;
       found = seen->px + glm::dvec2(s.x_px, s.y_px);
     }

@@ -25,13 +25,13 @@ struct PixelHit {
   double light_left = 1;  // by the lens's vignetting
 };
 /// Where a direction of the camera's frame is seen; nothing where it is not.
-using Look = std::function<std::optional<PixelHit>(const glm::dvec3& direction)>;
+using PixelLookup = std::function<std::optional<PixelHit>(const glm::dvec3& direction)>;
 
 /// A part of a camera's picture.
 struct CameraRegion {
   int x_px = 0, y_px = 0, width = 0, height = 0;
   int rows = 0;  // of a lat-long map that resolves as much as the middle of the part
-  Look look;
+  PixelLookup find_pixel;
   std::optional<calib::CameraModel> projection;  // of the part; nothing for a ball
   glm::dquat camera_from_part{1, 0, 0, 0};
   bool vignetted = false;

@@ -1,4 +1,5 @@
 // What all sources of frames share: cameras as they are known, frames with their own truth.
+// threads: plain values; a FrameSource is thread-bound but for close() and counts()
 #pragma once
 
 #include <array>
@@ -49,6 +50,8 @@ struct Ball {
 /// The largest blur that a camera may have.
 inline constexpr double kLargestPsfSigma = 20;
 
+/// A camera as it is known before its frames: what it is for, where it stands and looks, and how
+/// its codes follow from light. A frame tells its own exposure and pose.
 struct CameraInfo {
   std::string name;
   Role role = Role::kEnvironment;

@@ -1,4 +1,4 @@
-// pictures in the formats of cameras, made into RGB codes.
+// Pictures in the formats of cameras, made into RGB codes.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,6 @@
 // An adaptive binary range coder and a code of whole numbers on top of it.
 // source: Martin 1979; the carry and the adaptation by a shift as in Pavlov's LZMA
+// threads: thread-bound
 #pragma once
 
 #include <array>

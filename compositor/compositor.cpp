@@ -143,6 +143,12 @@ void Compositor::set_pose(int object, const Pose& world_from_bake) {
     impl_->receivers.set_pose(r, world_from_bake);
 }
 
+void Compositor::show(int object, bool visible) {
+  impl_->layers->show(object, visible);
+  if (const int r = impl_->receiver_of[static_cast<std::size_t>(object)]; r >= 0)
+    impl_->receivers.show(r, visible);
+}
+
 void Compositor::set_light(int object, std::span<const float> relit,
                            const shadows::PlanarShadow& shadow, const Rgb& of_open) {
   impl_->context->make_current();

@@ -109,11 +109,12 @@ class Drawn {
   std::unique_ptr<Impl> impl_;
 };
 
-/// The mouse over a window, after the last picture.
+/// The mouse over a window and the number keys, after the last picture.
 struct Pointer {
   glm::dvec2 place{0, 0};            // in the picture, from its upper left corner (0, 0) to (1, 1)
   bool left = false, right = false;  // buttons that are held
   double wheel = 0;                  // notches, away from the user, since the picture before
+  int number = 0;                    // key 1 to 9 that was pressed since then; 0: none
 };
 
 class Compositor {
@@ -136,6 +137,8 @@ class Compositor {
   void update_vertices(int object, const prt::Mesh& mesh);
   /// Rigid placement of the bake frame in the world.
   void set_pose(int object, const Pose& world_from_bake);
+  /// Whether it and its shadow are drawn; they are at first.
+  void show(int object, bool visible);
   /// Relit transfer (prt::relight's layout) and shadow. An object without receiver gets an empty
   /// shadow. of_open: the light that the shadow's ratio is of, over that of the open plane; below 1
   /// where real things keep some of it from the object.

@@ -250,6 +250,11 @@ void Layers::set_pose(int object, const Pose& world_from_bake) {
   drawn_.reset();
 }
 
+void Layers::show(int object, bool visible) {
+  DrawnObject& o = objects_[static_cast<std::size_t>(object)];
+  if (std::exchange(o.visible, visible) != visible) drawn_.reset();
+}
+
 void Layers::fill_indices(DrawnObject& o, std::span<const DrawList::DrawTriangle> triangles) {
   o.index_count = static_cast<GLsizei>(triangles.size() * 3);
   o.shown = triangles;
@@ -367,8 +372,9 @@ void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_fr
   const PushedBack state(occluder_program_.get());
   set_matrix(occluder_program_.get(), clip_from_world);
   for (const DrawnPlane& p : planes_) {
-    if (std::ranges::none_of(objects_,
-                             [&](const DrawnObject& o) { return hidden_m(p, o, eye) > kTouching; }))
+    if (std::ranges::none_of(objects_, [&](const DrawnObject& o) {
+          return o.visible && hidden_m(p, o, eye) > kTouching;
+        }))
       continue;
     glBindVertexArray(p.quad.geometry.get());
     glDrawElements(GL_TRIANGLES, p.quad.index_count, GL_UNSIGNED_INT, nullptr);
@@ -399,6 +405,7 @@ void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
 
 void Layers::draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone) {
   for (DrawnObject& o : objects_) {
+    if (!o.visible) continue;
     const GLuint program = (o.albedo_map ? textured_program_ : object_program_).get();
     glUseProgram(program);
     glUniform1f(glGetUniformLocation(program, "signal_per_radiance"), view.signal_per_radiance);
@@ -425,7 +432,8 @@ Rect Layers::reach_of_objects(const prt::PinholeView& camera) const {
   const glm::dmat4 clip_from_world = clip_from_world_of(camera);
   Rect out;
   for (const DrawnObject& o : objects_)
-    out = united(out, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
+    if (o.visible)
+      out = united(out, reach_of(clip_from_world * o.world_from_bake.matrix(), o.bounds));
   return out;
 }
 

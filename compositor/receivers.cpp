@@ -19,6 +19,10 @@ void Receivers::set_pose(int receiver, const Pose& world_from_bake) {
   receivers_[static_cast<std::size_t>(receiver)].world_from_bake = world_from_bake;
 }
 
+void Receivers::show(int receiver, bool visible) {
+  receivers_[static_cast<std::size_t>(receiver)].visible = visible;
+}
+
 void Receivers::add_real(const prt::GroundGrid& grid, const Pose& world_from_bake) {
   real_ = FloorReceiver{grid, world_from_bake, {}, {}, {}, false};
 }
@@ -26,8 +30,8 @@ void Receivers::add_real(const prt::GroundGrid& grid, const Pose& world_from_bak
 namespace {
 
 void take(const shadows::PlanarShadow& shadow, const Rgb& of_open, auto& r) {
-  r.visible = !shadow.empty();
-  if (!r.visible) return;
+  r.has_shadow = !shadow.empty();
+  if (!r.has_shadow) return;
   if (!r.ratio.same_size(shadow.ratio))
     r.ratio = Image<std::uint32_t>(shadow.ratio.width(), shadow.ratio.height());
   const bool all = of_open == Rgb{1, 1, 1};
@@ -112,7 +116,7 @@ ShadowMapLookup shadow_lookup(const prt::PinholeView& view, const shadows::Shado
 
 bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& clip_from_world,
                                const FloorReceiver& r, PlaneLookup& lookup) {
-  if (!r.visible) return false;
+  if (!r.has_shadow || !r.visible) return false;
   const double h = r.grid.height;
   const glm::dvec3 corners[4] = {{r.low.x, h, r.low.y},
                                  {r.high.x, h, r.low.y},

@@ -16,6 +16,10 @@ class WindowContext final : public GlContext {
     glfwSetScrollCallback(window, [](GLFWwindow* w, double, double notches) {
       static_cast<WindowContext*>(glfwGetWindowUserPointer(w))->wheel_ += notches;
     });
+    glfwSetKeyCallback(window, [](GLFWwindow* w, int key, int, int action, int) {
+      if (action == GLFW_PRESS && key >= GLFW_KEY_1 && key <= GLFW_KEY_9)
+        static_cast<WindowContext*>(glfwGetWindowUserPointer(w))->number_ = key - GLFW_KEY_0;
+    });
   }
   ~WindowContext() override {
     glfwDestroyWindow(window_);
@@ -28,6 +32,7 @@ class WindowContext final : public GlContext {
   bool show() override {
     glfwSwapBuffers(window_);
     wheel_ = 0;
+    number_ = 0;
     glfwPollEvents();
     return !glfwWindowShouldClose(window_) && glfwGetKey(window_, GLFW_KEY_ESCAPE) != GLFW_PRESS;
   }
@@ -40,6 +45,7 @@ class WindowContext final : public GlContext {
     out.left = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_LEFT) == GLFW_PRESS;
     out.right = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_RIGHT) == GLFW_PRESS;
     out.wheel = wheel_;
+    out.number = number_;
     return out;
   }
   std::pair<int, int> size() const override {
@@ -51,6 +57,7 @@ class WindowContext final : public GlContext {
  private:
   GLFWwindow* window_;
   double wheel_ = 0;  // notches since the last show()
+  int number_ = 0;    // the last number key since then
 };
 
 }  // namespace

@@ -1,3 +1,5 @@
+// Work beside other work. What the thread sanitizer sees instead of libtbb: core/parallel.cpp.
+// threads: thread-bound
 #pragma once
 
 #include <oneapi/tbb/task_arena.h>
@@ -7,7 +9,6 @@
 #include <future>
 #endif
 
-// Work beside other work. What the thread sanitizer sees instead of libtbb: core/parallel.cpp.
 #pragma GCC visibility push(default)
 namespace penumbra {
 

@@ -14,6 +14,7 @@
 //            Index n = l*l + l + m. "bands" B means l < B, so B*B coefficients; never "order".
 //            Light l_n = sum_i w_i L_i Y_n(d_i). Transfer t_n = (1/pi) Int V max(n.d, 0) Y_n dw
 //            with the receiving albedo left out: exit radiance rho sum l_n t_n, E = pi sum l_n t_n.
+// threads: reentrant
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,5 @@
 // Where capture and lighting meet: one HDR lat-long picture of the surroundings.
+// threads: plain values
 #pragma once
 
 #include <cstdint>

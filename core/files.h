@@ -1,4 +1,5 @@
 // Files that are never half-written.
+// threads: reentrant; several may write one target, of which the last stays
 #pragma once
 
 #include <filesystem>

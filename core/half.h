@@ -1,4 +1,5 @@
 // IEEE 754 binary16 by Imath, under one name.
+// threads: reentrant
 #pragma once
 
 #include <Imath/half.h>

@@ -1,4 +1,5 @@
 // A fingerprint of bytes: tells versions and damage apart, not forgeries.
+// threads: a plain value
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,5 @@
 // Images: a pixel type, a width and a height; rows are contiguous, row 0 is the top.
+// threads: plain values
 #pragma once
 
 #include <cassert>

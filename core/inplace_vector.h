@@ -1,5 +1,6 @@
 // A list of at most so many elements that takes nothing from the heap (as std::inplace_vector of
 // C++26).
+// threads: as a plain value
 #pragma once
 
 #include <algorithm>

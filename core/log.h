@@ -1,5 +1,6 @@
 // Messages of a running library: what was left out, what takes long. The program decides where they
 // go.
+// threads: thread-safe
 #pragma once
 
 #include <fmt/format.h>
@@ -8,6 +9,7 @@
 #include <string_view>
 #include <utility>
 
+#pragma GCC visibility push(default)
 namespace penumbra {
 
 enum class LogLevel { kInfo, kWarning };
@@ -31,3 +33,4 @@ void log_warning(fmt::format_string<Args...> format, Args&&... args) {
 }
 
 }  // namespace penumbra
+#pragma GCC visibility pop

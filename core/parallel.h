@@ -1,12 +1,13 @@
+// Loops spread over the machine's cores by TBB. The call returns when all is done; an exception of
+// a body ends the loop and comes out of the call. Bodies run at the same time on several threads
+// and share no mutable state.
+// threads: reentrant, parallel inside
 #pragma once
 
 #include <concepts>
 #include <cstdint>
 #include <type_traits>
 
-// Loops spread over the machine's cores by TBB. The call returns when all is done; an exception of
-// a body ends the loop and comes out of the call. Bodies run at the same time on several threads
-// and share no mutable state.
 #pragma GCC visibility push(default)
 namespace penumbra {
 

@@ -1,4 +1,5 @@
 // Rigid transforms, named target-from-source: `world_from_camera * point_in_camera`.
+// threads: plain values
 #pragma once
 
 #include <glm/gtc/quaternion.hpp>

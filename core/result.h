@@ -1,5 +1,6 @@
 // Errors as values: every edge of the program (file, device, GL, socket, configuration) returns
 // one.
+// threads: plain values
 #pragma once
 
 #include <expected>

@@ -1,5 +1,6 @@
 // Spherical-harmonic vectors that do not mix: radiance, irradiance and transfer are different
 // types.
+// threads: plain values
 #pragma once
 
 #include <array>

@@ -24,8 +24,8 @@ class StageTimes {
   std::vector<std::pair<std::string, Percentiles>> summary() const;
 
  private:
-  static constexpr std::size_t kMaxSamples =
-      1 << 16;  // a stage that runs for days keeps its last ones
+  // A stage that runs for days keeps its last ones
+  static constexpr std::size_t kMaxSamples = 1 << 16;
   struct Stage {
     std::string name;
     std::vector<float> ms;

@@ -1,4 +1,5 @@
 // A polite end: SIGINT and SIGTERM become a flag that the running loops look at.
+// threads: any may read the flag; catch_stop_signals() before others start
 #pragma once
 
 #include <atomic>

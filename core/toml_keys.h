@@ -1,5 +1,6 @@
 // TOML tables read strictly: unknown keys, wrong kinds and values out of range are errors that name
 // the file, the line and the key. Included by the few files that read TOML.
+// threads: const members reentrant
 #pragma once
 
 #include <fmt/format.h>

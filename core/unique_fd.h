@@ -1,4 +1,5 @@
-// owners of a file descriptor and of a mapping.
+// Owners of a file descriptor and of a mapping.
+// threads: thread-bound
 #pragma once
 
 #include <sys/mman.h>

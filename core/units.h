@@ -1,6 +1,7 @@
 // Units that do not mix: a time passed where a radiance is wanted does not compile
 // (tests/compile_fail proves it). Construction is explicit; arithmetic exists only where units
 // allow.
+// threads: plain values
 #pragma once
 
 #include <chrono>

@@ -20,7 +20,7 @@ namespace penumbra::lighting {
 struct Treatment {
   int bands = 5;   // of spherical harmonics
   int lights = 0;  // traced, by falling irradiance; the others are in the harmonics
-  /// So many of them throw finely drawn shadows on planes, the others coarse ones where they are
+  /// So many of them cast finely drawn shadows on planes, the others coarse ones where they are
   /// narrow (shadows::ShadowMapOptions::coarse()).
   int fine_lights = 0;
   int map_step = 1;  // the map is read as it is, or in blocks of kMapBlock pixels squared
@@ -63,7 +63,7 @@ struct SceneProbes {
   /// t_n at points of the objects, green: [point][n]; none: their light is taken for the floor's.
   std::vector<float> transfer;
   int transfer_bands = 0;
-  /// Whether anything throws its shadow on a floor.
+  /// Whether anything casts its shadow on a floor.
   bool has_floor = true;
   /// Whether all floors that something stands on are level: the light of others is cut without the
   /// floor's help.

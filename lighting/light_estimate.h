@@ -18,8 +18,8 @@ namespace penumbra::lighting {
 /// What an engine asks for.
 struct LightEstimate {
   RadianceSh light{1};  // of the whole sphere without the lights
-  RadianceSh upper_hemisphere_light{
-      1};  // likewise, for what stands on a horizontal floor, see upper_hemisphere_light()
+  // Likewise, for what stands on a horizontal floor, see upper_hemisphere_light()
+  RadianceSh upper_hemisphere_light{1};
   std::vector<DistantLight> lights;  // compact sources, by falling irradiance
   TimestampNs time;                  // capture time of the newest frame in it
   bool valid = false;                // false until a first environment has been measured

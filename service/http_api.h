@@ -1,4 +1,5 @@
 // The HTTP interface on loopback: GET /healthz, /v1/light, /v1/frame.jpg.
+// threads: PublishedState thread-safe, HttpApi thread-bound
 #pragma once
 
 #include <chrono>

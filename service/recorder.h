@@ -1,4 +1,5 @@
 // From a source of frames into a recording, each camera coded on a thread of its own.
+// threads: reentrant; `stop` may be set from any thread
 #pragma once
 
 #include <atomic>

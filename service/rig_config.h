@@ -1,4 +1,5 @@
 // The service's configuration, rig.toml.
+// threads: reentrant
 #pragma once
 
 #include <filesystem>

@@ -1,5 +1,6 @@
 // What a rig.toml names as the source of frames: cameras, the studio, or a capture played in a
 // loop.
+// threads: reentrant
 #pragma once
 
 #include <functional>

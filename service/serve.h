@@ -1,4 +1,5 @@
 // The live service: cameras, light, composite, HTTP.
+// threads: one call at a time in a process, whose stop signals it takes over
 #pragma once
 
 #include <string>

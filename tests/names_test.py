@@ -20,6 +20,7 @@ ROOMS = "core codec calib capture lighting prt shadows compositor runtime servic
 NOISE = re.compile(r'//[^\n]*|/\*.*?\*/|R"\w*\(.*?\)\w*"|"(?:\\.|[^"\\\n])*"', re.DOTALL)
 TYPE = re.compile(r"^[ \t]*(?:struct|class|enum class|enum)\s+(?:alignas\(\d+\)\s*)?([A-Z]\w*)\s*"
                   r"(?:final\s*)?(?::[^;{:][^;{]*)?\{", re.MULTILINE)
+ALIAS = re.compile(r"^[ \t]*using ([A-Z]\w*) =\s*([^;]*);", re.MULTILINE)
 WORD = re.compile(r"`(\w+)`")
 # constexpr std::string_view known[] = {"version", "camera"};
 KEY_LIST = re.compile(r'string_view(?:,\s*\d+>)?\s+(known|inside|\w*[kK]eys)(?:\[\d*\])?\s*=?\s*'
@@ -127,10 +128,15 @@ PARTS = {"kPlacementKeys"}  # lists of keys that stand in another list, too
 # ---- Types. ----
 
 def doubles(files):
+    """Types that two files define, and other names for types that are a type's own elsewhere."""
     owners = defaultdict(set)
     for path, text in files.items():
         for name in TYPE.findall(NOISE.sub("", text)):
             owners[name].add(path)
+    for path, text in files.items():
+        for name, meant in ALIAS.findall(NOISE.sub("", text)):
+            if name in owners and not re.search(rf"\b{name}\b", meant):
+                owners[name].add(path)
     return [f"{name}: defined in {', '.join(sorted(paths))}"
             for name, paths in sorted(owners.items()) if len(paths) > 1]
 
@@ -381,8 +387,11 @@ def wrong_made_up_names():
 def self_test():
     same = {"core/a.h": "struct Part {\n};\n", "prt/b.cpp": "  enum class Part : char { kOne };\n"}
     apart = {"core/a.h": "struct A {};\nstruct Part;\n// struct B {\n", "prt/b.cpp":
-             "struct A::Impl {};\nclass B : public A {\n};\nauto s = R\"(struct A { };)\";\n"}
-    right, wrong = [doubles(apart), *right_names()], [doubles(same), *wrong_made_up_names()]
+             "struct A::Impl {};\nclass B : public A {\n};\nauto s = R\"(struct A { };)\";\n"
+             "using A = a::A;\n"}
+    alias = {"core/a.h": "struct A {\n};\n", "prt/b.cpp": "using A = std::array<float, 3>;\n"}
+    right = [doubles(apart), *right_names()]
+    wrong = [doubles(same), doubles(alias), *wrong_made_up_names()]
     out = [f"right case {i}: {lines}" for i, lines in enumerate(right) if lines]
     out += [f"wrong case {i}: {lines}" for i, lines in enumerate(wrong) if len(lines) != 1]
     return [f"self-test: {line}" for line in out]

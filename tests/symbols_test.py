@@ -34,6 +34,8 @@ def main(chart, chart_archive, calibrate, calib_archive, *programs):
         faults.append(f"{calibrate}: shows no Ceres: the check is blind")
     for program in programs:
         shown = functions(program)
+        if not shown:
+            faults.append(f"{program}: shows no functions: the check is blind")
         faults += [f"{program}: links {name}" for name in sorted(shown & (evaluation | solvers))]
         if "ceres::" in symbols(program):
             faults.append(f"{program}: links Ceres")

@@ -1,4 +1,5 @@
 // What the compositor and the reference can draw through.
+// threads: reentrant
 #pragma once
 
 #include <string>

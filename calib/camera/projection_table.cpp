@@ -160,12 +160,12 @@ double triangle_solid_angle(const glm::dvec3& a, const glm::dvec3& b, const glm:
 
 /// A pixel of a distorted picture is the quadrangle of its corners' directions.
 void fill_distorted(ProjectionTable& table, const CameraModel& p) {
-  using Directions = std::vector<std::optional<glm::dvec3>>;
-  const auto corners_of_row = [&](int y, Directions& out) {
+  using RayRow = std::vector<std::optional<glm::dvec3>>;
+  const auto corners_of_row = [&](int y, RayRow& out) {
     out.clear();
     for (int x = 0; x <= p.width; ++x) out.push_back(direction_from_pixel(p, {x, y}));
   };
-  Directions above, below;
+  RayRow above, below;
   corners_of_row(0, above);
   for (int y = 0; y < p.height; ++y) {
     corners_of_row(y + 1, below);

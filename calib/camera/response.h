@@ -53,9 +53,12 @@ class Response {
 /// `version = 1` and `decode = [[..], [..], [..]]` (one list serves all three channels).
 /// errors: kInvalid, kNotFound, kUnreadable
 Result<Response> parse_response(const std::string& text, const std::filesystem::path& folder = {});
+/// Writes print_response_file's text.
+/// errors: kUnwritable
 Result<void> write_response(const std::filesystem::path& path, const Response& response);
 /// Such a file's text; `path` names it in errors.
 Result<Response> parse_response_file(std::string_view text, const std::filesystem::path& path);
+/// Text that parse_response_file reads: a table's own samples, or 1021 of a formula.
 std::string print_response_file(const Response& response);
 
 }  // namespace penumbra::calib

@@ -1,5 +1,6 @@
 // Sensor codes and linear signal, tabulated: what the merge decodes and the compositor encodes
 // with.
+// threads: const members reentrant
 #pragma once
 
 #include <algorithm>
@@ -28,8 +29,8 @@ class ResponseTable {
   unsigned encode(int channel, float linear) const;
   /// Nearest 8-bit code within a tenth of a code by one lookup; for curves of 8 bits alone.
   std::uint8_t encode8(int channel, float linear) const {
-    const float x =
-        std::min(std::max(kSmallest, linear + black_), kLargest);  // NaN becomes the smallest
+    // NaN becomes the smallest
+    const float x = std::min(std::max(kSmallest, linear + black_), kLargest);
     const std::uint32_t bucket = (std::bit_cast<std::uint32_t>(x) >> kShift8) - kFirst8;
     return encode8_[static_cast<std::size_t>(channel)][bucket];
   }

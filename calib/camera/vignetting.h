@@ -1,4 +1,5 @@
 // How much light a lens leaves towards the borders of its picture.
+// threads: plain values
 #pragma once
 
 #include <array>

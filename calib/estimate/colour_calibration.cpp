@@ -159,8 +159,8 @@ Result<ColourModel> colour_model(std::string_view name) {
 
 Result<ColourCalibration> calibrate_colour(std::span<const ColourPair> pairs, ColourModel model) {
   constexpr double kTukey = 4.685;  // 95 % efficient for Gaussian residuals
-  constexpr double kOfTheMedian =
-      1.2;  // standard deviation over the median norm of three residuals / sqrt 3
+  // Standard deviation over the median norm of three residuals / sqrt 3
+  constexpr double kOfTheMedian = 1.2;
   constexpr double kExact = 1e-6;
   constexpr int kRounds = 30;
   if (pairs.size() < kFewestPairs)

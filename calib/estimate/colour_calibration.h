@@ -1,4 +1,5 @@
-// carries the radiance of one camera into another's.
+// Estimation of what carries the radiance of one camera into another's.
+// threads: reentrant
 #pragma once
 
 #include <cstddef>

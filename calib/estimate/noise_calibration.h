@@ -1,4 +1,4 @@
-// a camera's noise from frames of a still scene (photon transfer).
+// Estimation of a camera's noise from frames of a still scene (photon transfer).
 // source: Janesick, Photon Transfer, 2007; noise model of Hasinoff et al. 2010
 // threads: reentrant
 #pragma once

@@ -20,17 +20,17 @@ namespace penumbra::calib {
 
 namespace {
 
-using Block = std::array<double, 6>;  // angle-axis, translation
+using PoseParameters = std::array<double, 6>;  // angle-axis, translation
 
-Block block_of(const Pose& pose) {
+PoseParameters block_of(const Pose& pose) {
   const double q[4] = {pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z};
-  Block out{};
+  PoseParameters out{};
   ceres::QuaternionToAngleAxis(q, out.data());
   for (int i = 0; i < 3; ++i) out[static_cast<std::size_t>(3 + i)] = pose.translation[i];
   return out;
 }
 
-Pose pose_of(const Block& block) {
+Pose pose_of(const PoseParameters& block) {
   double q[4];
   ceres::AngleAxisToQuaternion(block.data(), q);
   return {glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])), {block[3], block[4], block[5]}};
@@ -355,12 +355,13 @@ class Adjustment {
 
   // Along the rig's axes. A small turn of the angle-axis numbers is turned into one of the rotation
   // by differences.
-  static void set_sigmas(const Block& block, const double* covariance, RigCameraPose& out) {
+  static void set_sigmas(const PoseParameters& block, const double* covariance,
+                         RigCameraPose& out) {
     const Pose pose = pose_of(block);
     glm::dmat3 turn;
     constexpr double kStep = 1e-6;
     for (std::size_t i = 0; i < 3; ++i) {
-      Block moved = block;
+      PoseParameters moved = block;
       moved[i] += kStep;
       const glm::dquat d = pose_of(moved).rotation * glm::conjugate(pose.rotation);
       turn[static_cast<int>(i)] = 2. / kStep * glm::dvec3(d.x, d.y, d.z) * (d.w < 0 ? -1. : 1.);
@@ -423,8 +424,9 @@ class Adjustment {
 
   const RigOptions& options_;
   const RigStart& start_;
-  std::vector<Block> cameras_, moments_;  // rig_from_camera; rig_from_board or world_from_body
-  Block world_from_board_{};
+  std::vector<PoseParameters> cameras_,
+      moments_;  // rig_from_camera; rig_from_board or world_from_body
+  PoseParameters world_from_board_{};
   double offset_s_ = 0, sigma_px_ = .3;
   std::vector<Observed> observed_;
   std::vector<bool> used_;

@@ -1,4 +1,4 @@
-// where the cameras of a rig stand, from a board that several of them see at once.
+// Estimation of where the cameras of a rig stand, from a board that several of them see at once.
 // source: bundle adjustment, Triggs et al. 2000; hand-eye start, Park & Martin 1994; time offset,
 // Furgale et al. 2013
 // threads: reentrant
@@ -42,8 +42,8 @@ struct RigOptions {
 
 struct RigCameraPose {
   Pose rig_from_camera;
-  glm::dvec3 position_sigma_m{0},
-      rotation_sigma_rad{0};  // one standard deviation, in the rig's axes
+  // One standard deviation, in the rig's axes
+  glm::dvec3 position_sigma_m{0}, rotation_sigma_rad{0};
   double rms_px = 0;
   std::size_t boards = 0;
 };

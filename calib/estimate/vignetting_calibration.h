@@ -1,4 +1,4 @@
-// a lens's vignetting from pictures of an even surface.
+// Estimation of a lens's vignetting from pictures of an even surface.
 // threads: reentrant
 #pragma once
 

@@ -16,8 +16,8 @@ constexpr std::size_t kFirst = 18,
                       kEnough = 12;  // frames that tell the delay, at the start and later
 constexpr double kExact = .12;       // natural logarithm: how well a slip's ratio fits
 constexpr double kAgrees = .25;      // a third of a stop: less is flicker
-constexpr double kUniform =
-    .12;  // of the blocks' offsets: a change of exposure is the same everywhere
+// Of the blocks' offsets: a change of exposure is the same everywhere
+constexpr double kUniform = .12;
 constexpr double kPatience = 4;      // frames refused before the delay is looked for anew
 constexpr double kForgiveness = .8;  // of earlier refusals, for each good frame
 constexpr int kMaxPatience = 24;     // after so many the light has changed after all
@@ -56,8 +56,8 @@ Seconds FrameCounter::fresh() const {
 }
 
 std::uint64_t FrameCounter::count(std::uint64_t sequence, TimestampNs time, TimestampNs arrived) {
-  constexpr double kForget =
-      .02;  // of a period a frame: what grew is believed after a second or two
+  // Of a period a frame: what grew is believed after a second or two
+  constexpr double kForget = .02;
   latency_ = std::min(latency_ + kForget * period_, std::max(0., (arrived - time).count()));
   constexpr std::size_t kFewestPeriods = 5, kPeriods = 15;
   constexpr std::uint64_t kMaxMissing = 600;  // a longer gap is a new start

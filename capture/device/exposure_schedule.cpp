@@ -14,15 +14,15 @@ namespace {
 
 constexpr int kMaxExposures = 6;
 constexpr double kClearly = .25;  // of the budget
-constexpr double kHeadroom =
-    .8;  // under the clip level: noise and small changes need no new schedule
+// Under the clip level: noise and small changes need no new schedule
+constexpr double kHeadroom = .8;
 constexpr double kHalfStop = 1.4142135623730951;
 // The mean square cosine over the sphere's lit half, against the mean cosine: noise of an
 // irradiance over that of the mean radiance.
 constexpr double kIrradianceNoise = 1.63;
 constexpr double kSigmas = 2;  // of noise count as its error
-constexpr int kEnough =
-    960;  // pixels of a row that are looked at: the sun is two or three wide in a fisheye
+// Pixels of a row that are looked at: the sun is two or three wide in a fisheye
+constexpr int kEnough = 960;
 
 // What a whole wall may be off by when its radiance lies anywhere between two codes: noise turns
 // the error of rounding into noise.

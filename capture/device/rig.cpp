@@ -15,8 +15,8 @@ namespace {
 
 constexpr std::size_t kQueued = 8;  // frames of all cameras
 constexpr Seconds kTurn{.1}, kRetry{.25};
-constexpr Seconds kSilence{
-    2};  // and four exposures: a stream that gives nothing for so long is opened anew
+// And four exposures: a stream that gives nothing for so long is opened anew
+constexpr Seconds kSilence{2};
 
 // The camera as it was configured, or the same one under another device: after a replug the number
 // may have changed.

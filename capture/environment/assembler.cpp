@@ -47,7 +47,7 @@ EnvironmentAssembler::EnvironmentAssembler(const CameraRegion& region,
       is_identity_latlong(*region.projection, world_from_camera, width, height))
     std::ranges::fill(seen_, width);
   else
-    make_samples(region.look, glm::conjugate(world_from_camera.rotation));
+    make_samples(region.find_pixel, glm::conjugate(world_from_camera.rotation));
 }
 
 EnvironmentAssembler::EnvironmentAssembler(const calib::CameraModel& projection,
@@ -55,12 +55,13 @@ EnvironmentAssembler::EnvironmentAssembler(const calib::CameraModel& projection,
                                            const glm::dmat3& colour)
     : EnvironmentAssembler(plain_region(projection), world_from_camera, width, height, colour) {}
 
-void EnvironmentAssembler::make_samples(const Look& look, const glm::dquat& camera_from_world) {
+void EnvironmentAssembler::make_samples(const PixelLookup& find_pixel,
+                                        const glm::dquat& camera_from_world) {
   samples_.assign(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_), {-1, 0, 0});
   std::vector<float> gains(samples_.size(), 1.f);
   std::atomic<bool> vignetted = false;
   const auto where = [&](const glm::dvec2& px) {
-    return look(camera_from_world * latlong_direction(px.x, px.y, width_, height_));
+    return find_pixel(camera_from_world * latlong_direction(px.x, px.y, width_, height_));
   };
   warp_grid(width_, height_, where, [&](int x, int y, const PixelHit* seen) {
     if (!seen) return;

@@ -31,13 +31,13 @@ class EnvironmentAssembler {
   ~EnvironmentAssembler();
   EnvironmentAssembler(EnvironmentAssembler&&) noexcept;
   EnvironmentAssembler& operator=(EnvironmentAssembler&&) noexcept;
-  /// Bilinear gather; where the camera does not look, radiance and confidence are 0.
+  /// Bilinear gather; where the camera does not find_pixel, radiance and confidence are 0.
   /// threads: internally parallel; no allocation once `out` has its size and has held as many
   /// clipped pixels
   void assemble(const MergedImage& merged, Environment& out);
 
  private:
-  void make_samples(const Look& look, const glm::dquat& camera_from_world);
+  void make_samples(const PixelLookup& find_pixel, const glm::dquat& camera_from_world);
   void list_seen();
   void gather_rows(int first_row, int last_row, const std::uint16_t* source, float scale,
                    Image<Rgb>& out);

@@ -22,7 +22,7 @@ namespace penumbra::capture {
 
 namespace {
 
-using Latest = std::map<double, Frame>;  // by exposure time times gain
+using NewestByExposure = std::map<double, Frame>;  // by exposure time times gain
 
 // A part of a picture as if its lens let all light through.
 void undo_vignetting(const calib::CameraModel& lens, const std::array<double, 3>& terms, int x0,
@@ -34,7 +34,7 @@ void undo_vignetting(const calib::CameraModel& lens, const std::array<double, 3>
           radiance.at(x0 + x, y0 + y) * static_cast<float>(1 / left.at({x + .5, y + .5}));
 }
 
-Result<StillPicture> merge_latest(const CameraInfo& camera, const Latest& frames) {
+Result<StillPicture> merge_latest(const CameraInfo& camera, const NewestByExposure& frames) {
   if (frames.empty())
     return fail(ErrorCode::kUndetermined, camera.name, "has no frame in the capture");
   StillPicture out{camera, {}, {}};
@@ -106,7 +106,7 @@ Result<std::vector<StillPicture>> merge_still(FrameSource& source,
                                               const std::vector<std::string>& cameras) {
   constexpr std::size_t kMaxExposures = 16;
   const auto& known = source.cameras();
-  std::map<int, Latest> frames;
+  std::map<int, NewestByExposure> frames;
   for (const std::string& name : cameras) {
     const auto found = std::ranges::find(known, name, &CameraInfo::name);
     if (found == known.end())

@@ -1,4 +1,5 @@
 // What an environment camera and a view camera both see, for the calibration of their colours.
+// threads: reentrant
 #pragma once
 
 #include <vector>

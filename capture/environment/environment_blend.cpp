@@ -14,8 +14,8 @@ namespace {
 
 constexpr std::size_t kMaxPixels = 2048;  // of an overlap: its median is known to a few per mille
 constexpr std::size_t kFewestPixels = 16;
-constexpr double kStep =
-    .1;  // of a new round's gains, after the first: what walks past must not flicker
+// Of a new round's gains, after the first: what walks past must not flicker
+constexpr double kStep = .1;
 
 using Channels = std::array<double, 3>;
 

@@ -47,19 +47,20 @@ struct MergedImage {
   double black_fraction = 0;    // of the samples: under twice the noise in the longest exposure
 };
 
-/// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from
-/// the Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count, nor float
-/// samples at the bracket's largest value where shorter exposures show more there. Negative results
-/// are kept; a pixel that is clipped everywhere gets the lower bound of its shortest exposure.
-/// errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and
-/// finite),
-///          kUndetermined (all black, all clipped)
-/// source:  Granados et al. 2010; start Hanji et al. 2020; weights Hasinoff et al. 2010
+/// Merged radiance in floats, and which pixels are clipped in every exposure.
 struct MergedFloat {
   Image<Rgb> radiance;
   Image<std::uint8_t> clipped;  // 1 where clipped in every exposure, in any channel
   double clipped_fraction = 0, black_fraction = 0;
 };
+
+/// Maximum-likelihood radiance x = sum w_k x_k / sum w_k with w_k = 1/var_k(x), two iterations from
+/// the Poisson estimator sum y_k / sum e_k; codes above 95 % of full scale do not count, nor float
+/// samples at the bracket's largest value where shorter exposures show more there. Negative results
+/// are kept; a pixel that is clipped everywhere gets the lower bound of its shortest exposure.
+/// errors:  kInvalid (no frames, sizes or kinds differ, exposure not positive and finite),
+///          kUndetermined (all black, all clipped)
+/// source:  Granados et al. 2010; start Hanji et al. 2020; weights Hasinoff et al. 2010
 Result<MergedFloat> merge(const ExposureStack& stack);
 
 }  // namespace penumbra::capture

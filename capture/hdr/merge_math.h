@@ -1,4 +1,5 @@
 // The estimator shared by the float merge and the tables.
+// threads: reentrant
 #pragma once
 
 #include <span>

@@ -1,4 +1,5 @@
-// how much of the sphere a pixel sees, where a whole table would be more than is needed.
+// How much of the sphere a pixel sees, where a whole table would be more than is needed.
+// threads: const members reentrant
 #pragma once
 
 #include <cstddef>

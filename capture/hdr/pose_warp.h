@@ -1,4 +1,5 @@
-// what a camera saw, as it would have seen it after it turned.
+// Pictures of a camera as it would have seen them after it turned.
+// threads: reentrant
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,6 @@
 // Stacks of pictures as people take them: by hand, with exposures that the metadata tells wrong or
 // not at all.
+// threads: reentrant
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,5 @@
-// one [[camera]] table, read and written, as capture.toml, rig.toml and camera files share it.
+// One [[camera]] table, read as capture.toml, rig.toml and camera files share it.
+// threads: reentrant
 #pragma once
 
 #include <array>

@@ -1,4 +1,5 @@
-// the two text files of a capture folder, read and written.
+// The two text files of a capture folder, read and printed.
+// threads: reentrant
 #pragma once
 
 #include <toml++/toml.h>

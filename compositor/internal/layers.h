@@ -25,6 +25,7 @@ class Layers {
   int add_object(const prt::BakedObject& object, const Appearance& appearance);
   void update_vertices(int object, const prt::Mesh& mesh);
   void set_pose(int object, const Pose& world_from_bake);
+  void show(int object, bool visible);
   void set_light(int object, std::span<const float> relit);
   int add_occluder(const prt::Mesh& mesh);
   /// Shadow ratios at the vertices of real geometry.
@@ -71,6 +72,7 @@ class Layers {
     float tolerance;  // of `triangles`, metres
     double area_m2;   // of all triangles, at rest
     Pose world_from_bake{};
+    bool visible = true;
   };
   struct Occluder {
     GlVertexArray geometry;

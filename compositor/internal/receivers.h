@@ -79,6 +79,7 @@ class Receivers {
     planes_.push_back({point, normal});
   }
   void set_pose(int receiver, const Pose& world_from_bake);
+  void show(int receiver, bool visible);
   void set_shadow(int receiver, const shadows::PlanarShadow& shadow,
                   const Rgb& of_open = {1, 1, 1});
   /// What real things take of a plane's light without lights, r below. At most one.
@@ -106,7 +107,8 @@ class Receivers {
     Pose world_from_bake;
     Image<std::uint32_t> ratio;        // PackedRatio
     glm::dvec2 low{0, 0}, high{0, 0};  // visible part, metres
-    bool visible = false;
+    bool has_shadow = false;
+    bool visible = true;
   };
   struct OnPlane {
     shadows::ShadowMap shadow;

@@ -1,4 +1,5 @@
 // Sums over one lat-long row, with run-time choice of the vector instructions.
+// threads: reentrant; RowTables with their scratch belong to one thread
 #pragma once
 
 #include "lighting/sh/map_luminance.h"

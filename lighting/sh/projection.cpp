@@ -211,14 +211,14 @@ Result<ShProjection> project_latlong(const Image<Rgb>& map, int bands) {
 
 namespace {
 
-constexpr double kSmoothness =
-    1e-3;  // mu of the penalty at full loss; in proportion to what is unseen
+// `mu` of the penalty at full loss; in proportion to what is unseen
+constexpr double kSmoothness = 1e-3;
 constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
 constexpr double kMinCoverage = .02;
 
 using Matrix = Eigen::MatrixXd;
 /// Of one light; takes nothing from the heap.
-using Moments = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::ColMajor, kMaxCoefficients, 3>;
+using MomentMatrix = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::ColMajor, kMaxCoefficients, 3>;
 
 // ShSums over the seen pixels of w Y Y^T, of w L Y^T and of w.
 struct NormalEquations {
@@ -338,12 +338,12 @@ RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands) {
     return all;
   }();
   const RadianceSh used = upper_moments.with_bands(bands);
-  Moments moments(coefficient_count(bands), 3);
+  MomentMatrix moments(coefficient_count(bands), 3);
   for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m)
       for (int c = 0; c < 3; ++c)
         moments(sh_index(l, m), c) = used[sh_index(l, m)][c] * (1 + kBelowWeight * parity(m));
-  const Moments fit = systems[static_cast<std::size_t>(bands - 1)].solve(moments);
+  const MomentMatrix fit = systems[static_cast<std::size_t>(bands - 1)].solve(moments);
   return to_light(fit, bands);
 }
 
@@ -402,10 +402,10 @@ Result<ShProjection> ShInpainting::fill(const RadianceSh& moments) const {
   if (coverage_ < kMinCoverage)
     return fail(ErrorCode::kUndetermined, "environment",
                 fmt::format("covers only {:.1f} % of the sphere", 100 * coverage_));
-  Moments right(kMaxCoefficients, 3);
+  MomentMatrix right(kMaxCoefficients, 3);
   for (int n = 0; n < kMaxCoefficients; ++n)
     for (int c = 0; c < 3; ++c) right(n, c) = moments[n][c];
-  const Moments fit = system_.solve(right);
+  const MomentMatrix fit = system_.solve(right);
   const RadianceSh light = to_light(fit, kMaxBands);
   return ShProjection{light, moments_above(light), coverage_};
 }

@@ -29,9 +29,8 @@ struct ShProjection {
 /// coefficients are the least-squares fit of the upper hemisphere, with the weight kBelowWeight on
 /// its mirror image below, which is continuous at the horizon. It leaves a half to a tenth of the
 /// truncation error of the whole-sphere projection and hardly any bias (docs/results.md), for one
-/// small matrix product.
-inline constexpr double kBelowWeight =
-    .03;  // lower weights win little and blow the coefficients up
+/// small matrix product. Lower weights win little and blow the coefficients up.
+inline constexpr double kBelowWeight = .03;
 RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands);
 
 /// Projects lat-long maps of one size; all tables are made at construction.

@@ -1,4 +1,5 @@
 // Filling what a camera does not see, with everything that depends on the hole alone done once.
+// threads: const members reentrant
 #pragma once
 
 #include <Eigen/Cholesky>

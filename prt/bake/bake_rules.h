@@ -1,4 +1,5 @@
 // What every bake of transfer agrees on, before the show or during it.
+// threads: reentrant
 #pragma once
 
 #include <cmath>

@@ -18,8 +18,8 @@ namespace {
 
 constexpr float kSmooth = .95f;  // cosine between the normals of two sides of one surface
 constexpr float kSamples = 2;    // lookups a texel of an edge's length
-constexpr double kStiffness =
-    .02;  // what a texel's own value weighs beside a lookup that must meet
+// What a texel's own value weighs beside a lookup that must meet
+constexpr double kStiffness = .02;
 
 using Place = std::tuple<float, float, float>;
 Place place_of(const glm::vec3& p) {

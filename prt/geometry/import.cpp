@@ -76,15 +76,15 @@ Result<void> add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x
 // Equal vertices become one, to the bit (Assimp's own joining merges what lies within 1e-5 of a
 // unit, which destroys small models); vertices that no triangle uses would be baked for nothing.
 void weld(Mesh& mesh) {
-  using Key = std::array<float, 9>;
-  std::map<Key, std::uint32_t> known;
+  using VertexKey = std::array<float, 9>;
+  std::map<VertexKey, std::uint32_t> known;
   Mesh out;
   for (auto& t : mesh.triangles)
     for (auto& i : t) {
       const glm::vec3 &p = mesh.positions[i], &n = mesh.normals[i];
       const Rgb& a = mesh.albedo[i];
       const auto [found, fresh] =
-          known.try_emplace(Key{p.x, p.y, p.z, n.x, n.y, n.z, a.r, a.g, a.b},
+          known.try_emplace(VertexKey{p.x, p.y, p.z, n.x, n.y, n.z, a.r, a.g, a.b},
                             static_cast<std::uint32_t>(out.positions.size()));
       if (fresh) {
         out.positions.push_back(p);

@@ -1,4 +1,5 @@
 // A pinhole camera and where it stands.
+// threads: plain values
 #pragma once
 
 #include <glm/vec2.hpp>

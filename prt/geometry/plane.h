@@ -1,4 +1,5 @@
 // An infinite real plane.
+// threads: plain values; several may call `texture` at a time
 #pragma once
 
 #include <functional>

@@ -1,4 +1,5 @@
 // Ray directions of the bake: stratified, coherent in blocks of sixteen, in four groups.
+// threads: const members reentrant
 #pragma once
 
 #include <array>

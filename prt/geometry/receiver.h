@@ -1,4 +1,5 @@
 // The plane under an object, as far as the object's shadow reaches on it.
+// threads: plain values
 #pragma once
 
 #include <glm/vec2.hpp>

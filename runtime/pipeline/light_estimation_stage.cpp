@@ -19,8 +19,8 @@ namespace {
 
 constexpr int kRingSlots = capture::HdrRing::kMaxSlots;
 constexpr int kLongestSide = 1024;  // rows: above, a light estimate of 9 bands gains nothing
-constexpr std::uint64_t kPatience =
-    16;  // frames a camera: then light is shown without those that are silent
+// Frames a camera: then light is shown without those that are silent
+constexpr std::uint64_t kPatience = 16;
 constexpr double kSameRotation = 1 - 1e-7;  // cosine of half the angle: within .05 degrees
 constexpr double kSamePlace_m = 1e-3;
 
@@ -57,7 +57,7 @@ Image<float> rims(const capture::CameraRegion& region, const Pose& world_from_ca
   capture::warp_grid(
       2 * rows, rows,
       [&](const glm::dvec2& px) {
-        return region.look(camera_from_world * latlong_direction(px.x, px.y, 2 * rows, rows));
+        return region.find_pixel(camera_from_world * latlong_direction(px.x, px.y, 2 * rows, rows));
       },
       [&](int x, int y, const capture::PixelHit* seen) {
         out.at(x, y) = seen ? static_cast<float>(std::max(seen->from_rim, kMin)) : 0.f;

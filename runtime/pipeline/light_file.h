@@ -1,4 +1,5 @@
 // Light from an environment file, for the commands that start from one.
+// threads: reentrant
 #pragma once
 
 #include <optional>

@@ -181,6 +181,10 @@ Result<void> Pipeline::move_object(std::string_view object, const runtime::Objec
   return impl_->composite->moves().put(object, place);
 }
 
+Result<void> Pipeline::show_object(std::string_view object, bool visible) {
+  return impl_->composite->moves().show(object, visible);
+}
+
 Result<void> Pipeline::follow(const runtime::ObjectTrack& track) {
   return impl_->composite->moves().follow(track);
 }

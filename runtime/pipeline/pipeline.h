@@ -83,7 +83,12 @@ class Pipeline {
   /// threads: any, also during a run
   /// errors: kNotFound (no such object), kNonFinite, kInvalid (off its plane)
   Result<void> move_object(std::string_view object, const runtime::ObjectPlace& place);
-  /// The same over time, by the times of the view frames.
+  /// Takes an object and all that it does to the light out of the picture, or puts it back, from
+  /// the next frame on.
+  /// threads: any, also during a run
+  /// errors: kNotFound (no such object)
+  Result<void> show_object(std::string_view object, bool visible);
+  /// As move_object() over time, by the times of the view frames.
   Result<void> follow(const runtime::ObjectTrack& track);
 
   /// All frames of a source in order of time on this thread: with a new pipeline the same input

@@ -24,12 +24,12 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr float kEdgeFraction =
-    .03f;                        // of the radius: longest edge where transfer is kept at vertices
+// Of the radius: longest edge where transfer is kept at vertices
+constexpr float kEdgeFraction = .03f;
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
 constexpr int kMaxRays = 512;
-constexpr double kNone =
-    std::numeric_limits<double>::quiet_NaN();  // no frame yet: every time is another
+// No frame yet: every time is another
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 // Of live transfer: every point costs time in every frame.
 constexpr float kLiveEdgeFraction = .06f;
 constexpr int kLiveGroundSize = 32;

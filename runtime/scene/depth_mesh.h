@@ -1,4 +1,5 @@
 // Real surfaces as a depth camera saw them.
+// threads: reentrant
 #pragma once
 
 #include <filesystem>

@@ -246,6 +246,7 @@ Result<PreparedScene> prepare(
   for (const SceneObject& object : scene.objects) {
     PENUMBRA_ASSIGN(prepared,
                     prepare_object(object, out, settings, bakes, progress("bake " + object.name)));
+    prepared.visible = object.visible;
     out.objects.push_back(std::move(prepared));
   }
   if (out.real_mesh.triangles.empty() || out.objects.empty()) return out;
@@ -258,6 +259,7 @@ prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double secon
   prt::Mesh all = scene.real_mesh;
   if (!with_objects) return all;
   for (const PreparedObject& o : scene.objects) {
+    if (!o.visible) continue;
     prt::Mesh mesh = o.mesh_at(seconds);
     prt::transform(mesh, o.pose_at(seconds).matrix());
     append(all, mesh);

@@ -1,4 +1,6 @@
 // Scenes: scene.toml, placing, and baking what is not baked yet into the cache.
+// threads: free functions and const members reentrant, the rest thread-bound; prepare() parallel
+// inside
 #pragma once
 
 #include <array>
@@ -44,6 +46,7 @@ struct SceneObject : Placement {
   std::array<int, 2> light_map{0, 0};  // width, height of one, texels; 0: transfer at vertices
   Rgb albedo{.7f, .7f, .7f};
   double spin_rpm = 0;  // turntable about the receiver's normal
+  bool visible = true;  // from the start
 };
 
 struct RealPlane {
@@ -64,6 +67,8 @@ struct Scene {
 
 /// errors: kNotFound, kUnreadable, kInvalid (unknown key, bad value: file and line)
 Result<Scene> read_scene(const std::filesystem::path& path);
+/// The file that read_scene reads as this scene again; the names of files become absolute.
+/// errors: kUnwritable
 Result<void> write_scene(const std::filesystem::path& path, const Scene& scene);
 
 struct BakeSettings {
@@ -114,6 +119,7 @@ struct PreparedObject {
   double frame = 0;                      // of the animation; seconds where its transfer is live
   std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
   std::vector<glm::mat3> turns{};        // of its bones then
+  bool visible = true;                   // from the start
 
   /// Placement at a time: the turntable turns about the bake frame's y.
   Pose pose_at(double seconds) const;
@@ -173,7 +179,8 @@ glm::dvec3 floor_normal(const std::vector<prt::Plane>& planes, const glm::dvec3&
 /// Above .05 the built-in knot and twist have a quarter of their vertices.
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction);
 
-/// All meshes of a scene in the world frame at a time, for the reference.
+/// All meshes of a scene that are visible from the start, in the world frame at a time, for the
+/// reference.
 prt::Mesh world_mesh(const PreparedScene& scene, bool with_objects, double seconds = 0);
 
 }  // namespace penumbra::runtime

@@ -9,9 +9,10 @@ namespace penumbra::runtime {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::string_view kObjectKeys[] = {
-    "name",      "asset",    "albedo",    "position",   "rotation", "scale",        "spin_rpm",
-    "animation", "transfer", "light_map", "fit_size_m", "blend",    "blend_weight", "transfer_ms"};
+constexpr std::string_view kObjectKeys[] = {"name",      "asset",        "albedo",     "position",
+                                            "rotation",  "scale",        "spin_rpm",   "visible",
+                                            "animation", "transfer",     "light_map",  "fit_size_m",
+                                            "blend",     "blend_weight", "transfer_ms"};
 constexpr std::string_view kPlacementKeys[] = {"position", "rotation", "scale", "fit_size_m"};
 constexpr std::string_view kRealKeys[] = {"plane",    "mesh",     "depth", "camera",    "albedo",
                                           "position", "rotation", "scale", "fit_size_m"};
@@ -122,6 +123,10 @@ Result<SceneObject> read_object(const TomlKeys& keys, const fs::path& folder) {
     if (!(std::abs(spin) <= kFastest_rpm))
       return keys.invalid("spin_rpm", fmt::format("is not within -{0}..{0}", kFastest_rpm));
     o.spin_rpm = spin;
+  }
+  if (keys.has("visible")) {
+    PENUMBRA_ASSIGN(visible, keys.flag("visible"));
+    o.visible = visible;
   }
   if (keys.has("animation")) {
     PENUMBRA_ASSIGN(animation, keys.text("animation"));
@@ -272,6 +277,7 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
     if (o.light_map[0] > 0)
       text += fmt::format("light_map = [{}, {}]\n", o.light_map[0], o.light_map[1]);
     if (o.spin_rpm != 0) text += fmt::format("spin_rpm = {}\n", o.spin_rpm);
+    if (!o.visible) text += "visible = false\n";
   }
   for (const RealGeometry& r : scene.real) {
     text += "\n[[real]]\n";

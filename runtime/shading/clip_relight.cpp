@@ -11,8 +11,7 @@ using TransferPart = PreparedObject::TransferPart;
 void CompositeStage::relight_parts(StageObject& o, TransferPart own, const RadianceSh& light,
                                    const RadianceSh* reflected, std::span<float> out) const {
   const bool surface = own == TransferPart::kSurface;
-  if (o.patterns)
-    return (surface ? o.patterns->surface : o.patterns->ground).relight(light, reflected, out);
+  if (o.bases) return (surface ? o.bases->surface : o.bases->ground).relight(light, reflected, out);
   o.prepared->relight(own, light, out);
   if (!reflected) return;
   o.more.resize(out.size());

@@ -130,9 +130,10 @@ class CompositeStage {
   struct StageObject {
     const PreparedObject* prepared;
     int handle;
+    bool visible = true;
     std::optional<ObjectLight> light_used{};
     // Of all copies that share their transfer; none of an animation
-    std::shared_ptr<const RelightBases> patterns{};
+    std::shared_ptr<const RelightBases> bases{};
     std::vector<float> relit{};                // irradiance/pi of the object's vertices
     std::vector<float> taken{};                // of the receiver's irradiance/pi
     std::vector<float> more{};                 // scratch: what is added to either
@@ -164,7 +165,7 @@ class CompositeStage {
         gathered_(scene),
         ground_probes_(scene),
         times_(times) {}
-  std::shared_ptr<const RelightBases> patterns_of(const prt::BakedObject& baked) const;
+  std::shared_ptr<const RelightBases> bases_of(const prt::BakedObject& baked) const;
   static bool differs_visibly(const ObjectLight& before, const ObjectLight& now);
   ObjectLight light_at(std::size_t index, const lighting::LightEstimate& light,
                        const std::vector<Pose>& poses) const;

@@ -25,7 +25,7 @@
 namespace penumbra::runtime {
 
 struct ShadowSampling {
-  /// Rays a vertex and light; one throws a hard shadow. Half of them, at least two, serve a weak
+  /// Rays a vertex and light; one casts a hard shadow. Half of them, at least two, serve a weak
   /// light on what knows its visibility: one that sends who faces it less than the mean light of
   /// all normals. That may be a fill light, too, on the side that the others do not reach.
   int object = 4;
@@ -46,7 +46,7 @@ class DirectLightStage {
   /// was traced or a radiance changed visibly, relative to `mean_irradiance`. `open_irradiance[p]`
   /// is the light of open plane p, lights included: shadows of what brings little of it are drawn
   /// less finely; none: all finely.
-  /// The first `fine_lights` throw finely drawn shadows on planes. Of the others narrow ones throw
+  /// The first `fine_lights` cast finely drawn shadows on planes. Of the others narrow ones cast
   /// coarse ones; wide ones are drawn by what they bring anyway.
   bool update(std::span<const lighting::DistantLight> lights, double mean_irradiance,
               const OcclusionProbes& around, std::span<const Rgb> open_irradiance = {},

@@ -150,7 +150,7 @@ Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
       return std::abs(glm::dot(o.world_from_bake.translation - plane.point, plane.normal)) < 1e-3;
     };
   };
-  // One of known albedo, or else any on which a known thing may throw a shadow.
+  // One of known albedo, or else any on which a known thing may cast a shadow.
   for (const bool known : {true, false})
     for (const prt::Plane& plane : scene.planes)
       if (!out.floor_ &&

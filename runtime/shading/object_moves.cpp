@@ -99,6 +99,7 @@ ObjectMoves::ObjectMoves(const PreparedScene& scene)
     : scene_(scene), places_(scene.objects.size()) {
   for (const PreparedObject& o : scene.objects)
     resting_.push_back({o.name, o.world_from_bake, o.baked.receiver.has_value()});
+  for (const PreparedObject& o : scene.objects) visible_.push_back(o.visible);
 }
 
 Result<std::size_t> ObjectMoves::index_of(std::string_view object) const {
@@ -167,8 +168,26 @@ Result<void> ObjectMoves::follow(const ObjectTrack& track) {
   return {};
 }
 
-Pose ObjectMoves::pose_of(std::size_t object, double seconds) const {
+Result<void> ObjectMoves::show(std::string_view object, bool visible) {
+  PENUMBRA_ASSIGN(index, index_of(object));
   const std::scoped_lock lock(mutex_);
+  visible_[index] = visible;
+  return {};
+}
+
+ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) const {
+  constexpr double kOutOfTheWorld_m = 1e5;
+  const std::scoped_lock lock(mutex_);
+  if (visible_[object]) return {true, placed(object, seconds)};
+  // Always the same, so that it counts as at rest.
+  const Pose& rest = resting_[object].world_from_bake;
+  return {
+      false,
+      {rest.rotation, rest.translation - kOutOfTheWorld_m * (rest.rotation * glm::dvec3(0, 1, 0))}};
+}
+
+// In the lock.
+Pose ObjectMoves::placed(std::size_t object, double seconds) const {
   const std::vector<TimedPlace>& places = places_[object];
   if (places.empty()) return scene_.objects[object].pose_at(seconds);
   const auto next = std::ranges::upper_bound(places, seconds, {}, &TimedPlace::time_s);

@@ -1,4 +1,5 @@
-// Where objects are put while a pipeline runs: by call, or by a track over time.
+// Where objects are put while a pipeline runs, by call or by a track over time, and which are there
+// at all.
 #pragma once
 
 #include <filesystem>
@@ -51,7 +52,15 @@ class ObjectMoves {
   /// Objects without a key in it stay where they are.
   /// errors: as put(), by the key's time; kInvalid (an object's times are not in order)
   Result<void> follow(const ObjectTrack& track);
-  Pose pose_of(std::size_t object, double seconds) const;
+  /// Takes an object out of the world, or puts it back to where it would be by now.
+  /// errors: kNotFound
+  Result<void> show(std::string_view object, bool visible);
+  struct ObjectNow {
+    bool visible;
+    // Of one that is not, so far below its plane that it takes part in nothing
+    Pose world_from_bake;
+  };
+  ObjectNow at(std::size_t object, double seconds) const;
 
  private:
   struct TimedPlace {
@@ -67,10 +76,12 @@ class ObjectMoves {
   Result<std::size_t> index_of(std::string_view object) const;
   Result<void> check(std::size_t object, const ObjectPlace& place) const;
   Pose pose_at(std::size_t object, const ObjectPlace& place, double seconds) const;
+  Pose placed(std::size_t object, double seconds) const;
   const PreparedScene& scene_;
   std::vector<Resting> resting_;
   mutable std::mutex mutex_;
   std::vector<std::vector<TimedPlace>> places_;  // by object; empty: as the scene has it
+  std::vector<char> visible_;                    // by object
 };
 
 }  // namespace penumbra::runtime

@@ -1,4 +1,5 @@
 // The built-in studio as demo and serve use it.
+// threads: reentrant
 #pragma once
 
 #include <functional>

@@ -36,11 +36,11 @@ inline constexpr float kMinIrradiance = .05f;
 
 /// Light on a receiver, in its bake frame.
 struct ReceiverLight {
-  ReceiverLight(const RadianceSh& rest_)
-      : residual(rest_) {}  // NOLINT: a residual alone is a light
-  RadianceSh residual;      // without the lights
-  RadianceSh lights{
-      1};  // the lights in spherical harmonics, for the light that the object reflects
+  // NOLINTNEXTLINE: a residual alone is a light
+  ReceiverLight(const RadianceSh& rest_) : residual(rest_) {}
+  RadianceSh residual;  // without the lights
+  // The lights in spherical harmonics, for the light that the object reflects
+  RadianceSh lights{1};
   Rgb distant_irradiance;  // E of all lights on the open receiver, W/m^2 relative
 };
 

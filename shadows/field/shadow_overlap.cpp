@@ -12,8 +12,8 @@ namespace penumbra::shadows {
 
 namespace {
 
-constexpr float kDarkest =
-    .02f;  // s of the first object below which the second cannot be divided out
+// `s` of the first object below which the second cannot be divided out
+constexpr float kDarkest = .02f;
 
 // What one texel of another object's grid holds.
 struct TexelSample {

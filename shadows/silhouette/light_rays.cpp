@@ -94,8 +94,7 @@ void SamplePattern::spread_over_cap(const lighting::DistantLight& source) {
 
 // One point of each group of neighbours. Where one turn has to do its middle; else from turn to
 // turn another one, on by the golden ratio and groups out of step, so that vertices beside each
-// other together ask all of the shape. (Steps of five from turn to turn, three from group to group:
-// 2.17 instead of 1.64 % on the knot under adams.)
+// other together ask all of the shape. Steps of whole points instead leave a third more error.
 void SamplePattern::spread_over_shape(const lighting::DistantLight& source) {
   constexpr double kOutOfStep = .7548776662466927;  // of the plane's golden ratio
   const std::size_t points = source.shape.size(), samples = static_cast<std::size_t>(samples_);

@@ -42,10 +42,10 @@ struct Caster {
   const prt::VisibilityLookup* visibility = nullptr;  // of the mesh as it is; null: not known
 };
 
-/// What throws shadows on a plane.
+/// What casts shadows on a plane.
 struct ShadowCasters {
   std::span<const Caster> virtual_things, real_things;
-  float near_m = 1e-4f;  // what stands lower throws none
+  float near_m = 1e-4f;  // what stands lower casts none
   /// Of this light; null: every call looks for silhouettes by itself. Two threads must not use one
   /// at a time.
   SilhouetteCache* memo = nullptr;

@@ -18,7 +18,7 @@ struct AffineTransform {
 
 /// How surfaces lie to a direction, by the cosine with their normal.
 inline constexpr std::uint8_t kBack = 0, kGrazing = 1, kFront = 2;
-/// kFront: cosine > 0; kBack: cosine < `least`, which is negative.
+/// kFront: cosine > 0; kBack: cosine < `smallest`, which is negative.
 struct Orientation {
   glm::vec3 towards;
   float smallest;

@@ -1,4 +1,5 @@
 // Inner loops of shadows drawn by projection.
+// threads: reentrant
 #pragma once
 
 #include <cstddef>

@@ -18,8 +18,8 @@ namespace penumbra::shadows {
 namespace {
 
 constexpr double kLongest = 10;  // radii of the caster: longest shadow
-constexpr double kMinSine =
-    .02;  // of a sample's elevation: lower ones throw their shadow like this one
+// Of a sample's elevation: lower ones cast their shadow like this one.
+constexpr double kMinSine = .02;
 static_assert(kMaxSamples <= kMaxDirections);
 constexpr int kRim = 2;  // cells around what is drawn
 

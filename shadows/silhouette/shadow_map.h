@@ -17,8 +17,8 @@
 namespace penumbra::shadows {
 
 struct ShadowMapOptions {
-  /// Directions of the light, 1..64; four times as many, 4 to 64, for a wide one. One of another
-  /// is its middle: a hard shadow.
+  /// Directions of a narrow light, 1 to 64; a wide one takes four times as many, 4 to 64. With 1, a
+  /// narrow light is traced by its middle: a hard shadow.
   int samples = 16;
   /// Cells along the longer side, at least 16; five eighths of them for a wide light.
   int size = 256;

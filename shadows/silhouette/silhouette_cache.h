@@ -27,7 +27,7 @@ struct ConeSilhouette {
   std::span<const std::uint8_t> faces;
 };
 
-/// For one light and one form of every mesh: all planes on which it throws shadows ask for the same
+/// For one light and one form of every mesh: all planes on which it casts shadows ask for the same
 /// edges. Clear it when a light or a form changes.
 /// threads: thread-bound; memory grows to that of the largest light
 class SilhouetteCache {

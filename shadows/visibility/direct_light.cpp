@@ -37,7 +37,7 @@ std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> di
   return out;
 }
 
-// A light's directions in the normals' frame. Of one that throws hard shadows its middle, as long
+// A light's directions in the normals' frame. Of one that casts hard shadows its middle, as long
 // as the mean of all is: what faces all of the light has its light, and where the middle sets the
 // light is zero.
 class UnoccludedLight {
@@ -264,8 +264,7 @@ void trace_groups(const VertexTracer& tracer, const VisibilityGroups& visibility
   tracer.ask(visibility.parts(), asked, static_cast<float>(last), sums);
   // The penumbra of a narrow light is a line between vertices that see it and vertices that do not:
   // one ray each finds it. To look at every triangle for that costs more than all rays of few
-  // vertices. (Not so for wide ones: two rays each, then the rest where they differ, cost 1.6 % on
-  // an object under adams.)
+  // vertices. Not so for wide ones, where a start with two rays each adds error.
   constexpr std::size_t kFew = 64;
   std::size_t traced = 0;
   if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {

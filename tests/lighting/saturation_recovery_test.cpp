@@ -274,7 +274,7 @@ TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
     const auto got = complete_from_shadow(light, light.lights[0].id, edge);
     ASSERT_TRUE(got) << got.error().detail;
     expect_power(got->power, kSun.power(), .05);
-    // What throws the shadow keeps a part of the other light from it, and less from the lit side.
+    // What casts the shadow keeps a part of the other light from it, and less from the lit side.
     const Rgb others = exact_irradiance(dark, n), all = exact_irradiance(map, n);
     ShadowEdge beside{n, {}, {}, {.9f, .8f, .7f}, {.6f, .5f, .4f}};
     for (int c = 0; c < 3; ++c) {

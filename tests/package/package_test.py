@@ -4,6 +4,7 @@
 usage: package_test.py BUILD_FOLDER EXAMPLES_FOLDER PROGRAM CXX
 """
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -17,24 +18,38 @@ def run(*command, **keywords):
     return done.stdout
 
 
+def version_of(build):
+    """As libraries of the same interface have it: "0.1" of 0.1.0."""
+    cache = (Path(build) / "CMakeCache.txt").read_text()
+    return re.search(r"^CMAKE_PROJECT_VERSION:STATIC=(\d+\.\d+)", cache, re.M)[1]
+
+
 def check(truth, what):
     if not truth:
         sys.exit(f"package_test: {what}")
 
 
-def check_installed(files, folder, examples, environment, lines):
+def check_headers(prefix, folder, compiler, flags):
+    """Each installed header can be included, all of them together."""
+    include = prefix / "include"
+    (folder / "all.cpp").write_text("".join(f"#include <{file.relative_to(include)}>\n"
+                                            for file in sorted(include.rglob("*.h"))))
+    run(compiler, "-fsyntax-only", folder / "all.cpp", *flags)
+
+
+def check_installed(files, folder, examples, environment, lines, library):
     """The packages can be installed on this Debian, and what they put there serves and runs."""
     root = folder / "root"
     for file in files:
         run("dpkg-deb", "--extract", file, root)
     # A dependency that this Debian does not have fails here.
     plan = run("apt-get", "install", "--simulate", "--no-install-recommends", *files)
-    for name in ("libpenumbra0.1", "penumbra-dev", "penumbra-tools"):
+    for name in (library, "penumbra-dev", "penumbra-tools"):
         check(f"Inst {name} " in plan or f"{name} is already" in plan,
               f"apt would not install {name}:\n{plan}")
     installed = environment | {"LD_LIBRARY_PATH": str(next(root.rglob("libpenumbra.so")).parent)}
     version = run(root / "usr/bin/penumbra", "--version", env=installed)
-    check("0.1" in version, f"the installed program says {version!r}")
+    check(library.removeprefix("libpenumbra") in version, f"the installed program says {version!r}")
     run(root / "usr/bin/penumbra", "demo", "--headless", "--frames", "1", "--width", "160", "--height",
         "90", "--asset", "builtin:box", "--no-turntable", "--no-video", "--out", folder / "installed",
         env=installed)
@@ -47,7 +62,7 @@ def check_installed(files, folder, examples, environment, lines):
           "what is built against the packages prints another light")
 
 
-def check_packages(build, folder):
+def check_packages(build, folder, library):
     """Makes the Debian packages and looks into them; returns their files."""
     run("cpack", "-G", "DEB", "--config", Path(build) / "CPackConfig.cmake", "-B", folder / "packages")
     packages = {}
@@ -55,9 +70,9 @@ def check_packages(build, folder):
     for file in archives:
         name = run("dpkg-deb", "--field", file, "Package").strip()
         packages[name] = run("dpkg-deb", "--field", file, "Depends"), run("dpkg-deb", "--contents", file)
-    check(sorted(packages) == ["libpenumbra0.1", "penumbra-dev", "penumbra-tools"],
+    check(sorted(packages) == [library, "penumbra-dev", "penumbra-tools"],
           f"the packages are {sorted(packages)}")
-    for name, files in (("libpenumbra0.1", ["/libpenumbra.so.0.1"]),
+    for name, files in ((library, [f"/libpenumbra.so.{version_of(build)}"]),
                         ("penumbra-dev", ["/penumbra/runtime/pipeline/pipeline.h", "/penumbraConfig.cmake",
                                           "/pkgconfig/penumbra.pc", "/libpenumbra_lighting.a"]),
                         ("penumbra-tools", ["/bin/penumbra\n", "/bin/penumbrad\n", "/man1/penumbra.1",
@@ -66,7 +81,7 @@ def check_packages(build, folder):
         for file in files:
             check(file in contents, f"{name} has no {file.strip()}")
         check("/internal/" not in contents, f"{name} has private headers")
-        wanted = "libpenumbra0.1" if name == "penumbra-dev" else "libc6"
+        wanted = library if name == "penumbra-dev" else "libc6"
         check(wanted in depends, f"{name} does not depend on {wanted}: {depends}")
     return archives
 
@@ -147,9 +162,11 @@ def main(build, examples, program, compiler):
         library = next(prefix.rglob("libpenumbra.so"))
         shown = run("nm", "-DC", "--defined-only", library)
         check("penumbra::Pipeline::create(" in shown, "libpenumbra.so shows no Pipeline")
+        check("penumbra::set_log_sink(" in shown, "libpenumbra.so shows no set_log_sink")
         check("penumbra::compositor::Layers" not in shown, "libpenumbra.so shows a private class")
         check("tinygltf::" not in shown, "libpenumbra.so shows another library's code")
         run(compiler, Path(examples) / "composite.cpp", "-o", folder / "shared", *flags_of("penumbra"))
+        check_headers(prefix, folder, compiler, flags_of("penumbra"))
         run(folder / "shared", folder / "capture", folder / "capture" / "scene.toml",
             folder / "shared.png", env=cache | {"LD_LIBRARY_PATH": str(library.parent)})
         check((folder / "shared.png").read_bytes() == picture,
@@ -163,7 +180,9 @@ def main(build, examples, program, compiler):
         names = run("bash", "-c", "source " + str(next(prefix.rglob("completions/penumbra"))) +
                     "; COMP_WORDS=(penumbra de); COMP_CWORD=1; _penumbra; echo ${COMPREPLY[@]}")
         check(names.split() == ["demo"], f"completion of 'penumbra de' is {names!r}")
-        check_installed(check_packages(build, folder), folder, examples, environment | cache, lines)
+        library = f"libpenumbra{version_of(build)}"
+        check_installed(check_packages(build, folder, library), folder, examples, environment | cache,
+                        lines, library)
     print("installed, linked and run from outside of the tree")
 
 

@@ -277,7 +277,7 @@ TEST(DirectLightStage, CreepingSunIsFollowedWhileObjectsMove) {
   EXPECT_NE(light_on(*stage, scene, 0), first);
 }
 
-// As casters planes are quads of single precision; beside something tiny one would throw a shadow
+// As casters planes are quads of single precision; beside something tiny one would cast a shadow
 // on itself.
 TEST(DirectLightStage, APlaneDoesNotShadeItself) {
   PreparedScene scene = two_balls();

@@ -106,7 +106,7 @@ TEST(FloorRecovery, RealShadowOverAThirdOfTheFloorDoesNotCount) {
   EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
 }
 
-// A box that stands between the sun and the floor around the object, and the shade that it throws
+// A box that stands between the sun and the floor around the object, and the shade that it casts
 // there: what is left is the sky's light, as far as the box lets it through.
 class SunBox {
  public:

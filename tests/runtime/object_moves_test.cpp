@@ -141,12 +141,65 @@ TEST_F(MovedObjects, ATrackIsFollowedByTheFramesTimes) {
   }
 }
 
+// Taken away, nothing of it stays in the picture: neither its shadow nor what it takes of others'
+// light, nor of that of real things. Put back, it is there in the very next frame.
+TEST_F(MovedObjects, TakenAwayAllLooksAsIfTheSceneHadThemNot) {
+  const SceneObject gone = thing("gone", {-.1, 0, .12}), stays = thing("stays", {.15, 0, -.05});
+  RealGeometry box;
+  box.mesh = "builtin:box";
+  box.albedo = Rgb{.5f, .5f, .5f};
+  box.place_on_floor = true;
+  box.fit_size_m = .25;
+  box.position = {-.35, 0, -.15};
+  for (const bool with_box : {false, true}) {
+    Scene both = scene_of({gone, stays}), alone = scene_of({stays});
+    if (with_box) both.real.push_back(box), alone.real.push_back(box);
+    auto shown = pipeline(both);
+    NEED_GL(shown);
+    ASSERT_TRUE(shown) << shown.error().detail;
+    both.objects[0].visible = false;
+    auto hidden = *pipeline(both), without = *pipeline(alone);
+    drawn(*shown, 0);
+    const Image<Rgb8> before = drawn(*shown, 1);
+    drawn(without, 0);
+    const Image<Rgb8> truth = drawn(without, 1);
+    EXPECT_GT(different(before, truth, 8), 500u) << "it is seen";
+    drawn(hidden, 0);
+    EXPECT_LT(different(drawn(hidden, 1), truth, 3), 20u) << with_box;
+    ASSERT_TRUE(shown->show_object("gone", false));
+    EXPECT_LT(different(drawn(*shown, 1), truth, 12), 20u) << "gone at once";
+    // What things reflect onto each other is a frame old.
+    EXPECT_LT(different(drawn(*shown, 1), truth, 3), 20u) << with_box;
+    for (Pipeline* const p : {&*shown, &hidden}) {
+      ASSERT_TRUE(p->show_object("gone", true));
+      EXPECT_LT(different(drawn(*p, 1), before, 12), 20u) << "there at once";
+      EXPECT_LT(different(drawn(*p, 1), before, 3), 20u) << with_box;
+    }
+  }
+}
+
 // -------------------------------------------------------------------------------- what is told
+
+TEST(ObjectMoves, UnknownNamesAreNeitherShownNorTakenAway) {
+  const auto scene = prepared(scene_of({thing("cup", {0, 0, 0})}));
+  ObjectMoves moves(*scene);
+  const auto unknown = moves.show("cap", false);
+  ASSERT_FALSE(unknown);
+  EXPECT_EQ(unknown.error().code, ErrorCode::kNotFound);
+  EXPECT_NE(unknown.error().detail.find("did you mean \"cup\""), std::string::npos);
+  EXPECT_TRUE(moves.at(0, 0).visible);
+  // Moved while it is away it is back at its new place.
+  ASSERT_TRUE(moves.show("cup", false));
+  ASSERT_TRUE(moves.put("cup", {{.5, 0, .2}, 0}));
+  EXPECT_FALSE(moves.at(0, 0).visible);
+  ASSERT_TRUE(moves.show("cup", true));
+  EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.x, .5, 1e-12);
+}
 
 TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
   const auto scene = prepared(scene_of({thing("cup", {0, 0, 0})}));
   ObjectMoves moves(*scene);
-  const Pose before = moves.pose_of(0, 0);
+  const Pose before = moves.at(0, 0).world_from_bake;
   const auto unknown = moves.put("cap", {});
   ASSERT_FALSE(unknown);
   EXPECT_EQ(unknown.error().code, ErrorCode::kNotFound);
@@ -160,10 +213,10 @@ TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
   for (const double second : {1., 0., double(NAN)})
     EXPECT_EQ(moves.follow({{{1, "cup", {}}, {second, "cup", {}}}}).error().code,
               ErrorCode::kInvalid);
-  EXPECT_EQ(moves.pose_of(0, 0), before);
+  EXPECT_EQ(moves.at(0, 0).world_from_bake, before);
   EXPECT_TRUE(moves.put("cup", {{1, .002, -2}, .5}));
-  EXPECT_NEAR(moves.pose_of(0, 0).translation.x, 1, 1e-12);
-  EXPECT_NEAR(moves.pose_of(0, 0).translation.y, 0, 1e-12) << "on its plane";
+  EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.x, 1, 1e-12);
+  EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.y, 0, 1e-12) << "on its plane";
 }
 
 TEST(ObjectMoves, ATurntableGoesOnTurning) {
@@ -175,7 +228,7 @@ TEST(ObjectMoves, ATurntableGoesOnTurning) {
   const glm::dvec3 nose(0, 0, 1);
   for (const double t : {0., 1., 2.5}) {
     const double turn = .3 + .7 + 2 * kPi / 6 * t;
-    const glm::dvec3 at = moves.pose_of(0, t) * nose;
+    const glm::dvec3 at = moves.at(0, t).world_from_bake * nose;
     EXPECT_NEAR(at.x, 1 + std::sin(turn), 1e-9) << t;
     EXPECT_NEAR(at.z, std::cos(turn), 1e-9) << t;
   }

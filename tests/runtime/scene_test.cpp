@@ -51,6 +51,7 @@ SceneObject placed_object() {
   o.rotation = glm::angleAxis(.7, glm::normalize(glm::dvec3(1, 2, 3)));
   o.scale = .0371;
   o.spin_rpm = -12.5;
+  o.visible = false;
   return o;
 }
 
@@ -71,6 +72,7 @@ void expect_same(const SceneObject& a, const SceneObject& b) {
   EXPECT_EQ(a.albedo, b.albedo);
   expect_same_placement(a, b);
   EXPECT_EQ(a.spin_rpm, b.spin_rpm);
+  EXPECT_EQ(a.visible, b.visible);
 }
 
 TEST_F(SceneFile, WhatIsWrittenIsRead) {
@@ -174,6 +176,7 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
                                    {"fit_size_m = 0", "fit_size_m"},
                                    {"spin_rpm = inf", "spin_rpm"},
                                    {"name = 3", "name"},
+                                   {"visible = 1", "visible"},
                                    {"animation = 1", "animation"}})
     expect_invalid(head + line + "\n", 4, word);
   expect_invalid(head + "scale = 2\nfit_size_m = 1\n", 5, "fit_size_m");

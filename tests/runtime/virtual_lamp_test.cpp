@@ -120,7 +120,7 @@ TEST(VirtualLamp, CompositeFollowsTheWorldWithTheLampInIt) {
   EXPECT_GT(rms(*naive, masks->object), .2);
 }
 
-// A lamp among real things and nothing virtual that could throw a shadow: no light comes from the
+// A lamp among real things and nothing virtual that could cast a shadow: no light comes from the
 // real mesh, and nothing stops.
 TEST(VirtualLamp, WithoutAnObjectARealMeshIsNoReasonToStop) {
   Scene scene;

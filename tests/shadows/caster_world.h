@@ -1,4 +1,4 @@
-// Meshes that throw shadows on each other, of which the first is lit.
+// Meshes that cast shadows on each other, of which the first is lit.
 #pragma once
 
 #include <gtest/gtest.h>

@@ -280,7 +280,7 @@ TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
   EXPECT_FALSE(fewest.empty());
 }
 
-// What lights by a form throws shadows by sixteen of its directions where it is small in every
+// What lights by a form casts shadows by sixteen of its directions where it is small in every
 // direction, by all 64 where not.
 TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
   const Scene scene(one(knot())), nobody({});

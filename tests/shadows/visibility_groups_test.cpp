@@ -104,7 +104,7 @@ TEST(VisibilityGroups, GivesWhatARayForEachVertexGives) {
     }
 }
 
-// What stands high above, or aside, throws its penumbra far.
+// What stands high above, or aside, casts its penumbra far.
 TEST(VisibilityGroups, KnowsWhatStandsFarAway) {
   struct Case {
     double elevation_deg, radius_deg;

@@ -28,10 +28,16 @@ class Mouse : public testing::Test {
     }
     camera_ = *calib::make_projection(calib::ProjectionKind::kPinhole, 640, 480);
     world_from_camera_ = capture::look_at({0, 1.2, 2}, {0, 0, 0});
-    mouse_.emplace(scene_, [this](std::string_view name, const runtime::ObjectPlace& place) {
-      places_[std::string(name)] = place;
-      return Result<void>{};
-    });
+    mouse_.emplace(
+        scene_,
+        [this](std::string_view name, const runtime::ObjectPlace& place) {
+          places_[std::string(name)] = place;
+          return Result<void>{};
+        },
+        [this](std::string_view name, bool visible) {
+          visible_[std::string(name)] = visible;
+          return Result<void>{};
+        });
   }
   glm::dvec2 seen(const glm::dvec3& world) const {
     const auto pixel =
@@ -47,7 +53,28 @@ class Mouse : public testing::Test {
   Pose world_from_camera_;
   std::optional<ObjectMouse> mouse_;
   std::map<std::string, runtime::ObjectPlace> places_;
+  std::map<std::string, bool> visible_;
 };
+
+TEST_F(Mouse, NumberKeysTakeObjectsAwayAndPutThemBack) {
+  const auto press = [&](int key) {
+    mouse_->update({{.5, .5}, false, false, 0, key}, camera_, world_from_camera_);
+  };
+  press(1);
+  EXPECT_EQ(visible_, (std::map<std::string, bool>{{"left", false}}));
+  at(seen({-.4, .15, 0}), false);
+  at(seen({-.4, 0, 0}), true);
+  at(seen({-.1, 0, .3}), true);
+  EXPECT_TRUE(places_.empty()) << "what is not there cannot be dragged";
+  at(seen({-.1, 0, .3}), false);
+  press(0);
+  press(3);
+  EXPECT_EQ(visible_.size(), 1u) << "there is no third";
+  press(1);
+  EXPECT_TRUE(visible_.at("left"));
+  press(2);
+  EXPECT_FALSE(visible_.at("right"));
+}
 
 TEST_F(Mouse, DragsTheObjectUnderItAlongTheFloor) {
   at(seen({-.4, .15, 0}), false);

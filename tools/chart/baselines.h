@@ -23,7 +23,7 @@ lighting::LightEstimate dissertation_light(const Image<Rgb>& map);
 
 /// The scene with objects that neither shade themselves nor the floor.
 runtime::PreparedScene without_shadows(const runtime::PreparedScene& scene);
-/// The scene with objects that throw no shadow on the floor.
+/// The scene with objects that cast no shadow on the floor.
 runtime::PreparedScene without_floor_shadow(const runtime::PreparedScene& scene);
 /// The scene with visibility as one number a point, the same for every direction.
 runtime::PreparedScene with_ambient_occlusion(const runtime::PreparedScene& scene);

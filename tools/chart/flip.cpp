@@ -19,7 +19,7 @@ namespace penumbra::tools {
 
 namespace {
 
-using Plane = Image<float>;
+using Channel = Image<float>;
 using Kernel = std::vector<float>;  // 2 radius + 1 weights, the middle one at the pixel itself
 
 template <class Body>
@@ -30,8 +30,8 @@ void for_rows(int height, const Body& body) {
 }
 
 // Convolutions repeat the border pixel: a uniform picture stays uniform.
-Plane along_rows(const Plane& in, const Kernel& kernel) {
-  Plane out(in.width(), in.height());
+Channel along_rows(const Channel& in, const Kernel& kernel) {
+  Channel out(in.width(), in.height());
   const int radius = static_cast<int>(kernel.size() / 2);
   for_rows(in.height(), [&](int y) {
     const auto source = in.row(y);
@@ -47,8 +47,8 @@ Plane along_rows(const Plane& in, const Kernel& kernel) {
   return out;
 }
 
-Plane along_columns(const Plane& in, const Kernel& kernel) {
-  Plane out(in.width(), in.height());
+Channel along_columns(const Channel& in, const Kernel& kernel) {
+  Channel out(in.width(), in.height());
   const int radius = static_cast<int>(kernel.size() / 2);
   for_rows(in.height(), [&](int y) {
     const auto target = out.row(y);
@@ -61,7 +61,7 @@ Plane along_columns(const Plane& in, const Kernel& kernel) {
   return out;
 }
 
-Plane blur(const Plane& in, const Kernel& kernel) {
+Channel blur(const Channel& in, const Kernel& kernel) {
   return along_columns(along_rows(in, kernel), kernel);
 }
 
@@ -186,12 +186,12 @@ SensitivityFilter make_sensitivity(double pixels_per_degree) {
 
 // YCxCz without its constants: every channel is filtered by itself with unit sum, so they cancel.
 struct Opponent {
-  Plane achromatic, red_green, blue_yellow;
+  Channel achromatic, red_green, blue_yellow;
 };
 
 Opponent to_opponent(const Image<Rgb>& picture) {
   const int width = picture.width(), height = picture.height();
-  Opponent out{Plane(width, height), Plane(width, height), Plane(width, height)};
+  Opponent out{Channel(width, height), Channel(width, height), Channel(width, height)};
   for_rows(height, [&](int y) {
     for (int x = 0; x < width; ++x) {
       const Rgb& p = picture.at(x, y);
@@ -208,10 +208,10 @@ Opponent to_opponent(const Image<Rgb>& picture) {
 
 // The colours that remain when detail too fine for the eye is gone.
 Image<glm::vec3> perceived_colours(const Opponent& in, const SensitivityFilter& filter) {
-  const Plane luminance = blur(in.achromatic, filter.achromatic);
-  const Plane red_green = blur(in.red_green, filter.red_green);
-  const Plane wide = blur(in.blue_yellow, filter.blue_yellow[0]);
-  const Plane narrow = blur(in.blue_yellow, filter.blue_yellow[1]);
+  const Channel luminance = blur(in.achromatic, filter.achromatic);
+  const Channel red_green = blur(in.red_green, filter.red_green);
+  const Channel wide = blur(in.blue_yellow, filter.blue_yellow[0]);
+  const Channel narrow = blur(in.blue_yellow, filter.blue_yellow[1]);
   Image<glm::vec3> out(luminance.width(), luminance.height());
   for_rows(out.height(), [&](int y) {
     for (int x = 0; x < out.width(); ++x) {
@@ -244,18 +244,18 @@ FeatureFilter make_features(double pixels_per_degree) {
 }
 
 struct Features {
-  Plane edge, point;  // magnitudes
+  Channel edge, point;  // magnitudes
 };
 
-Plane magnitude(const Plane& x, const Plane& y) {
-  Plane out(x.width(), x.height());
+Channel magnitude(const Channel& x, const Channel& y) {
+  Channel out(x.width(), x.height());
   for (std::size_t i = 0; i < out.area(); ++i)
     out.pixels()[i] = std::hypot(x.pixels()[i], y.pixels()[i]);
   return out;
 }
 
-Features find_features(const Plane& luminance, const FeatureFilter& filter) {
-  const Plane smooth_rows = along_rows(luminance, filter.smooth);
+Features find_features(const Channel& luminance, const FeatureFilter& filter) {
+  const Channel smooth_rows = along_rows(luminance, filter.smooth);
   return {magnitude(along_columns(along_rows(luminance, filter.edge), filter.smooth),
                     along_columns(smooth_rows, filter.edge)),
           magnitude(along_columns(along_rows(luminance, filter.point), filter.smooth),

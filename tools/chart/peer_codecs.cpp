@@ -103,7 +103,7 @@ struct Freed {
   }
 };
 using Codec = std::unique_ptr<AVCodecContext, Freed<avcodec_free_context>>;
-using Frame = std::unique_ptr<AVFrame, Freed<av_frame_free>>;
+using FramePointer = std::unique_ptr<AVFrame, Freed<av_frame_free>>;
 using Packet = std::unique_ptr<AVPacket, Freed<av_packet_free>>;
 
 constexpr float kLargestCode = 1023;
@@ -152,7 +152,7 @@ class VideoCoder {
   }
 
   Result<void> add(std::span<const Image<float>> layers, CodedMaps& out) {
-    const Frame frame(av_frame_alloc());
+    const FramePointer frame(av_frame_alloc());
     frame->format = AV_PIX_FMT_GRAY10LE;
     frame->width = encoder_->width;
     frame->height = encoder_->height;
@@ -198,7 +198,7 @@ class VideoCoder {
     return {};
   }
   void decode(CodedMaps& out) {
-    const Frame frame(av_frame_alloc());
+    const FramePointer frame(av_frame_alloc());
     while (avcodec_receive_frame(decoder_.get(), frame.get()) == 0)
       for (int i = 0; i < mosaic_.layers; ++i) {
         Image<float>& map = out.maps.emplace_back(mosaic_.width, mosaic_.height);

@@ -44,16 +44,16 @@ const std::array<float, 64>& dct_matrix() {
   return m;
 }
 
-using Block = std::array<float, 64>;
+using DctBlock = std::array<float, 64>;
 
 // out = A in A^T, or with the transpose of A.
-Block transformed(const Block& in, bool inverse) {
+DctBlock transformed(const DctBlock& in, bool inverse) {
   const auto& a = dct_matrix();
   const auto at = [&](int k, int i) {
     return inverse ? a[static_cast<std::size_t>(i * kBlock + k)]
                    : a[static_cast<std::size_t>(k * kBlock + i)];
   };
-  Block rows{}, out{};
+  DctBlock rows{}, out{};
   for (int y = 0; y < kBlock; ++y)
     for (int k = 0; k < kBlock; ++k)
       for (int x = 0; x < kBlock; ++x)
@@ -250,16 +250,16 @@ class Coder {
     }
     // Where exponents differ an error of the base is one of a larger value: coded finer.
     const auto finer = static_cast<float>(high == low ? 1 : (high - low + 3) / 2);
-    Block guess{}, in{};
+    DctBlock guess{}, in{};
     for (int i = 0; i < 64; ++i) {
       const int x = x0 + i % kBlock, y = y0 + i / kBlock;
       guess[static_cast<std::size_t>(i)] = key ? 128 : at(before_.base, x + motion.x, y + motion.y);
       in[static_cast<std::size_t>(i)] =
           static_cast<float>(at(p.base, x, y)) - guess[static_cast<std::size_t>(i)];
     }
-    Block coded = Stream::kWrites ? transformed(in, false) : Block{};
+    DctBlock coded = Stream::kWrites ? transformed(in, false) : DctBlock{};
     code_coefficients(coded, finer);
-    const Block back = transformed(coded, true);
+    const DctBlock back = transformed(coded, true);
     for (int i = 0; i < 64; ++i) {
       const int x = x0 + i % kBlock, y = y0 + i / kBlock;
       if (x >= width_ || y >= height_) continue;
@@ -269,7 +269,7 @@ class Coder {
     }
   }
 
-  void code_coefficients(Block& block, float finer) {
+  void code_coefficients(DctBlock& block, float finer) {
     std::array<int, 64> values{};
     int last = -1;
     if constexpr (Stream::kWrites)

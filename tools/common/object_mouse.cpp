@@ -30,10 +30,12 @@ std::optional<double> sphere_hit(const glm::dvec3& origin, const glm::dvec3& dir
 
 }  // namespace
 
-ObjectMouse::ObjectMouse(const runtime::PreparedScene& scene, Move move)
-    : scene_(scene), move_(std::move(move)) {
-  for (const runtime::PreparedObject& o : scene.objects)
+ObjectMouse::ObjectMouse(const runtime::PreparedScene& scene, Move move, Show show)
+    : scene_(scene), move_(std::move(move)), show_(std::move(show)) {
+  for (const runtime::PreparedObject& o : scene.objects) {
     places_.push_back({o.world_from_bake.translation, 0});
+    visible_.push_back(o.visible);
+  }
 }
 
 std::optional<std::size_t> ObjectMouse::object_at(const Ray& ray) const {
@@ -41,6 +43,7 @@ std::optional<std::size_t> ObjectMouse::object_at(const Ray& ray) const {
   std::optional<std::size_t> nearest;
   double distance = HUGE_VAL;
   for (std::size_t i = 0; i < places_.size(); ++i) {
+    if (!visible_[i]) continue;
     const runtime::PreparedObject& o = scene_.objects[i];
     const prt::Bounds b = prt::bounds_of(o.baked.mesh);
     const Pose pose = Pose{o.world_from_bake.rotation, places_[i].position_m} *
@@ -65,6 +68,14 @@ void ObjectMouse::put(std::size_t object) {
   (void)move_(scene_.objects[object].name, places_[object]);
 }
 
+void ObjectMouse::toggle(int number) {
+  const auto object = static_cast<std::size_t>(number - 1);
+  if (number < 1 || object >= visible_.size()) return;
+  visible_[object] = !visible_[object];
+  if (held_ && held_->object == object) held_.reset();
+  (void)show_(scene_.objects[object].name, visible_[object]);
+}
+
 void ObjectMouse::drag(const Ray& ray) {
   const auto floor = on_plane(held_->object, ray);
   if (!floor) return;
@@ -80,6 +91,7 @@ void ObjectMouse::turn(double angle_rad) {
 
 void ObjectMouse::update(const compositor::Pointer& pointer, const calib::CameraModel& camera,
                          const Pose& world_from_camera) {
+  toggle(pointer.number);
   const bool pressed = pointer.left || pointer.right;
   const bool before = std::exchange(pressed_, pressed), begins = pressed && !before;
   const double moved_x = pointer.place.x - std::exchange(last_x_, pointer.place.x);

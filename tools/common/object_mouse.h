@@ -1,4 +1,4 @@
-// Objects under the mouse of a window.
+// Objects under the mouse of a window, and its number keys.
 #pragma once
 
 #include <functional>
@@ -18,13 +18,14 @@
 namespace penumbra::tools {
 
 /// The left button drags an object along the plane that it stands on, the right one and the wheel
-/// turn it about the plane's normal.
+/// turn it about the plane's normal. Key N takes the scene's Nth object away and puts it back.
 /// threads: thread-bound
 class ObjectMouse {
  public:
   using Move = std::function<Result<void>(std::string_view, const runtime::ObjectPlace&)>;
+  using Show = std::function<Result<void>(std::string_view, bool visible)>;
   /// The scene must outlive it.
-  ObjectMouse(const runtime::PreparedScene& scene, Move move);
+  ObjectMouse(const runtime::PreparedScene& scene, Move move, Show show);
   /// After each frame, with the camera that it shows.
   void update(const compositor::Pointer& pointer, const calib::CameraModel& camera,
               const Pose& world_from_camera);
@@ -42,10 +43,13 @@ class ObjectMouse {
   void drag(const Ray& ray);
   void turn(double angle_rad);
   void put(std::size_t object);
+  void toggle(int number);
 
   const runtime::PreparedScene& scene_;
   Move move_;
+  Show show_;
   std::vector<runtime::ObjectPlace> places_;
+  std::vector<char> visible_;  // by object
   std::optional<Held> held_;
   bool pressed_ = false;  // a button, at the last update
   double last_x_ = 0;

@@ -158,13 +158,16 @@ Result<void> demo(const DemoOptions& o) {
     recording.emplace(studio, std::move(recorder));
   }
   std::shared_ptr<const FramePixels> last, last_source;
-  ObjectMouse mouse(pipeline.scene(), [&](std::string_view object, const auto& place) {
-    return pipeline.move_object(object, place);
-  });
+  ObjectMouse mouse(
+      pipeline.scene(),
+      [&](std::string_view object, const auto& place) {
+        return pipeline.move_object(object, place);
+      },
+      [&](std::string_view object, bool visible) { return pipeline.show_object(object, visible); });
   if (pipeline.output().has_window())
     log_info(
         "window: the left mouse button drags an object, the right one and the wheel turn it; "
-        "Escape ends");
+        "keys 1 to 9 take an object away and put it back; Escape ends");
   const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;

@@ -12,8 +12,8 @@ namespace penumbra::prt {
 /// First every vertex is traced, then all are refined.
 class VisibilityBake {
  public:
-  static constexpr int kRays =
-      VisibilityMap::kCells * VisibilityMap::kCells;  // a vertex, but finer ones
+  // A vertex, but finer ones
+  static constexpr int kRays = VisibilityMap::kCells * VisibilityMap::kCells;
   /// Both must outlive it.
   /// in: the mesh moved to the origin and scaled to radius one, as `scene` has it; finite normals
   VisibilityBake(const Mesh& mesh, const RayScene& scene);

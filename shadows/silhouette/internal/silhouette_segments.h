@@ -39,7 +39,7 @@ struct SilhouetteSegment {
 
 /// Every triangle counts one layer in what it covers; between two that face the light alike the
 /// edge cancels. What is lower than near_m above the plane is cut off. Left out are stretches that
-/// the samples throw above, below or to the right of the grid, where they make no difference.
+/// the samples cast above, below or to the right of the grid, where they make no difference.
 std::pmr::vector<SilhouetteSegment> find_sides(std::span<const Caster> casters,
                                                const NodeGrid& grid, float near_m,
                                                const SampleCone& light, SilhouetteCache& memo,

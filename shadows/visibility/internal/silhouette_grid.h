@@ -46,7 +46,7 @@ SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
 /// threads: const members reentrant
 class SilhouetteGrid {
  public:
-  /// `drop`: metres below a silhouette at which the light throws its shadow aside by a cell. Keeps
+  /// `drop`: metres below a silhouette at which the light casts its shadow aside by a cell. Keeps
   /// the lines.
   SilhouetteGrid(std::span<const SilhouetteLine> lines, const LightGrid& grid, float drop,
                  std::pmr::memory_resource* memory);
@@ -61,7 +61,7 @@ class SilhouetteGrid {
   bool in_penumbra(const glm::vec3& p) const;
   bool pass_between(const glm::vec3& a, const glm::vec3& b) const;
 
-  /// Whether the lines over each cell are known: where no shadow is thrown aside by a cell.
+  /// Whether the lines over each cell are known: where no shadow is cast aside by a cell.
   bool has_lists() const { return !last_.empty(); }
   /// Calls f(line) for all that can hide a part of the light from the place.
   /// in: has_lists()
@@ -84,7 +84,7 @@ class SilhouetteGrid {
   static constexpr std::uint32_t kNone = 0xffffffffu;
   static constexpr float kRounding = .02f;  // cells
 
-  // False where even the highest of the line throws its shadow too little aside: a first look.
+  // False where even the highest of the line casts its shadow too little aside: a first look.
   bool may_reach(const SilhouetteLine& line, const glm::vec3& p) const {
     const float reach = (std::max(line.from.y, line.to.y) - p.y) * per_drop_ + kRounding;
     const auto near = [&](float from, float to, float at) {

@@ -12,8 +12,8 @@ namespace penumbra::shadows {
 /// Directions of a light.
 struct SampleSet {
   std::span<const glm::vec3> directions;  // world frame, at most kMaxSamples
-  std::uint64_t counted =
-      ~std::uint64_t{0};  // bit by sample: whether its light counts where it is seen
+  // Bit by sample: whether its light counts where it is seen
+  std::uint64_t counted = ~std::uint64_t{0};
 };
 
 /// Counts, from the light's middle to each of its samples, the layers of surface that begin or end
@@ -24,7 +24,7 @@ struct SampleSet {
 /// threads: thread-bound
 class SoftShadowVolume {
  public:
-  /// The silhouettes and what throws them outlive it.
+  /// The silhouettes and what casts them outlive it.
   SoftShadowVolume(const SilhouetteGrid& silhouettes, const LightGrid& grid,
                    std::span<const CasterFrame> caster_frames, const SampleSet& samples);
 

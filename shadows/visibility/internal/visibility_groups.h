@@ -23,7 +23,7 @@ class VisibilityGroups {
   static constexpr std::uint32_t kAlone = 0xffffffffu, kTurnedAway = 0xfffffffeu,
                                  kInPart = 0xfffffffdu;
 
-  /// Whether find() counts what vertices in penumbras see (parts()): where the object throws no
+  /// Whether find() counts what vertices in penumbras see (parts()): where the object casts no
   /// shadow aside by a cell on itself.
   static bool counts_parts(const Caster& object, const lighting::DistantLight& source);
 
