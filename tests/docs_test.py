@@ -4,9 +4,9 @@
 usage: docs_test.py ROOT [BIN_FOLDER]
 
 Checks links, widths of lines (of C++, Python and bash, too), lengths of pages and sentences and,
-with BIN_FOLDER, that each flag that the programs know is documented, and no other. names_test.py
-checks keys and other names. Every check first runs on made-up faults: one that sees nothing cannot
-pass.
+with BIN_FOLDER, that each flag that the programs know is documented, and no other; that tests which
+tests/measuring_tests.txt names exist. names_test.py checks keys and other names. Every check first
+runs on made-up faults: one that sees nothing cannot pass.
 """
 import posixpath
 import re
@@ -210,6 +210,15 @@ def help_of(bin_folder, command):
 
 # ---- The checks on made-up pages. ----
 
+def unknown_tests(listed, sources):
+    """Names of a list that no source defines. Of parametrised ones the list has Prefix/Suite.Name/*."""
+    defined = {f"{suite}.{name}" for text in sources
+               for suite, name in re.findall(r"TEST(?:_[FP])?\(\s*(\w+),\s*(\w+)\s*\)", text)}
+    names = [line for line in listed.splitlines() if line and not line.startswith("#")]
+    return [f"tests/measuring_tests.txt: {name}: there is no such test" for name in names
+            if re.sub(r"^\w+/(?=\w+\.)|/\*$", "", name) not in defined]
+
+
 def self_test():
     page = "# A b `c/d`\n[x](b.md#a-b-cd) [y](#a-b-cd) ![z](p.jpg) `[no](no)`\n```\n[n](n)\n```\n"
     flags = "## penumbra demo\n| flag | type |\n|---|---|\n| `-o`, `--out` | path |\n"
@@ -229,8 +238,10 @@ def self_test():
         long_pages("README.md", "x\n" * 120), long_pages("CHANGELOG.md", "# C\n## 1" + "\nx" * 39),
         long_sentences("a.md", "Short. Short.\n\n" + sentence + f"\n\n- [{sentence}](x)\n"),
         wrong_flags({"penumbra demo": {"-o", "--out"}}, flags),
+        unknown_tests("# long\nA.B\nAll/C.D/*\n", ["TEST(A, B) {}", "TEST_P(C,\n       D) {"]),
     ]
     wrong = [
+        unknown_tests("A.C\n", ["TEST(A, B) {}"]),
         broken_links({"a.md": "[x](no.md)"}, has),
         broken_links({"a.md": "[x](b.md#no)", "b.md": page}, has),
         broken_links({"a.md": "[x](#no)"}, has), broken_links({"a.md": "\n![x](no.jpg)"}, has),
@@ -276,6 +287,9 @@ def main(arguments):
     for file, kind in code:
         path = file.relative_to(root).as_posix()
         faults += wide_code(path, file.read_text(encoding="utf-8"), kind)
+    measuring = root / "tests" / "measuring_tests.txt"
+    if measuring.exists():
+        faults += unknown_tests(measuring.read_text(encoding="utf-8"), texts(".cpp").values())
     if len(arguments) == 2:
         known = {}
         for program in PROGRAMS:
