@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cmath>
 #include <fstream>
+#include <thread>
 
 #include "calib/calib.h"
 #include "capture/capture.h"
@@ -176,6 +178,35 @@ TEST_F(MovedObjects, TakenAwayAllLooksAsIfTheSceneHadThemNot) {
       EXPECT_LT(different(drawn(*p, 1), before, 3), 20u) << with_box;
     }
   }
+}
+
+// Another thread moves, hides and shows while frames are drawn: each frame comes, and what was
+// asked for last is what is seen in the end.
+TEST_F(MovedObjects, AreChangedByAnotherThreadWhileTheyAreDrawn) {
+  const glm::dvec3 rest(-.1, 0, .12);
+  auto live = pipeline(scene_of({thing("moved", rest), thing("other", {.15, 0, -.05})}));
+  NEED_GL(live);
+  ASSERT_TRUE(live) << live.error().detail;
+  drawn(*live, 0);
+  const Image<Rgb8> before = drawn(*live, 0);
+  std::atomic<int> refused = 0;
+  std::jthread other([&](const std::stop_token& stop) {
+    for (int i = 0; !stop.stop_requested(); ++i) {
+      const double x = .01 * (i % 30);
+      refused += !live->move_object("moved", {rest + glm::dvec3(x, 0, 0), x});
+      refused += !live->show_object(i % 2 ? "moved" : "other", i % 3 != 0);
+      refused += live->show_object("nobody", false).has_value();
+    }
+  });
+  for (std::size_t i = 0; i < 12; ++i)
+    ASSERT_TRUE(live->composite(frames_[i % frames_.size()])) << i;
+  other.request_stop();
+  other.join();
+  EXPECT_EQ(refused, 0);
+  for (const char* const name : {"moved", "other"}) ASSERT_TRUE(live->show_object(name, true));
+  ASSERT_TRUE(live->move_object("moved", {rest, 0}));
+  drawn(*live, 0);
+  EXPECT_LT(different(drawn(*live, 0), before, 3), 20u);
 }
 
 // -------------------------------------------------------------------------------- what is told
