@@ -51,7 +51,7 @@ Result<void> chart_governor(const ChartOptions& o) {
                 {"mean_bands", proof.mean_bands},
                 {"mean_lights", proof.mean_lights},
                 {"mean_map_step", proof.mean_map_step},
-                {"budget", o.budget}});
+                {"max_shadow_error", o.budget}});
     return {};
   }
   fmt::print(
