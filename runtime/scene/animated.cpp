@@ -24,8 +24,8 @@ namespace penumbra::runtime {
 
 namespace {
 
-// Of the radius: longest edge where transfer is kept at vertices
-constexpr float kEdgeFraction = .03f;
+// Where transfer is kept at vertices
+constexpr float kEdgeFraction = BakeSettings{}.max_edge_fraction;
 constexpr int kGroundSize = 64;  // texels of the shadow basis: renewed in every frame
 constexpr int kMaxRays = 512;
 // No frame yet: every time is another

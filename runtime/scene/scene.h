@@ -78,7 +78,7 @@ struct BakeSettings {
   bool visibility = true;
   bool use_cache = true;
   /// Longest edge of still objects after subdivision, as a fraction of the bounding radius: one in
-  /// 33 holds the edges of a sun's shadow.
+  /// 33 holds the edges of a sun's shadow. Characters always have the default.
   float max_edge_fraction = .03f;
 };
 

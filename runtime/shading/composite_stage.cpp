@@ -145,8 +145,8 @@ std::shared_ptr<const RelightBases> CompositeStage::bases_of(const prt::BakedObj
   return std::make_shared<const RelightBases>(baked);
 }
 
-// Brings all that moves by itself to a time. Where shadows can meet others their coefficients are
-// needed.
+// Brings all that moves by itself and is visible to a time. Where shadows can meet others their
+// coefficients are needed.
 bool CompositeStage::move_to(double seconds) {
   if (!moving_) return false;
   const StageTimer timer(times_, "animation");
@@ -154,7 +154,7 @@ bool CompositeStage::move_to(double seconds) {
   bool moved = false;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     PreparedObject& o = moving_->objects[i];
-    if (!o.move_to(seconds, !alone, keeps_time_)) continue;
+    if (!objects_[i].visible || !o.move_to(seconds, !alone, keeps_time_)) continue;
     compositor_->update_vertices(objects_[i].handle, o.baked.mesh);
     lights_.update_vertices(i);
     moved = true;
@@ -163,7 +163,6 @@ bool CompositeStage::move_to(double seconds) {
 }
 
 bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds) {
-  const bool other_form = move_to(seconds);
   std::swap(poses_, poses_before_);
   std::vector<Pose>& poses = poses_;
   poses.clear();
@@ -175,6 +174,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     compositor_->set_pose(objects_[i].handle, poses[i]);
     lights_.set_pose(i, poses[i]);
   }
+  const bool other_form = move_to(seconds);
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
     surroundings_.look(lights_.occluders(), poses);

@@ -336,6 +336,40 @@ TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
   }
 }
 
+// Taken away it is neither drawn nor moved, which would have all lights traced anew; shown again it
+// is where its clip is by then.
+TEST(Animated, TakenAwayItRestsAndShownAgainItHasGoneOn) {
+  const test::TempFolder folder;
+  Scene scene = walker_scene();
+  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const prt::PinholeView view = view_of(80, 120);
+  const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
+  auto pipeline = make_still_pipeline(*prepared, view, {}),
+       never_hidden = make_still_pipeline(*prepared, view, {});
+  ASSERT_TRUE(pipeline && never_hidden);
+  const Still backdrop{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
+  const auto draw = [&](Pipeline& p, double t) {
+    return composite_still(p, view, *estimate, backdrop, t)->radiance;
+  };
+  const auto same = [](const Image<Rgb>& a, const Image<Rgb>& b) {
+    return std::ranges::equal(a.pixels(), b.pixels());
+  };
+  EXPECT_FALSE(same(draw(*pipeline, 0), backdrop.radiance)) << "it is seen";
+  const std::string& name = prepared->objects[0].name;
+  ASSERT_TRUE(pipeline->show_object(name, false));
+  EXPECT_TRUE(same(draw(*pipeline, .2), backdrop.radiance));
+  EXPECT_FALSE(pipeline->stage().shade(*estimate, .3)) << "nothing moves: nothing is shaded";
+  ASSERT_TRUE(pipeline->show_object(name, true));
+  draw(*never_hidden, 0);
+  const Image<Rgb> back = draw(*pipeline, .4), truth = draw(*never_hidden, .4);
+  double apart = 0;
+  for (std::size_t i = 0; i < truth.area(); ++i)
+    apart += std::abs(luminance(back.pixels()[i]) - luminance(truth.pixels()[i]));
+  EXPECT_LT(apart / static_cast<double>(truth.area()), 1e-4);
+}
+
 TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
   const test::TempFolder folder;
   const auto [file, half_extent] = coarse_walk(folder, {.7f, .7f, .7f});
