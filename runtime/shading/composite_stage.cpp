@@ -172,6 +172,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     poses.push_back(now.world_from_bake);
     compositor_->show(objects_[i].handle, now.visible);
     compositor_->set_pose(objects_[i].handle, poses[i]);
+    lights_.show(i, now.visible);
     lights_.set_pose(i, poses[i]);
   }
   const bool other_form = move_to(seconds);
@@ -313,7 +314,7 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
                                    const lighting::LightEstimate& estimate, bool lights_changed,
                                    bool moved) {
   StageObject& o = objects_[index];
-  if (!o.visible && o.light_used) return false;
+  if (!o.visible) return false;
   ObjectLight light = light_at(index, estimate, poses);
   const bool other_form = moved && o.prepared->animation;
   // Its shadow depends on what is behind it, too.

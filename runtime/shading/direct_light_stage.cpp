@@ -101,6 +101,7 @@ Result<void> DirectLightStage::add_object(const PreparedObject& o) {
   if (!index) return fail(index.error().code, o.name, index.error().detail);
   poses_.push_back(o.world_from_bake);
   moved_from_.emplace_back();
+  visible_.push_back(1);
   other_form_.push_back(0);
   add_caster(o.baked.mesh, o.world_from_bake, virtual_casters_);
   for (auto& casters : virtual_on_planes_) casters.push_back(virtual_casters_.back());
@@ -239,6 +240,7 @@ void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool
   t.cosine.resize(scene_->objects.size());
   t.hit_shade.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
+    if (!visible_[i]) continue;
     const PreparedObject& o = scene_->objects[i];
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
     shade_hits(i, t.source, around, t.hit_shade[i]);

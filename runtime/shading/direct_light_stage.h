@@ -40,6 +40,9 @@ class DirectLightStage {
                                          const ShadowSampling& sampling);
 
   void set_pose(std::size_t object, const Pose& world_from_bake);
+  /// One that is not visible is not lit, and its pose must keep it out of all light; they all are at
+  /// first.
+  void show(std::size_t object, bool visible) { visible_[object] = visible; }
   /// Follows the mesh of an object that moves by itself.
   void update_vertices(std::size_t object);
   /// Brings everything up to date with the lights and with what stands around. True when anything
@@ -137,6 +140,7 @@ class DirectLightStage {
   // By object: neither rays nor silhouettes know its present mesh yet
   std::vector<char> other_form_;
   std::vector<Pose> poses_;
+  std::vector<char> visible_;
   std::vector<TracedLight> traced_, before_;
   std::vector<prt::Mesh> quads_;  // as much of each plane as a shadow can come from
   std::vector<shadows::SilhouetteMesh> silhouettes_;  // of the objects, then of real things
