@@ -40,8 +40,8 @@ class DirectLightStage {
                                          const ShadowSampling& sampling);
 
   void set_pose(std::size_t object, const Pose& world_from_bake);
-  /// One that is not visible is not lit, and its pose must keep it out of all light. All are visible
-  /// at first.
+  /// One that is not visible is not lit, and its pose must keep it out of all light. All are
+  /// visible at first.
   void show(std::size_t object, bool visible) { visible_[object] = visible; }
   /// Follows the mesh of an object that moves by itself.
   void update_vertices(std::size_t object);
