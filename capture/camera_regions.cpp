@@ -42,13 +42,14 @@ CameraRegion lens_visibility(const Lens& lens, const std::array<double, 3>& vign
                                   left](const glm::dvec3& d) -> std::optional<PixelHit> {
     const glm::dvec3 in_lens = lens_from_camera * d;
     const double off_axis = std::atan2(std::hypot(in_lens.x, in_lens.y), -in_lens.z);
-    if (off_axis > lens.half_field_rad) return std::nullopt;
+    if (off_axis > lens.half_field_of_view_rad) return std::nullopt;
     const auto px = calib::pixel_from_direction(lens.projection, in_lens);
     if (!px) return std::nullopt;
     const auto& p = lens.projection;
-    return PixelHit{*px,
-                    std::min(from_edge(*px, p.width, p.height), 1 - off_axis / lens.half_field_rad),
-                    left.at(*px)};
+    return PixelHit{
+        *px,
+        std::min(from_edge(*px, p.width, p.height), 1 - off_axis / lens.half_field_of_view_rad),
+        left.at(*px)};
   };
   return {lens.x_px,
           lens.y_px,

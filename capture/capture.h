@@ -10,11 +10,11 @@
 #include "capture/environment/environment_blend.h"  // IWYU pragma: export
 #include "capture/environment/environment_file.h"   // IWYU pragma: export
 #include "capture/frames.h"                         // IWYU pragma: export
-#include "capture/hdr/hdr_ring.h"                   // IWYU pragma: export
 #include "capture/hdr/merge.h"                      // IWYU pragma: export
 #include "capture/hdr/stacks.h"                     // IWYU pragma: export
 #include "capture/recording/folder.h"               // IWYU pragma: export
 #include "capture/recording/recording.h"            // IWYU pragma: export
+#include "capture/ring/hdr_ring.h"                  // IWYU pragma: export
 #include "capture/studio/environments.h"            // IWYU pragma: export
 #include "capture/studio/sensor.h"                  // IWYU pragma: export
 #include "capture/studio/studio.h"                  // IWYU pragma: export

@@ -32,7 +32,7 @@ struct Lens {
   int x_px = 0, y_px = 0;         // of the part in the picture
   calib::CameraModel projection;  // of the part, whose size it has
   glm::dquat camera_from_lens{1, 0, 0, 0};
-  double half_field_rad = 0;  // what is further off the lens's axis shows nothing
+  double half_field_of_view_rad = 0;  // what is further off the lens's axis shows nothing
 };
 
 /// A mirror ball that stands in a camera's picture.

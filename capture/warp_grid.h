@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "capture/camera_regions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::capture {

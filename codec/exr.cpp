@@ -25,7 +25,7 @@
 #include "codec/codec.h"
 #include "codec/internal/colour.h"
 #include "codec/internal/formats.h"
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::codec {
 namespace {

@@ -9,7 +9,7 @@
 #include "codec/codec.h"
 #include "codec/internal/formats.h"
 #include "codec/internal/frame_header.h"
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::codec {
 namespace {

@@ -8,16 +8,16 @@
 #include "compositor/internal/layered_rows.h"
 #include "compositor/internal/pixel_pass.h"
 #include "compositor/internal/sensor_effects.h"
-#include "core/background_task.h"
+#include "core/threads/background_task.h"
 
 namespace penumbra::compositor {
 
 namespace {
 
-bool valid(const SensorEffects& look) {
+bool valid(const SensorEffects& effects) {
   const auto within = [](float v, float largest) { return v >= 0 && v <= largest; };  // NaN is not
-  return within(look.psf_sigma_px, SensorEffects::kLargestPsfSigma) &&
-         within(look.shot_gain, 1e6f) && within(look.read_noise, 1e6f);
+  return within(effects.psf_sigma_px, SensorEffects::kLargestPsfSigma) &&
+         within(effects.shot_gain, 1e6f) && within(effects.read_noise, 1e6f);
 }
 
 constexpr const char* kShowVertex = R"(#version 310 es
@@ -44,8 +44,8 @@ void begin_with(const FramePixels& camera, FramePixels& out) {
   if (&camera != &out) out = camera;
 }
 
-CompositeStats put(const View& view, const Layered& in, FramePixels& frame, SensorPlanes& look) {
-  if (!view.look.none()) return touched(composite_effects(view, frame, in, look), frame);
+CompositeStats put(const View& view, const Layered& in, FramePixels& frame, SensorPlanes& planes) {
+  if (!view.effects.none()) return touched(composite_effects(view, frame, in, planes), frame);
   return touched(composite_fraction(FrameRegion::kBeside, view, frame, in) +
                      composite_fraction(FrameRegion::kObjects, view, frame, in),
                  frame);
@@ -64,7 +64,7 @@ struct Drawn::Impl {
   std::shared_ptr<Layer> objects, hidden;  // given back by draw()
   Receivers receivers{2};
   Rect receiver_area;
-  SensorPlanes look;
+  SensorPlanes planes;
 };
 
 Drawn::Drawn() : impl_(std::make_unique<Impl>()) {}
@@ -75,7 +75,7 @@ Drawn& Drawn::operator=(Drawn&&) noexcept = default;
 CompositeStats Drawn::composite_into(FramePixels& frame) {
   Impl& d = *impl_;
   return put(d.view, layered(*d.objects, *d.hidden, d.receivers, d.receiver_area, d.view), frame,
-             d.look);
+             d.planes);
 }
 
 struct Compositor::Impl {
@@ -93,7 +93,7 @@ struct Compositor::Impl {
   Receivers receivers;
   std::vector<int> receiver_of;  // by object, -1 without
   CommonLayer objects, hidden;
-  SensorPlanes look;
+  SensorPlanes planes;
 };
 
 Compositor::Compositor(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -200,7 +200,7 @@ Result<void> Compositor::Impl::check(const View& view, const FramePixels& frame)
                                                                         : 0u;
   if (needed && (view.curve == nullptr || view.curve->largest_code() != needed))
     return fail(ErrorCode::kInvalid, "frame", "has no response curve of its bit depth");
-  if (!valid(view.look))
+  if (!valid(view.effects))
     return fail(
         ErrorCode::kInvalid, "sensor effects",
         "have a blur that is not within 0..20 px, or a noise that is negative or too large");
@@ -243,11 +243,11 @@ Result<CompositeStats> Compositor::composite(const View& view, const FramePixels
                                              FramePixels& out) {
   Impl& i = *impl_;
   PENUMBRA_TRY(i.check(view, camera));
-  if (view.look.none() && !i.layers->has_occluders())
+  if (view.effects.none() && !i.layers->has_occluders())
     return i.composite_while_drawing(view, camera, out);
   PENUMBRA_ASSIGN(area, i.draw(view));
   begin_with(camera, out);
-  return put(view, layered(*i.objects.now, *i.hidden.now, i.receivers, area, view), out, i.look);
+  return put(view, layered(*i.objects.now, *i.hidden.now, i.receivers, area, view), out, i.planes);
 }
 
 Result<void> Compositor::draw(const View& view, const FramePixels& frame, Drawn& out) {

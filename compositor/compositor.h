@@ -15,6 +15,7 @@
 
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
+#include "compositor/composite_stats.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "core/result.h"
@@ -51,7 +52,7 @@ struct View {
   prt::PinholeView camera;
   const ResponseTable* curve = nullptr;  // of 8 or 16 bit as the frame; unused for float frames
   float signal_per_radiance = 1;  // sensor signal (fraction of full scale) per unit of radiance
-  SensorEffects look{};
+  SensorEffects effects{};
   Vignetting vignetting{};  // of what is inserted; shadows are ratios and do not ask
   /// What the largest code stands for, in signal, where a shadow or an object's edge lies over it.
   /// It is what the code says, or more where the surface is known to be brighter. Not for float
@@ -75,18 +76,13 @@ struct Appearance {
   std::span<const prt::SurfaceLayout::Texel> texels{};
 };
 
-struct CompositeStats {
-  std::size_t pixels = 0;  // written
-  double fraction = 0;     // of the frame
-};
-
 /// A light's shadow and what it is a part of.
 struct ShadowMapOnPlane {
   const shadows::ShadowMap* shadow;
   // E_light/E_0 on the open plane, 0..1; negative: light of a virtual lamp, which is added
   Rgb part;
-  /// What real things take of the same light further around (its `taken`), one map for all shadows
-  /// of the light on that plane; null without real things.
+  /// What real things take of the same light further around (its `virtual_occlusion`), one map for
+  /// all shadows of the light on that plane; null without real things.
   const shadows::ShadowMap* real = nullptr;
 };
 

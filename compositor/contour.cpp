@@ -10,7 +10,7 @@
 #include <utility>
 
 #include "core/half.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::compositor {
 

@@ -63,16 +63,16 @@ constexpr const char* kOccluderVertex = R"(#version 310 es
 layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 deficit;
 uniform mat4 clip_from_object;
-out vec3 taken;
+out vec3 loss;
 void main() {
-  taken = deficit;
+  loss = deficit;
   gl_Position = clip_from_object * vec4(position, 1);
 })";
 constexpr const char* kOccluderFragment = R"(#version 310 es
 precision highp float;
-in vec3 taken;
+in vec3 loss;
 out vec4 colour;
-void main() { colour = vec4(taken, 1); }
+void main() { colour = vec4(loss, 1); }
 )";
 
 void set_matrix(GLuint program, const glm::dmat4& m) {
@@ -154,31 +154,32 @@ Result<Layers> Layers::create(int width, int height, int oversampling) {
 }
 
 // In the object's vertex array.
-void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked, const Appearance& look) {
-  if (!look.texture && look.texels.empty()) return;
-  if (look.texture) {
+void Layers::add_pictures(DrawnObject& o, const prt::BakedObject& baked,
+                          const Appearance& appearance) {
+  if (!appearance.texture && appearance.texels.empty()) return;
+  if (appearance.texture) {
     o.albedo.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
-    std::ranges::copy(look.tint, o.albedo.begin());
-    o.albedo_map = albedo_texture(*look.texture);
-    upload_coordinates(o.texture_coordinates.get(), 2, look.texture_coordinates);
+    std::ranges::copy(appearance.tint, o.albedo.begin());
+    o.albedo_map = albedo_texture(*appearance.texture);
+    upload_coordinates(o.texture_coordinates.get(), 2, appearance.texture_coordinates);
   } else {
     o.albedo_map = one_texel();
   }
-  if (look.texels.empty()) return;
-  LightMap map{.width = look.light_width,
-               .height = look.light_height,
-               .first = baked.mesh.positions.size() - look.texels.size()};
-  for (const prt::SurfaceLayout::Texel& t : look.texels) map.places.push_back({t.x, t.y});
+  if (appearance.texels.empty()) return;
+  LightMap map{.width = appearance.light_width,
+               .height = appearance.light_height,
+               .first = baked.mesh.positions.size() - appearance.texels.size()};
+  for (const prt::SurfaceLayout::Texel& t : appearance.texels) map.places.push_back({t.x, t.y});
   map.pixels.resize(static_cast<std::size_t>(map.width) * static_cast<std::size_t>(map.height));
   glBindTexture(GL_TEXTURE_2D, map.texture.get());
   glTexStorage2D(GL_TEXTURE_2D, 1, GL_RGB16F, map.width, map.height);
   glTexParameteri(GL_TEXTURE_2D, GL_TEXTURE_MIN_FILTER, GL_LINEAR);
   for (const GLenum wrap : {GL_TEXTURE_WRAP_S, GL_TEXTURE_WRAP_T})
     glTexParameteri(GL_TEXTURE_2D, wrap, GL_CLAMP_TO_EDGE);
-  upload_coordinates(o.light_coordinates.get(), 3, look.light_coordinates);
+  upload_coordinates(o.light_coordinates.get(), 3, appearance.light_coordinates);
   // Light comes from the map; vertices tint it where a picture gives the albedo.
   o.colours.assign(baked.mesh.positions.size(), Rgb{1, 1, 1});
-  if (look.texture) std::ranges::copy(look.tint, o.colours.begin());
+  if (appearance.texture) std::ranges::copy(appearance.tint, o.colours.begin());
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   o.light_map = std::move(map);

@@ -4,7 +4,7 @@
 
 #include "compositor/internal/code_row.h"
 #include "compositor/internal/layered_rows.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::compositor {
 

@@ -85,9 +85,9 @@ HWY_INLINE hn::Vec<D> Ratio(hn::Vec<DU> upper_left, hn::Vec<DU> upper_right, hn:
   const auto a = steps(upper_left), c = steps(lower_left);
   const auto top = hn::MulAdd(fx, hn::Sub(steps(upper_right), a), a),
              bottom = hn::MulAdd(fx, hn::Sub(steps(lower_right), c), c);
-  const auto taken = hn::Sub(hn::Set(d, float(kOne)), hn::MulAdd(fy, hn::Sub(bottom, top), top));
+  const auto blocked = hn::Sub(hn::Set(d, float(kOne)), hn::MulAdd(fy, hn::Sub(bottom, top), top));
   const auto one = hn::Set(d, 1.f);
-  return hn::NegMulAdd(hn::Mul(taken, inside), hn::Set(d, 1.f / float(kOne)), one);
+  return hn::NegMulAdd(hn::Mul(blocked, inside), hn::Set(d, 1.f / float(kOne)), one);
 }
 
 HWY_INLINE void Multiply(hn::Vec<D> s, std::size_t count, float* out) {

@@ -141,8 +141,8 @@ bool Receivers::prepare_lookup(const prt::PinholeView& view, const glm::dmat4& c
 
 Rect Receivers::prepare(const prt::PinholeView& view) {
   lookups_.clear();
-  taken_.clear();
-  missing_.clear();
+  virtual_occlusion_.clear();
+  real_occlusion_.clear();
   fine_missing_.clear();
   half_images_.clear();
   Rect all;
@@ -156,8 +156,8 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
   real_lookup_.reset();
   if (real_ && prepare_lookup(view, clip_from_world, *real_, lookup)) real_lookup_ = lookup;
   const auto source_area = [&](const shadows::ShadowMap& s) {
-    const double x = (s.taken.width() - 1) * double(s.cell_m),
-                 z = (s.taken.height() - 1) * double(s.cell_m);
+    const double x = (s.virtual_occlusion.width() - 1) * double(s.cell_m),
+                 z = (s.virtual_occlusion.height() - 1) * double(s.cell_m);
     const glm::dvec3 corners[4] = {{0, 0, 0}, {x, 0, 0}, {0, 0, z}, {x, 0, z}};
     return reach(clip_from_world * s.world_from_map.matrix(), corners, view.width, view.height);
   };
@@ -172,16 +172,17 @@ Rect Receivers::prepare(const prt::PinholeView& view) {
     return out;
   };
   for (const RealShadowMap& d : real_shadow_maps_)
-    missing_.push_back(look_up(d.shadow, d.shadow.taken, d.fraction, source_area(d.shadow)));
+    real_occlusion_.push_back(
+        look_up(d.shadow, d.shadow.virtual_occlusion, d.fraction, source_area(d.shadow)));
   for (const OnPlane& d : lights_) {
     const shadows::ShadowMap& s = d.shadow;
     if (s.empty()) continue;
     const Rect area = source_area(s);
     if (area.empty()) continue;
-    taken_.push_back(look_up(s, s.taken, d.fraction, area));
-    if (d.real >= 0 && !s.missing.empty())
+    virtual_occlusion_.push_back(look_up(s, s.virtual_occlusion, d.fraction, area));
+    if (d.real >= 0 && !s.real_occlusion.empty())
       fine_missing_.push_back(
-          {static_cast<std::size_t>(d.real), look_up(s, s.missing, d.fraction, area)});
+          {static_cast<std::size_t>(d.real), look_up(s, s.real_occlusion, d.fraction, area)});
     all = united(all, area);
   }
   return all;
@@ -234,7 +235,7 @@ Rect Receivers::reach_in_row(int y) const {
     all = united(all, {c.x0, y, c.x1, y + 1});
   };
   std::ranges::for_each(lookups_, add);
-  std::ranges::for_each(taken_, add);
+  std::ranges::for_each(virtual_occlusion_, add);
   return all;
 }
 
@@ -278,10 +279,10 @@ void Receivers::multiply(const PlaneLookup& plane, int y, const Rect& area, floa
 bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) const {
   const auto in_row = [&](const auto& lookup) { return y >= lookup.area.y0 && y < lookup.area.y1; };
   const bool on_planes = std::ranges::any_of(lookups_, in_row),
-             of_lights = std::ranges::any_of(taken_, in_row);
+             of_lights = std::ranges::any_of(virtual_occlusion_, in_row);
   if (area.empty() || (!on_planes && !of_lights)) return false;
   for (const PlaneLookup& plane : lookups_) multiply(plane, y, area, r, g, b);
-  if (of_lights || real_lookup_ || !missing_.empty()) subtract_shadows(y, area, r, g, b);
+  if (of_lights || real_lookup_ || !real_occlusion_.empty()) subtract_shadows(y, area, r, g, b);
   return true;
 }
 
@@ -289,7 +290,7 @@ bool Receivers::load_row(int y, const Rect& area, float* r, float* g, float* b) 
 void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::span<float> g,
                              std::span<float> b) const {
   thread_local std::vector<float> row;  // grows once per thread
-  for (std::size_t shadow_map = 0; shadow_map < missing_.size(); ++shadow_map) {
+  for (std::size_t shadow_map = 0; shadow_map < real_occlusion_.size(); ++shadow_map) {
     row.assign(r.size(), 0.f);
     const auto load = [&](const ShadowMapLookup& d) {
       if (y < d.area.y0 || y >= d.area.y1) return;
@@ -297,10 +298,10 @@ void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::s
       if (c.x0 < c.x1)
         load_shadow_values(d, y, c.x0, c.x1, &row[static_cast<std::size_t>(c.x0 - area.x0)]);
     };
-    load(missing_[shadow_map]);
+    load(real_occlusion_[shadow_map]);
     for (const FineLookup& fine : fine_missing_)
       if (fine.real == shadow_map) load(fine.map);
-    const Rgb& fraction = missing_[shadow_map].fraction;
+    const Rgb& fraction = real_occlusion_[shadow_map].fraction;
     for (std::size_t x = 0; x < row.size(); ++x) {
       r[x] -= fraction.r * row[x];
       g[x] -= fraction.g * row[x];
@@ -311,7 +312,7 @@ void Receivers::take_missing(int y, const Rect& area, std::span<float> r, std::s
 
 void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, float* b) const {
   const auto subtract_taken = [&] {
-    for (const ShadowMapLookup& d : taken_) {
+    for (const ShadowMapLookup& d : virtual_occlusion_) {
       if (y < d.area.y0 || y >= d.area.y1) continue;
       const Columns c = within(visible_columns(d.visible, y, d.area), area);
       if (c.x0 >= c.x1) continue;
@@ -321,7 +322,7 @@ void Receivers::subtract_shadows(int y, const Rect& area, float* r, float* g, fl
   };
   const auto width = static_cast<std::size_t>(area.width());
   float* const rows[] = {r, g, b};
-  if (missing_.empty() && !real_lookup_) {
+  if (real_occlusion_.empty() && !real_lookup_) {
     subtract_taken();
   } else {
     thread_local std::vector<float> left;  // by real things; grows once per thread

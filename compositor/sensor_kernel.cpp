@@ -67,7 +67,7 @@ HWY_ATTR void AddWithNoise(const NoisyRow& row, const float* normal, float shot_
   const DI di;
   const auto one = hn::Set(d, 1.f), g = hn::Set(d, shot_gain), r2 = hn::Set(d, read_variance);
   for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
-    const auto t = hn::Sub(one, hn::LoadU(d, row.taken + i)), y = hn::LoadU(d, row.real + i);
+    const auto t = hn::Sub(one, hn::LoadU(d, row.deficit + i)), y = hn::LoadU(d, row.real + i);
     const auto signal = hn::MulAdd(t, y, hn::LoadU(d, row.added + i));
     const auto wanted = hn::MulAdd(g, signal, r2);
     const auto present = hn::MulAdd(g, y, hn::Add(r2, hn::LoadU(d, row.rounding + i)));

@@ -5,7 +5,7 @@
 #include "compositor/internal/code_row.h"
 #include "compositor/internal/layered_rows.h"
 #include "compositor/internal/sensor_effects.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::compositor {
 
@@ -60,9 +60,9 @@ Loaded load_planes(const Layered& in, int y, std::size_t stride, SensorBuffers& 
              padded = padded_row(in.area.width());
   const float* const ratio[3] = {layers.r.data(), layers.g.data(), layers.b.data()};
   for (std::size_t c = 0; c < 3; ++c) {
-    float* const taken = &rows.planes[(3 + c) * stride];
-    for (std::size_t i = 0; i < width; ++i) taken[i] = 1 - ratio[c][i];
-    std::fill(taken + width, taken + padded, 0.f);
+    float* const deficit = &rows.planes[(3 + c) * stride];
+    for (std::size_t i = 0; i < width; ++i) deficit[i] = 1 - ratio[c][i];
+    std::fill(deficit + width, deficit + padded, 0.f);
     std::fill_n(&rows.planes[c * stride], padded, 0.f);
   }
   if (!loaded.objects) return loaded;
@@ -71,10 +71,10 @@ Loaded load_planes(const Layered& in, int y, std::size_t stride, SensorBuffers& 
              count = static_cast<std::size_t>(in.objects.rect.width());
   for (std::size_t c = 0; c < 3; ++c) {
     float* const added = &rows.planes[c * stride + first];
-    float* const taken = &rows.planes[(3 + c) * stride + first];
+    float* const deficit = &rows.planes[(3 + c) * stride + first];
     for (std::size_t i = 0; i < count; ++i) {
       added[i] = layers.object[4 * i + c];
-      taken[i] += layers.object[4 * i + 3] * (1 - taken[i]);
+      deficit[i] += layers.object[4 * i + 3] * (1 - deficit[i]);
     }
   }
   return loaded;
@@ -83,10 +83,10 @@ Loaded load_planes(const Layered& in, int y, std::size_t stride, SensorBuffers& 
 // The same after the blur, of a row of planes.taken.area(). False when nothing reaches it.
 bool load_blurred(const SensorPlanes& planes, int y, std::size_t stride, SensorBuffers& rows) {
   std::fill_n(rows.planes.begin(), 3 * stride, 0.f);
-  const Rect &area = planes.taken.area(), &objects = planes.added.area();
+  const Rect &area = planes.deficit.area(), &objects = planes.added.area();
   if (!objects.empty())
     planes.added.load_row(y, &rows.planes[static_cast<std::size_t>(objects.x0 - area.x0)], stride);
-  return planes.taken.load_row(y, &rows.planes[3 * stride], stride);  // takes wherever it adds
+  return planes.deficit.load_row(y, &rows.planes[3 * stride], stride);  // takes wherever it adds
 }
 
 template <class Codec, class Pixel>
@@ -119,9 +119,9 @@ void encode_row(const CodedPixels<std::uint8_t>& codec, const SignalRows& in,
 }
 
 template <class Pixel, class Codec, class Code>
-std::size_t look_row(const Codec& codec, const Roundings<Code>& roundings,
-                     const SensorEffects& look, Pixel* row, int y, const Rect& area,
-                     std::size_t stride, SensorBuffers& rows) {
+std::size_t effects_row(const Codec& codec, const Roundings<Code>& roundings,
+                        const SensorEffects& effects, Pixel* row, int y, const Rect& area,
+                        std::size_t stride, SensorBuffers& rows) {
   const auto [first, last] = mark_touched(
       rows.planes.data(), stride, static_cast<std::size_t>(area.width()), rows.touched.data());
   if (first == last) return 0;
@@ -132,14 +132,14 @@ std::size_t look_row(const Codec& codec, const Roundings<Code>& roundings,
   decode_row(codec, roundings, pixels, last - first,
              {&rows.real[first], &rows.rounding[first], stride});
   for (std::size_t c = 0; c < 3; ++c) {
-    const auto key = noise_key(look.frame, y, static_cast<int>(c));
+    const auto key = noise_key(effects.frame, y, static_cast<int>(c));
     add_with_noise({&rows.planes[c * stride + from],
                     &rows.planes[(3 + c) * stride + from],
                     &rows.real[c * stride + from],
                     &rows.rounding[c * stride + from],
                     {key[0], key[1]},
                     static_cast<std::uint32_t>(area.x0) + static_cast<std::uint32_t>(from)},
-                   look.shot_gain, look.read_noise * look.read_noise, count,
+                   effects.shot_gain, effects.read_noise * effects.read_noise, count,
                    &rows.out[c * stride + from]);
   }
   encode_row(codec, {&rows.out[first], nullptr, stride}, touched, last - first, pixels);
@@ -149,15 +149,15 @@ std::size_t look_row(const Codec& codec, const Roundings<Code>& roundings,
 // Without blur one pass; with it the planes of all rows come first.
 template <class Pixel, class Codec>
 std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layered& in,
-                           const SensorEffects& look, SensorPlanes& planes) {
+                           const SensorEffects& effects, SensorPlanes& planes) {
   using Code = decltype(Pixel::r);
   const auto roundings = roundings_of(codec, Code{});
-  const bool blurs = look.psf_sigma_px > 0;
+  const bool blurs = effects.psf_sigma_px > 0;
   if (blurs) {
-    planes.added.prepare(in.objects.rect, look.psf_sigma_px, frame.width(), frame.height());
-    planes.taken.prepare(in.area, look.psf_sigma_px, frame.width(), frame.height());
+    planes.added.prepare(in.objects.rect, effects.psf_sigma_px, frame.width(), frame.height());
+    planes.deficit.prepare(in.area, effects.psf_sigma_px, frame.width(), frame.height());
   }
-  const Rect area = blurs ? planes.taken.area() : in.area;
+  const Rect area = blurs ? planes.deficit.area() : in.area;
   // Room for load_row's excess, and for that of vectors which start at any pixel.
   const std::size_t stride = padded_row(area.width()) + 2 * kSensorLanes;
   const auto each_row = [&](const Rect& rect, const auto& work) {
@@ -174,7 +174,7 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
         planes.added.set_row(
             y, &rows.planes[static_cast<std::size_t>(in.objects.rect.x0 - in.area.x0)], stride);
       if (loaded.objects || loaded.shadows)
-        planes.taken.set_row(y, &rows.planes[3 * stride], stride);
+        planes.deficit.set_row(y, &rows.planes[3 * stride], stride);
     });
   std::atomic<std::size_t> touched = 0;
   each_row(area, [&](int y, SensorBuffers& rows) {
@@ -186,8 +186,8 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
       part = row.area;
       if (const Loaded l = load_planes(row, y, stride, rows); !l.objects && !l.shadows) return;
     }
-    touched += look_row<Pixel, Codec, Code>(codec, roundings, look, frame.row(y).data(), y, part,
-                                            stride, rows);
+    touched += effects_row<Pixel, Codec, Code>(codec, roundings, effects, frame.row(y).data(), y,
+                                               part, stride, rows);
   });
   return touched;
 }
@@ -197,10 +197,10 @@ std::size_t composite_rows(const Codec& codec, Image<Pixel>& frame, const Layere
 std::size_t composite_effects(const View& view, FramePixels& frame, const Layered& in,
                               SensorPlanes& planes) {
   if (auto* f8 = std::get_if<Image<Rgb8>>(&frame))
-    return composite_rows(CodedPixels<std::uint8_t>(view), *f8, in, view.look, planes);
+    return composite_rows(CodedPixels<std::uint8_t>(view), *f8, in, view.effects, planes);
   if (auto* f16 = std::get_if<Image<Rgb16>>(&frame))
-    return composite_rows(CodedPixels<std::uint16_t>(view), *f16, in, view.look, planes);
-  return composite_rows(Linear{}, std::get<Image<Rgb>>(frame), in, view.look, planes);
+    return composite_rows(CodedPixels<std::uint16_t>(view), *f16, in, view.effects, planes);
+  return composite_rows(Linear{}, std::get<Image<Rgb>>(frame), in, view.effects, planes);
 }
 
 }  // namespace penumbra::compositor

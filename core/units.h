@@ -34,11 +34,8 @@ class Quantity {
 };
 
 using Radians = Quantity<struct RadiansTag, double>;
-using Metres = Quantity<struct MetresTag, double>;
 /// Linear amplification of the sensor signal; 1 is the base gain.
 using Gain = Quantity<struct GainTag, double>;
-/// Linear scene-referred radiance, known only up to one scale per rig.
-using RelativeRadiance = Quantity<struct RelativeRadianceTag, float>;
 
 /// Durations in seconds (exposure times, ages). For instants see TimestampNs.
 using Seconds = std::chrono::duration<double>;

@@ -228,6 +228,9 @@ class Outputs:
         folder.with_suffix(".txt").write_text(text, encoding="utf-8")
         return run.stdout, origin
 
+    def has_gpu(self):
+        return not any(none in self.origin()["machine"] for none in ("no GPU", "no OpenGL"))
+
     def origin(self):
         if self.this is None:
             try:
@@ -324,9 +327,11 @@ def section_text(name, section, outputs, commands):
         row = {**section, **row}
         return {**row, "of": [row["of"]] if isinstance(row["of"], str) else row["of"]}
     rows, sentences = ([whole(r) for r in section.get(kind, [])] for kind in ("rows", "sentences"))
+    used = list(dict.fromkeys(n for row in rows + sentences for n in row["of"]))
+    if section.get("gpu") and not all(outputs.is_kept(n) for n in used) and not outputs.has_gpu():
+        raise Absent("needs a GPU")
     table = [line_of(name, row, outputs, commands) for row in rows]
     prose = " ".join(line_of(name, row, outputs, commands) for row in sentences)
-    used = list(dict.fromkeys(n for row in rows + sentences for n in row["of"]))
     by = [] if section["columns"].endswith(PRINTED_BY) else [shown(commands[n]) for n in used]
     head = [f"| {section['columns']} |", "|" + "---|" * (section["columns"].count("|") + 1)]
     paragraphs = [told([outputs.get(n)[1] for n in used], by), prose]

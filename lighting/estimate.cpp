@@ -71,20 +71,21 @@ Result<ShProjection> LightEstimator::project(const Image<Rgb>& map) {
 
 // After extract().
 Result<ShProjection> LightEstimator::project_residual() {
-  if (!in_quarters(split_.residual.width())) return project_latlong(split_.residual, kMaxBands);
-  return projector_->project_read(split_.residual);
+  if (!in_quarters(extraction_.residual.width()))
+    return project_latlong(extraction_.residual, kMaxBands);
+  return projector_->project_read(extraction_.residual);
 }
 
 void LightEstimator::follow_holes(const Image<float>& confidence) {
   if (confidence.empty())
-    hole_fit_.reset();
-  else if (!hole_fit_ || !(hole_fit_->confidence() == confidence))
-    hole_fit_ = std::make_unique<ShInpainting>(confidence);
+    inpainting_.reset();
+  else if (!inpainting_ || !(inpainting_->confidence() == confidence))
+    inpainting_ = std::make_unique<ShInpainting>(confidence);
 }
 
 Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& moments) const {
-  if (!moments || !hole_fit_) return moments;
-  return hole_fit_->fill(moments->light);
+  if (!moments || !inpainting_) return moments;
+  return inpainting_->fill(moments->light);
 }
 
 // Into split_ and unused_.
@@ -92,26 +93,26 @@ Result<void> LightEstimator::extract(const Environment& environment) {
   maps_since_split_ = 0;
   ExtractionOptions found = options_.lights;
   found.min_irradiance_fraction /= 2;
-  if (hole_fit_) found.coverage = hole_fit_->coverage();
+  if (inpainting_) found.coverage = inpainting_->coverage();
   const Image<Rgb>& map = environment.radiance;
   if (in_quarters(map.width())) {
     PENUMBRA_TRY(projector_for(map).read(map, luminance_));
-    PENUMBRA_TRY(extract_lights(map, luminance_, found, split_, environment.clipped));
+    PENUMBRA_TRY(extract_lights(map, luminance_, found, extraction_, environment.clipped));
   } else {
-    PENUMBRA_TRY(extract_lights(map, found, split_, environment.clipped));
+    PENUMBRA_TRY(extract_lights(map, found, extraction_, environment.clipped));
   }
-  const double irradiance = kPi * split_.mean_luminance;
+  const double irradiance = kPi * extraction_.mean_luminance;
   tracker_.update(environment.time, options_.lights.min_irradiance_fraction, irradiance,
-                  split_.lights, unused_);
-  completions_.apply(split_.lights, unused_);
+                  extraction_.lights, unused_);
+  recoveries_.apply(extraction_.lights, unused_);
   return {};
 }
 
 // As many as the plan says, and all that are clipped, drawn finely; the others are left over.
 void LightEstimator::choose_max_lights() {
-  auto used = std::min(split_.lights.size(), static_cast<std::size_t>(plan_->lights));
-  for (std::size_t i = used; i < split_.lights.size(); ++i)
-    if (split_.lights[i].clipped) used = i + 1;
+  auto used = std::min(extraction_.lights.size(), static_cast<std::size_t>(plan_->lights));
+  for (std::size_t i = used; i < extraction_.lights.size(); ++i)
+    if (extraction_.lights[i].clipped) used = i + 1;
   if (static_cast<int>(used) > plan_->lights) {
     Treatment with_clipped = *plan_;
     with_clipped.lights = with_clipped.fine_lights = static_cast<int>(used);
@@ -119,9 +120,9 @@ void LightEstimator::choose_max_lights() {
     plan_ = governor_->judge(errors_, with_clipped, governor_config_->limits.budget);
     plan_->time_limited = time_limited && !plan_->within_budget;
   }
-  unused_.insert(unused_.end(), split_.lights.begin() + static_cast<std::ptrdiff_t>(used),
-                 split_.lights.end());
-  split_.lights.resize(used);
+  unused_.insert(unused_.end(), extraction_.lights.begin() + static_cast<std::ptrdiff_t>(used),
+                 extraction_.lights.end());
+  extraction_.lights.resize(used);
 }
 
 // Without lights: the whole light in harmonics. Split now and then, for what the governor predicts.
@@ -132,7 +133,7 @@ Result<ShProjection> LightEstimator::measure_whole(const Environment& environmen
     add_distant_lights(unused_, residual);
     plan_ = plan_for(residual, environment.time);
   }
-  split_.lights.clear();
+  extraction_.lights.clear();
   auto whole = fill_holes(project(environment.radiance));
   if (whole && options_.filter) filter_.update(environment.time, *whole);
   return whole;
@@ -194,10 +195,10 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   // The whole map names its own pixel.
   if (!projection && blocks) PENUMBRA_TRY(project_latlong(whole_map.radiance, 1));
   if (!projection) return std::unexpected(projection.error());
-  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, split_.lights, out);
+  make_estimate(*projection, plan_ ? plan_->bands : options_.bands, extraction_.lights, out);
   out.plan = plan_;
-  if (out.plan && hole_fit_)
-    out.plan = governor_->with_unseen(*out.plan, hole_fit_->unseen_above());
+  if (out.plan && inpainting_)
+    out.plan = governor_->with_unseen(*out.plan, inpainting_->unseen_above());
   if (out.plan && holds_a_lower_bound(environment, out.lights)) {
     out.plan->lower_bound = true;
     out.plan->within_budget = false;
@@ -220,7 +221,7 @@ void LightEstimator::allow_lights(int max_count) {
 }
 
 Plan LightEstimator::plan_for(const ShProjection& residual, TimestampNs time) {
-  errors_.predict({&residual.upper_moments, split_.lights, map_rows_, max_map_step_},
+  errors_.predict({&residual.upper_moments, extraction_.lights, map_rows_, max_map_step_},
                   governor_config_->probes, governor_config_->limits.max_bands,
                   governor_config_->limits.max_lights);
   return governor_->update(errors_, time);

@@ -59,8 +59,8 @@ class LightEstimator {
   }
   /// From the next map on, as long as the light is tracked and clipped.
   /// errors: as RecoveryMemory::remember
-  Result<void> complete(const SaturationRecovery& recovery) {
-    return completions_.remember(recovery);
+  Result<void> add_recovery(const SaturationRecovery& recovery) {
+    return recoveries_.remember(recovery);
   }
 
  private:
@@ -76,13 +76,13 @@ class LightEstimator {
   Result<ShProjection> measure_whole(const Environment& environment);
   Result<ShProjection> measure_split(const Environment& environment);
 
-  std::unique_ptr<class ShInpainting> hole_fit_;  // of the newest map; null without holes
+  std::unique_ptr<class ShInpainting> inpainting_;  // of the newest map; null without holes
   EstimateOptions options_;
   MapLuminance luminance_;
-  LightExtraction split_;
+  LightExtraction extraction_;
   std::vector<DistantLight> unused_;  // of the split: what is not used as lights
   LightTracker tracker_;
-  RecoveryMemory completions_;
+  RecoveryMemory recoveries_;
   LightFilter filter_;
   std::optional<GovernorConfig> governor_config_;
   std::optional<Governor> governor_;

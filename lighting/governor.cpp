@@ -7,7 +7,7 @@
 #include <numeric>
 
 #include "core/conventions.h"
-#include "core/scratch.h"
+#include "core/threads/scratch.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"

@@ -85,8 +85,8 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
   return out;
 }
 
-Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int source,
-                                                const ShadowEdge& edge) {
+Result<SaturationRecovery> recover_from_shadow(const LightEstimate& light, int source,
+                                               const ShadowEdge& edge) {
   const auto at = std::ranges::find_if(
       light.lights, [&](const DistantLight& d) { return d.clipped && d.id == source; });
   if (at == light.lights.end())

@@ -54,8 +54,8 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
 /// E_light = E_others (others_at_shadowed lit / shadowed - others_at_lit).
 /// errors:  kInvalid (not a clipped light, bad edge), kNonFinite, kUndetermined (the surface does
 ///          not see the light, the lit side is not brighter)
-Result<SaturationRecovery> complete_from_shadow(const LightEstimate& light, int source,
-                                                const ShadowEdge& edge);
+Result<SaturationRecovery> recover_from_shadow(const LightEstimate& light, int source,
+                                               const ShadowEdge& edge);
 
 inline constexpr Radians kSunRadius{.2666 * kPi / 180};
 /// A clipped region within this of its centre is taken for a sun: its size is the optics' doing.

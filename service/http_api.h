@@ -12,9 +12,9 @@
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
 #include "core/result.h"
-#include "core/stage_times.h"
+#include "core/threads/stage_times.h"
 #include "lighting/light_estimate.h"
-#include "runtime/pipeline/runner.h"
+#include "runtime/pipeline/runs.h"
 
 namespace penumbra::service {
 

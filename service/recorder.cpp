@@ -10,7 +10,7 @@
 #include <thread>
 
 #include "capture/recording/recording.h"
-#include "core/queues.h"
+#include "core/threads/queues.h"
 
 namespace penumbra::service {
 

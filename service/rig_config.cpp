@@ -7,7 +7,7 @@
 #include "capture/camera_regions.h"
 #include "capture/frames.h"
 #include "core/conventions.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::service {
 namespace fs = std::filesystem;

@@ -1,8 +1,8 @@
 
 #include "service/serve.h"
 #include "capture/frames.h"
-#include "core/log.h"
-#include "core/stop_signal.h"
+#include "core/io/log.h"
+#include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
 #include "service/http_api.h"
 #include "service/rig_config.h"

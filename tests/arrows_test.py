@@ -1,71 +1,28 @@
 #!/usr/bin/env python3
-"""Fails when an include breaks the table of rooms: arrows point only down, and only at front doors.
+"""Fails when an include breaks the arrows between rooms: they point only down, at front doors.
 
 usage: arrows_test.py ROOT
 
-A room or inner room may include its own headers and the public headers of the rooms that its row
-names. Headers in internal/ are their room's own; no public header includes one, and no header
-includes itself by way of others. The check first runs on made-up files: one that sees nothing
-cannot pass.
+A room may include its own headers and the public headers of the rooms that its targets link, as the
+compiler sees them: what it links PUBLIC or PRIVATE, and what those link PUBLIC in turn. A link
+points down the list below. Headers in internal/ are their room's own; no public header includes
+one, and no header includes itself by way of others. The check first runs on made-up files: one that
+sees nothing cannot pass.
 """
 import posixpath
 import re
 import sys
 from pathlib import Path
 
-# From the bottom to the top; a name stands for what it may include in turn as well.
-ROOMS = {
-    "core": "",
-    "codec": "core",
-    "calib/camera": "core",
-    "calib/estimate": "calib/camera codec core",
-    "capture": "calib/camera codec core",
-    "capture/hdr": "capture calib/camera core",
-    "capture/environment": "capture/hdr capture calib/camera codec core",
-    "capture/studio": "capture/hdr capture calib/camera core",
-    "capture/recording": "capture calib/camera codec core",
-    "capture/device": "capture/recording capture/hdr capture calib/camera core",
-    "lighting/sh": "core",
-    "lighting/lights": "lighting/sh core",
-    "lighting": "lighting/lights lighting/sh core",
-    "prt/geometry": "codec core",
-    "prt/transfer": "prt/geometry core",
-    "prt/bake": "prt/transfer prt/geometry lighting/sh core",
-    "prt/clip": "prt/bake prt/transfer prt/geometry lighting/sh codec core",
-    "prt/reference": "prt/geometry lighting/sh core",
-    "shadows/silhouette": "prt/transfer prt/geometry lighting/lights lighting/sh core",
-    "shadows/field": "prt/bake prt/transfer prt/geometry lighting/lights lighting/sh core",
-    "shadows/visibility": "shadows/silhouette prt/transfer prt/geometry lighting/lights"
-                          " lighting/sh core",
-    "compositor": "shadows/field shadows/silhouette prt/clip prt/bake prt/transfer prt/geometry"
-                  " calib/camera codec core",
-    "runtime/scene": "shadows/visibility shadows/silhouette prt/clip prt/bake"
-                     " prt/transfer prt/geometry capture/recording capture calib/camera codec"
-                     " core",
-    "runtime/surroundings": "runtime/scene compositor shadows/field shadows/silhouette"
-                            " prt/bake prt/geometry core",
-    "runtime/shading": "runtime/surroundings runtime/scene compositor shadows/visibility"
-                       " shadows/field shadows/silhouette prt/clip prt/bake prt/transfer"
-                       " prt/geometry capture/hdr capture calib/camera lighting lighting/lights"
-                       " lighting/sh core",
-    "runtime/pipeline": "runtime/shading runtime/surroundings runtime/scene compositor"
-                        " shadows/field prt/bake prt/transfer prt/geometry capture/environment"
-                        " capture/hdr capture calib/camera lighting lighting/lights lighting/sh"
-                        " core",
-    "runtime/studio": "runtime/pipeline runtime/scene prt/reference prt/geometry capture/studio"
-                      " calib/camera capture/environment capture core",
-    "service": "runtime/studio runtime/pipeline runtime/shading runtime/scene compositor"
-               " capture/device capture/recording capture/studio capture lighting"
-               " lighting/lights lighting/sh codec core",
-}
-LIBRARY = [room for room in ROOMS if room != "service"]
-ROOMS["tools/common"] = " ".join(LIBRARY)
-ROOMS["tools/pictures"] = ROOMS["tools/demo"] = "tools/common " + ROOMS["tools/common"]
-ROOMS["tools/penumbrad"] = "tools/common service"
-ROOMS["tools/penumbra"] = "tools/pictures tools/common service " + ROOMS["tools/common"]
-ROOMS["tools/calibrate"] = ROOMS["tools/penumbra"]
-ROOMS["tools/chart"] = ROOMS["tools/penumbra"]
-ROOMS = {room: set(below.split()) for room, below in ROOMS.items()}
+# From the bottom to the top.
+ROOMS = """core core/threads core/io codec calib/camera calib/estimate
+capture capture/hdr capture/watch capture/ring capture/environment capture/studio
+capture/recording capture/device lighting/sh lighting/lights lighting
+prt/geometry prt/transfer prt/bake prt/clip prt/reference
+shadows/silhouette shadows/field shadows/visibility compositor
+runtime/scene runtime/surroundings runtime/shading runtime/pipeline runtime/studio service
+tools/common tools/pictures tools/demo tools/penumbrad tools/penumbra tools/calibrate
+tools/chart/measures tools/chart/peers tools/chart/governor tools/chart""".split()
 # All public headers of a room, for programs and tests; the library itself includes what it needs.
 UMBRELLAS = {f"{room}/{room}.h" for room in ("calib", "capture", "lighting", "prt", "shadows")}
 
@@ -76,10 +33,77 @@ BLOCK_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 def room_of(path):
     """The innermost room that a path lies in; None outside of all."""
     parts = path.split("/")
-    for length in (2, 1):
+    for length in (3, 2, 1):
         if len(parts) > length and "/".join(parts[:length]) in ROOMS:
             return "/".join(parts[:length])
     return None
+
+
+def targets_of(cmake):
+    """{target: (room or None, {linked: whether PUBLIC})} of {path: text} of CMakeLists.txt."""
+    found = {}
+    for path, text in cmake.items():
+        text = re.sub(r"#[^\n]*", "", text)
+        for kind, words in re.findall(r"penumbra_(module|program|umbrella)\(([^)]*)\)", text):
+            name, *words = words.split()
+            links, public = {}, kind == "umbrella"
+            for word in words:
+                if word in ("PUBLIC", "PRIVATE", "LINK", "SOURCES"):
+                    public = word == "PUBLIC"
+                elif word.startswith("penumbra::"):
+                    links[word.removeprefix("penumbra::")] = public
+            found[name] = (room_of(path) if kind != "umbrella" else None, links)
+    return found
+
+
+def rooms_below(cmake):
+    """{room: rooms whose headers it may include} by what targets link."""
+    targets = targets_of(cmake)
+
+    def visible(name, only_public):
+        out = set()
+        for link, public in targets[name][1].items():
+            if link in targets and (public or not only_public):
+                out |= {link} | visible(link, True)
+        return out
+
+    below = {room: set() for room in ROOMS}
+    for name, (room, _) in targets.items():
+        if room is not None:
+            below[room] |= {targets[link][0] for link in visible(name, False)} - {room, None}
+    return below
+
+
+def links_upward(below):
+    return [f"{room}: links {other}, which stands above it" for room in ROOMS
+            for other in sorted(below[room]) if ROOMS.index(other) > ROOMS.index(room)]
+
+
+def told_links(page):
+    """{room: (links, links in brackets)} of the table of rooms in docs/architecture.md."""
+    found = {}
+    for room, links in re.findall(r"^\| `([\w/]+)` \|[^|]*\|([^|]*)\|", page, re.MULTILINE):
+        private = re.search(r"\[(.*)\]", links)
+        plain = re.sub(r"\[.*\]", "", links)
+        found[room] = (set(re.findall(r"\w+", plain)),
+                       set(re.findall(r"\w+", private[1])) if private else set())
+    return found
+
+
+def wrong_table(page, cmake):
+    """Lines for each row that says other links than CMake has."""
+    told, targets, wrong = told_links(page), targets_of(cmake), []
+    for room in ROOMS:
+        own = {name: links for name, (its, links) in targets.items() if its == room}
+        links = [(link, public or room.startswith("tools/") and name.startswith("penumbra"))
+                 for name, both in own.items() for link, public in both.items() if link not in own]
+        true = ({link for link, public in links if public},
+                {link for link, public in links if not public})
+        true = (true[0], true[1] - true[0])
+        if told.get(room) != true:
+            names = ", ".join(sorted(true[0])) + f" [{', '.join(sorted(true[1]))}]"
+            wrong.append(f"docs/architecture.md: {room} links {names}")
+    return wrong
 
 
 def resolve(path, target, files):
@@ -88,7 +112,7 @@ def resolve(path, target, files):
     return beside if beside in files or target.startswith(".") else posixpath.normpath(target)
 
 
-def fault(path, target, files):
+def fault(path, target, files, below):
     """Why the file at `path` may not include `target`; None when it may."""
     target = resolve(path, target, files)
     if target.startswith("tests/"):
@@ -102,8 +126,8 @@ def fault(path, target, files):
     if other == room:
         public = path.endswith(".h") and "/internal/" not in path
         return "a public header shows a private one" if internal and public else None
-    if other not in ROOMS[room]:
-        return f"{room} may not include {other}"
+    if other not in below[room]:
+        return f"{room} does not link {other}"
     return f"{target} is private to {other}" if internal else None
 
 
@@ -132,18 +156,29 @@ def circles(files):
     return found
 
 
-def broken_arrows(files):
+def broken_arrows(files, below):
     """Lines `file:line: reason` for every forbidden include in {path from the root: text}."""
     found = []
     for path, text in sorted(files.items()):
         for target, line in includes_of(text):
-            if why := fault(path, target, files):
+            if why := fault(path, target, files, below):
                 found.append(f'{path}:{line}: includes "{target}": {why}')
     return found + circles(files)
 
 
 def self_test():
     """What the check gets wrong about made-up files."""
+    below = rooms_below({
+        "core/CMakeLists.txt": "penumbra_module(values SOURCES a.cpp)\n"
+                               "penumbra_umbrella(core penumbra::values)",
+        "codec/CMakeLists.txt": "penumbra_module(codec SOURCES a.cpp PUBLIC penumbra::core)",
+        "prt/geometry/CMakeLists.txt": "penumbra_module(geometry SOURCES a.cpp\n  PUBLIC"
+                                       " embree penumbra::core # penumbra::bake\n"
+                                       "  PRIVATE penumbra::codec)",
+        "prt/bake/CMakeLists.txt": "penumbra_module(bake INTERNAL SOURCES a.cpp"
+                                   " PUBLIC penumbra::geometry)",
+        "compositor/CMakeLists.txt": "penumbra_module(compositor PUBLIC penumbra::bake)",
+        "tools/chart/CMakeLists.txt": "penumbra_program(chart LINK penumbra::compositor)"})
     others = {"prt/geometry/rays.h": "", "prt/geometry/internal/embree.h": "", "core/units.h": ""}
     allowed = [
         ("prt/geometry/a.cpp", '#include "prt/geometry/internal/embree.h"'),
@@ -153,11 +188,14 @@ def self_test():
         ("prt/geometry/a.cpp", "#include <embree3/rtcore.h>"),
         ("prt/geometry/a.cpp", '// #include "service/service.h"'),
         ("prt/geometry/a.cpp", '/*\n#include "service/service.h"\n*/'),
+        ("prt/geometry/a.cpp", '#include "codec/codec.h"'),
+        ("tools/chart/a.cpp", '#include "prt/geometry/rays.h"'),
         ("tools/chart/a.cpp", '#include "compositor/compositor.h"'),
         ("prt/prt.h", '#include "prt/geometry/rays.h"'),
     ]
     forbidden = [
         ("core/a.h", '#include "codec/codec.h"', 1),
+        ("prt/bake/a.cpp", '#include "codec/codec.h"', 1),
         ("lighting/a.cpp", '#include "capture/frames.h"', 1),
         ("shadows/field/a.cpp", '\n#include "codec/codec.h"', 2),
         ("capture/hdr/a.h", '#pragma once\n\n#  include "lighting/estimate.h"', 3),
@@ -167,17 +205,25 @@ def self_test():
         ("prt/geometry/a.h", '#include "prt/geometry/internal/embree.h"', 1),
         ("calib/camera/a.cpp", '#include "calib/estimate/boards.h"', 1),
         ("runtime/scene/a.cpp", '#include "runtime/pipeline/pipeline.h"', 1),
-        ("service/a.cpp", "#include <tools/chart/flip.h>", 1),
-        ("tools/penumbra/a.cpp", '#include "tools/chart/flip.h"', 1),
+        ("service/a.cpp", "#include <tools/chart/measures/flip.h>", 1),
+        ("tools/penumbra/a.cpp", '#include "tools/chart/measures/flip.h"', 1),
         ("compositor/a.cpp", '/* x */ #include "prt/prt.h"', 1),
         ("prt/bake/a.cpp", '#include "tests/support/temp_folder.h"', 1),
     ]
     wrong = [f"refused {path}: {text!r}" for path, text in allowed
-             if broken_arrows({path: text} | others)]
+             if broken_arrows({path: text} | others, below)]
     for path, text, line in forbidden:
-        found = broken_arrows({path: text} | others)
+        found = broken_arrows({path: text} | others, below)
         if len(found) != 1 or not found[0].startswith(f"{path}:{line}: "):
             wrong.append(f"did not find {path}:{line}: {text!r}")
+    codec = {"codec/CMakeLists.txt": "penumbra_module(codec PUBLIC penumbra::core"
+                                     " PRIVATE penumbra::x)"}
+    for table, right in (("| `codec` | codec | core, [x] | image files |", True),
+                         ("| `codec` | codec | core, x | image files |", False)):
+        if any("codec links" in line for line in wrong_table(table, codec)) == right:
+            wrong.append(f"did not read {table!r}")
+    if links_upward(below) or not links_upward(below | {"core": {"codec"}}):
+        wrong.append("did not tell a link upward from one down")
     if len(circles({"core/a.h": '#include "core/b.h"', "core/b.h": '#include "core/a.h"'})) != 1:
         wrong.append("did not find the circle of two headers")
     return wrong
@@ -189,16 +235,21 @@ def main(arguments):
         return 2
     root = Path(arguments[0])
     faults = [f"self-test: {line}" for line in self_test()]
-    files = {}
+    cmake, files = {}, {}
     for top in sorted({room.split("/")[0] for room in ROOMS}):
         sources = [p for p in (root / top).rglob("*") if p.suffix in (".cpp", ".h")]
+        cmake |= {p.relative_to(root).as_posix(): p.read_text(encoding="utf-8")
+                  for p in (root / top).rglob("CMakeLists.txt")}
         files |= {p.relative_to(root).as_posix(): p.read_text(encoding="utf-8") for p in sources}
     for room in ROOMS:
         if not any(room_of(path) == room for path in files):
             faults.append(f"{room}: no source found in {root}")
     faults += [f"{path}: lies in no room" for path in files
                if room_of(path) is None and path not in UMBRELLAS]
-    faults += broken_arrows(files)
+    below = rooms_below(cmake)
+    page = (root / "docs" / "architecture.md").read_text(encoding="utf-8")
+    faults += wrong_table(page, cmake)
+    faults += links_upward(below) + broken_arrows(files, below)
     for line in faults:
         print(line, file=sys.stderr)
     if not faults:

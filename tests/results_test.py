@@ -99,6 +99,11 @@ rows = [{ label = "no data", of = "skip", find = 'walk: (?P<off>[\d.]+)', show =
 columns = "what | figure"
 table = "rows.csv"
 rows = [{ label = "no maps", of = "maps", where = { chosen = 1 }, show = "{ms}" }]
+[drawn]
+gpu = true
+columns = "what | figure"
+of = "print"
+rows = [{ label = "two", find = '^walk: (?P<off>[-\d.]+)', matches = 2, show = "{off.max:.1f}" }]
 """
 
 PROGRAMS = {
@@ -139,11 +144,12 @@ ERRORS = {
     "failing": "failing: failing row: `toy Toy.Fails`: ends with status 1, "
                "see out/results/fail.failed.txt",
     "unknown": "unknown: no such section; there are text, bench, table, json, missing, several, "
-               "choice, failing, skipped, absent",
+               "choice, failing, skipped, absent, drawn",
 }
 ABSENT = {"skipped": "skipped: stays as it is: shared data file absent: toy.hdr",
           "absent": "absent: stays as it is: shared data folder absent: envmaps "
-                    "(set PENUMBRA_SHARED_DATA)"}
+                    "(set PENUMBRA_SHARED_DATA)",
+          "drawn": "drawn: stays as it is: needs a GPU"}
 
 
 class Toy:
@@ -212,7 +218,7 @@ def check_kept(toy):
     (kept / "print.txt").write_text(f"# {json.dumps(origin)}\n" + 2 * "walk: 8.5 % of 9\n",
                                     encoding="utf-8")
     calls.write_text("", encoding="utf-8")
-    run = toy.run("--from", str(kept), "--section", "choice", "bench")
+    run = toy.run("--from", str(kept), "--section", "choice", "bench", "drawn")
     choice = "\n".join(toy.section("choice"))
     expected = ("*Abacus, 3 cores, no GPU; 2001-02-03; commit abcdef0.* Printed by "
                 "`toy Toy.Prints*`.\n\n| what | figure |\n|---|---|\n| two | 8.5 |")
@@ -221,6 +227,8 @@ def check_kept(toy):
         wrong.append(f"--from: status {run.returncode}: {run.stderr}")
     if choice != expected:
         wrong.append(f"--from: writes {choice}")
+    if toy.section("drawn")[-1] != "| two | 8.5 |":
+        wrong.append(f"--from: leaves out what a GPU drew: {toy.section('drawn')}")
     if "2001-02-03 to 20" not in " ".join(toy.section("bench")):
         wrong.append(f"--from: tells one day for two: {toy.section('bench')}")
     return wrong

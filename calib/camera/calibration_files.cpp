@@ -4,7 +4,7 @@
 #include <cmath>
 #include <glm/matrix.hpp>
 
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::calib {
 

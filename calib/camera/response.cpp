@@ -6,8 +6,8 @@
 #include <iterator>
 
 #include "calib/camera/response.h"
-#include "core/files.h"
-#include "core/toml_keys.h"
+#include "core/io/files.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::calib {
 namespace fs = std::filesystem;

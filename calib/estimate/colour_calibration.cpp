@@ -10,7 +10,7 @@
 #include <glm/matrix.hpp>
 #include <iterator>
 
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::calib {
 

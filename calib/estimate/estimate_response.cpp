@@ -24,7 +24,7 @@
 #include "calib/camera/response.h"
 #include "calib/estimate/estimate_response.h"
 #include "core/median.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::calib {
 namespace {

@@ -9,10 +9,10 @@
 #include <numeric>
 #include <optional>
 
-#include "core/background_task.h"
 #include "core/image.h"
+#include "core/io/toml_keys.h"
 #include "core/median.h"
-#include "core/toml_keys.h"
+#include "core/threads/background_task.h"
 
 namespace penumbra::calib {
 

@@ -36,8 +36,8 @@ struct TrackerPose {
 struct RigOptions {
   std::vector<TrackerPose> tracker;  // by time; empty: none
   double tracker_sigma_m = .001, tracker_sigma_rad = .001;
-  double max_offset_s = .5;      // of the tracker's clock
-  double simultaneous_s = .005;  // frames closer than this show one moment
+  double max_offset_s = .5;        // of the tracker's clock
+  double max_time_apart_s = .005;  // frames closer than this show one moment
 };
 
 struct RigCameraPose {

@@ -51,12 +51,12 @@ struct Posed {
 };
 
 // Views of one moment have one number.
-std::vector<std::size_t> number_moments(const std::vector<Posed>& views, double simultaneous_s,
+std::vector<std::size_t> number_moments(const std::vector<Posed>& views, double max_time_apart_s,
                                         std::vector<double>& times_s) {
   std::vector<std::size_t> out;
   std::vector<std::size_t> seen_by;  // cameras of the moment under way
   for (const Posed& v : views) {
-    const bool same = !times_s.empty() && v.view->time_s - times_s.back() <= simultaneous_s &&
+    const bool same = !times_s.empty() && v.view->time_s - times_s.back() <= max_time_apart_s &&
                       std::ranges::find(seen_by, v.view->camera) == seen_by.end();
     if (!same) times_s.push_back(v.view->time_s), seen_by.clear();
     seen_by.push_back(v.view->camera);
@@ -300,7 +300,7 @@ Result<RigStart> start_rig(std::span<const RigCameraInput> cameras,
         "the board has a pose in {} pictures, and at least {} are needed", posed.size(), kFewest));
   std::ranges::stable_sort(posed, {}, [](const Posed& p) { return p.view->time_s; });
   RigStart out;
-  out.moment_of = number_moments(posed, options.simultaneous_s, out.times_s);
+  out.moment_of = number_moments(posed, options.max_time_apart_s, out.times_s);
   PENUMBRA_ASSIGN(chained, chain_cameras(cameras, posed, out.moment_of));
   out.rig_from_camera = std::move(chained);
   out.moments.resize(out.times_s.size());

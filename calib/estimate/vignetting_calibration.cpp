@@ -11,7 +11,7 @@
 #include <type_traits>
 
 #include "core/image.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::calib {
 

@@ -19,7 +19,7 @@
 
 #include "capture/device/internal/v4l2_node.h"
 #include "capture/raw_formats.h"
-#include "core/unique_fd.h"
+#include "capture/unique_fd.h"
 
 namespace penumbra::capture {
 

@@ -9,7 +9,7 @@
 
 #include "capture/device/cameras.h"
 #include "capture/frames.h"
-#include "core/queues.h"
+#include "core/threads/queues.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::capture {

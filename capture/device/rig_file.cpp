@@ -4,7 +4,7 @@
 
 #include "capture/device/rig.h"
 #include "capture/recording/camera_table.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::capture {
 namespace fs = std::filesystem;

@@ -9,7 +9,7 @@
 #include "capture/hdr/merge.h"
 #include "capture/warp_grid.h"
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::capture {
 

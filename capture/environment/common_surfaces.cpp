@@ -16,7 +16,7 @@
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/hdr/pose_warp.h"
-#include "core/queues.h"
+#include "core/threads/queues.h"
 
 namespace penumbra::capture {
 

@@ -1,4 +1,4 @@
-#include "capture/hdr/internal/contradiction.h"
+#include "capture/hdr/contradiction.h"
 
 #include "core/units.h"
 

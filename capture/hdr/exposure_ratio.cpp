@@ -85,8 +85,8 @@ std::optional<Block> read_block(const Image<Rgb8>& a, const Image<Rgb8>& b,
 
 // Blocks from one that is read to the next, along each axis: a quarter of a million tell enough.
 int apart_in(const Image<Rgb8>& a) {
-  constexpr double kMost_px = 4e6;
-  return std::max(1, static_cast<int>(std::sqrt(static_cast<double>(a.area()) / kMost_px) + .5));
+  constexpr double kMax_px = 4e6;
+  return std::max(1, static_cast<int>(std::sqrt(static_cast<double>(a.area()) / kMax_px) + .5));
 }
 
 std::vector<Block> read_blocks(const Image<Rgb8>& a, const Image<Rgb8>& b,

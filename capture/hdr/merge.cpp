@@ -10,9 +10,9 @@
 #include <numeric>
 
 #include "capture/frames.h"
-#include "capture/hdr/internal/contradiction.h"
+#include "capture/hdr/contradiction.h"
 #include "capture/hdr/merge_math.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::capture {
 

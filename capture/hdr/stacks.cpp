@@ -12,8 +12,8 @@
 #include "capture/frames.h"
 #include "capture/hdr/merge.h"
 #include "capture/hdr/merge_math.h"
-#include "core/background_task.h"
 #include "core/median.h"
+#include "core/threads/background_task.h"
 
 namespace penumbra::capture {
 
@@ -124,8 +124,8 @@ class Aligner {
 
   // Small enough for features of all of it at once; above, a small picture is the tiles' start.
   static double scale_of(double area_px) {
-    constexpr double kMost_px = 3e6, kSmall_px = 1.5e6;
-    return area_px > kMost_px ? std::sqrt(kSmall_px / area_px) : 1;
+    constexpr double kMax_px = 3e6, kSmall_px = 1.5e6;
+    return area_px > kMax_px ? std::sqrt(kSmall_px / area_px) : 1;
   }
 
   static constexpr int kMaxFeatures = 4000;

@@ -294,7 +294,7 @@ Result<Lens> read_lens(const TomlKeys& keys, const Size& picture) {
   PENUMBRA_ASSIGN(fov_deg, keys.number("fov_deg"));
   if (!(fov_deg > 0 && fov_deg <= 360))
     return keys.invalid("fov_deg", "is not above 0 and at most 360 degrees");
-  lens.half_field_rad = fov_deg / 360 * kPi;
+  lens.half_field_of_view_rad = fov_deg / 360 * kPi;
   if (!keys.has("camera_from_lens")) return lens;
   PENUMBRA_ASSIGN(pose, read_pose(keys, "camera_from_lens"));
   lens.camera_from_lens = pose.rotation;
@@ -432,7 +432,7 @@ std::string print_lens(const Lens& lens) {
   return fmt::format(
       "\n[[camera.lens]]\ncrop_px = [{}, {}, {}, {}]\n{}fov_deg = {}\ncamera_from_lens = [{}]\n",
       lens.x_px, lens.y_px, lens.projection.width, lens.projection.height,
-      print_projection(lens.projection), lens.half_field_rad * 360 / kPi,
+      print_projection(lens.projection), lens.half_field_of_view_rad * 360 / kPi,
       fmt::join(&m[0][0], &m[0][0] + 16, ", "));
 }
 

@@ -11,7 +11,7 @@
 #include "calib/camera/response.h"
 #include "capture/frames.h"
 #include "capture/recording/folder_format.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::capture {

@@ -10,7 +10,7 @@
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
 #include "codec/codec.h"
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::capture {
 namespace fs = std::filesystem;

@@ -5,7 +5,7 @@
 #include <cstdint>
 
 #include "capture/recording/folder_format.h"
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::capture {
 namespace fs = std::filesystem;

@@ -7,7 +7,7 @@
 #include "capture/recording/folder.h"
 #include "capture/recording/folder_format.h"
 #include "codec/codec.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 namespace penumbra::capture {
 namespace fs = std::filesystem;

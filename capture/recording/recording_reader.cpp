@@ -13,7 +13,7 @@
 #include "capture/recording/folder_format.h"
 #include "capture/recording/internal/recording_format.h"
 #include "capture/recording/recording.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 extern "C" {
 #include <libavcodec/avcodec.h>

@@ -14,8 +14,8 @@
 #include "capture/recording/folder_format.h"
 #include "capture/recording/internal/recording_format.h"
 #include "capture/recording/recording.h"
-#include "core/files.h"
-#include "core/unique_fd.h"
+#include "capture/unique_fd.h"
+#include "core/io/files.h"
 
 extern "C" {
 #include <libavcodec/avcodec.h>

@@ -6,7 +6,7 @@
 #include "capture/frames.h"
 #include "capture/studio/environments.h"
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::capture {
 

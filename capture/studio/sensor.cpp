@@ -10,7 +10,7 @@
 #include "capture/hdr/merge.h"
 #include "capture/studio/sensor.h"
 #include "core/normal_quantiles.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::capture {
 

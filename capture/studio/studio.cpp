@@ -10,7 +10,7 @@
 #include "capture/studio/studio.h"
 #include "capture/studio/world.h"
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::capture {
 

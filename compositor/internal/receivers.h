@@ -153,8 +153,8 @@ class Receivers {
   std::vector<ReceiverPlane> planes_;
   std::vector<PlaneLookup> lookups_;
   std::optional<PlaneLookup> real_lookup_;
-  std::vector<ShadowMapLookup> taken_;
-  std::vector<ShadowMapLookup> missing_;  // of real_shadow_maps_
+  std::vector<ShadowMapLookup> virtual_occlusion_;
+  std::vector<ShadowMapLookup> real_occlusion_;  // of real_shadow_maps_
   std::vector<FineLookup> fine_missing_;
   std::vector<HalfImage> half_images_;  // of the lookups
 };

@@ -32,11 +32,11 @@ void weighted_sum(const float* const* rows, const float* weights, std::size_t sa
 /// That is g V + r^2 where an object covers the pixel, and g T y (1 - T) + r^2 (1 - T^2) - T^2 q
 /// where a shadow lies on it. Lanes past the end may hold anything finite.
 struct NoisyRow {
-  const float *added, *taken;  // V and 1 - T
-  const float* real;           // y
-  const float* rounding;       // q, the variance that quantisation has left in y
-  std::uint32_t key[2];        // of frame, row and channel
-  std::uint32_t first;         // column of the first sample
+  const float *added, *deficit;  // V and 1 - T
+  const float* real;             // y
+  const float* rounding;         // q, the variance that quantisation has left in y
+  std::uint32_t key[2];          // of frame, row and channel
+  std::uint32_t first;           // column of the first sample
 };
 void add_with_noise(const NoisyRow& row, float shot_gain, float read_variance, std::size_t count,
                     float* out);
@@ -78,7 +78,7 @@ class BlurPlanes {
 /// Of one frame: what the virtual things add to the picture, V, and the fraction of the real light
 /// that they take, 1 - T.
 struct SensorPlanes {
-  BlurPlanes added, taken;
+  BlurPlanes added, deficit;
 };
 
 struct Layered;

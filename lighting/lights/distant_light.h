@@ -5,9 +5,9 @@
 #include <glm/vec3.hpp>
 
 #include "core/image.h"
-#include "core/inplace_vector.h"
 #include "core/sh.h"
 #include "core/units.h"
+#include "lighting/lights/inplace_vector.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::lighting {

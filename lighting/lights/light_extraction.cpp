@@ -4,8 +4,8 @@
 #include <limits>
 #include <numeric>
 
-#include "core/background_task.h"
-#include "core/scratch.h"
+#include "core/threads/background_task.h"
+#include "core/threads/scratch.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/lights/internal/light_shape.h"
 #include "lighting/lights/light_extraction.h"
@@ -137,10 +137,10 @@ const PixelDirections& directions_of(int width, int height) {
   return known;
 }
 
-class Peeler {
+class LightExtractor {
  public:
-  Peeler(const MapLuminance& luminance, const ExtractionOptions& options,
-         std::span<const std::uint32_t> clipped, LightExtraction& split)
+  LightExtractor(const MapLuminance& luminance, const ExtractionOptions& options,
+                 std::span<const std::uint32_t> clipped, LightExtraction& split)
       : luminance_(luminance),
         options_(options),
         clipped_(clipped),
@@ -158,7 +158,7 @@ class Peeler {
   Vector<BrightRegion> regions_above(float level);
   Vector<BrightRegion> regions_of(std::span<const Run> runs) const;
   Vector<Run> runs_above(float level, std::span<const Run> within);
-  void peel(const BrightRegion& region, float level);
+  void extract(const BrightRegion& region, float level);
   double flux_of(const BrightRegion& region) const;
   void cut_clipped(float level);
   void cut(const BrightRegion& region, float level, bool clipped = false);
@@ -182,7 +182,7 @@ class Peeler {
   double min_flux_ = 0;
 };
 
-Result<double> Peeler::mean() const {
+Result<double> LightExtractor::mean() const {
   double mean = 0;
   for (int y = 0; y < map_.height(); ++y) {
     const double sum = luminance_.row_sum[static_cast<std::size_t>(y)];
@@ -194,7 +194,7 @@ Result<double> Peeler::mean() const {
 }
 
 // The parts of rows whose blocks reach above the level.
-Vector<Run> Peeler::bright_parts(float level) const {
+Vector<Run> LightExtractor::bright_parts(float level) const {
   Vector<Run> parts(memory_);
   auto peak = luminance_.block_peak.begin();
   for (int y = 0; y < map_.height(); ++y)
@@ -210,7 +210,7 @@ Vector<Run> Peeler::bright_parts(float level) const {
 }
 
 // Mean of the map with everything above the level cut down to it.
-double Peeler::mean_below(double level) const {
+double LightExtractor::mean_below(double level) const {
   double mean = split_.mean_luminance;
   for (const Run& r : bright_parts(static_cast<float>(level)))
     mean -= grid_.weight[static_cast<std::size_t>(r.y)] *
@@ -219,7 +219,7 @@ double Peeler::mean_below(double level) const {
   return std::max(0., mean);  // of a map that is black but for its sources, but for rounding
 }
 
-Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) {
+Vector<Run> LightExtractor::runs_above(float level, std::span<const Run> within) {
   Vector<Run> runs(memory_);
   for (const Run& r : within) {
     pixel_luminance(&map_.at(r.x0, r.y).r, r.length(), brightness_.data());
@@ -235,13 +235,13 @@ Vector<Run> Peeler::runs_above(float level, std::span<const Run> within) {
   return runs;
 }
 
-Vector<BrightRegion> Peeler::regions_above(float level) {
+Vector<BrightRegion> LightExtractor::regions_above(float level) {
   return regions_of(runs_above(level, bright_parts(level)));
 }
 
 // Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the
 // seam; and all pixels of the first row, or the last, meet at the pole.
-Vector<BrightRegion> Peeler::regions_of(std::span<const Run> runs) const {
+Vector<BrightRegion> LightExtractor::regions_of(std::span<const Run> runs) const {
   DisjointSets sets(runs.size(), memory_);
   const int width = map_.width();
   const auto touch = [&](const Run& a, const Run& b) {
@@ -267,19 +267,19 @@ Vector<BrightRegion> Peeler::regions_of(std::span<const Run> runs) const {
   return regions;
 }
 
-void Peeler::peel(const BrightRegion& region, float level) {
+void LightExtractor::extract(const BrightRegion& region, float level) {
   if (region.peak > kStep * level) {
     const float core = kCoreLevel * region.peak;
     for (const BrightRegion& part : regions_of(runs_above(core, region.runs))) cut(part, level);
     // What is left reaches up to the core's level at most.
     for (BrightRegion& part : regions_of(runs_above(level, region.runs)))
-      part.peak < region.peak ? peel(part, level) : cut(part, level);
+      part.peak < region.peak ? extract(part, level) : cut(part, level);
     return;
   }
   cut(region, level);
 }
 
-double Peeler::flux_of(const BrightRegion& region) const {
+double LightExtractor::flux_of(const BrightRegion& region) const {
   double sum = 0;
   for (const Run& r : region.runs) sum += grid_.weight[static_cast<std::size_t>(r.y)] * r.sum;
   return sum;
@@ -287,7 +287,7 @@ double Peeler::flux_of(const BrightRegion& region) const {
 
 // Clipped pixels come first, so that the light is where they are and what they lack is not spread
 // over the glow around them. Down to half of their own mean where that is not six times the rest.
-void Peeler::cut_clipped(float level) {
+void LightExtractor::cut_clipped(float level) {
   Vector<Run> parts(memory_);
   const int width = std::max(1, map_.width());
   for (const std::uint32_t i : clipped_) {
@@ -309,7 +309,7 @@ void Peeler::cut_clipped(float level) {
 // Cuts the region down to the level and turns what was above into a candidate. The level, not a
 // fraction of the region's own mean: a window that dims slowly then leaves the list with nothing
 // left in it.
-void Peeler::cut(const BrightRegion& region, float level, bool clipped) {
+void LightExtractor::cut(const BrightRegion& region, float level, bool clipped) {
   RegionCut c(memory_);
   c.runs.assign(region.runs.begin(), region.runs.end());
   c.radiance.resize(region.pixels);
@@ -344,7 +344,7 @@ void Peeler::cut(const BrightRegion& region, float level, bool clipped) {
   candidates_.push_back(std::move(c));
 }
 
-void Peeler::put_back(const RegionCut& c) {
+void LightExtractor::put_back(const RegionCut& c) {
   auto radiance = c.radiance.begin();
   for (const Run& r : c.runs)
     for (Rgb& pixel : map_.row_to_change(r.y).subspan(static_cast<std::size_t>(r.x0),
@@ -353,7 +353,7 @@ void Peeler::put_back(const RegionCut& c) {
 }
 
 // Of blocks of pixels: a thousand pieces are plenty for 64 points.
-Vector<EnergyPiece> Peeler::fractions_of(const RegionCut& c) const {
+Vector<EnergyPiece> LightExtractor::fractions_of(const RegionCut& c) const {
   const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.luminance.size()) / 1000));
   Vector<EnergyPiece> pieces(memory_),
       across_blocks(static_cast<std::size_t>(map_.width() / block + 1), memory_);
@@ -393,7 +393,7 @@ Vector<EnergyPiece> Peeler::fractions_of(const RegionCut& c) const {
 }
 
 // Where the energy lies when a round light would misplace it.
-DistantLight::Shape Peeler::shape_of(const RegionCut& c) const {
+DistantLight::Shape LightExtractor::shape_of(const RegionCut& c) const {
   // Mean square distance from the centre; of an even light of that solid angle: a^2/2 with pi a^2 =
   // the solid angle.
   const double spread = 2 - 2 * glm::dot(c.moment, c.centre) / c.flux;
@@ -404,7 +404,7 @@ DistantLight::Shape Peeler::shape_of(const RegionCut& c) const {
 
 // The steps of one small source (a sun and its glow within a degree) are one light: its second
 // moment is the mean of theirs.
-void Peeler::join_concentric() {
+void LightExtractor::join_concentric() {
   for (std::size_t i = 0; i < candidates_.size(); ++i)
     for (std::size_t k = candidates_.size(); k-- > i + 1;) {
       RegionCut &a = candidates_[i], &b = candidates_[k];
@@ -420,7 +420,7 @@ void Peeler::join_concentric() {
 }
 
 // The strongest become lights, clipped ones first of all; the others go back into the map.
-void Peeler::choose() {
+void LightExtractor::choose() {
   std::ranges::sort(candidates_, std::greater<>(), &RegionCut::flux);
   join_concentric();
   std::ranges::sort(candidates_, std::greater<>(), &RegionCut::flux);
@@ -444,7 +444,7 @@ void Peeler::choose() {
   }
 }
 
-Result<void> Peeler::run() {
+Result<void> LightExtractor::run() {
   lights_.clear();
   PENUMBRA_ASSIGN(whole, mean());
   split_.mean_luminance = whole;
@@ -462,7 +462,7 @@ Result<void> Peeler::run() {
   std::ranges::sort(order, {}, &std::pair<double, const BrightRegion*>::first);
   for (const auto& [negative_flux, region] : order) {
     if (-negative_flux < min_flux_) break;
-    peel(*region, level);
+    extract(*region, level);
   }
   choose();
   return {};
@@ -479,7 +479,7 @@ Result<void> extract_lights(const Image<Rgb>& map, const MapLuminance& luminance
                 "has a list of clipped pixels that is out of order or points outside the map");
   assert(luminance.is_of(map));
   split.residual.reset(map);
-  return Peeler(luminance, options, clipped, split).run();
+  return LightExtractor(luminance, options, clipped, split).run();
 }
 
 Result<void> extract_lights(const Image<Rgb>& map, const ExtractionOptions& options,

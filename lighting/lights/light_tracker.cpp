@@ -3,7 +3,7 @@
 #include <memory_resource>
 #include <utility>
 
-#include "core/scratch.h"
+#include "core/threads/scratch.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/lights/light_tracker.h"
 

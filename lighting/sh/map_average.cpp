@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::lighting {
 

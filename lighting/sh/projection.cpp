@@ -7,7 +7,7 @@
 #include <new>
 #include <vector>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/latlong_kernel.h"
 #include "lighting/sh/map_luminance.h"
@@ -87,14 +87,14 @@ struct LatLongProjector::Tables {
     }
   }
 
-  // Those rows that `look`, which sees each of them, says are wanted.
-  template <class Map, class Look>
-  void sum_rows(const Map& map, const Look& look) {
+  // Those rows that `wanted`, which is asked for each of them, says so.
+  template <class Map, class Wanted>
+  void sum_rows(const Map& map, const Wanted& wanted) {
     parallel_for(0, kParts, [&](int part) {
       RowTables own = row;
       own.scratch += part * 12 * own.stride;
       for (int j = height * part / kParts; j < height * (part + 1) / kParts; ++j) {
-        if (!look(j)) continue;
+        if (!wanted(j)) continue;
         RowSums& sums = rows[static_cast<std::size_t>(j)];
         row_fourier_sums(own, &map.row(j)[0].r, sums.cosine, sums.sine);
       }

@@ -12,7 +12,7 @@
 #include <utility>
 
 #include "core/half.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"

@@ -7,8 +7,8 @@
 #include <cstring>
 #include <fstream>
 
-#include "core/files.h"
 #include "core/half.h"
+#include "core/io/files.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/mesh.h"

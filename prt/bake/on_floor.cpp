@@ -1,6 +1,6 @@
 #include <vector>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/bake_rules.h"
 #include "prt/transfer/transfer.h"

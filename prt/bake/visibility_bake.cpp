@@ -4,7 +4,7 @@
 #include <bit>
 #include <glm/geometric.hpp>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/bake/bake_rules.h"
 
 namespace penumbra::prt {

@@ -13,8 +13,8 @@
 #include <numeric>
 
 #include "core/half.h"
-#include "core/hash.h"
-#include "core/parallel.h"
+#include "core/io/hash.h"
+#include "core/threads/parallel.h"
 #include "prt/bake/bake_rules.h"
 #include "prt/geometry/ray_pattern.h"
 

@@ -2,7 +2,7 @@
 
 #include <cstring>
 
-#include "core/hash.h"
+#include "core/io/hash.h"
 
 namespace penumbra::prt {
 

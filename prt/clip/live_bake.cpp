@@ -11,7 +11,7 @@
 #include <glm/gtx/quaternion.hpp>
 #include <numeric>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "lighting/sh/rotation.h"

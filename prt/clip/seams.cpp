@@ -9,8 +9,8 @@
 #include <optional>
 #include <tuple>
 
-#include "core/background_task.h"
-#include "core/parallel.h"
+#include "core/threads/background_task.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::prt {
 

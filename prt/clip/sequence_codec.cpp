@@ -11,7 +11,7 @@
 #include "codec/codec.h"
 #include "codec/range_coder.h"
 #include "core/half.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::prt {
 

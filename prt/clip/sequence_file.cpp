@@ -7,8 +7,8 @@
 #include <fstream>
 #include <functional>
 
-#include "core/files.h"
-#include "core/hash.h"
+#include "core/io/files.h"
+#include "core/io/hash.h"
 #include "prt/clip/internal/frame_bake.h"
 #include "prt/clip/internal/sequence_codec.h"
 #include "prt/clip/key_frames.h"

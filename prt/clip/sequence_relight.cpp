@@ -66,7 +66,7 @@ HWY_ATTR void SumTerms(const std::int16_t* values, const std::int8_t* narrow,
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::prt {
 HWY_EXPORT(SumTerms);

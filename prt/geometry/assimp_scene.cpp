@@ -14,7 +14,7 @@
 #include <string_view>
 #include <utility>
 
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::prt {
 

@@ -4,7 +4,7 @@
 #include <mutex>
 
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/geometry/animation.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"

@@ -64,7 +64,7 @@ HWY_AFTER_NAMESPACE();
 #include <algorithm>
 #include <cassert>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::prt {
 HWY_EXPORT(SumGrey);

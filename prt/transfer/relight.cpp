@@ -103,7 +103,7 @@ HWY_ATTR void RelightChannel(const std::uint16_t* values, std::size_t stride, st
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/transfer/relight.h"
 #include "prt/transfer/transfer.h"
 

@@ -5,8 +5,8 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "core/cow_vector.h"
 #include "core/sh.h"
+#include "prt/transfer/cow_vector.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::prt {

@@ -6,7 +6,7 @@
 
 #include "core/conventions.h"
 #include "core/half.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/transfer/internal/blocked_rows.h"
 #include "prt/transfer/transfer.h"
 #include "prt/transfer/transfer_pca.h"

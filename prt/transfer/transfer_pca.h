@@ -7,8 +7,8 @@
 #include <span>
 #include <vector>
 
-#include "core/parallel.h"
 #include "core/sh.h"
+#include "core/threads/parallel.h"
 #include "prt/transfer/relight.h"
 #include "prt/transfer/transfer.h"
 

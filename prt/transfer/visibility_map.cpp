@@ -53,9 +53,9 @@ VisibilityLookup::VisibilityLookup(const VisibilityMap& visibility, const Mesh& 
   assert(first == visibility.fine.size());
 }
 
-void VisibilityLookup::look(const VisibilitySamples& directions_used,
-                            std::span<const std::uint32_t> vertices, std::size_t first,
-                            std::size_t last, std::span<CosineSums> out) const {
+void VisibilityLookup::look_up(const VisibilitySamples& directions_used,
+                               std::span<const std::uint32_t> vertices, std::size_t first,
+                               std::size_t last, std::span<CosineSums> out) const {
   assert(directions_used.turns() > 0 &&
          last <= (vertices.empty() ? heads_.size() : vertices.size()));
   assert((directions_used.cells() == VisibilityMap::kCells &&

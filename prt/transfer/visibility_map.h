@@ -11,8 +11,8 @@
 #include <span>
 #include <vector>
 
-#include "core/cow_vector.h"
 #include "prt/geometry/mesh.h"
+#include "prt/transfer/cow_vector.h"
 #include "prt/transfer/vertex_samples.h"
 
 #pragma GCC visibility push(default)
@@ -118,13 +118,13 @@ class VisibilityLookup {
 
   const VertexSamples& samples() const { return samples_; }
   /// Of vertices [first, last), each over its own directions.
-  void look(const VisibilitySamples& directions_used, std::size_t first, std::size_t last,
-            std::span<CosineSums> out) const {
-    look(directions_used, {}, first, last, out);
+  void look_up(const VisibilitySamples& directions_used, std::size_t first, std::size_t last,
+               std::span<CosineSums> out) const {
+    look_up(directions_used, {}, first, last, out);
   }
   /// The same of places [first, last) of a list of vertices; directions and `out` are by place.
-  void look(const VisibilitySamples& directions_used, std::span<const std::uint32_t> vertices,
-            std::size_t first, std::size_t last, std::span<CosineSums> out) const;
+  void look_up(const VisibilitySamples& directions_used, std::span<const std::uint32_t> vertices,
+               std::size_t first, std::size_t last, std::span<CosineSums> out) const;
 
  private:
   const VisibilityMap* visibility_;

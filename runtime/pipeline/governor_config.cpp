@@ -33,21 +33,21 @@ class Relit {
       : baked_(o.baked),
         patterns_(o.baked),
         light_(3 * o.baked.transfer.stride),
-        taken_(3 * o.baked.ground_deficit.stride) {}
+        deficit_(3 * o.baked.ground_deficit.stride) {}
 
   void relight(const RadianceSh& light, const RadianceSh* reflected) {
     patterns_.surface.relight(light, reflected, light_);
     const prt::Transfer& deficit = baked_.ground_deficit;
     if (!baked_.receiver || deficit.points == 0) return;
-    patterns_.ground.relight(light, reflected, taken_);
-    shadows::compose_planar_shadow({baked_.receiver->grid, deficit.bands, deficit.stride, taken_},
+    patterns_.ground.relight(light, reflected, deficit_);
+    shadows::compose_planar_shadow({baked_.receiver->grid, deficit.bands, deficit.stride, deficit_},
                                    light, shadow_);
   }
 
  private:
   const prt::BakedObject& baked_;
   RelightBases patterns_;
-  std::vector<float> light_, taken_;
+  std::vector<float> light_, deficit_;
   shadows::PlanarShadow shadow_;
 };
 

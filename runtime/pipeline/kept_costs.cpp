@@ -10,9 +10,9 @@
 #include <string>
 #include <utility>
 
-#include "core/files.h"
-#include "core/hash.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/hash.h"
+#include "core/io/log.h"
 #include "runtime/scene/bake_cache.h"
 
 namespace penumbra::runtime {

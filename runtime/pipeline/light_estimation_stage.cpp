@@ -10,7 +10,7 @@
 #include "capture/hdr/merge.h"
 #include "capture/warp_grid.h"
 #include "core/conventions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "lighting/lights/distant_light.h"
 
 namespace penumbra::runtime {
@@ -84,10 +84,10 @@ Result<LightEstimationStage> LightEstimationStage::create(
         cameras[i].ball ? 1 : std::max<std::size_t>(1, cameras[i].lenses.size());
     for (std::size_t k = 0; k < count; ++k)
       stage.views_.emplace_back().camera = static_cast<int>(i);
-    const auto looked = stage.look(static_cast<int>(i), cameras[i].world_from_camera);
+    const auto posed = stage.set_pose(static_cast<int>(i), cameras[i].world_from_camera);
     // A ball may come into the picture later.
-    if (!looked && looked.error().code != ErrorCode::kUndetermined)
-      return std::unexpected(looked.error());
+    if (!posed && posed.error().code != ErrorCode::kUndetermined)
+      return std::unexpected(posed.error());
   }
   if (stage.views_.empty())
     return fail(ErrorCode::kInvalid, "capture", "has no environment camera");
@@ -111,7 +111,7 @@ std::size_t LightEstimationStage::exposures() const {
 }
 
 // The camera's views anew, from where it stands now.
-Result<void> LightEstimationStage::look(int camera, const Pose& world_from_camera) {
+Result<void> LightEstimationStage::set_pose(int camera, const Pose& world_from_camera) {
   capture::CameraInfo& info = cameras_[static_cast<std::size_t>(camera)];
   info.world_from_camera = world_from_camera;
   auto regions = capture::camera_regions(info, world_from_camera);
@@ -167,9 +167,9 @@ Result<void> LightEstimationStage::follow(const capture::Frame& frame) {
     return fail(ErrorCode::kUndetermined, info.name,
                 "the mirror ball is partly outside the picture");
   }
-  const auto looked = look(frame.camera, frame.world_from_camera);
+  const auto posed = set_pose(frame.camera, frame.world_from_camera);
   lay_out();
-  return looked;
+  return posed;
 }
 
 Result<void> LightEstimationStage::merge(RegionView& view, const capture::Frame& frame) {
@@ -272,14 +272,15 @@ std::vector<LightEstimationStage::ViewGain> LightEstimationStage::gains() const 
   return out;
 }
 
-void LightEstimationStage::complete(std::span<const lighting::SaturationRecovery> completions) {
-  for (const lighting::SaturationRecovery& c : completions) {
-    const auto taken = estimator_.complete(c);
-    if (taken)
+void LightEstimationStage::add_recoveries(
+    std::span<const lighting::SaturationRecovery> recoveries) {
+  for (const lighting::SaturationRecovery& c : recoveries) {
+    const auto added = estimator_.add_recovery(c);
+    if (added)
       log_info("light: the power of saturated light {} is recovered from the floor", c.source);
     else  // it has moved on, or the floor says less than the camera
       log_warning("light: the power of saturated light {} is not recovered from the floor: it {}",
-                  c.source, taken.error().detail);
+                  c.source, added.error().detail);
   }
 }
 

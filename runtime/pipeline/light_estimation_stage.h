@@ -12,9 +12,9 @@
 #include "capture/environment/assembler.h"
 #include "capture/environment/environment_blend.h"
 #include "capture/frames.h"
-#include "capture/hdr/hdr_ring.h"
+#include "capture/ring/hdr_ring.h"
 #include "core/result.h"
-#include "core/stage_times.h"
+#include "core/threads/stage_times.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
@@ -63,7 +63,7 @@ class LightEstimationStage {
   };
   std::vector<ViewGain> gains() const;
   /// From the next map on.
-  void complete(std::span<const lighting::SaturationRecovery> completions);
+  void add_recoveries(std::span<const lighting::SaturationRecovery> recoveries);
 
  private:
   // One region of one camera; of a ball also while it is out of the picture.
@@ -78,7 +78,7 @@ class LightEstimationStage {
   };
   LightEstimationStage(const std::vector<capture::CameraInfo>& cameras,
                        const lighting::EstimateOptions& options, StageTimes& times);
-  Result<void> look(int camera, const Pose& world_from_camera);
+  Result<void> set_pose(int camera, const Pose& world_from_camera);
   void lay_out();
   Result<void> follow(const capture::Frame& frame);
   Result<void> merge(RegionView& view, const capture::Frame& frame);

@@ -11,7 +11,7 @@
 #include "calib/camera/camera_model.h"
 #include "calib/camera/projection_table.h"
 #include "core/conventions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "lighting/estimate.h"
 #include "lighting/sh/basis.h"
 

@@ -7,9 +7,11 @@
 #include <utility>
 
 #include "capture/camera_regions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/light_estimation_stage.h"
+#include "runtime/pipeline/runner.h"
+#include "runtime/shading/composite_stage.h"
 
 namespace penumbra {
 
@@ -172,7 +174,8 @@ Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
     out.pixels = *view.pixels;
     return out;
   }
-  if (impl_->light) impl_->light->complete(impl_->composite->complete(view, impl_->estimate));
+  if (impl_->light)
+    impl_->light->add_recoveries(impl_->composite->recover_lights(view, impl_->estimate));
   PENUMBRA_TRY(impl_->composite->process(view, impl_->estimate, out));
   return out;
 }

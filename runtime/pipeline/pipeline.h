@@ -13,16 +13,24 @@
 
 #include "capture/frames.h"
 #include "core/result.h"
-#include "core/stage_times.h"
+#include "core/threads/stage_times.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
-#include "runtime/pipeline/runner.h"
+#include "runtime/pipeline/runs.h"
 #include "runtime/scene/scene.h"
-#include "runtime/shading/composite_stage.h"
+#include "runtime/shading/composited.h"
 #include "runtime/shading/object_moves.h"
+#include "runtime/shading/shadow_sampling.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra {
+
+namespace compositor {
+class Compositor;
+}
+namespace runtime {
+class CompositeStage;
+}
 
 struct PipelineOptions {
   int bands = 5;                  // of spherical harmonics, 1..9; the governor may take fewer

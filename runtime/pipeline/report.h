@@ -6,12 +6,12 @@
 #include <string>
 
 #include "core/image.h"
-#include "core/stage_times.h"
+#include "core/threads/stage_times.h"
 #include "lighting/estimate.h"
 #include "lighting/governor.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
-#include "runtime/pipeline/runner.h"
+#include "runtime/pipeline/runs.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {

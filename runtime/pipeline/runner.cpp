@@ -11,15 +11,16 @@
 #include <vector>
 
 #include "capture/frames.h"
-#include "core/background_task.h"
 #include "core/counted.h"
-#include "core/log.h"
+#include "core/io/log.h"
+#include "core/threads/background_task.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
 #include "runtime/pipeline/internal/frame_budget.h"
 #include "runtime/pipeline/internal/frame_mailbox.h"
 #include "runtime/pipeline/light_estimation_stage.h"
+#include "runtime/shading/composite_stage.h"
 
 namespace penumbra::runtime {
 
@@ -116,7 +117,7 @@ class Replay {
   Result<void> compose_waiting() {
     for (const capture::Frame& frame : waiting_) {
       if (!go_on_) break;
-      light_.complete(compose_.complete(frame, estimate_));
+      light_.add_recoveries(compose_.recover_lights(frame, estimate_));
       PENUMBRA_TRY(compose_one(frame, estimate_, compose_, sink_, counts_, go_on_));
     }
     waiting_.clear();
@@ -165,7 +166,7 @@ struct Live {
   FrameMailbox environment;
   Latest<capture::Frame> view;
   Latest<lighting::LightEstimate> light;
-  Latest<std::vector<lighting::SaturationRecovery>> completions;
+  Latest<std::vector<lighting::SaturationRecovery>> recoveries;
   std::atomic<int> affordable_lights = std::numeric_limits<int>::max();
   std::mutex mutex;
   std::optional<Error> error, last_unusable;  // guarded by mutex
@@ -176,7 +177,7 @@ struct Live {
     environment.close();
     view.close();
     light.close();
-    completions.close();
+    recoveries.close();
   }
   void stop_with(const Error& e) {
     {
@@ -247,7 +248,7 @@ void measure(Live& live, LightEstimationStage& light) noexcept {
         if (live.environment.closed()) return;
         continue;
       }
-      if (const auto completions = live.completions.take()) light.complete(*completions);
+      if (const auto recoveries = live.recoveries.take()) light.add_recoveries(*recoveries);
       light.allow_lights(live.affordable_lights);
       auto estimate = light.process(*frame);
       if (estimate) {
@@ -383,8 +384,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
       }
       counts.overtaken = live.overtaken();
       if (auto newer = live.light.take()) estimate = std::move(*newer);
-      if (auto completions = compose.complete(*frame, estimate); !completions.empty())
-        live.completions.put(std::move(completions));
+      if (auto recoveries = compose.recover_lights(*frame, estimate); !recoveries.empty())
+        live.recoveries.put(std::move(recoveries));
       composed = frames.add(*frame, estimate, live.view);
       if (!composed) break;
       keep_pace(pace, frames.busy_ms(), estimate, live);

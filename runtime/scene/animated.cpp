@@ -6,7 +6,7 @@
 #include <glm/gtc/matrix_transform.hpp>
 #include <limits>
 
-#include "core/log.h"
+#include "core/io/log.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/live_bake.h"
@@ -151,7 +151,7 @@ Result<void> start(std::shared_ptr<Animation> animation, PreparedObject& out) {
   out.baked.receiver = animation->sequence.receiver;
   out.animation = std::move(animation);
   out.frame = kNone;
-  out.move_to(0, true);
+  out.move_to(0, {});
   return add_shadow_probes(out);
 }
 
@@ -269,7 +269,7 @@ Result<PreparedObject> prepare_live(const SceneObject& o, const std::vector<prt:
   out.animation = std::move(animation);
   out.frame = kNone;
   PENUMBRA_TRY(out.begin_live());
-  out.move_to(0, true);
+  out.move_to(0, {});
   out.live = nullptr;
   PENUMBRA_TRY(add_shadow_probes(out));
   return out;
@@ -349,7 +349,7 @@ void trace(const prt::CharacterPose& pose, double seconds, bool keep_time, LiveT
 
 }  // namespace
 
-bool PreparedObject::move_to(double seconds, bool transfer, bool keep_time) {
+bool PreparedObject::move_to(double seconds, const MoveOptions& options) {
   if (!animation) return false;
   const prt::BakedSequence& s = animation->sequence;
   const double wanted = animation->live ? seconds : s.frame_at(seconds);
@@ -357,13 +357,13 @@ bool PreparedObject::move_to(double seconds, bool transfer, bool keep_time) {
   frame = wanted;
   const prt::CharacterPose pose = animation->pose_at(seconds);
   if (animation->live) {
-    if (live) trace(pose, animation->live_seconds, keep_time, *live, baked);
+    if (live) trace(pose, animation->live_seconds, options.keep_time, *live, baked);
     return live != nullptr;
   }
   prt::deform(animation->character, pose, baked.mesh);
   prt::add_texels(animation->character, animation->layout, baked.mesh);
   turns = prt::bone_turns(animation->character, pose);
-  if (!transfer) return true;
+  if (!options.all_transfer) return true;
   s.surface.decode(frame, turns, baked.transfer);
   s.surface_indirect.decode(frame, turns, baked.indirect);
   if (!s.receiver) return true;

@@ -11,9 +11,9 @@
 #include <optional>
 #include <vector>
 
-#include "core/files.h"
-#include "core/hash.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/hash.h"
+#include "core/io/log.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/receiver.h"
 

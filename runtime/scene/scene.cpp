@@ -9,7 +9,7 @@
 #include <limits>
 
 #include "core/conventions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
 #include "prt/geometry/receiver.h"
@@ -164,6 +164,8 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
     mesh = prt::make_knot(.5f, 240 * fineness, 40 * fineness, albedo);
   } else if (asset == "builtin:twist") {
     mesh = make_twist(14 * fineness, albedo);
+  } else if (asset == "builtin:ball") {
+    return prt::make_sphere({0, .2f, 0}, .2f, 3 + fineness, albedo);  // cut edges leave the sphere
   } else if (asset == "builtin:box") {
     mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
   } else if (asset == "builtin:walker") {
@@ -171,8 +173,8 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
     prt::deform(walker, prt::rest_pose(walker), mesh);
   } else if (asset.starts_with("builtin:")) {
     return fail(ErrorCode::kNotFound, asset,
-                "is not a built-in asset, which are builtin:knot, builtin:twist, builtin:box and "
-                "builtin:walker");
+                "is not a built-in asset, which are builtin:knot, builtin:twist, builtin:ball, "
+                "builtin:box and builtin:walker");
   } else {
     PENUMBRA_ASSIGN(imported, prt::import_mesh(asset, albedo));
     if (imported.degenerate_triangles > 0)

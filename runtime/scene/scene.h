@@ -36,7 +36,8 @@ struct Placement {
 
 struct SceneObject : Placement {
   std::string name;
-  std::string asset;  // a file, or "builtin:knot", "builtin:twist", "builtin:box", "builtin:walker"
+  // A file, or "builtin:knot", "builtin:twist", "builtin:ball", "builtin:box", "builtin:walker"
+  std::string asset;
   std::string animation;  // a clip by name or number, which loops; empty: it stands at rest
   std::string transfer;   // of the clip, by `penumbra bake`; empty: baked first, into the cache
   std::string blend;      // a second clip that is mixed in; empty: none
@@ -125,11 +126,14 @@ struct PreparedObject {
   Pose pose_at(double seconds) const;
   /// In the bake frame.
   prt::Mesh mesh_at(double seconds) const;
-  /// Brings an animation to a time: its mesh, and with `transfer` all of `baked`, else what
-  /// relight() needs alone. Returns false where nothing moved.
-  /// keep_time: rays of live transfer keep to the time that the animation allows them a frame; else
-  ///            their number is always the same
-  bool move_to(double seconds, bool transfer, bool keep_time = false);
+  struct MoveOptions {
+    bool all_transfer = true;  // all of `baked`; else what relight() needs alone
+    /// Rays of live transfer keep to the time that the animation allows them a frame; else their
+    /// number is always the same.
+    bool keep_time = false;
+  };
+  /// Brings an animation to a time: its mesh and its transfer. Returns false where nothing moved.
+  bool move_to(double seconds, const MoveOptions& options);
   /// A copy's own live transfer: two copies never share one.
   /// errors: kUnavailable (Embree)
   Result<void> begin_live();
@@ -160,7 +164,7 @@ struct PreparedScene {
 };
 
 /// Loads, places and bakes. What is baked and which triangles are left out goes to the log
-/// (core/log.h).
+/// (core/io/log.h).
 /// errors: what the assets say
 Result<PreparedScene> prepare(
     const Scene& scene, const BakeSettings& settings,

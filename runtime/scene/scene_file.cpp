@@ -1,7 +1,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 #include "runtime/scene/scene.h"
 #include "shadows/visibility/lamp.h"
 

@@ -10,9 +10,9 @@
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
 #include "capture/hdr/merge.h"
-#include "core/background_task.h"
-#include "core/log.h"
-#include "core/parallel.h"
+#include "core/io/log.h"
+#include "core/threads/background_task.h"
+#include "core/threads/parallel.h"
 #include "lighting/sh/basis.h"
 #include "lighting/sh/irradiance.h"
 #include "prt/bake/bake.h"
@@ -154,7 +154,9 @@ bool CompositeStage::move_to(double seconds) {
   bool moved = false;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     PreparedObject& o = moving_->objects[i];
-    if (!objects_[i].visible || !o.move_to(seconds, !alone, keeps_time_)) continue;
+    if (!objects_[i].visible ||
+        !o.move_to(seconds, {.all_transfer = !alone, .keep_time = keeps_time_}))
+      continue;
     compositor_->update_vertices(objects_[i].handle, o.baked.mesh);
     lights_.update_vertices(i);
     moved = true;
@@ -178,8 +180,8 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   const bool other_form = move_to(seconds);
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
-    surroundings_.look(lights_.occluders(), poses);
-    ground_probes_.look(lights_.occluders(), poses, other_form);
+    surroundings_.update(lights_.occluders(), poses);
+    ground_probes_.update(lights_.occluders(), poses, other_form);
   }
   open_.clear();
   for (const prt::Plane& plane : scene_.planes)
@@ -250,7 +252,7 @@ void CompositeStage::shade_real_mesh(const lighting::LightEstimate& light,
                                      const std::vector<Pose>& poses, bool other_form) {
   if (!real_.any()) return;
   const StageTimer timer(times_, "real mesh");
-  gathered_.look(lights_.occluders(), poses, surroundings_, other_form);
+  gathered_.update(lights_.occluders(), poses, surroundings_, other_form);
   const RadianceSh& sky =
       residual_for(light, stands_level(scene_.real->baked, scene_.real->world_from_bake));
   of_points_.resize(gathered_.points());
@@ -344,17 +346,17 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   shadows::ReceiverLight on_receiver(light.local);
   on_receiver.lights = light.receiver_lights;
   on_receiver.distant_irradiance = light.distant_irradiance;
-  o.taken.resize(3 * baked.ground_deficit.stride);
+  o.deficit.resize(3 * baked.ground_deficit.stride);
   // What is taken is what is lost less what comes back by reflection.
   RadianceSh given_back = light.receiver_lights;
   for (Rgb& term : given_back.terms()) term = term * -1.f;
   relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
-                luminance(light.distant_irradiance) > 0 ? &given_back : nullptr, o.taken);
+                luminance(light.distant_irradiance) > 0 ? &given_back : nullptr, o.deficit);
   if (ground_probes_.any())
     take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
-                        o.taken);
+                        o.deficit);
   shadows::compose_planar_shadow(
-      {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.taken},
+      {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},
       on_receiver, o.shadow);
   // The compositor knows what real things leave of the open floor's light at each place.
   const auto floor_light = [&](const RadianceSh& residual) {
@@ -370,7 +372,7 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
 // floor another part of a real thing may be behind the object, or before it; and of what is seen
 // past it the object has taken some.
 void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
-                                         const RadianceSh& local, std::span<float> taken) const {
+                                         const RadianceSh& local, std::span<float> deficit) const {
   std::array<Rgb, GroundProbes::kPoints> more{};
   std::array<bool, GroundProbes::kPoints> own{};
   for (std::size_t p = 0; p < own.size(); ++p)
@@ -388,7 +390,7 @@ void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sk
     if (hit.bake_blocks) change = change - lighting::evaluate(local, bake_from_world * d);
     more[hit.point] += change * (1.f / GroundProbes::kRays);
   }
-  ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, taken);
+  ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, deficit);
 }
 
 // What real things have lost is of all objects together: the nearest takes it from a place of the
@@ -418,7 +420,7 @@ const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePi
   return nullptr;
 }
 
-std::vector<lighting::SaturationRecovery> CompositeStage::complete(
+std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
     const capture::Frame& frame, const lighting::LightEstimate& light) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);

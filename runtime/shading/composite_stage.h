@@ -15,7 +15,7 @@
 #include "capture/frames.h"
 #include "compositor/compositor.h"
 #include "core/result.h"
-#include "core/stage_times.h"
+#include "core/threads/stage_times.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/saturation_recovery.h"
@@ -23,6 +23,7 @@
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer_pca.h"
 #include "runtime/scene/scene.h"
+#include "runtime/shading/composited.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "runtime/shading/floor_recovery.h"
 #include "runtime/shading/lamp_stage.h"
@@ -37,12 +38,6 @@
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
-
-struct Composited {
-  FramePixels pixels;
-  compositor::CompositeStats touched;
-  bool relit = false;
-};
 
 /// A frame that has been begun, apart from the stage.
 class PendingFrame {
@@ -103,8 +98,8 @@ class CompositeStage {
   ObjectMoves& moves() { return moves_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can
   /// tell; empty where it cannot.
-  std::vector<lighting::SaturationRecovery> complete(const capture::Frame& frame,
-                                                     const lighting::LightEstimate& light);
+  std::vector<lighting::SaturationRecovery> recover_lights(const capture::Frame& frame,
+                                                           const lighting::LightEstimate& light);
   /// The part of process() that depends on the light: relights objects and renews shadows where
   /// something changed visibly.
   bool shade(const lighting::LightEstimate& light, double seconds);
@@ -135,7 +130,7 @@ class CompositeStage {
     // Of all copies that share their transfer; none of an animation
     std::shared_ptr<const RelightBases> bases{};
     std::vector<float> relit{};                // irradiance/pi of the object's vertices
-    std::vector<float> taken{};                // of the receiver's irradiance/pi
+    std::vector<float> deficit{};              // of the receiver's irradiance/pi
     std::vector<float> more{};                 // scratch: what is added to either
     shadows::PlanarShadow shadow{}, shared{};  // alone, and without what others before it take
     bool shares = false;
@@ -205,7 +200,7 @@ class CompositeStage {
   void compose_shadow(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
                       const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
-                           const RadianceSh& local, std::span<float> taken) const;
+                           const RadianceSh& local, std::span<float> deficit) const;
   bool is_nearest(std::size_t index, const glm::dvec3& place) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,

@@ -364,8 +364,8 @@ DirectLightStage::AtVertices DirectLightStage::at_vertices(const prt::Mesh& mesh
     const Rgb scale = t.source.radiance * static_cast<float>(t.source.solid_angle_sr());
     for (std::size_t i = 0; i < count; ++i) {
       out.open[i] += scale * one.open[i];
-      out.taken[i] += scale * one.taken[i];
-      out.missing[i] += scale * one.missing[i];
+      out.virtual_occlusion[i] += scale * one.virtual_occlusion[i];
+      out.real_occlusion[i] += scale * one.real_occlusion[i];
     }
   }
   return out;

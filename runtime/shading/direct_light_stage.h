@@ -14,6 +14,7 @@
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 #include "prt/transfer/visibility_map.h"
+#include "runtime/shading/shadow_sampling.h"
 #include "runtime/scene/scene.h"
 #include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/silhouette/occluders.h"
@@ -23,14 +24,6 @@
 
 #pragma GCC visibility push(default)
 namespace penumbra::runtime {
-
-struct ShadowSampling {
-  /// Rays a vertex and light; one casts a hard shadow. Half of them, at least two, serve a weak
-  /// light on what knows its visibility: one that sends who faces it less than the mean light of
-  /// all normals. That may be a fill light, too, on the side that the others do not reach.
-  int object = 4;
-  shadows::ShadowMapOptions plane;
-};
 
 class DirectLightStage {
  public:
@@ -77,7 +70,7 @@ class DirectLightStage {
   /// E0 - E at points of real geometry and what is really left there of all distant lights,
   /// relative irradiance.
   struct AtVertices {
-    std::vector<Rgb> open, taken, missing;
+    std::vector<Rgb> open, virtual_occlusion, real_occlusion;
   };
   AtVertices at_vertices(const prt::Mesh& mesh) const;
 

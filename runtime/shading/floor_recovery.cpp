@@ -13,7 +13,7 @@
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
 #include "core/conventions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "core/median.h"
 #include "lighting/lights/distant_light.h"
 #include "lighting/sh/basis.h"
@@ -175,7 +175,7 @@ struct FloorRecovery::SeenFloor {
   std::vector<FloorPixel> shadowed;  // by a known thing, from all of one clipped light
 };
 
-FloorRecovery::SeenFloor FloorRecovery::look(
+FloorRecovery::SeenFloor FloorRecovery::measure(
     const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
     std::span<const lighting::DistantLight* const> clipped) const {
   const PixelReader read{curve, 1 / static_cast<float>(frame.exposure.product())};
@@ -237,12 +237,12 @@ Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
 // Nothing where too little is in the shadow of one light alone.
 std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
     SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light) const {
-  constexpr std::size_t kFewest = 40, kMost = 64;
+  constexpr std::size_t kFewest = 40, kMax = 64;
   if (floor.shadowed.size() < kFewest) return std::nullopt;
   const auto shadowed = lit_radiance(floor.shadowed);
   if (!shadowed) return std::nullopt;
   const auto others_at = [&](const std::vector<FloorPixel>& pixels) {
-    const std::size_t apart = (pixels.size() + kMost - 1) / kMost;
+    const std::size_t apart = (pixels.size() + kMax - 1) / kMax;
     Rgb sum;
     float count = 0;
     for (std::size_t i = 0; i < pixels.size(); i += apart, ++count)
@@ -262,7 +262,7 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
                 "shows too little of the floor, or overexposes it");
   if (const auto edge = shadow_edge(floor, *lit, light)) {
     const auto clipped = std::ranges::find(light.lights, true, &lighting::DistantLight::clipped);
-    const auto found = lighting::complete_from_shadow(light, clipped->id, *edge);
+    const auto found = lighting::recover_from_shadow(light, clipped->id, *edge);
     if (found && contradicts_albedo(albedo_by(*found, *edge, light), camera))
       return std::vector{*found};
   }
@@ -310,7 +310,7 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
     return std::vector<lighting::SaturationRecovery>{};
   last_ = frame.time;
   tried_ = std::move(clipped);
-  auto found = recover(look(frame, camera, curve, lights), light, camera.name);
+  auto found = recover(measure(frame, camera, curve, lights), light, camera.name);
   if (!found) return found;
   if (!is_news(*found)) return std::vector<lighting::SaturationRecovery>{};
   said_ = *found;

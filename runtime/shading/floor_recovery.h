@@ -37,7 +37,7 @@ class FloorRecovery {
 
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View
-  /// out: completions of the light's clipped lights; empty when there is nothing (new) to say
+  /// out: recoveries of the light's clipped lights; empty when there is nothing (new) to say
   /// errors: as recover_jointly; kUndetermined when too little of the floor is in view or it is
   /// overexposed, or its albedo is unknown and no known thing's shadow is in view
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
@@ -49,9 +49,9 @@ class FloorRecovery {
  private:
   // The floor in the picture, what is in a known thing's shadow apart.
   struct SeenFloor;
-  SeenFloor look(const capture::Frame& frame, const capture::CameraInfo& camera,
-                 const ResponseTable* curve,
-                 std::span<const lighting::DistantLight* const> clipped) const;
+  SeenFloor measure(const capture::Frame& frame, const capture::CameraInfo& camera,
+                    const ResponseTable* curve,
+                    std::span<const lighting::DistantLight* const> clipped) const;
   // What real things keep from a point of the floor of all light but the clipped one: the part that
   // is left.
   Rgb left_of_others(const glm::dvec3& point, const lighting::LightEstimate& light) const;

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "core/conventions.h"
-#include "core/scratch.h"
+#include "core/threads/scratch.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "lighting/lights/distant_light.h"
@@ -118,7 +118,7 @@ CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
                                                     float local, float all) {
   constexpr double kOnPlane_m = 1e-3;
   FloorLight out{local, 1};
-  float taken = 0;  // by objects
+  float virtual_occlusion = 0;  // by objects
   for (const FloorShadow& s : floor_shadows) {
     const glm::dvec3 p = s.bake_from_world * glm::dvec3(point);
     if (std::abs(p.y - double(s.grid->height)) > kOnPlane_m) continue;
@@ -128,10 +128,10 @@ CompositeStage::FloorLight CompositeStage::floor_at(const glm::vec3& point,
     if (s.real)
       out.left -= taken_by(*s.shadow);
     else
-      taken += taken_by(*s.shadow);
+      virtual_occlusion += taken_by(*s.shadow);
     if (s.counted) out.counted -= taken_by(*s.counted);
   }
-  return {std::max(out.counted, 0.f), std::max(std::max(out.left, 0.f) - taken, 0.f)};
+  return {std::max(out.counted, 0.f), std::max(std::max(out.left, 0.f) - virtual_occlusion, 0.f)};
 }
 
 void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEstimate& estimate,

@@ -11,8 +11,8 @@
 #include <map>
 
 #include "core/conventions.h"
-#include "core/files.h"
-#include "core/spelling.h"
+#include "core/io/files.h"
+#include "core/io/spelling.h"
 
 namespace penumbra::runtime {
 

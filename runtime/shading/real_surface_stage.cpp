@@ -59,7 +59,7 @@ void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
     for (int c = 0; c < 3; ++c) {
       const std::size_t at = static_cast<std::size_t>(c) * stride + i;
       arrives_[i][c] = std::max(0.f, static_cast<float>(kPi) * (relit_[at] + reflected_[at]) +
-                                         lights_.open[i][c] - lights_.missing[i][c]);
+                                         lights_.open[i][c] - lights_.real_occlusion[i][c]);
       exit_[i][c] = arrives_[i][c] * mesh.albedo[i][c] / static_cast<float>(kPi);
     }
   if (!baked.receiver) return;
@@ -79,7 +79,7 @@ std::vector<Rgb> RealSurfaceStage::ratios(const lighting::LightEstimate& light,
     const Rgb lamp = lamps.any() ? lamps.on_real_mesh()[i] : Rgb{};
     for (int c = 0; c < 3; ++c) {
       if (!(arrives_[i][c] > smallest)) continue;
-      const float gone = static_cast<float>(kPi) * lost[i][c] + lights_.taken[i][c];
+      const float gone = static_cast<float>(kPi) * lost[i][c] + lights_.virtual_occlusion[i][c];
       out[i][c] = std::clamp(1 - gone / arrives_[i][c], 0.f, 1.5f) + lamp[c] / arrives_[i][c];
     }
   }

@@ -40,23 +40,23 @@ void fill_from_neighbours(Image<Rgb>& fraction, const std::vector<bool>& covered
 
 }  // namespace
 
-RealMeshWorld::RealMeshWorld(std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh props,
+RealMeshWorld::RealMeshWorld(std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh things,
                              prt::RayScene rays)
     : floor_(std::move(floor)),
-      props_(std::move(props)),
+      things_(std::move(things)),
       rays_(std::move(rays)),
-      grid_(prt::fit_ground_grid(props_, 0)),
-      irradiance_(props_.positions.size()),
+      grid_(prt::fit_ground_grid(things_, 0)),
+      irradiance_(things_.positions.size()),
       share_(grid_.size, grid_.size) {}
 
 Result<std::shared_ptr<RealMeshWorld>> RealMeshWorld::make(
-    std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh props,
+    std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh things,
     const std::function<void(double)>& progress) {
   constexpr float kEdge = .05f;  // of the radius: holds the penumbra of a window
-  prt::subdivide(props, kEdge * prt::radius_around(props, prt::bounds_of(props).centre()));
-  PENUMBRA_ASSIGN(rays, prt::RayScene::build(props));
+  prt::subdivide(things, kEdge * prt::radius_around(things, prt::bounds_of(things).centre()));
+  PENUMBRA_ASSIGN(rays, prt::RayScene::build(things));
   auto world = std::shared_ptr<RealMeshWorld>(
-      new RealMeshWorld(std::move(floor), std::move(props), std::move(rays)));
+      new RealMeshWorld(std::move(floor), std::move(things), std::move(rays)));
   PENUMBRA_TRY(world->light(progress));
   return world;
 }
@@ -64,15 +64,15 @@ Result<std::shared_ptr<RealMeshWorld>> RealMeshWorld::make(
 Result<void> RealMeshWorld::light(const std::function<void(double)>& progress) {
   PENUMBRA_ASSIGN(far, prt::EnvironmentLight::from_map(floor_->environment()));
   const prt::ReferenceWorld world{
-      props_, {{{0, 0, 0}, {0, 1, 0}, floor_->mean_floor_albedo(), {}}}, &far, {}};
+      things_, {{{0, 0, 0}, {0, 1, 0}, floor_->mean_floor_albedo(), {}}}, &far, {}};
   std::vector<prt::IrradiancePoint> points;
   // A point on the floor itself would look past it; what lies below goes on as it is at the floor
   // line.
   constexpr double kOverFloor_m = 1e-3;
-  for (std::size_t i = 0; i < props_.positions.size(); ++i) {
-    glm::dvec3 at(props_.positions[i]);
+  for (std::size_t i = 0; i < things_.positions.size(); ++i) {
+    glm::dvec3 at(things_.positions[i]);
     at.y = std::max(at.y, kOverFloor_m);
-    points.push_back({at, props_.normals[i]});
+    points.push_back({at, things_.normals[i]});
   }
   for (int y = 0; y < grid_.size; ++y)
     for (int x = 0; x < grid_.size; ++x) {
@@ -117,11 +117,11 @@ Rgb RealMeshWorld::floor_fraction(const glm::dvec3& position) const {
 
 Rgb RealMeshWorld::exit_radiance(const prt::Hit& hit) const {
   if (!hit.front) return {};
-  const auto& t = props_.triangles[hit.triangle];
+  const auto& t = things_.triangles[hit.triangle];
   const auto at = [&](const std::vector<Rgb>& values) {
     return values[t[0]] * (1 - hit.u - hit.v) + values[t[1]] * hit.u + values[t[2]] * hit.v;
   };
-  return at(props_.albedo) * at(irradiance_) * static_cast<float>(1 / kPi);
+  return at(things_.albedo) * at(irradiance_) * static_cast<float>(1 / kPi);
 }
 
 Rgb RealMeshWorld::radiance(const glm::dvec3& origin, const glm::dvec3& direction) const {

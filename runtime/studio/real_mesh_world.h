@@ -19,11 +19,11 @@ namespace penumbra::runtime {
 /// threads: reentrant
 class RealMeshWorld : public capture::RadianceWorld {
  public:
-  /// `props`: world frame, metres. Floor and things light each other; to them the floor is evenly
+  /// `things`: world frame, metres. Floor and things light each other; to them the floor is evenly
   /// of its mean colour.
   /// errors: kInvalid (no triangles), kUnavailable (Embree), as EnvironmentLight::from_map
   static Result<std::shared_ptr<RealMeshWorld>> make(
-      std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh props,
+      std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh things,
       const std::function<void(double)>& progress);
   Rgb radiance(const glm::dvec3& origin, const glm::dvec3& direction) const override;
   Rgb far_radiance(const glm::dvec3& direction) const override {
@@ -33,13 +33,13 @@ class RealMeshWorld : public capture::RadianceWorld {
   Rgb floor_fraction(const glm::dvec3& position) const;
 
  private:
-  RealMeshWorld(std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh props,
+  RealMeshWorld(std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh things,
                 prt::RayScene rays);
   Result<void> light(const std::function<void(double)>& progress);
   Rgb exit_radiance(const prt::Hit& hit) const;
 
   std::shared_ptr<const capture::FloorWorld> floor_;
-  prt::Mesh props_;
+  prt::Mesh things_;
   prt::RayScene rays_;
   prt::GroundGrid grid_;
   std::vector<Rgb> irradiance_;  // at the vertices

@@ -15,13 +15,13 @@ namespace {
 // A real thing as a rig's owner would describe it: about as large as the objects, where they leave
 // room.
 RealGeometry place_real_mesh(const std::string& asset, bool behind) {
-  RealGeometry prop;
-  prop.mesh = asset;
-  prop.albedo = Rgb{.55f, .42f, .3f};
-  prop.position = behind ? glm::dvec3(.12, 0, -.42) : glm::dvec3(.45, 0, -.15);
-  prop.place_on_floor = true;
-  prop.fit_size_m = .42;
-  return prop;
+  RealGeometry real;
+  real.mesh = asset;
+  real.albedo = Rgb{.55f, .42f, .3f};
+  real.position = behind ? glm::dvec3(.12, 0, -.42) : glm::dvec3(.45, 0, -.15);
+  real.place_on_floor = true;
+  real.fit_size_m = .42;
+  return real;
 }
 
 std::string name_of(const std::string& asset) {
@@ -31,12 +31,12 @@ std::string name_of(const std::string& asset) {
 }
 
 Result<std::shared_ptr<const capture::RadianceWorld>> with_real_mesh(
-    std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& prop,
+    std::shared_ptr<const capture::FloorWorld> floor, const RealGeometry& real,
     const std::function<void(double)>& progress) {
-  PENUMBRA_ASSIGN(mesh, load_asset(prop.mesh, *prop.albedo, 0));
-  prt::transform(mesh, world_from_mesh(prop, mesh));
+  PENUMBRA_ASSIGN(mesh, load_asset(real.mesh, *real.albedo, 0));
+  prt::transform(mesh, world_from_mesh(real, mesh));
   auto world = RealMeshWorld::make(std::move(floor), std::move(mesh), progress);
-  if (!world) return fail(world.error().code, prop.mesh, world.error().detail);
+  if (!world) return fail(world.error().code, real.mesh, world.error().detail);
   return std::move(*world);
 }
 

@@ -30,8 +30,8 @@ struct StudioRequest {
 };
 
 /// Environment (the built-in room without one), cameras and the scene: an object (the knot, or the
-/// asset, half a metre large; with a clip .8 m) and a turning one, with a prop among them if one is
-/// wanted.
+/// asset, half a metre large; with a clip .8 m) and a turning one, with a real thing among them if
+/// one is wanted.
 Result<StudioSetup> set_up_studio(
     const StudioRequest& request,
     const std::function<std::function<void(double)>(const std::string&)>& progress);

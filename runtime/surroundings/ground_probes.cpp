@@ -4,7 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/geometry/rays.h"
 #include "prt/geometry/receiver.h"
 
@@ -13,8 +13,8 @@ namespace penumbra::runtime {
 GroundProbes::GroundProbes(const PreparedScene& scene)
     : scene_(&scene), objects_(scene.objects.size()) {}
 
-void GroundProbes::look(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
-                        bool other_form) {
+void GroundProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+                          bool other_form) {
   if (!any()) return;
   const std::vector<Pose> before = std::exchange(poses_, {poses.begin(), poses.end()});
   for (std::size_t i = 0; i < poses.size(); ++i) {

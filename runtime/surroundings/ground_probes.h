@@ -42,7 +42,7 @@ class GroundProbes {
   bool any() const { return !scene_->real_mesh.triangles.empty() || scene_->planes.size() > 1; }
   /// Casts rays where something moved; `other_form`: of an object, where poses do not tell.
   /// in: occluders as made for this scene
-  void look(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses, bool other_form);
 
   /// As last looked at; each ray stands for 1/kRays of the irradiance over pi.
   std::span<const GroundHit> hits(std::size_t object) const { return objects_[object].hits; }

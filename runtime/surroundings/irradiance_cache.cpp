@@ -7,7 +7,7 @@
 #include <unordered_map>
 #include <utility>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 
@@ -197,8 +197,8 @@ void IrradianceCache::mark_used() {
   }
 }
 
-void IrradianceCache::look(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
-                           const OcclusionProbes& around, bool other_form) {
+void IrradianceCache::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+                             const OcclusionProbes& around, bool other_form) {
   if (levels_.empty() || (!other_form && std::ranges::equal(poses, poses_))) return;
   poses_.assign(poses.begin(), poses.end());
   std::vector<Neighbour> neighbours(poses.size());

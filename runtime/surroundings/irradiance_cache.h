@@ -47,8 +47,8 @@ class IrradianceCache {
 
   /// Casts rays where something moved. `other_form`: of an object, where poses do not tell.
   /// in: occluders as made for this scene; probes: vertices spread over each object
-  void look(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
-            const OcclusionProbes& around, bool other_form);
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses,
+              const OcclusionProbes& around, bool other_form);
 
   std::size_t points() const { return used_.size(); }
   /// Of one point; each ray stands for 1/kRays of the irradiance over pi.

@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 
@@ -101,7 +101,7 @@ class HiddenSphere {
         shift_(pose.translation),
         occluders_(occluders) {}
 
-  void look(bool has_floor, std::vector<RealHit>& out) {
+  void find_real(bool has_floor, std::vector<RealHit>& out) {
     out.clear();
     for (int k = 0; k < kSphereRays; ++k) {
       const glm::vec3 d(direction_of(k));
@@ -173,7 +173,7 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
   }
 }
 
-void OcclusionProbes::look(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
+void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
   if (!any() || std::ranges::equal(poses, poses_)) return;
   poses_.assign(poses.begin(), poses.end());
   for (std::size_t i = 0; i < poses.size(); ++i) look_from(i, occluders);
@@ -279,7 +279,7 @@ void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& 
   }
   if (any_real())
     HiddenSphere(*scene_, index, pose, occluders, in.own_plane)
-        .look(baked.receiver.has_value(), o.by_real);
+        .find_real(baked.receiver.has_value(), o.by_real);
   parallel_for(std::size_t{0}, o.blocks.size(),
                [&](std::size_t block) { look_from_block(o, block, in); });
   o.hits.clear();
@@ -347,8 +347,8 @@ void OcclusionProbes::take_missing(std::size_t object, const Values& part, const
         all += whole[p] * nearby[v].weight[k];
       }
       if (all <= 0) continue;
-      const float missing = 1 - left / all;
-      for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= missing * in[c * stride + v];
+      const float hidden = 1 - left / all;
+      for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= hidden * in[c * stride + v];
     }
   });
 }

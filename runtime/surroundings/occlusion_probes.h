@@ -61,7 +61,7 @@ class OcclusionProbes {
 
   /// Looks around from every object. The same again when nothing has moved costs nothing.
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
-  void look(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
+  void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
 
   /// As last looked at; rays of weight 1/kRays.
   std::span<const ProbeHit> hits(std::size_t object) const { return objects_[object].hits; }

@@ -31,7 +31,7 @@ PlaneLight::PlaneLight(std::span<const prt::Plane> planes, std::span<const Rgb> 
   const auto add = [&](const shadows::ShadowMap& map, const Rgb& fraction, bool is_real) {
     if (map.empty()) return;
     lights_.push_back(
-        {&map.taken, map.world_from_map.inverse(), 1 / map.cell_m, fraction, is_real});
+        {&map.virtual_occlusion, map.world_from_map.inverse(), 1 / map.cell_m, fraction, is_real});
   };
   for (const compositor::ShadowMapOnPlane& l : lights) {
     if (l.part.r < 0 || l.part.g < 0 || l.part.b < 0) continue;  // of a virtual lamp
@@ -44,7 +44,7 @@ PlaneLight::PlaneLight(std::span<const prt::Plane> planes, std::span<const Rgb> 
 
 PlaneLight::Radiance PlaneLight::at(std::size_t plane, const glm::vec3& point) const {
   const glm::dvec3 world(point);
-  Rgb residual{1, 1, 1}, objects{1, 1, 1}, missing, taken;
+  Rgb residual{1, 1, 1}, objects{1, 1, 1}, real_occlusion, virtual_occlusion;
   for (const ShadowOnPlane& s : shadows_) {
     const glm::dvec3 p = s.grid_from_world * world;
     if (std::abs(p.y - double(s.grid->height)) > kOnPlane_m) continue;
@@ -57,15 +57,16 @@ PlaneLight::Radiance PlaneLight::at(std::size_t plane, const glm::vec3& point) c
   for (const ShadowOfLight& l : lights_) {
     const glm::dvec3 p = l.map_from_world * world;
     if (std::abs(p.y) > kOnPlane_m) continue;
-    const float value = value_at(*l.taken, p.x * double(l.per_cell), p.z * double(l.per_cell));
-    (l.real ? missing : taken) += l.fraction * value;
+    const float value =
+        value_at(*l.virtual_occlusion, p.x * double(l.per_cell), p.z * double(l.per_cell));
+    (l.real ? real_occlusion : virtual_occlusion) += l.fraction * value;
   }
   const Rgb open = planes_[plane].albedo * open_[plane] * static_cast<float>(1 / kPi);
   Radiance out;
   for (int c = 0; c < 3; ++c) {
-    const float left = std::max(residual[c] - missing[c], 0.f);
+    const float left = std::max(residual[c] - real_occlusion[c], 0.f);
     out.before[c] = open[c] * left;
-    out.now[c] = open[c] * std::max(left - (1 - objects[c]) - taken[c], 0.f);
+    out.now[c] = open[c] * std::max(left - (1 - objects[c]) - virtual_occlusion[c], 0.f);
   }
   return out;
 }

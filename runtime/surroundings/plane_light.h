@@ -42,7 +42,7 @@ class PlaneLight {
 
  private:
   struct ShadowOfLight {
-    const Image<float>* taken;
+    const Image<float>* virtual_occlusion;
     Pose map_from_world;
     float per_cell;
     Rgb fraction;

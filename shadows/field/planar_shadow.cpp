@@ -67,27 +67,27 @@ void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& li
   Rgb inverse;
   for (int c = 0; c < 3; ++c) inverse[c] = open[c] > kMinIrradiance * mean[c] ? 1 / open[c] : 0;
 
-  thread_local std::vector<float> fades, taken;  // grow once per thread
+  thread_local std::vector<float> fades, deficit;  // grow once per thread
   rim_fades(size, fades);
   const auto width = static_cast<std::size_t>(size);
-  taken.resize(4 * width);  // of a row: three colours, and the largest of them
-  float* const largest = &taken[3 * width];
+  deficit.resize(4 * width);  // of a row: three colours, and the largest of them
+  float* const largest = &deficit[3 * width];
   out.x0 = out.y0 = size;
   out.x1 = out.y1 = 0;
   for (std::size_t y = 0; y < width; ++y) {
     std::fill_n(largest, width, 0.f);
     for (std::size_t c = 0; c < 3; ++c) {
       const std::size_t row = c * change.stride + y * width;
-      const float* const from = &change.taken[row];
+      const float* const from = &change.deficit[row];
       const float scale = inverse[static_cast<int>(c)], fade = fades[y];
-      float* const here = &taken[c * width];
+      float* const here = &deficit[c * width];
       for (std::size_t x = 0; x < width; ++x) {
         here[x] = std::min(fades[x], fade) * scale * from[x];
         largest[x] = std::max(largest[x], std::abs(here[x]));
       }
     }
     for (std::size_t x = 0; x < width; ++x) {
-      const float d[3] = {taken[x], taken[width + x], taken[2 * width + x]};
+      const float d[3] = {deficit[x], deficit[width + x], deficit[2 * width + x]};
       Rgb& s = out.ratio.at(static_cast<int>(x), static_cast<int>(y));
       s = {1, 1, 1};
       if (!(largest[x] > kInvisibleRatio && std::isfinite(d[0] + d[1] + d[2]))) continue;

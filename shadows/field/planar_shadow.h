@@ -50,7 +50,7 @@ struct ReceiverChange {
   const prt::GroundGrid& grid;
   int bands;  // of the deficit
   std::size_t stride;
-  std::span<const float> taken;
+  std::span<const float> deficit;
 };
 void compose_planar_shadow(const ReceiverChange& change, const ReceiverLight& light,
                            PlanarShadow& out);

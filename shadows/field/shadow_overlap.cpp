@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "lighting/sh/rotation.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/receiver.h"

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 
-#include "core/background_task.h"
 #include "core/conventions.h"
+#include "core/threads/background_task.h"
 #include "lighting/lights/distant_light.h"
 
 namespace penumbra::shadows {
@@ -41,7 +41,7 @@ bool penumbra_exceeds_edges(const lighting::DistantLight& source,
   return rms_angle(source) * silhouette.radius_m() >= kEdges * silhouette.mean_length_m();
 }
 
-DirectionCone beam_of(const lighting::DistantLight& source, double more) {
+DirectionCone cone_of(const lighting::DistantLight& source, double more) {
   return {source.direction, std::sin(std::min(largest_angle(source) + more, kPi / 2))};
 }
 
@@ -59,8 +59,8 @@ BoundingSphere sphere_of(const Caster& caster) {
           double(caster.silhouette->radius_m())};
 }
 
-SilhouetteCache& memo_of(const ShadowCasters& casters) {
-  if (casters.memo) return *casters.memo;
+SilhouetteCache& cache_of(const ShadowCasters& casters) {
+  if (casters.cache) return *casters.cache;
   thread_local SilhouetteCache empty;
   empty.clear();
   return empty;

@@ -26,7 +26,7 @@ double rms_angle(const lighting::DistantLight& source);
 bool penumbra_exceeds_edges(const lighting::DistantLight& source, const SilhouetteMesh& silhouette);
 
 /// All of a light's directions, and those so many radians off it.
-DirectionCone beam_of(const lighting::DistantLight& source, double more = 0);
+DirectionCone cone_of(const lighting::DistantLight& source, double more = 0);
 
 BoundingSphere sphere_of(const Caster& caster);
 /// Whether both are one thing in one place.
@@ -34,8 +34,8 @@ inline bool is_same(const Caster& a, const Caster& b) {
   return a.silhouette == b.silhouette && a.world_from_mesh == b.world_from_mesh;
 }
 
-/// The memo that casters bring, or an empty one.
-SilhouetteCache& memo_of(const ShadowCasters& casters);
+/// The cache that casters bring, or an empty one.
+SilhouetteCache& cache_of(const ShadowCasters& casters);
 
 inline constexpr int kTurns = 64;  // copies for vertices
 

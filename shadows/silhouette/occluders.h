@@ -48,7 +48,7 @@ struct ShadowCasters {
   float near_m = 1e-4f;  // what stands lower casts none
   /// Of this light; null: every call looks for silhouettes by itself. Two threads must not use one
   /// at a time.
-  SilhouetteCache* memo = nullptr;
+  SilhouetteCache* cache = nullptr;
 };
 
 }  // namespace penumbra::shadows

@@ -4,7 +4,7 @@
 #include <array>
 #include <bit>
 
-#include "core/scratch.h"
+#include "core/threads/scratch.h"
 #include "shadows/silhouette/internal/silhouette_segments.h"
 #include "shadows/silhouette/projection_kernel.h"
 
@@ -102,13 +102,13 @@ class WeightSums {
 }  // namespace
 
 void add_projected_shadows(const ShadowCasters& casters, const NodeGrid& grid,
-                           const SampleCone& light, SilhouetteCache& memo, Image<float>& taken,
-                           Image<float>& missing) {
-  const int width = taken.width(), height = taken.height();
+                           const SampleCone& light, SilhouetteCache& cache,
+                           Image<float>& virtual_occlusion, Image<float>& real_occlusion) {
+  const int width = virtual_occlusion.width(), height = virtual_occlusion.height();
   const std::span<const PlaneSample> samples = light.samples;
   const Scratch::Scope scope;
   const auto sides_of = [&](std::span<const Caster> things) {
-    return find_sides(things, grid, casters.near_m, light, memo, scope.memory());
+    return find_sides(things, grid, casters.near_m, light, cache, scope.memory());
   };
   const std::pmr::vector<SilhouetteSegment> of_virtual = sides_of(casters.virtual_things),
                                             of_real = sides_of(casters.real_things);
@@ -127,8 +127,8 @@ void add_projected_shadows(const ShadowCasters& casters, const NodeGrid& grid,
       for (int x = 0; x < width; ++x) {
         const auto i = static_cast<std::size_t>(x);
         if ((blocked[i] | by_real[i]) == 0) continue;
-        taken.at(x, y) += weight(blocked[i] & ~unsigned{by_real[i]});
-        if (!missing.empty()) missing.at(x, y) += weight(by_real[i]);
+        virtual_occlusion.at(x, y) += weight(blocked[i] & ~unsigned{by_real[i]});
+        if (!real_occlusion.empty()) real_occlusion.at(x, y) += weight(by_real[i]);
       }
     }
   }

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <optional>
 
-#include "core/scratch.h"
+#include "core/threads/scratch.h"
 #include "shadows/silhouette/internal/projected_shadow.h"
 #include "shadows/silhouette/internal/silhouette_segments.h"
 #include "shadows/silhouette/light_rays.h"
@@ -146,7 +146,7 @@ std::optional<Setting> set_up(const prt::Plane& plane, const lighting::DistantLi
   // Low samples are bent up by so much.
   const double bent = sine < std::sin(largest_angle(source)) + kMinSine ? std::asin(kMinSine) : 0;
   return Setting{
-      {glm::quat_cast(axes), plane.point}, std::move(above), beam_of(source, bent), reach};
+      {glm::quat_cast(axes), plane.point}, std::move(above), cone_of(source, bent), reach};
 }
 
 void draw(const ShadowCasters& casters, const Setting& setting, const Extent& e, int size,
@@ -159,19 +159,21 @@ void draw(const ShadowCasters& casters, const Setting& setting, const Extent& e,
   out.cell_m = static_cast<float>(cell);
   out.world_from_map = setting.world_from_plane *
                        Pose{{1, 0, 0, 0}, {e.low.x - kRim * cell, 0, e.low.y - kRim * cell}};
-  out.taken.reset(nodes(lengths.x), nodes(lengths.y));
-  if (!casters.real_things.empty()) out.missing.reset(out.taken.width(), out.taken.height());
-  const NodeGrid grid{out.world_from_map, out.cell_m, static_cast<float>(out.taken.width()),
-                      static_cast<float>(out.taken.height())};
-  add_projected_shadows(casters, grid, {setting.samples, setting.around}, memo_of(casters),
-                        out.taken, out.missing);
-  if (e.cut) fade_end(out.taken);
-  clear_rim(out.taken);
+  out.virtual_occlusion.reset(nodes(lengths.x), nodes(lengths.y));
+  if (!casters.real_things.empty())
+    out.real_occlusion.reset(out.virtual_occlusion.width(), out.virtual_occlusion.height());
+  const NodeGrid grid{out.world_from_map, out.cell_m,
+                      static_cast<float>(out.virtual_occlusion.width()),
+                      static_cast<float>(out.virtual_occlusion.height())};
+  add_projected_shadows(casters, grid, {setting.samples, setting.around}, cache_of(casters),
+                        out.virtual_occlusion, out.real_occlusion);
+  if (e.cut) fade_end(out.virtual_occlusion);
+  clear_rim(out.virtual_occlusion);
 }
 
 void clear(ShadowMap& out) {
-  out.taken.reset(0, 0);
-  out.missing.reset(0, 0);
+  out.virtual_occlusion.reset(0, 0);
+  out.real_occlusion.reset(0, 0);
 }
 
 Extent united(const Extent& a, const Extent& b) {
@@ -183,20 +185,6 @@ bool overlap(const Extent& a, const Extent& b) {
 }
 
 }  // namespace
-
-void render_shadow_map(const ShadowCasters& casters, const prt::Plane& plane,
-                       const lighting::DistantLight& source, const ShadowMapOptions& options,
-                       ShadowMap& out) {
-  clear(out);
-  if (casters.virtual_things.empty()) return;
-  const Scratch::Scope scope;
-  const auto [samples, size] = detail_for(source, options);
-  const auto setting = set_up(plane, source, samples, scope.memory());
-  if (!setting) return;
-  const Extent e = shadow_extent(casters.virtual_things, casters.near_m,
-                                 setting->world_from_plane.inverse(), setting->reach);
-  if (!e.empty()) draw(casters, *setting, e, size, out);
-}
 
 void render_real_shadow_map(const ShadowCasters& casters, std::span<const Neighbourhood> around,
                             const prt::Plane& plane, const lighting::DistantLight& source,
@@ -214,7 +202,7 @@ void render_real_shadow_map(const ShadowCasters& casters, std::span<const Neighb
     e.low = glm::min(e.low, glm::dvec2(p.x, p.z) - n.radius);
     e.high = glm::max(e.high, glm::dvec2(p.x, p.z) + n.radius);
   }
-  draw({casters.real_things, {}, casters.near_m, casters.memo}, *setting, e, size, out);
+  draw({casters.real_things, {}, casters.near_m, casters.cache}, *setting, e, size, out);
 }
 
 void render_shadow_maps(const ShadowCasters& casters, const prt::Plane& plane,
@@ -252,7 +240,7 @@ void render_shadow_maps(const ShadowCasters& casters, const prt::Plane& plane,
   }
   if (out.size() < groups.size()) out.resize(groups.size());
   for (std::size_t i = 0; i < groups.size(); ++i)
-    draw({groups[i].casters, casters.real_things, casters.near_m, casters.memo}, *setting,
+    draw({groups[i].casters, casters.real_things, casters.near_m, casters.cache}, *setting,
          groups[i].extent, size, out[i]);
 }
 

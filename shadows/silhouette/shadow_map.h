@@ -40,21 +40,12 @@ struct ShadowMap {
   /// (i, j) lies at (i, 0, j) * cell_m.
   Pose world_from_map;
   float cell_m = 0;
-  Image<float> taken;  // nodes: real visibility times the fraction blocked by virtual things, 0..1
+  // Nodes: real visibility times the fraction blocked by virtual things, 0..1
+  Image<float> virtual_occlusion;
   // Nodes: fraction of the light that real things block; empty without real things
-  Image<float> missing;
-  bool empty() const { return taken.empty(); }
+  Image<float> real_occlusion;
+  bool empty() const { return virtual_occlusion.empty(); }
 };
-
-/// Exact at every node, for the casters as their silhouettes have them, for each of the light's
-/// directions that is 1.15 degrees above the plane. Shadows longer than ten radii of the caster are
-/// cut off softly.
-/// errors: none; an empty shadow when none of the light reaches the plane's front, or nothing
-/// stands above it
-/// threads: reentrant
-void render_shadow_map(const ShadowCasters& casters, const prt::Plane& plane,
-                       const lighting::DistantLight& source, const ShadowMapOptions& options,
-                       ShadowMap& out);
 
 /// A part of a plane, on which something may fall.
 struct Neighbourhood {
@@ -62,16 +53,22 @@ struct Neighbourhood {
   double radius;  // metres
 };
 
-/// What real things take of a light around the given places (`taken`; `missing` stays empty):
-/// coarser than the maps of what virtual things take, and wider, since the light that is left
-/// counts for the shadow of every other light.
+/// What real things take of a light around the given places (`virtual_occlusion`; `real_occlusion`
+/// stays empty): coarser than the maps of what virtual things take, and wider, since the light that
+/// is left counts for the shadow of every other light.
 /// in: at least one real thing; virtual ones do not count
 void render_real_shadow_map(const ShadowCasters& casters, std::span<const Neighbourhood> around,
                             const prt::Plane& plane, const lighting::DistantLight& source,
                             const ShadowMapOptions& options, ShadowMap& out);
 
 /// A map for each group of virtual casters whose shadows' rectangles meet, so that objects far
-/// apart do not share one map's cells. `out` keeps its maps' memory; those not needed are empty.
+/// apart do not share one map's cells. Exact at every node, for the casters as their silhouettes
+/// have them, for each of the light's directions that is 1.15 degrees above the plane. Shadows
+/// longer than ten radii of the caster are cut off softly. `out` keeps its maps' memory; those not
+/// needed are empty.
+/// errors: none; no map where none of the light reaches the plane's front, or nothing stands above
+/// it
+/// threads: reentrant
 void render_shadow_maps(const ShadowCasters& casters, const prt::Plane& plane,
                         const lighting::DistantLight& source, const ShadowMapOptions& options,
                         std::vector<ShadowMap>& out);

@@ -52,11 +52,11 @@ void find_edges(const SilhouetteMesh& silhouette, const glm::vec3& towards, floa
 }  // namespace
 
 ConeSilhouette SilhouetteCache::find(const SilhouetteMesh& silhouette, const Pose& world_from_mesh,
-                                     const DirectionCone& beam) {
+                                     const DirectionCone& cone) {
   // Those who ask compute facing by sums of their own.
   constexpr double kRounding = 1e-5;
-  const glm::vec3 towards(glm::transpose(world_from_mesh.rotation_matrix()) * beam.towards);
-  const auto sine = static_cast<float>(std::min(1., beam.sine + kRounding));
+  const glm::vec3 towards(glm::transpose(world_from_mesh.rotation_matrix()) * cone.towards);
+  const auto sine = static_cast<float>(std::min(1., cone.sine + kRounding));
   for (const KnownSilhouette& k : std::span(known_).first(used_))
     if (k.silhouette == &silhouette && k.towards == towards && k.sine == sine)
       return {k.edges, k.faces};

@@ -18,7 +18,7 @@ struct DirectionCone {
   double sine;         // of the largest angle from it; 1: any direction of the sphere
 };
 
-/// What a mesh shows of itself to a beam. Valid until the memo is cleared.
+/// What a mesh shows of itself to a cone of directions. Valid until the cache is cleared.
 struct ConeSilhouette {
   /// The places in SilhouetteMesh::edges(), in their order, of all edges that are a silhouette for
   /// some direction, and of open ones. Others may be among them.
@@ -34,7 +34,7 @@ class SilhouetteCache {
  public:
   void clear() { used_ = 0; }
   ConeSilhouette find(const SilhouetteMesh& silhouette, const Pose& world_from_mesh,
-                      const DirectionCone& beam);
+                      const DirectionCone& cone);
 
  private:
   struct KnownSilhouette {

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <utility>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/transfer/visibility_map.h"
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/silhouette/place_kernel.h"
@@ -368,7 +368,7 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
                                     const lighting::DistantLight& source, int samples,
                                     DirectLightAtVertices& out) {
   const std::size_t count = mesh.positions.size();
-  for (auto* v : {&out.open, &out.taken, &out.missing}) v->assign(count, 0.f);
+  for (auto* v : {&out.open, &out.virtual_occlusion, &out.real_occlusion}) v->assign(count, 0.f);
   thread_local SamplePattern pattern_memory, all_memory;  // grow once per thread
   SamplePattern &pattern = pattern_memory, &all = all_memory;
   const bool hard = samples == 1;
@@ -376,9 +376,9 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
   parallel_for(std::size_t{0}, count, 512, [&](const auto& part) {
     Packets packets(occluders, [&](std::size_t i, float weight, bool by_virtual, bool by_real) {
       if (by_real)
-        out.missing[i] += weight;
+        out.real_occlusion[i] += weight;
       else if (by_virtual)
-        out.taken[i] += weight;
+        out.virtual_occlusion[i] += weight;
     });
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       const glm::vec3& n = mesh.normals[i];
@@ -392,7 +392,7 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
     }
   });
   if (is_wide(source) && !hard)
-    for (auto* sums : {&out.open, &out.taken, &out.missing})
+    for (auto* sums : {&out.open, &out.virtual_occlusion, &out.real_occlusion})
       smooth_over_neighbours(mesh, smoothing_passes(source), *sums);
   all.make(source, std::max(samples, kOpenSamples), 1);
   const UnoccludedLight whole(all.at(0), glm::vec3(source.direction), glm::mat3(1), hard);
@@ -403,8 +403,8 @@ void trace_direct_light_at_vertices(const RayOccluders& occluders, const prt::Me
     for (std::size_t i = part.begin(); i < part.end(); ++i) {
       const float now = open[i - part.begin()], scale = out.open[i] > 0 ? now / out.open[i] : 0;
       out.open[i] = now;
-      out.taken[i] *= scale;
-      out.missing[i] *= scale;
+      out.virtual_occlusion[i] *= scale;
+      out.real_occlusion[i] *= scale;
     }
   });
 }

@@ -32,7 +32,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
 /// it, of what virtual things take, and of what real things take anyway. Times L Omega each is an
 /// irradiance.
 struct DirectLightAtVertices {
-  std::vector<float> open, taken, missing;
+  std::vector<float> open, virtual_occlusion, real_occlusion;
 };
 /// Under wide lights the light of neighbouring vertices is averaged, however long their edges are.
 /// in:      the mesh in the world frame; samples 1..64, one is the light's middle

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
 
-#include "core/background_task.h"
 #include "core/conventions.h"
-#include "core/parallel.h"
-#include "core/scratch.h"
+#include "core/threads/background_task.h"
+#include "core/threads/parallel.h"
+#include "core/threads/scratch.h"
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"
@@ -104,8 +104,8 @@ void trace_lamp_light(const RayOccluders& occluders, const prt::Mesh& mesh,
 
 float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, const Lamp& lamp,
                      int samples, ShadowMap& out) {
-  out.taken.reset(0, 0);
-  out.missing.reset(0, 0);
+  out.virtual_occlusion.reset(0, 0);
+  out.real_occlusion.reset(0, 0);
   const double height = glm::dot(lamp.position - plane.point, plane.normal);
   if (!(height > lamp.radius_m)) return 0;
   const glm::dquat frame = glm::rotation(glm::dvec3(0, 1, 0), plane.normal);
@@ -113,20 +113,20 @@ float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, con
   out.cell_m = static_cast<float>(cell);
   out.world_from_map =
       Pose{frame, lamp.position - height * plane.normal} * Pose{{1, 0, 0, 0}, {-half, 0, -half}};
-  out.taken.reset(kMapNodes, kMapNodes);
+  out.virtual_occlusion.reset(kMapNodes, kMapNodes);
   const glm::vec3 normal(plane.normal), origin(out.world_from_map.translation),
       x = glm::vec3(frame * glm::dvec3(cell, 0, 0)), z = glm::vec3(frame * glm::dvec3(0, 0, cell));
   trace(
-      occluders, out.taken.area(), lamp, samples,
+      occluders, out.virtual_occlusion.area(), lamp, samples,
       [&](std::size_t i) {
         return Point(
             origin + static_cast<float>(i % kMapNodes) * x + static_cast<float>(i / kMapNodes) * z,
             normal);
       },
-      out.taken.pixels());
-  const float largest = std::ranges::max(out.taken.pixels());
+      out.virtual_occlusion.pixels());
+  const float largest = std::ranges::max(out.virtual_occlusion.pixels());
   if (!(largest > 0)) {
-    out.taken.reset(0, 0);
+    out.virtual_occlusion.reset(0, 0);
     return 0;
   }
   constexpr float kMiddle = (kMapNodes - 1) / 2.f;
@@ -135,7 +135,7 @@ float trace_lamp_map(const RayOccluders& occluders, const prt::Plane& plane, con
       const float r = std::hypot(static_cast<float>(i) - kMiddle, static_cast<float>(j) - kMiddle) /
                       kMiddle,
                   t = std::clamp((1 - r) / kFade, 0.f, 1.f);
-      out.taken.at(i, j) *= t * t * (3 - 2 * t) / largest;
+      out.virtual_occlusion.at(i, j) *= t * t * (3 - 2 * t) / largest;
     }
   return largest;
 }

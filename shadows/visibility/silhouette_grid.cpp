@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/background_task.h"
+#include "core/threads/background_task.h"
 
 namespace penumbra::shadows {
 
@@ -58,7 +58,7 @@ AffineTransform LightGrid::from(const Pose& world_from_mesh) const {
 
 SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
                          std::span<const glm::vec3> places, const LightGrid& grid,
-                         const DirectionCone& beam, SilhouetteCache& memo,
+                         const DirectionCone& cone, SilhouetteCache& cache,
                          std::pmr::memory_resource* memory) {
   SilhouetteLines out{std::pmr::vector<SilhouetteLine>(memory),
                       std::pmr::vector<CasterFrame>(memory)};
@@ -73,7 +73,7 @@ SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
     };
     const auto caster_frame = static_cast<std::uint32_t>(out.caster_frames.size());
     out.caster_frames.push_back({c.silhouette, glm::transpose(glm::inverse(placing.turn))});
-    for (const std::uint32_t i : memo.find(*c.silhouette, c.world_from_mesh, beam).edges) {
+    for (const std::uint32_t i : cache.find(*c.silhouette, c.world_from_mesh, cone).edges) {
       const SilhouetteMesh::Edge& e = c.silhouette->edges()[i];
       const SilhouetteLine line{place(e.from), place(e.to), caster_frame, i};
       if (line.from.y > 0 || line.to.y > 0) add_parts(line, out.lines);

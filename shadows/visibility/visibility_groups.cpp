@@ -5,8 +5,8 @@
 #include <glm/gtx/quaternion.hpp>
 #include <optional>
 
-#include "core/parallel.h"
-#include "core/scratch.h"
+#include "core/threads/parallel.h"
+#include "core/threads/scratch.h"
 #include "prt/geometry/mesh.h"
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/silhouette/place_kernel.h"
@@ -122,15 +122,15 @@ void VisibilityGroups::find(const ShadowCasters& casters, const Caster& object,
                  {glm::transpose(turn) * glm::vec3(source.direction), behind}, places_, sides_);
   std::ranges::transform(sides_, group_.begin(),
                          [](std::uint8_t side) { return side == kBack ? kTurnedAway : kAlone; });
-  const DirectionCone beam = hard ? DirectionCone{source.direction, 0} : beam_of(source);
-  SilhouetteCache& memo = memo_of(casters);
+  const DirectionCone cone = hard ? DirectionCone{source.direction, 0} : cone_of(source);
+  SilhouetteCache& cache = cache_of(casters);
   const SilhouetteLines lines =
-      lines_of(casters, object, places_, *grid, beam, memo, scope.memory());
+      lines_of(casters, object, places_, *grid, cone, cache, scope.memory());
   const SilhouetteGrid silhouettes(
       lines.lines, *grid, static_cast<float>(grid->cell_m / std::tan(std::max(angle, 1e-6))),
       scope.memory());
   VertexView view(places_, sides_, silhouettes);
-  join_all(silhouette, memo.find(silhouette, object.world_from_mesh, beam).faces, view);
+  join_all(silhouette, cache.find(silhouette, object.world_from_mesh, cone).faces, view);
   if (hard || !silhouettes.has_lists()) return;
   for (std::size_t i = 0; i < group_.size(); ++i)
     if (group_[i] == kAlone) group_[i] = kInPart, parts_.push_back({i, {}});

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/transfer/vertex_samples.h"
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/visibility/internal/visibility_groups.h"
@@ -53,7 +53,7 @@ const std::vector<prt::CosineSums>& look_from_samples(const Caster& object,
   sums.resize(vertices.size() + 1);
   sums.back() = {};
   parallel_for(std::size_t{0}, vertices.size(), kAtOnce, [&](const auto& part) {
-    object.visibility->look(directions_used, vertices, part.begin(), part.end(), sums);
+    object.visibility->look_up(directions_used, vertices, part.begin(), part.end(), sums);
   });
   return sums;
 }
@@ -96,7 +96,7 @@ void look_up(const Caster& object, const prt::Plane* plane, const lighting::Dist
   prt::VisibilitySamples& directions_used = memory;
   aim(object, plane, source, cells, prt::VisibilitySamples::kMax, directions_used);
   parallel_for(std::size_t{0}, out.size(), kAtOnce, [&](const auto& part) {
-    object.visibility->look(directions_used, part.begin(), part.end(), out);
+    object.visibility->look_up(directions_used, part.begin(), part.end(), out);
   });
 }
 

@@ -8,10 +8,10 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "capture/device/internal/exposure_schedule.h"
-#include "capture/hdr/internal/table_merger.h"
+#include "capture/ring/internal/table_merger.h"
 #include "core/conventions.h"
 #include "core/half.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "support/brackets.h"
 
 namespace penumbra::bench {

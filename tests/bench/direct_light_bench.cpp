@@ -62,17 +62,18 @@ void floor_map(benchmark::State& state) {
   const Threads threads(1);
   const double radius = static_cast<double>(state.range(0)) / 100;
   const shadows::Caster caster{&setup().mesh, &setup().silhouette, {}};
-  shadows::ShadowMap shadow;
+  std::vector<shadows::ShadowMap> maps(1);
   int step = 0;
   prt::Mesh nodes;  // no triangles: each for itself
   shadows::DirectLightAtVertices dense;
   const auto trace = [&] {
-    shadows::render_shadow_map({{&caster, 1}, {}, 3e-5f}, setup().plane, source(radius, step++), {},
-                               shadow);
+    shadows::render_shadow_maps({{&caster, 1}, {}, 3e-5f}, setup().plane, source(radius, step++),
+                                {}, maps);
   };
   trace();
-  for (int y = 0; y < shadow.taken.height(); ++y)
-    for (int x = 0; x < shadow.taken.width(); ++x)
+  const shadows::ShadowMap& shadow = maps[0];
+  for (int y = 0; y < shadow.virtual_occlusion.height(); ++y)
+    for (int x = 0; x < shadow.virtual_occlusion.width(); ++x)
       nodes.positions.emplace_back(shadow.world_from_map *
                                    glm::dvec3(x * shadow.cell_m, 0., y * shadow.cell_m));
   nodes.normals.assign(nodes.positions.size(), {0, 1, 0});

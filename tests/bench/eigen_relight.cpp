@@ -2,7 +2,7 @@
 
 #include <Eigen/Core>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 
 namespace penumbra::bench {
 

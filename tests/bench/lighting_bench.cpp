@@ -4,7 +4,7 @@
 #include "bench/eigen_relight.h"
 #include "bench/harness.h"
 #include "core/half.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 

@@ -116,7 +116,7 @@ void light_update(benchmark::State& state) {
   report(state, times);
 }
 BENCHMARK(light_update)
-    ->Name("service/light_update_of_the_knot_vs_unchanged_light")
+    ->Name("runtime/light_update_of_the_knot_vs_unchanged_light")
     ->ArgNames({"threads", "source"})
     ->Args({1, kStands})
     ->Args({1, kSun})
@@ -156,8 +156,8 @@ void composite_frame(benchmark::State& state) {
   report(state, times);
 }
 BENCHMARK(composite_frame)
-    ->Name("service/composite_1280x720_moving_camera_vs_frame_copy")
-    ->ArgNames({"threads", "look"})
+    ->Name("runtime/composite_1280x720_moving_camera_vs_frame_copy")
+    ->ArgNames({"threads", "effects"})
     ->Args({1, 0})
     ->Args({2, 0})
     ->Args({2, 1})

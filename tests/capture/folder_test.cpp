@@ -136,7 +136,7 @@ TEST(CaptureFolder, ReadsLenses) {
   EXPECT_EQ(camera.lenses[1].x_px, 8);
   EXPECT_EQ(camera.lenses[1].projection.width, 8);
   EXPECT_EQ(camera.lenses[1].projection.distortion[0], .01);
-  EXPECT_NEAR(camera.lenses[1].half_field_rad, 95 * kPi / 180, 1e-12);
+  EXPECT_NEAR(camera.lenses[1].half_field_of_view_rad, 95 * kPi / 180, 1e-12);
   EXPECT_NEAR(std::abs(camera.lenses[1].camera_from_lens.y), 1, 1e-12);
 }
 

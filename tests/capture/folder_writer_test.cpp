@@ -166,7 +166,7 @@ TEST(CaptureFolderWriter, CamerasReadBackIdentically) {
       EXPECT_EQ(a.projection.width, b.projection.width);
       EXPECT_EQ(a.projection.focal_px, b.projection.focal_px);
       EXPECT_EQ(a.projection.distortion, b.projection.distortion);
-      EXPECT_NEAR(a.half_field_rad, b.half_field_rad, 1e-14);
+      EXPECT_NEAR(a.half_field_of_view_rad, b.half_field_of_view_rad, 1e-14);
       EXPECT_NEAR(std::abs(glm::dot(a.camera_from_lens, b.camera_from_lens)), 1, 1e-14);
     }
     ASSERT_EQ(found[i].ball.has_value(), expected[i].ball.has_value());

@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "capture/capture.h"
-#include "capture/hdr/internal/mains_bands.h"
+#include "capture/watch/mains_bands.h"
 #include "core/conventions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "tests/support/mains.h"
 
 namespace penumbra::capture {

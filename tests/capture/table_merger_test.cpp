@@ -6,7 +6,7 @@
 
 #include "calib/calib.h"
 #include "capture/capture.h"
-#include "capture/hdr/internal/table_merger.h"
+#include "capture/ring/internal/table_merger.h"
 #include "core/half.h"
 #include "tests/support/brackets.h"
 

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "codec/codec.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "tests/fuzz/mutate.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"

@@ -8,7 +8,7 @@
 
 #include "codec/codec.h"
 #include "core/conventions.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "tests/fuzz/mutate.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"

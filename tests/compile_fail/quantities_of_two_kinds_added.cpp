@@ -5,9 +5,9 @@ using namespace penumbra;
 
 int main() {
   const Gain gain(2);
-  [[maybe_unused]] const Metres distance(1);
+  [[maybe_unused]] const Radians angle(1);
 #ifdef WRONG
-  return (gain + distance).value() > 0;  // expect: Metres
+  return (gain + angle).value() > 0;  // expect: Radians
 #else
   return (gain + gain).value() > 0;
 #endif

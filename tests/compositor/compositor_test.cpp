@@ -105,7 +105,7 @@ TEST_F(CompositorTest, TheCamerasFrameStaysWhereItIsNotTheResult) {
   const auto object = test::baked_sphere(true);
   test::add_lit(*compositor_, object, side_light());
   View with_effects = view(&curve8_);
-  with_effects.look.read_noise = .01f;
+  with_effects.effects.read_noise = .01f;
   const FramePixels f8 = test::noise_frame<Rgb8>(1), f16 = test::noise_frame<Rgb16>(2),
                     f32 = test::noise_frame<Rgb>(3);
   for (const auto& [given, v] : {std::pair{f8, view(&curve8_)}, std::pair{f8, with_effects},
@@ -128,11 +128,11 @@ TEST_F(CompositorTest, WhatIsDrawnStaysWhateverIsDrawnNext) {
   const int handle = test::add_lit(*compositor_, object, side_light());
   shadows::ShadowMap source;
   source.cell_m = .1f;
-  source.taken = Image<float>(12, 12, .5f);
+  source.virtual_occlusion = Image<float>(12, 12, .5f);
   const ShadowMapOnPlane on_floor{&source, {.5f, .5f, .5f}, nullptr};
   compositor_->set_shadow_maps({&on_floor, 1});
   View with_effects = view(&curve8_);
-  with_effects.look.read_noise = .01f;
+  with_effects.effects.read_noise = .01f;
   for (const View& v : {view(&curve8_), with_effects}) {
     compositor_->set_pose(handle, {});
     const FramePixels frame = test::noise_frame<Rgb8>(1);
@@ -224,11 +224,11 @@ TEST_F(CompositorTest, LightThatRealThingsTakeCountsEverywhereOnThePlane) {
   shadows::ShadowMap own, real;
   own.world_from_map = {{1, 0, 0, 0}, {.5, 0, -.5}};
   own.cell_m = .01f;
-  own.taken = own.missing = Image<float>(9, 9);
-  for (float& m : own.missing.pixels()) m = 1;
+  own.virtual_occlusion = own.real_occlusion = Image<float>(9, 9);
+  for (float& m : own.real_occlusion.pixels()) m = 1;
   real.world_from_map = {{1, 0, 0, 0}, {-10, 0, -10}};
   real.cell_m = 2.5f;
-  real.taken = Image<float>(9, 9, 1.f);
+  real.virtual_occlusion = Image<float>(9, 9, 1.f);
   const ShadowMapOnPlane source{&own, {kFraction, kFraction, kFraction}, &real};
   compositor_->set_shadow_maps({&source, 1});
   const auto dim = composited_floats(white, view(nullptr, 1));

@@ -121,9 +121,10 @@ TEST(Receivers, LightsToo) {
   shadows::ShadowMap source;
   source.world_from_map = kAskew;
   source.cell_m = .05f;
-  source.taken = Image<float>(30, 18);
+  source.virtual_occlusion = Image<float>(30, 18);
   for (int y = 1; y < 17; ++y)
-    for (int x = 1; x < 29; ++x) source.taken.at(x, y) = .5f + .01f * static_cast<float>(x + y);
+    for (int x = 1; x < 29; ++x)
+      source.virtual_occlusion.at(x, y) = .5f + .01f * static_cast<float>(x + y);
   const ShadowMapOnPlane on_plane_of_all{&source, {.6f, .6f, .6f}, nullptr};
   Receivers receivers(2);
   receivers.set_shadow_maps({&on_plane_of_all, 1});
@@ -132,7 +133,7 @@ TEST(Receivers, LightsToo) {
     for (const double dx : {.25, .75})
       for (const double dy : {.25, .75})
         if (const auto p = on_plane(view, kAskew, 0, x + dx, y + dy))
-          sum += between_nodes(source.taken, p->x / .05, p->y / .05);
+          sum += between_nodes(source.virtual_occlusion, p->x / .05, p->y / .05);
     return 1 - .6 * sum / 4;
   };
   expect_rows(receivers, expected);

@@ -129,8 +129,8 @@ TEST_F(SensorEffectsTest, WithoutALookEveryPixelIsTheFormulaBitForBit) {
   const Image<Rgb> plus = added(v), times = left(v);
   const auto frame = test::noise_frame<Rgb8>(1);
   View numbered = v;
-  numbered.look.frame = 7;
-  ASSERT_TRUE(numbered.look.none());
+  numbered.effects.frame = 7;
+  ASSERT_TRUE(numbered.effects.none());
   const auto out = std::get<Image<Rgb8>>(composited(frame, numbered));
   int objects = 0, shadows = 0;
   for (std::size_t i = 0; i < frame.area(); ++i) {
@@ -176,7 +176,7 @@ TEST_F(SensorEffectsTest, VignettingDimsTheObjectAndNotItsShadow) {
   EXPECT_TRUE(this->left(plain) == this->left(dim));
   // With noise the other pass draws it.
   View noisy = dim;
-  noisy.look = {0, 1e-9f, 0, 1};
+  noisy.effects = {0, 1e-9f, 0, 1};
   const Image<Rgb> again = added(noisy);
   for (std::size_t i = 0; i < less.area(); ++i)
     ASSERT_NEAR(again.pixels()[i].g, less.pixels()[i].g, 2e-3) << i;
@@ -198,9 +198,9 @@ TEST_F(SensorEffectsTest, ObjectHasTheNoiseOfTheSensorAtTheSameSignal) {
     DirectionSet ours, real, naive;
     const Image<Pixel> black(kSceneWidth, kSceneHeight);
     for (int k = 0; k < kFrames; ++k) {
-      v.look = noise(static_cast<std::uint64_t>(k));
+      v.effects = noise(static_cast<std::uint64_t>(k));
       ours.add(curve, std::get<Image<Pixel>>(composited(black, v)));
-      v.look = {};
+      v.effects = {};
       naive.add(curve, std::get<Image<Pixel>>(composited(black, v)));
       real.add(curve, photograph<Pixel>(curve, clean, random));
     }
@@ -239,9 +239,9 @@ TEST_F(SensorEffectsTest, ShadowedFloorHasTheNoiseOfADarkerFloor) {
     View with = view(&curve);
     for (int k = 0; k < kFrames; ++k) {
       const auto frame = photograph<Pixel>(curve, open, random);
-      with.look = {};
+      with.effects = {};
       naive.add(curve, std::get<Image<Pixel>>(composited(frame, with)));
-      with.look = noise(static_cast<std::uint64_t>(k));
+      with.effects = noise(static_cast<std::uint64_t>(k));
       ours.add(curve, std::get<Image<Pixel>>(composited(frame, with)));
       real.add(curve, photograph<Pixel>(curve, darker, random));
     }
@@ -268,9 +268,9 @@ TEST_F(SensorEffectsTest, NoiseOfNeighboursChannelsAndFramesHasNothingInCommon) 
   test::add_lit(*compositor_, test::baked_sphere(false), test::constant_light({1, 1, 1}, 3));
   View v = view(nullptr, .3f);
   const Image<Rgb> clean = added(v), times = left(v);
-  v.look = noise(3);
+  v.effects = noise(3);
   const Image<Rgb> a = added(v);
-  v.look = noise(4);
+  v.effects = noise(4);
   const Image<Rgb> b = added(v);
   double square = 0, beside = 0, below = 0, channel = 0, next = 0;
   for (int y = 0; y + 1 < kSceneHeight; ++y)
@@ -295,13 +295,13 @@ TEST_F(SensorEffectsTest, SameFrameNumberGivesTheSameBytesAndAnotherOneDoesNot) 
   test::add_lit(*compositor_, object, side_light());
   const FramePixels frame = test::noise_frame<Rgb8>(2);
   View v = view(&curve8_);
-  v.look = noise(11);
-  v.look.psf_sigma_px = .8f;
+  v.effects = noise(11);
+  v.effects.psf_sigma_px = .8f;
   const auto first = composited(frame, v);
   EXPECT_EQ(composited(frame, v), first);
-  v.look.frame = 12;
+  v.effects.frame = 12;
   EXPECT_NE(composited(frame, v), first);
-  v.look.frame = 11;
+  v.effects.frame = 11;
   EXPECT_EQ(composited(frame, v), first);
   start();
   test::add_lit(*compositor_, object, side_light());
@@ -343,9 +343,9 @@ TEST_F(SensorEffectsTest, InsertedEdgeIsAsWideAsARealOne) {
   };
   for (const float sigma : {.6f, .8f, 1.5f, 3.f}) {
     std::vector<std::pair<double, double>> real, ours, naive;
-    v.look = {};
+    v.effects = {};
     const Image<Rgb> sharp = added(v);
-    v.look.psf_sigma_px = sigma;
+    v.effects.psf_sigma_px = sigma;
     const Image<Rgb> blurred = added(v);
     for (int y = 20; y < kSceneHeight - 20; ++y)
       for (int x = 0; x < kSceneWidth; ++x) {
@@ -378,7 +378,7 @@ TEST_F(SensorEffectsTest, ObjectAndShadowAreBlurredTogetherAndRealPixelsNotAtAll
   View v = view();
   const Image<Rgb> plus = added(v), times = left(v);
   const Image<Rgb> frame = test::noise_frame<Rgb>(4);
-  v.look.psf_sigma_px = float(sigma);
+  v.effects.psf_sigma_px = float(sigma);
   const Image<Rgb> out = floats(frame, v);
   double worst = 0, unblurred = 0;
   for (int y = radius; y < kSceneHeight - radius; ++y)
@@ -411,8 +411,8 @@ TEST_F(SensorEffectsTest, PixelsOutOfReachComeOutBitForBitAndTheRimOfTheBlurDoes
     const Image<Rgb> plus = added(v), times = left(v);
     for (const float sigma : {0.f, .7f, 2.5f}) {
       const int radius = static_cast<int>(std::ceil(3 * sigma));
-      v.look = noise(1);
-      v.look.psf_sigma_px = sigma;
+      v.effects = noise(1);
+      v.effects.psf_sigma_px = sigma;
       const auto f8 = test::noise_frame<Rgb8>(3);
       CompositeStats touched;
       const auto out8 = std::get<Image<Rgb8>>(composited(f8, v, &touched));
@@ -452,8 +452,8 @@ TEST_F(SensorEffectsTest, NoLightGivesNoNan) {
   View v = view(&curve8_);
   for (const float sigma : {0.f, 1.f})
     for (const float b : {0.f, -.01f, 1e-30f, 1e6f}) {
-      v.look = noise(1);
-      v.look.psf_sigma_px = sigma;
+      v.effects = noise(1);
+      v.effects.psf_sigma_px = sigma;
       const Image<Rgb> out = floats(Image<Rgb>(kSceneWidth, kSceneHeight, {b, b, b}), v);
       for (const Rgb& p : out.pixels())
         for (int c = 0; c < 3; ++c) ASSERT_TRUE(std::isfinite(p[c])) << sigma << ' ' << b;
@@ -462,8 +462,8 @@ TEST_F(SensorEffectsTest, NoLightGivesNoNan) {
 
 TEST_F(SensorEffectsTest, NothingVirtualChangesNothing) {
   View v = view(&curve8_);
-  v.look = noise(1);
-  v.look.psf_sigma_px = 2;
+  v.effects = noise(1);
+  v.effects.psf_sigma_px = 2;
   const FramePixels frame = test::noise_frame<Rgb8>(5);
   CompositeStats touched;
   EXPECT_EQ(composited(frame, v, &touched), frame);
@@ -480,7 +480,7 @@ TEST_F(SensorEffectsTest, ImpossibleLooksAreRefusedAndTheFrameIsLeftAlone) {
     FramePixels frame = test::noise_frame<Rgb8>(1);
     const FramePixels before = frame;
     View v = view(&curve8_);
-    v.look = look;
+    v.effects = look;
     const auto done = compositor_->composite(v, frame);
     EXPECT_TRUE(!done && done.error().code == ErrorCode::kInvalid);
     EXPECT_EQ(frame, before);

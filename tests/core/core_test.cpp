@@ -12,7 +12,7 @@
 #include <string>
 
 #include "core/conventions.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "core/pose.h"
 #include "core/units.h"
 #include "tests/support/temp_folder.h"
@@ -26,12 +26,12 @@ using glm::dvec3;
 // ------------------------------------------------------------------------------------- units
 
 TEST(Quantity, ArithmeticFollowsItsNumbers) {
-  constexpr Metres a(3), b(.5);
+  constexpr Radians a(3), b(.5);
   static_assert((a + b).value() == 3.5 && (a - b).value() == 2.5);
   static_assert((a * 2.).value() == 6 && (2. * a).value() == 6);
   static_assert(a / b == 6);
-  static_assert(a > b && a == Metres(3) && a != b);
-  EXPECT_EQ(Metres().value(), 0);
+  static_assert(a > b && a == Radians(3) && a != b);
+  EXPECT_EQ(Radians().value(), 0);
 }
 
 TEST(Quantity, NanIsNotEqualToItself) {

@@ -1,4 +1,4 @@
-#include "core/log.h"
+#include "core/io/log.h"
 
 #include <gtest/gtest.h>
 

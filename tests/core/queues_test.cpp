@@ -1,4 +1,4 @@
-#include "core/queues.h"
+#include "core/threads/queues.h"
 
 #include <gtest/gtest.h>
 

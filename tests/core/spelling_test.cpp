@@ -1,4 +1,4 @@
-#include "core/spelling.h"
+#include "core/io/spelling.h"
 
 #include <gtest/gtest.h>
 

@@ -4,9 +4,9 @@
 
 #include "lighting/lighting.h"
 #include "tests/support/environment_maps.h"
-#include "tools/chart/baselines.h"
 #include "tools/chart/chart_bench.h"
-#include "tools/chart/governor_bench.h"
+#include "tools/chart/governor/governor_bench.h"
+#include "tools/chart/peers/baselines.h"
 
 namespace penumbra::tools {
 

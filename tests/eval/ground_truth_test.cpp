@@ -5,7 +5,7 @@
 #include "capture/capture.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 
 namespace penumbra::tools {
 

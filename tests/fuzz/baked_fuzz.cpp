@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "core/files.h"
+#include "core/io/files.h"
 #include "prt/prt.h"
 #include "tests/fuzz/file_input.h"
 
@@ -46,7 +46,7 @@ void use(const prt::BakedObject& o) {
     samples.clear(cells);
     for (std::size_t k = 0; k < prt::VisibilitySamples::kMax; ++k)
       samples.add({.6f, k % 2 == 0 ? .8f : -.8f, 0}, true);
-    lookup.look(samples, 0, count, sums);
+    lookup.look_up(samples, 0, count, sums);
   }
   for (const prt::CosineSums& s : sums)
     if (std::isnan(s.seen + s.open)) __builtin_trap();

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "codec/codec.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "prt/prt.h"
-#include "tools/chart/rgbe_video.h"
+#include "tools/chart/peers/rgbe_video.h"
 
 namespace {
 

@@ -10,7 +10,7 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "capture/recording/folder_format.h"
-#include "core/toml_keys.h"
+#include "core/io/toml_keys.h"
 
 // libFuzzer's entry point, by its own name and types. The first byte chooses the reader.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {

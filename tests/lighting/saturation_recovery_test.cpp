@@ -271,7 +271,7 @@ TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
     const Rgb albedo = Rgb{.3f, .2f, .6f} * 17.f;  // unknown, and in other units
     ShadowEdge edge{n, exact_irradiance(map, n) * albedo, exact_irradiance(dark, n) * albedo};
     for (int c = 0; c < 3; ++c) edge.lit[c] *= noise(rng), edge.shadowed[c] *= noise(rng);
-    const auto got = complete_from_shadow(light, light.lights[0].id, edge);
+    const auto got = recover_from_shadow(light, light.lights[0].id, edge);
     ASSERT_TRUE(got) << got.error().detail;
     expect_power(got->power, kSun.power(), .05);
     // What casts the shadow keeps a part of the other light from it, and less from the lit side.
@@ -281,7 +281,7 @@ TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
       beside.lit[c] = (all[c] - others[c] + beside.others_at_lit[c] * others[c]) * albedo[c];
       beside.shadowed[c] = beside.others_at_shadowed[c] * others[c] * albedo[c];
     }
-    const auto by_parts = complete_from_shadow(light, light.lights[0].id, beside);
+    const auto by_parts = recover_from_shadow(light, light.lights[0].id, beside);
     ASSERT_TRUE(by_parts) << by_parts.error().detail;
     expect_power(by_parts->power, kSun.power(), .05);
   }
@@ -318,7 +318,7 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
 
   const int id = light.lights[0].id;
   const auto edge_error = [&](int source, const ShadowEdge& edge) {
-    const auto got = complete_from_shadow(light, source, edge);
+    const auto got = recover_from_shadow(light, source, edge);
     return got ? std::string("none") : got.error().detail;
   };
   has(edge_error(99, {kUp, {2, 2, 2}, {1, 1, 1}}), "is not saturated");
@@ -343,7 +343,7 @@ TEST(RecoveryMemory, KeepsTheEnergyWhileTheSourceStaysClipped) {
   const ReflectancePatch floor = patch(map, kUp, rng);
   const auto got = recover_jointly(*first, floor);
   ASSERT_TRUE(got);
-  ASSERT_TRUE(estimator.complete((*got)[0]));
+  ASSERT_TRUE(estimator.add_recovery((*got)[0]));
   // Shorter exposures later raise the lower bound, not the sun.
   for (int k = 1; k < 10; ++k) {
     const auto later = estimator.estimate(at(clip(map, k < 5 ? 8.f : 16.f), k));
@@ -374,7 +374,7 @@ TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
   EXPECT_TRUE(first->lights[0].is_lower_bound());
   EXPECT_TRUE(first->plan->lower_bound);
   EXPECT_FALSE(first->plan->within_budget);
-  ASSERT_TRUE(estimator.complete({first->lights[0].id, kSun.power()}));
+  ASSERT_TRUE(estimator.add_recovery({first->lights[0].id, kSun.power()}));
   const auto second = estimator.estimate(at(clip(map, 8), 1));
   ASSERT_TRUE(second && second->lights.size() == 1);
   EXPECT_TRUE(second->lights[0].recovered);
@@ -406,7 +406,7 @@ TEST(RecoveryMemory, ALightThatIsFadingInIsRecoveredWhole) {
       << "not fading: the test shows nothing";
   const auto got = recover_jointly(*fading, patch(map, kUp, rng));
   ASSERT_TRUE(got);
-  const auto taken = estimator.complete((*got)[0]);
+  const auto taken = estimator.add_recovery((*got)[0]);
   ASSERT_TRUE(taken) << taken.error().detail;
   for (int k = 3; k < 60; ++k) {
     const auto later = estimator.estimate(at(clip(map, 30), k));
@@ -420,10 +420,11 @@ TEST(RecoveryMemory, RefusesLessThanWasMeasuredAndUnknownLights) {
   const auto light = estimator.estimate(clip(room_with({&kSun, 1}), 8));
   ASSERT_TRUE(light);
   const DistantLight& sun = light->lights[0];
-  EXPECT_EQ(estimator.complete({sun.id + 1, {1, 1, 1}}).error().code, ErrorCode::kInvalid);
-  EXPECT_EQ(estimator.complete({sun.id, power(sun) * .5f}).error().code, ErrorCode::kUndetermined);
-  EXPECT_EQ(estimator.complete({sun.id, {NAN, 1, 1}}).error().code, ErrorCode::kNonFinite);
-  EXPECT_TRUE(estimator.complete({sun.id, power(sun)}));
+  EXPECT_EQ(estimator.add_recovery({sun.id + 1, {1, 1, 1}}).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(estimator.add_recovery({sun.id, power(sun) * .5f}).error().code,
+            ErrorCode::kUndetermined);
+  EXPECT_EQ(estimator.add_recovery({sun.id, {NAN, 1, 1}}).error().code, ErrorCode::kNonFinite);
+  EXPECT_TRUE(estimator.add_recovery({sun.id, power(sun)}));
 }
 
 TEST(RecoveryMemory, ForgetsASourceThatIsMeasuredAgain) {
@@ -433,7 +434,7 @@ TEST(RecoveryMemory, ForgetsASourceThatIsMeasuredAgain) {
   LightEstimator estimator({});
   const auto first = estimator.estimate(at(clipped, 0));
   ASSERT_TRUE(first && first->lights.size() == 1);
-  ASSERT_TRUE(estimator.complete({first->lights[0].id, bright.power()}));
+  ASSERT_TRUE(estimator.add_recovery({first->lights[0].id, bright.power()}));
   const auto second = estimator.estimate(at(clipped, 1));
   expect_power(power(second->lights[0]), bright.power(), .1);
   const auto third = estimator.estimate(at(clip(room_with({&dim, 1}), 16), 2));

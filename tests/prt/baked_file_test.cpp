@@ -10,7 +10,7 @@
 #include <string_view>
 #include <vector>
 
-#include "core/files.h"
+#include "core/io/files.h"
 #include "prt/prt.h"
 #include "tests/fuzz/mutate.h"
 #include "tests/support/temp_folder.h"
@@ -283,7 +283,7 @@ TEST_F(BakedFile, DamageAnywhereIsAnErrorOrAnObject) {
       directions_used.clear(cells);
       for (std::size_t k = 0; k < VisibilitySamples::kMax; ++k)
         directions_used.add({.6f, k % 2 ? .8f : -.8f, 0}, true);
-      lookup.look(directions_used, 0, count, sums);
+      lookup.look_up(directions_used, 0, count, sums);
     }
   };
   const auto as_bytes = [](const std::string& s) {

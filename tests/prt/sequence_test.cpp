@@ -8,7 +8,7 @@
 #include <random>
 #include <set>
 
-#include "core/files.h"
+#include "core/io/files.h"
 #include "prt/clip/internal/frame_bake.h"
 #include "prt/clip/internal/sequence_codec.h"
 #include "prt/prt.h"

@@ -43,7 +43,7 @@ struct ReferenceWorld {
 
 std::vector<CosineSums> look(const BakedObject& o, const VisibilitySamples& directions_used) {
   std::vector<CosineSums> out(o.mesh.positions.size());
-  VisibilityLookup(o.visibility, o.mesh).look(directions_used, 0, out.size(), out);
+  VisibilityLookup(o.visibility, o.mesh).look_up(directions_used, 0, out.size(), out);
   return out;
 }
 
@@ -154,7 +154,7 @@ TEST(VisibilityMap, LooksAlongTheNearestRay) {
       directions_used.clear(cells);
       for (std::size_t k = 0; k < VisibilitySamples::kMax; ++k) directions_used.add(d, true);
       std::vector<CosineSums> sums(count);
-      VisibilityLookup(visibility, Mesh{up, up, {}, {}}).look(directions_used, 0, count, sums);
+      VisibilityLookup(visibility, Mesh{up, up, {}, {}}).look_up(directions_used, 0, count, sums);
       found += sums[vertex].seen > 0;
     }
     EXPECT_GT(found, kTries * 85 / 100) << cells;

@@ -13,10 +13,11 @@
 #include <fstream>
 
 #include "runtime/pipeline/light_file.h"
+#include "runtime/shading/composite_stage.h"
 #include "tests/stability/maps.h"
 #include "tests/support/shared_data.h"
 #include "tests/support/temp_folder.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 
 namespace penumbra::runtime {
@@ -283,7 +284,7 @@ TEST(Animated, StaticLightDoesNotFlickerOnAThingThatRests) {
   walker.baked.receiver = resting->sequence.receiver;
   walker.animation = resting;
   walker.frame = -1;
-  walker.move_to(0, true);
+  walker.move_to(0, {});
   const prt::PinholeView view = view_of(64, 96);
   const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
   auto pipeline = make_still_pipeline(*prepared, view, {});
@@ -422,13 +423,13 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
   scene.objects[0].live = true;
   const auto prepared = prepare_quickly(scene);
   ASSERT_TRUE(prepared);
-  CowVector<std::uint16_t> first;
+  prt::CowVector<std::uint16_t> first;
   for (int run = 0; run < 2; ++run) {
     PreparedObject o = prepared->objects[0];
     ASSERT_TRUE(o.begin_live());
-    for (int frame = 0; frame < 4; ++frame) EXPECT_TRUE(o.move_to(frame / 60., true));
-    EXPECT_FALSE(o.move_to(3 / 60., true));  // there already
-    EXPECT_TRUE(o.move_to(-1, true));        // a time like any other
+    for (int frame = 0; frame < 4; ++frame) EXPECT_TRUE(o.move_to(frame / 60., {}));
+    EXPECT_FALSE(o.move_to(3 / 60., {}));  // there already
+    EXPECT_TRUE(o.move_to(-1, {}));        // a time like any other
     if (run == 0) first = o.baked.transfer.values;
     EXPECT_EQ(o.baked.transfer.values, first);
   }
@@ -439,9 +440,9 @@ TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
   PreparedObject o = prepared->objects[0];
   o.animation = hurried;
   ASSERT_TRUE(o.begin_live());
-  o.move_to(0, true, true);
+  o.move_to(0, {.keep_time = true});
   const auto before = o.baked.transfer.values;
-  for (int frame = 1; frame < 4; ++frame) o.move_to(frame / 60., true, true);
+  for (int frame = 1; frame < 4; ++frame) o.move_to(frame / 60., {.keep_time = true});
   // What it has keeps its place, but for the few points that were visited.
   std::size_t same = 0;
   for (std::size_t i = 0; i < before.size(); ++i) same += before[i] == o.baked.transfer.values[i];

@@ -6,7 +6,7 @@
 
 #include "capture/capture.h"
 #include "codec/codec.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "prt/prt.h"
 #include "runtime/scene/scene.h"
 #include "service/rig_config.h"

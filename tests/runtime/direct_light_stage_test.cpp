@@ -97,9 +97,9 @@ TEST(DirectLightStage, TheShadowOnAPlaneGoesWithItsObject) {
     double sum = 0, weight = 0;
     for (const auto& on_plane : shadows_of(*stage, open)) {
       const shadows::ShadowMap& s = *on_plane.shadow;
-      for (int y = 0; y < s.taken.height(); ++y)
-        for (int x = 0; x < s.taken.width(); ++x) {
-          const double here = s.taken.at(x, y);
+      for (int y = 0; y < s.virtual_occlusion.height(); ++y)
+        for (int x = 0; x < s.virtual_occlusion.width(); ++x) {
+          const double here = s.virtual_occlusion.at(x, y);
           sum += here * (s.world_from_map * dvec3(x * s.cell_m, 0, y * s.cell_m)).x;
           weight += here;
         }
@@ -130,8 +130,9 @@ TEST(DirectLightStage, CoarseShadowsAreCloseAndBecomeFineAtOnce) {
     int cells = 0;
     for (const auto& on_plane : all) {
       const shadows::ShadowMap& s = *on_plane.shadow;
-      cells = std::max({cells, s.taken.width(), s.taken.height()});
-      for (const float taken : s.taken.pixels()) area += double(taken) * s.cell_m * s.cell_m;
+      cells = std::max({cells, s.virtual_occlusion.width(), s.virtual_occlusion.height()});
+      for (const float taken : s.virtual_occlusion.pixels())
+        area += double(taken) * s.cell_m * s.cell_m;
     }
     return std::pair(area, cells);
   };
@@ -193,8 +194,9 @@ TEST(DirectLightStage, WeakSourcesAreAskedLess) {
     stage->update(std::vector{lamp}, luminance(lamp.irradiance()) * (.25 + others), around,
                   on_plane);
     const auto shadows = shadows_of(*stage, on_plane);
-    return std::pair(light_on(*stage, scene, 0),
-                     shadows.empty() ? std::size_t{0} : shadows[0].shadow->taken.area());
+    return std::pair(light_on(*stage, scene, 0), shadows.empty()
+                                                     ? std::size_t{0}
+                                                     : shadows[0].shadow->virtual_occlusion.area());
   };
   const lighting::DistantLight spot = lamp_of(.03), broad = lamp_of(.2);
   EXPECT_EQ(traced(known, spot, 9, 4).first, traced(known, spot, 0, 2).first) << "half of the rays";
@@ -220,7 +222,8 @@ TEST(DirectLightStage, ALampThatFadesInIsTracedAnew) {
     now.radiance = lamp.radiance * static_cast<float>(fraction);
     const Rgb all = lighting::irradiance(lamp, {0, 1, 0});
     stage.update(std::vector{now}, luminance(lamp.irradiance()) * .9, around, std::vector{all});
-    return std::pair(light_on(stage, scene, 0), shadows_of(stage, {all})[0].shadow->taken);
+    return std::pair(light_on(stage, scene, 0),
+                     shadows_of(stage, {all})[0].shadow->virtual_occlusion);
   };
   auto fading = DirectLightStage::create(scene, {}), fresh = DirectLightStage::create(scene, {});
   ASSERT_TRUE(fading && fresh);
@@ -301,7 +304,7 @@ TEST(DirectLightStage, APlaneDoesNotShadeItself) {
       if (!on.real || glm::dot(on.real->world_from_map.rotation * dvec3(0, 1, 0), normal) < .99)
         continue;
       ++looked_at;
-      EXPECT_EQ(std::ranges::max(on.real->taken.pixels()), 0) << k;
+      EXPECT_EQ(std::ranges::max(on.real->virtual_occlusion.pixels()), 0) << k;
     }
   }
   EXPECT_GT(looked_at, 20);

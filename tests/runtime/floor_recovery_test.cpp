@@ -67,7 +67,7 @@ Watched watch(ClippedSun& c, FloorRecovery& recovery,
     const auto& camera = studio.cameras()[static_cast<std::size_t>(frame->camera)];
     auto found = recovery.observe(*frame, camera, &curve, out.last);
     if (found)
-      light.complete(*found);
+      light.add_recoveries(*found);
     else
       out.error = found.error();
   }

@@ -6,7 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include "core/files.h"
+#include "core/io/files.h"
 #include "lighting/lighting.h"
 #include "runtime/pipeline/internal/kept_costs.h"
 #include "runtime/scene/bake_cache.h"

@@ -29,7 +29,7 @@ class BallOnTheFloor : public testing::Test, public test::BallAndWall {
 TEST_F(BallOnTheFloor, BeforeItTheWallIsBehindItAndBehindItTheSky) {
   GroundProbes probes(scene);
   const Pose here;
-  probes.look(occluders(), {&here, 1}, false);
+  probes.update(occluders(), {&here, 1}, false);
   std::array<int, GroundProbes::kPoints> by_ball{}, wall_behind{}, wall{};
   int behind_wall = 0;  // rays that the wall stops before the ball does
   for (const GroundHit& hit : probes.hits(0)) {
@@ -71,7 +71,7 @@ TEST_F(BallOnTheFloor, WhatAllPointsHaveAllTexelsGetAndASlopeStaysASlope) {
   real_things->set_pose(0, Pose{{1, 0, 0, 0}, {0, 0, -90}});  // the wall is far
   GroundProbes probes(scene);
   const Pose here;
-  probes.look(occluders(), {&here, 1}, false);
+  probes.update(occluders(), {&here, 1}, false);
   std::array<Rgb, GroundProbes::kPoints> values;
   for (int p = 0; p < GroundProbes::kPoints; ++p)
     values[static_cast<std::size_t>(p)] = {1, float(p % n), float(p / n)};
@@ -112,9 +112,9 @@ TEST(PlaneLight, IsWhatTheCompositorShows) {
     shadows::ShadowMap map;
     map.world_from_map = Pose{{1, 0, 0, 0}, {-1, 0, -1}};
     map.cell_m = .1f;
-    map.taken = Image<float>(21, 21);
+    map.virtual_occlusion = Image<float>(21, 21);
     for (int y = 0; y < 21; ++y)
-      for (int x = 0; x < 21; ++x) map.taken.at(x, y) = x < 10 ? left : right;
+      for (int x = 0; x < 21; ++x) map.virtual_occlusion.at(x, y) = x < 10 ? left : right;
     return map;
   };
   const shadows::ShadowMap taken = half_plane(0, 1), hidden = half_plane(1, 0);

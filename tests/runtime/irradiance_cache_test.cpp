@@ -38,8 +38,8 @@ class BallBeforeAWall : public testing::Test {
     pose_ = Pose{{1, 0, 0, 0}, at};
     virtual_->set_pose(0, pose_);
     const shadows::RayOccluders occluders{&*virtual_, &*real_, 1e-4f};
-    probes_->look(occluders, {&pose_, 1});
-    cache_->look(occluders, {&pose_, 1}, *probes_, other_form);
+    probes_->update(occluders, {&pose_, 1});
+    cache_->update(occluders, {&pose_, 1}, *probes_, other_form);
   }
   // Form factor of the ball as gathered, at every vertex of the wall.
   std::vector<float> gathered() const {

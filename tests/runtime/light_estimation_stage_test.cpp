@@ -7,7 +7,7 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "core/conventions.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "lighting/lighting.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/shading/composite_stage.h"

@@ -11,7 +11,7 @@
 #include "prt/prt.h"
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 
 namespace penumbra::runtime {
 

@@ -26,7 +26,7 @@ class ProbesBesideAWall : public testing::Test, public test::BallAndWall {
 TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
   OcclusionProbes probes(scene);
   const Pose here;
-  probes.look(occluders(), {&here, 1});
+  probes.update(occluders(), {&here, 1});
   std::array<int, OcclusionProbes::kProbes> wall{}, floor{};
   std::array<glm::vec3, OcclusionProbes::kProbes> normal{};
   for (const ProbeHit& hit : probes.hits(0)) {
@@ -68,14 +68,14 @@ TEST_F(ProbesBesideAWall, FollowTheObject) {
     return std::ranges::any_of(probes.hits(0),
                                [](const ProbeHit& h) { return h.thing == ProbeHit::kReal; });
   };
-  probes.look(occluders(), {&here, 1});
+  probes.update(occluders(), {&here, 1});
   EXPECT_TRUE(sees_wall());
   real_things->set_pose(0, far);  // behind the probes' back: only poses of objects are looked at
-  probes.look(occluders(), {&here, 1});
+  probes.update(occluders(), {&here, 1});
   EXPECT_TRUE(sees_wall()) << "rays were cast though nothing has moved";
   real_things->set_pose(0, here);
   virtual_things->set_pose(0, far);
-  probes.look(occluders(), {&far, 1});
+  probes.update(occluders(), {&far, 1});
   EXPECT_FALSE(sees_wall());
 }
 
@@ -103,7 +103,7 @@ TEST_F(ProbesBesideAWall, WhatAllProbesHaveAllVerticesGet) {
 TEST_F(ProbesBesideAWall, ASlopeStaysASlope) {
   OcclusionProbes probes(scene);
   const Pose here;
-  probes.look(occluders(), {&here, 1});
+  probes.update(occluders(), {&here, 1});
   std::vector<Rgb> values(OcclusionProbes::kProbes);
   for (const ProbeHit& hit : probes.hits(0))
     if (hit.thing == ProbeHit::kProbe) values[hit.probe] = Rgb{1, 1, 1} * hit.direction.x;
@@ -127,7 +127,7 @@ TEST(OcclusionProbes, OnePlaneIsNotAround) {
   world.virtual_things->set_pose(1, poses[1]);
   OcclusionProbes probes(world.scene);
   EXPECT_FALSE(probes.any_real());
-  probes.look(world.occluders(), poses);
+  probes.update(world.occluders(), poses);
   for (std::size_t i = 0; i < 2; ++i)
     for (const ProbeHit& hit : probes.hits(i)) EXPECT_NE(hit.thing, ProbeHit::kReal) << i;
   EXPECT_TRUE(probes.by_real(1).empty());

@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "runtime/pipeline/light_file.h"
+#include "runtime/shading/composite_stage.h"
 #include "runtime/studio/studio_setup.h"
 #include "shadows/shadows.h"
 #include "tests/support/ball_pictures.h"

@@ -54,7 +54,7 @@ void draw(const capture::Lens& lens, const glm::dquat& world_from_camera, const 
       for (int s = 0; s < 16; ++s) {
         const auto d = calib::direction_from_pixel(lens.projection,
                                                    {x + (s % 4 + .5) / 4, y + (s / 4 + .5) / 4});
-        if (d && std::acos(-d->z) <= lens.half_field_rad)
+        if (d && std::acos(-d->z) <= lens.half_field_of_view_rad)
           sum += sky(world_from_camera * (lens.camera_from_lens * *d));
       }
       out.at(lens.x_px + x, lens.y_px + y) = sum * gain * (1.f / 16);
@@ -158,7 +158,7 @@ TEST(SeveralViews, TwoLensesOfOnePictureShowTheWholeRoom) {
   // As if the lenses saw half the sphere each, they overlap nowhere and the second one's gain stays
   // in the light.
   CameraInfo apart = camera;
-  for (capture::Lens& l : apart.lenses) l.half_field_rad = kPi / 2;
+  for (capture::Lens& l : apart.lenses) l.half_field_of_view_rad = kPi / 2;
   EXPECT_GT(difference(estimate_with(apart, kOther), truth), .05);
 }
 

@@ -10,7 +10,7 @@
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "tests/support/worlds.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 
 namespace penumbra::runtime {

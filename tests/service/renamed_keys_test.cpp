@@ -9,7 +9,7 @@
 
 #include "calib/camera/calibration_files.h"
 #include "capture/recording/folder.h"
-#include "core/renamed.h"
+#include "core/io/renamed.h"
 #include "runtime/scene/scene.h"
 #include "service/rig_config.h"
 #include "tests/support/temp_folder.h"

@@ -11,7 +11,9 @@
 #include "calib/calib.h"
 #include "capture/capture.h"
 #include "prt/prt.h"
+#include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/runner.h"
+#include "runtime/shading/composite_stage.h"
 #include "service/http_api.h"
 #include "tests/support/fake_camera.h"
 

@@ -35,7 +35,7 @@ struct Patch {
   std::vector<float> taken(const prt::Mesh& mesh, int samples) const {
     DirectLightAtVertices out;
     trace_direct_light_at_vertices({&virtual_things, nullptr, 1e-4f}, mesh, panel, samples, out);
-    return out.taken;
+    return out.virtual_occlusion;
   }
 };
 
@@ -71,7 +71,8 @@ TEST(LightVertices, ByOneSampleALightIsHiddenAsItsMiddleIs) {
   for (const auto& [radius, source] : {std::pair(.03, round), {.3, round}, {.3, strip}}) {
     patch.panel = source;
     patch.panel.radius = Radians(radius);
-    const auto hard = patch.taken(patch.ground, 1), soft = patch.taken(patch.ground, 64);
+    const auto hard = patch.taken(patch.ground, 1),
+               soft = patch.taken(patch.ground, 64);
     const double mean = source.shape.empty() ? .5 + .5 * std::cos(radius) : glm::length(all) / 64;
     patch.panel = round;
     patch.panel.direction = source.direction;
@@ -90,7 +91,7 @@ TEST(LightVertices, OpenGroundHasTheLightOfTheWholeLight) {
   // Int cos over the light / its solid angle = cos(angle to its axis) (1 + cos r) / 2
   const double expected = patch.panel.direction.y * (1 + std::cos(patch.panel.radius.value())) / 2;
   for (const float open : out.open) ASSERT_NEAR(open, expected, .004);
-  for (const float taken : out.taken) ASSERT_EQ(taken, 0);
+  for (const float taken : out.virtual_occlusion) ASSERT_EQ(taken, 0);
 }
 
 }  // namespace

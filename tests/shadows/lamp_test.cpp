@@ -28,9 +28,10 @@ TEST(Lamp, OpenFloorFollowsTheClosedForm) {
     const glm::dvec3 node =
         map.world_from_map * glm::dvec3(x * double(map.cell_m), 0, z * double(map.cell_m));
     const double d2 = glm::dot(lamp.position - node, lamp.position - node);
-    EXPECT_NEAR(map.taken.at(x, z) * largest, .8 / std::pow(d2, 1.5), 2e-3 / (.8 * .8));
+    EXPECT_NEAR(map.virtual_occlusion.at(x, z) * largest, .8 / std::pow(d2, 1.5), 2e-3 / (.8 * .8));
   }
-  for (int i = 0; i < map.taken.width(); ++i) EXPECT_EQ(map.taken.at(i, 0), 0) << "ends at nothing";
+  for (int i = 0; i < map.virtual_occlusion.width(); ++i)
+    EXPECT_EQ(map.virtual_occlusion.at(i, 0), 0) << "ends at nothing";
 }
 
 TEST(Lamp, BehindTheFloorOrInItGivesNothing) {

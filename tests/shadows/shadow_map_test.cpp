@@ -10,6 +10,7 @@
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 #include "shadows/silhouette/light_rays.h"
+#include "tests/support/shadow_maps.h"
 
 namespace penumbra::shadows {
 namespace {
@@ -162,7 +163,7 @@ lighting::DistantLight distant_light_of(const Setting& s) {
   return d;
 }
 
-class DrawnShadow : public testing::TestWithParam<Setting> {};
+class ShadowOnPlane : public testing::TestWithParam<Setting> {};
 
 struct Wrong {
   std::size_t nodes = 0, dark = 0, wrong = 0;
@@ -176,8 +177,8 @@ Wrong compare(const ShadowMap& shadow, const Scene& virtual_things, const Scene&
   float all = 0;
   for (const glm::vec3& d : pattern.at(0)) all += std::max(0.f, glm::dot(glm::vec3(up), d));
   Wrong out;
-  for (int y = 1; y + 1 < shadow.taken.height(); ++y)
-    for (int x = 1; x + 1 < shadow.taken.width(); ++x) {
+  for (int y = 1; y + 1 < shadow.virtual_occlusion.height(); ++y)
+    for (int x = 1; x + 1 < shadow.virtual_occlusion.width(); ++x) {
       const dvec3 from = shadow.world_from_map *
                          dvec3(x * double(shadow.cell_m), kNear, y * double(shadow.cell_m));
       float taken = 0, missing = 0;
@@ -196,13 +197,14 @@ Wrong compare(const ShadowMap& shadow, const Scene& virtual_things, const Scene&
       }
       ++out.nodes;
       out.dark += taken > .5f;
-      const float left = shadow.missing.empty() ? 0 : shadow.missing.at(x, y);
-      out.wrong += std::abs(shadow.taken.at(x, y) - taken) + std::abs(left - missing) > 1e-4f;
+      const float left = shadow.real_occlusion.empty() ? 0 : shadow.real_occlusion.at(x, y);
+      out.wrong +=
+          std::abs(shadow.virtual_occlusion.at(x, y) - taken) + std::abs(left - missing) > 1e-4f;
     }
   return out;
 }
 
-TEST_P(DrawnShadow, IsWhatRaysFind) {
+TEST_P(ShadowOnPlane, IsWhatRaysFind) {
   const Setting& s = GetParam();
   const Pose world = world_of(s.tilt, s.shift);
   const Scene virtual_things(s.virtual_things(), world), real_things(s.real_things(), world);
@@ -216,11 +218,13 @@ TEST_P(DrawnShadow, IsWhatRaysFind) {
   render_shadow_map({virtual_things.casters(), real_things.casters(), kNear}, floor, source,
                     {s.samples, 128}, shadow);
   ASSERT_FALSE(shadow.empty());
-  EXPECT_EQ(shadow.missing.empty(), real_things.casters().empty());
-  for (int x = 1; x + 1 < shadow.taken.width(); ++x)  // nothing is cut off
-    for (const int y : {1, shadow.taken.height() - 2}) EXPECT_LT(shadow.taken.at(x, y), .01f);
-  for (int y = 1; y + 1 < shadow.taken.height(); ++y)
-    for (const int x : {1, shadow.taken.width() - 2}) EXPECT_LT(shadow.taken.at(x, y), .01f);
+  EXPECT_EQ(shadow.real_occlusion.empty(), real_things.casters().empty());
+  for (int x = 1; x + 1 < shadow.virtual_occlusion.width(); ++x)  // nothing is cut off
+    for (const int y : {1, shadow.virtual_occlusion.height() - 2})
+      EXPECT_LT(shadow.virtual_occlusion.at(x, y), .01f);
+  for (int y = 1; y + 1 < shadow.virtual_occlusion.height(); ++y)
+    for (const int x : {1, shadow.virtual_occlusion.width() - 2})
+      EXPECT_LT(shadow.virtual_occlusion.at(x, y), .01f);
   const Wrong found = compare(shadow, virtual_things, real_things, floor.normal, source,
                               is_wide(source) ? std::min(64, 4 * s.samples) : s.samples);
   EXPECT_GT(found.dark, found.nodes / 50);
@@ -232,10 +236,14 @@ TEST_P(DrawnShadow, IsWhatRaysFind) {
 float at(const ShadowMap& shadow, const dvec3& world) {
   const dvec3 p = shadow.world_from_map.inverse() * world / double(shadow.cell_m);
   const int x = static_cast<int>(std::floor(p.x)), y = static_cast<int>(std::floor(p.z));
-  if (x < 0 || y < 0 || x + 1 >= shadow.taken.width() || y + 1 >= shadow.taken.height()) return 0;
+  if (x < 0 || y < 0 || x + 1 >= shadow.virtual_occlusion.width() ||
+      y + 1 >= shadow.virtual_occlusion.height())
+    return 0;
   const auto u = static_cast<float>(p.x - x), v = static_cast<float>(p.z - y);
-  return (1 - v) * ((1 - u) * shadow.taken.at(x, y) + u * shadow.taken.at(x + 1, y)) +
-         v * ((1 - u) * shadow.taken.at(x, y + 1) + u * shadow.taken.at(x + 1, y + 1));
+  return (1 - v) * ((1 - u) * shadow.virtual_occlusion.at(x, y) +
+                    u * shadow.virtual_occlusion.at(x + 1, y)) +
+         v * ((1 - u) * shadow.virtual_occlusion.at(x, y + 1) +
+              u * shadow.virtual_occlusion.at(x + 1, y + 1));
 }
 
 // A wide lamp that brings little is drawn with fewer directions and cells: its error counts by
@@ -257,18 +265,20 @@ TEST(ShadowMap, AWeakLampIsDrawnAsWellAsItsShareNeeds) {
     const auto error = [&](const ShadowMap& shadow) {
       double sum = 0;
       int nodes = 0;
-      for (int y = 0; y < truth.taken.height(); y += 4)
-        for (int x = 0; x < truth.taken.width(); x += 4, ++nodes)
+      for (int y = 0; y < truth.virtual_occlusion.height(); y += 4)
+        for (int x = 0; x < truth.virtual_occlusion.width(); x += 4, ++nodes)
           sum +=
               std::pow(at(shadow, truth.world_from_map * (double(truth.cell_m) * dvec3(x, 0, y))) -
-                           truth.taken.at(x, y),
+                           truth.virtual_occlusion.at(x, y),
                        2);
       return std::sqrt(sum / nodes);
     };
     const ShadowMap strong = drawn({16, 256, 1}), half = drawn({16, 256, .5}),
                     weak = drawn({16, 256, .25});
-    EXPECT_LT(half.taken.area(), .7 * static_cast<double>(strong.taken.area()));
-    EXPECT_LT(weak.taken.area(), .5 * static_cast<double>(strong.taken.area()));
+    EXPECT_LT(half.virtual_occlusion.area(),
+              .7 * static_cast<double>(strong.virtual_occlusion.area()));
+    EXPECT_LT(weak.virtual_occlusion.area(),
+              .5 * static_cast<double>(strong.virtual_occlusion.area()));
     EXPECT_GT(error(weak), 1.2 * error(strong)) << "the naive form draws strong ones so too";
     // The most that each brings: all, a half, a quarter.
     EXPECT_LT(.5 * error(half), error(strong) + .002);
@@ -301,7 +311,7 @@ TEST(ShadowMap, AFormTakesTheDirectionsThatItsReachNeeds) {
 }
 
 INSTANTIATE_TEST_SUITE_P(
-    Of, DrawnShadow,
+    Of, ShadowOnPlane,
     testing::Values(
         Setting{"knot", [] { return one(knot()); }, nothing},
         Setting{"knot_wide", [] { return one(knot()); }, nothing, 40, 12},
@@ -326,7 +336,7 @@ INSTANTIATE_TEST_SUITE_P(
         Setting{"behind_real_things_wide", two, real_posts, 40, 12}),
     [](const auto& p) { return p.param.name; });
 
-TEST(DrawnShadow, FollowsAnotherForm) {
+TEST(ShadowOnPlane, FollowsAnotherForm) {
   prt::Mesh mesh = knot();
   SilhouetteMesh silhouette(mesh);
   const Caster caster{&mesh, &silhouette, {}};
@@ -338,39 +348,41 @@ TEST(DrawnShadow, FollowsAnotherForm) {
   const SilhouetteMesh other(mesh);
   const Caster again{&mesh, &other, {}};
   render_shadow_map({{&again, 1}, {}, kNear}, kFloor, source, {}, fresh);
-  ASSERT_EQ(moved.taken.area(), fresh.taken.area());
-  EXPECT_TRUE(std::ranges::equal(moved.taken.pixels(), fresh.taken.pixels()));
+  ASSERT_EQ(moved.virtual_occlusion.area(), fresh.virtual_occlusion.area());
+  EXPECT_TRUE(
+      std::ranges::equal(moved.virtual_occlusion.pixels(), fresh.virtual_occlusion.pixels()));
 }
 
-TEST(DrawnShadow, OfALightThatSetsOnlyTheUpperPartCounts) {
+TEST(ShadowOnPlane, OfALightThatSetsOnlyTheUpperPartCounts) {
   const Scene scene(one(knot()));
   ShadowMap shadow;
   render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, 2, 6}), {},
                     shadow);
   ASSERT_FALSE(shadow.empty());
-  const auto [smallest, largest] = std::ranges::minmax(shadow.taken.pixels());
+  const auto [smallest, largest] = std::ranges::minmax(shadow.virtual_occlusion.pixels());
   EXPECT_EQ(smallest, 0);
   EXPECT_NEAR(largest, 1, .05);
 }
 
 // All of its light is thrown as if it came from 1.15 degrees: by silhouettes that are not those of
 // the light itself.
-TEST(DrawnShadow, OfASunAtTheHorizonIsWhole) {
+TEST(ShadowOnPlane, OfASunAtTheHorizonIsWhole) {
   const Scene scene(one(knot()));
   ShadowMap at_horizon, higher;
   render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, .25, .2}),
                     {}, at_horizon);
   render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, 1.146, .2}),
                     {}, higher);
-  ASSERT_EQ(at_horizon.taken.width(), higher.taken.width());
-  ASSERT_EQ(at_horizon.taken.height(), higher.taken.height());
+  ASSERT_EQ(at_horizon.virtual_occlusion.width(), higher.virtual_occlusion.width());
+  ASSERT_EQ(at_horizon.virtual_occlusion.height(), higher.virtual_occlusion.height());
   double difference = 0;
-  for (std::size_t i = 0; i < higher.taken.area(); ++i)
-    difference += std::abs(at_horizon.taken.pixels()[i] - higher.taken.pixels()[i]);
-  EXPECT_LT(difference / double(higher.taken.area()), .02);
+  for (std::size_t i = 0; i < higher.virtual_occlusion.area(); ++i)
+    difference +=
+        std::abs(at_horizon.virtual_occlusion.pixels()[i] - higher.virtual_occlusion.pixels()[i]);
+  EXPECT_LT(difference / double(higher.virtual_occlusion.area()), .02);
 }
 
-TEST(DrawnShadow, ALightBelowTheHorizonThrowsNone) {
+TEST(ShadowOnPlane, ALightBelowTheHorizonThrowsNone) {
   const Scene scene(one(knot()));
   ShadowMap shadow;
   render_shadow_map({scene.casters(), {}, kNear}, kFloor, distant_light_of({"", {}, {}, -3}), {},
@@ -378,7 +390,7 @@ TEST(DrawnShadow, ALightBelowTheHorizonThrowsNone) {
   EXPECT_TRUE(shadow.empty());
 }
 
-TEST(DrawnShadow, WhatIsBelowThePlaneThrowsNone) {
+TEST(ShadowOnPlane, WhatIsBelowThePlaneThrowsNone) {
   const Thing above{knot(), {}}, below{knot(), {{1, 0, 0, 0}, {.1, -2, 0}}};
   ShadowMap alone, both;
   render_shadow_map({Scene({below}).casters(), {}, kNear}, kFloor, distant_light_of({}), {}, alone);
@@ -386,10 +398,11 @@ TEST(DrawnShadow, WhatIsBelowThePlaneThrowsNone) {
   const Scene one_thing({above}), two_things({above, below});
   render_shadow_map({one_thing.casters(), {}, kNear}, kFloor, distant_light_of({}), {}, alone);
   render_shadow_map({two_things.casters(), {}, kNear}, kFloor, distant_light_of({}), {}, both);
-  EXPECT_TRUE(std::ranges::equal(alone.taken.pixels(), both.taken.pixels()));
+  EXPECT_TRUE(
+      std::ranges::equal(alone.virtual_occlusion.pixels(), both.virtual_occlusion.pixels()));
 }
 
-TEST(DrawnShadow, ObjectsFarApartHaveMapsOfTheirOwn) {
+TEST(ShadowOnPlane, ObjectsFarApartHaveMapsOfTheirOwn) {
   const Scene near_and_far({{knot(), {}}, {knot(), {{1, 0, 0, 0}, {5, 0, 1}}}}), none({});
   const lighting::DistantLight source = distant_light_of({});
   std::vector<ShadowMap> maps;
@@ -402,7 +415,7 @@ TEST(DrawnShadow, ObjectsFarApartHaveMapsOfTheirOwn) {
   }
 }
 
-TEST(DrawnShadow, OfRealThingsIsWhatRaysFind) {
+TEST(ShadowOnPlane, OfRealThingsIsWhatRaysFind) {
   const Scene posts(real_posts()), none({});
   for (const double radius_deg : {.3, 12.}) {
     const lighting::DistantLight source = distant_light_of({"", {}, {}, 40, radius_deg});
@@ -438,13 +451,15 @@ double difference(const ShadowMap& a, const ShadowMap& b) {
   const Pose to_b = b.world_from_map.inverse() * a.world_from_map;
   double square = 0;
   std::size_t count = 0;
-  for (int y = 0; y < a.taken.height(); ++y)
-    for (int x = 0; x < a.taken.width(); ++x) {
+  for (int y = 0; y < a.virtual_occlusion.height(); ++y)
+    for (int x = 0; x < a.virtual_occlusion.width(); ++x) {
       const dvec3 p = to_b * dvec3(x * double(a.cell_m), 0, y * double(a.cell_m));
       const int i = static_cast<int>(std::lround(p.x / double(b.cell_m))),
                 j = static_cast<int>(std::lround(p.z / double(b.cell_m)));
-      const bool within = i >= 0 && j >= 0 && i < b.taken.width() && j < b.taken.height();
-      const float here = a.taken.at(x, y), there = within ? b.taken.at(i, j) : 0;
+      const bool within =
+          i >= 0 && j >= 0 && i < b.virtual_occlusion.width() && j < b.virtual_occlusion.height();
+      const float here = a.virtual_occlusion.at(x, y),
+                  there = within ? b.virtual_occlusion.at(i, j) : 0;
       if (here < .02f && there < .02f) continue;
       square += std::pow(double(here) - there, 2), ++count;
     }

@@ -47,7 +47,7 @@ double ratio_at(const prt::BakedObject& object, const PlanarShadow& shadow, cons
                                                         : double(shadow.ratio.at(x, y)[channel]);
 }
 
-TEST(SharedShadow, EqualObjectsInOnePlaceDarkenOnce) {
+TEST(CombinedShadow, EqualObjectsInOnePlaceDarkenOnce) {
   const PlanarShadow alone = shadow_of(sphere(), test::constant_light(kWhite, 5));
   PlanarShadow second = alone;
   combine_shadows({&sphere(), {}, &alone}, {&sphere(), {}, &alone}, second);
@@ -62,7 +62,7 @@ TEST(SharedShadow, EqualObjectsInOnePlaceDarkenOnce) {
   EXPECT_GT(naive, .2) << "the plain product darkens twice";
 }
 
-TEST(SharedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
+TEST(CombinedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
   const RadianceSh light = test::constant_light(kWhite, 5);
   const PlanarShadow alone = shadow_of(sphere(), light);
   const Pose turned{glm::angleAxis(.7, glm::dvec3(0, 1, 0)), {0, 0, 0}};
@@ -80,7 +80,7 @@ TEST(SharedShadow, TurningOneOfTwoEqualSpheresChangesNothing) {
 }
 
 // Two spheres side by side against rays through both; the bound and the plain product beside it.
-TEST(SharedShadow, NeighboursAreCloserToTheTruthThanTheProduct) {
+TEST(CombinedShadow, NeighboursAreCloserToTheTruthThanTheProduct) {
   const RadianceSh light = test::constant_light(kWhite, 5);
   const PlanarShadow alone = shadow_of(sphere(), light);
   const Pose a{}, b{{1, 0, 0, 0}, {.5, 0, .1}};  // they reach into each other
@@ -112,7 +112,7 @@ TEST(SharedShadow, NeighboursAreCloserToTheTruthThanTheProduct) {
 
 // What two take together is at least what either takes and at most both of it, as far as there is
 // light.
-TEST(SharedShadow, StaysInsideTheProvenInterval) {
+TEST(CombinedShadow, StaysInsideTheProvenInterval) {
   double max_beyond = 0, product_beyond = 0;
   const prt::GroundGrid& grid = sphere().receiver->grid;
   for (unsigned seed = 1; seed < 6; ++seed) {

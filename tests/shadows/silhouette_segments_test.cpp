@@ -75,8 +75,8 @@ DirectionCone around(std::span<const PlaneSample> samples) {
 std::pmr::vector<SilhouetteSegment> sides(const prt::Mesh& mesh, const SilhouetteMesh& silhouette,
                                           double height_m, std::span<const PlaneSample> samples) {
   const Caster caster{&mesh, &silhouette, {}};
-  SilhouetteCache memo;
-  return find_sides({&caster, 1}, grid_at(height_m), 0, {samples, around(samples)}, memo,
+  SilhouetteCache cache;
+  return find_sides({&caster, 1}, grid_at(height_m), 0, {samples, around(samples)}, cache,
                     std::pmr::get_default_resource());
 }
 std::pmr::vector<SilhouetteSegment> sides(const prt::Mesh& mesh, double height_m,

@@ -43,7 +43,7 @@ float passes(const SilhouetteCrossing& line, float x, float z) {
   return there == here ? 0 : there ? 1 : -1;
 }
 
-TEST(PartKernel, CountsAsOneByOne) {
+TEST(FractionKernel, CountsAsOneByOne) {
   const glm::vec3 normals[] = {{0, 1, 0}, glm::normalize(glm::vec3(1, .3f, 0)), {0, -1, 0}};
   for (const std::size_t count : {1, 3, 8, 15, 16, 17, 33, 64})
     for (const glm::vec3& normal : normals) {
@@ -85,7 +85,7 @@ TEST(PartKernel, CountsAsOneByOne) {
 }
 
 // Of two lines that meet on a way one passes it, whatever their order.
-TEST(PartKernel, NoWayPassesBetweenLinesThatMeet) {
+TEST(FractionKernel, NoWayPassesBetweenLinesThatMeet) {
   LayerSamples samples;
   samples.count = 16;
   for (std::size_t k = 0; k < samples.count; ++k) {
@@ -105,7 +105,7 @@ TEST(PartKernel, NoWayPassesBetweenLinesThatMeet) {
 }
 
 // Of a ring of directions the one nearest to their middle is asked.
-TEST(PartKernel, AsksAmidThoseThatAreAlike) {
+TEST(FractionKernel, AsksAmidThoseThatAreAlike) {
   LayerSamples samples;
   samples.count = 17;
   for (std::size_t k = 0; k < samples.count; ++k) {

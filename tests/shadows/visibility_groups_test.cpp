@@ -11,6 +11,7 @@
 
 #include "core/conventions.h"
 #include "tests/shadows/caster_world.h"
+#include "tests/support/shadow_maps.h"
 
 namespace penumbra::shadows {
 namespace {
@@ -251,10 +252,10 @@ TEST(VisibilityGroups, AMemoChangesNothing) {
   std::vector<Caster> one_outline = world.casters;
   one_outline[1].mesh = one_outline[0].mesh, one_outline[1].silhouette = one_outline[0].silhouette;
   const prt::Plane floor{}, wall{{0, 0, -.6}, {0, 0, 1}, {}, {}};
-  SilhouetteCache memo;
+  SilhouetteCache cache;
   for (const lighting::DistantLight& source : {sun(50), sun(30), sun(50, 2), sun(.5), sun(50)}) {
-    memo.clear();
-    const ShadowCasters with{one_outline, {}, kNear, &memo}, without{world.casters, {}, kNear};
+    cache.clear();
+    const ShadowCasters with{one_outline, {}, kNear, &cache}, without{world.casters, {}, kNear};
     for (std::size_t i = 0; i < 2; ++i) {
       std::vector<float> a(world.points.positions.size()), b(a.size());
       trace_direct_light({&world.rays, nullptr, kNear}, with, one_outline[i], nullptr, source, 4,
@@ -268,7 +269,7 @@ TEST(VisibilityGroups, AMemoChangesNothing) {
       render_shadow_map(with, plane, source, {}, a);
       render_shadow_map(without, plane, source, {}, b);
       EXPECT_FALSE(a.empty());
-      EXPECT_TRUE(std::ranges::equal(a.taken.pixels(), b.taken.pixels()));
+      EXPECT_TRUE(std::ranges::equal(a.virtual_occlusion.pixels(), b.virtual_occlusion.pixels()));
     }
   }
 }

@@ -143,7 +143,7 @@ TEST_P(ClippedSun, AGreyPatchGivesItsEnergyBack) {
     const auto got = recover_jointly(light_, {normal, seen(normal, grey, 1e9f), grey});
     ASSERT_TRUE(got) << got.error().detail;
     expect_true_sun(got->front().power);
-    ASSERT_TRUE(estimator_.complete(got->front()));
+    ASSERT_TRUE(estimator_.add_recovery(got->front()));
     environment_.time = environment_.time + Seconds(.033);
     const auto later = estimator_.estimate(environment_);
     ASSERT_TRUE(later);
@@ -160,7 +160,7 @@ TEST_P(ClippedSun, AShadowEdgeGivesItsEnergyBack) {
   ASSERT_NE(sun, light_.lights.end());
   for (int trial = 0; trial < 10; ++trial) {
     const auto got =
-        complete_from_shadow(light_, sun->id, {kUp, seen(kUp, floor, 1e9f), seen(kUp, floor, 2.f)});
+        recover_from_shadow(light_, sun->id, {kUp, seen(kUp, floor, 1e9f), seen(kUp, floor, 2.f)});
     ASSERT_TRUE(got) << got.error().detail;
     expect_true_sun(got->power);
   }

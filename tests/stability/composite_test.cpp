@@ -13,7 +13,7 @@
 #include "shadows/shadows.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/series.h"
-#include "tools/chart/governor_bench.h"
+#include "tools/chart/governor/governor_bench.h"
 
 namespace penumbra::runtime {
 

@@ -11,9 +11,11 @@ namespace penumbra::test {
 inline double taken_at(const shadows::ShadowMap& s, const glm::dvec3& place) {
   const glm::dvec3 at = s.world_from_map.inverse() * place / double(s.cell_m);
   const int x = static_cast<int>(std::floor(at.x)), y = static_cast<int>(std::floor(at.z));
-  if (x < 0 || y < 0 || x + 1 >= s.taken.width() || y + 1 >= s.taken.height()) return 0;
+  if (x < 0 || y < 0 || x + 1 >= s.virtual_occlusion.width() ||
+      y + 1 >= s.virtual_occlusion.height())
+    return 0;
   const double u = at.x - x, v = at.z - y;
-  const auto t = [&](int i, int j) { return double(s.taken.at(x + i, y + j)); };
+  const auto t = [&](int i, int j) { return double(s.virtual_occlusion.at(x + i, y + j)); };
   return (1 - v) * ((1 - u) * t(0, 0) + u * t(1, 0)) + v * ((1 - u) * t(0, 1) + u * t(1, 1));
 }
 

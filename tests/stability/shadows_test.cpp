@@ -7,6 +7,7 @@
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "shadows/shadows.h"
+#include "tests/support/shadow_maps.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/occlusion.h"
 
@@ -109,7 +110,8 @@ TEST_P(LiftedObject, PenumbraWidensAsTheClosedFormSaysAndItsMiddleStays) {
     ShadowMap shadow;
     render_shadow_map({{&caster, 1}, {}, 1e-5f}, kFloor, light, {}, shadow);
     ASSERT_FALSE(shadow.empty()) << height;
-    for (const float t : shadow.taken.pixels()) ASSERT_TRUE(t >= 0 && t <= 1.0001f) << height;
+    for (const float t : shadow.virtual_occlusion.pixels())
+      ASSERT_TRUE(t >= 0 && t <= 1.0001f) << height;
     const double expected = 2 * height * tangent * fraction, cell = shadow.cell_m;
     for (int line = 0; line < 3; ++line) {
       const dvec3 start = (line - 1) * .1 * size * aside;

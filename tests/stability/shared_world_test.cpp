@@ -11,7 +11,7 @@
 #include "tests/support/mesh_files.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/worlds.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 
 namespace penumbra::runtime {
 

@@ -16,8 +16,8 @@ const char* __lsan_default_suppressions() {
 }
 
 // Their locks are invisible to the thread sanitizer, and so is TBB's hand-over of work
-// (core/parallel.cpp). Its search for lock cycles gives up where a library below GL holds more than
-// sixty locks at once.
+// (core/threads/parallel.cpp). Its search for lock cycles gives up where a library below GL holds
+// more than sixty locks at once.
 const char* __tsan_default_suppressions() {
   return "called_from_lib:libtbb.so\ncalled_from_lib:libembree3.so\ncalled_from_lib:swrast_dri.so\n"
          "called_from_lib:libEGL_mesa.so\ncalled_from_lib:libopencv_core\n"

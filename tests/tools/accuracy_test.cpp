@@ -1,4 +1,4 @@
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 
 #include <gtest/gtest.h>
 

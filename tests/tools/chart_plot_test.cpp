@@ -10,7 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "core/files.h"
+#include "core/io/files.h"
 #include "tests/support/temp_folder.h"
 #include "tools/common/gnuplot.h"
 

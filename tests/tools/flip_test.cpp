@@ -1,4 +1,4 @@
-#include "tools/chart/flip.h"
+#include "tools/chart/measures/flip.h"
 
 #include <gtest/gtest.h>
 

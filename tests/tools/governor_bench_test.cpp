@@ -1,5 +1,5 @@
 // What the proof of the governor rests on.
-#include "tools/chart/governor_bench.h"
+#include "tools/chart/governor/governor_bench.h"
 #include "lighting/lighting.h"
 
 #include <gtest/gtest.h>

@@ -1,4 +1,4 @@
-#include "tools/chart/rgbe_video.h"
+#include "tools/chart/peers/rgbe_video.h"
 
 #include <gtest/gtest.h>
 

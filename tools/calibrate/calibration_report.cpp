@@ -7,8 +7,8 @@
 
 #include "calib/camera/colour.h"
 #include "calib/camera/response.h"
-#include "core/files.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
 #include "tools/calibrate/plots.h"
 #include "tools/common/gnuplot.h"
 

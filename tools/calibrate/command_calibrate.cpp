@@ -13,10 +13,10 @@
 #include "calib/estimate/estimate_response.h"
 #include "capture/frames.h"
 #include "codec/codec.h"
-#include "core/files.h"
-#include "core/log.h"
-#include "core/stop_signal.h"
-#include "core/toml_keys.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
+#include "core/io/toml_keys.h"
+#include "core/threads/stop_signal.h"
 #include "runtime/pipeline/report.h"
 #include "service/rig_config.h"
 #include "service/rig_source.h"
@@ -310,11 +310,12 @@ Result<void> check_times_against(const CalibrateResponseOptions& o, capture::Exp
   };
   PENUMBRA_ASSIGN(checked, check_times(stack, capture::kEstimatedExponentSigma));
   for (const CheckedTime& c : checked)
-    if (c.contradicts_told(kEnough))
+    if (c.contradicts_label(kEnough))
       log_warning(
           "{}: {:.4g} times the exposure of {} by the given times, but {:.4g} by what both show "
           "under this curve (95 % within {:.4g} to {:.4g}): a time is wrong, or the scene changed",
-          name(c.picture), c.told, name(c.against), c.ratio.ratio, c.ratio.low, c.ratio.high);
+          name(c.picture), c.labelled_ratio, name(c.against), c.ratio.ratio, c.ratio.low,
+          c.ratio.high);
   return {};
 }
 

@@ -9,7 +9,7 @@
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "core/conventions.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"

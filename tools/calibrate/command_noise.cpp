@@ -6,8 +6,8 @@
 
 #include "calib/estimate/noise_calibration.h"
 #include "capture/frames.h"
-#include "core/files.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"

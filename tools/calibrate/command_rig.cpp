@@ -10,8 +10,8 @@
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
 #include "core/conventions.h"
-#include "core/files.h"
-#include "core/toml_keys.h"
+#include "core/io/files.h"
+#include "core/io/toml_keys.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
 #include "tools/calibrate/commands.h"
@@ -31,7 +31,7 @@ struct CalibrateRigOptions {
   std::optional<std::string> tracker;  // poses of the body that the cameras are fixed to, .csv
   double tracker_sigma_mm = 1, tracker_sigma_deg = .05;
   std::string board_lies;  // "floor" or "wall": the board is the world
-  double every_s = .5, simultaneous_s = .005;
+  double every_s = .5, max_time_apart_s = .005;
   std::optional<std::string> report;
   bool json = false;
 };
@@ -79,7 +79,7 @@ Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board
     if (!camera) continue;
     const double time = (frame->time - TimestampNs{}).count();
     if (!moment || time - *moment >= o.every_s - kJitter) moment = time;
-    if (time - *moment > o.simultaneous_s) continue;
+    if (time - *moment > o.max_time_apart_s) continue;
     progress(++seen.pictures);
     const std::string name =
         fmt::format("{} frame {}", seen.cameras[*camera].name, frame->sequence);
@@ -199,18 +199,18 @@ nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
 
 Result<calib::RigOptions> solver_options(const CalibrateRigOptions& o) {
   calib::RigOptions out;
-  out.simultaneous_s = o.simultaneous_s;
+  out.max_time_apart_s = o.max_time_apart_s;
   out.tracker_sigma_m = o.tracker_sigma_mm / 1000;
   out.tracker_sigma_rad = o.tracker_sigma_deg * kPi / 180;
   if (!(o.every_s >= 0 && o.every_s < 1e6))
     return fail(ErrorCode::kInvalid, "--min-interval", "is not a number of seconds within 0..1e6");
-  if (!(o.simultaneous_s >= 0 && o.simultaneous_s <= 1))
+  if (!(o.max_time_apart_s >= 0 && o.max_time_apart_s <= 1))
     return fail(ErrorCode::kInvalid, "--sync-tolerance", "is not within 0..1 s");
   const auto sensible = [](double v) { return v > 0 && v < 10; };  // metres, radian
   if (!sensible(out.tracker_sigma_m) || !sensible(out.tracker_sigma_rad))
     return fail(ErrorCode::kInvalid, "--tracker-sigma-mm, --tracker-sigma-deg",
                 "are not above 0 and below 10000 mm and 573 degrees");
-  if (o.tracker && o.simultaneous_s > calib::RigOptions().simultaneous_s)
+  if (o.tracker && o.max_time_apart_s > calib::RigOptions().max_time_apart_s)
     return fail(ErrorCode::kInvalid, "--sync-tolerance",
                 "is above 0.005 s, in which a tracked rig moves too far");
   if (!o.tracker) return out;
@@ -290,7 +290,7 @@ void add_calibrate_rig(CLI::App& parent, Action& action) {
                 "Shortest time between two moments that are used, in seconds")
       ->capture_default_str();
   c->add_option(
-       "--sync-tolerance", rig.simultaneous_s,
+       "--sync-tolerance", rig.max_time_apart_s,
        "Longest time between the frames of one moment, in seconds, at most 1; with --tracker "
        "at most 0.005")
       ->capture_default_str();

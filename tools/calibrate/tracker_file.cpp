@@ -7,7 +7,7 @@
 #include <cmath>
 #include <string_view>
 
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::tools {
 

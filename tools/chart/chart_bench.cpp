@@ -22,8 +22,8 @@
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/flip.h"
-#include "tools/chart/governor_bench.h"
+#include "tools/chart/governor/governor_bench.h"
+#include "tools/chart/measures/flip.h"
 #include "tools/common/progress.h"
 
 namespace penumbra::tools {

@@ -11,8 +11,8 @@
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/accuracy.h"
 #include "tools/chart/chart_plot.h"
+#include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 
 namespace penumbra::tools {

@@ -11,7 +11,7 @@
 #include <tuple>
 
 #include "core/counted.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "tools/chart/plots.h"
 #include "tools/common/gnuplot.h"
 

@@ -2,8 +2,8 @@
 #include <CLI/CLI.hpp>
 
 #include "core/conventions.h"
-#include "core/files.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
 #include "lighting/governor.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/scene/scene.h"
@@ -12,7 +12,7 @@
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
 #include "tools/chart/commands.h"
-#include "tools/chart/governor_bench.h"
+#include "tools/chart/governor/governor_bench.h"
 #include "tools/chart/light_chart.h"
 #include "tools/common/command.h"
 #include "tools/common/output.h"

@@ -9,7 +9,7 @@
 #include "runtime/pipeline/report.h"
 #include "tools/chart/chart_bench.h"
 #include "tools/chart/commands.h"
-#include "tools/chart/flip.h"
+#include "tools/chart/measures/flip.h"
 #include "tools/common/command.h"
 #include "tools/common/output.h"
 #include "tools/common/print.h"

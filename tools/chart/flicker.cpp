@@ -9,7 +9,7 @@
 #include "capture/studio/world.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 
 namespace penumbra::tools {

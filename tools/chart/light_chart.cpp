@@ -19,10 +19,10 @@
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/accuracy.h"
-#include "tools/chart/baselines.h"
 #include "tools/chart/chart_bench.h"
 #include "tools/chart/flicker.h"
+#include "tools/chart/measures/accuracy.h"
+#include "tools/chart/peers/baselines.h"
 #include "tools/common/progress.h"
 #include "tools/pictures/still.h"
 

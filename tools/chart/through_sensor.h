@@ -13,7 +13,7 @@
 #include "lighting/governor.h"
 #include "prt/geometry/pinhole_view.h"
 #include "runtime/scene/scene.h"
-#include "tools/chart/accuracy.h"
+#include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 
 namespace penumbra::tools {

@@ -10,8 +10,8 @@
 #include <utility>
 #include <vector>
 
-#include "core/renamed.h"
-#include "core/spelling.h"
+#include "core/io/renamed.h"
+#include "core/io/spelling.h"
 
 namespace penumbra::tools {
 

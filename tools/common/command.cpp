@@ -8,7 +8,7 @@
 #include <span>
 #include <string_view>
 
-#include "core/log.h"
+#include "core/io/log.h"
 #include "tools/common/arguments.h"
 #include "tools/common/manual.h"
 

@@ -12,7 +12,7 @@
 #include <cstring>
 #include <string_view>
 
-#include "core/files.h"
+#include "core/io/files.h"
 
 namespace penumbra::tools {
 

@@ -8,8 +8,8 @@
 
 #include "codec/codec.h"
 #include "codec/display.h"
-#include "core/files.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
 #include "tools/common/side_by_side.h"
 
 namespace penumbra::tools {

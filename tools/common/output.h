@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "compositor/compositor.h"
-#include "core/queues.h"
 #include "core/result.h"
-#include "core/stage_times.h"
+#include "core/threads/queues.h"
+#include "core/threads/stage_times.h"
 #include "core/units.h"
 
 namespace penumbra::tools {

@@ -4,7 +4,8 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-#include "runtime/pipeline/runner.h"
+#include "core/threads/stage_times.h"
+#include "runtime/pipeline/runs.h"
 
 namespace penumbra::tools {
 

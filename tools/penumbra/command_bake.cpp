@@ -3,7 +3,7 @@
 
 #include <filesystem>
 
-#include "core/files.h"
+#include "core/io/files.h"
 #include "prt/bake/bake.h"
 #include "prt/bake/baked_file.h"
 #include "prt/geometry/ground_grid.h"
@@ -87,7 +87,7 @@ void add_bake(CLI::App& parent, Action& action) {
   c->add_option(
        "asset", bake_options.asset,
        "Mesh to bake: glTF, OBJ, PLY, STL, FBX or COLLADA, or builtin:knot, builtin:twist, "
-       "builtin:box or builtin:walker")
+       "builtin:ball, builtin:box or builtin:walker")
       ->required();
   c->add_option("-o,--output", bake_options.output, "File to write: .glb, for a clip .shlm")
       ->required();

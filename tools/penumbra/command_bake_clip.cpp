@@ -4,8 +4,8 @@
 #include <charconv>
 #include <filesystem>
 
-#include "core/files.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
 #include "prt/clip/key_frames.h"
 #include "prt/clip/sequence.h"
 #include "prt/geometry/animation.h"

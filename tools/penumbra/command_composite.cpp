@@ -5,8 +5,8 @@
 
 #include "capture/frames.h"
 #include "capture/recording/recording.h"
-#include "core/files.h"
-#include "core/stop_signal.h"
+#include "core/io/files.h"
+#include "core/threads/stop_signal.h"
 #include "runtime/pipeline/pipeline.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"

@@ -8,7 +8,7 @@
 #include "capture/recording/recording.h"
 #include "codec/codec.h"
 #include "core/counted.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "runtime/pipeline/light_estimation_stage.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"

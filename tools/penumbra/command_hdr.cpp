@@ -11,8 +11,8 @@
 #include "capture/hdr/merge.h"
 #include "capture/hdr/stacks.h"
 #include "codec/codec.h"
-#include "core/files.h"
-#include "core/log.h"
+#include "core/io/files.h"
+#include "core/io/log.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
 #include "tools/common/print.h"
@@ -80,11 +80,12 @@ Result<std::vector<CheckedTime>> report_times(const HdrMergeOptions& o,
         "{:.4g} times the exposure of {}, by their overlap (95 % within {:.4g} to {:.4g}, {} "
         "blocks)",
         c.ratio.ratio, images[c.against], c.ratio.low, c.ratio.high, c.ratio.blocks);
-    if (c.told == 0)
+    if (c.labelled_ratio == 0)
       log_info("{}: {}: {:.4g} s", images[c.picture], by_overlap,
                stack.exposures[c.picture].time.count());
-    else if (c.contradicts_told(kEnough))
-      log_warning("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap, c.told);
+    else if (c.contradicts_label(kEnough))
+      log_warning("{}: {}, but {:.4g} by the given times", images[c.picture], by_overlap,
+                  c.labelled_ratio);
   }
   return checked;
 }
@@ -153,7 +154,8 @@ nlohmann::json to_json(const ReadyStack& ready, const std::vector<std::string>& 
                    {"high", c.ratio.high},
                    {"blocks", c.ratio.blocks},
                    {"moved_fraction", c.ratio.moved_fraction},
-                   {"told", c.told > 0 ? nlohmann::json(c.told) : nlohmann::json()}});
+                   {"labelled_ratio",
+                    c.labelled_ratio > 0 ? nlohmann::json(c.labelled_ratio) : nlohmann::json()}});
   return out;
 }
 

@@ -3,8 +3,8 @@
 #include <CLI/CLI.hpp>
 
 #include "capture/frames.h"
-#include "core/files.h"
-#include "core/stop_signal.h"
+#include "core/io/files.h"
+#include "core/threads/stop_signal.h"
 #include "runtime/pipeline/report.h"
 #include "service/recorder.h"
 #include "service/rig_config.h"

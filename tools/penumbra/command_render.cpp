@@ -6,7 +6,7 @@
 #include "calib/camera/drawable.h"
 #include "capture/recording/folder.h"
 #include "codec/codec.h"
-#include "core/files.h"
+#include "core/io/files.h"
 #include "lighting/estimate.h"
 #include "lighting/light_estimate.h"
 #include "prt/geometry/pinhole_view.h"

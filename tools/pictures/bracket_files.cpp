@@ -9,7 +9,7 @@
 #include "capture/frames.h"
 #include "codec/codec.h"
 #include "core/counted.h"
-#include "core/log.h"
+#include "core/io/log.h"
 #include "tools/pictures/camera_film.h"
 #include "tools/pictures/exif_exposure.h"
 
@@ -238,10 +238,11 @@ Result<std::vector<CheckedTime>> check_times(capture::ExposureStack& stack, doub
   return out;
 }
 
-bool CheckedTime::contradicts_told(double fraction) const {
+bool CheckedTime::contradicts_label(double fraction) const {
   constexpr double kFarOff = .1;
-  return told > 0 && ratio.fraction > fraction && std::abs(ratio.ratio / told - 1) > kFarOff &&
-         (told < ratio.low || told > ratio.high);
+  return labelled_ratio > 0 && ratio.fraction > fraction &&
+         std::abs(ratio.ratio / labelled_ratio - 1) > kFarOff &&
+         (labelled_ratio < ratio.low || labelled_ratio > ratio.high);
 }
 
 EightBitBracket eight_bit_bracket(const capture::ExposureStack& stack) {

@@ -31,11 +31,11 @@ Result<capture::ExposureStack> average_clips(const std::vector<std::string>& cap
 struct CheckedTime {
   std::size_t picture, against;  // in the stack
   capture::ExposureRatio ratio;
-  double told = 0;  // ratio by the given times; 0: it was not given
+  double labelled_ratio = 0;  // ratio by the given times; 0: it was not given
 
   /// What was told lies outside of the interval and a tenth off, where at least such a fraction of
   /// the pictures tells. Less may be a border, or haze in a lens.
-  bool contradicts_told(double fraction) const;
+  bool contradicts_label(double fraction) const;
 };
 /// Finds unknown times from the nearest known neighbours in the list and compares the told ones.
 /// Needs the response; `exponent_sigma` as for capture::estimate_exposure_ratio.

@@ -6,7 +6,7 @@
 #include "capture/frames.h"
 #include "compositor/compositor.h"
 #include "core/conventions.h"
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "prt/reference/environment_light.h"
 #include "prt/reference/reference.h"
 #include "runtime/shading/composite_stage.h"

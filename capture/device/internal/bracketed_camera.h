@@ -11,7 +11,7 @@
 #include "capture/device/cameras.h"
 #include "capture/device/internal/exposure_schedule.h"
 #include "capture/frames.h"
-#include "capture/hdr/picture_cells.h"
+#include "capture/watch/picture_cells.h"
 
 namespace penumbra::capture {
 

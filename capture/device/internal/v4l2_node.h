@@ -10,7 +10,7 @@
 #include <string>
 
 #include "capture/device/cameras.h"
-#include "core/unique_fd.h"
+#include "capture/unique_fd.h"
 
 namespace penumbra::capture {
 

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "capture/frames.h"
-#include "core/queues.h"
+#include "core/threads/queues.h"
 #include "core/units.h"
 
 namespace penumbra::runtime {

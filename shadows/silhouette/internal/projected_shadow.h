@@ -11,15 +11,15 @@
 namespace penumbra::shadows {
 
 /// Adds at every node the weights of the directions that virtual things block and real ones don't
-/// (`taken`), and of those that real ones block (`missing`, unless it is empty). What stands lower
-/// than near_m blocks nothing.
-/// threads: reentrant but for the memo; no allocation after a thread's largest call but its
+/// (`virtual_occlusion`), and of those that real ones block (`real_occlusion`, unless it is empty).
+/// What stands lower than near_m blocks nothing.
+/// threads: reentrant but for the cache; no allocation after a thread's largest call but its
 /// source: shadows from points of the source averaged (Heckbert & Herf 1997), each drawn as the
 /// winding number of its
 /// silhouette: every triangle counts one layer in what it covers, and between two that face the
 /// light alike the edge cancels
 void add_projected_shadows(const ShadowCasters& casters, const NodeGrid& grid,
-                           const SampleCone& light, SilhouetteCache& memo, Image<float>& taken,
-                           Image<float>& missing);
+                           const SampleCone& light, SilhouetteCache& cache,
+                           Image<float>& virtual_occlusion, Image<float>& real_occlusion);
 
 }  // namespace penumbra::shadows

@@ -42,7 +42,7 @@ struct SilhouetteSegment {
 /// the samples cast above, below or to the right of the grid, where they make no difference.
 std::pmr::vector<SilhouetteSegment> find_sides(std::span<const Caster> casters,
                                                const NodeGrid& grid, float near_m,
-                                               const SampleCone& light, SilhouetteCache& memo,
+                                               const SampleCone& light, SilhouetteCache& cache,
                                                std::pmr::memory_resource* memory);
 
 }  // namespace penumbra::shadows

@@ -40,7 +40,7 @@ struct SilhouetteLines {
 /// of `object` in the grid.
 SilhouetteLines lines_of(const ShadowCasters& casters, const Caster& object,
                          std::span<const glm::vec3> places, const LightGrid& grid,
-                         const DirectionCone& beam, SilhouetteCache& memo,
+                         const DirectionCone& cone, SilhouetteCache& cache,
                          std::pmr::memory_resource* memory);
 
 /// threads: const members reentrant

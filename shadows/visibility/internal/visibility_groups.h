@@ -5,7 +5,7 @@
 #include <span>
 #include <vector>
 
-#include "core/parallel.h"
+#include "core/threads/parallel.h"
 #include "lighting/lights/distant_light.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/silhouette_mesh.h"

@@ -1,0 +1,60 @@
+#include "core/threads/parallel.h"
+
+#include <cassert>
+
+#if defined(__SANITIZE_THREAD__)
+#include <algorithm>
+#include <atomic>
+#include <exception>
+#include <mutex>
+#include <thread>
+#else
+#include <oneapi/tbb/blocked_range.h>
+#include <oneapi/tbb/parallel_for.h>
+#endif
+
+namespace penumbra::detail {
+
+#if defined(__SANITIZE_THREAD__)
+
+// The thread sanitizer can't see libtbb hand work from thread to thread and would call every loop a
+// race. In its build loops run on threads that it sees, so that it judges the bodies.
+void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
+               LoopBody part) {
+  assert(grain > 0);
+  if (first >= last) return;
+  std::atomic<std::int64_t> next{first};
+  std::mutex mutex;
+  std::exception_ptr failed;
+  const auto work = [&] {
+    try {
+      for (std::int64_t at = next.fetch_add(grain); at < last; at = next.fetch_add(grain))
+        part(body, at, std::min(at + grain, last));
+    } catch (...) {
+      next = last;
+      const std::scoped_lock lock(mutex);
+      failed = std::current_exception();
+    }
+  };
+  if (last - first > grain) {
+    const std::jthread second(work);
+    work();
+  } else {
+    work();
+  }
+  if (failed) std::rethrow_exception(failed);
+}
+
+#else
+
+void run_parts(std::int64_t first, std::int64_t last, std::int64_t grain, const void* body,
+               LoopBody part) {
+  assert(grain > 0);
+  using Range = tbb::blocked_range<std::int64_t>;
+  tbb::parallel_for(Range(first, last, static_cast<std::size_t>(grain)),
+                    [&](const Range& some) { part(body, some.begin(), some.end()); });
+}
+
+#endif
+
+}  // namespace penumbra::detail
