@@ -5,9 +5,10 @@ include(CMakePackageConfigHelpers)
 set(penumbra_header_rooms core codec calib capture lighting prt shadows compositor runtime)
 install(DIRECTORY ${penumbra_header_rooms}
         DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/penumbra COMPONENT dev
-        FILES_MATCHING PATTERN "*.h" PATTERN internal EXCLUDE PATTERN studio_setup.h EXCLUDE
-        PATTERN real_mesh_world.h EXCLUDE PATTERN depth_mesh.h EXCLUDE PATTERN standing.h EXCLUDE
-        PATTERN sh_inpainting.h EXCLUDE PATTERN latlong_kernel.h EXCLUDE)
+        FILES_MATCHING PATTERN "*.h" PATTERN internal EXCLUDE
+        # What rooms below lighting/ share among themselves, and the studio of the demo.
+        PATTERN sh_inpainting.h EXCLUDE PATTERN latlong_kernel.h EXCLUDE
+        PATTERN studio_setup.h EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
 list(JOIN penumbra_header_rooms "|" penumbra_room)
 install(CODE "

@@ -39,9 +39,9 @@ void add_distant_lights(std::span<const DistantLight> lights, ShProjection& proj
 // Whether part of the light is known from below alone. What is clipped and found no place among the
 // lights is in the harmonics, as dark as it was measured.
 bool holds_a_lower_bound(const Environment& environment, std::span<const DistantLight> lights) {
-  if (environment.clipped.empty()) return false;
-  return std::ranges::none_of(lights, &DistantLight::clipped) ||
-         std::ranges::any_of(lights, &DistantLight::is_lower_bound);
+  if (std::ranges::any_of(lights, &DistantLight::is_lower_bound)) return true;
+  const auto seen_clipped = [](const DistantLight& d) { return d.clipped && d.id != kUnseenSun; };
+  return !environment.clipped.empty() && std::ranges::none_of(lights, seen_clipped);
 }
 
 }  // namespace
@@ -88,7 +88,7 @@ Result<ShProjection> LightEstimator::fill_holes(const Result<ShProjection>& mome
   return inpainting_->fill(moments->light);
 }
 
-// Into split_ and unused_.
+// Into extraction_ and unused_.
 Result<void> LightEstimator::extract(const Environment& environment) {
   maps_since_split_ = 0;
   ExtractionOptions found = options_.lights;
@@ -104,8 +104,20 @@ Result<void> LightEstimator::extract(const Environment& environment) {
   const double irradiance = kPi * extraction_.mean_luminance;
   tracker_.update(environment.time, options_.lights.min_irradiance_fraction, irradiance,
                   extraction_.lights, unused_);
+  if (sun_is_unseen_) extraction_.lights.push_back(unseen_sun(sun_direction(*options_.sun)));
   recoveries_.apply(extraction_.lights, unused_);
   return {};
+}
+
+void LightEstimator::find_unseen_sun(const Environment& environment) {
+  sun_is_unseen_ = false;
+  const Image<float>& seen = environment.confidence;
+  if (!options_.sun || seen.empty() || options_.lights.max_count < 1) return;
+  const glm::dvec3 sun = sun_direction(*options_.sun);
+  const glm::dvec2 at = latlong_pixel(sun, seen.width(), seen.height());
+  const int x = std::clamp(static_cast<int>(at.x), 0, seen.width() - 1),
+            y = std::clamp(static_cast<int>(at.y), 0, seen.height() - 1);
+  sun_is_unseen_ = sun.y > 0 && seen.at(x, y) == 0;
 }
 
 // As many as the plan says, and all that are clipped, drawn finely; the others are left over.
@@ -139,7 +151,7 @@ Result<ShProjection> LightEstimator::measure_whole(const Environment& environmen
   return whole;
 }
 
-// With the plan's lights in split_, all others in harmonics.
+// With the plan's lights in extraction_, all others in harmonics.
 Result<ShProjection> LightEstimator::measure_split(const Environment& environment) {
   unused_.clear();
   if (options_.lights.max_count > 0) PENUMBRA_TRY(extract(environment));
@@ -180,9 +192,10 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   const Environment* const blocks = in_blocks(whole_map);
   const Environment& environment = blocks ? *blocks : whole_map;
   follow_holes(environment.confidence);
+  find_unseen_sun(environment);
   // A source at the edge of clipping must not change sides with every map.
   maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
-  const bool without_lights = options_.lights.max_count > 0 && governor_ &&
+  const bool without_lights = options_.lights.max_count > 0 && governor_ && !sun_is_unseen_ &&
                               governor_->max_lights() == 0 && maps_unclipped_ == kCalm;
   if (without_lights != without_lights_) {
     // Another part of the light is measured from now on.

@@ -19,6 +19,7 @@
 #include "lighting/lights/distant_light.h"
 #include "lighting/lights/light_extraction.h"
 #include "lighting/lights/light_tracker.h"
+#include "lighting/lights/sun.h"
 #include "lighting/saturation_recovery.h"
 #include "lighting/sh/map_luminance.h"
 #include "lighting/sh/projection.h"
@@ -33,6 +34,9 @@ struct EstimateOptions {
   /// 1, or kMapBlock: maps are read averaged over blocks of so many pixels squared, where nothing
   /// in them is clipped or hidden and their size allows. A governor overrules it.
   int map_step = 1;
+  /// Where the sun is known to stand. Where no camera sees that place it is a light of unknown
+  /// power (kUnseenSun) from the first map on.
+  std::optional<SunSite> sun{};
 };
 
 /// Keeps tables between environments of one size, and of its blocks.
@@ -71,6 +75,7 @@ class LightEstimator {
   Result<ShProjection> fill_holes(const Result<ShProjection>& moments) const;
   Plan plan_for(const ShProjection& residual, TimestampNs time);
   const Environment* in_blocks(const Environment& environment);
+  void find_unseen_sun(const Environment& environment);
   Result<void> extract(const Environment& environment);
   void choose_max_lights();
   Result<ShProjection> measure_whole(const Environment& environment);
@@ -91,6 +96,7 @@ class LightEstimator {
   Environment in_blocks_;
   int map_rows_ = 0, max_map_step_ = 1;  // of the newest map, as it came
   int maps_since_split_ = 0;
+  bool sun_is_unseen_ = false;   // and known to stand above the horizon
   bool without_lights_ = false;  // the map before was measured whole
   int maps_unclipped_ = 0;
   struct SizedProjector {

@@ -52,11 +52,30 @@ Result<void> check(const ReflectancePatch& patch) {
   return {};
 }
 
+// All that is missing, since nothing was measured of the sun. It may be behind a cloud.
+Result<std::vector<SaturationRecovery>> recover_unseen(const LightEstimate& light,
+                                                       const DistantLight& sun,
+                                                       const ReflectancePatch& patch) {
+  const double seen = response(sun, patch.normal);
+  if (seen < kMinCosine)
+    return fail(ErrorCode::kUndetermined, "surface", "does not face the sun that no camera sees");
+  const Rgb others = irradiance_without(light, irradiance(light.light), patch.normal,
+                                        [&](const DistantLight& d) { return &d == &sun; });
+  SaturationRecovery out{sun.id, {}};
+  for (int c = 0; c < 3; ++c) {
+    const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
+    out.power[c] = std::max(0.f, missing / static_cast<float>(seen));
+  }
+  return std::vector{out};
+}
+
 }  // namespace
 
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch) {
   PENUMBRA_TRY(check(patch));
+  const auto unseen = std::ranges::find(light.lights, kUnseenSun, &DistantLight::id);
+  if (unseen != light.lights.end()) return recover_unseen(light, *unseen, patch);
   const auto is_sun = [](const DistantLight& d) { return d.clipped && d.radius <= kSunLike; };
   const bool suns = std::ranges::any_of(light.lights, is_sun);
   const auto fractions = [&](const DistantLight& d) { return suns ? is_sun(d) : d.clipped; };
@@ -119,6 +138,14 @@ Result<SaturationRecovery> recover_from_shadow(const LightEstimate& light, int s
     return fail(ErrorCode::kUndetermined, "shadow edge",
                 "has no light in the shadow to compare with");
   return out;
+}
+
+DistantLight unseen_sun(const glm::dvec3& direction) {
+  return {.id = kUnseenSun,
+          .direction = direction,
+          .radius = kSunRadius,
+          .radiance = {},
+          .clipped = true};
 }
 
 DistantLight completed(const DistantLight& measured, const Rgb& power) {

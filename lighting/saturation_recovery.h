@@ -46,6 +46,7 @@ struct ShadowEdge {
 /// what saturates by orders of magnitude, a window by little. The light on the patch comes out
 /// right, its division between the lights is a guess.
 ///   E_p - E_others = sum_j b_j Int cos+ over light j
+/// A sun that no camera sees takes all of it, which may be nothing.
 /// errors:  kInvalid (no clipped light, bad patch), kNonFinite, kUndetermined (the patch sees none
 ///          of them, nothing left)
 /// source:  Debevec, Graham, Busch & Bolas 2012
@@ -58,6 +59,10 @@ Result<SaturationRecovery> recover_from_shadow(const LightEstimate& light, int s
                                                const ShadowEdge& edge);
 
 inline constexpr Radians kSunRadius{.2666 * kPi / 180};
+/// The id of a sun whose place is known and not seen. Nothing is measured of it: until its power is
+/// recovered it sends nothing and is a lower bound.
+inline constexpr int kUnseenSun = -1;
+DistantLight unseen_sun(const glm::dvec3& direction);
 /// A clipped region within this of its centre is taken for a sun: its size is the optics' doing.
 inline constexpr Radians kSunLike{2 * kPi / 180};
 /// The light with that power, in no channel less than was measured; with the sun's radius if small.

@@ -53,7 +53,8 @@ TABLES = {
         "The file": [f"{SCENE}: read_scene( > known[]"],
         "Virtual objects: `[[object]]`": [f"{SCENE}: kObjectKeys[]"],
         "Real surfaces: `[[real]]`": [f"{SCENE}: kRealKeys[]", f"{SCENE}: read_real( > known[]"],
-        "Virtual lamps: `[[lamp]]`": [f"{SCENE}: read_lamp( > known[]"]},
+        "Virtual lamps: `[[lamp]]`": [f"{SCENE}: read_lamp( > known[]"],
+        "The sun: `[sun]`": [f"{SCENE}: read_sun( > known[]"]},
     "rig.md": {
         "The file": [f"{RIG} > known[]"],
         "The source: `[capture]`": [f"{RIG} > capture_keys[]"],

@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
 """Fails when a program of the product links evaluation or a solver.
 
-usage: symbols_test.py CHART CHART_ARCHIVE CALIBRATE CALIB_ARCHIVE PROGRAM...
+usage: symbols_test.py --chart PROGRAM ARCHIVE... --calibrate PROGRAM ARCHIVE --product PROGRAM...
 
-Each archive's own functions may be in no PROGRAM. CHART and CALIBRATE must show some of them: a check
-that sees nothing cannot pass.
+The functions of the chart's archives may be in no product and not in --calibrate, those of the
+solvers' archive in no product. The chart must show some of each of its archives, and so must
+--calibrate: a check that sees nothing cannot pass.
 """
+import argparse
 import re
 import subprocess
 import sys
 
 CODE = re.compile(r"^[0-9a-f]* [Tt] (penumbra::[\w:]*\w)\(")
+MIN_SHOWN = 3  # functions of an archive
 
 
 def symbols(file):
@@ -24,19 +27,35 @@ def functions(file):
     return {found[1] for line in symbols(file).splitlines() if (found := CODE.match(line))}
 
 
-def main(chart, chart_archive, calibrate, calib_archive, *programs):
+def of_archives(program, archives, faults):
+    """The archives' functions, of each of which the program must show some."""
+    shown, out = functions(program), set()
+    for archive in archives:
+        own = functions(archive)
+        if len(own & shown) < MIN_SHOWN:
+            faults.append(f"{program}: shows nothing of {archive}: the check is blind")
+        out |= own
+    return out
+
+
+def main(arguments):
+    parser = argparse.ArgumentParser(usage=__doc__)
+    for name in ("--chart", "--calibrate", "--product"):
+        parser.add_argument(name, nargs="+", required=True)
+    options = parser.parse_args(arguments)
     faults = []
-    evaluation, solvers = functions(chart_archive), functions(calib_archive)
-    for program, own in ((chart, evaluation), (calibrate, solvers)):
-        if len(own & functions(program)) < 5:
-            faults.append(f"{program}: shows nothing of its archive: the check is blind")
+    evaluation = of_archives(options.chart[0], options.chart[1:], faults)
+    calibrate = options.calibrate[0]
+    solvers = of_archives(calibrate, options.calibrate[1:], faults)
     if "ceres::" not in symbols(calibrate):
         faults.append(f"{calibrate}: shows no Ceres: the check is blind")
-    for program in programs:
+    for program in [calibrate] + options.product:
         shown = functions(program)
         if not shown:
             faults.append(f"{program}: shows no functions: the check is blind")
-        faults += [f"{program}: links {name}" for name in sorted(shown & (evaluation | solvers))]
+        faults += [f"{program}: links {name}" for name in sorted(shown & evaluation)]
+    for program in options.product:
+        faults += [f"{program}: links {name}" for name in sorted(functions(program) & solvers)]
         if "ceres::" in symbols(program):
             faults.append(f"{program}: links Ceres")
     for line in faults:
@@ -45,6 +64,4 @@ def main(chart, chart_archive, calibrate, calib_archive, *programs):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 6:
-        sys.exit(__doc__)
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main(sys.argv[1:]))

@@ -85,4 +85,13 @@ Result<std::array<double, 3>> parse_vignetting_file(std::string_view text,
   return std::array<double, 3>{terms[0], terms[1], terms[2]};
 }
 
+Result<std::vector<double>> parse_lens_covariance(std::string_view text,
+                                                  const std::filesystem::path& path) {
+  PENUMBRA_ASSIGN(root, parse_toml_text(text, path));
+  const TomlKeys keys(path, root);
+  PENUMBRA_ASSIGN(table, keys.table("calibration"));
+  PENUMBRA_ASSIGN(values, table.numbers("covariance"));
+  return values;
+}
+
 }  // namespace penumbra::calib

@@ -438,6 +438,7 @@ Result<CameraCalibration> fit_lens(std::span<const BoardView> views, const Camer
     out.projection.distortion[i] = fit.intrinsics[kShared + i];
     out.distortion_sigma[i] = fit.sigma(kShared + i);
   }
+  out.covariance = fit.covariance;
   for (std::size_t b = 0; b < views.size(); ++b)
     if (fit.poses[b]) out.boards[b].camera_from_board = in_our_axes(*fit.poses[b]);
   measure_spread(views, out);

@@ -27,6 +27,8 @@ struct CameraCalibration {
   CameraModel projection;
   glm::dvec2 focal_sigma_px{0, 0}, principal_sigma_px{0, 0};  // one standard deviation
   std::array<double, 5> distortion_sigma{};
+  /// Of focal_px, principal_px and the distortion's terms, row by row, on all of which it counts.
+  std::vector<double> covariance;
   std::array<bool, 5> distortion_fixed{};  // terms at 0, which the pictures do not determine
   double rms_px = 0;                       // over the boards used
   std::vector<BoardFit> boards;

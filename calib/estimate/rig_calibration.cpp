@@ -6,6 +6,7 @@
 #include <ceres/rotation.h>
 #include <fmt/format.h>
 #include <glog/logging.h>
+#include <Eigen/Eigenvalues>
 
 #include <algorithm>
 #include <cmath>
@@ -151,6 +152,37 @@ std::unexpected<Error> undetermined(std::string detail) {
   return fail(ErrorCode::kUndetermined, "rig calibration", std::move(detail));
 }
 
+// Focal lengths, principal point and, where they count, all terms of the distortion.
+Result<void> check_lens_covariance(const RigCameraInput& camera) {
+  const std::vector<double>& v = camera.lens_covariance;
+  const auto all = static_cast<std::size_t>(4 + distortion_count(camera.projection.kind));
+  if (!v.empty() && v.size() != 16 && v.size() != all * all)
+    return fail(ErrorCode::kInvalid, camera.name,
+                fmt::format("has a lens covariance of {} numbers instead of 16 or {}", v.size(),
+                            all * all));
+  for (const double x : v)
+    if (!std::isfinite(x))
+      return fail(ErrorCode::kNonFinite, camera.name, "has a lens covariance that is not finite");
+  return {};
+}
+
+// A lens moved by one standard deviation along each axis of its uncertainty.
+std::vector<CameraModel> moved_lenses(const RigCameraInput& camera) {
+  const int n = static_cast<int>(std::lround(std::sqrt(camera.lens_covariance.size())));
+  const Eigen::Map<const Eigen::MatrixXd> covariance(camera.lens_covariance.data(), n, n);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> axes(covariance);
+  std::vector<CameraModel> out;
+  for (int k = 0; k < n; ++k) {
+    const Eigen::VectorXd step =
+        std::sqrt(std::max(0., axes.eigenvalues()[k])) * axes.eigenvectors().col(k);
+    if (!(step.squaredNorm() > 0)) continue;
+    CameraModel& lens = out.emplace_back(camera.projection);
+    for (int i = 0; i < 2; ++i) lens.focal_px[i] += step[i], lens.principal_px[i] += step[2 + i];
+    for (int i = 4; i < n; ++i) lens.distortion[static_cast<std::size_t>(i - 4)] += step[i];
+  }
+  return out;
+}
+
 class Adjustment {
  public:
   Adjustment(std::span<const RigCameraInput> cameras, std::span<const RigObservation> views,
@@ -160,13 +192,9 @@ class Adjustment {
     for (const Pose& p : start.moments) moments_.push_back(block_of(p));
     world_from_board_ = block_of(start.world_from_board);
     offset_s_ = start.offset_s;
-    for (const RigObservation& o : views) {
-      observed_.push_back({o.camera, start.moment_of[observed_.size()], {}});
-      for (std::size_t i = 0; i < o.view.pixels.size(); ++i)
-        if (const auto c =
-                corner_of(cameras[o.camera].projection, o.view.pixels[i], o.view.on_board_m[i]))
-          observed_.back().corners.push_back(*c);
-    }
+    for (const RigObservation& o : views)
+      observed_.push_back({o.camera, start.moment_of[observed_.size()],
+                           corners_of(cameras[o.camera].projection, o.view)});
   }
 
   Result<RigCalibration> run(std::span<const RigCameraInput> cameras,
@@ -192,11 +220,45 @@ class Adjustment {
     PENUMBRA_TRY(check_fit(out));
     set_boards(out);
     if (tracked()) out.tracker_offset_s = offset_s_;
+    add_lens_uncertainty(cameras, views);
     PENUMBRA_TRY(estimate_sigmas(out));
     return out;
   }
 
  private:
+  using Covariance6 = std::array<double, 36>;
+
+  static std::vector<SeenCorner> corners_of(const CameraModel& lens, const BoardView& view) {
+    std::vector<SeenCorner> out;
+    for (std::size_t i = 0; i < view.pixels.size(); ++i)
+      if (const auto c = corner_of(lens, view.pixels[i], view.on_board_m[i])) out.push_back(*c);
+    return out;
+  }
+
+  // With each lens moved along each axis of its uncertainty the rig is solved anew from where it
+  // is. What the poses move by are the columns of a root of what the lenses add.
+  void add_lens_uncertainty(std::span<const RigCameraInput> cameras,
+                            std::span<const RigObservation> views) {
+    lens_part_.assign(cameras_.size(), {});
+    for (std::size_t c = 0; c < cameras.size(); ++c) {
+      if (cameras[c].lens_covariance.empty()) continue;
+      for (const CameraModel& lens : moved_lenses(cameras[c])) {
+        Adjustment moved = *this;
+        for (std::size_t v = 0; v < views.size(); ++v)
+          if (observed_[v].camera == c)
+            moved.observed_[v].corners = corners_of(lens, views[v].view);
+        ceres::Problem problem;
+        moved.build(problem, true);
+        if (!solve(problem)) continue;
+        for (std::size_t k = 0; k < cameras_.size(); ++k)
+          for (std::size_t i = 0; i < 36; ++i)
+            lens_part_[k][i] += (moved.cameras_[k][i / 6] - cameras_[k][i / 6]) *
+                                (moved.cameras_[k][i % 6] - cameras_[k][i % 6]);
+        lens_part_of_offset_ += (moved.offset_s_ - offset_s_) * (moved.offset_s_ - offset_s_);
+      }
+    }
+  }
+
   struct Observed {
     std::size_t camera, moment;
     std::vector<SeenCorner> corners;
@@ -380,7 +442,7 @@ class Adjustment {
     constexpr double kMaxOffsetSigma = .005;
     double variance = 0;
     covariance.GetCovarianceBlock(&offset_s_, &offset_s_, &variance);
-    out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance));
+    out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance) + lens_part_of_offset_);
     if (out.tracker_offset_sigma_s > kMaxOffsetSigma)
       return undetermined(
           fmt::format("the offset between the clocks stays uncertain by {:.0f} ms: move the rig "
@@ -409,6 +471,7 @@ class Adjustment {
     for (std::size_t c = tracked() ? 0 : 1; c < cameras_.size(); ++c) {
       double block[36];
       covariance.GetCovarianceBlock(cameras_[c].data(), cameras_[c].data(), block);
+      for (std::size_t i = 0; i < 36; ++i) block[i] += lens_part_[c][i];
       set_sigmas(cameras_[c], block, out.cameras[c]);
       const double place = glm::length(out.cameras[c].position_sigma_m),
                    turn = glm::length(out.cameras[c].rotation_sigma_rad);
@@ -430,6 +493,8 @@ class Adjustment {
   double offset_s_ = 0, sigma_px_ = .3;
   std::vector<Observed> observed_;
   std::vector<bool> used_;
+  std::vector<Covariance6> lens_part_;  // of the poses' covariances, by camera
+  double lens_part_of_offset_ = 0;
 };
 
 }  // namespace
@@ -439,6 +504,7 @@ Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      const RigOptions& options) {
   if (cameras.empty()) return fail(ErrorCode::kInvalid, "rig calibration", "there is no camera");
   FLAGS_minloglevel = google::GLOG_FATAL;  // Ceres' own words; what matters comes back as errors
+  for (const RigCameraInput& c : cameras) PENUMBRA_TRY(check_lens_covariance(c));
   for (const RigObservation& o : observations)
     if (o.camera >= cameras.size())
       return fail(ErrorCode::kInvalid, o.view.name, "belongs to a camera that does not exist");

@@ -19,6 +19,8 @@ namespace penumbra::calib {
 struct RigCameraInput {
   std::string name;
   CameraModel projection;  // as calibrate_camera() found it
+  /// CameraCalibration::covariance; empty: the lens is taken as exact.
+  std::vector<double> lens_covariance{};
 };
 
 struct RigObservation {
@@ -63,10 +65,12 @@ struct RigCalibration {
 };
 
 /// The rig's frame is the first camera's; with tracker poses it is the tracked body, and the board
-/// must stand still. Without, the board or the rig may move. The lenses are taken as exact.
-/// errors: kInvalid (no camera, a tracker's times out of order), kUndetermined (a camera that never
-///         sees the board together with the others, a rig that turns about one axis alone or too
-///         slowly, boards or a tracker that contradict the rest; says what to capture instead)
+/// must stand still. Without, the board or the rig may move. Stated uncertainties hold what corners
+/// and tracker leave open and what the lenses' own uncertainty moves.
+/// errors: kInvalid (no camera, a lens covariance of another size, a tracker's times out of order),
+///         kNonFinite, kUndetermined (a camera that never sees the board together with the others,
+///         a rig that turns about one axis alone or too slowly, boards or a tracker that contradict
+///         the rest; says what to capture instead)
 Result<RigCalibration> calibrate_rig(std::span<const RigCameraInput> cameras,
                                      std::span<const RigObservation> observations,
                                      const RigOptions& options = {});

@@ -151,8 +151,8 @@ Darkest darkest(const std::vector<Block>& blocks) {
 
 // One step of a robust line with errors in both pictures. `counts`: how often each block counts.
 // source: Deming 1943; biweight, Beaton & Tukey 1974
-bool refine(const std::vector<Block>& blocks, const Darkest& most, const std::vector<int>& counts,
-            double scale, Line& line) {
+bool refine(const std::vector<Block>& blocks, const Darkest& max_offset,
+            const std::vector<int>& counts, double scale, Line& line) {
   struct Moments {
     double w = 0, a = 0, b = 0, aa = 0, bb = 0, ab = 0;
   };
@@ -171,7 +171,7 @@ bool refine(const std::vector<Block>& blocks, const Darkest& most, const std::ve
     const Moments& m = of_channel[c];
     if (m.w <= 0) continue;
     // Added to both: (1 - slope) times as much to the line.
-    const double bound = (1 - line.slope) * most[c], free = (m.b - line.slope * m.a) / m.w;
+    const double bound = (1 - line.slope) * max_offset[c], free = (m.b - line.slope * m.a) / m.w;
     const double offset = std::clamp(free, std::min(bound, 0.), std::max(bound, 0.));
     line.offset[c] = offset;
     const double mean_a = offset == free ? m.a / m.w : 0;
@@ -194,7 +194,7 @@ double scale_of(const std::vector<Block>& blocks, const Line& line) {
 
 struct Fit {
   Line line;
-  Darkest most{};
+  Darkest max_offset{};
   double scale = 1;
 };
 
@@ -204,7 +204,7 @@ std::optional<Fit> fit(const std::vector<Block>& blocks) {
   for (int i = 0; i < kSteps; ++i) {
     // Wide at first, so that nothing is thrown out by a line that is not there yet.
     out.scale = std::max(scale_of(blocks, out.line), i < kSteps / 2 ? .1 : 0.);
-    if (!refine(blocks, out.most, once, out.scale, out.line)) return std::nullopt;
+    if (!refine(blocks, out.max_offset, once, out.scale, out.line)) return std::nullopt;
   }
   return out;
 }
@@ -222,7 +222,7 @@ std::optional<double> log_ratio(const std::vector<Block>& blocks, const Fit& fou
   constexpr int kFewSteps = 4;
   Line line = found.line;
   for (int i = 0; i < kFewSteps; ++i)
-    if (!refine(blocks, found.most, counts, found.scale, line)) return std::nullopt;
+    if (!refine(blocks, found.max_offset, counts, found.scale, line)) return std::nullopt;
   return std::log(line.slope);
 }
 

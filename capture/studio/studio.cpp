@@ -77,10 +77,10 @@ double mean_luminance(const Image<Rgb>& image, int first_row, const Gains& gains
 
 // A channel with no light at all would have no gain.
 Gains white_gains(const Rgb& white) {
-  const float least = .01f * std::max({white.r, white.g, white.b, 1e-30f});
+  const float smallest = .01f * std::max({white.r, white.g, white.b, 1e-30f});
   Gains gains;
   for (int c = 0; c < 3; ++c)
-    gains[static_cast<std::size_t>(c)] = 1 / double(std::max(white[c], least));
+    gains[static_cast<std::size_t>(c)] = 1 / double(std::max(white[c], smallest));
   return gains;
 }
 

@@ -36,10 +36,10 @@ inline std::size_t spelling_distance(std::string_view a, std::string_view b) {
 template <class Words>
 std::optional<std::string> nearest_word(std::string_view word, const Words& known) {
   std::optional<std::string> best;
-  std::size_t least = std::max<std::size_t>(1, word.size() / 3) + 1;
+  std::size_t smallest = std::max<std::size_t>(1, word.size() / 3) + 1;
   for (const auto& k : known)
-    if (const std::size_t d = spelling_distance(word, k); d < least)
-      least = d, best = std::string(k);
+    if (const std::size_t d = spelling_distance(word, k); d < smallest)
+      smallest = d, best = std::string(k);
   return best;
 }
 

@@ -7,6 +7,7 @@
 #include <toml++/toml.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <span>
@@ -87,6 +88,20 @@ class TomlKeys {
     if (!node) return invalid(key, "is missing");
     if (!node->is_boolean()) return invalid(key, "is neither true nor false");
     return node->value_or(false);
+  }
+
+  /// A time with its offset from universal time: without one it would be anybody's.
+  Result<std::chrono::sys_seconds> time(std::string_view key) const {
+    using namespace std::chrono;
+    const toml::node* node = table_.get(key);
+    if (!node) return invalid(key, "is missing");
+    const auto* const value = node->as_date_time();
+    if (!value || !value->get().offset)
+      return invalid(key, "is not a time with an offset, such as 2026-06-21T12:30:00+02:00");
+    const toml::date_time& t = value->get();
+    const year_month_day date(year(t.date.year), month(t.date.month), day(t.date.day));
+    return sys_days(date) + hours(t.time.hour) + minutes(t.time.minute) + seconds(t.time.second) -
+           minutes(t.offset->minutes);
   }
 
   /// `count` numbers, or any count when 0.

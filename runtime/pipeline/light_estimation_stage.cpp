@@ -247,6 +247,12 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
           "recovered from a floor of known albedo",
           cameras_[static_cast<std::size_t>(clips->camera)].name);
   }
+  const auto sun =
+      std::ranges::find(estimate.lights, lighting::kUnseenSun, &lighting::DistantLight::id);
+  if (sun != estimate.lights.end() && !std::exchange(told_sun_, true))
+    log_info(
+        "no camera sees the sun, {:.0f} degrees above the horizon: its power is read off the floor",
+        std::asin(sun->direction.y) * 180 / kPi);
   if (!blend_ || told_gains_ || !ready()) return;
   told_gains_ = true;
   const auto views = gains();
@@ -275,12 +281,15 @@ std::vector<LightEstimationStage::ViewGain> LightEstimationStage::gains() const 
 void LightEstimationStage::add_recoveries(
     std::span<const lighting::SaturationRecovery> recoveries) {
   for (const lighting::SaturationRecovery& c : recoveries) {
+    const auto name = c.source == lighting::kUnseenSun
+                          ? std::string("the sun that no camera sees")
+                          : fmt::format("saturated light {}", c.source);
     const auto added = estimator_.add_recovery(c);
     if (added)
-      log_info("light: the power of saturated light {} is recovered from the floor", c.source);
+      log_info("light: the power of {} is recovered from the floor", name);
     else  // it has moved on, or the floor says less than the camera
-      log_warning("light: the power of saturated light {} is not recovered from the floor: it {}",
-                  c.source, added.error().detail);
+      log_warning("light: the power of {} is not recovered from the floor: it {}", name,
+                  added.error().detail);
   }
 }
 

@@ -95,7 +95,7 @@ class LightEstimationStage {
   StageTimes& times_;
   std::uint64_t frames_ = 0;
   bool warned_ = false;  // that a source is clipped
-  bool told_gains_ = false;
+  bool told_gains_ = false, told_sun_ = false;
 };
 
 }  // namespace penumbra::runtime

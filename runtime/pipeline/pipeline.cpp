@@ -27,8 +27,9 @@ bool has_display() {
   return set("DISPLAY") || set("WAYLAND_DISPLAY");
 }
 
-lighting::EstimateOptions estimate_options(const PipelineOptions& options) {
-  return {options.bands, {.max_count = options.max_lights}};
+lighting::EstimateOptions estimate_options(const PipelineOptions& options,
+                                           const runtime::PreparedScene& scene) {
+  return {.bands = options.bands, .lights = {.max_count = options.max_lights}, .sun = scene.sun};
 }
 
 Result<void> check(const PipelineOptions& options) {
@@ -114,8 +115,8 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
   impl->scene = std::move(scene);
   impl->times = options.timings ? options.timings : std::make_shared<StageTimes>();
   if (any_shows_surroundings(cameras)) {
-    PENUMBRA_ASSIGN(light, runtime::LightEstimationStage::create(cameras, estimate_options(options),
-                                                                 *impl->times));
+    PENUMBRA_ASSIGN(light, runtime::LightEstimationStage::create(
+                               cameras, estimate_options(options, *impl->scene), *impl->times));
     const auto costs = !options.measure_costs   ? runtime::CostSource::kFixed
                        : options.bake.use_cache ? runtime::CostSource::kKept
                                                 : runtime::CostSource::kFitted;

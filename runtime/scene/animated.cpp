@@ -18,7 +18,7 @@
 #include "prt/geometry/receiver.h"
 #include "prt/transfer/relight.h"
 #include "runtime/scene/bake_cache.h"
-#include "runtime/scene/standing.h"
+#include "runtime/scene/internal/standing.h"
 
 namespace penumbra::runtime {
 

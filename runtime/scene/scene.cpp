@@ -15,8 +15,8 @@
 #include "prt/geometry/receiver.h"
 #include "runtime/scene/animated.h"
 #include "runtime/scene/bake_cache.h"
-#include "runtime/scene/depth_mesh.h"
-#include "runtime/scene/standing.h"
+#include "runtime/scene/internal/depth_mesh.h"
+#include "runtime/scene/internal/standing.h"
 
 namespace penumbra::runtime {
 
@@ -231,6 +231,7 @@ Result<PreparedScene> prepare(
     const std::function<std::function<void(double)>(const std::string&)>& progress) {
   PreparedScene out;
   out.lamps = scene.lamps;
+  out.sun = scene.sun;
   for (const RealGeometry& real : scene.real) {
     if (real.plane) {
       // Without a known albedo the floor's reflection on the object is unknown and left out.

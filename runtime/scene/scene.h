@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "core/result.h"
+#include "lighting/lights/sun.h"
 #include "prt/bake/bake.h"
 #include "prt/clip/light_map.h"
 #include "prt/clip/live_bake.h"
@@ -64,6 +65,7 @@ struct Scene {
   std::vector<SceneObject> objects;
   std::vector<RealGeometry> real;
   std::vector<shadows::Lamp> lamps{};
+  std::optional<lighting::SunSite> sun{};  // where the sun is known to stand
 };
 
 /// errors: kNotFound, kUnreadable, kInvalid (unknown key, bad value: file and line)
@@ -161,6 +163,7 @@ struct PreparedScene {
   // Null without real meshes, or nothing virtual beside them
   std::shared_ptr<const PreparedReal> real{};
   std::vector<shadows::Lamp> lamps{};
+  std::optional<lighting::SunSite> sun{};
 };
 
 /// Loads, places and bakes. What is baked and which triangles are left out goes to the log

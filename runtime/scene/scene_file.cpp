@@ -221,12 +221,49 @@ Result<shadows::Lamp> read_lamp(const TomlKeys& keys) {
   return lamp;
 }
 
+Result<lighting::SunSite> read_sun(const TomlKeys& keys) {
+  using namespace std::chrono;
+  constexpr std::string_view known[] = {"latitude_deg", "longitude_deg", "north_deg", "time"};
+  PENUMBRA_TRY(keys.only(known));
+  lighting::SunSite sun;
+  PENUMBRA_ASSIGN(latitude, keys.number("latitude_deg"));
+  PENUMBRA_ASSIGN(longitude, keys.number("longitude_deg"));
+  if (std::abs(latitude) > 90) return keys.invalid("latitude_deg", "is not within -90..90");
+  if (std::abs(longitude) > 180) return keys.invalid("longitude_deg", "is not within -180..180");
+  sun.latitude_deg = latitude, sun.longitude_deg = longitude;
+  if (keys.has("north_deg")) {
+    PENUMBRA_ASSIGN(north, keys.number("north_deg"));
+    if (std::abs(north) > 360) return keys.invalid("north_deg", "is not within -360..360");
+    sun.north_deg = north;
+  }
+  if (keys.has("time")) {
+    PENUMBRA_ASSIGN(time, keys.time("time"));
+    if (time < sys_days{1950y / 1 / 1} || time >= sys_days{2051y / 1 / 1})
+      return keys.invalid("time", "is not within the years 1950 to 2050");
+    sun.time = time;
+  }
+  return sun;
+}
+
+std::string print_sun(const lighting::SunSite& sun) {
+  std::string text = fmt::format("\n[sun]\nlatitude_deg = {}\nlongitude_deg = {}\nnorth_deg = {}\n",
+                                 sun.latitude_deg, sun.longitude_deg, sun.north_deg);
+  if (!sun.time) return text;
+  using namespace std::chrono;
+  const auto day = floor<days>(*sun.time);
+  const year_month_day date(day);
+  const hh_mm_ss clock(*sun.time - day);
+  return text + fmt::format("time = {:04}-{:02}-{:02}T{:02}:{:02}:{:02}Z\n", int(date.year()),
+                            unsigned(date.month()), unsigned(date.day()), clock.hours().count(),
+                            clock.minutes().count(), clock.seconds().count());
+}
+
 }  // namespace
 
 Result<Scene> read_scene(const fs::path& path) {
   PENUMBRA_ASSIGN(root, parse_toml(path));
   const TomlKeys keys(path, root);
-  constexpr std::string_view known[] = {"version", "object", "real", "lamp"};
+  constexpr std::string_view known[] = {"version", "object", "real", "lamp", "sun"};
   PENUMBRA_TRY(keys.only(known));
   PENUMBRA_TRY(keys.version(1));
   const fs::path folder = path.parent_path();
@@ -245,6 +282,11 @@ Result<Scene> read_scene(const fs::path& path) {
   for (const toml::table* table : lamps) {
     PENUMBRA_ASSIGN(lamp, read_lamp(TomlKeys(path, *table)));
     scene.lamps.push_back(lamp);
+  }
+  if (keys.has("sun")) {
+    PENUMBRA_ASSIGN(table, keys.table("sun"));
+    PENUMBRA_ASSIGN(sun, read_sun(table));
+    scene.sun = sun;
   }
   return scene;
 }
@@ -299,6 +341,7 @@ Result<void> write_scene(const fs::path& path, const Scene& scene) {
                         list(l.position.x, l.position.y, l.position.z), l.radius_m,
                         list(e.r, e.g, e.b));
   }
+  if (scene.sun) text += print_sun(*scene.sun);
   return write_bytes(path, text);
 }
 

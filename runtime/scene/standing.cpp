@@ -1,4 +1,4 @@
-#include "runtime/scene/standing.h"
+#include "runtime/scene/internal/standing.h"
 
 #include <algorithm>
 #include <cmath>

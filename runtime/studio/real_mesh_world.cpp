@@ -1,4 +1,4 @@
-#include "runtime/studio/real_mesh_world.h"
+#include "runtime/studio/internal/real_mesh_world.h"
 
 #include <algorithm>
 #include <cmath>
@@ -47,7 +47,7 @@ RealMeshWorld::RealMeshWorld(std::shared_ptr<const capture::FloorWorld> floor, p
       rays_(std::move(rays)),
       grid_(prt::fit_ground_grid(things_, 0)),
       irradiance_(things_.positions.size()),
-      share_(grid_.size, grid_.size) {}
+      left_(grid_.size, grid_.size) {}
 
 Result<std::shared_ptr<RealMeshWorld>> RealMeshWorld::make(
     std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh things,
@@ -95,12 +95,12 @@ Result<void> RealMeshWorld::light(const std::function<void(double)>& progress) {
   std::copy(found.begin(), on_floor, irradiance_.begin());
   std::vector<bool> covered;
   const Rgb open = floor_->floor_irradiance();
-  for (std::size_t i = 0; i < share_.area(); ++i) {
+  for (std::size_t i = 0; i < left_.area(); ++i) {
     const Rgb e = on_floor[static_cast<std::ptrdiff_t>(i)];
-    for (int c = 0; c < 3; ++c) share_.pixels()[i][c] = open[c] > 0 ? e[c] / open[c] : 1;
+    for (int c = 0; c < 3; ++c) left_.pixels()[i][c] = open[c] > 0 ? e[c] / open[c] : 1;
     covered.push_back(luminance(e) <= 0);
   }
-  fill_from_neighbours(share_, covered);
+  fill_from_neighbours(left_, covered);
   return {};
 }
 
@@ -111,8 +111,8 @@ Rgb RealMeshWorld::floor_fraction(const glm::dvec3& position) const {
   if (!(p.x >= 0 && p.y >= 0 && p.x < last && p.y < last)) return {1, 1, 1};
   const int x = static_cast<int>(p.x), y = static_cast<int>(p.y);
   const float u = p.x - static_cast<float>(x), v = p.y - static_cast<float>(y);
-  return (share_.at(x, y) * (1 - u) + share_.at(x + 1, y) * u) * (1 - v) +
-         (share_.at(x, y + 1) * (1 - u) + share_.at(x + 1, y + 1) * u) * v;
+  return (left_.at(x, y) * (1 - u) + left_.at(x + 1, y) * u) * (1 - v) +
+         (left_.at(x, y + 1) * (1 - u) + left_.at(x + 1, y + 1) * u) * v;
 }
 
 Rgb RealMeshWorld::exit_radiance(const prt::Hit& hit) const {

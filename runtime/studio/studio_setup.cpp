@@ -6,7 +6,7 @@
 #include "capture/studio/environments.h"
 #include "prt/geometry/mesh.h"
 #include "runtime/pipeline/light_file.h"
-#include "runtime/studio/real_mesh_world.h"
+#include "runtime/studio/internal/real_mesh_world.h"
 
 namespace penumbra::runtime {
 

@@ -148,24 +148,93 @@ TEST(RigCalibration, ABoardThatSeveralCamerasSeeTellsTheirPlaces) {
   EXPECT_TRUE(found->left_out.empty());
 }
 
+// Numbers of the poses of all cameras but the first that lie within 1.96 stated sigmas, and all.
+std::pair<int, int> covered(const RigCalibration& found) {
+  int inside = 0, all = 0;
+  for (std::size_t c = 1; c < kRig.size(); ++c) {
+    const RigCameraPose& p = found.cameras[c];
+    const glm::dquat d = p.rig_from_camera.rotation * glm::conjugate(kRig[c].rotation);
+    const glm::dvec3 turned = 2. * (d.w < 0 ? -1. : 1.) * glm::dvec3(d.x, d.y, d.z),
+                     moved = p.rig_from_camera.translation - kRig[c].translation;
+    for (int i = 0; i < 3; ++i) {
+      inside += std::abs(moved[i]) < 1.96 * p.position_sigma_m[i];
+      inside += std::abs(turned[i]) < 1.96 * p.rotation_sigma_rad[i];
+      all += 2;
+    }
+  }
+  return {inside, all};
+}
+
 TEST(RigCalibration, TheStatedUncertaintyCoversTheTruthInNinetyFivePercent) {
   int inside = 0, all = 0;
   for (unsigned seed = 0; seed < 200; ++seed) {
     const auto found = calibrate_rig(lenses(), moving_board(100 + seed, 8).views);
     ASSERT_TRUE(found) << seed << ' ' << found.error().detail;
-    for (std::size_t c = 1; c < kRig.size(); ++c) {
-      const RigCameraPose& p = found->cameras[c];
-      const glm::dquat d = p.rig_from_camera.rotation * glm::conjugate(kRig[c].rotation);
-      const glm::dvec3 turned = 2. * (d.w < 0 ? -1. : 1.) * glm::dvec3(d.x, d.y, d.z),
-                       moved = p.rig_from_camera.translation - kRig[c].translation;
-      for (int i = 0; i < 3; ++i) {
-        inside += std::abs(moved[i]) < 1.96 * p.position_sigma_m[i];
-        inside += std::abs(turned[i]) < 1.96 * p.rotation_sigma_rad[i];
-        all += 2;
-      }
-    }
+    const auto [in, of] = covered(*found);
+    inside += in, all += of;
   }
   EXPECT_NEAR(static_cast<double>(inside) / all, .95, .02);
+}
+
+// The same with lenses as calibrations find them: off by what they say. Taken as exact, they leave
+// most of the truth outside.
+TEST(RigCalibration, TheUncertaintyOfTheLensesCounts) {
+  // Focal lengths by 2 px, almost together; the principal point by 3 px.
+  constexpr double kFocal_px = 2, kTogether = .98, kPrincipal_px = 3;
+  const std::vector<double> covariance = {kFocal_px * kFocal_px,
+                                          kTogether * kFocal_px * kFocal_px,
+                                          0,
+                                          0,
+                                          kTogether * kFocal_px * kFocal_px,
+                                          kFocal_px * kFocal_px,
+                                          0,
+                                          0,
+                                          0,
+                                          0,
+                                          kPrincipal_px * kPrincipal_px,
+                                          0,
+                                          0,
+                                          0,
+                                          0,
+                                          kPrincipal_px * kPrincipal_px};
+  int inside = 0, all = 0, inside_exact = 0;
+  constexpr unsigned kRuns = 80;
+  for (unsigned seed = 0; seed < kRuns; ++seed) {
+    std::mt19937 rng(7000 + seed);
+    std::normal_distribution<double> gauss(0, 1);
+    std::vector<RigCameraInput> given = lenses();
+    for (RigCameraInput& c : given) {
+      const double both = std::sqrt(kTogether) * gauss(rng), own = std::sqrt(1 - kTogether);
+      c.projection.focal_px += kFocal_px * (both + own * glm::dvec2(gauss(rng), gauss(rng)));
+      c.projection.principal_px += kPrincipal_px * glm::dvec2(gauss(rng), gauss(rng));
+    }
+    const Scene scene = moving_board(300 + seed, 8);
+    const auto exact = calibrate_rig(given, scene.views);
+    for (RigCameraInput& c : given) c.lens_covariance = covariance;
+    const auto found = calibrate_rig(given, scene.views);
+    ASSERT_TRUE(exact && found) << seed;
+    for (std::size_t c = 0; c < kRig.size(); ++c)
+      EXPECT_EQ(
+          distance(exact->cameras[c].rig_from_camera, found->cameras[c].rig_from_camera).place_m,
+          0);
+    const auto [in, of] = covered(*found);
+    inside += in, all += of;
+    inside_exact += covered(*exact).first;
+  }
+  std::printf("within 1.96 stated sigmas: %.1f %%, with lenses as exact %.1f %%\n",
+              100. * inside / all, 100. * inside_exact / all);
+  EXPECT_NEAR(static_cast<double>(inside) / all, .95, .04);
+  EXPECT_LT(static_cast<double>(inside_exact) / all, .6);
+}
+
+TEST(RigCalibration, ALensCovarianceOfAnotherSizeIsRefused) {
+  std::vector<RigCameraInput> given = lenses();
+  given[1].lens_covariance.assign(25, 1);
+  const auto found = calibrate_rig(given, moving_board(1).views);
+  ASSERT_FALSE(found);
+  EXPECT_EQ(found.error().where, "right");
+  given[1].lens_covariance.assign(16, std::nan(""));
+  EXPECT_EQ(calibrate_rig(given, moving_board(1).views).error().code, ErrorCode::kNonFinite);
 }
 
 TEST(RigCalibration, ATrackersClockAndPlaceAreFound) {

@@ -225,7 +225,7 @@ class HdrMerge(CliTest):
         told, = self.run_json("hdr", "merge", *pictures, "--times", "0.01,0.04", "--response", "linear", "-o",
                               out)["exposure_ratios"]
         self.assertEqual((told["picture"], told["against"]), (str(pictures[1]), str(pictures[0])))
-        self.assert_close(told["told"], 4, 1e-9)
+        self.assert_close(told["labelled_ratio"], 4, 1e-9)
         self.assertTrue(told["low"] <= 2.001 and told["high"] >= 1.999, told)
         self.assertLess(told["high"], 2.1)
 
@@ -898,6 +898,29 @@ class Calibrate(CliTest):
             f'focal_px = [{focal}, {focal}]\nresponse = "linear"\nframes = "{c}.csv"\n' for c in ("left", "right")))
         return folder
 
+    def check_lenses(self, capture, board, exact):
+        """What --lenses says of the lenses counts in the stated uncertainty."""
+        self.assertTrue(exact["lenses_exact"])
+        manifest, out = (capture / "capture.toml").read_text(), self.root / "unsure.toml"
+        lenses = []
+        for table in manifest.split("[[camera]]")[1:]:
+            lens = self.root / f"lens{len(lenses)}.toml"
+            unsure = [0.0] * 16
+            unsure[0] = unsure[5] = 9.0  # focal lengths by 3 px
+            table = "\n".join(line for line in table.splitlines() if not line.startswith(("frames", "response")))
+            lens.write_text(f"version = 1\n[[camera]]{table}\n[calibration]\ncovariance = {unsure}\n")
+            lenses.append(lens)
+        given = ["calibrate", "rig", capture, *board, "-o", out, "--lenses", ",".join(map(str, lenses))]
+        printed = self.run_json(*given)
+        self.assertFalse(printed["lenses_exact"])
+        self.assertEqual(printed["cameras"][1]["position_m"], exact["cameras"][1]["position_m"])
+        self.assertGreater(max(printed["cameras"][1]["position_sigma_m"]),
+                           1.5 * max(exact["cameras"][1]["position_sigma_m"]))
+        lenses[0].write_text(lenses[0].read_text().replace("covariance", "rms_px"))
+        self.expect_refusal([lenses[0].name, "covariance"], *given)
+        lenses[0].write_text(lenses[0].read_text().replace('"left"', '"other"'))
+        self.expect_refusal([lenses[0].name, "other"], *given)
+
     def test_poses_of_two_cameras_are_one_file_that_a_rig_reads(self):
         capture, out, report = self.stereo(self.root / "stereo"), self.root / "poses.toml", self.root / "rig"
         board = ["--board", "chessboard:7x5:0.04"]
@@ -911,6 +934,7 @@ class Calibrate(CliTest):
             self.assertAlmostEqual(abs(found), truth, delta=.004)
         self.assertEqual(sorted(p.name for p in report.iterdir()), ["rig.csv", "rig.svg"])
         self.assertEqual([c["name"] for c in self.run_json("inspect", out)["cameras"]], ["left", "right"])
+        self.check_lenses(capture, board, printed)
         (capture / "poses.toml").write_text(out.read_text())
         manifest = (capture / "capture.toml").read_text()
         (capture / "capture.toml").write_text(manifest.replace('role = "view"\n', 'role = "view"\npose = "poses.toml"\n'))

@@ -238,5 +238,125 @@ TEST(FloorRecovery, IdleWithoutAKnownAlbedo) {
   EXPECT_NEAR(sun_fraction(w.last, c.truth), sun_fraction(w.first, c.truth), .02f);
 }
 
+// A fisheye that looks forward, and a sun behind it: its place is known, its power is read off the
+// floor.
+class UnseenSun : public testing::Test {
+ protected:
+  static constexpr int kSide = 512;
+  ClippedSun c_;
+  glm::dvec3 sun_;
+  capture::CameraInfo fisheye_;
+
+  UnseenSun() {
+    lighting::LightExtraction split;
+    EXPECT_TRUE(lighting::extract_lights(c_.world->environment(), {}, split));
+    sun_ = split.lights.at(0).direction;
+    fisheye_.name = "fisheye";
+    fisheye_.projection =
+        *calib::make_projection(calib::ProjectionKind::kEquidistant, kSide, kSide);
+    fisheye_.projection.focal_px = glm::dvec2(kSide / (184 * kPi / 180));
+    fisheye_.lenses = {{0, 0, fisheye_.projection, {1, 0, 0, 0}, 92 * kPi / 180}};
+    // It looks level, away from the sun.
+    fisheye_.world_from_camera.rotation =
+        glm::angleAxis(std::atan2(sun_.x, sun_.z), glm::dvec3(0, 1, 0));
+  }
+
+  // Where and when the sun stands there.
+  lighting::SunSite site() const {
+    using namespace std::chrono;
+    const auto at = [](sys_seconds utc) { return lighting::sun_direction({50, 0, 0, {}}, utc); };
+    sys_seconds low = sys_days{2026y / June / 21}, high = low + 12h;
+    while (high - low > 1s) {
+      const sys_seconds middle = low + (high - low) / 2;
+      (at(middle).y < sun_.y ? low : high) = middle;
+    }
+    const glm::dvec3 there = at(low);
+    const double turn = std::atan2(sun_.x, -sun_.z) - std::atan2(there.x, -there.z);
+    return {50, 0, std::remainder(turn * 180 / kPi, 360.), low};
+  }
+
+  capture::Frame fisheye_frame() const {
+    const Image<Rgb>& map = c_.world->environment();
+    Image<Rgb> out(kSide, kSide);
+    for (int y = 0; y < kSide; ++y)
+      for (int x = 0; x < kSide; ++x) {
+        const auto d = calib::direction_from_pixel(fisheye_.projection, {x + .5, y + .5});
+        if (!d || std::acos(-d->z) > fisheye_.lenses[0].half_field_of_view_rad) continue;
+        const glm::dvec2 px =
+            latlong_pixel(fisheye_.world_from_camera.rotation * *d, map.width(), map.height());
+        out.at(x, y) = map.at(std::min(static_cast<int>(px.x), map.width() - 1),
+                              std::min(static_cast<int>(px.y), map.height() - 1));
+      }
+    capture::Frame frame;
+    frame.exposure = {Seconds(1), Gain(1)};
+    frame.world_from_camera = fisheye_.world_from_camera;
+    frame.pixels = std::make_shared<const FramePixels>(std::move(out));
+    return frame;
+  }
+
+  // The light after a view frame or two.
+  Watched watch(std::optional<lighting::SunSite> sun) {
+    capture::Studio studio(c_.world, c_.options);
+    auto light = *LightEstimationStage::create({fisheye_}, {.sun = sun}, c_.times);
+    auto recovery = *FloorRecovery::create(c_.scene);
+    const ResponseTable curve = capture::make_response_table(c_.options.sensor.response, 8, 0);
+    Watched out;
+    for (int shown = 0; shown < 3;) {
+      capture::Frame frame = **studio.next();
+      const auto& camera = studio.cameras()[static_cast<std::size_t>(frame.camera)];
+      if (camera.role != capture::Role::kView) continue;
+      ++shown;
+      capture::Frame around = fisheye_frame();
+      around.time = frame.time;
+      out.last = *light.process(around);
+      if (!out.first.valid) out.first = out.last;
+      const auto found = recovery.observe(frame, camera, &curve, out.last);
+      if (found)
+        light.add_recoveries(*found);
+      else
+        out.error = found.error();
+    }
+    return out;
+  }
+};
+
+TEST_F(UnseenSun, GetsItsPowerFromTheFloor) {
+  const Watched naive = watch(std::nullopt), known = watch(site());
+  EXPECT_TRUE(naive.last.lights.empty()) << "nothing tells of a sun";
+  EXPECT_FALSE(known.error) << known.error->detail;
+  ASSERT_EQ(known.first.lights.size(), 1u);
+  EXPECT_TRUE(known.first.lights[0].is_lower_bound()) << "until the floor was seen";
+  ASSERT_EQ(known.last.lights.size(), 1u);
+  const lighting::DistantLight& sun = known.last.lights[0];
+  EXPECT_EQ(sun.id, lighting::kUnseenSun);
+  EXPECT_FALSE(sun.is_lower_bound());
+  EXPECT_GT(glm::dot(sun.direction, sun_), std::cos(.3 * kPi / 180));
+  const auto fraction = double(luminance(sun.irradiance()) / luminance(c_.truth));
+  std::printf("unseen sun: %.3f of its irradiance, coverage %.2f\n", fraction, known.last.coverage);
+  EXPECT_NEAR(fraction, 1, .1);
+}
+
+TEST_F(UnseenSun, BehindCloudsSendsNothing) {
+  Image<Rgb> grey(1024, 512, {.5f, .5f, .5f});
+  c_.world = *capture::FloorWorld::make(std::move(grey));
+  c_.scene.planes[0].albedo = c_.world->mean_floor_albedo();
+  const Watched known = watch(site());
+  ASSERT_EQ(known.last.lights.size(), 1u);
+  EXPECT_FALSE(known.last.lights[0].is_lower_bound());
+  EXPECT_LT(luminance(lighting::irradiance(known.last.lights[0], {0, 1, 0})),
+            .06f * luminance(c_.world->floor_irradiance()));
+}
+
+TEST_F(UnseenSun, IsNoLightOfItsOwnWhereItIsSeenOrBelowTheHorizon) {
+  lighting::SunSite night = site();
+  night.time = *night.time - std::chrono::hours(12);
+  EXPECT_TRUE(watch(night).last.lights.empty());
+  fisheye_.world_from_camera.rotation =
+      glm::angleAxis(kPi, glm::dvec3(0, 1, 0)) * fisheye_.world_from_camera.rotation;
+  const Watched seen = watch(site());
+  ASSERT_FALSE(seen.last.lights.empty());
+  EXPECT_NE(seen.last.lights[0].id, lighting::kUnseenSun);
+}
+
 }  // namespace
 }  // namespace penumbra::runtime

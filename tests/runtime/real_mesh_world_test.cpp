@@ -1,4 +1,4 @@
-#include "runtime/studio/real_mesh_world.h"
+#include "runtime/studio/internal/real_mesh_world.h"
 #include "capture/capture.h"
 #include "prt/prt.h"
 

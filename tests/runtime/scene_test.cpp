@@ -208,6 +208,32 @@ TEST_F(SceneFile, BadValuesAreNamedWithFileAndLine) {
   expect_invalid("version = 1\n[[lamp]]\nposition = [0, 1, 0]\nirradiance_at_1m = [1, -1, 1]\n", 4,
                  "irradiance_at_1m");
   expect_invalid(lamp + "colour = 3\n", 4, "colour");
+  const std::string sun = "version = 1\n[sun]\nlatitude_deg = 50\n";
+  expect_invalid(sun, 2, "longitude_deg");
+  expect_invalid("version = 1\n[sun]\nlatitude_deg = 91\nlongitude_deg = 8\n", 3, "latitude_deg");
+  expect_invalid(sun + "longitude_deg = 181\n", 4, "longitude_deg");
+  for (const std::string line :
+       {"north_deg = 400", "time = 2026-06-21T12:00:00", "time = \"noon\"", "time = 2026-06-21",
+        "time = 1900-01-01T00:00:00Z", "height_m = 3"})
+    expect_invalid(sun + "longitude_deg = 8\n" + line + "\n", 5, line.substr(0, line.find(' ')));
+}
+
+TEST_F(SceneFile, TheSunsPlaceComesBackInUniversalTime) {
+  using namespace std::chrono;
+  const auto scene = read(
+      "version = 1\n[sun]\nlatitude_deg = 50.1\nlongitude_deg = -8.7\nnorth_deg = 30\n"
+      "time = 2026-06-21T12:30:05+02:00\n");
+  ASSERT_TRUE(scene && scene->sun);
+  EXPECT_EQ(scene->sun->time, sys_days{2026y / June / 21} + 10h + 30min + 5s);
+  const Scene back = round_trip(*scene);
+  ASSERT_TRUE(back.sun);
+  EXPECT_EQ(back.sun->latitude_deg, 50.1);
+  EXPECT_EQ(back.sun->longitude_deg, -8.7);
+  EXPECT_EQ(back.sun->north_deg, 30);
+  EXPECT_EQ(back.sun->time, scene->sun->time);
+  Scene now;
+  now.sun = lighting::SunSite{1, 2, 3, {}};
+  EXPECT_FALSE(round_trip(now).sun->time);
 }
 
 TEST_F(SceneFile, WhatIsMissingIsNamed) {

@@ -183,6 +183,7 @@ std::string print_camera_file(const std::string& name, const calib::CameraCalibr
       toml_quoted(board), std::ranges::count(c.boards, true, &calib::BoardFit::used), c.rms_px,
       list(c.focal_sigma_px), list(c.principal_sigma_px));
   if (p.is_distorted()) text += fmt::format("distortion_sigma = {}\n", list(c.distortion_sigma, k));
+  text += fmt::format("covariance = [{}]\n", fmt::join(c.covariance, ", "));
   return text;
 }
 

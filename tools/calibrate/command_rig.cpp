@@ -5,9 +5,11 @@
 #include <cmath>
 #include <glm/gtc/quaternion.hpp>
 
+#include "calib/camera/calibration_files.h"
 #include "calib/estimate/boards.h"
 #include "calib/estimate/rig_calibration.h"
 #include "capture/frames.h"
+#include "capture/recording/folder.h"
 #include "capture/recording/recording.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
@@ -28,6 +30,7 @@ struct CalibrateRigOptions {
   std::string capture;  // cameras that are fixed to each other, and a board
   std::string board, output;
   std::vector<std::string> cameras;    // the first is the rig's frame; empty: all
+  std::vector<std::string> lenses;     // files of calibrate camera, by the cameras' names
   std::optional<std::string> tracker;  // poses of the body that the cameras are fixed to, .csv
   double tracker_sigma_mm = 1, tracker_sigma_deg = .05;
   std::string board_lies;  // "floor" or "wall": the board is the world
@@ -61,11 +64,38 @@ Result<std::vector<std::optional<std::size_t>>> choose_cameras(
   return out;
 }
 
+// Lenses of files in place of the capture's, with how sure they are.
+Result<void> set_lenses(const CalibrateRigOptions& o, RigPictures& seen) {
+  for (const std::string& file : o.lenses) {
+    PENUMBRA_ASSIGN(info, capture::read_camera_file(file));
+    const auto camera = std::ranges::find(seen.cameras, info.name, &calib::RigCameraInput::name);
+    if (camera == seen.cameras.end())
+      return fail(ErrorCode::kNotFound, file,
+                  fmt::format("is of the camera \"{}\", which takes no part", info.name));
+    if (info.projection.width != camera->projection.width ||
+        info.projection.height != camera->projection.height)
+      return fail(
+          ErrorCode::kInvalid, file,
+          fmt::format("is of pictures of {}x{} instead of {}x{}", info.projection.width,
+                      info.projection.height, camera->projection.width, camera->projection.height));
+    PENUMBRA_ASSIGN(text, read_text(file));
+    PENUMBRA_ASSIGN(covariance, calib::parse_lens_covariance(text, file));
+    *camera = {info.name, info.projection, std::move(covariance)};
+  }
+  return {};
+}
+
+bool some_lens_is_exact(const RigPictures& seen) {
+  return std::ranges::any_of(
+      seen.cameras, [](const calib::RigCameraInput& c) { return c.lens_covariance.empty(); });
+}
+
 // Frames of one moment, and then none until `every_s` has passed.
 Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board) {
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   RigPictures seen;
   PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
+  PENUMBRA_TRY(set_lenses(o, seen));
   if (seen.cameras.size() == 1 && !o.tracker && o.board_lies.empty())
     return fail(ErrorCode::kInvalid, seen.cameras[0].name,
                 "is one camera alone, whose pose needs --tracker or --board-plane");
@@ -169,6 +199,8 @@ void print_table(const CalibrateRigOptions& o, const RigPictures& seen,
     fmt::print("tracker time = camera time + {:.2f} ms +- {:.2f}\n", 1000 * *c.tracker_offset_s,
                1000 * c.tracker_offset_sigma_s);
   for (const std::string& name : c.left_out) fmt::print("left out: {}\n", name);
+  if (some_lens_is_exact(seen))
+    fmt::print("lenses are taken as exact where --lenses gives no file of calibrate camera\n");
 }
 
 nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
@@ -185,11 +217,9 @@ nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
                        {"boards", c.cameras[i].boards},
                        {"rms_px", c.cameras[i].rms_px}});
   }
-  nlohmann::json out = {{"cameras", cameras},
-                        {"rms_px", c.rms_px},
-                        {"pictures", seen.pictures},
-                        {"boards", seen.boards.size()},
-                        {"left_out", c.left_out}};
+  nlohmann::json out = {{"cameras", cameras},        {"rms_px", c.rms_px},
+                        {"pictures", seen.pictures}, {"boards", seen.boards.size()},
+                        {"left_out", c.left_out},    {"lenses_exact", some_lens_is_exact(seen)}};
   if (c.tracker_offset_s) {
     out["tracker_offset_s"] = *c.tracker_offset_s;
     out["tracker_offset_sigma_s"] = c.tracker_offset_sigma_s;
@@ -271,6 +301,10 @@ void add_calibrate_rig(CLI::App& parent, Action& action) {
   c->add_option("--cameras", rig.cameras,
                 "Names of the cameras, separated by commas; the first one is the frame of the "
                 "rig; by default all")
+      ->delimiter(',');
+  c->add_option("--lenses", rig.lenses,
+                "Files of calibrate camera, separated by commas: lenses by the cameras' names, "
+                "whose uncertainty counts in what is stated; without, the capture's, as exact")
       ->delimiter(',');
   c->add_option(
       "--tracker", rig.tracker,
