@@ -6,9 +6,10 @@ set(penumbra_header_rooms core codec calib capture lighting prt shadows composit
 install(DIRECTORY ${penumbra_header_rooms}
         DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/penumbra COMPONENT dev
         FILES_MATCHING PATTERN "*.h" PATTERN internal EXCLUDE
-        # What rooms below lighting/ share among themselves, and the studio of the demo.
+        # What rooms of one folder share among themselves, and the studio of the demo.
         PATTERN sh_inpainting.h EXCLUDE PATTERN latlong_kernel.h EXCLUDE
-        PATTERN studio_setup.h EXCLUDE)
+        PATTERN studio_setup.h EXCLUDE
+        PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
 list(JOIN penumbra_header_rooms "|" penumbra_room)
 install(CODE "

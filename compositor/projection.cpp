@@ -1,4 +1,4 @@
-#include "compositor/internal/projection.h"
+#include "compositor/projection.h"
 
 namespace penumbra::compositor {
 

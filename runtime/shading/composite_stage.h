@@ -13,7 +13,7 @@
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
 #include "capture/frames.h"
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/result.h"
 #include "core/threads/stage_times.h"
 #include "lighting/light_estimate.h"

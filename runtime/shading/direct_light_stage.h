@@ -8,14 +8,14 @@
 #include <span>
 #include <vector>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/result.h"
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/rays.h"
 #include "prt/transfer/visibility_map.h"
-#include "runtime/shading/shadow_sampling.h"
 #include "runtime/scene/scene.h"
+#include "runtime/shading/shadow_sampling.h"
 #include "runtime/surroundings/occlusion_probes.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"

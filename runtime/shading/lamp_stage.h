@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "runtime/scene/scene.h"
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"

@@ -7,7 +7,7 @@
 #include <span>
 #include <vector>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/image.h"
 #include "core/pose.h"
 #include "prt/geometry/plane.h"

@@ -2,7 +2,7 @@
 #include <cstring>
 
 #include "bench/harness.h"
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/conventions.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"

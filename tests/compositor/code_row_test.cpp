@@ -1,4 +1,4 @@
-#include "compositor/internal/code_row.h"
+#include "compositor/pixels/code_row.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 #include <random>
 #include <vector>
 
-#include "compositor/internal/sensor_effects.h"
+#include "compositor/pixels/sensor_effects.h"
 #include "tests/support/scenes.h"
 
 namespace penumbra::compositor {

@@ -1,4 +1,4 @@
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 

@@ -1,5 +1,5 @@
 // One sample a pixel and contours, against 256 samples and against four.
-#include "compositor/internal/contour.h"
+#include "compositor/layers/contour.h"
 #include "prt/prt.h"
 
 #include <gtest/gtest.h>
@@ -10,7 +10,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <random>
 
-#include "compositor/internal/projection.h"
+#include "compositor/projection.h"
 #include "core/half.h"
 #include "core/image.h"
 

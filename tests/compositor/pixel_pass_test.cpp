@@ -1,5 +1,5 @@
 // The two fractions of a frame against what each pixel is to become, looked up one by one.
-#include "compositor/internal/pixel_pass.h"
+#include "compositor/pixels/pixel_pass.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 
@@ -7,7 +7,7 @@
 
 #include <glm/gtc/quaternion.hpp>
 
-#include "compositor/internal/layered_rows.h"
+#include "compositor/pixels/layered_rows.h"
 #include "core/half.h"
 
 namespace penumbra::compositor {

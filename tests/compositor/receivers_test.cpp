@@ -1,5 +1,5 @@
 // Rows of shadow ratios against what each pixel's ray meets, looked up one by one.
-#include "compositor/internal/receivers.h"
+#include "compositor/pixels/receivers.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
 

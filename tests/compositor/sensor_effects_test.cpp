@@ -4,7 +4,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "prt/prt.h"
 #include "tests/support/leaning_wall.h"
 #include "tests/support/scenes.h"

@@ -5,7 +5,7 @@
 #include <iterator>
 #include <string>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "tests/support/temp_folder.h"
 
 namespace penumbra::compositor {

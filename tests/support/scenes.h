@@ -9,7 +9,7 @@
 #include <random>
 #include <vector>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"

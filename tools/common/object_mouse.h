@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "calib/camera/camera_model.h"
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/pose.h"
 #include "core/result.h"
 #include "runtime/scene/scene.h"

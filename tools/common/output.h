@@ -9,7 +9,7 @@
 #include <thread>
 #include <vector>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/result.h"
 #include "core/threads/queues.h"
 #include "core/threads/stage_times.h"

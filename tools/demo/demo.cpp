@@ -10,7 +10,7 @@
 #include "capture/studio/studio.h"
 #include "codec/codec.h"
 #include "codec/display.h"
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
 #include "core/threads/stop_signal.h"

@@ -4,7 +4,7 @@
 
 #include "calib/camera/camera_model.h"
 #include "capture/frames.h"
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 #include "core/conventions.h"
 #include "core/threads/parallel.h"
 #include "prt/reference/environment_light.h"

@@ -6,12 +6,12 @@
 #include <span>
 #include <vector>
 
-#include "compositor/compositor.h"
-#include "compositor/internal/canvas.h"
-#include "compositor/internal/contour.h"
-#include "compositor/internal/draw_list.h"
-#include "compositor/internal/gl.h"
-#include "compositor/internal/projection.h"
+#include "compositor/layers/canvas.h"
+#include "compositor/layers/contour.h"
+#include "compositor/layers/draw_list.h"
+#include "compositor/layers/gl.h"
+#include "compositor/projection.h"
+#include "compositor/view.h"
 #include "prt/bake/bake.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"

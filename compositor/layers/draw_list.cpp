@@ -1,4 +1,4 @@
-#include "compositor/internal/draw_list.h"
+#include "compositor/layers/draw_list.h"
 
 #include <algorithm>
 #include <array>

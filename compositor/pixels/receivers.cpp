@@ -1,4 +1,4 @@
-#include "compositor/internal/receivers.h"
+#include "compositor/pixels/receivers.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "compositor/internal/canvas.h"
+#include "compositor/layers/canvas.h"
 
 #include <utility>
 

@@ -1,4 +1,4 @@
-#include "compositor/internal/sensor_effects.h"
+#include "compositor/pixels/sensor_effects.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,9 +1,9 @@
-#include "compositor/internal/pixel_pass.h"
+#include "compositor/pixels/pixel_pass.h"
 
 #include <atomic>
 
-#include "compositor/internal/code_row.h"
-#include "compositor/internal/layered_rows.h"
+#include "compositor/pixels/code_row.h"
+#include "compositor/pixels/layered_rows.h"
 #include "core/threads/parallel.h"
 
 namespace penumbra::compositor {

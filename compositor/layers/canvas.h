@@ -6,8 +6,8 @@
 #include <span>
 #include <vector>
 
-#include "compositor/internal/gl.h"
-#include "compositor/internal/projection.h"
+#include "compositor/layers/gl.h"
+#include "compositor/projection.h"
 #include "core/result.h"
 
 namespace penumbra::compositor {

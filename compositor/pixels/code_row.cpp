@@ -1,9 +1,9 @@
-#include "compositor/internal/code_row.h"
+#include "compositor/pixels/code_row.h"
 
 #include <algorithm>
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "compositor/code_row.cpp"
+#define HWY_TARGET_INCLUDE "compositor/pixels/code_row.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -3,11 +3,11 @@
 #include <cmath>
 #include <vector>
 
-#include "compositor/internal/sensor_effects.h"
+#include "compositor/pixels/sensor_effects.h"
 #include "core/normal_quantiles.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "compositor/sensor_kernel.cpp"
+#define HWY_TARGET_INCLUDE "compositor/pixels/sensor_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -1,13 +1,13 @@
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 
 #include <fmt/format.h>
 
 #include <cassert>
 
-#include "compositor/internal/gl.h"
-#include "compositor/internal/layered_rows.h"
-#include "compositor/internal/pixel_pass.h"
-#include "compositor/internal/sensor_effects.h"
+#include "compositor/layers/gl.h"
+#include "compositor/pixels/layered_rows.h"
+#include "compositor/pixels/pixel_pass.h"
+#include "compositor/pixels/sensor_effects.h"
 #include "core/threads/background_task.h"
 
 namespace penumbra::compositor {

@@ -6,8 +6,8 @@
 #include <utility>
 #include <vector>
 
-#include "compositor/compositor.h"
-#include "compositor/internal/projection.h"
+#include "compositor/projection.h"
+#include "compositor/view.h"
 
 namespace penumbra::compositor {
 

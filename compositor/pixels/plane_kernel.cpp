@@ -1,11 +1,11 @@
 #include <algorithm>
 #include <cstring>
 
-#include "compositor/internal/receivers.h"
+#include "compositor/pixels/receivers.h"
 #include "prt/geometry/receiver.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "compositor/plane_kernel.cpp"
+#define HWY_TARGET_INCLUDE "compositor/pixels/plane_kernel.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

@@ -10,7 +10,7 @@
 #include <span>
 #include <vector>
 
-#include "compositor/internal/canvas.h"
+#include "compositor/layers/canvas.h"
 #include "prt/geometry/mesh.h"
 
 namespace penumbra::compositor {

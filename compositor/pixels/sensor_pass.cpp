@@ -2,9 +2,9 @@
 
 #include <atomic>
 
-#include "compositor/internal/code_row.h"
-#include "compositor/internal/layered_rows.h"
-#include "compositor/internal/sensor_effects.h"
+#include "compositor/pixels/code_row.h"
+#include "compositor/pixels/layered_rows.h"
+#include "compositor/pixels/sensor_effects.h"
 #include "core/threads/parallel.h"
 
 namespace penumbra::compositor {

@@ -1,7 +1,7 @@
-#include "compositor/internal/half_rows.h"
+#include "compositor/pixels/half_rows.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "compositor/half_rows.cpp"
+#define HWY_TARGET_INCLUDE "compositor/pixels/half_rows.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 

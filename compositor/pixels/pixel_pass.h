@@ -3,7 +3,7 @@
 
 #include <cstddef>
 
-#include "compositor/compositor.h"
+#include "compositor/view.h"
 
 namespace penumbra::compositor {
 

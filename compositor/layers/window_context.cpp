@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "compositor/internal/gl.h"
+#include "compositor/layers/gl.h"
 
 namespace penumbra::compositor {
 

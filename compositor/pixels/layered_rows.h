@@ -8,10 +8,10 @@
 
 #include "calib/camera/response_table.h"
 #include "calib/camera/vignetting.h"
-#include "compositor/internal/code_row.h"
-#include "compositor/internal/half_rows.h"
-#include "compositor/internal/layers.h"
-#include "compositor/internal/receivers.h"
+#include "compositor/layers/layers.h"
+#include "compositor/pixels/code_row.h"
+#include "compositor/pixels/half_rows.h"
+#include "compositor/pixels/receivers.h"
 
 namespace penumbra::compositor {
 

@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "compositor/compositor.h"
+#include "compositor/view.h"
 #include "core/result.h"
 
 namespace penumbra::compositor {

@@ -1,4 +1,4 @@
-#include "compositor/internal/contour.h"
+#include "compositor/layers/contour.h"
 
 #include <algorithm>
 #include <cmath>

@@ -3,7 +3,7 @@
 #include <glm/gtc/quaternion.hpp>
 #include <glm/vector_relational.hpp>
 
-#include "compositor/internal/layers.h"
+#include "compositor/layers/layers.h"
 #include "prt/geometry/mesh.h"
 #include "prt/geometry/pinhole_view.h"
 

@@ -9,8 +9,8 @@
 #include <span>
 #include <vector>
 
-#include "compositor/compositor.h"
-#include "compositor/internal/projection.h"
+#include "compositor/projection.h"
+#include "compositor/view.h"
 #include "core/pose.h"
 #include "prt/geometry/pinhole_view.h"
 #include "prt/geometry/receiver.h"

@@ -1,4 +1,4 @@
-#include "compositor/internal/layers.h"
+#include "compositor/layers/layers.h"
 
 #include <fmt/format.h>
 

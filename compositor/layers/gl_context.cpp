@@ -6,7 +6,7 @@
 #include <cstring>
 #include <vector>
 
-#include "compositor/internal/gl.h"
+#include "compositor/layers/gl.h"
 
 namespace penumbra::compositor {
 

@@ -9,7 +9,7 @@ extern "C" {
 
 #include <cmath>
 
-#include "compositor/compositor.h"
+#include "compositor/composite/compositor.h"
 
 namespace penumbra::compositor {
 
