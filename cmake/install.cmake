@@ -6,10 +6,13 @@ set(penumbra_header_rooms core codec calib capture lighting prt shadows composit
 install(DIRECTORY ${penumbra_header_rooms}
         DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/penumbra COMPONENT dev
         FILES_MATCHING PATTERN "*.h" PATTERN internal EXCLUDE
-        # What rooms of one folder share among themselves, and the studio of the demo.
+        # What rooms of one folder share among themselves: none of it can be seen in the shared
+        # library.
         PATTERN sh_inpainting.h EXCLUDE PATTERN latlong_kernel.h EXCLUDE
-        PATTERN studio_setup.h EXCLUDE
-        PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE)
+        PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE
+        PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
+        REGEX "runtime/shading/.*_(stage|recovery|light)\\.h$" EXCLUDE
+        REGEX "runtime/pipeline/(runner|light_estimation_stage|governor_config|single_.*)\\.h$" EXCLUDE)
 # Installed headers include each other as <penumbra/...>: a program may have a core/result.h too.
 list(JOIN penumbra_header_rooms "|" penumbra_room)
 install(CODE "

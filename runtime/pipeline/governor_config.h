@@ -6,7 +6,6 @@
 #include "lighting/governor.h"
 #include "runtime/scene/scene.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// Of all objects: what the floors under them lose, as baked, and some of their own points, world
@@ -30,4 +29,3 @@ Result<lighting::GovernorConfig> make_governor_config(const PreparedScene& scene
                                                       CostSource costs);
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

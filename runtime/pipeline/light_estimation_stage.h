@@ -20,7 +20,6 @@
 #include "lighting/light_estimate.h"
 #include "lighting/saturation_recovery.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class LightEstimationStage {
@@ -99,4 +98,3 @@ class LightEstimationStage {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

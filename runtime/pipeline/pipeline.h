@@ -117,7 +117,7 @@ class Pipeline {
   /// threads: thread-safe
   StageTimes& timings();
   const runtime::PreparedScene& scene() const;
-  /// For measurements of its parts.
+  /// For measurements in this repository: its header is not installed.
   runtime::CompositeStage& stage();
   /// What draws; it shows pictures where has_window().
   compositor::Compositor& output();

@@ -8,7 +8,6 @@
 #include "core/threads/stage_times.h"
 #include "runtime/pipeline/runs.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class CompositeStage;
@@ -29,4 +28,3 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
                            const std::atomic<bool>& stop);
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

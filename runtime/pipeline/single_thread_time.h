@@ -4,7 +4,6 @@
 
 #include <functional>
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 struct LightTime {
@@ -15,4 +14,3 @@ struct LightTime {
 LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

@@ -36,7 +36,6 @@
 #include "runtime/surroundings/plane_light.h"
 #include "shadows/field/planar_shadow.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// A frame that has been begun, apart from the stage.
@@ -240,4 +239,3 @@ class CompositeStage {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

@@ -22,7 +22,6 @@
 #include "shadows/silhouette/silhouette_cache.h"
 #include "shadows/silhouette/silhouette_mesh.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class DirectLightStage {
@@ -152,4 +151,3 @@ class DirectLightStage {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

@@ -16,7 +16,6 @@
 #include "prt/geometry/rays.h"
 #include "runtime/scene/scene.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class FloorRecovery {
@@ -75,4 +74,3 @@ class FloorRecovery {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

@@ -11,7 +11,6 @@
 #include "shadows/silhouette/occluders.h"
 #include "shadows/silhouette/shadow_map.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class LampStage {
@@ -46,4 +45,3 @@ class LampStage {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

@@ -12,7 +12,6 @@
 #include "runtime/shading/lamp_stage.h"
 #include "shadows/field/planar_shadow.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 class RealSurfaceStage {
@@ -52,4 +51,3 @@ class RealSurfaceStage {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

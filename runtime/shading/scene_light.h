@@ -13,7 +13,6 @@
 #include "prt/geometry/plane.h"
 #include "prt/transfer/transfer.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// A plane counts as level when its normal's y is larger: within a quarter of a degree.
@@ -35,4 +34,3 @@ RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

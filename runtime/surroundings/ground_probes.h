@@ -17,7 +17,6 @@
 #include "runtime/surroundings/real_point.h"
 #include "shadows/silhouette/occluders.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// A ray from the floor that meets the object, or something real past it.
@@ -69,4 +68,3 @@ class GroundProbes {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

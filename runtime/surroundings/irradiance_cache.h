@@ -19,7 +19,6 @@
 #include "runtime/surroundings/real_point.h"
 #include "shadows/silhouette/occluders.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// A ray that virtual things may have changed: it meets one of them, or a plane near one.
@@ -94,4 +93,3 @@ class IrradianceCache {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

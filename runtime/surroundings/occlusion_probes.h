@@ -16,7 +16,6 @@
 #include "runtime/surroundings/real_point.h"
 #include "shadows/silhouette/occluders.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// A direction, of OcclusionProbes::kSphereRays even ones, in which something real hides the sky
@@ -123,4 +122,3 @@ class OcclusionProbes {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

@@ -14,7 +14,6 @@
 #include "prt/geometry/receiver.h"
 #include "shadows/field/planar_shadow.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 /// What one thing takes of the residual on the plane that it stands on.
@@ -55,4 +54,3 @@ class PlaneLight {
 };
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop

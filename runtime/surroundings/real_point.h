@@ -11,7 +11,6 @@
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
 
-#pragma GCC visibility push(default)
 namespace penumbra::runtime {
 
 struct RealPoint {
@@ -37,4 +36,3 @@ std::optional<MetReal> meet_real(std::span<const prt::Plane> planes, const prt::
 int plane_at(std::span<const prt::Plane> planes, const glm::dvec3& foot, const glm::dvec3& up);
 
 }  // namespace penumbra::runtime
-#pragma GCC visibility pop
