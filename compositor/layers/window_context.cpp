@@ -17,8 +17,10 @@ class WindowContext final : public GlContext {
       static_cast<WindowContext*>(glfwGetWindowUserPointer(w))->wheel_ += notches;
     });
     glfwSetKeyCallback(window, [](GLFWwindow* w, int key, int, int action, int) {
-      if (action == GLFW_PRESS && key >= GLFW_KEY_1 && key <= GLFW_KEY_9)
-        static_cast<WindowContext*>(glfwGetWindowUserPointer(w))->number_ = key - GLFW_KEY_0;
+      if (action != GLFW_PRESS) return;
+      auto* const self = static_cast<WindowContext*>(glfwGetWindowUserPointer(w));
+      if (key >= GLFW_KEY_1 && key <= GLFW_KEY_9) self->number_ = key - GLFW_KEY_0;
+      if (key == GLFW_KEY_SPACE) self->space_ = true;
     });
   }
   ~WindowContext() override {
@@ -33,6 +35,7 @@ class WindowContext final : public GlContext {
     glfwSwapBuffers(window_);
     wheel_ = 0;
     number_ = 0;
+    space_ = false;
     glfwPollEvents();
     return !glfwWindowShouldClose(window_) && glfwGetKey(window_, GLFW_KEY_ESCAPE) != GLFW_PRESS;
   }
@@ -46,6 +49,7 @@ class WindowContext final : public GlContext {
     out.right = glfwGetMouseButton(window_, GLFW_MOUSE_BUTTON_RIGHT) == GLFW_PRESS;
     out.wheel = wheel_;
     out.number = number_;
+    out.space = space_;
     return out;
   }
   std::pair<int, int> size() const override {
@@ -58,6 +62,7 @@ class WindowContext final : public GlContext {
   GLFWwindow* window_;
   double wheel_ = 0;  // notches since the last show()
   int number_ = 0;    // the last number key since then
+  bool space_ = false;
 };
 
 }  // namespace

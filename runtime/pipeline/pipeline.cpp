@@ -189,6 +189,11 @@ Result<void> Pipeline::show_object(std::string_view object, bool visible) {
   return impl_->composite->moves().show(object, visible);
 }
 
+Result<void> Pipeline::play_object(std::string_view object,
+                                   const runtime::ObjectPlayback& playback) {
+  return impl_->composite->moves().play(object, playback);
+}
+
 Result<void> Pipeline::follow(const runtime::ObjectTrack& track) {
   return impl_->composite->moves().follow(track);
 }

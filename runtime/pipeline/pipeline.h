@@ -96,6 +96,11 @@ class Pipeline {
   /// threads: any, also during a run
   /// errors: kNotFound (no such object)
   Result<void> show_object(std::string_view object, bool visible);
+  /// From the next frame on a clip goes on from another time, at another speed, backwards or not at
+  /// all, and two clips blend by another weight. So does a turntable.
+  /// threads: any, also during a run
+  /// errors: kNotFound (no such object), kNonFinite, kInvalid (it plays nothing; a bad weight)
+  Result<void> play_object(std::string_view object, const runtime::ObjectPlayback& playback);
   /// As move_object() over time, by the times of the view frames.
   Result<void> follow(const runtime::ObjectTrack& track);
 

@@ -59,11 +59,11 @@ prt::Mesh room_of(const Animation& animation) {
 
 }  // namespace
 
-prt::CharacterPose Animation::pose_at(double seconds) const {
+prt::CharacterPose Animation::pose_at(double seconds, float weight) const {
   const auto sampled = [&](int number) {
     return prt::sample(character, character.clips[static_cast<std::size_t>(number)], seconds);
   };
-  return blend ? prt::blend(sampled(clip), sampled(*blend), blend_weight) : sampled(clip);
+  return blend ? prt::blend(sampled(clip), sampled(*blend), weight) : sampled(clip);
 }
 
 double Animation::longest_clip_s() const {
@@ -353,9 +353,10 @@ bool PreparedObject::move_to(double seconds, const MoveOptions& options) {
   if (!animation) return false;
   const prt::BakedSequence& s = animation->sequence;
   const double wanted = animation->live ? seconds : s.frame_at(seconds);
-  if (wanted == frame) return false;
-  frame = wanted;
-  const prt::CharacterPose pose = animation->pose_at(seconds);
+  const float wanted_weight = options.blend_weight.value_or(animation->blend_weight);
+  if (wanted == frame && wanted_weight == weight) return false;
+  frame = wanted, weight = wanted_weight;
+  const prt::CharacterPose pose = animation->pose_at(seconds, weight);
   if (animation->live) {
     if (live) trace(pose, animation->live_seconds, options.keep_time, *live, baked);
     return live != nullptr;

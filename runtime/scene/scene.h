@@ -98,7 +98,8 @@ struct Animation {
   double live_seconds = 0;  // a frame may take for its transfer
   int bands = 5;            // of live transfer
 
-  prt::CharacterPose pose_at(double seconds) const;
+  prt::CharacterPose pose_at(double seconds) const { return pose_at(seconds, blend_weight); }
+  prt::CharacterPose pose_at(double seconds, float weight) const;
   double longest_clip_s() const;
 };
 
@@ -120,6 +121,7 @@ struct PreparedObject {
   double spin_rpm = 0;
   std::shared_ptr<const Animation> animation{};  // null: it does not move by itself
   double frame = 0;                      // of the animation; seconds where its transfer is live
+  float weight = 0;                      // of its second clip then
   std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
   std::vector<glm::mat3> turns{};        // of its bones then
   bool visible = true;                   // from the start
@@ -133,6 +135,7 @@ struct PreparedObject {
     /// Rays of live transfer keep to the time that the animation allows them a frame; else their
     /// number is always the same.
     bool keep_time = false;
+    std::optional<float> blend_weight{};  // of the second clip; nothing: as the animation has it
   };
   /// Brings an animation to a time: its mesh and its transfer. Returns false where nothing moved.
   bool move_to(double seconds, const MoveOptions& options);

@@ -145,9 +145,9 @@ std::shared_ptr<const RelightBases> CompositeStage::bases_of(const prt::BakedObj
   return std::make_shared<const RelightBases>(baked);
 }
 
-// Brings all that moves by itself and is visible to a time. Where shadows can meet others their
-// coefficients are needed.
-bool CompositeStage::move_to(double seconds) {
+// Brings all that moves by itself and is visible to where it is now. Where shadows can meet others
+// their coefficients are needed.
+bool CompositeStage::move_objects() {
   if (!moving_) return false;
   const StageTimer timer(times_, "animation");
   const bool alone = objects_.size() == 1;
@@ -155,7 +155,9 @@ bool CompositeStage::move_to(double seconds) {
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     PreparedObject& o = moving_->objects[i];
     if (!objects_[i].visible ||
-        !o.move_to(seconds, {.all_transfer = !alone, .keep_time = keeps_time_}))
+        !o.move_to(objects_[i].clip_time_s, {.all_transfer = !alone,
+                                             .keep_time = keeps_time_,
+                                             .blend_weight = objects_[i].blend_weight}))
       continue;
     compositor_->update_vertices(objects_[i].handle, o.baked.mesh);
     lights_.update_vertices(i);
@@ -171,13 +173,15 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     const ObjectMoves::ObjectNow now = moves_.at(i, seconds);
     objects_[i].visible = now.visible;
+    objects_[i].clip_time_s = now.clip_time_s;
+    objects_[i].blend_weight = now.blend_weight;
     poses.push_back(now.world_from_bake);
     compositor_->show(objects_[i].handle, now.visible);
     compositor_->set_pose(objects_[i].handle, poses[i]);
     lights_.show(i, now.visible);
     lights_.set_pose(i, poses[i]);
   }
-  const bool other_form = move_to(seconds);
+  const bool other_form = move_objects();
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
     surroundings_.update(lights_.occluders(), poses);
@@ -432,7 +436,7 @@ std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
 }
 
 void CompositeStage::warm_up() {
-  move_to(0);  // live transfer begins with many rays
+  move_objects();  // live transfer begins with many rays
   const auto camera = std::ranges::find(views_, capture::Role::kView,
                                         [](const ViewCamera& v) { return v.info.role; });
   const calib::CameraModel& p = camera->info.projection;

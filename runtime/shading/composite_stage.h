@@ -125,6 +125,8 @@ class CompositeStage {
     const PreparedObject* prepared;
     int handle;
     bool visible = true;
+    double clip_time_s = 0;
+    std::optional<float> blend_weight{};  // nothing: as the scene has it
     std::optional<ObjectLight> light_used{};
     // Of all copies that share their transfer; none of an animation
     std::shared_ptr<const RelightBases> bases{};
@@ -206,7 +208,7 @@ class CompositeStage {
                        bool other_form);
   void light_planes(const std::vector<Pose>& poses);
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
-  bool move_to(double seconds);
+  bool move_objects();
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
   const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);

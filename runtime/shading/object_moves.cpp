@@ -9,6 +9,7 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <map>
+#include <utility>
 
 #include "core/conventions.h"
 #include "core/io/files.h"
@@ -96,9 +97,10 @@ Result<ObjectTrack> read_object_track(const std::filesystem::path& path) {
 }
 
 ObjectMoves::ObjectMoves(const PreparedScene& scene)
-    : scene_(scene), places_(scene.objects.size()) {
+    : scene_(scene), places_(scene.objects.size()), playing_(scene.objects.size()) {
   for (const PreparedObject& o : scene.objects)
-    resting_.push_back({o.name, o.world_from_bake, o.baked.receiver.has_value()});
+    resting_.push_back({o.name, o.world_from_bake, o.baked.receiver.has_value(),
+                        o.animation || o.spin_rpm != 0, o.animation && o.animation->blend});
   for (const PreparedObject& o : scene.objects) visible_.push_back(o.visible);
 }
 
@@ -128,14 +130,14 @@ Result<void> ObjectMoves::check(std::size_t object, const ObjectPlace& place) co
                           off));
 }
 
-Pose ObjectMoves::pose_at(std::size_t object, const ObjectPlace& place, double seconds) const {
+Pose ObjectMoves::pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const {
   const Resting& o = resting_[object];
   const glm::dvec3 normal = o.world_from_bake.rotation * glm::dvec3(0, 1, 0);
   const glm::dvec3 at =
       place.position_m - (o.on_plane ? off_plane(o.world_from_bake, place.position_m) : 0) * normal;
   const Pose turn{glm::angleAxis(place.turn_rad, glm::dvec3(0, 1, 0)), {0, 0, 0}};
   // A turntable turns it about its own axis, as from the scene's pose.
-  const Pose spun = o.world_from_bake.inverse() * scene_.objects[object].pose_at(seconds);
+  const Pose spun = o.world_from_bake.inverse() * scene_.objects[object].pose_at(turntable_s);
   return Pose{o.world_from_bake.rotation, at} * turn * spun;
 }
 
@@ -175,27 +177,62 @@ Result<void> ObjectMoves::show(std::string_view object, bool visible) {
   return {};
 }
 
-ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) const {
+Result<void> ObjectMoves::play(std::string_view object, const ObjectPlayback& playback) {
+  PENUMBRA_ASSIGN(index, index_of(object));
+  const Resting& o = resting_[index];
+  const std::string where = fmt::format("object \"{}\"", o.name);
+  const double weight = playback.blend_weight.value_or(0);
+  if (!std::isfinite(playback.clip_time_s.value_or(0) + playback.speed + weight))
+    return fail(ErrorCode::kNonFinite, where, "is to play at a time or speed that is not finite");
+  if (!o.plays) return fail(ErrorCode::kInvalid, where, "has neither a clip nor a turntable");
+  if (playback.blend_weight && !o.blends)
+    return fail(ErrorCode::kInvalid, where, "has no second clip to blend with");
+  if (!(weight >= 0 && weight <= 1))
+    return fail(ErrorCode::kInvalid, where,
+                fmt::format("has a blend weight of {}, which is not within 0..1", weight));
+  const std::scoped_lock lock(mutex_);
+  playing_[index].next = playback;
+  return {};
+}
+
+// In the lock.
+const ObjectMoves::Playing& ObjectMoves::play_on(std::size_t object, double seconds) {
+  Playing& now = playing_[object];
+  if (!now.next) return now;
+  const ObjectPlayback next = *std::exchange(now.next, std::nullopt);
+  now.from_s = next.clip_time_s.value_or(now.clip_time_at(seconds));
+  now.since_s = seconds;
+  now.speed = next.speed;
+  if (next.blend_weight) now.blend_weight = static_cast<float>(*next.blend_weight);
+  return now;
+}
+
+ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) {
   constexpr double kOutOfTheWorld_m = 1e5;
   const std::scoped_lock lock(mutex_);
-  if (visible_[object]) return {true, placed(object, seconds)};
+  const Playing& playing = play_on(object, seconds);
+  const double clip_time_s = playing.clip_time_at(seconds);
+  if (visible_[object])
+    return {true, placed(object, seconds, clip_time_s), clip_time_s, playing.blend_weight};
   // Always the same, so that it counts as at rest.
   const Pose& rest = resting_[object].world_from_bake;
   return {
       false,
-      {rest.rotation, rest.translation - kOutOfTheWorld_m * (rest.rotation * glm::dvec3(0, 1, 0))}};
+      {rest.rotation, rest.translation - kOutOfTheWorld_m * (rest.rotation * glm::dvec3(0, 1, 0))},
+      clip_time_s,
+      playing.blend_weight};
 }
 
 // In the lock.
-Pose ObjectMoves::placed(std::size_t object, double seconds) const {
+Pose ObjectMoves::placed(std::size_t object, double seconds, double turntable_s) const {
   const std::vector<TimedPlace>& places = places_[object];
-  if (places.empty()) return scene_.objects[object].pose_at(seconds);
+  if (places.empty()) return scene_.objects[object].pose_at(turntable_s);
   const auto next = std::ranges::upper_bound(places, seconds, {}, &TimedPlace::time_s);
-  if (next == places.begin()) return pose_at(object, next->place, seconds);
+  if (next == places.begin()) return pose_at(object, next->place, turntable_s);
   const auto last = next - 1;
-  if (next == places.end()) return pose_at(object, last->place, seconds);
+  if (next == places.end()) return pose_at(object, last->place, turntable_s);
   const double fraction = (seconds - last->time_s) / (next->time_s - last->time_s);
-  return pose_at(object, between(last->place, next->place, fraction), seconds);
+  return pose_at(object, between(last->place, next->place, fraction), turntable_s);
 }
 
 }  // namespace penumbra::runtime

@@ -24,6 +24,13 @@ struct ObjectPlace {
   double turn_rad = 0;
 };
 
+/// How an object plays its clip and turns on its turntable, from the next frame on.
+struct ObjectPlayback {
+  std::optional<double> clip_time_s{};   // where it is then; nothing: where it has come to
+  double speed = 1;                      // seconds of the clip a second: 0 rests, below 0 goes back
+  std::optional<double> blend_weight{};  // 0..1 of a second clip; nothing: as it was
+};
+
 /// Places over time of some objects; between two of an object's it glides and turns evenly, before
 /// the first and after the last it rests there.
 struct ObjectTrack {
@@ -55,12 +62,18 @@ class ObjectMoves {
   /// Takes an object out of the world, or puts it back to where it would be by now.
   /// errors: kNotFound
   Result<void> show(std::string_view object, bool visible);
+  /// errors: kNotFound, kNonFinite, kInvalid (an object without clip or turntable; a weight outside
+  ///         0..1, or of an object without a second clip)
+  Result<void> play(std::string_view object, const ObjectPlayback& playback);
   struct ObjectNow {
     bool visible;
     // Of one that is not, so far below its plane that it takes part in nothing
     Pose world_from_bake;
+    double clip_time_s;                 // of its clip and turntable
+    std::optional<float> blend_weight;  // nothing: as the scene has it
   };
-  ObjectNow at(std::size_t object, double seconds) const;
+  /// A playback that was asked for begins with the first time it is asked after.
+  ObjectNow at(std::size_t object, double seconds);
 
  private:
   struct TimedPlace {
@@ -72,16 +85,25 @@ class ObjectMoves {
     std::string name;
     Pose world_from_bake;
     bool on_plane;
+    bool plays, blends;
+  };
+  struct Playing {
+    double since_s = 0, from_s = 0, speed = 1;  // at since_s it was at from_s
+    std::optional<float> blend_weight{};
+    std::optional<ObjectPlayback> next{};
+    double clip_time_at(double seconds) const { return from_s + speed * (seconds - since_s); }
   };
   Result<std::size_t> index_of(std::string_view object) const;
   Result<void> check(std::size_t object, const ObjectPlace& place) const;
-  Pose pose_at(std::size_t object, const ObjectPlace& place, double seconds) const;
-  Pose placed(std::size_t object, double seconds) const;
+  Pose pose_at(std::size_t object, const ObjectPlace& place, double turntable_s) const;
+  Pose placed(std::size_t object, double seconds, double turntable_s) const;
+  const Playing& play_on(std::size_t object, double seconds);
   const PreparedScene& scene_;
   std::vector<Resting> resting_;
   mutable std::mutex mutex_;
   std::vector<std::vector<TimedPlace>> places_;  // by object; empty: as the scene has it
   std::vector<char> visible_;                    // by object
+  std::vector<Playing> playing_;                 // by object
 };
 
 }  // namespace penumbra::runtime

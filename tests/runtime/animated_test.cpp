@@ -371,6 +371,40 @@ TEST(Animated, TakenAwayItRestsAndShownAgainItHasGoneOn) {
   EXPECT_LT(apart / static_cast<double>(truth.area()), 1e-4);
 }
 
+// Held it is drawn the same at any time; told another time it is drawn as one that came there.
+TEST(Animated, IsHeldAndSetToAnotherTimeByACall) {
+  const test::TempFolder folder;
+  Scene scene = walker_scene();
+  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared) << prepared.error().detail;
+  const prt::PinholeView view = view_of(80, 120);
+  const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
+  auto played = make_still_pipeline(*prepared, view, {}),
+       plain = make_still_pipeline(*prepared, view, {});
+  ASSERT_TRUE(played && plain);
+  const Still backdrop{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
+  const auto draw = [&](Pipeline& p, double t) {
+    return composite_still(p, view, *estimate, backdrop, t)->radiance;
+  };
+  const auto apart = [](const Image<Rgb>& a, const Image<Rgb>& b) {
+    double sum = 0;
+    for (std::size_t i = 0; i < a.area(); ++i)
+      sum += std::abs(luminance(a.pixels()[i]) - luminance(b.pixels()[i]));
+    return sum / static_cast<double>(a.area());
+  };
+  const std::string& name = prepared->objects[0].name;
+  draw(*played, 0), draw(*plain, 0);
+  ASSERT_TRUE(played->play_object(name, {.speed = 0}));
+  const Image<Rgb> held = draw(*played, .2);
+  EXPECT_EQ(apart(draw(*played, .6), held), 0) << "held";
+  const Image<Rgb> truth = draw(*plain, .4);
+  EXPECT_GT(apart(truth, held), 1e-3) << "another pose";
+  ASSERT_TRUE(played->play_object(name, {.clip_time_s = .4}));
+  EXPECT_LT(apart(draw(*played, .9), truth), 1e-4);
+  EXPECT_LT(apart(draw(*played, 1.1), draw(*plain, .6)), 1e-4) << "and goes on from there";
+}
+
 TEST(Animated, AScenePlaysAFileThatWasBakedBefore) {
   const test::TempFolder folder;
   const auto [file, half_extent] = coarse_walk(folder, {.7f, .7f, .7f});

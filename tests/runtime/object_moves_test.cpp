@@ -254,6 +254,42 @@ TEST(ObjectMoves, BadPlacesAreRefusedAndChangeNothing) {
   EXPECT_NEAR(moves.at(0, 0).world_from_bake.translation.y, 0, 1e-12) << "on its plane";
 }
 
+TEST(ObjectMoves, PlaybackStandsStillGoesBackAndGoesOnFromWhereItHasComeTo) {
+  Scene scene = scene_of({thing("turning", {}), thing("still", {1, 0, 0})});
+  scene.objects[0].spin_rpm = 3;
+  const auto ready = prepared(scene);
+  ObjectMoves moves(*ready);
+  EXPECT_EQ(moves.at(0, 1.25).clip_time_s, 1.25) << "to the bit, as long as nobody asks";
+  ASSERT_TRUE(moves.play("turning", {.speed = 0}));
+  const ObjectMoves::ObjectNow held = moves.at(0, 2);
+  EXPECT_EQ(held.clip_time_s, 2);
+  const Pose later = moves.at(0, 7).world_from_bake;
+  EXPECT_EQ(later.rotation, held.world_from_bake.rotation) << "the turntable stands";
+  ASSERT_TRUE(moves.play("turning", {.speed = -2}));
+  EXPECT_EQ(moves.at(0, 8).clip_time_s, 2) << "from where it has come to";
+  EXPECT_EQ(moves.at(0, 9).clip_time_s, 0);
+  ASSERT_TRUE(moves.play("turning", {.clip_time_s = 5}));
+  EXPECT_EQ(moves.at(0, 10).clip_time_s, 5);
+  EXPECT_EQ(moves.at(0, 10.5).clip_time_s, 5.5);
+  EXPECT_EQ(moves.at(1, 10.5).clip_time_s, 10.5) << "others go on";
+}
+
+TEST(ObjectMoves, BadPlaybacksAreRefusedAndChangeNothing) {
+  Scene scene = scene_of({thing("turning", {}), thing("still", {1, 0, 0})});
+  scene.objects[0].spin_rpm = 3;
+  const auto ready = prepared(scene);
+  ObjectMoves moves(*ready);
+  EXPECT_EQ(moves.play("turnin", {}).error().code, ErrorCode::kNotFound);
+  EXPECT_EQ(moves.play("turning", {.speed = NAN}).error().code, ErrorCode::kNonFinite);
+  EXPECT_EQ(moves.play("turning", {.clip_time_s = INFINITY}).error().code, ErrorCode::kNonFinite);
+  EXPECT_EQ(moves.play("turning", {.blend_weight = .5}).error().code, ErrorCode::kInvalid);
+  const auto still = moves.play("still", {.speed = 0});
+  ASSERT_FALSE(still);
+  EXPECT_EQ(still.error().where, "object \"still\"");
+  EXPECT_EQ(still.error().detail, "has neither a clip nor a turntable");
+  EXPECT_EQ(moves.at(0, 3).clip_time_s, 3);
+}
+
 TEST(ObjectMoves, ATurntableGoesOnTurning) {
   SceneObject o = thing("cup", {0, 0, 0}, .3);
   o.spin_rpm = 10;

@@ -37,6 +37,10 @@ class Mouse : public testing::Test {
         [this](std::string_view name, bool visible) {
           visible_[std::string(name)] = visible;
           return Result<void>{};
+        },
+        [this](std::string_view name, const runtime::ObjectPlayback& playback) {
+          speeds_[std::string(name)] = playback.speed;
+          return Result<void>{};
         });
   }
   glm::dvec2 seen(const glm::dvec3& world) const {
@@ -54,7 +58,20 @@ class Mouse : public testing::Test {
   std::optional<ObjectMouse> mouse_;
   std::map<std::string, runtime::ObjectPlace> places_;
   std::map<std::string, bool> visible_;
+  std::map<std::string, double> speeds_;
 };
+
+TEST_F(Mouse, TheSpaceBarHoldsWhatTurnsAndLetsItGoOn) {
+  scene_.objects[1].spin_rpm = 4;
+  compositor::Pointer pointer;
+  pointer.space = true;
+  mouse_->update(pointer, camera_, world_from_camera_);
+  EXPECT_EQ(speeds_, (std::map<std::string, double>{{"right", 0}}));
+  mouse_->update({}, camera_, world_from_camera_);
+  EXPECT_EQ(speeds_.at("right"), 0) << "a key that is not pressed";
+  mouse_->update(pointer, camera_, world_from_camera_);
+  EXPECT_EQ(speeds_.at("right"), 1);
+}
 
 TEST_F(Mouse, NumberKeysTakeObjectsAwayAndPutThemBack) {
   const auto press = [&](int key) {

@@ -30,8 +30,8 @@ std::optional<double> sphere_hit(const glm::dvec3& origin, const glm::dvec3& dir
 
 }  // namespace
 
-ObjectMouse::ObjectMouse(const runtime::PreparedScene& scene, Move move, Show show)
-    : scene_(scene), move_(std::move(move)), show_(std::move(show)) {
+ObjectMouse::ObjectMouse(const runtime::PreparedScene& scene, Move move, Show show, Play play)
+    : scene_(scene), move_(std::move(move)), show_(std::move(show)), play_(std::move(play)) {
   for (const runtime::PreparedObject& o : scene.objects) {
     places_.push_back({o.world_from_bake.translation, 0});
     visible_.push_back(o.visible);
@@ -76,6 +76,12 @@ void ObjectMouse::toggle(int number) {
   (void)show_(scene_.objects[object].name, visible_[object]);
 }
 
+void ObjectMouse::hold_or_go_on() {
+  held_still_ = !held_still_;
+  for (const runtime::PreparedObject& o : scene_.objects)
+    if (o.animation || o.spin_rpm != 0) (void)play_(o.name, {.speed = held_still_ ? 0. : 1.});
+}
+
 void ObjectMouse::drag(const Ray& ray) {
   const auto floor = on_plane(held_->object, ray);
   if (!floor) return;
@@ -92,6 +98,7 @@ void ObjectMouse::turn(double angle_rad) {
 void ObjectMouse::update(const compositor::Pointer& pointer, const calib::CameraModel& camera,
                          const Pose& world_from_camera) {
   toggle(pointer.number);
+  if (pointer.space) hold_or_go_on();
   const bool pressed = pointer.left || pointer.right;
   const bool before = std::exchange(pressed_, pressed), begins = pressed && !before;
   const double moved_x = pointer.place.x - std::exchange(last_x_, pointer.place.x);

@@ -18,14 +18,16 @@
 namespace penumbra::tools {
 
 /// The left button drags an object along the plane that it stands on, the right one and the wheel
-/// turn it about the plane's normal. Key N takes the scene's Nth object away and puts it back.
+/// turn it about the plane's normal. Key N takes the scene's Nth object away and puts it back. The
+/// space bar holds all that plays or turns, and lets it go on.
 /// threads: thread-bound
 class ObjectMouse {
  public:
   using Move = std::function<Result<void>(std::string_view, const runtime::ObjectPlace&)>;
   using Show = std::function<Result<void>(std::string_view, bool visible)>;
+  using Play = std::function<Result<void>(std::string_view, const runtime::ObjectPlayback&)>;
   /// The scene must outlive it.
-  ObjectMouse(const runtime::PreparedScene& scene, Move move, Show show);
+  ObjectMouse(const runtime::PreparedScene& scene, Move move, Show show, Play play);
   /// After each frame, with the camera that it shows.
   void update(const compositor::Pointer& pointer, const calib::CameraModel& camera,
               const Pose& world_from_camera);
@@ -44,10 +46,13 @@ class ObjectMouse {
   void turn(double angle_rad);
   void put(std::size_t object);
   void toggle(int number);
+  void hold_or_go_on();
 
   const runtime::PreparedScene& scene_;
   Move move_;
   Show show_;
+  Play play_;
+  bool held_still_ = false;
   std::vector<runtime::ObjectPlace> places_;
   std::vector<char> visible_;  // by object
   std::optional<Held> held_;

@@ -163,11 +163,15 @@ Result<void> demo(const DemoOptions& o) {
       [&](std::string_view object, const auto& place) {
         return pipeline.move_object(object, place);
       },
-      [&](std::string_view object, bool visible) { return pipeline.show_object(object, visible); });
+      [&](std::string_view object, bool visible) { return pipeline.show_object(object, visible); },
+      [&](std::string_view object, const auto& playback) {
+        return pipeline.play_object(object, playback);
+      });
   if (pipeline.output().has_window())
     log_info(
         "window: the left mouse button drags an object, the right one and the wheel turn it; "
-        "keys 1 to 9 take an object away and put it back; Escape ends");
+        "keys 1 to 9 take an object away and put it back; space holds what turns or plays; Escape "
+        "ends");
   const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
