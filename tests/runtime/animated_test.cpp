@@ -452,6 +452,24 @@ TEST(AnimatedGroundTruth, ABlendOfClipsIsLitByLiveTransfer) {
   }
 }
 
+// Another weight of the second clip is another pose at the same time.
+TEST(Animated, TheWeightOfASecondClipIsSetByACall) {
+  Scene scene = walker_scene();
+  scene.objects[0].blend = "Wave";
+  const auto prepared = prepare_quickly(scene);
+  ASSERT_TRUE(prepared);
+  PreparedObject weighed = prepared->objects[0];
+  ASSERT_TRUE(weighed.begin_live());
+  EXPECT_TRUE(weighed.move_to(.2, {.blend_weight = 0.f}));
+  const auto first_clip = weighed.baked.mesh.positions;
+  EXPECT_FALSE(weighed.move_to(.2, {.blend_weight = 0.f}));
+  EXPECT_TRUE(weighed.move_to(.2, {.blend_weight = 1.f}));
+  double apart = 0;
+  for (std::size_t v = 0; v < first_clip.size(); ++v)
+    apart = std::max(apart, double(glm::distance(first_clip[v], weighed.baked.mesh.positions[v])));
+  EXPECT_GT(apart, .02);
+}
+
 TEST(Animated, LiveTransferIsTheSameOnEveryRunAndKeepsTimeWhenAsked) {
   Scene scene = walker_scene();
   scene.objects[0].live = true;
