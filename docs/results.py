@@ -126,7 +126,8 @@ def select(rows, row):
 
 # What stands for several files of the shared data: their folder, their names, the flag before each.
 SEVERAL = {"{maps}": ("envmaps", ["*_1k.hdr"], None),
-           "{meshes}": ("eval-only/meshes", ["*.obj", "dragon.ply"], "--asset")}
+           "{meshes}": ("eval-only/meshes", ["*.obj", "dragon.ply"], "--asset"),
+           "{scans}": ("eval-only/meshes", ["stanford-bunny.obj", "dragon.ply"], "--asset")}
 
 
 def shared_files(placeholder):
@@ -159,7 +160,7 @@ def arguments_of(command, binaries, folder):
 def shown(command):
     """A command as readers type it."""
     for hidden, instead in ((" --out {out}", ""), (" --json", ""), ("{maps}", "MAPS"),
-                            ("{meshes}", "--asset MESHES")):
+                            ("{meshes}", "--asset MESHES"), ("{scans}", "--asset SCANS")):
         command = command.replace(hidden, instead)
     return f"`{command}`"
 
