@@ -9,7 +9,9 @@ install(DIRECTORY ${penumbra_header_rooms}
         # What rooms of one folder share among themselves: none of it can be seen in the shared
         # library.
         PATTERN sh_inpainting.h EXCLUDE PATTERN latlong_kernel.h EXCLUDE
+        PATTERN capture/watch EXCLUDE PATTERN contradiction.h EXCLUDE
         PATTERN compositor/layers EXCLUDE PATTERN compositor/pixels EXCLUDE
+        PATTERN compositor/projection.h EXCLUDE
         PATTERN runtime/studio EXCLUDE PATTERN runtime/surroundings EXCLUDE
         REGEX "runtime/shading/.*_(stage|recovery|light)\\.h$" EXCLUDE
         REGEX "runtime/pipeline/(runner|light_estimation_stage|governor_config|single_.*)\\.h$" EXCLUDE)

@@ -104,24 +104,38 @@ Result<void> LightEstimator::extract(const Environment& environment) {
   const double irradiance = kPi * extraction_.mean_luminance;
   tracker_.update(environment.time, options_.lights.min_irradiance_fraction, irradiance,
                   extraction_.lights, unused_);
-  if (sun_is_unseen_) extraction_.lights.push_back(unseen_sun(sun_direction(*options_.sun)));
+  if (unseen_sun_) extraction_.lights.push_back(unseen_sun(*unseen_sun_));
   recoveries_.apply(extraction_.lights, unused_);
   return {};
 }
 
+// A fixed time is that of the first map.
 void LightEstimator::find_unseen_sun(const Environment& environment) {
-  sun_is_unseen_ = false;
+  unseen_sun_.reset();
+  if (!options_.sun || options_.lights.max_count < 1) return;
+  if (!first_) first_ = environment.time;
   const Image<float>& seen = environment.confidence;
-  if (!options_.sun || seen.empty() || options_.lights.max_count < 1) return;
-  const glm::dvec3 sun = sun_direction(*options_.sun);
+  if (!looks_for_sun_ || seen.empty()) return;
+  const auto since = std::chrono::duration_cast<std::chrono::seconds>(environment.time - *first_);
+  const glm::dvec3 sun = options_.sun->time
+                             ? sun_direction(*options_.sun, *options_.sun->time + since)
+                             : sun_direction(*options_.sun);
   const glm::dvec2 at = latlong_pixel(sun, seen.width(), seen.height());
   const int x = std::clamp(static_cast<int>(at.x), 0, seen.width() - 1),
             y = std::clamp(static_cast<int>(at.y), 0, seen.height() - 1);
-  sun_is_unseen_ = sun.y > 0 && seen.at(x, y) == 0;
+  if (sun.y > 0 && seen.at(x, y) == 0) unseen_sun_ = sun;
 }
 
 // As many as the plan says, and all that are clipped, drawn finely; the others are left over.
+// A sun that no camera sees counts where it is among the strongest. Else it is carried along, for
+// whoever finds its power.
 void LightEstimator::choose_max_lights() {
+  std::optional<DistantLight> weak_sun;
+  const auto sun = std::ranges::find(extraction_.lights, kUnseenSun, &DistantLight::id);
+  if (sun != extraction_.lights.end() && sun - extraction_.lights.begin() >= plan_->lights) {
+    weak_sun = std::move(*sun);
+    extraction_.lights.erase(sun);
+  }
   auto used = std::min(extraction_.lights.size(), static_cast<std::size_t>(plan_->lights));
   for (std::size_t i = used; i < extraction_.lights.size(); ++i)
     if (extraction_.lights[i].clipped) used = i + 1;
@@ -135,6 +149,7 @@ void LightEstimator::choose_max_lights() {
   unused_.insert(unused_.end(), extraction_.lights.begin() + static_cast<std::ptrdiff_t>(used),
                  extraction_.lights.end());
   extraction_.lights.resize(used);
+  if (weak_sun) extraction_.lights.push_back(std::move(*weak_sun));
 }
 
 // Without lights: the whole light in harmonics. Split now and then, for what the governor predicts.
@@ -195,7 +210,7 @@ Result<void> LightEstimator::estimate(const Environment& whole_map, LightEstimat
   find_unseen_sun(environment);
   // A source at the edge of clipping must not change sides with every map.
   maps_unclipped_ = environment.clipped.empty() ? std::min(maps_unclipped_ + 1, kCalm) : 0;
-  const bool without_lights = options_.lights.max_count > 0 && governor_ && !sun_is_unseen_ &&
+  const bool without_lights = options_.lights.max_count > 0 && governor_ && !unseen_sun_ &&
                               governor_->max_lights() == 0 && maps_unclipped_ == kCalm;
   if (without_lights != without_lights_) {
     // Another part of the light is measured from now on.

@@ -61,6 +61,8 @@ class LightEstimator {
     PENUMBRA_TRY(estimate(environment, out));
     return out;
   }
+  /// Whether what no map shows is known not to be shown: false while cameras have yet to come.
+  void look_for_unseen_sun(bool look) { looks_for_sun_ = look; }
   /// From the next map on, as long as the light is tracked and clipped.
   /// errors: as RecoveryMemory::remember
   Result<void> add_recovery(const SaturationRecovery& recovery) {
@@ -96,8 +98,10 @@ class LightEstimator {
   Environment in_blocks_;
   int map_rows_ = 0, max_map_step_ = 1;  // of the newest map, as it came
   int maps_since_split_ = 0;
-  bool sun_is_unseen_ = false;   // and known to stand above the horizon
-  bool without_lights_ = false;  // the map before was measured whole
+  bool looks_for_sun_ = true;
+  std::optional<glm::dvec3> unseen_sun_;  // towards it; it stands above the horizon
+  std::optional<TimestampNs> first_;      // map, to which the sun's time belongs
+  bool without_lights_ = false;           // the map before was measured whole
   int maps_unclipped_ = 0;
   struct SizedProjector {
     int width = 0, height = 0;

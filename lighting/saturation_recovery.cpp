@@ -53,12 +53,9 @@ Result<void> check(const ReflectancePatch& patch) {
 }
 
 // All that is missing, since nothing was measured of the sun. It may be behind a cloud.
-Result<std::vector<SaturationRecovery>> recover_unseen(const LightEstimate& light,
-                                                       const DistantLight& sun,
-                                                       const ReflectancePatch& patch) {
+std::vector<SaturationRecovery> recover_unseen(const LightEstimate& light, const DistantLight& sun,
+                                               const ReflectancePatch& patch) {
   const double seen = response(sun, patch.normal);
-  if (seen < kMinCosine)
-    return fail(ErrorCode::kUndetermined, "surface", "does not face the sun that no camera sees");
   const Rgb others = irradiance_without(light, irradiance(light.light), patch.normal,
                                         [&](const DistantLight& d) { return &d == &sun; });
   SaturationRecovery out{sun.id, {}};
@@ -66,7 +63,7 @@ Result<std::vector<SaturationRecovery>> recover_unseen(const LightEstimate& ligh
     const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
     out.power[c] = std::max(0.f, missing / static_cast<float>(seen));
   }
-  return std::vector{out};
+  return {out};
 }
 
 }  // namespace
@@ -75,7 +72,8 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
                                                         const ReflectancePatch& patch) {
   PENUMBRA_TRY(check(patch));
   const auto unseen = std::ranges::find(light.lights, kUnseenSun, &DistantLight::id);
-  if (unseen != light.lights.end()) return recover_unseen(light, *unseen, patch);
+  if (unseen != light.lights.end() && response(*unseen, patch.normal) >= kMinCosine)
+    return recover_unseen(light, *unseen, patch);
   const auto is_sun = [](const DistantLight& d) { return d.clipped && d.radius <= kSunLike; };
   const bool suns = std::ranges::any_of(light.lights, is_sun);
   const auto fractions = [&](const DistantLight& d) { return suns ? is_sun(d) : d.clipped; };
@@ -181,6 +179,26 @@ Result<void> RecoveryMemory::remember(const SaturationRecovery& recovery) {
   return {};
 }
 
+// In place of one that is gone, where there are too many.
+RecoveryMemory::RecoveredLight& RecoveryMemory::add(const DistantLight& source,
+                                                    std::span<const DistantLight> present) {
+  RecoveredLight out{source.id, source.direction, {}, {}, source.solid_angle_sr(), std::nullopt};
+  const auto is_same_sun = [&](const RecoveredLight& k) {
+    return k.radiance && (k.source == kUnseenSun) != (source.id == kUnseenSun) &&
+           source.radius <= kSunLike &&
+           glm::dot(k.direction, source.direction) > std::cos(kSunLike.value());
+  };
+  if (const auto same = std::ranges::find_if(known_, is_same_sun); same != known_.end())
+    out.radiance = *same->radiance * static_cast<float>(same->solid_angle_sr / out.solid_angle_sr);
+  if (known_.size() >= kMaxKnown) {
+    const auto gone = std::ranges::find_if(known_, [&](const RecoveredLight& k) {
+      return std::ranges::find(present, k.source, &DistantLight::id) == present.end();
+    });
+    known_.erase(gone == known_.end() ? known_.begin() : gone);
+  }
+  return known_.emplace_back(out);
+}
+
 void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantLight> unused) {
   bool changed = false;
   for (DistantLight& source : lights) {
@@ -193,10 +211,8 @@ void RecoveryMemory::apply(std::vector<DistantLight>& lights, std::span<DistantL
     const Rgb left = residual == unused.end() ? Rgb{} : power(*residual),
               whole = power(source) + left;
     RecoveredLight* known = find(source.id);
-    if (known == nullptr) {
-      if (known_.size() == kMaxKnown) known_.erase(known_.begin());
-      known = &known_.emplace_back(source.id, whole, Rgb{}, 0., std::nullopt);
-    }
+    if (known == nullptr) known = &add(source, lights);
+    known->direction = source.direction;
     known->power = whole;
     known->in_harmonics = left;
     known->solid_angle_sr = source.solid_angle_sr();

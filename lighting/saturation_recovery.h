@@ -46,7 +46,7 @@ struct ShadowEdge {
 /// what saturates by orders of magnitude, a window by little. The light on the patch comes out
 /// right, its division between the lights is a guess.
 ///   E_p - E_others = sum_j b_j Int cos+ over light j
-/// A sun that no camera sees takes all of it, which may be nothing.
+/// A sun that no camera sees takes all of it, which may be nothing, where the patch faces it.
 /// errors:  kInvalid (no clipped light, bad patch), kNonFinite, kUndetermined (the patch sees none
 ///          of them, nothing left)
 /// source:  Debevec, Graham, Busch & Bolas 2012
@@ -69,7 +69,8 @@ inline constexpr Radians kSunLike{2 * kPi / 180};
 DistantLight completed(const DistantLight& measured, const Rgb& power);
 
 /// Completions of tracked lights. Remembered is the radiance over the measured solid angle, so that
-/// a source that is half covered later has half the power, and other exposures change nothing.
+/// a source that is half covered later has half the power, and other exposures change nothing. A
+/// sun that comes into view, or leaves it, keeps its power.
 /// threads: thread-bound
 class RecoveryMemory {
  public:
@@ -83,12 +84,14 @@ class RecoveryMemory {
  private:
   struct RecoveredLight {
     int source;
+    glm::dvec3 direction;
     Rgb power;         // measured, a lower bound
     Rgb in_harmonics;  // of a light that is fading in: what the list does not have yet
     double solid_angle_sr;
     std::optional<Rgb> radiance;
   };
   RecoveredLight* find(int source);
+  RecoveredLight& add(const DistantLight& source, std::span<const DistantLight> present);
   std::vector<RecoveredLight> known_;
 };
 

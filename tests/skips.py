@@ -15,28 +15,29 @@ SKIPPED = re.compile(r"Test\s+#\d+: (\S+) \.*\s*\*\*\*Skipped")
 TEST = re.compile(r"^\d+/\d+ Test: (.+)$", re.MULTILINE)
 # What GoogleTest prints: "FILE:LINE: Skipped" and the reason on the next line.
 GTEST = re.compile(r"^\S+:\d+: Skipped\n(.*)$", re.MULTILINE)
-# What the Python tests and scripts print.
-SCRIPT = re.compile(r"^.*(?:skipped|no kernel)\b.*$", re.MULTILINE)
+# What the Python tests and scripts print, a line for each reason.
+SCRIPT = re.compile(r"^skipped: .*$", re.MULTILINE)
 
 
 def reasons(log):
-    """{test: reason} of each that gave one."""
+    """{test: reasons} of each that gave some."""
     found = {}
     starts = list(TEST.finditer(log))
     for start, end in zip(starts, starts[1:] + [None]):
         block = log[start.end():end.start() if end else len(log)]
         output = block.split("Output:", 1)[-1]
         if reason := GTEST.search(output):
-            found[start[1]] = reason[1].strip()
-        elif reason := SCRIPT.search(output):
-            found[start[1]] = reason[0].strip()
+            found[start[1]] = [reason[1].strip()]
+        elif several := SCRIPT.findall(output):
+            found[start[1]] = list(dict.fromkeys(several))
     return found
 
 
 def skipped(printed, log):
     """(test, reason) of each that CTest calls skipped."""
     why = reasons(log)
-    return [(test, why.get(test, "no reason given")) for test in SKIPPED.findall(printed)]
+    return [(test, reason) for test in SKIPPED.findall(printed)
+            for reason in why.get(test, ["no reason given"])]
 
 
 def expected(text, with_shared_data):
@@ -52,8 +53,10 @@ def self_test():
                "3/3 Test #3: vm.x ...***Skipped 0.1 sec\n")
     log = ("1/3 Test: A.B\nOutput:\n---\nx.cpp:3: Skipped\nno such thing\n[  SKIPPED ] A.B\n"
            "2/3 Test: C.D\nOutput:\n---\n[       OK ] C.D\nTest Passed.\n"
-           "3/3 Test: vm.x\nOutput:\n---\nskipped: no kernel in x\nTest Passed.\n")
-    if skipped(printed, log) != [("A.B", "no such thing"), ("vm.x", "skipped: no kernel in x")]:
+           "3/3 Test: vm.x\nOutput:\n---\nOK (skipped=2)\nskipped: no kernel in x\n"
+           "skipped: no data\nTest Passed.\n")
+    if skipped(printed, log) != [("A.B", "no such thing"), ("vm.x", "skipped: no kernel in x"),
+                                 ("vm.x", "skipped: no data")]:
         return f"self-test: does not see a skipped test: {skipped(printed, log)}"
     known = "a reason : without the shared data; x\n"
     if list(expected(known, True)) or not list(expected(known, False)):

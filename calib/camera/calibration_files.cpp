@@ -90,6 +90,8 @@ Result<std::vector<double>> parse_lens_covariance(std::string_view text,
   PENUMBRA_ASSIGN(root, parse_toml_text(text, path));
   const TomlKeys keys(path, root);
   PENUMBRA_ASSIGN(table, keys.table("calibration"));
+  if (!table.has("covariance"))
+    return table.invalid("covariance", "is missing: calibrate the lens again");
   PENUMBRA_ASSIGN(values, table.numbers("covariance"));
   return values;
 }

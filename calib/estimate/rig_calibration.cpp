@@ -163,6 +163,16 @@ Result<void> check_lens_covariance(const RigCameraInput& camera) {
   for (const double x : v)
     if (!std::isfinite(x))
       return fail(ErrorCode::kNonFinite, camera.name, "has a lens covariance that is not finite");
+  if (v.empty()) return {};
+  constexpr double kRounding = 1e-6;
+  const auto n = static_cast<Eigen::Index>(std::lround(std::sqrt(v.size())));
+  const Eigen::Map<const Eigen::MatrixXd> covariance(v.data(), n, n);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> axes(covariance, Eigen::EigenvaluesOnly);
+  const double largest = covariance.cwiseAbs().maxCoeff();
+  if ((covariance - covariance.transpose()).cwiseAbs().maxCoeff() > kRounding * largest ||
+      axes.eigenvalues().minCoeff() < -kRounding * largest)
+    return fail(ErrorCode::kInvalid, camera.name,
+                "has a lens covariance that is not symmetric or has negative variances");
   return {};
 }
 
@@ -220,7 +230,7 @@ class Adjustment {
     PENUMBRA_TRY(check_fit(out));
     set_boards(out);
     if (tracked()) out.tracker_offset_s = offset_s_;
-    add_lens_uncertainty(cameras, views);
+    PENUMBRA_TRY(add_lens_uncertainty(cameras, views));
     PENUMBRA_TRY(estimate_sigmas(out));
     return out;
   }
@@ -237,8 +247,8 @@ class Adjustment {
 
   // With each lens moved along each axis of its uncertainty the rig is solved anew from where it
   // is. What the poses move by are the columns of a root of what the lenses add.
-  void add_lens_uncertainty(std::span<const RigCameraInput> cameras,
-                            std::span<const RigObservation> views) {
+  Result<void> add_lens_uncertainty(std::span<const RigCameraInput> cameras,
+                                    std::span<const RigObservation> views) {
     lens_part_.assign(cameras_.size(), {});
     for (std::size_t c = 0; c < cameras.size(); ++c) {
       if (cameras[c].lens_covariance.empty()) continue;
@@ -249,7 +259,11 @@ class Adjustment {
             moved.observed_[v].corners = corners_of(lens, views[v].view);
         ceres::Problem problem;
         moved.build(problem, true);
-        if (!solve(problem)) continue;
+        if (!solve(problem))
+          return undetermined(
+              fmt::format("the lens of {} is too uncertain to say how sure its pose "
+                          "is: calibrate it better",
+                          cameras[c].name));
         for (std::size_t k = 0; k < cameras_.size(); ++k)
           for (std::size_t i = 0; i < 36; ++i)
             lens_part_[k][i] += (moved.cameras_[k][i / 6] - cameras_[k][i / 6]) *
@@ -257,6 +271,7 @@ class Adjustment {
         lens_part_of_offset_ += (moved.offset_s_ - offset_s_) * (moved.offset_s_ - offset_s_);
       }
     }
+    return {};
   }
 
   struct Observed {
@@ -443,12 +458,24 @@ class Adjustment {
     double variance = 0;
     covariance.GetCovarianceBlock(&offset_s_, &offset_s_, &variance);
     out.tracker_offset_sigma_s = std::sqrt(std::max(0., variance) + lens_part_of_offset_);
+    if (out.tracker_offset_sigma_s > kMaxOffsetSigma && lens_part_of_offset_ > variance)
+      return undetermined(
+          fmt::format("the offset between the clocks stays uncertain by {:.0f} ms: calibrate the "
+                      "lenses better",
+                      1000 * out.tracker_offset_sigma_s));
     if (out.tracker_offset_sigma_s > kMaxOffsetSigma)
       return undetermined(
           fmt::format("the offset between the clocks stays uncertain by {:.0f} ms: move the rig "
                       "faster, by half a metre and 30 degrees a second",
                       1000 * out.tracker_offset_sigma_s));
     return {};
+  }
+
+  // Of a pose; radians count as metres.
+  static double variance(const double* block) {
+    double sum = 0;
+    for (std::size_t i = 0; i < 6; ++i) sum += block[7 * i];
+    return sum;
   }
 
   Result<void> estimate_sigmas(RigCalibration& out) {
@@ -471,6 +498,7 @@ class Adjustment {
     for (std::size_t c = tracked() ? 0 : 1; c < cameras_.size(); ++c) {
       double block[36];
       covariance.GetCovarianceBlock(cameras_[c].data(), cameras_[c].data(), block);
+      const bool by_lenses = variance(lens_part_[c].data()) > variance(block);
       for (std::size_t i = 0; i < 36; ++i) block[i] += lens_part_[c][i];
       set_sigmas(cameras_[c], block, out.cameras[c]);
       const double place = glm::length(out.cameras[c].position_sigma_m),
@@ -479,8 +507,9 @@ class Adjustment {
         return undetermined(
             fmt::format("the pose of a camera stays uncertain by {:.0f} mm and {:.1f} degrees: {}",
                         1000 * place, turn * 180 / kPi,
-                        tracked() ? "turn the rig about two axes, by at least 30 degrees"
-                                  : "show the board closer, tilted, to both cameras at once"));
+                        by_lenses   ? "calibrate the lenses better"
+                        : tracked() ? "turn the rig about two axes, by at least 30 degrees"
+                                    : "show the board closer, tilted, to both cameras at once"));
     }
     return {};
   }

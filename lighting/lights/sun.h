@@ -13,7 +13,7 @@ namespace penumbra::lighting {
 struct SunSite {
   double latitude_deg = 0, longitude_deg = 0;      // north and east positive
   double north_deg = 0;                            // from -z to north, clockwise seen from above
-  std::optional<std::chrono::sys_seconds> time{};  // fixed; nothing: now, by the system's clock
+  std::optional<std::chrono::sys_seconds> time{};  // of the first map; nothing: the system's clock
 };
 
 /// Towards the sun, a unit vector in the world, +y up; below the horizon y is negative. Within .02

@@ -229,6 +229,7 @@ Result<void> LightEstimationStage::process(const capture::Frame& frame,
   if (std::ranges::any_of(views_, owes)) environment.clipped.clear();
   {
     const StageTimer timer(times_, "light");
+    estimator_.look_for_unseen_sun(ready());
     PENUMBRA_TRY(estimator_.estimate(environment, out));
   }
   warn_once(out);
@@ -249,7 +250,7 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
   }
   const auto sun =
       std::ranges::find(estimate.lights, lighting::kUnseenSun, &lighting::DistantLight::id);
-  if (sun != estimate.lights.end() && !std::exchange(told_sun_, true))
+  if (sun != estimate.lights.end() && ready() && !std::exchange(told_sun_, true))
     log_info(
         "no camera sees the sun, {:.0f} degrees above the horizon: its power is read off the floor",
         std::asin(sun->direction.y) * 180 / kPi);

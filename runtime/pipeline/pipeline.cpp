@@ -43,6 +43,13 @@ Result<void> check(const PipelineOptions& options) {
   return {};
 }
 
+// Whether a floor may tell what saturated or unseen lights send.
+bool can_recover_lights(const runtime::PreparedScene& scene) {
+  return scene.real || std::ranges::any_of(scene.planes, [](const prt::Plane& p) {
+           return luminance(p.albedo) > 0;
+         });
+}
+
 Error no_environment_camera() {
   return {ErrorCode::kInvalid, "capture", "has no environment camera"};
 }
@@ -124,6 +131,10 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
                                             options.max_lights};
     PENUMBRA_ASSIGN(config, runtime::make_governor_config(*impl->scene, limits, costs));
     light.set_governor(config);
+    if (impl->scene->sun && !can_recover_lights(*impl->scene))
+      log_warning(
+          "sun: one that no camera sees stays dark: the scene has neither a floor of known albedo "
+          "nor a real mesh that throws a shadow");
     impl->light.emplace(std::move(light));
   }
   const auto composite_on = [&](Compositor::Surface surface) {
@@ -200,6 +211,9 @@ Result<void> Pipeline::follow(const runtime::ObjectTrack& track) {
 
 Result<runtime::RunCounts> Pipeline::replay(capture::FrameSource& source,
                                             const runtime::Sink& sink) {
+  if (impl_->scene->sun && !impl_->scene->sun->time)
+    return fail(ErrorCode::kInvalid, "sun",
+                "has no time: a replay needs the one at which it was filmed");
   PENUMBRA_TRY(impl_->check(source));
   return runtime::run_replay(source, *impl_->light, *impl_->composite, sink, *impl_->times);
 }

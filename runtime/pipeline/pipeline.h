@@ -106,7 +106,8 @@ class Pipeline {
 
   /// All frames of a source in order of time on this thread: with a new pipeline the same input
   /// gives the same bytes. light() stays as it was before.
-  /// errors: as runtime::run_replay, kInvalid (no camera shows the surroundings)
+  /// errors: as runtime::run_replay, kInvalid (no camera shows the surroundings, a sun without the
+  ///         time at which it was filmed)
   Result<runtime::RunCounts> replay(capture::FrameSource& source, const runtime::Sink& sink);
   /// The source at its own pace and the light on threads of their own, compositing on this one,
   /// until the source ends, the sink returns false or `stop` is set. light() stays as it was

@@ -354,7 +354,10 @@ bool PreparedObject::move_to(double seconds, const MoveOptions& options) {
   const prt::BakedSequence& s = animation->sequence;
   const double wanted = animation->live ? seconds : s.frame_at(seconds);
   const float wanted_weight = options.blend_weight.value_or(animation->blend_weight);
-  if (wanted == frame && wanted_weight == weight) return false;
+  const bool same = wanted == frame && wanted_weight == weight;
+  const bool settles = same && options.holds && animation->live && held < kSettling;
+  if (same && !settles) return false;
+  held = same ? held + 1 : 0;
   frame = wanted, weight = wanted_weight;
   const prt::CharacterPose pose = animation->pose_at(seconds, weight);
   if (animation->live) {

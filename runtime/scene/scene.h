@@ -122,6 +122,7 @@ struct PreparedObject {
   std::shared_ptr<const Animation> animation{};  // null: it does not move by itself
   double frame = 0;                      // of the animation; seconds where its transfer is live
   float weight = 0;                      // of its second clip then
+  int held = 0;                          // frames of live transfer at that pose
   std::shared_ptr<LiveTransfer> live{};  // of one that plays; null: made by begin_live
   std::vector<glm::mat3> turns{};        // of its bones then
   bool visible = true;                   // from the start
@@ -136,7 +137,10 @@ struct PreparedObject {
     /// number is always the same.
     bool keep_time = false;
     std::optional<float> blend_weight{};  // of the second clip; nothing: as the animation has it
+    /// It stands still: live transfer goes on for kSettling frames at the pose that it holds.
+    bool holds = false;
   };
+  static constexpr int kSettling = 32;
   /// Brings an animation to a time: its mesh and its transfer. Returns false where nothing moved.
   bool move_to(double seconds, const MoveOptions& options);
   /// A copy's own live transfer: two copies never share one.

@@ -238,8 +238,8 @@ Result<lighting::SunSite> read_sun(const TomlKeys& keys) {
   }
   if (keys.has("time")) {
     PENUMBRA_ASSIGN(time, keys.time("time"));
-    if (time < sys_days{1950y / 1 / 1} || time >= sys_days{2051y / 1 / 1})
-      return keys.invalid("time", "is not within the years 1950 to 2050");
+    if (time < sys_days{1999y / 1 / 1} || time >= sys_days{2051y / 1 / 1})
+      return keys.invalid("time", "is not within the years 1999 to 2050");
     sun.time = time;
   }
   return sun;

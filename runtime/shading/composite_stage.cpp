@@ -157,7 +157,8 @@ bool CompositeStage::move_objects() {
     if (!objects_[i].visible ||
         !o.move_to(objects_[i].clip_time_s, {.all_transfer = !alone,
                                              .keep_time = keeps_time_,
-                                             .blend_weight = objects_[i].blend_weight}))
+                                             .blend_weight = objects_[i].blend_weight,
+                                             .holds = objects_[i].holds}))
       continue;
     compositor_->update_vertices(objects_[i].handle, o.baked.mesh);
     lights_.update_vertices(i);
@@ -175,6 +176,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
     objects_[i].visible = now.visible;
     objects_[i].clip_time_s = now.clip_time_s;
     objects_[i].blend_weight = now.blend_weight;
+    objects_[i].holds = now.speed == 0;
     poses.push_back(now.world_from_bake);
     compositor_->show(objects_[i].handle, now.visible);
     compositor_->set_pose(objects_[i].handle, poses[i]);

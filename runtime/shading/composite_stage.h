@@ -127,6 +127,7 @@ class CompositeStage {
     bool visible = true;
     double clip_time_s = 0;
     std::optional<float> blend_weight{};  // nothing: as the scene has it
+    bool holds = false;                   // its clip stands still
     std::optional<ObjectLight> light_used{};
     // Of all copies that share their transfer; none of an animation
     std::shared_ptr<const RelightBases> bases{};

@@ -290,8 +290,17 @@ bool FloorRecovery::contradicts_albedo(float measured, const std::string& camera
   return by_shadow_;
 }
 
-bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found) const {
+bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found,
+                            const lighting::LightEstimate& light) const {
   return !std::ranges::all_of(found, [&](const lighting::SaturationRecovery& c) {
+    if (c.source == lighting::kUnseenSun) {
+      // By what it has now: behind clouds that is next to nothing, and noise is no news.
+      const auto sun = std::ranges::find(light.lights, c.source, &lighting::DistantLight::id);
+      if (sun == light.lights.end() || sun->is_lower_bound()) return false;
+      const float had = luminance(sun->radiance) * static_cast<float>(sun->solid_angle_sr()),
+                  others = static_cast<float>(kPi) * luminance(light.mean_radiance);
+      return std::abs(luminance(c.power) - had) <= kMinChange * std::max(had, others);
+    }
     const auto before = std::ranges::find(said_, c.source, &lighting::SaturationRecovery::source);
     if (before == said_.end()) return false;
     const float was = luminance(before->power);
@@ -312,7 +321,7 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
   tried_ = std::move(clipped);
   auto found = recover(measure(frame, camera, curve, lights), light, camera.name);
   if (!found) return found;
-  if (!is_news(*found)) return std::vector<lighting::SaturationRecovery>{};
+  if (!is_news(*found, light)) return std::vector<lighting::SaturationRecovery>{};
   said_ = *found;
   return found;
 }

@@ -61,7 +61,8 @@ class FloorRecovery {
                                                             const std::string& camera);
   bool contradicts_albedo(float measured, const std::string& camera);
   bool is_near_an_object(const glm::dvec3& point) const;
-  bool is_news(const std::vector<lighting::SaturationRecovery>& found) const;
+  bool is_news(const std::vector<lighting::SaturationRecovery>& found,
+               const lighting::LightEstimate& light) const;
 
   const PreparedScene* scene_ = nullptr;
   const prt::Plane* floor_ = nullptr;

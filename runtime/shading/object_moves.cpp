@@ -182,7 +182,7 @@ Result<void> ObjectMoves::play(std::string_view object, const ObjectPlayback& pl
   const Resting& o = resting_[index];
   const std::string where = fmt::format("object \"{}\"", o.name);
   const double weight = playback.blend_weight.value_or(0);
-  if (!std::isfinite(playback.clip_time_s.value_or(0) + playback.speed + weight))
+  if (!std::isfinite(playback.clip_time_s.value_or(0) + playback.speed.value_or(0) + weight))
     return fail(ErrorCode::kNonFinite, where, "is to play at a time or speed that is not finite");
   if (!o.plays) return fail(ErrorCode::kInvalid, where, "has neither a clip nor a turntable");
   if (playback.blend_weight && !o.blends)
@@ -191,7 +191,11 @@ Result<void> ObjectMoves::play(std::string_view object, const ObjectPlayback& pl
     return fail(ErrorCode::kInvalid, where,
                 fmt::format("has a blend weight of {}, which is not within 0..1", weight));
   const std::scoped_lock lock(mutex_);
-  playing_[index].next = playback;
+  ObjectPlayback& next =
+      playing_[index].next ? *playing_[index].next : playing_[index].next.emplace();
+  if (playback.clip_time_s) next.clip_time_s = playback.clip_time_s;
+  if (playback.speed) next.speed = playback.speed;
+  if (playback.blend_weight) next.blend_weight = playback.blend_weight;
   return {};
 }
 
@@ -202,7 +206,7 @@ const ObjectMoves::Playing& ObjectMoves::play_on(std::size_t object, double seco
   const ObjectPlayback next = *std::exchange(now.next, std::nullopt);
   now.from_s = next.clip_time_s.value_or(now.clip_time_at(seconds));
   now.since_s = seconds;
-  now.speed = next.speed;
+  now.speed = next.speed.value_or(now.speed);
   if (next.blend_weight) now.blend_weight = static_cast<float>(*next.blend_weight);
   return now;
 }
@@ -213,13 +217,15 @@ ObjectMoves::ObjectNow ObjectMoves::at(std::size_t object, double seconds) {
   const Playing& playing = play_on(object, seconds);
   const double clip_time_s = playing.clip_time_at(seconds);
   if (visible_[object])
-    return {true, placed(object, seconds, clip_time_s), clip_time_s, playing.blend_weight};
+    return {true, placed(object, seconds, clip_time_s), clip_time_s, playing.speed,
+            playing.blend_weight};
   // Always the same, so that it counts as at rest.
   const Pose& rest = resting_[object].world_from_bake;
   return {
       false,
       {rest.rotation, rest.translation - kOutOfTheWorld_m * (rest.rotation * glm::dvec3(0, 1, 0))},
       clip_time_s,
+      playing.speed,
       playing.blend_weight};
 }
 

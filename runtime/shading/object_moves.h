@@ -24,11 +24,12 @@ struct ObjectPlace {
   double turn_rad = 0;
 };
 
-/// How an object plays its clip and turns on its turntable, from the next frame on.
+/// How an object plays its clip and turns on its turntable, from the next frame on. What is not
+/// given stays as it was; at first it plays at speed 1.
 struct ObjectPlayback {
   std::optional<double> clip_time_s{};   // where it is then; nothing: where it has come to
-  double speed = 1;                      // seconds of the clip a second: 0 rests, below 0 goes back
-  std::optional<double> blend_weight{};  // 0..1 of a second clip; nothing: as it was
+  std::optional<double> speed{};         // seconds of the clip a second: 0 rests, below 0 goes back
+  std::optional<double> blend_weight{};  // 0..1 of a second clip
 };
 
 /// Places over time of some objects; between two of an object's it glides and turns evenly, before
@@ -69,7 +70,7 @@ class ObjectMoves {
     bool visible;
     // Of one that is not, so far below its plane that it takes part in nothing
     Pose world_from_bake;
-    double clip_time_s;                 // of its clip and turntable
+    double clip_time_s, speed;          // of its clip and turntable
     std::optional<float> blend_weight;  // nothing: as the scene has it
   };
   /// A playback that was asked for begins with the first time it is asked after.

@@ -233,6 +233,12 @@ TEST(RigCalibration, ALensCovarianceOfAnotherSizeIsRefused) {
   const auto found = calibrate_rig(given, moving_board(1).views);
   ASSERT_FALSE(found);
   EXPECT_EQ(found.error().where, "right");
+  given[1].lens_covariance.assign(16, 0);
+  given[1].lens_covariance[1] = 1;
+  EXPECT_NE(calibrate_rig(given, moving_board(1).views).error().detail.find("symmetric"),
+            std::string::npos);
+  given[1].lens_covariance[4] = 1;  // symmetric, but for two variances of nothing
+  EXPECT_EQ(calibrate_rig(given, moving_board(1).views).error().code, ErrorCode::kInvalid);
   given[1].lens_covariance.assign(16, std::nan(""));
   EXPECT_EQ(calibrate_rig(given, moving_board(1).views).error().code, ErrorCode::kNonFinite);
 }

@@ -5,10 +5,10 @@
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
-#include "tests/support/shadow_maps.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/occlusion.h"
 #include "tests/support/environment_maps.h"
+#include "tests/support/shadow_maps.h"
 
 namespace penumbra {
 namespace {

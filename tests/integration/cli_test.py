@@ -900,7 +900,7 @@ class Calibrate(CliTest):
 
     def check_lenses(self, capture, board, exact):
         """What --lenses says of the lenses counts in the stated uncertainty."""
-        self.assertTrue(exact["lenses_exact"])
+        self.assertTrue(all(c["lens_exact"] for c in exact["cameras"]))
         manifest, out = (capture / "capture.toml").read_text(), self.root / "unsure.toml"
         lenses = []
         for table in manifest.split("[[camera]]")[1:]:
@@ -912,10 +912,11 @@ class Calibrate(CliTest):
             lenses.append(lens)
         given = ["calibrate", "rig", capture, *board, "-o", out, "--lenses", ",".join(map(str, lenses))]
         printed = self.run_json(*given)
-        self.assertFalse(printed["lenses_exact"])
+        self.assertFalse(any(c["lens_exact"] for c in printed["cameras"]))
         self.assertEqual(printed["cameras"][1]["position_m"], exact["cameras"][1]["position_m"])
         self.assertGreater(max(printed["cameras"][1]["position_sigma_m"]),
                            1.5 * max(exact["cameras"][1]["position_sigma_m"]))
+        self.expect_refusal([lenses[0].name, "second lens"], *given[:-1], f"{lenses[0]},{lenses[0]}")
         lenses[0].write_text(lenses[0].read_text().replace("covariance", "rms_px"))
         self.expect_refusal([lenses[0].name, "covariance"], *given)
         lenses[0].write_text(lenses[0].read_text().replace('"left"', '"other"'))

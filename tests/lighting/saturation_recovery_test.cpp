@@ -390,6 +390,39 @@ TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
   EXPECT_TRUE(blurred->plan->lower_bound);
 }
 
+// A sun that no camera sees and that nobody has told the power of is carried along: it takes no
+// place among the lights of the plan, and no fine shadow.
+TEST(RecoveryMemory, AnUnseenSunWithoutPowerCostsNoLight) {
+  using namespace std::chrono;
+  const SunSite site{50, 8, 0, sys_days{2026y / June / 21} + 10h};
+  const dvec3 sun = sun_direction(site);
+  const Lamp lamps[] = {kLamp, kOther};
+  Environment environment = clip(room_with(lamps), 1e9f);
+  environment.confidence = Image<float>(kWidth, kHeight, 1.f);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x)
+      if (glm::dot(latlong_direction(x + .5, y + .5, kWidth, kHeight), sun) > std::cos(.2))
+        environment.confidence.at(x, y) = 0, environment.radiance.at(x, y) = {};
+  GovernorConfig config;
+  config.limits.budget = .9;
+  config.probes.deficit.assign(kMaxCoefficients, 0);
+  EstimateOptions with;
+  with.sun = site;
+  LightEstimator plain({}), known(with);
+  plain.set_governor(config), known.set_governor(config);
+  const auto a = plain.estimate(environment), b = known.estimate(environment);
+  ASSERT_TRUE(a && b && a->plan && b->plan);
+  EXPECT_EQ(b->plan->lights, a->plan->lights);
+  EXPECT_EQ(b->plan->fine_lights, a->plan->fine_lights);
+  ASSERT_EQ(b->lights.size(), a->lights.size() + 1);
+  EXPECT_EQ(b->lights.back().id, kUnseenSun);
+  EXPECT_TRUE(b->plan->lower_bound) << "and nothing is promised";
+  known.look_for_unseen_sun(false);
+  const auto early = known.estimate(environment);
+  ASSERT_TRUE(early);
+  EXPECT_EQ(early->lights.size(), a->lights.size()) << "a camera has yet to come";
+}
+
 // A sun that comes out is handed over to the lights bit by bit; what a floor misses at that time is
 // what neither part has.
 TEST(RecoveryMemory, ALightThatIsFadingInIsRecoveredWhole) {

@@ -336,6 +336,56 @@ TEST_F(UnseenSun, GetsItsPowerFromTheFloor) {
   EXPECT_NEAR(fraction, 1, .1);
 }
 
+// Turned round within a run the camera sees it, saturated, and then no more: its power goes with
+// it.
+TEST_F(UnseenSun, KeepsItsPowerWhenItComesIntoViewAndLeavesIt) {
+  fisheye_.response = calib::Response::srgb();
+  auto light = *LightEstimationStage::create({fisheye_}, {.sun = site()}, c_.times);
+  const glm::dquat away = fisheye_.world_from_camera.rotation,
+                   towards = glm::angleAxis(kPi, glm::dvec3(0, 1, 0)) * away;
+  const auto shown = [&](const glm::dquat& turn, double seconds) {
+    fisheye_.world_from_camera.rotation = turn;
+    capture::Frame frame = fisheye_frame();
+    const auto& radiance = std::get<Image<Rgb>>(*frame.pixels);
+    Image<Rgb8> codes(kSide, kSide);  // full scale at a radiance of 1000
+    const auto code = [&](float value, int ch) {
+      const double signal = std::min(double(value) / 1000, 1.);
+      return static_cast<std::uint8_t>(std::lround(255 * fisheye_.response.encode(signal, ch)));
+    };
+    for (std::size_t i = 0; i < codes.area(); ++i) {
+      const Rgb& p = radiance.pixels()[i];
+      codes.pixels()[i] = {code(p.r, 0), code(p.g, 1), code(p.b, 2)};
+    }
+    frame.pixels = std::make_shared<const FramePixels>(std::move(codes));
+    frame.exposure = {Seconds(1e-3), Gain(1)};
+    frame.time = TimestampNs{static_cast<std::int64_t>(seconds * 1e9)};
+    return *light.process(frame);
+  };
+  const auto power = [](const lighting::DistantLight& d) {
+    return double(luminance(d.radiance)) * d.solid_angle_sr();
+  };
+  lighting::LightEstimate first;
+  for (int k = 0; k < 20; ++k) first = shown(away, .1 * k);  // the bracket is known to be whole
+  ASSERT_FALSE(first.lights.empty());
+  ASSERT_EQ(first.lights.back().id, lighting::kUnseenSun);
+  const Rgb sent = c_.truth;
+  light.add_recoveries(std::vector{lighting::SaturationRecovery{lighting::kUnseenSun, sent}});
+  const double whole = luminance(sent);
+  EXPECT_NEAR(power(shown(away, 2).lights[0]), whole, 1e-3 * whole);
+  lighting::LightEstimate seen;
+  for (int k = 21; k < 60; ++k) seen = shown(towards, .1 * k);  // faded in
+  ASSERT_FALSE(seen.lights.empty());
+  EXPECT_NE(seen.lights[0].id, lighting::kUnseenSun);
+  EXPECT_TRUE(seen.lights[0].clipped);
+  EXPECT_TRUE(seen.lights[0].recovered) << "no drop until the floor is read";
+  EXPECT_NEAR(power(seen.lights[0]), whole, .1 * whole);
+  const auto gone = shown(away, 6.5);
+  const auto sun =
+      std::ranges::find(gone.lights, lighting::kUnseenSun, &lighting::DistantLight::id);
+  ASSERT_NE(sun, gone.lights.end());
+  EXPECT_NEAR(power(*sun), whole, .1 * whole);
+}
+
 TEST_F(UnseenSun, BehindCloudsSendsNothing) {
   Image<Rgb> grey(1024, 512, {.5f, .5f, .5f});
   c_.world = *capture::FloorWorld::make(std::move(grey));

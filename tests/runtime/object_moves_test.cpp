@@ -269,6 +269,7 @@ TEST(ObjectMoves, PlaybackStandsStillGoesBackAndGoesOnFromWhereItHasComeTo) {
   EXPECT_EQ(moves.at(0, 8).clip_time_s, 2) << "from where it has come to";
   EXPECT_EQ(moves.at(0, 9).clip_time_s, 0);
   ASSERT_TRUE(moves.play("turning", {.clip_time_s = 5}));
+  ASSERT_TRUE(moves.play("turning", {.speed = 1})) << "before a frame: both count";
   EXPECT_EQ(moves.at(0, 10).clip_time_s, 5);
   EXPECT_EQ(moves.at(0, 10.5).clip_time_s, 5.5);
   EXPECT_EQ(moves.at(1, 10.5).clip_time_s, 10.5) << "others go on";

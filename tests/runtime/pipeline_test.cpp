@@ -62,6 +62,24 @@ capture::Frame view_frame() {
   }
 }
 
+// A recording does not know when it was filmed.
+TEST(Pipeline, AReplayOfASunNeedsItsTime) {
+  capture::Studio studio(bench().world, bench().options);
+  auto scene = std::make_shared<runtime::PreparedScene>(*bench().scene);
+  scene->sun = lighting::SunSite{50, 8, 0, {}};
+  const auto sink = [](const runtime::Output&) { return true; };
+  auto pipeline = Pipeline::create(studio.cameras(), scene);
+  NEED_GL(pipeline);
+  ASSERT_TRUE(pipeline);
+  const auto refused = pipeline->replay(studio, sink);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().where, "sun");
+  scene->sun->time = std::chrono::sys_days{std::chrono::year(2026) / 6 / 21};
+  auto told = Pipeline::create(studio.cameras(), scene);
+  ASSERT_TRUE(told);
+  EXPECT_TRUE(told->replay(studio, sink));
+}
+
 TEST(Pipeline, FrameByFrameItDrawsWhatAReplayDraws) {
   capture::Studio studio(bench().world, bench().options);
   auto replayed = Pipeline::create(studio.cameras(), bench().scene);

@@ -71,8 +71,7 @@ TEST(LightVertices, ByOneSampleALightIsHiddenAsItsMiddleIs) {
   for (const auto& [radius, source] : {std::pair(.03, round), {.3, round}, {.3, strip}}) {
     patch.panel = source;
     patch.panel.radius = Radians(radius);
-    const auto hard = patch.taken(patch.ground, 1),
-               soft = patch.taken(patch.ground, 64);
+    const auto hard = patch.taken(patch.ground, 1), soft = patch.taken(patch.ground, 64);
     const double mean = source.shape.empty() ? .5 + .5 * std::cos(radius) : glm::length(all) / 64;
     patch.panel = round;
     patch.panel.direction = source.direction;

@@ -7,9 +7,9 @@
 #include "runtime/shading/composite_stage.h"
 #include "runtime/shading/direct_light_stage.h"
 #include "shadows/shadows.h"
-#include "tests/support/shadow_maps.h"
 #include "tests/stability/maps.h"
 #include "tests/stability/occlusion.h"
+#include "tests/support/shadow_maps.h"
 
 namespace penumbra::shadows {
 namespace {

@@ -39,7 +39,7 @@ class Mouse : public testing::Test {
           return Result<void>{};
         },
         [this](std::string_view name, const runtime::ObjectPlayback& playback) {
-          speeds_[std::string(name)] = playback.speed;
+          speeds_[std::string(name)] = playback.speed.value_or(NAN);
           return Result<void>{};
         });
   }

@@ -13,6 +13,7 @@
 #include "capture/recording/recording.h"
 #include "core/conventions.h"
 #include "core/io/files.h"
+#include "core/io/log.h"
 #include "core/io/toml_keys.h"
 #include "runtime/pipeline/report.h"
 #include "tools/calibrate/calibration_report.h"
@@ -78,6 +79,14 @@ Result<void> set_lenses(const CalibrateRigOptions& o, RigPictures& seen) {
           ErrorCode::kInvalid, file,
           fmt::format("is of pictures of {}x{} instead of {}x{}", info.projection.width,
                       info.projection.height, camera->projection.width, camera->projection.height));
+    if (!camera->lens_covariance.empty())
+      return fail(ErrorCode::kInvalid, file,
+                  fmt::format("is a second lens of the camera \"{}\"", info.name));
+    const calib::CameraModel &lens = info.projection, &captured = camera->projection;
+    if (lens.kind != captured.kind || lens.focal_px != captured.focal_px ||
+        lens.principal_px != captured.principal_px || lens.distortion != captured.distortion)
+      log_warning("{}: is another lens than that of the capture: the poses belong to this one",
+                  file);
     PENUMBRA_ASSIGN(text, read_text(file));
     PENUMBRA_ASSIGN(covariance, calib::parse_lens_covariance(text, file));
     *camera = {info.name, info.projection, std::move(covariance)};
@@ -214,12 +223,15 @@ nlohmann::json to_json(const RigPictures& seen, const calib::RigCalibration& c,
                        {"rotation_xyzw", {q.x, q.y, q.z, q.w}},
                        {"position_sigma_m", list(c.cameras[i].position_sigma_m)},
                        {"rotation_sigma_rad", list(c.cameras[i].rotation_sigma_rad)},
+                       {"lens_exact", seen.cameras[i].lens_covariance.empty()},
                        {"boards", c.cameras[i].boards},
                        {"rms_px", c.cameras[i].rms_px}});
   }
-  nlohmann::json out = {{"cameras", cameras},        {"rms_px", c.rms_px},
-                        {"pictures", seen.pictures}, {"boards", seen.boards.size()},
-                        {"left_out", c.left_out},    {"lenses_exact", some_lens_is_exact(seen)}};
+  nlohmann::json out = {{"cameras", cameras},
+                        {"rms_px", c.rms_px},
+                        {"pictures", seen.pictures},
+                        {"boards", seen.boards.size()},
+                        {"left_out", c.left_out}};
   if (c.tracker_offset_s) {
     out["tracker_offset_s"] = *c.tracker_offset_s;
     out["tracker_offset_sigma_s"] = c.tracker_offset_sigma_s;

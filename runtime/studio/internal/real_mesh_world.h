@@ -43,7 +43,7 @@ class RealMeshWorld : public capture::RadianceWorld {
   prt::RayScene rays_;
   prt::GroundGrid grid_;
   std::vector<Rgb> irradiance_;  // at the vertices
-  Image<Rgb> left_;             // at the grid's texels
+  Image<Rgb> left_;              // at the grid's texels
 };
 
 }  // namespace penumbra::runtime
