@@ -133,7 +133,7 @@ void LightEstimator::choose_max_lights() {
   std::optional<DistantLight> weak_sun;
   const auto sun = std::ranges::find(extraction_.lights, kUnseenSun, &DistantLight::id);
   if (sun != extraction_.lights.end() && sun - extraction_.lights.begin() >= plan_->lights) {
-    weak_sun = std::move(*sun);
+    weak_sun = *sun;
     extraction_.lights.erase(sun);
   }
   auto used = std::min(extraction_.lights.size(), static_cast<std::size_t>(plan_->lights));
@@ -149,7 +149,7 @@ void LightEstimator::choose_max_lights() {
   unused_.insert(unused_.end(), extraction_.lights.begin() + static_cast<std::ptrdiff_t>(used),
                  extraction_.lights.end());
   extraction_.lights.resize(used);
-  if (weak_sun) extraction_.lights.push_back(std::move(*weak_sun));
+  if (weak_sun) extraction_.lights.push_back(*weak_sun);
 }
 
 // Without lights: the whole light in harmonics. Split now and then, for what the governor predicts.
