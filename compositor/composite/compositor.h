@@ -102,7 +102,7 @@ class Compositor {
   ///   var n = g (V + T B) + r^2 - T^2 var B, 0 at least.
   /// in:     camera: a frame of the size given at creation; `out` may be the same object, which
   ///         copies nothing
-  /// errors: kInvalid (size, missing curve, depth, look; `out` is left alone), kUnavailable (GL
+  /// errors: kInvalid (size, missing curve, depth, effects; `out` is left alone), kUnavailable (GL
   ///         lost; `out` may have its shadows already)
   /// source: Debevec 1998 in the ratio form
   Result<CompositeStats> composite(const View& view, const FramePixels& camera, FramePixels& out);

@@ -43,13 +43,6 @@ Result<void> check(const PipelineOptions& options) {
   return {};
 }
 
-// Whether a floor may tell what saturated or unseen lights send.
-bool can_recover_lights(const runtime::PreparedScene& scene) {
-  return scene.real || std::ranges::any_of(scene.planes, [](const prt::Plane& p) {
-           return luminance(p.albedo) > 0;
-         });
-}
-
 Error no_environment_camera() {
   return {ErrorCode::kInvalid, "capture", "has no environment camera"};
 }
@@ -131,10 +124,6 @@ Result<Pipeline> Pipeline::create(const std::vector<capture::CameraInfo>& camera
                                             options.max_lights};
     PENUMBRA_ASSIGN(config, runtime::make_governor_config(*impl->scene, limits, costs));
     light.set_governor(config);
-    if (impl->scene->sun && !can_recover_lights(*impl->scene))
-      log_warning(
-          "sun: one that no camera sees stays dark: the scene has neither a floor of known albedo "
-          "nor a real mesh that throws a shadow");
     impl->light.emplace(std::move(light));
   }
   const auto composite_on = [&](Compositor::Surface surface) {

@@ -112,6 +112,10 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
                                                  surface, oversampling));
   PENUMBRA_ASSIGN(lights, DirectLightStage::create(scene, sampling));
   PENUMBRA_ASSIGN(recovery, FloorRecovery::create(scene));
+  if (scene.sun && recovery.idle())
+    log_warning(
+        "sun: one that no camera sees stays dark: no object stands on a floor of known albedo, or "
+        "beside a real mesh that throws a shadow");
   auto stage = std::unique_ptr<CompositeStage>(
       new CompositeStage(std::move(compositor), std::move(lights), std::move(recovery), scene,
                          std::move(moving), times));

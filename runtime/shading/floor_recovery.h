@@ -33,6 +33,7 @@ class FloorRecovery {
   /// nor a real mesh is known. The scene must outlive it.
   /// errors: kUnavailable (Embree)
   static Result<FloorRecovery> create(const PreparedScene& scene);
+  bool idle() const { return floor_ == nullptr; }
 
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View

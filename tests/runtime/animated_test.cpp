@@ -337,70 +337,66 @@ TEST(Animated, AWalkBesideOtherThingsIsDrawnWhole) {
   }
 }
 
-// Taken away it is neither drawn nor moved, which would have all lights traced anew; shown again it
-// is where its clip is by then.
-TEST(Animated, TakenAwayItRestsAndShownAgainItHasGoneOn) {
-  const test::TempFolder folder;
-  Scene scene = walker_scene();
-  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
-  const auto prepared = prepare_quickly(scene);
-  ASSERT_TRUE(prepared) << prepared.error().detail;
-  const prt::PinholeView view = view_of(80, 120);
-  const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
-  auto pipeline = make_still_pipeline(*prepared, view, {}),
-       never_hidden = make_still_pipeline(*prepared, view, {});
-  ASSERT_TRUE(pipeline && never_hidden);
-  const Still backdrop{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
-  const auto draw = [&](Pipeline& p, double t) {
-    return composite_still(p, view, *estimate, backdrop, t)->radiance;
-  };
-  const auto same = [](const Image<Rgb>& a, const Image<Rgb>& b) {
-    return std::ranges::equal(a.pixels(), b.pixels());
-  };
-  EXPECT_FALSE(same(draw(*pipeline, 0), backdrop.radiance)) << "it is seen";
-  const std::string& name = prepared->objects[0].name;
-  ASSERT_TRUE(pipeline->show_object(name, false));
-  EXPECT_TRUE(same(draw(*pipeline, .2), backdrop.radiance));
-  EXPECT_FALSE(pipeline->stage().shade(*estimate, .3)) << "nothing moves: nothing is shaded";
-  ASSERT_TRUE(pipeline->show_object(name, true));
-  draw(*never_hidden, 0);
-  const Image<Rgb> back = draw(*pipeline, .4), truth = draw(*never_hidden, .4);
-  double apart = 0;
-  for (std::size_t i = 0; i < truth.area(); ++i)
-    apart += std::abs(luminance(back.pixels()[i]) - luminance(truth.pixels()[i]));
-  EXPECT_LT(apart / static_cast<double>(truth.area()), 1e-4);
-}
-
-// Held it is drawn the same at any time; told another time it is drawn as one that came there.
-TEST(Animated, IsHeldAndSetToAnotherTimeByACall) {
-  const test::TempFolder folder;
-  Scene scene = walker_scene();
-  scene.objects[0].transfer = coarse_walk(folder, scene.objects[0].albedo).file;
-  const auto prepared = prepare_quickly(scene);
-  ASSERT_TRUE(prepared) << prepared.error().detail;
-  const prt::PinholeView view = view_of(80, 120);
-  const auto estimate = lighting::estimate_map(capture::make_room_environment(256, 128), {});
-  auto played = make_still_pipeline(*prepared, view, {}),
-       plain = make_still_pipeline(*prepared, view, {});
-  ASSERT_TRUE(played && plain);
-  const Still backdrop{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
-  const auto draw = [&](Pipeline& p, double t) {
-    return composite_still(p, view, *estimate, backdrop, t)->radiance;
-  };
-  const auto apart = [](const Image<Rgb>& a, const Image<Rgb>& b) {
+// A walk in a room, drawn by pipelines of its own.
+class DrawnWalk : public testing::Test {
+ protected:
+  void SetUp() override {
+    Scene scene = walker_scene();
+    scene.objects[0].transfer = coarse_walk(folder_, scene.objects[0].albedo).file;
+    auto ready = prepare_quickly(scene);
+    ASSERT_TRUE(ready) << ready.error().detail;
+    prepared_ = std::move(*ready);
+  }
+  Result<Pipeline> pipeline() const { return make_still_pipeline(prepared_, view_, {}); }
+  Image<Rgb> draw(Pipeline& p, double t) const {
+    return composite_still(p, view_, *estimate_, backdrop_, t)->radiance;
+  }
+  const std::string& name() const { return prepared_.objects[0].name; }
+  // Mean difference of luminance.
+  static double apart(const Image<Rgb>& a, const Image<Rgb>& b) {
     double sum = 0;
     for (std::size_t i = 0; i < a.area(); ++i)
       sum += std::abs(luminance(a.pixels()[i]) - luminance(b.pixels()[i]));
     return sum / static_cast<double>(a.area());
-  };
-  const std::string& name = prepared->objects[0].name;
+  }
+  static bool same(const Image<Rgb>& a, const Image<Rgb>& b) {
+    return std::ranges::equal(a.pixels(), b.pixels());
+  }
+
+  test::TempFolder folder_;
+  PreparedScene prepared_;
+  prt::PinholeView view_ = view_of(80, 120);
+  Result<lighting::LightEstimate> estimate_ =
+      lighting::estimate_map(capture::make_room_environment(256, 128), {});
+  Still backdrop_{Image<Rgb>(80, 120, {.5f, .5f, .5f}), 0, 0, {}, {}};
+};
+
+// Taken away it is neither drawn nor moved, which would have all lights traced anew; shown again it
+// is where its clip is by then.
+TEST_F(DrawnWalk, TakenAwayItRestsAndShownAgainItHasGoneOn) {
+  auto hidden = pipeline(), never_hidden = pipeline();
+  ASSERT_TRUE(hidden && never_hidden);
+  EXPECT_FALSE(same(draw(*hidden, 0), backdrop_.radiance)) << "it is seen";
+  ASSERT_TRUE(hidden->show_object(name(), false));
+  EXPECT_TRUE(same(draw(*hidden, .2), backdrop_.radiance));
+  EXPECT_FALSE(hidden->stage().shade(*estimate_, .3)) << "nothing moves: nothing is shaded";
+  ASSERT_TRUE(hidden->show_object(name(), true));
+  draw(*never_hidden, 0);
+  const Image<Rgb> back = draw(*hidden, .4);
+  EXPECT_LT(apart(back, draw(*never_hidden, .4)), 1e-4);
+}
+
+// Held it is drawn the same at any time; told another time it is drawn as one that came there.
+TEST_F(DrawnWalk, IsHeldAndSetToAnotherTimeByACall) {
+  auto played = pipeline(), plain = pipeline();
+  ASSERT_TRUE(played && plain);
   draw(*played, 0), draw(*plain, 0);
-  ASSERT_TRUE(played->play_object(name, {.speed = 0}));
+  ASSERT_TRUE(played->play_object(name(), {.speed = 0}));
   const Image<Rgb> held = draw(*played, .2);
   EXPECT_EQ(apart(draw(*played, .6), held), 0) << "held";
   const Image<Rgb> truth = draw(*plain, .4);
   EXPECT_GT(apart(truth, held), 1e-3) << "another pose";
-  ASSERT_TRUE(played->play_object(name, {.clip_time_s = .4, .speed = 1}));
+  ASSERT_TRUE(played->play_object(name(), {.clip_time_s = .4, .speed = 1}));
   EXPECT_LT(apart(draw(*played, .9), truth), 1e-4);
   EXPECT_LT(apart(draw(*played, 1.1), draw(*plain, .6)), 1e-4) << "and goes on from there";
 }
