@@ -1,5 +1,6 @@
 // What all sources of frames share: cameras as they are known, frames with their own truth.
-// threads: plain values; a FrameSource is thread-bound but for close() and counts()
+// threads: plain values; a FrameSource is thread-bound but for close(), counts() and
+// take_darker()
 #pragma once
 
 #include <array>
@@ -81,6 +82,8 @@ struct Frame {
   std::shared_ptr<const FramePixels> pixels;
   // The same as the camera coded it, if it did
   std::shared_ptr<const std::vector<std::byte>> jpeg{};
+  // Taken darker than the camera's others, for what those overexpose: measured, never shown
+  bool for_light = false;
 };
 
 int width(const FramePixels& pixels);
@@ -116,6 +119,12 @@ class FrameSource {
   /// Ends a next() under way, and all later ones.
   /// threads: thread-safe
   virtual void close() {}
+  /// Asks a view camera that has one fixed exposure for one more frame, at `factor` (below 1) of it.
+  /// The frame comes with for_light set, beside the others, some frames later; where the camera
+  /// does not follow none comes.
+  /// out: false where this source cannot be asked
+  /// threads: thread-safe
+  virtual bool take_darker(int /*camera*/, double /*factor*/) { return false; }
   /// What became of the frames of real cameras, in the order of cameras(); empty for other sources.
   /// threads: thread-safe
   virtual std::vector<CameraCounts> counts() const { return {}; }

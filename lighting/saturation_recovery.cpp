@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -38,104 +39,169 @@ Rgb irradiance_without(const LightEstimate& light, const IrradianceSh& residual,
   return sum;
 }
 
-Result<void> check(const ReflectancePatch& patch) {
-  const char* const where = "patch";
-  if (!(std::abs(glm::dot(patch.normal, patch.normal) - 1) < 1e-3))
+Result<void> check(const ShadowedSurface& surface) {
+  const char* const where = "surface";
+  if (!(std::abs(glm::dot(surface.normal, surface.normal) - 1) < 1e-3))
     return fail(ErrorCode::kInvalid, where, "has a normal that is not a unit vector");
-  if (!is_finite(patch.radiance))
-    return fail(ErrorCode::kNonFinite, where, "has a radiance that is not finite");
+  for (const ShadowRegion& region : surface.regions)
+    if (!is_finite(region.radiance))
+      return fail(ErrorCode::kNonFinite, where, "has a radiance that is not finite");
+  const auto is_black = [](const ShadowRegion& r) {
+    return !(std::min({r.radiance.r, r.radiance.g, r.radiance.b}) > 0);
+  };
+  if (!surface.albedo && std::ranges::any_of(surface.regions, is_black))
+    return fail(ErrorCode::kUndetermined, where, "has a region that is black in one channel");
+  if (!surface.albedo) return {};
   for (int c = 0; c < 3; ++c)
-    if (!(patch.albedo[c] > 0 && patch.albedo[c] <= 1))
-      return fail(
-          ErrorCode::kInvalid, where,
-          fmt::format("has an albedo of {}, which is not above 0 and at most 1", patch.albedo[c]));
+    if (const float albedo = (*surface.albedo)[c]; !(albedo > 0 && albedo <= 1))
+      return fail(ErrorCode::kInvalid, where,
+                  fmt::format("has an albedo of {}, which is not above 0 and at most 1", albedo));
   return {};
 }
 
-// All that is missing, since nothing was measured of the sun. It may be behind a cloud.
-std::vector<SaturationRecovery> recover_unseen(const LightEstimate& light, const DistantLight& sun,
-                                               const ReflectancePatch& patch) {
-  const double seen = response(sun, patch.normal);
-  const Rgb others = irradiance_without(light, irradiance(light.light), patch.normal,
-                                        [&](const DistantLight& d) { return &d == &sun; });
-  SaturationRecovery out{sun.id, {}};
-  for (int c = 0; c < 3; ++c) {
-    const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
-    out.power[c] = std::max(0.f, missing / static_cast<float>(seen));
+// Clipped lights that no shadow tells apart.
+struct LightGroup {
+  std::vector<bool> reaches;  // by region
+  std::vector<const DistantLight*> lights;
+};
+
+// Of the lights that the surface sees.
+std::vector<LightGroup> groups_of(const LightEstimate& light, const ShadowedSurface& surface) {
+  std::vector<LightGroup> out;
+  for (const DistantLight& d : light.lights) {
+    if (!d.clipped || response(d, surface.normal) < kMinCosine) continue;
+    std::vector<bool> reaches;
+    for (const ShadowRegion& region : surface.regions)
+      reaches.push_back(std::ranges::find(region.hidden, d.id) == region.hidden.end());
+    const auto known = std::ranges::find(out, reaches, &LightGroup::reaches);
+    if (known == out.end())
+      out.push_back({std::move(reaches), {&d}});
+    else
+      known->lights.push_back(&d);
   }
-  return {out};
+  return out;
+}
+
+// Irradiances by the groups, and 1/albedo where that is not known. Nothing where they cannot be
+// told apart. Errors count relative to what is seen.
+std::optional<Eigen::VectorXd> solve_channel(const ShadowedSurface& surface, int channel,
+                                             std::span<const LightGroup> groups, double others) {
+  const auto rows = std::ssize(surface.regions), lights = std::ssize(groups);
+  const bool free_albedo = !surface.albedo;
+  double brightest = 0;
+  for (const ShadowRegion& region : surface.regions)
+    brightest = std::max(brightest, double(region.radiance[channel]));
+  if (!(brightest > 0)) brightest = 1;
+  Eigen::MatrixXd a = Eigen::MatrixXd::Zero(rows, lights + (free_albedo ? 1 : 0));
+  Eigen::VectorXd b(rows);
+  for (std::ptrdiff_t g = 0; g < rows; ++g) {
+    const ShadowRegion& region = surface.regions[static_cast<std::size_t>(g)];
+    const double seen = kPi * double(region.radiance[channel]),
+                 weight = brightest / std::max(double(region.radiance[channel]), .01 * brightest);
+    for (std::ptrdiff_t k = 0; k < lights; ++k)
+      if (groups[static_cast<std::size_t>(k)].reaches[static_cast<std::size_t>(g)])
+        a(g, k) = weight;
+    b(g) = -weight * double(region.others[channel]) * others;
+    if (free_albedo)
+      a(g, lights) = -weight * seen / brightest;  // the unknown is brightest / albedo
+    else
+      b(g) += weight * seen / double((*surface.albedo)[channel]);
+  }
+  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(a);
+  constexpr double kApart = .02;  // of the largest: less is noise
+  qr.setThreshold(kApart);
+  if (qr.rank() < a.cols()) return std::nullopt;
+  Eigen::VectorXd out = qr.solve(b);
+  if (free_albedo) out(lights) /= brightest;
+  return out;
+}
+
+// One group's irradiance among its lights. A sun that no camera sees takes what was not measured.
+void divide(const LightGroup& group, const glm::dvec3& normal, Rgb all,
+            std::vector<SaturationRecovery>& out) {
+  const auto is_unseen = [](const DistantLight* d) { return d->id == kUnseenSun; };
+  const auto is_sun = [](const DistantLight* d) { return d->radius <= kSunLike; };
+  const bool unseen = std::ranges::any_of(group.lights, is_unseen),
+             suns = std::ranges::any_of(group.lights, is_sun);
+  std::vector<const DistantLight*> takers;
+  Rgb measured;
+  for (const DistantLight* d : group.lights) {
+    const Rgb own = irradiance(*d, normal);
+    if (unseen ? is_unseen(d) : !suns || is_sun(d))
+      takers.push_back(d), measured += own;
+    else
+      all += own * -1.f;
+  }
+  for (const DistantLight* d : takers) {
+    SaturationRecovery& recovery = out.emplace_back(d->id, power(*d));
+    for (int c = 0; c < 3; ++c) {
+      const float missing = std::max(0.f, all[c]);
+      if (is_unseen(d))
+        recovery.power[c] = missing / static_cast<float>(response(*d, normal));
+      else if (measured[c] > 0)
+        recovery.power[c] *= missing / measured[c];
+    }
+  }
+}
+
+bool is_clipped(const LightEstimate& light, int id) {
+  return std::ranges::any_of(light.lights,
+                             [&](const DistantLight& d) { return d.clipped && d.id == id; });
 }
 
 }  // namespace
 
-Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
-                                                        const ReflectancePatch& patch) {
-  PENUMBRA_TRY(check(patch));
-  const auto unseen = std::ranges::find(light.lights, kUnseenSun, &DistantLight::id);
-  if (unseen != light.lights.end() && response(*unseen, patch.normal) >= kMinCosine)
-    return recover_unseen(light, *unseen, patch);
-  const auto is_sun = [](const DistantLight& d) { return d.clipped && d.radius <= kSunLike; };
-  const bool suns = std::ranges::any_of(light.lights, is_sun);
-  const auto fractions = [&](const DistantLight& d) { return suns ? is_sun(d) : d.clipped; };
-  const Rgb others = irradiance_without(light, irradiance(light.light), patch.normal, fractions);
-  std::vector<SaturationRecovery> out;
-  Rgb measured;
-  double nearest = 0;
-  for (const DistantLight& d : light.lights) {
-    if (!fractions(d)) continue;
-    measured += irradiance(d, patch.normal);
-    nearest = std::max(nearest, response(d, patch.normal));
-    out.push_back({d.id, power(d)});
-  }
-  if (out.empty()) return fail(ErrorCode::kInvalid, "light", "has no saturated light");
-  if (nearest < kMinCosine)
+Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
+                                            const ShadowedSurface& surface) {
+  PENUMBRA_TRY(check(surface));
+  for (const ShadowRegion& region : surface.regions)
+    for (const int id : region.hidden)
+      if (!is_clipped(light, id))
+        return fail(ErrorCode::kInvalid, "surface",
+                    fmt::format("lies in the shadow of light {}, which is not saturated", id));
+  if (std::ranges::none_of(light.lights, &DistantLight::clipped))
+    return fail(ErrorCode::kInvalid, "light", "has no saturated light");
+  const std::vector<LightGroup> groups = groups_of(light, surface);
+  if (groups.empty())
     return fail(ErrorCode::kUndetermined, "surface", "does not face a saturated light");
-  Rgb factor;
+  const auto is_sought = [&](const DistantLight& d) {
+    return std::ranges::any_of(groups, [&](const LightGroup& group) {
+      return std::ranges::find(group.lights, &d) != group.lights.end();
+    });
+  };
+  const Rgb others = irradiance_without(light, irradiance(light.light), surface.normal, is_sought);
+  ShadowRecovery out{{}, surface.albedo.value_or(Rgb{})};
+  std::vector<Rgb> by_group(groups.size());
   for (int c = 0; c < 3; ++c) {
-    const float missing = static_cast<float>(kPi) * patch.radiance[c] / patch.albedo[c] - others[c];
-    factor[c] = measured[c] > 0 ? std::max(0.f, missing / measured[c]) : 1;
+    const auto solved = solve_channel(surface, c, groups, double(others[c]));
+    if (!solved)
+      return fail(ErrorCode::kUndetermined, "surface",
+                  "has no shadows that tell its albedo and the saturated lights apart");
+    for (std::size_t k = 0; k < groups.size(); ++k)
+      by_group[k][c] = static_cast<float>((*solved)(static_cast<std::ptrdiff_t>(k)));
+    if (surface.albedo) continue;
+    const double inverse = (*solved)(std::ssize(groups));
+    if (!(inverse > 0))
+      return fail(ErrorCode::kUndetermined, "surface",
+                  "has no light in the shadow to compare with");
+    out.albedo[c] = static_cast<float>(1 / inverse);
   }
-  for (SaturationRecovery& recovery : out) recovery.power = recovery.power * factor;
-  if (!(luminance(out[0].power) > 0))
+  for (std::size_t k = 0; k < groups.size(); ++k)
+    divide(groups[k], surface.normal, by_group[k], out.powers);
+  const bool any = std::ranges::any_of(out.powers, [](const SaturationRecovery& r) {
+    return r.source == kUnseenSun || luminance(r.power) > 0;
+  });
+  if (!any)
     return fail(ErrorCode::kUndetermined, "surface",
                 "shows none of the saturated light: it lies in shadow, or its albedo is another");
   return out;
 }
 
-Result<SaturationRecovery> recover_from_shadow(const LightEstimate& light, int source,
-                                               const ShadowEdge& edge) {
-  const auto at = std::ranges::find_if(
-      light.lights, [&](const DistantLight& d) { return d.clipped && d.id == source; });
-  if (at == light.lights.end())
-    return fail(ErrorCode::kInvalid, "shadow edge",
-                fmt::format("is of light {}, which is not saturated", source));
-  if (!(std::abs(glm::dot(edge.normal, edge.normal) - 1) < 1e-3))
-    return fail(ErrorCode::kInvalid, "shadow edge", "has a normal that is not a unit vector");
-  if (!is_finite(edge.lit) || !is_finite(edge.shadowed))
-    return fail(ErrorCode::kNonFinite, "shadow edge", "has a radiance that is not finite");
-  for (int c = 0; c < 3; ++c)
-    if (!(edge.shadowed[c] > 0))
-      return fail(ErrorCode::kUndetermined, "shadow edge",
-                  "has a shadow that is black in one channel");
-  if (!(luminance(edge.lit) > luminance(edge.shadowed)))
-    return fail(ErrorCode::kUndetermined, "shadow edge",
-                "has a lit side that is not brighter than the shadow");
-  const double seen = response(*at, edge.normal);
-  if (seen < kMinCosine)
-    return fail(ErrorCode::kUndetermined, "shadow edge",
-                fmt::format("lies on a surface that does not face saturated light {}", source));
-  const Rgb others = irradiance_without(light, irradiance(light.light), edge.normal,
-                                        [&](const DistantLight& d) { return &d == &*at; });
-  SaturationRecovery out{source, {}};
-  for (int c = 0; c < 3; ++c)
-    out.power[c] = std::max(0.f, others[c] *
-                                     (edge.others_at_shadowed[c] * edge.lit[c] / edge.shadowed[c] -
-                                      edge.others_at_lit[c]) /
-                                     static_cast<float>(seen));
-  if (!(luminance(out.power) > 0))
-    return fail(ErrorCode::kUndetermined, "shadow edge",
-                "has no light in the shadow to compare with");
-  return out;
+Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
+                                                        const ReflectancePatch& patch) {
+  const ShadowRegion all{patch.radiance};
+  PENUMBRA_ASSIGN(found, recover_from_shadows(light, {patch.normal, {&all, 1}, patch.albedo}));
+  return std::move(found.powers);
 }
 
 DistantLight unseen_sun(const glm::dvec3& direction) {

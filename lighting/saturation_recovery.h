@@ -32,13 +32,23 @@ struct ReflectancePatch {
   Rgb albedo;
 };
 
-/// A matte surface on both sides of the edge of the shadow that something real casts in the light
-/// of one clipped source. Any scale, any albedo. Of the other light a part may be kept from either
-/// side by what casts the shadow.
-struct ShadowEdge {
+/// A part of a matte surface on which things keep some clipped sources out as a whole; all others
+/// reach it as a whole.
+struct ShadowRegion {
+  Rgb radiance;               // any scale where the albedo is not known
+  Rgb others{1, 1, 1};        // 0..1: what the same things leave of all other light
+  std::vector<int> hidden{};  // ids of the clipped sources that are kept out
+};
+
+/// One surface, or more of one albedo, with the shadows on it.
+struct ShadowedSurface {
   glm::dvec3 normal{0, 1, 0};
-  Rgb lit, shadowed;
-  Rgb others_at_lit{1, 1, 1}, others_at_shadowed{1, 1, 1};  // 0..1
+  std::span<const ShadowRegion> regions;
+  std::optional<Rgb> albedo{};  // nothing: not known, and one of the unknowns
+};
+struct ShadowRecovery {
+  std::vector<SaturationRecovery> powers;
+  Rgb albedo;
 };
 
 /// Divides the irradiance missing at one patch among several saturated lights, in proportion to
@@ -52,11 +62,15 @@ struct ShadowEdge {
 /// source:  Debevec, Graham, Busch & Bolas 2012
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch);
-/// E_light = E_others (others_at_shadowed lit / shadowed - others_at_lit).
-/// errors:  kInvalid (not a clipped light, bad edge), kNonFinite, kUndetermined (the surface does
-///          not see the light, the lit side is not brighter)
-Result<SaturationRecovery> recover_from_shadow(const LightEstimate& light, int source,
-                                               const ShadowEdge& edge);
+/// The powers that agree best with all regions, and the albedo:
+///   pi L_g / albedo = others_g E_others + sum_j b_j Int cos+ over light j, j reaches region g
+/// What no shadow tells apart is divided as recover_jointly() does.
+/// errors:  kInvalid (no clipped light, a hidden one that is not clipped, bad normal or albedo),
+///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the shadows
+///          do not tell light and albedo apart)
+/// source:  Debevec, Graham, Busch & Bolas 2012, with shadows for further surfaces
+Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
+                                            const ShadowedSurface& surface);
 
 inline constexpr Radians kSunRadius{.2666 * kPi / 180};
 /// The id of a sun whose place is known and not seen. Nothing is measured of it: until its power is

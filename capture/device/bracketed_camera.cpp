@@ -10,7 +10,8 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   // A new device counts from the start and follows as late as the old one did.
   labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
   counter_ = {};
-  told_ = false;
+  told_ = back_to_usual_ = false;
+  darker_exposure_.reset(), darker_.reset(), next_frame_.reset();
   lost_before_ = counts_.lost;
   if (auto_schedule_ && schedule_.empty()) take(auto_schedule_->probe(limits()));
   if (schedule_.empty()) return {};
@@ -53,7 +54,33 @@ Result<void> BracketedCamera::ask() {
   return {};
 }
 
+void BracketedCamera::take_darker(double factor) {
+  if (!can_take_darker() || !device_ || darker_) return;
+  const Exposure& usual = schedule_[0];
+  const Exposure wanted = device_->nearest({usual.time * factor, usual.gain});
+  if (wanted.product() < .7 * usual.product()) darker_exposure_ = wanted;
+}
+
+// For one frame: soon after a frame arrived, and back after the next.
+Result<void> BracketedCamera::ask_for_darker() {
+  if (std::exchange(back_to_usual_, false)) return device_->request(device_->nearest(schedule_[0]));
+  if (!darker_exposure_) return {};
+  darker_.emplace(info_.response, *darker_exposure_);
+  back_to_usual_ = true;
+  return device_->request(*std::exchange(darker_exposure_, std::nullopt));
+}
+
+std::optional<Frame> BracketedCamera::pass(Frame frame, const std::optional<Exposure>& applied) {
+  if (!darker_) return frame;
+  DarkerFrame::Passed passed = darker_->pass(std::move(frame), applied);
+  if (darker_->over()) darker_.reset();
+  if (!passed.darker) return std::move(passed.frame);
+  next_frame_ = std::move(passed.frame);
+  return std::move(passed.darker);
+}
+
 Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
+  if (next_frame_) return std::exchange(next_frame_, std::nullopt);
   // When a request takes effect is certain only where it is made soon after a frame arrived.
   auto came = device_->wait(timeout, counter_.fresh());
   if (!came) {
@@ -63,7 +90,7 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   if (!*came) return std::nullopt;
   const CameraFrame& raw = **came;
   const std::uint64_t number = counter_.count(raw.sequence, raw.time, device_->now());
-  if (asks_each_frame()) PENUMBRA_TRY(ask());
+  PENUMBRA_TRY(asks_each_frame() ? ask() : ask_for_darker());
   auto pixels = device_->pixels();
   counts_.damaged += static_cast<std::uint64_t>(raw.damaged_before) + !pixels;
   counts_.lost = lost_before_ + counter_.lost();
@@ -79,13 +106,9 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   }
   counts_.exposures = schedule_;
   if (auto_schedule_) counts_.light_error = auto_schedule_->plan().error();
-  return Frame{0,
-               sent_++,
-               raw.time,
-               label.exposure,
-               info_.world_from_camera,
-               std::make_shared<const FramePixels>(std::move(*pixels)),
-               device_->jpeg()};
+  return pass({0, sent_++, raw.time, label.exposure, info_.world_from_camera,
+               std::make_shared<const FramePixels>(std::move(*pixels)), device_->jpeg()},
+              raw.applied);
 }
 
 // A frame that tells its exposure needs no delay; what it tells is checked like any label.

@@ -1,6 +1,7 @@
 #include "capture/device/rig.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <mutex>
 #include <stop_token>
@@ -65,6 +66,7 @@ struct Rig::Station {
         }
         const auto before = std::chrono::steady_clock::now();
         const std::uint64_t arrived = arrivals();
+        if (const double factor = darker.exchange(0); factor > 0) bracketed.take_darker(factor);
         auto frame = bracketed.next(kTurn);
         publish();
         silent = arrivals() != arrived
@@ -102,6 +104,7 @@ struct Rig::Station {
   OpenCamera open;
   Bounded<Frame>& frames;
   Latest<Error>& failed;
+  std::atomic<double> darker = 0;  // factor of a darker frame that is wanted; 0: none
   Seconds longest{0}, silent{0};
   std::uint64_t reconnected = 0, overrun = 0;
   mutable std::mutex mutex;
@@ -145,6 +148,14 @@ Result<std::optional<Frame>> Rig::next() {
 void Rig::close() {
   frames_.close();
   for (const auto& station : stations_) station->thread.request_stop();
+}
+
+bool Rig::take_darker(int camera, double factor) {
+  Station& station = *stations_.at(static_cast<std::size_t>(camera));
+  // Of what never changes once the rig is open.
+  if (station.camera.schedule.size() != 1 || station.camera.light_error) return false;
+  station.darker = factor;
+  return true;
 }
 
 std::vector<CameraCounts> Rig::counts() const {

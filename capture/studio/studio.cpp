@@ -249,6 +249,26 @@ Frame Studio::view_frame(std::uint64_t index) {
   return frame;
 }
 
+bool Studio::take_darker(int camera, double factor) {
+  if (camera != kViewCamera) return false;
+  darker_ = factor;
+  return true;
+}
+
+// Between two view frames.
+Frame Studio::darker_frame(double factor) const {
+  Frame frame;
+  frame.camera = kViewCamera;
+  frame.sequence = next_view_;
+  frame.time =
+      TimestampNs{0} + Seconds((static_cast<double>(next_view_) + .25) / options_.view_fps);
+  frame.exposure = {options_.view_exposure->time * factor, options_.view_exposure->gain};
+  frame.world_from_camera = cameras_[kViewCamera].world_from_camera;
+  frame.pixels = film(kViewCamera, frame.exposure, options_.seed * 15485863 + next_view_);
+  frame.for_light = true;
+  return frame;
+}
+
 Result<std::optional<Frame>> Studio::next() {
   const auto dropped = [&](std::uint64_t index) {
     return options_.drop_every > 0 &&
@@ -260,6 +280,8 @@ Result<std::optional<Frame>> Studio::next() {
   const double environment_time = static_cast<double>(next_environment_) / options_.environment_fps;
   const double view_time = (static_cast<double>(next_view_) + .5) / options_.view_fps;
   if (environment_time <= view_time) return std::optional(environment_frame(next_environment_++));
+  if (const double factor = darker_.exchange(0); factor > 0)
+    return std::optional(darker_frame(factor));
   return std::optional(view_frame(next_view_++));
 }
 

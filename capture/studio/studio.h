@@ -2,6 +2,7 @@
 // threads: classes are thread-bound
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <glm/vec3.hpp>
 #include <memory>
@@ -52,6 +53,7 @@ class Studio : public FrameSource {
   const std::vector<CameraInfo>& cameras() const override { return cameras_; }
   Result<std::optional<Frame>> next() override;
   double view_rate() const override { return options_.view_fps; }
+  bool take_darker(int camera, double factor) override;
 
   std::span<const Exposure> schedule() const { return options_.schedule; }
   Exposure view_exposure() const { return *options_.view_exposure; }
@@ -63,6 +65,7 @@ class Studio : public FrameSource {
                                           std::uint64_t seed) const;
   Frame environment_frame(std::uint64_t index);
   Frame view_frame(std::uint64_t index);
+  Frame darker_frame(double factor) const;
   void expose_view();
 
   StudioOptions options_;
@@ -72,6 +75,7 @@ class Studio : public FrameSource {
   Image<Rgb> environment_radiance_, view_radiance_;  // with the blur of their cameras
   std::vector<std::shared_ptr<const FramePixels>> environment_clip_, view_clip_;
   std::uint64_t next_environment_ = 0, next_view_ = 0;
+  std::atomic<double> darker_ = 0;  // factor of a darker view frame that is wanted; 0: none
 };
 
 /// The fewest exposures that cover the light's range (docs/methods/exposures.md), longest first,

@@ -89,8 +89,9 @@ namespace {
 // A replay in the order of its frames. View frames wait for the first whole light.
 class Replay {
  public:
-  Replay(LightEstimationStage& light, CompositeStage& compose, const Sink& sink, RunCounts& counts)
-      : light_(light), compose_(compose), sink_(sink), counts_(counts) {}
+  Replay(capture::FrameSource& source, LightEstimationStage& light, CompositeStage& compose,
+         const Sink& sink, RunCounts& counts)
+      : source_(source), light_(light), compose_(compose), sink_(sink), counts_(counts) {}
 
   bool go_on() const { return go_on_; }
   const std::optional<Error>& last_unusable() const { return last_unusable_; }
@@ -105,6 +106,10 @@ class Replay {
     return light_.ready() ? compose_waiting() : Result<void>{};
   }
 
+  void measure_light(const capture::Frame& view) {
+    light_.add_recoveries(compose_.recover_lights(view, estimate_, &source_));
+  }
+
   Result<void> add_view(const capture::Frame& frame) {
     constexpr std::size_t kMaxWaiting = 16, kMaxPixels = 64'000'000;
     waiting_.push_back(frame);
@@ -117,7 +122,7 @@ class Replay {
   Result<void> compose_waiting() {
     for (const capture::Frame& frame : waiting_) {
       if (!go_on_) break;
-      light_.add_recoveries(compose_.recover_lights(frame, estimate_));
+      measure_light(frame);
       PENUMBRA_TRY(compose_one(frame, estimate_, compose_, sink_, counts_, go_on_));
     }
     waiting_.clear();
@@ -125,6 +130,7 @@ class Replay {
   }
 
  private:
+  capture::FrameSource& source_;
   LightEstimationStage& light_;
   CompositeStage& compose_;
   const Sink& sink_;
@@ -140,7 +146,7 @@ class Replay {
 Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage& light,
                              CompositeStage& compose, const Sink& sink, StageTimes& times) {
   RunCounts counts;
-  Replay replay(light, compose, sink, counts);
+  Replay replay(source, light, compose, sink, counts);
   const auto start = Clock::now();
   while (replay.go_on()) {
     auto frame = [&] {
@@ -149,6 +155,10 @@ Result<RunCounts> run_replay(capture::FrameSource& source, LightEstimationStage&
     }();
     if (!frame) return std::unexpected(frame.error());
     if (!*frame) break;
+    if ((*frame)->for_light) {
+      replay.measure_light(**frame);
+      continue;
+    }
     if (light.takes((*frame)->camera)) PENUMBRA_TRY(replay.add_environment(**frame));
     if (is_view(source, **frame)) PENUMBRA_TRY(replay.add_view(**frame));
   }
@@ -164,7 +174,7 @@ namespace {
 // What the threads of a live run share. Every queue closes when anyone stops.
 struct Live {
   FrameMailbox environment;
-  Latest<capture::Frame> view;
+  Latest<capture::Frame> view, for_light;
   Latest<lighting::LightEstimate> light;
   Latest<std::vector<lighting::SaturationRecovery>> recoveries;
   std::atomic<int> affordable_lights = std::numeric_limits<int>::max();
@@ -176,6 +186,7 @@ struct Live {
   void close() {
     environment.close();
     view.close();
+    for_light.close();
     light.close();
     recoveries.close();
   }
@@ -225,6 +236,10 @@ void produce(Live& live, capture::FrameSource& source, const LightEstimationStag
           !wait_until(*origin + std::chrono::duration_cast<Clock::duration>((*frame)->time - first),
                       live, stop))
         break;
+      if ((*frame)->for_light) {
+        live.for_light.put(std::move(**frame));
+        continue;
+      }
       // A ball in its picture makes a view camera both.
       const bool viewed = is_view(source, **frame);
       if (light.takes((*frame)->camera)) live.environment.put(**frame);
@@ -376,6 +391,10 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     lighting::LightEstimate estimate;
     FrameBudget pace(period_ms(source));
     LiveFrames frames(compose, sink, counts);
+    const auto recover = [&](const capture::Frame& view) {
+      if (auto found = compose.recover_lights(view, estimate, &source); !found.empty())
+        live.recoveries.put(std::move(found));
+    };
     while (frames.go_on() && !stop) {
       auto frame = live.view.wait(Seconds(.5));
       if (!frame) {
@@ -384,8 +403,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
       }
       counts.overtaken = live.overtaken();
       if (auto newer = live.light.take()) estimate = std::move(*newer);
-      if (auto recoveries = compose.recover_lights(*frame, estimate); !recoveries.empty())
-        live.recoveries.put(std::move(recoveries));
+      if (const auto darker = live.for_light.take()) recover(*darker);
+      recover(*frame);
       composed = frames.add(*frame, estimate, live.view);
       if (!composed) break;
       keep_pace(pace, frames.busy_ms(), estimate, live);

@@ -96,9 +96,11 @@ class CompositeStage {
   /// Where objects are put from the next frame on.
   ObjectMoves& moves() { return moves_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can
-  /// tell; empty where it cannot.
+  /// tell; empty where it cannot. Where it overexposes the floor, a darker one is asked for.
+  /// source: of the frame, where it may be asked; null: nobody is
   std::vector<lighting::SaturationRecovery> recover_lights(const capture::Frame& frame,
-                                                           const lighting::LightEstimate& light);
+                                                           const lighting::LightEstimate& light,
+                                                           capture::FrameSource* source = nullptr);
   /// The part of process() that depends on the light: relights objects and renews shadows where
   /// something changed visibly.
   bool shade(const lighting::LightEstimate& light, double seconds);
@@ -107,6 +109,7 @@ class CompositeStage {
   void keep_time() { keeps_time_ = true; }
 
  private:
+  static constexpr double kDarker = 1. / 8;  // exposure of the first darker frame
   // In the bake frame.
   struct ObjectLight {
     RadianceSh open, local;  // local: with real things in it as the object's surface sees it
@@ -212,6 +215,7 @@ class CompositeStage {
   bool move_objects();
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
+  bool ask_for_darker(const capture::Frame& frame, capture::FrameSource& source);
   const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);
   compositor::View view_of(const capture::Frame& frame);
 
@@ -229,6 +233,7 @@ class CompositeStage {
   std::optional<PlaneLight> plane_light_;  // of this update
   std::vector<Rgb> of_points_, lost_;      // scratch
   std::vector<Rgb> real_ratios_;           // at its vertices, as last shown
+  double darker_factor_ = kDarker;         // of a frame for light
   bool could_not_complete_ = false;        // was said
   bool keeps_time_ = false;
   StageTimes& times_;

@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <functional>
+#include <map>
 #include <utility>
 
 #include "calib/camera/camera_model.h"
@@ -27,7 +29,7 @@ namespace penumbra::runtime {
 namespace {
 
 constexpr int kStep_px = 6;  // between the pixels that are read
-constexpr int kMinPixels = 200;
+constexpr std::size_t kMinPixels = 200;
 constexpr float kShadowed = .5f;  // of the median: darker pixels lie in a real shadow
 constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
 constexpr double kGoldenAngle = 2.399963229728653;
@@ -100,44 +102,34 @@ std::optional<Rgb> lit_radiance(std::vector<FloorPixel>& pixels) {
   return out;
 }
 
-enum class Shade { kHidden, kNone, kPart, kAll };
+// Which clipped lights known things keep from a point, bit by light.
+using HiddenLights = std::uint32_t;
+constexpr std::size_t kMaxClipped = 32;
 
-// Of a point of the floor that the eye looks at: whether a known thing hides it, and what it keeps
-// from it of clipped lights. `kAll` of one light alone.
-Shade shade_at(const prt::RayScene& real, const glm::dvec3& eye, const glm::dvec3& direction,
-               double distance, std::span<const lighting::DistantLight* const> clipped) {
+// Of a point of the floor that the eye looks at. Nothing where a known thing hides it, or a part of
+// a clipped light from it.
+std::optional<HiddenLights> hidden_at(const prt::RayScene& real, const glm::dvec3& eye,
+                                      const glm::dvec3& direction, double distance,
+                                      std::span<const lighting::DistantLight* const> clipped) {
   if (real.occluded(glm::vec3(eye), glm::vec3(direction), 0, static_cast<float>(distance)))
-    return Shade::kHidden;
+    return std::nullopt;
   const glm::vec3 point(eye + distance * direction);
   const auto keeps = [&](const glm::dvec3& d) {
     return real.occluded(point, glm::vec3(glm::normalize(d)), kOff_m, kFar_m);
   };
-  Shade out = Shade::kNone;
-  for (const lighting::DistantLight* light : clipped) {
-    const glm::dvec3& axis = light->direction;
+  HiddenLights out = 0;
+  for (std::size_t k = 0; k < clipped.size(); ++k) {
+    const glm::dvec3& axis = clipped[k]->direction;
     if (!keeps(axis)) continue;
     // Its rim, about: half shadows would make the dark side too bright.
     const glm::dmat3 frame(prt::frame_around(glm::vec3(axis)));
-    const double reach = std::tan(std::min(light->radius.value(), 1.));
-    const bool whole = keeps(axis + reach * frame[0]) && keeps(axis - reach * frame[0]) &&
-                       keeps(axis + reach * frame[1]) && keeps(axis - reach * frame[1]);
-    out = whole && clipped.size() == 1 ? Shade::kAll : Shade::kPart;
+    const double reach = std::tan(std::min(clipped[k]->radius.value(), 1.));
+    if (!(keeps(axis + reach * frame[0]) && keeps(axis - reach * frame[0]) &&
+          keeps(axis + reach * frame[1]) && keeps(axis - reach * frame[1])))
+      return std::nullopt;
+    out |= HiddenLights{1} << k;
   }
   return out;
-}
-
-// Of the floor, from its lit side, once the light is known.
-float albedo_by(const lighting::SaturationRecovery& found, const lighting::ShadowEdge& edge,
-                const lighting::LightEstimate& light) {
-  Rgb others = lighting::evaluate(lighting::irradiance(light.light), edge.normal), own;
-  for (const lighting::DistantLight& d : light.lights) {
-    if (d.id != found.source)
-      others += lighting::irradiance(d, edge.normal);
-    else
-      own = found.power * static_cast<float>(std::max(0., glm::dot(d.direction, edge.normal)));
-  }
-  const float open = luminance(others * edge.others_at_lit + own);
-  return static_cast<float>(kPi) * luminance(edge.lit) / std::max(open, 1e-30f);
 }
 
 }  // namespace
@@ -171,8 +163,8 @@ bool FloorRecovery::is_near_an_object(const glm::dvec3& point) const {
 }
 
 struct FloorRecovery::SeenFloor {
-  std::vector<FloorPixel> lit;       // as far as is known
-  std::vector<FloorPixel> shadowed;  // by a known thing, from all of one clipped light
+  std::vector<FloorPixel> lit;                               // as far as is known
+  std::map<HiddenLights, std::vector<FloorPixel>> shadowed;  // by known things
 };
 
 FloorRecovery::SeenFloor FloorRecovery::measure(
@@ -193,13 +185,14 @@ FloorRecovery::SeenFloor FloorRecovery::measure(
       const double distance = -height / glm::dot(d, floor_->normal);
       const glm::dvec3 point = eye + distance * d;
       if (!(distance > 0) || !is_near_an_object(point)) continue;
-      const Shade shade = real_ ? shade_at(*real_, eye, d, distance, clipped) : Shade::kNone;
-      if (shade == Shade::kHidden || shade == Shade::kPart) continue;
+      const auto hidden =
+          real_ ? hidden_at(*real_, eye, d, distance, clipped) : std::optional<HiddenLights>(0);
+      if (!hidden) continue;
       auto pixel = std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
       if (!pixel) continue;
       pixel->radiance = pixel->radiance * (1 / static_cast<float>(vignetting.at({x + .5, y + .5})));
       pixel->point = point;
-      (shade == Shade::kNone ? out.lit : out.shadowed).push_back(*pixel);
+      (*hidden == 0 ? out.lit : out.shadowed[*hidden]).push_back(*pixel);
     }
   return out;
 }
@@ -234,13 +227,11 @@ Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
   return out;
 }
 
-// Nothing where too little is in the shadow of one light alone.
-std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
-    SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light) const {
-  constexpr std::size_t kFewest = 40, kMax = 64;
-  if (floor.shadowed.size() < kFewest) return std::nullopt;
-  const auto shadowed = lit_radiance(floor.shadowed);
-  if (!shadowed) return std::nullopt;
+std::vector<lighting::ShadowRegion> FloorRecovery::regions_of(
+    SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light,
+    std::span<const lighting::DistantLight* const> clipped) const {
+  constexpr std::size_t kFewest = 40,
+                        kMax = 64;  // pixels of a region; of them that are looked from
   const auto others_at = [&](const std::vector<FloorPixel>& pixels) {
     const std::size_t apart = (pixels.size() + kMax - 1) / kMax;
     Rgb sum;
@@ -249,27 +240,42 @@ std::optional<lighting::ShadowEdge> FloorRecovery::shadow_edge(
       sum += left_of_others(pixels[i].point, light);
     return sum * (1 / count);
   };
-  return lighting::ShadowEdge{floor_->normal, lit, *shadowed, others_at(floor.lit),
-                              others_at(floor.shadowed)};
+  std::vector<lighting::ShadowRegion> out{{lit}};
+  for (auto& [hidden, pixels] : floor.shadowed) {
+    if (pixels.size() < kFewest) continue;
+    const auto radiance = lit_radiance(pixels);
+    if (!radiance || !(luminance(*radiance) > 0)) continue;
+    lighting::ShadowRegion& region = out.emplace_back(*radiance, others_at(pixels));
+    for (std::size_t k = 0; k < clipped.size(); ++k)
+      if (hidden >> k & 1) region.hidden.push_back(clipped[k]->id);
+  }
+  if (out.size() > 1) out[0].others = others_at(floor.lit);
+  return out;
 }
 
 Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
-    SeenFloor floor, const lighting::LightEstimate& light, const std::string& camera) {
-  const auto usable = std::ranges::count_if(floor.lit, std::not_fn(&FloorPixel::any_saturated));
+    SeenFloor floor, const lighting::LightEstimate& light,
+    std::span<const lighting::DistantLight* const> clipped, const std::string& camera) {
+  const auto usable = static_cast<std::size_t>(
+      std::ranges::count_if(floor.lit, std::not_fn(&FloorPixel::any_saturated)));
   const auto lit = usable >= kMinPixels ? lit_radiance(floor.lit) : std::nullopt;
+  overexposed_ = !lit && floor.lit.size() >= kMinPixels;
   if (!lit)
     return fail(ErrorCode::kUndetermined, camera,
                 "shows too little of the floor, or overexposes it");
-  if (const auto edge = shadow_edge(floor, *lit, light)) {
-    const auto clipped = std::ranges::find(light.lights, true, &lighting::DistantLight::clipped);
-    const auto found = lighting::recover_from_shadow(light, clipped->id, *edge);
-    if (found && contradicts_albedo(albedo_by(*found, *edge, light), camera))
-      return std::vector{*found};
+  const std::vector<lighting::ShadowRegion> regions = regions_of(floor, *lit, light, clipped);
+  lighting::ShadowedSurface surface{floor_->normal, regions};
+  if (regions.size() > 1) {
+    auto found = lighting::recover_from_shadows(light, surface);
+    if (found && contradicts_albedo(luminance(found->albedo), camera))
+      return std::move(found->powers);
   }
   if (!(luminance(floor_->albedo) > 0))
     return fail(ErrorCode::kUndetermined, camera,
                 "shows a floor of unknown albedo, and no shadow of a known thing");
-  return lighting::recover_jointly(light, {floor_->normal, *lit, floor_->albedo});
+  surface.albedo = floor_->albedo;
+  PENUMBRA_ASSIGN(found, lighting::recover_from_shadows(light, surface));
+  return std::move(found.powers);
 }
 
 // By more than it takes to believe the albedo again: the sun must not jump between two powers.
@@ -314,12 +320,13 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
   std::vector<int> clipped;
   std::vector<const lighting::DistantLight*> lights;
   for (const lighting::DistantLight& d : light.lights)
-    if (d.clipped) clipped.push_back(d.id), lights.push_back(&d);
-  if (!floor_ || clipped.empty() || (last_ && frame.time - *last_ < kInterval && clipped == tried_))
+    if (d.clipped && lights.size() < kMaxClipped) clipped.push_back(d.id), lights.push_back(&d);
+  const bool rests = !frame.for_light && last_ && frame.time - *last_ < kInterval;
+  if (!floor_ || clipped.empty() || (rests && clipped == tried_))
     return std::vector<lighting::SaturationRecovery>{};
   last_ = frame.time;
   tried_ = std::move(clipped);
-  auto found = recover(measure(frame, camera, curve, lights), light, camera.name);
+  auto found = recover(measure(frame, camera, curve, lights), light, lights, camera.name);
   if (!found) return found;
   if (!is_news(*found, light)) return std::vector<lighting::SaturationRecovery>{};
   said_ = *found;

@@ -38,13 +38,18 @@ class FloorRecovery {
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View
   /// out: recoveries of the light's clipped lights; empty when there is nothing (new) to say
-  /// errors: as recover_jointly; kUndetermined when too little of the floor is in view or it is
+  /// errors: as recover_from_shadows; kUndetermined when too little of the floor is in view or it is
   /// overexposed, or its albedo is unknown and no known thing's shadow is in view
+  /// A frame taken for light counts at once, others once kInterval.
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
   Result<std::vector<lighting::SaturationRecovery>> observe(const capture::Frame& frame,
                                                             const capture::CameraInfo& camera,
                                                             const ResponseTable* curve,
                                                             const lighting::LightEstimate& light);
+
+  /// Enough of the floor was in view at the last attempt, and most of it overexposed: a darker
+  /// frame would tell.
+  bool overexposed() const { return overexposed_; }
 
  private:
   // The floor in the picture, what is in a known thing's shadow apart.
@@ -52,14 +57,15 @@ class FloorRecovery {
   SeenFloor measure(const capture::Frame& frame, const capture::CameraInfo& camera,
                     const ResponseTable* curve,
                     std::span<const lighting::DistantLight* const> clipped) const;
-  // What real things keep from a point of the floor of all light but the clipped one: the part that
-  // is left.
+  // What real things leave of all light but the clipped at a point of the floor, 0..1.
   Rgb left_of_others(const glm::dvec3& point, const lighting::LightEstimate& light) const;
-  std::optional<lighting::ShadowEdge> shadow_edge(SeenFloor& floor, const Rgb& lit,
-                                                  const lighting::LightEstimate& light) const;
-  Result<std::vector<lighting::SaturationRecovery>> recover(SeenFloor floor,
-                                                            const lighting::LightEstimate& light,
-                                                            const std::string& camera);
+  // The lit floor first, then what lies in shadows of known things.
+  std::vector<lighting::ShadowRegion> regions_of(
+      SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light,
+      std::span<const lighting::DistantLight* const> clipped) const;
+  Result<std::vector<lighting::SaturationRecovery>> recover(
+      SeenFloor floor, const lighting::LightEstimate& light,
+      std::span<const lighting::DistantLight* const> clipped, const std::string& camera);
   bool contradicts_albedo(float measured, const std::string& camera);
   bool is_near_an_object(const glm::dvec3& point) const;
   bool is_news(const std::vector<lighting::SaturationRecovery>& found,
@@ -71,8 +77,8 @@ class FloorRecovery {
   std::optional<TimestampNs> last_;
   std::vector<int> tried_;  // lights of the last attempt
   std::vector<lighting::SaturationRecovery> said_;
-  bool by_shadow_ = false;  // last time
-  bool warned_ = false;     // of the albedo
+  bool overexposed_ = false, by_shadow_ = false;  // last time
+  bool warned_ = false;                           // of the albedo
 };
 
 }  // namespace penumbra::runtime

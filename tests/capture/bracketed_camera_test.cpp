@@ -256,5 +256,87 @@ TEST(BracketedCamera, OneExposureNeedsNoMeasuring) {
   EXPECT_EQ(r.good, 20);
 }
 
+// A camera of one exposure that is asked for a darker frame after `asked_after` frames.
+struct Darker {
+  int shown_dark = 0;  // of those for the view: a flash of darkness
+  int shown = 0;
+  std::vector<Frame> for_light;
+  std::vector<Exposure> truth;  // of those
+};
+Darker ask_for_darker(FakeCameraBehaviour behaviour, double factor = 1. / 8,
+                      double exposure_s = .004) {
+  constexpr int kFrames = 40, kAskedAfter = 10;
+  auto fake = std::make_unique<FakeCamera>(scene(), behaviour);
+  FakeCamera& camera = *fake;
+  BracketedCamera bracketed(info(), {{Seconds(exposure_s), Gain(1)}}, {});
+  EXPECT_TRUE(bracketed.connect(std::move(fake)));
+  EXPECT_TRUE(bracketed.can_take_darker());
+  Darker out;
+  std::map<std::uint64_t, Exposure> really;  // by sensor frame
+  for (int i = 0; i < kFrames; ++i) {
+    if (i == kAskedAfter) bracketed.take_darker(factor);
+    const auto frame = bracketed.next(Seconds(.1));
+    really[camera.sensor_frame()] = camera.shown();
+    if (!frame || !*frame) continue;
+    const auto number = std::lround(((*frame)->time - TimestampNs{}).count() * behaviour.fps);
+    const Exposure& truth = really.at(static_cast<std::uint64_t>(number));
+    if ((*frame)->for_light) {
+      out.for_light.push_back(**frame);
+      out.truth.push_back(truth);
+    } else {
+      ++out.shown;
+      out.shown_dark += truth.time < Seconds(.9 * exposure_s);
+    }
+  }
+  return out;
+}
+
+class DarkerFrames : public testing::TestWithParam<int> {};
+TEST_P(DarkerFrames, OneComesBesideTheOthersWhateverTheDelay) {
+  for (const double exposure_s : {.004, .1}) {  // of which the second overexposes
+    FakeCameraBehaviour b;
+    b.delay = GetParam();
+    const Darker d = ask_for_darker(b, 1. / 8, exposure_s);
+    ASSERT_EQ(d.for_light.size(), 1u) << exposure_s;
+    EXPECT_DOUBLE_EQ(d.for_light[0].exposure.time.count(), exposure_s / 8);
+    EXPECT_DOUBLE_EQ(d.truth[0].time.count(), exposure_s / 8);
+    EXPECT_EQ(d.shown_dark, 0);
+    EXPECT_GE(d.shown, 37) << "the view misses no more than that one";
+  }
+}
+INSTANTIATE_TEST_SUITE_P(Frames, DarkerFrames, testing::Values(1, 2, 3, 5));
+
+TEST(DarkerFrame, NoneComesOfACameraThatDoesNotFollow) {
+  FakeCameraBehaviour b;
+  b.ignores_controls = [](std::uint64_t) { return true; };
+  const Darker d = ask_for_darker(b);
+  EXPECT_TRUE(d.for_light.empty());
+  EXPECT_EQ(d.shown, 40);
+}
+
+// A lamp that is switched off while a darker frame is awaited darkens every frame.
+TEST(DarkerFrame, ALampThatGoesOutIsNoExposure) {
+  FakeCameraBehaviour b;
+  b.ignores_controls = [](std::uint64_t) { return true; };
+  b.light = [](double s) { return s > 13 / 30. ? .2 : 1; };
+  const Darker d = ask_for_darker(b);
+  EXPECT_TRUE(d.for_light.empty());
+  EXPECT_GE(d.shown, 37);
+}
+
+TEST(DarkerFrame, FramesThatTellTheirExposureAreBelieved) {
+  FakeCameraBehaviour b;
+  b.tells = [](Exposure e) { return e; };
+  b.light = [](double s) { return s > 11 / 30. ? 5 : 1; };  // as much brighter as it is darker
+  const Darker d = ask_for_darker(b, 1. / 5);
+  ASSERT_EQ(d.for_light.size(), 1u);
+  EXPECT_DOUBLE_EQ(d.truth[0].time.count(), .004 / 5);
+}
+
+TEST(DarkerFrame, ABracketIsNotAskedForOne) {
+  BracketedCamera bracketed(info(), kSchedule, {});
+  EXPECT_FALSE(bracketed.can_take_darker());
+}
+
 }  // namespace
 }  // namespace penumbra::capture

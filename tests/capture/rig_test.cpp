@@ -102,6 +102,25 @@ TEST_F(RigOfFakes, AnUnpluggedCameraIsBackWithinTwoSecondsAndTheOtherGoesOn) {
   EXPECT_EQ((*rig)->counts()[0].reconnected, 1u);
 }
 
+TEST_F(RigOfFakes, AViewCameraTakesADarkerFrameWhenItIsAsked) {
+  std::vector<RigCamera> both = cameras();
+  both[0].schedule.push_back({Seconds(.001), Gain(1)});
+  auto rig = Rig::open(both, open_fake);
+  ASSERT_TRUE(rig);
+  EXPECT_FALSE((*rig)->take_darker(0, .125)) << "it has a bracket of its own";
+  EXPECT_TRUE((*rig)->take_darker(1, .125));
+  const auto give_up = Clock::now() + std::chrono::seconds(10);
+  std::optional<Frame> darker;
+  while (!darker && Clock::now() < give_up) {
+    auto frame = (*rig)->next();
+    ASSERT_TRUE(frame && *frame);
+    if ((*frame)->for_light) darker = **frame;
+  }
+  ASSERT_TRUE(darker);
+  EXPECT_EQ(darker->camera, 1);
+  EXPECT_DOUBLE_EQ(darker->exposure.time.count(), .004 / 8);
+}
+
 // A slow program loses frames in the rig's own queue: without a count nobody would know.
 TEST_F(RigOfFakes, CountsWhatComesWhileTheQueueIsFull) {
   auto rig = Rig::open(cameras(), open_fake);

@@ -269,21 +269,28 @@ TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
   ASSERT_EQ(light.lights.size(), 1U);
   for (const dvec3& n : {kUp, glm::normalize(dvec3(.3, 1, .2))}) {
     const Rgb albedo = Rgb{.3f, .2f, .6f} * 17.f;  // unknown, and in other units
-    ShadowEdge edge{n, exact_irradiance(map, n) * albedo, exact_irradiance(dark, n) * albedo};
-    for (int c = 0; c < 3; ++c) edge.lit[c] *= noise(rng), edge.shadowed[c] *= noise(rng);
-    const auto got = recover_from_shadow(light, light.lights[0].id, edge);
+    const float by_pi = static_cast<float>(1 / kPi);
+    const int id = light.lights[0].id;
+    ShadowRegion regions[] = {{exact_irradiance(map, n) * albedo * by_pi},
+                              {exact_irradiance(dark, n) * albedo * by_pi, {1, 1, 1}, {id}}};
+    for (ShadowRegion& r : regions)
+      for (int c = 0; c < 3; ++c) r.radiance[c] *= noise(rng);
+    const auto got = recover_from_shadows(light, {n, regions});
     ASSERT_TRUE(got) << got.error().detail;
-    expect_power(got->power, kSun.power(), .05);
+    ASSERT_EQ(got->powers.size(), 1u);
+    expect_power(got->powers[0].power, kSun.power(), .05);
+    expect_power(got->albedo, albedo, .02);
     // What casts the shadow keeps a part of the other light from it, and less from the lit side.
     const Rgb others = exact_irradiance(dark, n), all = exact_irradiance(map, n);
-    ShadowEdge beside{n, {}, {}, {.9f, .8f, .7f}, {.6f, .5f, .4f}};
+    ShadowRegion beside[] = {{{}, {.9f, .8f, .7f}}, {{}, {.6f, .5f, .4f}, {id}}};
     for (int c = 0; c < 3; ++c) {
-      beside.lit[c] = (all[c] - others[c] + beside.others_at_lit[c] * others[c]) * albedo[c];
-      beside.shadowed[c] = beside.others_at_shadowed[c] * others[c] * albedo[c];
+      beside[0].radiance[c] =
+          (all[c] - others[c] + beside[0].others[c] * others[c]) * albedo[c] * by_pi;
+      beside[1].radiance[c] = beside[1].others[c] * others[c] * albedo[c] * by_pi;
     }
-    const auto by_parts = recover_from_shadow(light, light.lights[0].id, beside);
+    const auto by_parts = recover_from_shadows(light, {n, beside});
     ASSERT_TRUE(by_parts) << by_parts.error().detail;
-    expect_power(by_parts->power, kSun.power(), .05);
+    expect_power(by_parts->powers[0].power, kSun.power(), .05);
   }
 }
 
@@ -317,14 +324,62 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
   has(error(estimate(clip(map, 1e9f)), up), "invalid has no saturated light");
 
   const int id = light.lights[0].id;
-  const auto edge_error = [&](int source, const ShadowEdge& edge) {
-    const auto got = recover_from_shadow(light, source, edge);
+  const auto shadow_error = [&](std::vector<int> ids, const dvec3& n, float lit, float shadowed) {
+    const ShadowRegion regions[] = {{{lit, lit, lit}},
+                                    {{shadowed, shadowed, shadowed}, {1, 1, 1}, std::move(ids)}};
+    const auto got = recover_from_shadows(light, {n, regions});
     return got ? std::string("none") : got.error().detail;
   };
-  has(edge_error(99, {kUp, {2, 2, 2}, {1, 1, 1}}), "is not saturated");
-  has(edge_error(id, {kUp, {1, 1, 1}, {2, 2, 2}}), "not brighter");
-  has(edge_error(id, {kUp, {1, 1, 1}, {0, 0, 0}}), "black");
-  has(edge_error(id, {-kUp, {2, 2, 2}, {1, 1, 1}}), "does not face");
+  const int other = light.lights[1].id;
+  has(shadow_error({99}, kUp, 2, 1), "is not saturated");
+  has(shadow_error({id, other}, kUp, 1, 2), "shows none of the saturated light");
+  has(shadow_error({id, other}, kUp, 1, 0), "black in one channel");
+  has(shadow_error({id, other}, -kUp, 2, 1), "does not face");
+  has(shadow_error({id}, kUp, 2, 1), "tell its albedo and the saturated lights apart");
+}
+
+// One patch divides what is missing by what was measured, which of clipped lamps says nothing.
+// Their shadows tell them apart, with the albedo or without.
+TEST(SaturationRecovery, ShadowsTellSeveralLampsApart) {
+  std::mt19937 rng(6);
+  std::normal_distribution<float> noise(1, .005f);
+  const Lamp strong{kOther.direction, kOther.radius_rad, kOther.radiance * 4.f};
+  const Lamp lamps[] = {kLamp, strong};
+  const auto map = room_with(lamps);
+  const auto light = estimate(clip(map, 12));
+  ASSERT_EQ(light.lights.size(), 2U);
+  const auto id_of = [&](const Lamp& lamp) {
+    return glm::dot(light.lights[0].direction, lamp.direction) >
+                   glm::dot(light.lights[1].direction, lamp.direction)
+               ? light.lights[0].id
+               : light.lights[1].id;
+  };
+  const Rgb albedo{.3f, .2f, .6f};
+  const auto seen = [&](const Image<Rgb>& lit, std::vector<int> hidden) {
+    ShadowRegion out{exact_irradiance(lit, kUp) * albedo * static_cast<float>(1 / kPi)};
+    for (int c = 0; c < 3; ++c) out.radiance[c] *= noise(rng);
+    out.hidden = std::move(hidden);
+    return out;
+  };
+  const ShadowRegion regions[] = {seen(map, {}), seen(room_with({&strong, 1}), {id_of(kLamp)}),
+                                  seen(room_with({&kLamp, 1}), {id_of(strong)})};
+  const auto power_of = [&](const std::vector<SaturationRecovery>& powers, const Lamp& lamp) {
+    return std::ranges::find(powers, id_of(lamp), &SaturationRecovery::source)->power;
+  };
+  for (const bool known : {true, false}) {
+    const auto got =
+        recover_from_shadows(light, {kUp, regions, known ? std::optional(albedo) : std::nullopt});
+    ASSERT_TRUE(got) << got.error().detail;
+    ASSERT_EQ(got->powers.size(), 2u);
+    expect_power(power_of(got->powers, kLamp), kLamp.power(), .06);
+    expect_power(power_of(got->powers, strong), strong.power(), .06);
+  }
+  const auto naive = recover_jointly(light, {kUp, regions[0].radiance, albedo});
+  ASSERT_TRUE(naive);
+  const auto off = [&](const Lamp& lamp) {
+    return std::abs(std::log(luminance(power_of(*naive, lamp)) / luminance(lamp.power())));
+  };
+  EXPECT_GT(std::max(off(kLamp), off(strong)), .2) << "the test shows nothing";
 }
 
 // ------------------------------------------------------------------------------------ memory

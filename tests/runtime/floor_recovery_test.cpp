@@ -4,6 +4,7 @@
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "runtime/pipeline/light_estimation_stage.h"
+#include "runtime/pipeline/runner.h"
 
 #include <gtest/gtest.h>
 
@@ -15,16 +16,17 @@
 namespace penumbra::runtime {
 namespace {
 
-// A clear sky whose sun is saturated in every exposure of the environment camera.
+// A clear sky whose sun is saturated in every exposure of the environment camera; or lamps.
 struct ClippedSun {
-  std::shared_ptr<capture::FloorWorld> world =
-      *capture::FloorWorld::make(capture::make_sky_environment(1024, 512, .8));
+  std::shared_ptr<capture::FloorWorld> world;
   PreparedScene scene;
   capture::StudioOptions options;
   StageTimes times;
-  Rgb truth;  // irradiance of a surface that faces the sun
+  std::vector<lighting::DistantLight> lights;  // true ones
+  Rgb truth;                                   // irradiance of a surface that faces the first
 
-  ClippedSun() {
+  explicit ClippedSun(Image<Rgb> map = capture::make_sky_environment(1024, 512, .8))
+      : world(*capture::FloorWorld::make(std::move(map))) {
     scene.planes.push_back({{0, 0, 0}, {0, 1, 0}, world->mean_floor_albedo(), {}});
     PreparedObject object;
     object.name = "place";
@@ -37,7 +39,8 @@ struct ClippedSun {
     options.schedule = {{Seconds(4e-3), Gain(1)}, {Seconds(1e-3), Gain(1)}};
     lighting::LightExtraction split;
     EXPECT_TRUE(lighting::extract_lights(world->environment(), {}, split));
-    truth = split.lights.at(0).irradiance();
+    lights = split.lights;
+    truth = lights.at(0).irradiance();
   }
 };
 
@@ -106,21 +109,21 @@ TEST(FloorRecovery, RealShadowOverAThirdOfTheFloorDoesNotCount) {
   EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
 }
 
-// A box that stands between the sun and the floor around the object, and the shade that it casts
-// there: what is left is the sky's light, as far as the box lets it through.
-class SunBox {
+// A box that keeps lights from the floor around the object, and the shadows that it casts there:
+// what is left is all other light, as far as the box lets it through.
+class BoxInTheLight {
  public:
-  explicit SunBox(ClippedSun& c, float side, float away = 4) : eye_(c.options.world_from_view) {
+  BoxInTheLight(ClippedSun& c, const glm::vec3& middle, float side)
+      : eye_(c.options.world_from_view) {
     c.options.view_width = 640, c.options.view_height = 360, c.options.view_focal_px = 472;
-    lighting::LightExtraction split;
-    EXPECT_TRUE(lighting::extract_lights(c.world->environment(), {}, split));
-    sun_ = glm::vec3(split.lights.at(0).direction);
-    const glm::vec3 middle = away * sun_, half(side / 2);
+    const glm::vec3 half(side / 2);
     c.scene.real_mesh = prt::make_box(middle - half, middle + half, 1, {.5f, .5f, .5f});
     box_.emplace(*prt::RayScene::build(c.scene.real_mesh));
-    const Rgb whole = c.world->floor_irradiance(),
-              sun = lighting::irradiance(split.lights[0], {0, 1, 0});
-    for (int ch = 0; ch < 3; ++ch) left_[ch] = 1 - sun[ch] / whole[ch];
+    for (const lighting::DistantLight& light : c.lights) {
+      const Rgb whole = c.world->floor_irradiance(), own = lighting::irradiance(light, {0, 1, 0});
+      lights_.push_back(
+          {glm::vec3(light.direction), {own.r / whole.r, own.g / whole.g, own.b / whole.b}});
+    }
   }
   void operator()(Image<Rgb8>& picture) {
     const calib::Response srgb = calib::Response::srgb();
@@ -131,13 +134,17 @@ class SunBox {
             eye_.rotation * glm::dvec3((x + .5 - 320) / 472, (180 - y - .5) / 472, -1);
         if (d.y >= 0) continue;
         const glm::dvec3 at = eye_.translation - eye_.translation.y / d.y * d;
-        const bool in_shade = box_->occluded(glm::vec3(at), sun_, 1e-3f, 100);
+        Rgb left{1, 1, 1};
+        for (const Light& light : lights_)
+          if (box_->occluded(glm::vec3(at), light.direction, 1e-3f, 100))
+            left += light.fraction * -1.f;
+        const bool in_shade = left.g < 1;
         if (glm::length(at) < FloorRecovery::kNear_m) ++near, dark += in_shade;
         if (!in_shade) continue;
         Rgb8& p = picture.at(x, y);
         const auto shaded = [&](std::uint8_t code, int ch) {
           return static_cast<std::uint8_t>(
-              std::lround(255 * srgb.encode(srgb.decode(code / 255., ch) * double(left_[ch]), ch)));
+              std::lround(255 * srgb.encode(srgb.decode(code / 255., ch) * double(left[ch]), ch)));
         };
         p = {shaded(p.r, 0), shaded(p.g, 1), shaded(p.b, 2)};
       }
@@ -145,17 +152,25 @@ class SunBox {
   int dark = 0, near = 0;
 
  private:
+  struct Light {
+    glm::vec3 direction;
+    Rgb fraction;  // of the floor's light
+  };
   Pose eye_;
-  glm::vec3 sun_{0};
+  std::vector<Light> lights_;
   std::optional<prt::RayScene> box_;
-  Rgb left_;
 };
+
+// Between the sun and the object.
+BoxInTheLight box_in_the_sun(ClippedSun& c, float side, float away = 4) {
+  return {c, away * glm::vec3(c.lights[0].direction), side};
+}
 
 // More than half of the floor around the object lies in the shadow of a thing that is known.
 TEST(FloorRecovery, ShadowOfAKnownThingOverMostOfTheFloorDoesNotCount) {
   ClippedSun c;
   const PreparedScene without = c.scene;
-  SunBox box(c, 1.5f);
+  BoxInTheLight box = box_in_the_sun(c, 1.5f);
   const auto shade = [&](Image<Rgb8>& picture) { box(picture); };
   auto naive = *FloorRecovery::create(without);
   EXPECT_LT(sun_fraction(watch(c, naive, shade).last, c.truth), .6f) << "the test shows nothing";
@@ -169,7 +184,7 @@ TEST(FloorRecovery, ShadowOfAKnownThingOverMostOfTheFloorDoesNotCount) {
 TEST(FloorRecovery, AShadowTellsTheSunWhereTheAlbedoIsWrongOrMissing) {
   for (const float factor : {3.f, .3f, 0.f}) {
     ClippedSun c;
-    SunBox box(c, .4f, 8);
+    BoxInTheLight box = box_in_the_sun(c, .4f, 8);
     const auto shade = [&](Image<Rgb8>& picture) { box(picture); };
     Rgb& albedo = c.scene.planes[0].albedo;
     albedo = albedo * factor;
@@ -217,6 +232,136 @@ TEST(FloorRecovery, PartlyOverexposedFloorStillTells) {
   ASSERT_GT(saturated, .3 * count);
   EXPECT_FALSE(w.error) << w.error->detail;
   EXPECT_NEAR(sun_fraction(w.last, c.truth), 1, .06f);
+}
+
+// A strong bulb and a weak one look alike where both are saturated. The shadows of a known thing
+// tell them apart; without it the weak one gets too much and the strong one too little.
+TEST(FloorRecovery, ShadowsTellSeveralLampsApart) {
+  const double radius = 1.5 * kPi / 180;
+  const glm::dvec3 towards[] = {glm::normalize(glm::dvec3(-.7, 1, -.2)),
+                                glm::normalize(glm::dvec3(.8, 1, .1))};
+  const Rgb radiance[] = {{24000, 20000, 15000}, {3000, 3200, 3600}};
+  Image<Rgb> map(1024, 512, {8, 9, 10});
+  for (int y = 0; y < map.height(); ++y)
+    for (int x = 0; x < map.width(); ++x)
+      for (std::size_t k = 0; k < 2; ++k)
+        if (glm::dot(latlong_direction(x + .5, y + .5, 1024, 512), towards[k]) > std::cos(radius))
+          map.at(x, y) = radiance[k];
+  for (const bool thing : {false, true}) {
+    ClippedSun c(map);
+    ASSERT_EQ(c.lights.size(), 2u);
+    BoxInTheLight box(c, {.3f, 1.1f, -.4f}, .3f);
+    PreparedScene without = c.scene;
+    without.real_mesh = {};
+    auto recovery = *FloorRecovery::create(thing ? c.scene : without);
+    const Watched w = watch(c, recovery, [&](Image<Rgb8>& picture) {
+      if (thing) box(picture);
+    });
+    ASSERT_EQ(w.last.lights.size(), 2u);
+    const auto fraction = [&](std::size_t k) {
+      const lighting::DistantLight& truth = c.lights[k];
+      const lighting::DistantLight& found = *std::ranges::max_element(
+          w.last.lights, {},
+          [&](const lighting::DistantLight& d) { return glm::dot(d.direction, truth.direction); });
+      return luminance(found.irradiance()) / luminance(truth.irradiance());
+    };
+    std::printf("%s: strong lamp %.3f, weak lamp %.3f of their irradiance\n",
+                thing ? "with shadows" : "by the floor alone", double(fraction(0)),
+                double(fraction(1)));
+    if (thing) {
+      EXPECT_NEAR(fraction(0), 1, .06f);
+      EXPECT_NEAR(fraction(1), 1, .15f);
+    } else {
+      EXPECT_GT(fraction(1), 2) << "the test shows nothing";
+    }
+  }
+}
+
+// A source that cannot be asked for darker frames.
+class Deaf : public capture::FrameSource {
+ public:
+  explicit Deaf(capture::FrameSource& source) : source_(source) {}
+  const std::vector<capture::CameraInfo>& cameras() const override { return source_.cameras(); }
+  double view_rate() const override { return source_.view_rate(); }
+  Result<std::optional<capture::Frame>> next() override { return source_.next(); }
+
+ private:
+  capture::FrameSource& source_;
+};
+
+// A view camera whose exposure leaves all of the floor white tells nothing; the run asks it for a
+// darker frame, and for a still darker one, which the user never sees.
+class OverexposedFloor : public testing::Test {
+ protected:
+  ClippedSun c_;
+  StageTimes times_;
+  std::unique_ptr<CompositeStage> compose_;
+  lighting::LightEstimate last_;
+  int shown_ = 0;
+
+  void SetUp() override {
+    c_.options.view_exposure = capture::Studio(c_.world, c_.options).view_exposure();
+    prt::BakeOptions bake;
+    bake.rays = bake.ground_rays = 64;
+    bake.bounces = 1;
+    c_.scene.objects[0].baked =
+        *prt::bake(prt::make_sphere({0, .2f, 0}, .2f, 2, {.5f, .5f, .5f}), bake);
+  }
+  // `run` is given a source of frames that are overexposed by the factor.
+  template <class Run>
+  void film(double over, bool deaf, Run run) {
+    capture::StudioOptions options = c_.options;
+    options.view_exposure->time *= over;
+    capture::Studio studio(c_.world, options);
+    Deaf same(studio);
+    auto light = *LightEstimationStage::create(studio.cameras(), {}, times_);
+    auto compose = CompositeStage::create(studio.cameras(), c_.scene,
+                                          compositor::Compositor::Surface::kOffscreen, times_);
+    if (!compose && compose.error().code == ErrorCode::kUnavailable)
+      GTEST_SKIP() << "no OpenGL ES 3.1 here: " << compose.error().detail;
+    shown_ = 0;
+    const Sink sink = [&](const Output& out) {
+      EXPECT_FALSE(out.source.for_light);
+      EXPECT_EQ(out.source.exposure.time, options.view_exposure->time);
+      last_ = out.light;
+      return ++shown_ < kMaxShown && (!until_recovered_ || !is_recovered());
+    };
+    ASSERT_TRUE(
+        run(deaf ? static_cast<capture::FrameSource&>(same) : studio, light, **compose, sink));
+  }
+  bool is_recovered() const {
+    return last_.valid && !last_.lights.empty() && !last_.lights[0].is_lower_bound();
+  }
+
+  static constexpr int kMaxShown = 3000;
+  bool until_recovered_ = false;
+};
+
+TEST_F(OverexposedFloor, IsFilmedOnceMoreDarker) {
+  for (const double over : {10., 60.})
+    for (const bool deaf : {true, false}) {
+      film(over, deaf, [&](auto& source, auto& light, auto& compose, const Sink& sink) {
+        return run_replay(source, light, compose, sink, times_);
+      });
+      EXPECT_EQ(shown_, c_.options.view_frames);
+      EXPECT_EQ(is_recovered(), !deaf) << over;
+      if (deaf)
+        EXPECT_LT(sun_fraction(last_, c_.truth), .5f) << over;
+      else
+        EXPECT_NEAR(sun_fraction(last_, c_.truth), 1, .06f) << over;
+    }
+}
+
+TEST_F(OverexposedFloor, IsFilmedDarkerInALiveRun) {
+  c_.options.view_frames = kMaxShown;
+  c_.options.environment_width = 256, c_.options.environment_height = 128;
+  until_recovered_ = true;
+  film(10, false, [&](auto& source, auto& light, auto& compose, const Sink& sink) {
+    const std::atomic<bool> stop = false;
+    return run_live(source, light, compose, sink, times_, stop);
+  });
+  EXPECT_TRUE(is_recovered());
+  EXPECT_LT(shown_, kMaxShown);
 }
 
 TEST(FloorRecovery, BlackFloorIsNoMeasurement) {

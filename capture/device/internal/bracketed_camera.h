@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "capture/device/cameras.h"
+#include "capture/device/internal/darker_frame.h"
 #include "capture/device/internal/exposure_schedule.h"
 #include "capture/frames.h"
 #include "capture/watch/picture_cells.h"
@@ -126,10 +127,16 @@ class BracketedCamera {
   /// The next frame whose label holds; nothing when none came in time.
   /// errors: kClosed (the device is gone)
   Result<std::optional<Frame>> next(Seconds timeout);
+  /// next() gives one more frame, marked for_light, at `factor` of the one exposure of all others.
+  void take_darker(double factor);
+  /// Whether it can: its exposure is set, and one.
+  bool can_take_darker() const { return schedule_.size() == 1 && !auto_schedule_; }
   const CameraCounts& counts() const { return counts_; }
 
  private:
   Result<void> ask();
+  Result<void> ask_for_darker();
+  std::optional<Frame> pass(Frame frame, const std::optional<Exposure>& applied);
   ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
   void take_told(std::uint64_t number, Exposure exposure);
   ExposureLimits limits() const;
@@ -147,6 +154,11 @@ class BracketedCamera {
   std::size_t next_ = 0;  // in the schedule
   std::uint64_t sent_ = 0, lost_before_ = 0;
   bool told_ = false;  // the camera's frames tell their exposures
+  // A darker frame that is asked for, from the next frame on, and the frame after it
+  std::optional<Exposure> darker_exposure_;
+  bool back_to_usual_ = false;  // to be asked for
+  std::optional<DarkerFrame> darker_;
+  std::optional<Frame> next_frame_;
   CameraCounts counts_;
 };
 
