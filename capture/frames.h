@@ -119,8 +119,8 @@ class FrameSource {
   /// Ends a next() under way, and all later ones.
   /// threads: thread-safe
   virtual void close() {}
-  /// Asks a view camera that has one fixed exposure for one more frame, at `factor` (below 1) of it.
-  /// The frame comes with for_light set, beside the others, some frames later; where the camera
+  /// Asks a view camera that has one fixed exposure for one more frame, at `factor` (below 1) of
+  /// it. The frame comes with for_light set, beside the others, some frames later; where the camera
   /// does not follow none comes.
   /// out: false where this source cannot be asked
   /// threads: thread-safe

@@ -66,8 +66,8 @@ Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& lig
 ///   pi L_g / albedo = others_g E_others + sum_j b_j Int cos+ over light j, j reaches region g
 /// What no shadow tells apart is divided as recover_jointly() does.
 /// errors:  kInvalid (no clipped light, a hidden one that is not clipped, bad normal or albedo),
-///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the shadows
-///          do not tell light and albedo apart)
+///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the
+///          shadows do not tell light and albedo apart)
 /// source:  Debevec, Graham, Busch & Bolas 2012, with shadows for further surfaces
 Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
                                             const ShadowedSurface& surface);

@@ -109,7 +109,6 @@ Result<void> DirectLightStage::add_object(const PreparedObject& o) {
   const float radius = prt::radius_around(o.baked.mesh, centre);
   spheres_.push_back({glm::dvec3(centre), double(radius)});
   if (!o.animation) {
-    silhouettes_.back().find_cuts(o.baked.mesh, virtual_, *index);
     if (!o.baked.visibility.empty())
       virtual_casters_.back().visibility =
           &visibilities_.emplace_back(o.baked.visibility, o.baked.mesh);

@@ -38,8 +38,8 @@ class FloorRecovery {
   /// in:  a view frame of `camera`, its light on the scale of the environment camera's; curve as
   /// compositor::View
   /// out: recoveries of the light's clipped lights; empty when there is nothing (new) to say
-  /// errors: as recover_from_shadows; kUndetermined when too little of the floor is in view or it is
-  /// overexposed, or its albedo is unknown and no known thing's shadow is in view
+  /// errors: as recover_from_shadows; kUndetermined when too little of the floor is in view or it
+  /// is overexposed, or its albedo is unknown and no known thing's shadow is in view
   /// A frame taken for light counts at once, others once kInterval.
   /// source: Debevec, Graham, Busch & Bolas 2012 with the floor as the known reflector
   Result<std::vector<lighting::SaturationRecovery>> observe(const capture::Frame& frame,

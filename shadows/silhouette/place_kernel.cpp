@@ -50,25 +50,6 @@ HWY_INLINE void EachVector(std::size_t count, F f) {
   if (count % lanes != 0) f(count - lanes);
 }
 
-HWY_ATTR void PlaceVertices(std::span<const glm::vec3> positions,
-                            std::span<const glm::vec3> normals, const AffineTransform& placing,
-                            const Orientation& facing, std::span<glm::vec3> places,
-                            std::span<std::uint8_t> sides) {
-  const auto d = kFloats;
-  const hn::Rebind<std::int32_t, decltype(kFloats)> whole;
-  const hn::Rebind<std::uint8_t, decltype(kFloats)> bytes;
-  EachVector(positions.size(), [&](std::size_t i) HWY_ATTR {
-    const Points p = Place(Load(&positions[i]), placing);
-    hn::StoreInterleaved3(p.x, p.y, p.z, d, &places[i].x);
-    const auto cosine =
-        Along(Load(&normals[i]), facing.towards.x, facing.towards.y, facing.towards.z, hn::Zero(d));
-    const auto side = hn::IfThenElse(hn::Gt(cosine, hn::Zero(d)), hn::Set(d, kFront),
-                                     hn::IfThenElse(hn::Lt(cosine, hn::Set(d, facing.smallest)),
-                                                    hn::Set(d, kBack), hn::Set(d, kGrazing)));
-    hn::StoreU(hn::DemoteTo(bytes, hn::ConvertTo(whole, side)), bytes, &sides[i]);
-  });
-}
-
 HWY_ATTR void MeanCosines(std::span<const glm::vec3> normals, const DirectionSet& light,
                           std::span<float> out) {
   const auto d = kFloats;
@@ -128,7 +109,6 @@ HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
 namespace penumbra::shadows {
-HWY_EXPORT(PlaceVertices);
 HWY_EXPORT(MeanCosines);
 HWY_EXPORT(FindFootprint);
 
@@ -155,20 +135,6 @@ class Padded {
 };
 
 }  // namespace
-
-void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
-                    const AffineTransform& placing, const Orientation& facing,
-                    std::span<glm::vec3> places, std::span<std::uint8_t> sides) {
-  const Padded all_positions(positions), all_normals(normals);
-  if (all_positions.points().size() == positions.size())
-    return HWY_DYNAMIC_DISPATCH(PlaceVertices)(positions, normals, placing, facing, places, sides);
-  std::array<glm::vec3, kMaxLanes> few_places;
-  std::array<std::uint8_t, kMaxLanes> few_sides;
-  HWY_DYNAMIC_DISPATCH(PlaceVertices)
-  (all_positions.points(), all_normals.points(), placing, facing, few_places, few_sides);
-  std::copy_n(few_places.begin(), positions.size(), places.begin());
-  std::copy_n(few_sides.begin(), positions.size(), sides.begin());
-}
 
 void mean_cosines(std::span<const glm::vec3> normals, const DirectionSet& light,
                   std::span<float> out) {

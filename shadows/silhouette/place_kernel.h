@@ -16,21 +16,6 @@ struct AffineTransform {
   glm::vec3 shift;
 };
 
-/// How surfaces lie to a direction, by the cosine with their normal.
-inline constexpr std::uint8_t kBack = 0, kGrazing = 1, kFront = 2;
-/// kFront: cosine > 0; kBack: cosine < `smallest`, which is negative.
-struct Orientation {
-  glm::vec3 towards;
-  float smallest;
-};
-
-/// Positions that are equal come out equal, bit for bit.
-/// in: as many positions, normals, places and sides.
-/// threads: reentrant
-void place_vertices(std::span<const glm::vec3> positions, std::span<const glm::vec3> normals,
-                    const AffineTransform& placing, const Orientation& facing,
-                    std::span<glm::vec3> places, std::span<std::uint8_t> sides);
-
 /// Directions of a light and their mean; all of them lie within `reach` of `middle`.
 struct DirectionSet {
   std::span<const glm::vec3> directions;

@@ -51,20 +51,20 @@ void find_edges(const SilhouetteMesh& silhouette, const glm::vec3& towards, floa
 
 }  // namespace
 
-ConeSilhouette SilhouetteCache::find(const SilhouetteMesh& silhouette, const Pose& world_from_mesh,
-                                     const DirectionCone& cone) {
+std::span<const std::uint32_t> SilhouetteCache::find(const SilhouetteMesh& silhouette,
+                                                     const Pose& world_from_mesh,
+                                                     const DirectionCone& cone) {
   // Those who ask compute facing by sums of their own.
   constexpr double kRounding = 1e-5;
   const glm::vec3 towards(glm::transpose(world_from_mesh.rotation_matrix()) * cone.towards);
   const auto sine = static_cast<float>(std::min(1., cone.sine + kRounding));
   for (const KnownSilhouette& k : std::span(known_).first(used_))
-    if (k.silhouette == &silhouette && k.towards == towards && k.sine == sine)
-      return {k.edges, k.faces};
+    if (k.silhouette == &silhouette && k.towards == towards && k.sine == sine) return k.edges;
   if (used_ == known_.size()) known_.emplace_back();
   KnownSilhouette& k = known_[used_++];
   k.silhouette = &silhouette, k.towards = towards, k.sine = sine;
-  find_edges(silhouette, towards, sine, unlike_, k.faces, k.edges);
-  return {k.edges, k.faces};
+  find_edges(silhouette, towards, sine, unlike_, faces_, k.edges);
+  return k.edges;
 }
 
 }  // namespace penumbra::shadows

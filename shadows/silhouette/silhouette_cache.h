@@ -18,23 +18,16 @@ struct DirectionCone {
   double sine;         // of the largest angle from it; 1: any direction of the sphere
 };
 
-/// What a mesh shows of itself to a cone of directions. Valid until the cache is cleared.
-struct ConeSilhouette {
-  /// The places in SilhouetteMesh::edges(), in their order, of all edges that are a silhouette for
-  /// some direction, and of open ones. Others may be among them.
-  std::span<const std::uint32_t> edges;
-  /// By triangle: kFacesNone of the directions, kFacesAll, or kUnsure.
-  std::span<const std::uint8_t> faces;
-};
-
 /// For one light and one form of every mesh: all planes on which it casts shadows ask for the same
 /// edges. Clear it when a light or a form changes.
 /// threads: thread-bound; memory grows to that of the largest light
 class SilhouetteCache {
  public:
   void clear() { used_ = 0; }
-  ConeSilhouette find(const SilhouetteMesh& silhouette, const Pose& world_from_mesh,
-                      const DirectionCone& cone);
+  /// The places in SilhouetteMesh::edges(), in their order, of all edges that are a silhouette for
+  /// some direction, and of open ones. Others may be among them. Valid until the cache is cleared.
+  std::span<const std::uint32_t> find(const SilhouetteMesh& silhouette, const Pose& world_from_mesh,
+                                      const DirectionCone& cone);
 
  private:
   struct KnownSilhouette {
@@ -42,10 +35,11 @@ class SilhouetteCache {
     glm::vec3 towards;  // mesh frame
     float sine;
     std::vector<std::uint32_t> edges;
-    std::vector<std::uint8_t> faces;
   };
   std::vector<KnownSilhouette> known_;
+  // Scratch
   std::vector<std::uint32_t> unlike_;  // patches
+  std::vector<std::uint8_t> faces_;    // by triangle: kFacesNone, kFacesAll or kUnsure
   std::size_t used_ = 0;
 };
 

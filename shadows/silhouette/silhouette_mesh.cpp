@@ -2,10 +2,8 @@
 
 #include <meshoptimizer.h>
 #include <algorithm>
-#include <cassert>
 #include <cmath>
 #include <glm/geometric.hpp>
-#include <numeric>
 #include <tuple>
 
 namespace penumbra::shadows {
@@ -129,41 +127,10 @@ SilhouetteMesh::SilhouetteMesh(const prt::Mesh& mesh, float max_off_m) {
     pair_up({at, end}, edges_);
     at = end;
   }
-  first_down_.assign(mesh.positions.size() + 1, 0);
-  for (const Edge& e : edges_) ++first_down_[std::max(e.from, e.to) + 1];
-  std::partial_sum(first_down_.begin(), first_down_.end(), first_down_.begin());
   update_vertices(mesh);
 }
 
-void SilhouetteMesh::find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index) {
-  assert(mesh.normals.size() == mesh.positions.size());
-  cut_.assign(edges_.size(), 0);
-  const float lift = kNear * radius_m_;
-  const auto above = [&](std::uint32_t v) { return mesh.positions[v] + lift * mesh.normals[v]; };
-  constexpr std::size_t kPacket = prt::RayWorld::kPacket;
-  prt::RayWorld::Rays rays;
-  for (std::size_t first = 0; first < edges_.size(); first += kPacket) {
-    const std::size_t count = std::min(kPacket, edges_.size() - first);
-    for (std::size_t i = 0; i < count; ++i) {
-      const glm::vec3 from = above(edges_[first + i].from),
-                      way = above(edges_[first + i].to) - from;
-      const float length = glm::length(way);
-      // A little farther at both ends, since what goes through may do so at a vertex; less than
-      // walls of a fold are away.
-      const float more = .25f * lift;
-      const glm::vec3 d = way / std::max(length, 1e-12f), o = from - more * d;
-      rays.ox[i] = o.x, rays.oy[i] = o.y, rays.oz[i] = o.z;
-      rays.dx[i] = d.x, rays.dy[i] = d.y, rays.dz[i] = d.z;
-      rays.far[i] = length + 2 * more;
-    }
-    const std::uint32_t blocked = world.occluded_by(index, rays, static_cast<int>(count));
-    for (std::size_t i = 0; i < count; ++i)
-      cut_[first + i] = (blocked >> i & 1) != 0 || !std::isfinite(rays.far[i]);
-  }
-}
-
 void SilhouetteMesh::update_vertices(const prt::Mesh& mesh) {
-  cut_.clear();
   for (auto* v : {&normals_.x, &normals_.y, &normals_.z}) v->resize(triangles_.size());
   for (std::size_t t = 0; t < triangles_.size(); ++t) {
     const auto& [a, b, c] = triangles_[t];

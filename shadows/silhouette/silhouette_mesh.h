@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "prt/geometry/mesh.h"
-#include "prt/geometry/rays.h"
 
 #pragma GCC visibility push(default)
 namespace penumbra::shadows {
@@ -39,13 +38,6 @@ class SilhouetteMesh {
 
   /// In the order of their higher ends, then of their lower ones.
   std::span<const Edge> edges() const { return edges_; }
-  /// Places in edges(): those whose higher end is the vertex.
-  struct EdgeRange {
-    std::uint32_t begin, end;
-  };
-  EdgeRange edges_down_from(std::size_t vertex) const {
-    return {first_down_[vertex], first_down_[vertex + 1]};
-  }
   /// Those with three different corners, by the first of the vertices in each place.
   std::span<const Triangle> triangles() const { return triangles_; }
 
@@ -72,14 +64,6 @@ class SilhouetteMesh {
     return edges().subspan(first, std::min(kTogether, edges_.size() - first));
   }
 
-  /// Finds the edges through which another part of the mesh goes, some .2 us each. Another form
-  /// forgets them. Edges that end in a fold may count as cut.
-  /// in: the mesh that was given last, with normals; in `world` as `index`, not moved
-  void find_cuts(const prt::Mesh& mesh, const prt::RayWorld& world, int index);
-  bool knows_cuts() const { return !cut_.empty(); }
-  /// in: a place in edges(). False where cuts are not known.
-  bool is_cut(std::size_t edge) const { return knows_cuts() && cut_[edge] != 0; }
-
   const prt::Bounds& bounds() const { return bounds_; }
   float mean_length_m() const { return mean_length_m_; }  // of an edge
   float radius_m() const { return radius_m_; }            // around the middle of the mesh's bounds
@@ -87,10 +71,8 @@ class SilhouetteMesh {
  private:
   std::vector<Triangle> triangles_;
   std::vector<Edge> edges_;
-  std::vector<std::uint32_t> first_down_;  // by vertex, and the number of edges
   Normals normals_;
   std::vector<Patch> patches_;
-  std::vector<char> cut_;  // by edge; empty: not known
   prt::Bounds bounds_{};
   float mean_length_m_ = 0, radius_m_ = 0;
 };

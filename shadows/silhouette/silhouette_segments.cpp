@@ -165,7 +165,7 @@ std::pmr::vector<SilhouetteSegment> find_sides(std::span<const Caster> casters,
   std::pmr::vector<SilhouetteSegment> out(memory);
   for (const Caster& c : casters) {
     const SilhouetteFinder finder(c, grid, near_m, light.samples);
-    finder.add_silhouettes(cache.find(*c.silhouette, c.world_from_mesh, light.around).edges, out);
+    finder.add_silhouettes(cache.find(*c.silhouette, c.world_from_mesh, light.around), out);
     finder.add_cuts(out);
   }
   return out;

@@ -10,7 +10,6 @@
 #include "shadows/silhouette/light_rays.h"
 #include "shadows/silhouette/place_kernel.h"
 #include "shadows/visibility/internal/vertex_smoothing.h"
-#include "shadows/visibility/internal/visibility_groups.h"
 #include "shadows/visibility/internal/visibility_light.h"
 
 namespace penumbra::shadows {
@@ -29,12 +28,13 @@ bool is_cut(const prt::Plane* plane, const lighting::DistantLight& source) {
   return plane && glm::dot(plane->normal, source.direction) <= std::sin(largest_angle(source));
 }
 
-// Bit by direction.
-std::uint64_t before_bits(const prt::Plane* plane, std::span<const glm::vec3> directions) {
-  std::uint64_t out = 0;
-  for (std::size_t k = 0; k < directions.size(); ++k)
-    if (!behind(plane, directions[k])) out |= std::uint64_t{1} << k;
-  return out;
+// Those that are not behind the plane.
+std::span<const glm::vec3> before(const prt::Plane* plane, std::span<const glm::vec3> directions,
+                                  std::span<glm::vec3> memory) {
+  const auto end = std::ranges::copy_if(directions, memory.begin(), [&](const auto& d) {
+                     return !behind(plane, d);
+                   }).out;
+  return memory.first(static_cast<std::size_t>(end - memory.begin()));
 }
 
 // A light's directions in the normals' frame. Of one that casts hard shadows its middle, as long
@@ -82,20 +82,17 @@ class VertexTracer {
         shift_(world_from_mesh.translation) {}
 
   glm::vec3 normal(std::size_t vertex) const { return turn_ * mesh_.normals[vertex]; }
-  std::span<const glm::vec3> samples(std::size_t vertex) const { return pattern_.at(vertex); }
-  /// Of such directions, with nothing in their way.
-  prt::CosineSums unhindered(std::size_t vertex, std::span<const glm::vec3> directions) const {
+  /// Of all samples, with nothing in their way.
+  float open(std::size_t vertex) const {
     const glm::vec3 n = normal(vertex);
-    prt::CosineSums out;
-    for (const glm::vec3& d : directions) {
-      const float cosine = std::max(0.f, glm::dot(n, d));
-      out.open += cosine;
-      if (!behind(plane_, d)) out.seen += cosine;
-    }
-    return out;
+    float sum = 0;
+    for (const glm::vec3& d : pattern_.at(vertex))
+      if (!behind(plane_, d)) sum += std::max(0.f, glm::dot(n, d));
+    return sum;
   }
 
-  /// Adds samples [first, last) of the vertices to the sums of cosines.
+  /// Adds samples [first, last) of the vertices, as far as they are before the plane, to the sums
+  /// of cosines.
   void trace(std::span<const std::uint32_t> vertices, std::size_t first, std::size_t last,
              Sums& sums) const {
     parallel_for(std::size_t{0}, vertices.size(), 1024, [&](const auto& part) {
@@ -107,24 +104,10 @@ class VertexTracer {
         const glm::vec3 o = origin(i, n);
         for (const glm::vec3& d : pattern_.at(i).subspan(first, last - first)) {
           const float cosine = glm::dot(n, d);
-          if (cosine <= 0) continue;
+          if (cosine <= 0 || behind(plane_, d)) continue;
           sums[i].open += cosine;
-          if (!behind(plane_, d)) packets.add(i, cosine, o, d);
+          packets.add(i, cosine, o, d);
         }
-      }
-    });
-  }
-  /// By one ray each; sums as large as those of `scale` samples.
-  void ask(std::span<const VisibilityGroups::PartlyLit> parts, std::span<const glm::vec3> samples,
-           float scale, Sums& sums) const {
-    parallel_for(std::size_t{0}, parts.size(), 1024, [&](const auto& some) {
-      Packets packets(occluders_, [&](std::size_t i, float all, bool by_virtual, bool by_real) {
-        if (!by_virtual && !by_real) sums[i].seen = all;
-      });
-      for (const auto& [i, part] : parts.subspan(some.begin(), some.size())) {
-        sums[i].open = scale * part.open;
-        if (part.seen > kSeenAtAll)
-          packets.add(i, scale * part.seen, origin(i, normal(i)), samples[part.ask]);
       }
     });
   }
@@ -141,56 +124,6 @@ class VertexTracer {
   glm::mat3 turn_;
   glm::vec3 shift_;
 };
-
-// One vertex of so many that follow each other, without a beat that rows of vertices could share.
-// source: the finaliser of Wellons 2018, "Prospecting for Hash Functions" (lowbias32)
-std::size_t probe_of(std::size_t part, std::size_t vertices) {
-  auto x = static_cast<std::uint32_t>(part + 1);  // zero would stay zero
-  x = (x ^ x >> 16) * 0x7feb352du;
-  x = (x ^ x >> 15) * 0x846ca68bu;
-  return vertices * part + (x ^ x >> 16) % vertices;
-}
-
-// Calls tell(vertex, lit) for vertices whose group tells their light; the others that are not
-// turned away are `own`. Some of each group's vertices ask for it by `scouts` rays; where they do
-// not agree that all or that none arrives every vertex has its own. Where surfaces may cut through
-// a group a part that is cut off and holds no probe, of some dozen vertices, stays wrong.
-template <class Tell>
-void ask_groups(const VertexTracer& tracer, const VisibilityGroups& visibility, std::size_t scouts,
-                Sums& sums, Tell tell, std::vector<std::uint32_t>& own) {
-  constexpr char kUnknown = 0, kLit = 1, kDark = 2, kMixed = 3;
-  const std::span<const std::uint32_t> group = visibility.group();
-  const auto is_grouped = [&](std::size_t i) { return group[i] < visibility.groups(); };
-  thread_local std::vector<char> verdict;  // grow once per thread
-  thread_local std::vector<std::uint32_t> probes;
-  probes.assign(visibility.members().begin(), visibility.members().end());
-  const std::size_t probe_each = visibility.may_be_cut() ? 16 : 256;
-  for (std::size_t part = 0; part * probe_each < group.size(); ++part)
-    if (const std::size_t i = probe_of(part, probe_each);
-        i < group.size() && is_grouped(i) && !visibility.is_member(i))
-      probes.push_back(static_cast<std::uint32_t>(i));
-  tracer.trace(probes, 0, scouts, sums);
-  verdict.assign(visibility.groups(), kUnknown);
-  for (const std::uint32_t i : probes) {
-    const float all = tracer.unhindered(i, tracer.samples(i).first(scouts)).seen;
-    const float arrives = std::exchange(sums[i], {}).seen;
-    if (all <= 0) continue;
-    constexpr float kRounding = 1e-5f;
-    const char one = arrives <= 0 ? kDark : arrives > all - kRounding ? kLit : kMixed;
-    char& verdict_here = verdict[group[i]];
-    verdict_here = verdict_here == kUnknown || verdict_here == one ? one : kMixed;
-  }
-  own.clear();
-  for (std::uint32_t i = 0; i < group.size(); ++i) {
-    if (group[i] == VisibilityGroups::kTurnedAway || group[i] == VisibilityGroups::kInPart)
-      continue;
-    const char one = is_grouped(i) ? verdict[group[i]] : kMixed;
-    if (one == kLit || one == kDark)
-      tell(i, one == kLit);
-    else
-      own.push_back(i);
-  }
-}
 
 // kInside for vertices that agree with those around them that all, or that none, of the light
 // arrives. Not so at edges of shadows, and for points that no triangle joins to others (texels of a
@@ -212,106 +145,121 @@ void find_edges(const prt::Mesh& mesh, const Sums& sums, std::vector<char>& plac
   }
 }
 
-// The light of vertices that see all of a light or nothing. Only the part of it counts, unless
-// neighbours share it or the plane hides some of the light.
-class Teller {
- public:
-  /// `alike`: the directions of all vertices, where neighbours do not share theirs.
-  Teller(const VertexTracer& tracer, const prt::Plane* plane, bool averaged, bool cut,
-         std::span<const glm::vec3> alike, Sums& sums)
-      : tracer_(tracer), averaged_(averaged), cut_(cut), alike_(alike), sums_(sums) {
-    for (const glm::vec3& d : alike) {
-      all_ += d;
-      if (!behind(plane, d)) before_ += d;
-    }
-    all_ /= static_cast<float>(alike.size()), before_ /= static_cast<float>(alike.size());
-    for (const glm::vec3& d : alike) reach_ = std::max(reach_, glm::distance(d, all_));
-  }
+// Notes the light of vertices that see all of a light or nothing. Only the part of it counts,
+// unless neighbours share it.
+struct Teller {
+  const VertexTracer& tracer;
+  bool averaged;
+  Sums& sums;
 
   void operator()(std::size_t vertex, bool lit) const {
-    const prt::CosineSums here = averaged_     ? tracer_.unhindered(vertex, tracer_.samples(vertex))
-                                 : cut_ && lit ? of_alike(vertex)
-                                               : prt::CosineSums{1, 1};
-    sums_[vertex] = {lit ? here.seen : 0, here.open};
+    const float open = averaged ? tracer.open(vertex) : 1;
+    sums[vertex] = {lit ? open : 0, open};
   }
-
- private:
-  // What faces all of the light has the light of its mean direction.
-  prt::CosineSums of_alike(std::size_t vertex) const {
-    const glm::vec3 n = tracer_.normal(vertex);
-    const float open = glm::dot(n, all_);
-    if (open <= reach_) return tracer_.unhindered(vertex, alike_);
-    return {glm::dot(n, before_), open};
-  }
-
-  const VertexTracer& tracer_;
-  bool averaged_, cut_;
-  std::span<const glm::vec3> alike_;
-  glm::vec3 all_{0}, before_{0};
-  float reach_ = 0;
-  Sums& sums_;
 };
 
-// Rays where what tells for a whole group of vertices does not do.
-void trace_groups(const VertexTracer& tracer, const VisibilityGroups& visibility,
-                  const prt::Mesh& mesh, const lighting::DistantLight& source, int samples,
-                  std::span<const glm::vec3> asked, const Teller& tell, Sums& sums) {
-  thread_local std::vector<char> place;  // grow once per thread
-  thread_local std::vector<std::uint32_t> own;
-  const bool narrow = !is_wide(source), hard = samples == 1;
-  const auto last = static_cast<std::size_t>(samples);
-  ask_groups(tracer, visibility, narrow ? 1 : last, sums, tell, own);
-  tracer.ask(visibility.parts(), asked, static_cast<float>(last), sums);
-  // The penumbra of a narrow light is a line between vertices that see it and vertices that do not:
-  // one ray each finds it. To look at every triangle for that costs more than all rays of few
-  // vertices. Not so for wide ones, where a start with two rays each adds error.
-  constexpr std::size_t kFew = 64;
-  std::size_t traced = 0;
-  if (narrow && !hard && kFew * own.size() > mesh.triangles.size()) {
-    tracer.trace(own, 0, 1, sums);
-    find_edges(mesh, sums, place);
-    std::erase_if(own, [](std::uint32_t i) { return place[i] == kInside; });
-    traced = 1;
+// How the vertices get their light; those that are turned away from all of it are in no list.
+struct RayPlan {
+  std::vector<std::uint32_t> all;   // by all rays
+  std::vector<std::uint32_t> one;   // by one, and where those beside say otherwise by all
+  std::vector<std::uint32_t> two;   // by two, and where those say otherwise by all
+  std::vector<std::uint32_t> told;  // by none, unless those beside say otherwise
+  void clear() {
+    for (auto* list : {&all, &one, &two, &told}) list->clear();
   }
-  tracer.trace(own, traced, last, sums);
+};
+
+// Where nothing is known of the object's visibility. The penumbra of a narrow light is a line
+// between vertices that see it and vertices that do not: one ray each finds it. Not so for wide
+// ones, where a start with one ray each adds error.
+void plan_all(const Caster& object, const lighting::DistantLight& source, int samples,
+              RayPlan& plan) {
+  std::vector<std::uint32_t>& list = is_wide(source) || samples == 1 ? plan.all : plan.one;
+  const glm::vec3 towards =
+      glm::transpose(object.world_from_mesh.rotation_matrix()) * glm::vec3(source.direction);
+  const auto turned_away = -static_cast<float>(std::sin(largest_angle(source)));
+  const std::span<const glm::vec3> normals = object.mesh->normals;
+  for (std::uint32_t i = 0; i < normals.size(); ++i)
+    if (glm::dot(normals[i], towards) > turned_away) list.push_back(i);
 }
 
-// Rays where the object's visibility is not sure; where it may be, two ask whether there is a need
-// for the others.
-void trace_unsure(const VertexTracer& tracer, const Caster& object,
-                  const lighting::DistantLight& source, int samples, const Teller& tell,
-                  Sums& sums) {
-  constexpr std::size_t kAsks = 2;                      // one misses thin penumbras
-  thread_local std::vector<VisibilityVerdict> verdict;  // grow once per thread
-  thread_local std::vector<std::uint32_t> own, asked;
-  scout(object, source, verdict);
-  own.clear(), asked.clear();
+// By what the object's visibility map says. Of what else stands between it knows nothing: that
+// can only take more.
+void plan_unsure(const lighting::DistantLight& source, bool others_between,
+                 std::span<const VisibilityVerdict> verdict, const Teller& tell, RayPlan& plan) {
+  std::vector<std::uint32_t>& beside_others = is_wide(source) ? plan.all : plan.one;
   for (std::uint32_t i = 0; i < verdict.size(); ++i) {
     switch (verdict[i]) {
       case VisibilityVerdict::kTurnedAway:
         break;
-      case VisibilityVerdict::kDark:
       case VisibilityVerdict::kLit:
+        if (others_between) {
+          beside_others.push_back(i);
+          break;
+        }
+        [[fallthrough]];
+      case VisibilityVerdict::kDark:
         tell(i, verdict[i] == VisibilityVerdict::kLit);
+        plan.told.push_back(i);
         break;
       case VisibilityVerdict::kMaybeDark:
       case VisibilityVerdict::kMaybeLit:
-        asked.push_back(i);
+        (others_between ? plan.all : plan.two).push_back(i);
         break;
       case VisibilityVerdict::kMixed:
-        own.push_back(i);
+        plan.all.push_back(i);
     }
   }
-  const auto last = static_cast<std::size_t>(samples);
-  tracer.trace(own, 0, last, sums);
-  tracer.trace(asked, 0, kAsks, sums);
-  std::erase_if(asked, [&](std::uint32_t i) {
+}
+
+// Two rays where the verdict may be so; the others where they say otherwise.
+void ask_twice(const VertexTracer& tracer, std::span<const VisibilityVerdict> verdict, int samples,
+               const Teller& tell, std::vector<std::uint32_t>& vertices, Sums& sums) {
+  constexpr std::size_t kAsks = 2;  // one misses thin penumbras
+  tracer.trace(vertices, 0, kAsks, sums);
+  std::erase_if(vertices, [&](std::uint32_t i) {
     const bool lit = verdict[i] == VisibilityVerdict::kMaybeLit;
     const bool is_so = lit ? sums[i].seen >= sums[i].open : sums[i].seen <= 0;
     if (is_so) tell(i, lit);
     return is_so;
   });
-  tracer.trace(asked, kAsks, last, sums);
+  tracer.trace(vertices, kAsks, static_cast<std::size_t>(samples), sums);
+}
+
+// A shadow's edge that lies between what was traced and what was not, or was by one ray, is found
+// by the triangles that it runs through. The map's blur is as good for lights as wide as it.
+void follow_edges(const VertexTracer& tracer, const prt::Mesh& mesh,
+                  const lighting::DistantLight& source, int samples, RayPlan& plan, Sums& sums) {
+  if (rms_angle(source) > prt::VisibilityMap::blur(prt::VisibilityMap::kFineCells))
+    plan.told.clear();
+  if (plan.one.empty() && plan.told.empty()) return;
+  thread_local std::vector<char> place;  // grows once per thread
+  find_edges(mesh, sums, place);
+  // One ray that would come from behind the plane says nothing.
+  const auto is_inside = [&](std::uint32_t i) { return place[i] == kInside && sums[i].open > 0; };
+  std::erase_if(plan.one, is_inside);
+  std::erase_if(plan.told, is_inside);
+  for (const std::uint32_t i : plan.told) sums[i] = {};
+  tracer.trace(plan.one, 1, static_cast<std::size_t>(samples), sums);
+  tracer.trace(plan.told, 0, static_cast<std::size_t>(samples), sums);
+}
+
+void trace_vertices(const VertexTracer& tracer, const Caster& object,
+                    const lighting::DistantLight& source, LookupUse use, int samples,
+                    const Teller& tell, Sums& sums) {
+  thread_local std::vector<VisibilityVerdict> verdict;  // grow once per thread
+  thread_local RayPlan plan;
+  plan.clear();
+  if (use == LookupUse::kNone) {
+    plan_all(object, source, samples, plan);
+  } else {
+    scout(object, source, verdict);
+    plan_unsure(source, use == LookupUse::kScoutAmongOthers, verdict, tell, plan);
+  }
+  tracer.trace(plan.all, 0, static_cast<std::size_t>(samples), sums);
+  tracer.trace(plan.one, 0, 1, sums);
+  ask_twice(tracer, verdict, samples, tell, plan.two, sums);
+  follow_edges(tracer, *object.mesh, source, samples, plan, sums);
 }
 
 }  // namespace
@@ -322,7 +270,6 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   const prt::Mesh& mesh = *object.mesh;
   // All memory grows once per thread.
   thread_local SamplePattern all, pattern_memory;
-  thread_local VisibilityGroups shared;
   thread_local Sums sums_memory;
   SamplePattern& pattern = pattern_memory;
   Sums& sums = sums_memory;
@@ -333,8 +280,8 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   // Neighbours share what few rays find; what is looked up has no noise that they could average.
   const bool averaged = !hard && !looked_up && is_wide(source) &&
                         penumbra_exceeds_edges(source, *object.silhouette),
-             cut = is_cut(plane, source);
-  all.make(source, cut && !averaged ? kMaxSamples : std::max(samples, kOpenSamples), 1);
+             cut = !hard && is_cut(plane, source);
+  all.make(source, cut ? kMaxSamples : std::max(samples, kOpenSamples), 1);
   if (looked_up) {
     sums.resize(count);
     const int cells =
@@ -344,23 +291,24 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
     sums.assign(count, {});
     pattern.make(source, samples, hard ? 1 : kTurns);
     const VertexTracer tracer(occluders, mesh, object.world_from_mesh, plane, pattern);
-    const std::span<const glm::vec3> alike = hard ? pattern.at(0) : all.at(0);
-    const Teller tell(tracer, plane, averaged, cut, alike, sums);
-    if (use == LookupUse::kScout) {
-      trace_unsure(tracer, object, source, samples, tell, sums);
-    } else {
-      shared.find(casters, object, source, {alike, before_bits(plane, alike)});
-      trace_groups(tracer, shared, mesh, source, samples, all.at(0), tell, sums);
-    }
+    trace_vertices(tracer, object, source, use, samples, {tracer, averaged, sums}, sums);
   }
   if (averaged) smooth_over_neighbours(mesh, smoothing_passes(source), sums);
-  const UnoccludedLight whole(all.at(0), glm::vec3(source.direction),
+  // What is behind the plane is in neither sum.
+  std::array<glm::vec3, kMaxSamples> memory;
+  const std::span<const glm::vec3> counted = cut ? before(plane, all.at(0), memory) : all.at(0);
+  if (counted.empty()) {
+    std::ranges::fill(out, 0.f);
+    return;
+  }
+  const auto fraction = static_cast<float>(counted.size()) / static_cast<float>(all.at(0).size());
+  const UnoccludedLight whole(counted, glm::vec3(source.direction),
                               glm::transpose(object.world_from_mesh.rotation_matrix()), hard);
   parallel_for(std::size_t{0}, count, 1024, [&](const auto& part) {
     whole.light(std::span(mesh.normals).subspan(part.begin(), part.size()),
                 out.subspan(part.begin(), part.size()));
     for (std::size_t i = part.begin(); i < part.end(); ++i)
-      out[i] = sums[i].seen <= 0 ? 0 : sums[i].seen / sums[i].open * out[i];
+      out[i] = sums[i].seen <= 0 ? 0 : fraction * sums[i].seen / sums[i].open * out[i];
   });
 }
 

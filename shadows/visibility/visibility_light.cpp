@@ -6,7 +6,6 @@
 #include "core/threads/parallel.h"
 #include "prt/transfer/vertex_samples.h"
 #include "shadows/silhouette/light_rays.h"
-#include "shadows/visibility/internal/visibility_groups.h"
 
 namespace penumbra::shadows {
 
@@ -29,15 +28,23 @@ bool others_between(std::span<const Caster> casters, const Caster& object,
   });
 }
 
-// Directions in the mesh's frame.
+// Directions in the mesh's frame, of each turn as many; those behind the plane give their place to
+// others. Of a turn that is all behind it nothing counts.
 void aim(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
          int cells, std::size_t each, prt::VisibilitySamples& out) {
-  thread_local SamplePattern pattern;  // grows once per thread
+  thread_local SamplePattern pattern;  // grow once per thread
+  thread_local std::vector<glm::vec3> before;
   pattern.make(source, static_cast<int>(each), kTurns);
   const glm::mat3 mesh_from_world = glm::transpose(object.world_from_mesh.rotation_matrix());
   out.clear(cells, each);
-  for (std::size_t turn = 0; turn < kTurns; ++turn)
-    for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
+  for (std::size_t turn = 0; turn < kTurns; ++turn) {
+    before.clear();
+    for (const glm::vec3& d : pattern.at(turn))
+      if (!behind(plane, d)) before.push_back(d);
+    for (std::size_t k = 0; k < each; ++k)
+      out.add(mesh_from_world * (before.empty() ? pattern.at(turn)[k] : before[k % before.size()]),
+              !before.empty());
+  }
 }
 
 // What the samples see, and after the last one nothing.
@@ -77,11 +84,11 @@ LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
   // second on look-ups in finer cells are about as good as four.
   constexpr double kCoarseFrom = 2.5, kFineFrom = 1.5;
   constexpr int kMaxRays = 8;
-  if (!object.visibility || directions_used == 1 || directions_used > kMaxRays ||
-      VisibilityGroups::counts_parts(object, source) ||
-      others_between(casters.virtual_things, object, source) ||
-      others_between(casters.real_things, object, source))
+  if (!object.visibility || directions_used == 1 || directions_used > kMaxRays)
     return LookupUse::kNone;
+  if (others_between(casters.virtual_things, object, source) ||
+      others_between(casters.real_things, object, source))
+    return LookupUse::kScoutAmongOthers;
   const auto beside = [&](int cells) {
     return rms_angle(source) / prt::VisibilityMap::blur(cells);
   };

@@ -166,7 +166,8 @@ TEST(DirectLightStage, WhatObjectsWereBakedToSeeIsAsked) {
       mean += light[0][i];
     }
     const auto count = static_cast<double>(light[0].size());
-    EXPECT_LT(std::sqrt(square / count) / (mean / count), apart > 1 ? .2 : 1e-6) << apart;
+    // With the other one between it tells only what is dark.
+    EXPECT_LT(std::sqrt(square / count) / (mean / count), apart > 1 ? .2 : .01) << apart;
     if (apart > 1) {
       EXPECT_NE(light[0], light[1]) << "the visibility map was not asked";
     }

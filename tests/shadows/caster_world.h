@@ -9,8 +9,6 @@
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "shadows/shadows.h"
-#include "shadows/silhouette/light_rays.h"
-#include "shadows/visibility/internal/visibility_groups.h"
 
 namespace penumbra::shadows::test {
 
@@ -46,9 +44,7 @@ struct CasterWorld {
     for (const prt::Mesh& m : meshes) {
       silhouettes.emplace_back(m);
       casters.push_back({&m, &silhouettes.back(), {}});
-      const auto index = rays.add(m);
-      EXPECT_TRUE(index);
-      silhouettes.back().find_cuts(m, rays, *index);
+      EXPECT_TRUE(rays.add(m));
     }
   }
   std::vector<float> light(const lighting::DistantLight& source, const Caster& object,
@@ -56,13 +52,6 @@ struct CasterWorld {
     std::vector<float> out(meshes[0].positions.size());
     trace_direct_light({occluders, nullptr, near_m}, {casters, {}, near_m}, object, nullptr, source,
                        samples, out);
-    return out;
-  }
-  VisibilityGroups visibility(const lighting::DistantLight& source) const {
-    VisibilityGroups out;
-    SamplePattern samples;
-    samples.make(source, 16, 1);
-    out.find({casters, {}, near_m}, casters[0], source, {samples.at(0)});
     return out;
   }
 };

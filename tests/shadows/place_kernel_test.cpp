@@ -32,35 +32,6 @@ vec3 placed(const vec3& p) {
 
 constexpr std::size_t kSizes[] = {0, 1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 100};
 
-TEST(PlaceKernel, PlacesEveryVertex) {
-  const vec3 towards = glm::normalize(vec3(1, 5, 2));
-  for (const std::size_t size : kSizes) {
-    const std::vector<vec3> positions = random_points(size, 1), normals = random_points(size, 2);
-    std::vector<vec3> places(size + 1, vec3(7));
-    std::vector<std::uint8_t> sides(size + 1, 77);
-    place_vertices(positions, normals, kPlacing, {towards, -.2f}, std::span(places).first(size),
-                   std::span(sides).first(size));
-    for (std::size_t i = 0; i < size; ++i) {
-      EXPECT_LT(glm::distance(places[i], placed(positions[i])), 1e-5f) << size;
-      const float cosine = glm::dot(normals[i], towards);
-      EXPECT_EQ(sides[i], cosine > 0 ? kFront : cosine < -.2f ? kBack : kGrazing) << size;
-    }
-    EXPECT_EQ(places[size], vec3(7));
-    EXPECT_EQ(sides[size], 77);
-  }
-}
-
-// A silhouette's own vertices are told from others by that.
-TEST(PlaceKernel, EqualPositionsComeOutEqual) {
-  for (const std::size_t size : kSizes) {
-    const std::vector<vec3> positions(size, vec3(.1234f, -.777f, .31f)), normals(size, vec3(0));
-    std::vector<vec3> places(size);
-    std::vector<std::uint8_t> sides(size);
-    place_vertices(positions, normals, kPlacing, {vec3(0, 1, 0), -.1f}, places, sides);
-    for (const vec3& p : places) EXPECT_EQ(p, places[0]) << size;
-  }
-}
-
 // Surfaces that face all of the light, some of it and nothing.
 TEST(PlaceKernel, MeanCosinesAreThoseOverTheDirections) {
   const vec3 middle = glm::normalize(vec3(1, 5, 2));

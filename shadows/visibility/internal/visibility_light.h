@@ -13,16 +13,16 @@
 namespace penumbra::shadows {
 
 /// What an object's visibility map does under a light.
-enum class LookupUse { kNone, kScout, kCoarse, kFine };
+enum class LookupUse { kNone, kScout, kScoutAmongOthers, kCoarse, kFine };
 /// kCoarse, kFine: the light is wide against the map's coarse or fine cells, so the map answers in
 /// place of rays. kScout: the light is smaller, and the map tells which vertices need rays.
-/// kNone: there is no map, the shadow is hard, or more than eight rays a vertex are asked for. Also
-/// where silhouettes are counted (VisibilityGroups::counts_parts), and where another caster's
-/// sphere reaches between. Where there are several real planes, one of their spheres always does.
+/// kScoutAmongOthers: another caster's sphere reaches between, so that the map tells only what is
+/// dark. Where there are several real planes, one of their spheres always does. kNone: there is no
+/// map, the shadow is hard, or more than eight rays a vertex are asked for.
 LookupUse lookup_use(const ShadowCasters& casters, const Caster& object,
                      const lighting::DistantLight& source, int samples);
 
-/// By vertex, over directions of the light; what is behind the plane does not count as seen.
+/// By vertex, over directions of the light that are not behind the plane.
 /// in: cells as VisibilitySamples::clear
 /// threads: as trace_direct_light
 void look_up(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
