@@ -59,20 +59,33 @@ Result<void> check(const ShadowedSurface& surface) {
   return {};
 }
 
+Rgb part_of(const ShadowRegion& region, const DistantLight& light) {
+  const auto at = std::ranges::find(region.parts, light.id, &LightPart::source);
+  return at == region.parts.end() ? Rgb{1, 1, 1} : at->part;
+}
+
 // Clipped lights that no shadow tells apart.
 struct LightGroup {
   std::vector<bool> reaches;  // by region
   std::vector<const DistantLight*> lights;
+
+  // In the mean of them.
+  double part(const ShadowRegion& region, int channel) const {
+    double sum = 0;
+    for (const DistantLight* d : lights) sum += double(part_of(region, *d)[channel]);
+    return sum / static_cast<double>(lights.size());
+  }
 };
 
 // Of the lights that the surface sees.
 std::vector<LightGroup> groups_of(const LightEstimate& light, const ShadowedSurface& surface) {
+  constexpr float kHalf = .5f;
   std::vector<LightGroup> out;
   for (const DistantLight& d : light.lights) {
     if (!d.clipped || response(d, surface.normal) < kMinCosine) continue;
     std::vector<bool> reaches;
     for (const ShadowRegion& region : surface.regions)
-      reaches.push_back(std::ranges::find(region.hidden, d.id) == region.hidden.end());
+      reaches.push_back(luminance(part_of(region, d)) > kHalf);
     const auto known = std::ranges::find(out, reaches, &LightGroup::reaches);
     if (known == out.end())
       out.push_back({std::move(reaches), {&d}});
@@ -99,9 +112,8 @@ std::optional<Eigen::VectorXd> solve_channel(const ShadowedSurface& surface, int
     const double seen = kPi * double(region.radiance[channel]),
                  weight = brightest / std::max(double(region.radiance[channel]), .01 * brightest);
     for (std::ptrdiff_t k = 0; k < lights; ++k)
-      if (groups[static_cast<std::size_t>(k)].reaches[static_cast<std::size_t>(g)])
-        a(g, k) = weight;
-    b(g) = -weight * double(region.others[channel]) * others;
+      a(g, k) = weight * groups[static_cast<std::size_t>(k)].part(region, channel);
+    b(g) = -weight * (double(region.others[channel]) * others + double(region.beside[channel]));
     if (free_albedo)
       a(g, lights) = -weight * seen / brightest;  // the unknown is brightest / albedo
     else
@@ -155,10 +167,10 @@ Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
                                             const ShadowedSurface& surface) {
   PENUMBRA_TRY(check(surface));
   for (const ShadowRegion& region : surface.regions)
-    for (const int id : region.hidden)
-      if (!is_clipped(light, id))
+    for (const LightPart& part : region.parts)
+      if (!is_clipped(light, part.source))
         return fail(ErrorCode::kInvalid, "surface",
-                    fmt::format("lies in the shadow of light {}, which is not saturated", id));
+                    fmt::format("names a part of light {}, which is not saturated", part.source));
   if (std::ranges::none_of(light.lights, &DistantLight::clipped))
     return fail(ErrorCode::kInvalid, "light", "has no saturated light");
   const std::vector<LightGroup> groups = groups_of(light, surface);

@@ -32,12 +32,19 @@ struct ReflectancePatch {
   Rgb albedo;
 };
 
-/// A part of a matte surface on which things keep some clipped sources out as a whole; all others
-/// reach it as a whole.
+/// Of a clipped source's irradiance on the open surface, what arrives somewhere on it: 0 in its
+/// shadow, above 1 where things reflect more of it there.
+struct LightPart {
+  int source = 0;  // its id
+  Rgb part;
+};
+
+/// A part of a matte surface, with what things beside it do to its light.
 struct ShadowRegion {
-  Rgb radiance;               // any scale where the albedo is not known
-  Rgb others{1, 1, 1};        // 0..1: what the same things leave of all other light
-  std::vector<int> hidden{};  // ids of the clipped sources that are kept out
+  Rgb radiance;                    // any scale where the albedo is not known and `beside` is none
+  Rgb others{1, 1, 1};             // of the irradiance by all other light, what arrives
+  Rgb beside{};                    // irradiance that arrives otherwise
+  std::vector<LightPart> parts{};  // of clipped sources; of those that are not named: all
 };
 
 /// One surface, or more of one albedo, with the shadows on it.
@@ -63,9 +70,9 @@ struct ShadowRecovery {
 Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
                                                         const ReflectancePatch& patch);
 /// The powers that agree best with all regions, and the albedo:
-///   pi L_g / albedo = others_g E_others + sum_j b_j Int cos+ over light j, j reaches region g
+///   pi L_g / albedo = others_g E_others + beside_g + sum_j part_gj b_j Int cos+ over light j
 /// What no shadow tells apart is divided as recover_jointly() does.
-/// errors:  kInvalid (no clipped light, a hidden one that is not clipped, bad normal or albedo),
+/// errors:  kInvalid (no clipped light, a part of one that is not, bad normal or albedo),
 ///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the
 ///          shadows do not tell light and albedo apart)
 /// source:  Debevec, Graham, Busch & Bolas 2012, with shadows for further surfaces

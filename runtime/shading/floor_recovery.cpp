@@ -18,11 +18,10 @@
 #include "core/io/log.h"
 #include "core/median.h"
 #include "lighting/lights/distant_light.h"
-#include "lighting/sh/basis.h"
-#include "lighting/sh/irradiance.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/ray_pattern.h"
 #include "prt/geometry/rays.h"
+#include "runtime/surroundings/floor_irradiance.h"
 
 namespace penumbra::runtime {
 
@@ -32,7 +31,6 @@ constexpr int kStep_px = 6;  // between the pixels that are read
 constexpr std::size_t kMinPixels = 200;
 constexpr float kShadowed = .5f;  // of the median: darker pixels lie in a real shadow
 constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
-constexpr double kGoldenAngle = 2.399963229728653;
 
 // A pixel of the floor; a saturated channel has at least that radiance.
 struct FloorPixel {
@@ -132,7 +130,34 @@ std::optional<HiddenLights> hidden_at(const prt::RayScene& real, const glm::dvec
   return out;
 }
 
+// Evenly, of many.
+std::vector<glm::dvec3> some_of(std::span<const FloorPixel> pixels) {
+  constexpr std::size_t kMax = 32;
+  const std::size_t apart = (pixels.size() + kMax - 1) / kMax;
+  std::vector<glm::dvec3> out;
+  for (std::size_t i = 0; i < pixels.size(); i += apart) out.push_back(pixels[i].point);
+  return out;
+}
+
 }  // namespace
+
+struct FloorRecovery::SeenFloor {
+  std::vector<FloorPixel> lit;                               // as far as is known
+  std::map<HiddenLights, std::vector<FloorPixel>> shadowed;  // by known things
+};
+
+// What things do to the light of a region.
+void FloorRecovery::take_in(const FloorIrradianceParts& light, std::uint32_t hidden,
+                            std::span<const lighting::DistantLight* const> clipped,
+                            lighting::ShadowRegion& region) const {
+  region.others = light.others, region.beside = light.beside;
+  for (std::size_t k = 0; k < clipped.size(); ++k) {
+    const auto cosine = static_cast<float>(glm::dot(clipped[k]->direction, floor_->normal));
+    const float direct = hidden >> k & 1 ? 0 : 1;
+    const Rgb more = light.reflected[k] * (1 / std::max(cosine, .05f));
+    region.parts.push_back({clipped[k]->id, Rgb{direct, direct, direct} + more});
+  }
+}
 
 Result<FloorRecovery> FloorRecovery::create(const PreparedScene& scene) {
   FloorRecovery out;
@@ -161,11 +186,6 @@ bool FloorRecovery::is_near_an_object(const glm::dvec3& point) const {
     return glm::length(point - o.world_from_bake.translation) < kNear_m;
   });
 }
-
-struct FloorRecovery::SeenFloor {
-  std::vector<FloorPixel> lit;                               // as far as is known
-  std::map<HiddenLights, std::vector<FloorPixel>> shadowed;  // by known things
-};
 
 FloorRecovery::SeenFloor FloorRecovery::measure(
     const capture::Frame& frame, const capture::CameraInfo& camera, const ResponseTable* curve,
@@ -197,59 +217,25 @@ FloorRecovery::SeenFloor FloorRecovery::measure(
   return out;
 }
 
-Rgb FloorRecovery::left_of_others(const glm::dvec3& point,
-                                  const lighting::LightEstimate& light) const {
-  constexpr int kRays = 64;
-  const glm::dvec3& n = floor_->normal;
-  const glm::dmat3 frame(prt::frame_around(glm::vec3(n)));
-  Rgb all, left;
-  for (int k = 0; k < kRays; ++k) {
-    // By the cosine, on a spiral.
-    const double sine2 = (k + .5) / kRays, turn = k * kGoldenAngle, sine = std::sqrt(sine2);
-    const glm::dvec3 d =
-        frame * glm::dvec3(sine * std::cos(turn), sine * std::sin(turn), std::sqrt(1 - sine2));
-    Rgb radiance = lighting::evaluate(light.light, d);
-    for (int c = 0; c < 3; ++c) radiance[c] = std::max(0.f, radiance[c]);
-    all += radiance;
-    if (!real_->occluded(glm::vec3(point), glm::vec3(d), kOff_m, kFar_m)) left += radiance;
-  }
-  const auto irradiance_of_a_ray = static_cast<float>(kPi / kRays);
-  all = all * irradiance_of_a_ray, left = left * irradiance_of_a_ray;
-  for (const lighting::DistantLight& d : light.lights) {
-    if (d.clipped) continue;
-    const Rgb own = lighting::irradiance(d, n);
-    all += own;
-    if (!real_->occluded(glm::vec3(point), glm::vec3(d.direction), kOff_m, kFar_m)) left += own;
-  }
-  Rgb out{1, 1, 1};
-  for (int c = 0; c < 3; ++c)
-    if (all[c] > 0) out[c] = left[c] / all[c];
-  return out;
-}
-
 std::vector<lighting::ShadowRegion> FloorRecovery::regions_of(
     SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light,
     std::span<const lighting::DistantLight* const> clipped) const {
-  constexpr std::size_t kFewest = 40,
-                        kMax = 64;  // pixels of a region; of them that are looked from
-  const auto others_at = [&](const std::vector<FloorPixel>& pixels) {
-    const std::size_t apart = (pixels.size() + kMax - 1) / kMax;
-    Rgb sum;
-    float count = 0;
-    for (std::size_t i = 0; i < pixels.size(); i += apart, ++count)
-      sum += left_of_others(pixels[i].point, light);
-    return sum * (1 / count);
-  };
   std::vector<lighting::ShadowRegion> out{{lit}};
+  if (!real_) return out;
+  constexpr std::size_t kFewest = 40;            // pixels of a region
+  FloorIrradiance::FloorRadiance seen{lit, {}};  // what is in all shadows comes last
+  std::vector<std::pair<HiddenLights, const std::vector<FloorPixel>*>> from{{0, &floor.lit}};
   for (auto& [hidden, pixels] : floor.shadowed) {
     if (pixels.size() < kFewest) continue;
     const auto radiance = lit_radiance(pixels);
     if (!radiance || !(luminance(*radiance) > 0)) continue;
-    lighting::ShadowRegion& region = out.emplace_back(*radiance, others_at(pixels));
-    for (std::size_t k = 0; k < clipped.size(); ++k)
-      if (hidden >> k & 1) region.hidden.push_back(clipped[k]->id);
+    out.push_back({*radiance});
+    from.emplace_back(hidden, &pixels);
+    seen.shadowed = *radiance;
   }
-  if (out.size() > 1) out[0].others = others_at(floor.lit);
+  const FloorIrradiance around(*real_, scene_->real_mesh, *floor_, light, clipped, seen);
+  for (std::size_t i = 0; i < out.size(); ++i)
+    take_in(around.at(some_of(*from[i].second)), from[i].first, clipped, out[i]);
   return out;
 }
 

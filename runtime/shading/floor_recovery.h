@@ -15,6 +15,7 @@
 #include "prt/geometry/plane.h"
 #include "prt/geometry/rays.h"
 #include "runtime/scene/scene.h"
+#include "runtime/surroundings/floor_irradiance.h"
 
 namespace penumbra::runtime {
 
@@ -57,8 +58,9 @@ class FloorRecovery {
   SeenFloor measure(const capture::Frame& frame, const capture::CameraInfo& camera,
                     const ResponseTable* curve,
                     std::span<const lighting::DistantLight* const> clipped) const;
-  // What real things leave of all light but the clipped at a point of the floor, 0..1.
-  Rgb left_of_others(const glm::dvec3& point, const lighting::LightEstimate& light) const;
+  void take_in(const FloorIrradianceParts& light, std::uint32_t hidden,
+               std::span<const lighting::DistantLight* const> clipped,
+               lighting::ShadowRegion& region) const;
   // The lit floor first, then what lies in shadows of known things.
   std::vector<lighting::ShadowRegion> regions_of(
       SeenFloor& floor, const Rgb& lit, const lighting::LightEstimate& light,

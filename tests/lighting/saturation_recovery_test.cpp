@@ -271,8 +271,9 @@ TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
     const Rgb albedo = Rgb{.3f, .2f, .6f} * 17.f;  // unknown, and in other units
     const float by_pi = static_cast<float>(1 / kPi);
     const int id = light.lights[0].id;
-    ShadowRegion regions[] = {{exact_irradiance(map, n) * albedo * by_pi},
-                              {exact_irradiance(dark, n) * albedo * by_pi, {1, 1, 1}, {id}}};
+    ShadowRegion regions[] = {
+        {exact_irradiance(map, n) * albedo * by_pi},
+        {exact_irradiance(dark, n) * albedo * by_pi, {1, 1, 1}, {}, {{id, {}}}}};
     for (ShadowRegion& r : regions)
       for (int c = 0; c < 3; ++c) r.radiance[c] *= noise(rng);
     const auto got = recover_from_shadows(light, {n, regions});
@@ -282,7 +283,7 @@ TEST(SaturationRecovery, AShadowEdgeGivesTheSunAtAnyScale) {
     expect_power(got->albedo, albedo, .02);
     // What casts the shadow keeps a part of the other light from it, and less from the lit side.
     const Rgb others = exact_irradiance(dark, n), all = exact_irradiance(map, n);
-    ShadowRegion beside[] = {{{}, {.9f, .8f, .7f}}, {{}, {.6f, .5f, .4f}, {id}}};
+    ShadowRegion beside[] = {{{}, {.9f, .8f, .7f}}, {{}, {.6f, .5f, .4f}, {}, {{id, {}}}}};
     for (int c = 0; c < 3; ++c) {
       beside[0].radiance[c] =
           (all[c] - others[c] + beside[0].others[c] * others[c]) * albedo[c] * by_pi;
@@ -324,9 +325,10 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
   has(error(estimate(clip(map, 1e9f)), up), "invalid has no saturated light");
 
   const int id = light.lights[0].id;
-  const auto shadow_error = [&](std::vector<int> ids, const dvec3& n, float lit, float shadowed) {
-    const ShadowRegion regions[] = {{{lit, lit, lit}},
-                                    {{shadowed, shadowed, shadowed}, {1, 1, 1}, std::move(ids)}};
+  const auto shadow_error = [&](std::initializer_list<int> ids, const dvec3& n, float lit,
+                                float shadowed) {
+    ShadowRegion regions[] = {{{lit, lit, lit}}, {{shadowed, shadowed, shadowed}}};
+    for (const int source : ids) regions[1].parts.push_back({source, {}});
     const auto got = recover_from_shadows(light, {n, regions});
     return got ? std::string("none") : got.error().detail;
   };
@@ -336,6 +338,24 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
   has(shadow_error({id, other}, kUp, 1, 0), "black in one channel");
   has(shadow_error({id, other}, -kUp, 2, 1), "does not face");
   has(shadow_error({id}, kUp, 2, 1), "tell its albedo and the saturated lights apart");
+}
+
+// A wall beside the surface sends some of the lamp's light there, and some of its own.
+TEST(SaturationRecovery, WhatThingsReflectThereIsNotTheLampsPower) {
+  const auto map = room_with({&kSun, 1}), dark = room_with({});
+  const auto light = estimate(clip(map, 8));
+  const Rgb albedo{.3f, .2f, .6f}, more{.1f, .2f, .15f}, wall{.4f, .3f, .2f};
+  const Rgb others = exact_irradiance(dark, kUp), all = exact_irradiance(map, kUp);
+  ShadowRegion region{{}, {.9f, .9f, .9f}, wall, {{light.lights[0].id, Rgb{1, 1, 1} + more}}};
+  for (int c = 0; c < 3; ++c)
+    region.radiance[c] = static_cast<float>(albedo[c] / kPi) *
+                         (.9f * others[c] + wall[c] + (1 + more[c]) * (all[c] - others[c]));
+  const auto got = recover_from_shadows(light, {kUp, {&region, 1}, albedo});
+  ASSERT_TRUE(got) << got.error().detail;
+  expect_power(got->powers[0].power, kSun.power(), .05);
+  const auto naive = recover_jointly(light, {kUp, region.radiance, albedo});
+  ASSERT_TRUE(naive);
+  EXPECT_GT(naive->front().power.g / kSun.power().g, 1.15) << "the test shows nothing";
 }
 
 // One patch divides what is missing by what was measured, which of clipped lamps says nothing.
@@ -355,10 +375,10 @@ TEST(SaturationRecovery, ShadowsTellSeveralLampsApart) {
                : light.lights[1].id;
   };
   const Rgb albedo{.3f, .2f, .6f};
-  const auto seen = [&](const Image<Rgb>& lit, std::vector<int> hidden) {
+  const auto seen = [&](const Image<Rgb>& lit, std::initializer_list<int> hidden) {
     ShadowRegion out{exact_irradiance(lit, kUp) * albedo * static_cast<float>(1 / kPi)};
     for (int c = 0; c < 3; ++c) out.radiance[c] *= noise(rng);
-    out.hidden = std::move(hidden);
+    for (const int source : hidden) out.parts.push_back({source, {}});
     return out;
   };
   const ShadowRegion regions[] = {seen(map, {}), seen(room_with({&strong, 1}), {id_of(kLamp)}),

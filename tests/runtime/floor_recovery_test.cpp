@@ -9,9 +9,11 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
 #include <optional>
 
 #include "runtime/shading/composite_stage.h"
+#include "runtime/studio/internal/real_mesh_world.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -275,6 +277,47 @@ TEST(FloorRecovery, ShadowsTellSeveralLampsApart) {
       EXPECT_GT(fraction(1), 2) << "the test shows nothing";
     }
   }
+}
+
+// A sunlit wall brightens the floor before it. Whoever takes that for the sun's own light makes the
+// sun too strong, and all objects with it.
+TEST(FloorRecovery, LightThatAWallSendsToTheFloorIsNotTheSuns) {
+  ClippedSun c;
+  const glm::dvec3 sun = c.lights.at(0).direction;
+  // Behind the object as the sun sees it, upright and turned to the sun.
+  const double azimuth = std::atan2(sun.x, sun.z);
+  prt::Mesh wall = prt::make_box({-.9f, 0, -.1f}, {.9f, 1.4f, 0}, 1, {.7f, .7f, .7f});
+  glm::dmat4 turn = glm::rotate(glm::dmat4(1), azimuth, glm::dvec3(0, 1, 0));
+  turn[3] = glm::dvec4(-.7 * std::sin(azimuth), 0, -.7 * std::cos(azimuth), 1);
+  prt::transform(wall, turn);
+  c.scene.real_mesh = wall;
+  const auto world = *RealMeshWorld::make(c.world, wall, {});
+  std::printf("the floor before the wall has %.3f of the open floor's light\n",
+              double(luminance(world->floor_fraction({0, 0, 0}))));
+  PreparedScene black = c.scene;  // the naive form: the wall takes light and sends none
+  for (Rgb& albedo : black.real_mesh.albedo) albedo = {};
+  const auto recovered = [&](const PreparedScene& scene) {
+    capture::Studio studio(world, c.options);
+    auto light = *LightEstimationStage::create(studio.cameras(), {}, c.times);
+    auto recovery = *FloorRecovery::create(scene);
+    const ResponseTable curve = capture::make_response_table(c.options.sensor.response, 8, 0);
+    lighting::LightEstimate last;
+    while (auto frame = *studio.next()) {
+      if (light.takes(frame->camera)) {
+        last = *light.process(*frame);
+        continue;
+      }
+      const auto found = recovery.observe(*frame, studio.cameras()[1], &curve, last);
+      EXPECT_TRUE(found) << found.error().detail;
+      if (found) light.add_recoveries(*found);
+    }
+    return sun_fraction(last, c.truth);
+  };
+  const float naive = recovered(black), known = recovered(c.scene);
+  std::printf("sun %.3f of its irradiance, %.3f if the wall sends nothing\n", double(known),
+              double(naive));
+  EXPECT_GT(naive, 1.06f) << "the test shows nothing";
+  EXPECT_NEAR(known, 1, .03f);
 }
 
 // A source that cannot be asked for darker frames.

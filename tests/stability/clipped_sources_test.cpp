@@ -160,7 +160,7 @@ TEST_P(ClippedSun, AShadowEdgeGivesItsEnergyBack) {
   ASSERT_NE(sun, light_.lights.end());
   for (int trial = 0; trial < 10; ++trial) {
     const ShadowRegion regions[] = {{seen(kUp, floor, 1e9f)},
-                                    {seen(kUp, floor, 2.f), {1, 1, 1}, {sun->id}}};
+                                    {seen(kUp, floor, 2.f), {1, 1, 1}, {}, {{sun->id, {}}}}};
     const auto got = recover_from_shadows(light_, {kUp, regions});
     ASSERT_TRUE(got) << got.error().detail;
     expect_true_sun(got->powers[0].power);
