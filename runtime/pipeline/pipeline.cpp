@@ -175,8 +175,17 @@ Result<runtime::Composited> Pipeline::composite(const capture::Frame& view) {
     out.pixels = *view.pixels;
     return out;
   }
+  // Whether the caller can film it darker is not known: until then the light is a lower bound.
+  const auto note = [&out](double factor) {
+    out.darker_view = factor;
+    return false;
+  };
   if (impl_->light)
-    impl_->light->add_recoveries(impl_->composite->recover_lights(view, impl_->estimate));
+    impl_->light->add_recoveries(impl_->composite->recover_lights(view, impl_->estimate, note));
+  if (view.for_light) {
+    out.pixels = *view.pixels;
+    return out;
+  }
   PENUMBRA_TRY(impl_->composite->process(view, impl_->estimate, out));
   return out;
 }

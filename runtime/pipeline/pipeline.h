@@ -82,7 +82,8 @@ class Pipeline {
   Result<bool> add_environment(const capture::Frame& frame);
   /// The light to composite under, from elsewhere; the next add_environment() replaces it.
   void set_light(const lighting::LightEstimate& light);
-  /// Puts the objects into a view frame. Before there is light the frame comes back as it is.
+  /// Puts the objects into a view frame. Before there is light the frame comes back as it is, and
+  /// so does one that was taken for its light: see Composited::darker_view.
   /// errors: kInvalid (size or camera of the frame), kUnavailable (OpenGL ES)
   Result<runtime::Composited> composite(const capture::Frame& view);
 

@@ -66,6 +66,10 @@ bool is_view(const capture::FrameSource& source, const capture::Frame& frame) {
   return source.cameras()[static_cast<std::size_t>(frame.camera)].role == capture::Role::kView;
 }
 
+AskForDarker darker_of(capture::FrameSource& source, int camera) {
+  return [&source, camera](double factor) { return source.take_darker(camera, factor); };
+}
+
 // Between view frames, of all cameras together; 0: unknown.
 double period_ms(const capture::FrameSource& source) {
   const auto views =
@@ -107,7 +111,8 @@ class Replay {
   }
 
   void measure_light(const capture::Frame& view) {
-    light_.add_recoveries(compose_.recover_lights(view, estimate_, &source_));
+    light_.add_recoveries(
+        compose_.recover_lights(view, estimate_, darker_of(source_, view.camera)));
   }
 
   Result<void> add_view(const capture::Frame& frame) {
@@ -392,7 +397,8 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     FrameBudget pace(period_ms(source));
     LiveFrames frames(compose, sink, counts);
     const auto recover = [&](const capture::Frame& view) {
-      if (auto found = compose.recover_lights(view, estimate, &source); !found.empty())
+      if (auto found = compose.recover_lights(view, estimate, darker_of(source, view.camera));
+          !found.empty())
         live.recoveries.put(std::move(found));
     };
     while (frames.go_on() && !stop) {

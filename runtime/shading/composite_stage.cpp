@@ -431,12 +431,11 @@ const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePi
 }
 
 std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
-    const capture::Frame& frame, const lighting::LightEstimate& light,
-    capture::FrameSource* source) {
+    const capture::Frame& frame, const lighting::LightEstimate& light, const AskForDarker& ask) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
   if (found) return std::move(*found);
-  if (source && recovery_.overexposed() && ask_for_darker(frame, *source)) return {};
+  if (recovery_.overexposed() && ask_for_darker(frame, ask)) return {};
   if (!std::exchange(could_not_complete_, true))
     log_warning("a saturated light's power stays a lower bound: {} {}", found.error().where,
                 found.error().detail);
@@ -444,11 +443,11 @@ std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
 }
 
 // A darker frame that is overexposed, too, asks for the next darker one.
-bool CompositeStage::ask_for_darker(const capture::Frame& frame, capture::FrameSource& source) {
+bool CompositeStage::ask_for_darker(const capture::Frame& frame, const AskForDarker& ask) {
   constexpr double kDarkest =
       kDarker * kDarker * kDarker;  // from there on noise and codes tell all
   if (frame.for_light) darker_factor_ *= kDarker;
-  if (darker_factor_ >= kDarkest) return source.take_darker(frame.camera, darker_factor_);
+  if (darker_factor_ >= kDarkest) return ask(darker_factor_);
   darker_factor_ = kDarker;
   return false;
 }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <memory>
 #include <memory_resource>
 #include <optional>
@@ -61,6 +62,10 @@ struct RelightBases {
   explicit RelightBases(const prt::BakedObject& baked);
 };
 
+/// Asks the camera of a frame for one more, at a factor of the exposure of all others. False where
+/// there will be none.
+using AskForDarker = std::function<bool(double factor)>;
+
 /// View frames and light in, composited frames out.
 class CompositeStage {
  public:
@@ -97,10 +102,9 @@ class CompositeStage {
   ObjectMoves& moves() { return moves_; }
   /// What sources of `light` that are saturated in every exposure really send, where this frame can
   /// tell; empty where it cannot. Where it overexposes the floor, a darker one is asked for.
-  /// source: of the frame, where it may be asked; null: nobody is
   std::vector<lighting::SaturationRecovery> recover_lights(const capture::Frame& frame,
                                                            const lighting::LightEstimate& light,
-                                                           capture::FrameSource* source = nullptr);
+                                                           const AskForDarker& ask);
   /// The part of process() that depends on the light: relights objects and renews shadows where
   /// something changed visibly.
   bool shade(const lighting::LightEstimate& light, double seconds);
@@ -215,7 +219,7 @@ class CompositeStage {
   bool move_objects();
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
-  bool ask_for_darker(const capture::Frame& frame, capture::FrameSource& source);
+  bool ask_for_darker(const capture::Frame& frame, const AskForDarker& ask);
   const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);
   compositor::View view_of(const capture::Frame& frame);
 

@@ -4,6 +4,7 @@
 #include "lighting/lighting.h"
 #include "prt/prt.h"
 #include "runtime/pipeline/light_estimation_stage.h"
+#include "runtime/pipeline/pipeline.h"
 #include "runtime/pipeline/runner.h"
 
 #include <gtest/gtest.h>
@@ -393,6 +394,37 @@ TEST_F(OverexposedFloor, IsFilmedOnceMoreDarker) {
       else
         EXPECT_NEAR(sun_fraction(last_, c_.truth), 1, .06f) << over;
     }
+}
+
+// Whoever hands frames in one by one is told what would help, and helps or does not.
+TEST_F(OverexposedFloor, ACallerIsToldOfTheDarkerFrameThatWouldTell) {
+  c_.options.view_exposure->time *= 10;
+  capture::Studio studio(c_.world, c_.options);
+  auto pipeline =
+      Pipeline::create(studio.cameras(), std::make_shared<const PreparedScene>(c_.scene));
+  if (!pipeline && pipeline.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << pipeline.error().detail;
+  ASSERT_TRUE(pipeline);
+  int told = 0, taken = 0;
+  while (auto frame = *studio.next()) {
+    if (pipeline->shows_surroundings(frame->camera)) {
+      ASSERT_TRUE(pipeline->add_environment(*frame));
+      continue;
+    }
+    const auto out = pipeline->composite(*frame);
+    ASSERT_TRUE(out);
+    if (frame->for_light) {
+      ++taken;
+      EXPECT_TRUE(out->pixels == *frame->pixels) << "nothing is drawn into it";
+    }
+    if (!out->darker_view) continue;
+    ++told;
+    EXPECT_LT(*out->darker_view, 1);
+    EXPECT_TRUE(studio.take_darker(frame->camera, *out->darker_view));
+  }
+  EXPECT_GT(told, 0);
+  EXPECT_GT(taken, 0);
+  EXPECT_NEAR(sun_fraction(pipeline->light(), c_.truth), 1, .06f);
 }
 
 TEST_F(OverexposedFloor, IsFilmedDarkerInALiveRun) {

@@ -253,11 +253,16 @@ Result<SensorPoint> SensorBench::measure(const World& world, const SensorSetting
       PENUMBRA_TRY(pipeline.add_environment(*frame));
       continue;
     }
+    if (frame->for_light) {
+      PENUMBRA_TRY(pipeline.composite(*frame));
+      continue;
+    }
     const bool counts = views++ >= kSettling;
     if (counts) frame->time = TimestampNs{0} + Seconds(seconds_);
     if (counts && !pipeline.light().valid)
       return fail(ErrorCode::kUndetermined, world.name, "gives no light that can be measured");
     PENUMBRA_ASSIGN(shown, pipeline.composite(*frame));
+    if (shown.darker_view) studio.take_darker(frame->camera, *shown.darker_view);
     if (!counts) continue;
     add_radiance(shown.pixels, view_camera, exposure * kAveraged, composite);
     add_radiance(*frame->pixels, view_camera, exposure * kAveraged, camera);
