@@ -95,38 +95,93 @@ std::vector<LightGroup> groups_of(const LightEstimate& light, const ShadowedSurf
   return out;
 }
 
-// Irradiances by the groups, and 1/albedo where that is not known. Nothing where they cannot be
-// told apart. Errors count relative to what is seen.
-std::optional<Eigen::VectorXd> solve_channel(const ShadowedSurface& surface, int channel,
-                                             std::span<const LightGroup> groups, double others) {
-  const auto rows = std::ssize(surface.regions), lights = std::ssize(groups);
-  const bool free_albedo = !surface.albedo;
-  double brightest = 0;
-  for (const ShadowRegion& region : surface.regions)
-    brightest = std::max(brightest, double(region.radiance[channel]));
-  if (!(brightest > 0)) brightest = 1;
-  Eigen::MatrixXd a = Eigen::MatrixXd::Zero(rows, lights + (free_albedo ? 1 : 0));
-  Eigen::VectorXd b(rows);
-  for (std::ptrdiff_t g = 0; g < rows; ++g) {
-    const ShadowRegion& region = surface.regions[static_cast<std::size_t>(g)];
-    const double seen = kPi * double(region.radiance[channel]),
-                 weight = brightest / std::max(double(region.radiance[channel]), .01 * brightest);
-    for (std::ptrdiff_t k = 0; k < lights; ++k)
-      a(g, k) = weight * groups[static_cast<std::size_t>(k)].part(region, channel);
-    b(g) = -weight * (double(region.others[channel]) * others + double(region.beside[channel]));
-    if (free_albedo)
-      a(g, lights) = -weight * seen / brightest;  // the unknown is brightest / albedo
-    else
-      b(g) += weight * seen / double((*surface.albedo)[channel]);
-  }
-  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(a);
-  constexpr double kApart = .02;  // of the largest: less is noise
-  qr.setThreshold(kApart);
-  if (qr.rank() < a.cols()) return std::nullopt;
-  Eigen::VectorXd out = qr.solve(b);
-  if (free_albedo) out(lights) /= brightest;
-  return out;
+Rgb measured(const LightGroup& group, const glm::dvec3& normal) {
+  Rgb sum;
+  for (const DistantLight* d : group.lights) sum += irradiance(*d, normal);
+  return sum;
 }
+
+// One channel's equations: what they seek are the irradiances by the groups, and 1/albedo where
+// that is not known.
+class ChannelEquations {
+ public:
+  ChannelEquations(const ShadowedSurface& surface, int channel, std::span<const LightGroup> groups,
+                   double others)
+      : lights_(std::ssize(groups)),
+        a_(std::ssize(surface.regions), lights_ + (surface.albedo ? 0 : 1)),
+        b_(std::ssize(surface.regions)) {
+    // Errors count relative to what is seen; what things send into a shadow is known less well.
+    constexpr double kDark = .1;
+    double brightest = 1e-30;
+    for (const ShadowRegion& region : surface.regions)
+      brightest = std::max(brightest, double(region.radiance[channel]));
+    for (std::ptrdiff_t g = 0; g < a_.rows(); ++g) {
+      const ShadowRegion& region = surface.regions[static_cast<std::size_t>(g)];
+      const double radiance = double(region.radiance[channel]),
+                   weight = brightest / std::max(radiance, kDark * brightest);
+      for (std::ptrdiff_t k = 0; k < lights_; ++k)
+        a_(g, k) = weight * groups[static_cast<std::size_t>(k)].part(region, channel);
+      b_(g) = -weight * (double(region.others[channel]) * others + double(region.beside[channel]));
+      if (surface.albedo)
+        b_(g) += weight * kPi * radiance / double((*surface.albedo)[channel]);
+      else
+        a_(g, lights_) = -weight * kPi * radiance;
+    }
+  }
+
+  /// Nothing where they cannot be told apart. A group that comes out below nine tenths of what was
+  /// measured of it counts as measured, and the others again; false in `any` where all do.
+  std::optional<Eigen::VectorXd> solve(std::span<const double> measured, bool& any) const {
+    std::vector<bool> known(static_cast<std::size_t>(lights_), false);
+    while (true) {
+      auto out = solve_unknown(measured, known);
+      if (!out) return out;
+      bool found = false;
+      for (std::ptrdiff_t k = 0; k < lights_; ++k) {
+        const auto at = static_cast<std::size_t>(k);
+        if (known[at] || (*out)(k) >= kMinPower * measured[at]) continue;
+        known[at] = found = true;
+      }
+      if (found) continue;
+      any = std::ranges::find(known, false) != known.end();
+      return out;
+    }
+  }
+
+ private:
+  std::optional<Eigen::VectorXd> solve_unknown(std::span<const double> measured,
+                                               const std::vector<bool>& known) const {
+    Eigen::MatrixXd a(a_.rows(), 0);
+    Eigen::VectorXd b = b_, out = Eigen::VectorXd::Zero(a_.cols());
+    std::vector<std::ptrdiff_t> sought;
+    std::vector<double> scale;
+    for (std::ptrdiff_t k = 0; k < a_.cols(); ++k) {
+      if (k < lights_ && known[static_cast<std::size_t>(k)]) {
+        out(k) = measured[static_cast<std::size_t>(k)];
+        b -= a_.col(k) * out(k);
+        continue;
+      }
+      const double length = a_.col(k).norm();
+      if (!(length > 0)) return std::nullopt;
+      a.conservativeResize(Eigen::NoChange, a.cols() + 1);
+      a.rightCols(1) = a_.col(k) / length;
+      sought.push_back(k), scale.push_back(length);
+    }
+    if (sought.empty()) return out;
+    Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(a);
+    constexpr double kApart = .02;  // less is noise
+    qr.setThreshold(kApart);
+    if (qr.rank() < a.cols()) return std::nullopt;
+    const Eigen::VectorXd solved = qr.solve(b);
+    for (std::size_t i = 0; i < sought.size(); ++i)
+      out(sought[i]) = solved(static_cast<std::ptrdiff_t>(i)) / scale[i];
+    return out;
+  }
+
+  std::ptrdiff_t lights_;
+  Eigen::MatrixXd a_;
+  Eigen::VectorXd b_;
+};
 
 // One group's irradiance among its lights. A sun that no camera sees takes what was not measured.
 void divide(const LightGroup& group, const glm::dvec3& normal, Rgb all,
@@ -184,8 +239,14 @@ Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
   const Rgb others = irradiance_without(light, irradiance(light.light), surface.normal, is_sought);
   ShadowRecovery out{{}, surface.albedo.value_or(Rgb{})};
   std::vector<Rgb> by_group(groups.size());
+  bool any = false;
   for (int c = 0; c < 3; ++c) {
-    const auto solved = solve_channel(surface, c, groups, double(others[c]));
+    std::vector<double> bounds;
+    for (const LightGroup& g : groups) bounds.push_back(double(measured(g, surface.normal)[c]));
+    bool any_here = false;
+    const auto solved =
+        ChannelEquations(surface, c, groups, double(others[c])).solve(bounds, any_here);
+    any |= any_here;
     if (!solved)
       return fail(ErrorCode::kUndetermined, "surface",
                   "has no shadows that tell its albedo and the saturated lights apart");
@@ -198,14 +259,11 @@ Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
                   "has no light in the shadow to compare with");
     out.albedo[c] = static_cast<float>(1 / inverse);
   }
-  for (std::size_t k = 0; k < groups.size(); ++k)
-    divide(groups[k], surface.normal, by_group[k], out.powers);
-  const bool any = std::ranges::any_of(out.powers, [](const SaturationRecovery& r) {
-    return r.source == kUnseenSun || luminance(r.power) > 0;
-  });
   if (!any)
     return fail(ErrorCode::kUndetermined, "surface",
                 "shows none of the saturated light: it lies in shadow, or its albedo is another");
+  for (std::size_t k = 0; k < groups.size(); ++k)
+    divide(groups[k], surface.normal, by_group[k], out.powers);
   return out;
 }
 

@@ -12,6 +12,7 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   counter_ = {};
   told_ = back_to_usual_ = false;
   darker_exposure_.reset(), darker_.reset(), next_frame_.reset();
+  missed_ = 0, darkens_ = true;
   lost_before_ = counts_.lost;
   if (auto_schedule_ && schedule_.empty()) take(auto_schedule_->probe(limits()));
   if (schedule_.empty()) return {};
@@ -58,29 +59,54 @@ void BracketedCamera::take_darker(double factor) {
   if (!can_take_darker() || !device_ || darker_) return;
   const Exposure& usual = schedule_[0];
   const Exposure wanted = device_->nearest({usual.time * factor, usual.gain});
-  if (wanted.product() < .7 * usual.product()) darker_exposure_ = wanted;
+  constexpr double kNotDarker = .7;
+  darkens_ = wanted.product() < kNotDarker * usual.product();  // else it is at its shortest already
+  if (!darkens_) return;
+  darker_exposure_ = wanted;
+  darker_factor_ = factor;
 }
 
-// For one frame: soon after a frame arrived, and back after the next.
-Result<void> BracketedCamera::ask_for_darker() {
-  if (std::exchange(back_to_usual_, false)) return device_->request(device_->nearest(schedule_[0]));
-  if (!darker_exposure_) return {};
-  darker_.emplace(info_.response, *darker_exposure_);
-  back_to_usual_ = true;
-  return device_->request(*std::exchange(darker_exposure_, std::nullopt));
+// For one frame: soon after a frame arrived, and back after the next. What a device refuses is
+// asked again; whether it is gone wait() says.
+void BracketedCamera::ask_for_darker() {
+  const Exposure usual = device_->nearest(schedule_[0]);
+  if (back_to_usual_) {
+    back_to_usual_ = !device_->request(usual);
+  } else if (darker_exposure_ && device_->request(*darker_exposure_)) {
+    darker_.emplace(info_.response, *darker_exposure_, usual);
+    darker_exposure_.reset();
+    back_to_usual_ = true;
+  }
 }
 
 std::optional<Frame> BracketedCamera::pass(Frame frame, const std::optional<Exposure>& applied) {
   if (!darker_) return frame;
   DarkerFrame::Passed passed = darker_->pass(std::move(frame), applied);
-  if (darker_->over()) darker_.reset();
+  if (darker_->over()) end_darker();
   if (!passed.darker) return std::move(passed.frame);
   next_frame_ = std::move(passed.frame);
   return std::move(passed.darker);
 }
 
+void BracketedCamera::end_darker() {
+  constexpr double kFurther = 1. / 8, kDarkest = 1. / 512;
+  constexpr int kMaxMissed = 3;
+  const bool found = darker_->found(), white = darker_->is_white();
+  darker_.reset();
+  missed_ = found ? 0 : missed_ + 1;
+  if (found) return;
+  back_to_usual_ = true;  // in case that the device missed it
+  if (white && darker_factor_ * kFurther >= kDarkest)
+    take_darker(darker_factor_ * kFurther);
+  else
+    darkens_ = missed_ < kMaxMissed;
+}
+
 Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
-  if (next_frame_) return std::exchange(next_frame_, std::nullopt);
+  if (next_frame_) {
+    ++counts_.frames;
+    return std::exchange(next_frame_, std::nullopt);
+  }
   // When a request takes effect is certain only where it is made soon after a frame arrived.
   auto came = device_->wait(timeout, counter_.fresh());
   if (!came) {
@@ -90,7 +116,10 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   if (!*came) return std::nullopt;
   const CameraFrame& raw = **came;
   const std::uint64_t number = counter_.count(raw.sequence, raw.time, device_->now());
-  PENUMBRA_TRY(asks_each_frame() ? ask() : ask_for_darker());
+  if (asks_each_frame())
+    PENUMBRA_TRY(ask());
+  else if (!schedule_.empty())
+    ask_for_darker();
   auto pixels = device_->pixels();
   counts_.damaged += static_cast<std::uint64_t>(raw.damaged_before) + !pixels;
   counts_.lost = lost_before_ + counter_.lost();
@@ -100,15 +129,16 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   const ExposureLabels::Label label = label_of(raw.time, number, *pixels);
   if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.rejected;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
-  ++counts_.frames;
   if (auto_schedule_ && auto_schedule_->see(*pixels, label.exposure, raw.time)) {
     take(auto_schedule_->plan().exposures);
   }
   counts_.exposures = schedule_;
   if (auto_schedule_) counts_.light_error = auto_schedule_->plan().error();
-  return pass({0, sent_++, raw.time, label.exposure, info_.world_from_camera,
-               std::make_shared<const FramePixels>(std::move(*pixels)), device_->jpeg()},
-              raw.applied);
+  auto frame = pass({0, sent_++, raw.time, label.exposure, info_.world_from_camera,
+                     std::make_shared<const FramePixels>(std::move(*pixels)), device_->jpeg()},
+                    raw.applied);
+  counts_.frames += frame.has_value();
+  return frame;
 }
 
 // A frame that tells its exposure needs no delay; what it tells is checked like any label.

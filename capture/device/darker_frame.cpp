@@ -10,60 +10,78 @@ namespace penumbra::capture {
 
 namespace {
 
-constexpr int kPatience = 12;     // frames until a request shows, with room
-constexpr int kMaxDark = 3;       // in a row: more is another light
-constexpr double kClearly = .75;  // of the brightness before
-constexpr int kApart_px = 16;     // between the pixels that are read
+constexpr int kPatience = 12;      // frames until a request shows, with room
+constexpr int kMaxDark = 3;        // in a row: more is another light
+constexpr int kApart_px = 16;      // between the pixels that are read
+constexpr float kClipped = .95f;   // of full scale
+constexpr float kDark = .03f;      // too dark to tell
+constexpr double kTelling = .02;   // of all samples, at least
+constexpr double kAgreeing = .8;   // of the telling ones
+constexpr double kFactor = 1.5;    // of the signal that the exposures make one expect
+constexpr float kRounding = .01f;  // of full scale
 
 }  // namespace
 
-DarkerFrame::DarkerFrame(const calib::Response& response, Exposure exposure)
-    : response_(response), exposure_(exposure) {}
+DarkerFrame::DarkerFrame(const calib::Response& response, Exposure exposure, Exposure usual)
+    : response_(response), exposure_(exposure), usual_(usual) {}
 
-// Mean signal, what is clipped at full scale: an overexposed picture is darker, too, once less of
-// it is clipped.
-double DarkerFrame::brightness(const FramePixels& pixels) const {
+std::vector<float> DarkerFrame::sample(const FramePixels& pixels) const {
   return std::visit(
       [&](const auto& image) {
         using Pixel = std::remove_cvref_t<decltype(image.at(0, 0))>;
-        double sum = 0, count = 0;
+        std::vector<float> out;
         for (int y = kApart_px / 2; y < image.height(); y += kApart_px)
-          for (int x = kApart_px / 2; x < image.width(); x += kApart_px, ++count) {
+          for (int x = kApart_px / 2; x < image.width(); x += kApart_px) {
             const auto green = static_cast<double>(image.at(x, y).g);
-            if constexpr (std::is_same_v<Pixel, Rgb>)
-              sum += std::clamp(green, 0., 1.);
-            else
-              sum += response_.decode(green / (std::is_same_v<Pixel, Rgb8> ? 255. : 65535.), 1);
+            const double full = std::is_same_v<Pixel, Rgb8> ? 255 : 65535;
+            out.push_back(static_cast<float>(
+                std::is_same_v<Pixel, Rgb> ? green : response_.decode(green / full, 1)));
           }
-        return count > 0 ? sum / count : 0;
+        return out;
       },
       pixels);
 }
 
-bool DarkerFrame::is_darker(double now, const std::optional<Exposure>& applied,
-                            Exposure usual) const {
-  if (applied) return applied->product() < std::sqrt(exposure_.product() * usual.product());
-  return before_ && now < kClearly * *before_;
+bool DarkerFrame::is_darker(const std::vector<float>& now,
+                            const std::optional<Exposure>& applied) const {
+  if (applied) return applied->product() < std::sqrt(exposure_.product() * usual_.product());
+  const auto ratio = static_cast<float>(exposure_.product() / usual_.product());
+  std::size_t telling = 0, agreeing = 0;
+  for (std::size_t i = 0; i < std::min(before_.size(), now.size()); ++i) {
+    const float expected = before_[i] * ratio;
+    if (before_[i] >= kClipped) {
+      if (now[i] >= kClipped) continue;  // too bright for either
+      ++telling, agreeing += now[i] > expected / static_cast<float>(kFactor) - kRounding;
+    } else if (before_[i] > kDark) {
+      const float off = static_cast<float>(kFactor - 1) * expected + kRounding;
+      ++telling, agreeing += std::abs(now[i] - expected) < off;
+    }
+  }
+  return double(telling) > kTelling * double(now.size()) &&
+         double(agreeing) > kAgreeing * double(telling);
 }
 
 DarkerFrame::Passed DarkerFrame::pass(Frame frame, const std::optional<Exposure>& applied) {
-  const double now = brightness(*frame.pixels);
+  std::vector<float> now = sample(*frame.pixels);
   over_ = ++passed_ >= kPatience;
-  if (is_darker(now, applied, frame.exposure) && dark_in_a_row_ < kMaxDark && !over_) {
+  const bool darker = is_darker(now, applied);
+  if (darker && dark_in_a_row_ < kMaxDark && !over_) {
     ++dark_in_a_row_;
     if (!held_) held_ = std::move(frame);
     return {};
   }
   Passed out;
   // Where no frame is bright again it was the light that changed.
-  if (held_ && !is_darker(now, applied, frame.exposure)) {
+  if (held_ && !darker) {
     out.darker = std::move(held_);
     out.darker->exposure = exposure_;
     out.darker->for_light = true;
-    over_ = true;
+    over_ = found_ = true;
   }
   over_ |= dark_in_a_row_ == kMaxDark;
-  before_ = now;
+  const auto white = std::ranges::count_if(now, [](float v) { return v >= kClipped; });
+  white_ = double(white) > (1 - kTelling) * double(now.size());
+  before_ = std::move(now);
   out.frame = std::move(frame);
   return out;
 }

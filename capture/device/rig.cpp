@@ -54,6 +54,7 @@ struct Rig::Station {
   Result<void> start(std::unique_ptr<CameraDevice> device) {
     name = device->name();
     PENUMBRA_TRY(bracketed.connect(std::move(device)));
+    can_take_darker = bracketed.can_take_darker();
     thread = std::jthread([this](const std::stop_token& stop) { run(stop); });
     return {};
   }
@@ -68,6 +69,7 @@ struct Rig::Station {
         const std::uint64_t arrived = arrivals();
         if (const double factor = darker.exchange(0); factor > 0) bracketed.take_darker(factor);
         auto frame = bracketed.next(kTurn);
+        can_take_darker = bracketed.can_take_darker();
         publish();
         silent = arrivals() != arrived
                      ? Seconds(0)
@@ -105,6 +107,7 @@ struct Rig::Station {
   Bounded<Frame>& frames;
   Latest<Error>& failed;
   std::atomic<double> darker = 0;  // factor of a darker frame that is wanted; 0: none
+  std::atomic<bool> can_take_darker = false;
   Seconds longest{0}, silent{0};
   std::uint64_t reconnected = 0, overrun = 0;
   mutable std::mutex mutex;
@@ -152,8 +155,7 @@ void Rig::close() {
 
 bool Rig::take_darker(int camera, double factor) {
   Station& station = *stations_.at(static_cast<std::size_t>(camera));
-  // Of what never changes once the rig is open.
-  if (station.camera.schedule.size() != 1 || station.camera.light_error) return false;
+  if (!station.can_take_darker) return false;
   station.darker = factor;
   return true;
 }

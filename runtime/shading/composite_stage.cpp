@@ -434,8 +434,10 @@ std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
     const capture::Frame& frame, const lighting::LightEstimate& light, const AskForDarker& ask) {
   ViewCamera& camera = views_[static_cast<std::size_t>(frame.camera)];
   auto found = recovery_.observe(frame, camera.info, curve_for(camera, *frame.pixels), light);
+  const bool usual_tells = !frame.for_light && recovery_.looked() && !recovery_.overexposed();
+  if (usual_tells) camera.darker_factor = kDarker;
   if (found) return std::move(*found);
-  if (recovery_.overexposed() && ask_for_darker(frame, ask)) return {};
+  if (recovery_.overexposed() && ask_for_darker(camera, frame, ask)) return {};
   if (!std::exchange(could_not_complete_, true))
     log_warning("a saturated light's power stays a lower bound: {} {}", found.error().where,
                 found.error().detail);
@@ -443,12 +445,13 @@ std::vector<lighting::SaturationRecovery> CompositeStage::recover_lights(
 }
 
 // A darker frame that is overexposed, too, asks for the next darker one.
-bool CompositeStage::ask_for_darker(const capture::Frame& frame, const AskForDarker& ask) {
+bool CompositeStage::ask_for_darker(ViewCamera& camera, const capture::Frame& frame,
+                                    const AskForDarker& ask) {
   constexpr double kDarkest =
       kDarker * kDarker * kDarker;  // from there on noise and codes tell all
-  if (frame.for_light) darker_factor_ *= kDarker;
-  if (darker_factor_ >= kDarkest) return ask(darker_factor_);
-  darker_factor_ = kDarker;
+  if (frame.for_light) camera.darker_factor *= kDarker;
+  if (camera.darker_factor >= kDarkest) return ask(camera.darker_factor);
+  camera.darker_factor = kDarker;
   return false;
 }
 

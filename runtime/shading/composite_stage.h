@@ -152,6 +152,7 @@ class CompositeStage {
     Vignetting vignetting;
     double min_fraction;  // of the light that the lens leaves anywhere
     std::optional<ResponseTable> curve8{}, curve16{};
+    double darker_factor = kDarker;  // of the next frame for light
   };
 
   CompositeStage(std::unique_ptr<compositor::Compositor> compositor, DirectLightStage lights,
@@ -219,7 +220,8 @@ class CompositeStage {
   bool move_objects();
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
-  bool ask_for_darker(const capture::Frame& frame, const AskForDarker& ask);
+  static bool ask_for_darker(ViewCamera& camera, const capture::Frame& frame,
+                             const AskForDarker& ask);
   const ResponseTable* curve_for(ViewCamera& camera, const FramePixels& pixels);
   compositor::View view_of(const capture::Frame& frame);
 
@@ -237,7 +239,6 @@ class CompositeStage {
   std::optional<PlaneLight> plane_light_;  // of this update
   std::vector<Rgb> of_points_, lost_;      // scratch
   std::vector<Rgb> real_ratios_;           // at its vertices, as last shown
-  double darker_factor_ = kDarker;         // of a frame for light
   bool could_not_complete_ = false;        // was said
   bool keeps_time_ = false;
   StageTimes& times_;

@@ -14,8 +14,8 @@ struct Composited {
   FramePixels pixels;
   compositor::CompositeStats touched;
   bool relit = false;
-  // A saturated light's power is not known, and the floor that would tell it is overexposed:
-  // another frame at this factor of the exposure, with Frame::for_light set, would tell.
+  // The floor that tells a saturated light's power is overexposed: another frame at this factor of
+  // the exposure, with Frame::for_light set, would tell.
   std::optional<double> darker_view{};
 };
 

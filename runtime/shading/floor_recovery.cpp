@@ -117,15 +117,14 @@ std::optional<HiddenLights> hidden_at(const prt::RayScene& real, const glm::dvec
   };
   HiddenLights out = 0;
   for (std::size_t k = 0; k < clipped.size(); ++k) {
+    // Its middle and its rim, about: half shadows are in neither light.
     const glm::dvec3& axis = clipped[k]->direction;
-    if (!keeps(axis)) continue;
-    // Its rim, about: half shadows would make the dark side too bright.
     const glm::dmat3 frame(prt::frame_around(glm::vec3(axis)));
     const double reach = std::tan(std::min(clipped[k]->radius.value(), 1.));
-    if (!(keeps(axis + reach * frame[0]) && keeps(axis - reach * frame[0]) &&
-          keeps(axis + reach * frame[1]) && keeps(axis - reach * frame[1])))
-      return std::nullopt;
-    out |= HiddenLights{1} << k;
+    const int kept = keeps(axis) + keeps(axis + reach * frame[0]) + keeps(axis - reach * frame[0]) +
+                     keeps(axis + reach * frame[1]) + keeps(axis - reach * frame[1]);
+    if (kept != 0 && kept != 5) return std::nullopt;
+    if (kept == 5) out |= HiddenLights{1} << k;
   }
   return out;
 }
@@ -222,8 +221,8 @@ std::vector<lighting::ShadowRegion> FloorRecovery::regions_of(
     std::span<const lighting::DistantLight* const> clipped) const {
   std::vector<lighting::ShadowRegion> out{{lit}};
   if (!real_) return out;
-  constexpr std::size_t kFewest = 40;            // pixels of a region
-  FloorIrradiance::FloorRadiance seen{lit, {}};  // what is in all shadows comes last
+  constexpr std::size_t kFewest = 40;  // pixels of a region
+  std::vector<FloorIrradiance::FloorRadiance> seen{{0, lit}};
   std::vector<std::pair<HiddenLights, const std::vector<FloorPixel>*>> from{{0, &floor.lit}};
   for (auto& [hidden, pixels] : floor.shadowed) {
     if (pixels.size() < kFewest) continue;
@@ -231,7 +230,7 @@ std::vector<lighting::ShadowRegion> FloorRecovery::regions_of(
     if (!radiance || !(luminance(*radiance) > 0)) continue;
     out.push_back({*radiance});
     from.emplace_back(hidden, &pixels);
-    seen.shadowed = *radiance;
+    seen.push_back({hidden, *radiance});
   }
   const FloorIrradiance around(*real_, scene_->real_mesh, *floor_, light, clipped, seen);
   for (std::size_t i = 0; i < out.size(); ++i)
@@ -260,8 +259,14 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::recover(
     return fail(ErrorCode::kUndetermined, camera,
                 "shows a floor of unknown albedo, and no shadow of a known thing");
   surface.albedo = floor_->albedo;
-  PENUMBRA_ASSIGN(found, lighting::recover_from_shadows(light, surface));
-  return std::move(found.powers);
+  auto found = lighting::recover_from_shadows(light, surface);
+  // Shadows that do not tell all lights apart: what is lit tells of them together.
+  if (!found && regions.size() > 1) {
+    surface.regions = std::span(regions).first(1);
+    found = lighting::recover_from_shadows(light, surface);
+  }
+  if (!found) return std::unexpected(found.error());
+  return std::move(found->powers);
 }
 
 // By more than it takes to believe the albedo again: the sun must not jump between two powers.
@@ -308,8 +313,8 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
   for (const lighting::DistantLight& d : light.lights)
     if (d.clipped && lights.size() < kMaxClipped) clipped.push_back(d.id), lights.push_back(&d);
   const bool rests = !frame.for_light && last_ && frame.time - *last_ < kInterval;
-  if (!floor_ || clipped.empty() || (rests && clipped == tried_))
-    return std::vector<lighting::SaturationRecovery>{};
+  looked_ = floor_ && !clipped.empty() && !(rests && clipped == tried_);
+  if (!looked_) return std::vector<lighting::SaturationRecovery>{};
   last_ = frame.time;
   tried_ = std::move(clipped);
   auto found = recover(measure(frame, camera, curve, lights), light, lights, camera.name);

@@ -51,6 +51,8 @@ class FloorRecovery {
   /// Enough of the floor was in view at the last attempt, and most of it overexposed: a darker
   /// frame would tell.
   bool overexposed() const { return overexposed_; }
+  /// The last frame was measured; others are passed over for some time.
+  bool looked() const { return looked_; }
 
  private:
   // The floor in the picture, what is in a known thing's shadow apart.
@@ -79,8 +81,8 @@ class FloorRecovery {
   std::optional<TimestampNs> last_;
   std::vector<int> tried_;  // lights of the last attempt
   std::vector<lighting::SaturationRecovery> said_;
-  bool overexposed_ = false, by_shadow_ = false;  // last time
-  bool warned_ = false;                           // of the albedo
+  bool overexposed_ = false, by_shadow_ = false, looked_ = false;  // last time
+  bool warned_ = false;                                            // of the albedo
 };
 
 }  // namespace penumbra::runtime

@@ -66,9 +66,14 @@ Rgb FloorIrradiance::floor_seen_from(const glm::dvec3& point, const glm::dvec3& 
   const double distance = glm::dot(floor_.point - point, floor_.normal) /
                           std::min(glm::dot(direction, floor_.normal), -1e-6);
   const glm::dvec3 there = point + std::min(distance, double(kFar_m)) * direction;
-  const bool lit = std::ranges::any_of(
-      sources_, [&](const lighting::DistantLight* s) { return !is_hidden(there, *s); });
-  return lit ? seen_.lit : seen_.shadowed;
+  std::uint32_t hidden = 0;
+  for (std::size_t k = 0; k < sources_.size(); ++k)
+    hidden |= std::uint32_t{is_hidden(there, *sources_[k])} << k;
+  // Where no such shadow is in view: the darkest.
+  const auto same = std::ranges::find(seen_, hidden, &FloorRadiance::hidden);
+  if (same != seen_.end()) return same->radiance;
+  return std::ranges::min(seen_, {}, [](const FloorRadiance& f) { return luminance(f.radiance); })
+      .radiance;
 }
 
 // Onto the floor, from a thing that a ray meets: once.

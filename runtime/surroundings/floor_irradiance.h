@@ -2,6 +2,7 @@
 // threads: const members reentrant, parallel inside
 #pragma once
 
+#include <cstdint>
 #include <glm/vec3.hpp>
 #include <span>
 #include <vector>
@@ -27,14 +28,18 @@ struct FloorIrradianceParts {
 /// By one bounce from the things, which are lit by the sources, the sky and the floor around.
 class FloorIrradiance {
  public:
-  /// Radiance of the floor as a camera sees it, where the sources reach it and where they do not.
+  /// Radiance of the floor as a camera sees it, by the sources that things keep from it (bit by
+  /// source).
   struct FloorRadiance {
-    Rgb lit, shadowed;
+    std::uint32_t hidden;
+    Rgb radiance;
   };
-  /// All must outlive it. `sources` are lights of `light` whose power is not known.
+  /// All must outlive it. `sources`: at most 32 lights of `light`, whose power is not known;
+  /// `seen`: at least one.
   FloorIrradiance(const prt::RayScene& rays, const prt::Mesh& things, const prt::Plane& floor,
                   const lighting::LightEstimate& light,
-                  std::span<const lighting::DistantLight* const> sources, const FloorRadiance& seen)
+                  std::span<const lighting::DistantLight* const> sources,
+                  std::span<const FloorRadiance> seen)
       : rays_(rays),
         things_(things),
         floor_(floor),
@@ -60,7 +65,7 @@ class FloorIrradiance {
   const prt::Plane& floor_;
   const lighting::LightEstimate& light_;
   std::span<const lighting::DistantLight* const> sources_;
-  FloorRadiance seen_;
+  std::span<const FloorRadiance> seen_;
 };
 
 }  // namespace penumbra::runtime

@@ -4,6 +4,7 @@
 #include <cassert>
 #include <cmath>
 #include <glm/gtx/quaternion.hpp>
+#include <iterator>
 
 #include "core/conventions.h"
 #include "core/threads/background_task.h"
@@ -76,6 +77,25 @@ void SamplePattern::make(const lighting::DistantLight& source, int samples, int 
     spread_over_cap(source);
   else
     spread_over_shape(source);
+}
+
+void SamplePattern::keep_before(const prt::Plane& plane) {
+  std::vector<glm::vec3> all;
+  std::ranges::copy_if(directions_, std::back_inserter(all),
+                       [&](const glm::vec3& d) { return !behind(&plane, d); });
+  if (all.empty() || all.size() == directions_.size()) return;
+  const auto samples = static_cast<std::size_t>(samples_);
+  std::vector<glm::vec3> own;
+  for (std::size_t first = 0; first < directions_.size(); first += samples) {
+    own.clear();
+    const std::span turn = std::span(directions_).subspan(first, samples);
+    std::ranges::copy_if(turn, std::back_inserter(own),
+                         [&](const glm::vec3& d) { return !behind(&plane, d); });
+    for (std::size_t k = 0, next = 0; k < samples; ++k) {
+      if (!behind(&plane, turn[k])) continue;
+      turn[k] = own.empty() ? all[(first + k) % all.size()] : own[next++ % own.size()];
+    }
+  }
 }
 
 // A Vogel spiral from the rim inwards, which has as many points in equal areas.

@@ -52,6 +52,9 @@ class SamplePattern {
  public:
   /// in: samples 1..kMaxSamples
   void make(const lighting::DistantLight& source, int samples, int turns);
+  /// Directions behind the plane give their place to others, of their turn if it has any. Nothing
+  /// changes where all are.
+  void keep_before(const prt::Plane& plane);
   std::span<const glm::vec3> at(std::size_t point) const {
     const auto samples = static_cast<std::size_t>(samples_);
     return {&directions_[point % static_cast<std::size_t>(turns_) * samples], samples};

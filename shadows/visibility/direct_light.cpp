@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <utility>
 
 #include "core/threads/parallel.h"
 #include "prt/transfer/visibility_map.h"
@@ -19,8 +18,7 @@ namespace {
 // By vertex, over the directions that were asked for it.
 using Sums = std::vector<prt::CosineSums>;
 
-constexpr float kSeenAtAll = .002f;  // mean cosine: less of the light is not worth a ray
-constexpr int kOpenSamples = 16;     // of the whole light, for the cosine of an open vertex
+constexpr int kOpenSamples = 16;  // of the whole light, for the cosine of an open vertex
 
 // Whether some of a light may be behind the plane: then how much is a question for all of its
 // directions.
@@ -219,7 +217,7 @@ void ask_twice(const VertexTracer& tracer, std::span<const VisibilityVerdict> ve
   tracer.trace(vertices, 0, kAsks, sums);
   std::erase_if(vertices, [&](std::uint32_t i) {
     const bool lit = verdict[i] == VisibilityVerdict::kMaybeLit;
-    const bool is_so = lit ? sums[i].seen >= sums[i].open : sums[i].seen <= 0;
+    const bool is_so = sums[i].open > 0 && (lit ? sums[i].seen >= sums[i].open : sums[i].seen <= 0);
     if (is_so) tell(i, lit);
     return is_so;
   });
@@ -235,7 +233,7 @@ void follow_edges(const VertexTracer& tracer, const prt::Mesh& mesh,
   if (plan.one.empty() && plan.told.empty()) return;
   thread_local std::vector<char> place;  // grows once per thread
   find_edges(mesh, sums, place);
-  // One ray that would come from behind the plane says nothing.
+  // A ray that the surface is turned away from says nothing.
   const auto is_inside = [&](std::uint32_t i) { return place[i] == kInside && sums[i].open > 0; };
   std::erase_if(plan.one, is_inside);
   std::erase_if(plan.told, is_inside);
@@ -290,6 +288,7 @@ void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& cast
   } else {
     sums.assign(count, {});
     pattern.make(source, samples, hard ? 1 : kTurns);
+    if (cut) pattern.keep_before(*plane);
     const VertexTracer tracer(occluders, mesh, object.world_from_mesh, plane, pattern);
     trace_vertices(tracer, object, source, use, samples, {tracer, averaged, sums}, sums);
   }

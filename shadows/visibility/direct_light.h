@@ -13,8 +13,8 @@
 #pragma GCC visibility push(default)
 namespace penumbra::shadows {
 
-/// Estimates the direct irradiance from one light at each vertex. Chooses rays, silhouettes or
-/// baked visibility: docs/methods/direct-light.md says when.
+/// Estimates the direct irradiance from one light at each vertex. Chooses rays or baked
+/// visibility: docs/methods/direct-light.md says when.
 /// in:      occluders, casters: the same things, `object` among them, with the same near_m
 ///          plane: the one that the mesh stands on, or null; light from behind it is the bake's
 ///          samples: 1..64, rays a vertex at most. One is the light's middle: the shadow is hard,
@@ -23,7 +23,7 @@ namespace penumbra::shadows {
 ///          of a white surface
 /// threads: reentrant, parallel inside
 /// source:  stratified samples of the cap (Vogel spiral), turned from vertex to vertex, or of a
-///          form's points by the golden ratio; Laine et al. 2005 (SoftShadowVolume)
+///          form's points by the golden ratio
 void trace_direct_light(const RayOccluders& occluders, const ShadowCasters& casters,
                         const Caster& object, const prt::Plane* plane,
                         const lighting::DistantLight& source, int samples, std::span<float> out);

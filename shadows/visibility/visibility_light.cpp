@@ -28,23 +28,16 @@ bool others_between(std::span<const Caster> casters, const Caster& object,
   });
 }
 
-// Directions in the mesh's frame, of each turn as many; those behind the plane give their place to
-// others. Of a turn that is all behind it nothing counts.
+// Directions in the mesh's frame.
 void aim(const Caster& object, const prt::Plane* plane, const lighting::DistantLight& source,
          int cells, std::size_t each, prt::VisibilitySamples& out) {
-  thread_local SamplePattern pattern;  // grow once per thread
-  thread_local std::vector<glm::vec3> before;
+  thread_local SamplePattern pattern;  // grows once per thread
   pattern.make(source, static_cast<int>(each), kTurns);
+  if (plane) pattern.keep_before(*plane);
   const glm::mat3 mesh_from_world = glm::transpose(object.world_from_mesh.rotation_matrix());
   out.clear(cells, each);
-  for (std::size_t turn = 0; turn < kTurns; ++turn) {
-    before.clear();
-    for (const glm::vec3& d : pattern.at(turn))
-      if (!behind(plane, d)) before.push_back(d);
-    for (std::size_t k = 0; k < each; ++k)
-      out.add(mesh_from_world * (before.empty() ? pattern.at(turn)[k] : before[k % before.size()]),
-              !before.empty());
-  }
+  for (std::size_t turn = 0; turn < kTurns; ++turn)
+    for (const glm::vec3& d : pattern.at(turn)) out.add(mesh_from_world * d, !behind(plane, d));
 }
 
 // What the samples see, and after the last one nothing.

@@ -20,6 +20,8 @@ struct FakeCameraBehaviour {
   std::function<bool(std::uint64_t)> damaged;
   std::function<double(double)> light;                  // factor on the scene at a time in seconds
   std::function<bool(std::uint64_t)> ignores_controls;  // keeps its first exposure
+  std::function<bool(int)> refuses;                     // the request of that number, from 0
+  std::function<void(std::uint64_t, Image<Rgb>&)> covers;  // a part of a frame's scene
   std::function<Exposure(Exposure)> really;      // applied instead of the one that was asked for
   std::function<Exposure(Exposure)> tells;       // frames say so of the exposure that was applied
   std::uint64_t gone_after = ~std::uint64_t{0};  // frames
@@ -36,6 +38,8 @@ class FakeCamera : public capture::CameraDevice {
   const std::string& name() const override { return name_; }
   Exposure nearest(Exposure wanted) const override { return wanted; }
   Result<void> request(Exposure wanted) override {
+    if (behaviour_.refuses && behaviour_.refuses(asked_++))
+      return fail(ErrorCode::kUnavailable, "fake", "refused a control");
     requests_.push_back({sensor_frame_, wanted});
     return {};
   }
@@ -61,6 +65,7 @@ class FakeCamera : public capture::CameraDevice {
   Result<FramePixels> pixels() override {
     Image<Rgb> radiance = scene_;
     for (Rgb& p : radiance.pixels()) p = p * static_cast<float>(light_);
+    if (behaviour_.covers) behaviour_.covers(sensor_frame_, radiance);
     FramePixels out = Image<Rgb8>(scene_.width(), scene_.height());
     capture::expose(sensor_, radiance, shown_, sensor_frame_, out);
     return out;
@@ -95,6 +100,7 @@ class FakeCamera : public capture::CameraDevice {
   std::string name_ = "fake camera";
   std::vector<Request> requests_;
   std::uint64_t sensor_frame_ = 0, delivered_ = 0;
+  int asked_ = 0;
   Exposure shown_;
   double light_ = 1;
 };

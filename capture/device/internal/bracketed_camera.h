@@ -127,16 +127,18 @@ class BracketedCamera {
   /// The next frame whose label holds; nothing when none came in time.
   /// errors: kClosed (the device is gone)
   Result<std::optional<Frame>> next(Seconds timeout);
-  /// next() gives one more frame, marked for_light, at `factor` of the one exposure of all others.
+  /// next() gives one more frame, marked for_light, at `factor` of the one exposure of all others;
+  /// where that is white all over, at an eighth of that, down to 1/512.
   void take_darker(double factor);
-  /// Whether it can: its exposure is set, and one.
-  bool can_take_darker() const { return schedule_.size() == 1 && !auto_schedule_; }
+  /// Whether it can: its exposure is set, and one, and pictures have followed what was asked.
+  bool can_take_darker() const { return schedule_.size() == 1 && !auto_schedule_ && darkens_; }
   const CameraCounts& counts() const { return counts_; }
 
  private:
   Result<void> ask();
-  Result<void> ask_for_darker();
+  void ask_for_darker();
   std::optional<Frame> pass(Frame frame, const std::optional<Exposure>& applied);
+  void end_darker();
   ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
   void take_told(std::uint64_t number, Exposure exposure);
   ExposureLimits limits() const;
@@ -156,6 +158,9 @@ class BracketedCamera {
   bool told_ = false;  // the camera's frames tell their exposures
   // A darker frame that is asked for, from the next frame on, and the frame after it
   std::optional<Exposure> darker_exposure_;
+  double darker_factor_ = 1;  // of the usual exposure
+  int missed_ = 0;            // that did not come, in a row
+  bool darkens_ = true;
   bool back_to_usual_ = false;  // to be asked for
   std::optional<DarkerFrame> darker_;
   std::optional<Frame> next_frame_;

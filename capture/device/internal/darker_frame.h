@@ -2,19 +2,20 @@
 #pragma once
 
 #include <optional>
+#include <vector>
 
 #include "capture/frames.h"
 
 namespace penumbra::capture {
 
 /// Tells the one frame that shows a shorter exposure from those around it. A driver says neither
-/// how late it follows nor that it did, so the picture has to: the frame is darker than the one
-/// before it and the one after it.
+/// how late it follows nor that it did, so the picture has to: all of it is darker by what the
+/// exposures differ, and the frame after it is as bright as the one before.
 /// threads: thread-bound
 class DarkerFrame {
  public:
-  /// To be asked for with `exposure`, of a camera with this response.
-  DarkerFrame(const calib::Response& response, Exposure exposure);
+  /// To be asked for with `exposure`, of a camera with this response and else the `usual` exposure.
+  DarkerFrame(const calib::Response& response, Exposure exposure, Exposure usual);
 
   /// What is to be handed on once a frame came.
   struct Passed {
@@ -26,17 +27,20 @@ class DarkerFrame {
   Passed pass(Frame frame, const std::optional<Exposure>& applied);
   /// It was found, or so many frames have passed that it will not come.
   bool over() const { return over_; }
+  bool found() const { return found_; }
+  /// Nothing could tell it: pictures are white all over. A still darker one may not be.
+  bool is_white() const { return white_; }
 
  private:
-  double brightness(const FramePixels& pixels) const;
-  bool is_darker(double brightness, const std::optional<Exposure>& applied, Exposure usual) const;
+  std::vector<float> sample(const FramePixels& pixels) const;
+  bool is_darker(const std::vector<float>& now, const std::optional<Exposure>& applied) const;
 
   calib::Response response_;
-  Exposure exposure_;
-  std::optional<double> before_;  // brightness of the last frame that was none
+  Exposure exposure_, usual_;
+  std::vector<float> before_;  // signals of the last frame that was none; empty: there was none yet
   std::optional<Frame> held_;
   int passed_ = 0, dark_in_a_row_ = 0;
-  bool over_ = false;
+  bool over_ = false, found_ = false, white_ = false;
 };
 
 }  // namespace penumbra::capture
