@@ -80,12 +80,12 @@ void SamplePattern::make(const lighting::DistantLight& source, int samples, int 
 }
 
 void SamplePattern::keep_before(const prt::Plane& plane) {
-  std::vector<glm::vec3> all;
+  thread_local std::vector<glm::vec3> all, own;  // grow once per thread
+  all.clear();
   std::ranges::copy_if(directions_, std::back_inserter(all),
                        [&](const glm::vec3& d) { return !behind(&plane, d); });
   if (all.empty() || all.size() == directions_.size()) return;
   const auto samples = static_cast<std::size_t>(samples_);
-  std::vector<glm::vec3> own;
   for (std::size_t first = 0; first < directions_.size(); first += samples) {
     own.clear();
     const std::span turn = std::span(directions_).subspan(first, samples);
