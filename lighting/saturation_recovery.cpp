@@ -267,13 +267,6 @@ Result<ShadowRecovery> recover_from_shadows(const LightEstimate& light,
   return out;
 }
 
-Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
-                                                        const ReflectancePatch& patch) {
-  const ShadowRegion all{patch.radiance};
-  PENUMBRA_ASSIGN(found, recover_from_shadows(light, {patch.normal, {&all, 1}, patch.albedo}));
-  return std::move(found.powers);
-}
-
 DistantLight unseen_sun(const glm::dvec3& direction) {
   return {.id = kUnseenSun,
           .direction = direction,

@@ -25,13 +25,6 @@ struct SaturationRecovery {
   Rgb power;
 };
 
-/// A matte surface of known albedo that nothing shades, on the scale of the environment's radiance.
-struct ReflectancePatch {
-  glm::dvec3 normal{0, 1, 0};
-  Rgb radiance;
-  Rgb albedo;
-};
-
 /// Of a clipped source's irradiance on the open surface, what arrives somewhere on it: 0 in its
 /// shadow, above 1 where things reflect more of it there.
 struct LightPart {
@@ -58,20 +51,12 @@ struct ShadowRecovery {
   Rgb albedo;
 };
 
-/// Divides the irradiance missing at one patch among several saturated lights, in proportion to
-/// what was measured of each. Where some are sun-like, among those alone: a sun or a bulb exceeds
-/// what saturates by orders of magnitude, a window by little. The light on the patch comes out
-/// right, its division between the lights is a guess.
-///   E_p - E_others = sum_j b_j Int cos+ over light j
-/// A sun that no camera sees takes all of it, which may be nothing, where the patch faces it.
-/// errors:  kInvalid (no clipped light, bad patch), kNonFinite, kUndetermined (the patch sees none
-///          of them, nothing left)
-/// source:  Debevec, Graham, Busch & Bolas 2012
-Result<std::vector<SaturationRecovery>> recover_jointly(const LightEstimate& light,
-                                                        const ReflectancePatch& patch);
 /// The powers that agree best with all regions, and the albedo:
 ///   pi L_g / albedo = others_g E_others + beside_g + sum_j part_gj b_j Int cos+ over light j
-/// What no shadow tells apart is divided as recover_jointly() does.
+/// What no shadow tells apart shares its part of the light in proportion to what was measured of
+/// each. Where some are sun-like, among those alone: a sun or a bulb exceeds what saturates by
+/// orders of magnitude, a window by little. The light on the surface comes out right, that division
+/// is a guess. A sun that no camera sees takes all of it, which may be nothing.
 /// errors:  kInvalid (no clipped light, a part of one that is not, bad normal or albedo),
 ///          kNonFinite, kUndetermined (the surface sees none of them, a region is black, the
 ///          shadows do not tell light and albedo apart)

@@ -6,6 +6,7 @@
 #include <random>
 
 #include "lighting/lighting.h"
+#include "tests/support/reflectance_patch.h"
 
 namespace penumbra::lighting {
 namespace {
@@ -77,7 +78,7 @@ Rgb exact_irradiance(const Image<Rgb>& map, const dvec3& normal) {
 }
 
 // A patch of the mean of a thousand noisy pixels: half a percent.
-ReflectancePatch patch(const Image<Rgb>& map, const dvec3& normal, std::mt19937& rng) {
+test::ReflectancePatch patch(const Image<Rgb>& map, const dvec3& normal, std::mt19937& rng) {
   std::normal_distribution<float> noise(1, .005f);
   const Rgb albedo{.5f, .48f, .45f};
   Rgb seen = exact_irradiance(map, normal) * albedo * static_cast<float>(1 / kPi);
@@ -181,7 +182,7 @@ TEST(SaturationRecovery, APatchGivesTheSun) {
   ASSERT_EQ(light.lights.size(), 1U);
   for (int trial = 0; trial < 10; ++trial) {
     const dvec3 normal = trial % 2 ? kUp : glm::normalize(dvec3(0, .5, -.5));
-    const auto got = recover_jointly(light, patch(map, normal, rng));
+    const auto got = test::recover_from_patch(light, patch(map, normal, rng));
     ASSERT_TRUE(got) << got.error().detail;
     EXPECT_EQ((*got)[0].source, light.lights[0].id);
     expect_power((*got)[0].power, kSun.power(), .05);
@@ -209,8 +210,8 @@ TEST(SaturationRecovery, OnePatchGivesSeveralSourcesTheirLightTogether) {
   const auto map = room_with(lamps);
   const auto light = estimate(clip(map, 8));
   ASSERT_EQ(light.lights.size(), 2U);
-  const ReflectancePatch floor = patch(map, kUp, rng);
-  const auto got = recover_jointly(light, floor);
+  const test::ReflectancePatch floor = patch(map, kUp, rng);
+  const auto got = test::recover_from_patch(light, floor);
   ASSERT_TRUE(got) << got.error().detail;
   EXPECT_EQ(got->size(), 2U);
   const Rgb truth = exact_irradiance(map, kUp);
@@ -226,7 +227,7 @@ TEST(SaturationRecovery, ASunTakesWhatAWindowBesideItCannotHold) {
   const auto map = room_with(lamps);
   const auto light = estimate(clip(map, 8));
   ASSERT_EQ(light.lights.size(), 2U);
-  const auto got = recover_jointly(light, patch(map, kUp, rng));
+  const auto got = test::recover_from_patch(light, patch(map, kUp, rng));
   ASSERT_TRUE(got) << got.error().detail;
   ASSERT_EQ(got->size(), 1U);
   expect_power((*got)[0].power, kSun.power(), .1);
@@ -237,14 +238,15 @@ TEST(SaturationRecovery, OnePatchSaysWhyItCannot) {
   std::mt19937 rng(6);
   const auto map = room_with({&kSun, 1});
   const auto light = estimate(clip(map, 8));
-  EXPECT_EQ(recover_jointly(estimate(clip(map, 1e9f)), patch(map, kUp, rng)).error().code,
+  EXPECT_EQ(test::recover_from_patch(estimate(clip(map, 1e9f)), patch(map, kUp, rng)).error().code,
             ErrorCode::kInvalid);
-  EXPECT_EQ(recover_jointly(light, patch(map, -kUp, rng)).error().code, ErrorCode::kUndetermined);
-  ReflectancePatch black = patch(map, kUp, rng);
+  EXPECT_EQ(test::recover_from_patch(light, patch(map, -kUp, rng)).error().code,
+            ErrorCode::kUndetermined);
+  test::ReflectancePatch black = patch(map, kUp, rng);
   black.radiance = {};
-  EXPECT_EQ(recover_jointly(light, black).error().code, ErrorCode::kUndetermined);
+  EXPECT_EQ(test::recover_from_patch(light, black).error().code, ErrorCode::kUndetermined);
   black.albedo.g = 0;
-  EXPECT_EQ(recover_jointly(light, black).error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(test::recover_from_patch(light, black).error().code, ErrorCode::kInvalid);
 }
 
 // The floor gets less of one channel than what is unsaturated already brings: noise, and no reason
@@ -253,9 +255,9 @@ TEST(SaturationRecovery, NoChannelGetsNegativeLight) {
   std::mt19937 rng(3);
   const auto map = room_with({&kSun, 1}), dark = room_with({});
   const auto light = estimate(clip(map, 8));
-  ReflectancePatch floor = patch(map, kUp, rng);
+  test::ReflectancePatch floor = patch(map, kUp, rng);
   floor.radiance.b = .8f * patch(dark, kUp, rng).radiance.b;
-  const auto got = recover_jointly(light, floor);
+  const auto got = test::recover_from_patch(light, floor);
   ASSERT_TRUE(got) << got.error().detail;
   EXPECT_NEAR(got->front().power.b, power(light.lights[0]).b, 1e-5f) << "what was measured";
   EXPECT_GT(got->front().power.r, 0);
@@ -301,10 +303,10 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
   const auto map = room_with(lamps), dark = room_with({});
   const auto light = estimate(clip(map, 12));
   ASSERT_EQ(light.lights.size(), 2U);
-  const ReflectancePatch up = patch(map, kUp, rng), down = patch(map, dvec3(0, -1, 0), rng),
-                         unlit = patch(dark, kUp, rng);
-  const auto error = [](const LightEstimate& e, const ReflectancePatch& on) {
-    const auto got = recover_jointly(e, on);
+  const test::ReflectancePatch up = patch(map, kUp, rng), down = patch(map, dvec3(0, -1, 0), rng),
+                               unlit = patch(dark, kUp, rng);
+  const auto error = [](const LightEstimate& e, const test::ReflectancePatch& on) {
+    const auto got = test::recover_from_patch(e, on);
     if (got) return std::string("none");
     EXPECT_EQ(got.error().detail.find('\n'), std::string::npos);
     return std::string(got.error().code == ErrorCode::kUndetermined ? "" : "invalid ") +
@@ -314,10 +316,10 @@ TEST(SaturationRecovery, SaysInOneLineWhyItCannot) {
     EXPECT_NE(text.find(part), std::string::npos) << text;
   };
   has(error(light, down), "does not face");
-  ReflectancePatch lower = unlit;
+  test::ReflectancePatch lower = unlit;
   lower.radiance = lower.radiance * .8f;
   has(error(light, lower), "shows none of the saturated light");
-  ReflectancePatch bad = up;
+  test::ReflectancePatch bad = up;
   bad.albedo.g = 0;
   has(error(light, bad), "invalid has an albedo");
   bad = up, bad.normal = {0, 2, 0};
@@ -386,7 +388,7 @@ TEST(SaturationRecovery, WhatThingsReflectThereIsNotTheLampsPower) {
   const auto got = recover_from_shadows(light, {kUp, {&region, 1}, albedo});
   ASSERT_TRUE(got) << got.error().detail;
   expect_power(got->powers[0].power, kSun.power(), .05);
-  const auto naive = recover_jointly(light, {kUp, region.radiance, albedo});
+  const auto naive = test::recover_from_patch(light, {kUp, region.radiance, albedo});
   ASSERT_TRUE(naive);
   EXPECT_GT(naive->front().power.g / kSun.power().g, 1.15) << "the test shows nothing";
 }
@@ -427,7 +429,7 @@ TEST(SaturationRecovery, ShadowsTellSeveralLampsApart) {
     expect_power(power_of(got->powers, kLamp), kLamp.power(), .06);
     expect_power(power_of(got->powers, strong), strong.power(), .06);
   }
-  const auto naive = recover_jointly(light, {kUp, regions[0].radiance, albedo});
+  const auto naive = test::recover_from_patch(light, {kUp, regions[0].radiance, albedo});
   ASSERT_TRUE(naive);
   const auto off = [&](const Lamp& lamp) {
     return std::abs(std::log(luminance(power_of(*naive, lamp)) / luminance(lamp.power())));
@@ -448,8 +450,8 @@ TEST(RecoveryMemory, KeepsTheEnergyWhileTheSourceStaysClipped) {
   LightEstimator estimator({});
   const auto first = estimator.estimate(at(clip(map, 8), 0));
   ASSERT_TRUE(first);
-  const ReflectancePatch floor = patch(map, kUp, rng);
-  const auto got = recover_jointly(*first, floor);
+  const test::ReflectancePatch floor = patch(map, kUp, rng);
+  const auto got = test::recover_from_patch(*first, floor);
   ASSERT_TRUE(got);
   ASSERT_TRUE(estimator.add_recovery((*got)[0]));
   // Shorter exposures later raise the lower bound, not the sun.
@@ -462,7 +464,7 @@ TEST(RecoveryMemory, KeepsTheEnergyWhileTheSourceStaysClipped) {
     EXPECT_EQ(later->lights[0].radius, kSunRadius);
     expect_power(power(later->lights[0]), kSun.power(), .05);
     // Completed again from the same patch, the answer is the same.
-    const auto again = recover_jointly(*later, floor);
+    const auto again = test::recover_from_patch(*later, floor);
     ASSERT_TRUE(again);
     expect_power((*again)[0].power, (*got)[0].power, .01);
   }
@@ -545,7 +547,7 @@ TEST(RecoveryMemory, ALightThatIsFadingInIsRecoveredWhole) {
   const auto whole = LightEstimator({}).estimate(clip(map, 30));
   ASSERT_LT(luminance(power(fading->lights[0])), .8f * luminance(power(whole->lights[0])))
       << "not fading: the test shows nothing";
-  const auto got = recover_jointly(*fading, patch(map, kUp, rng));
+  const auto got = test::recover_from_patch(*fading, patch(map, kUp, rng));
   ASSERT_TRUE(got);
   const auto taken = estimator.add_recovery((*got)[0]);
   ASSERT_TRUE(taken) << taken.error().detail;

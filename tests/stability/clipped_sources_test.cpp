@@ -9,6 +9,7 @@
 #include "capture/capture.h"
 #include "core/conventions.h"
 #include "lighting/lighting.h"
+#include "tests/support/reflectance_patch.h"
 
 namespace penumbra::lighting {
 namespace {
@@ -140,7 +141,7 @@ TEST_P(ClippedSun, AGreyPatchGivesItsEnergyBack) {
   const dvec3 tilted = glm::normalize(dvec3(.4, .5, -.7));
   for (int trial = 0; trial < 10; ++trial) {
     const dvec3& normal = trial % 2 ? kUp : tilted;
-    const auto got = recover_jointly(light_, {normal, seen(normal, grey, 1e9f), grey});
+    const auto got = test::recover_from_patch(light_, {normal, seen(normal, grey, 1e9f), grey});
     ASSERT_TRUE(got) << got.error().detail;
     expect_true_sun(got->front().power);
     ASSERT_TRUE(estimator_.add_recovery(got->front()));

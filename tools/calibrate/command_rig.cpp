@@ -34,7 +34,7 @@ struct CalibrateRigOptions {
   std::vector<std::string> lenses;     // files of calibrate camera, by the cameras' names
   std::optional<std::string> tracker;  // poses of the body that the cameras are fixed to, .csv
   double tracker_sigma_mm = 1, tracker_sigma_deg = .05;
-  std::string board_lies;  // "floor" or "wall": the board is the world
+  std::string board_plane;  // "floor" or "wall": the board is the world
   double every_s = .5, max_time_apart_s = .005;
   std::optional<std::string> report;
   bool json = false;
@@ -105,7 +105,7 @@ Result<RigPictures> look(const CalibrateRigOptions& o, const calib::Board& board
   RigPictures seen;
   PENUMBRA_ASSIGN(index_of, choose_cameras(o, source->cameras(), seen));
   PENUMBRA_TRY(set_lenses(o, seen));
-  if (seen.cameras.size() == 1 && !o.tracker && o.board_lies.empty())
+  if (seen.cameras.size() == 1 && !o.tracker && o.board_plane.empty())
     return fail(ErrorCode::kInvalid, seen.cameras[0].name,
                 "is one camera alone, whose pose needs --tracker or --board-plane");
   const auto progress = progress_count("pictures looked at");
@@ -157,7 +157,7 @@ Result<Pose> still_board(const calib::RigCalibration& c) {
 }
 
 std::string_view frame_name(const CalibrateRigOptions& o) {
-  return o.tracker ? "tracked body" : o.board_lies.empty() ? "first camera" : "board";
+  return o.tracker ? "tracked body" : o.board_plane.empty() ? "first camera" : "board";
 }
 
 std::string print_pose_file(const CalibrateRigOptions& o, const RigPictures& seen,
@@ -256,7 +256,7 @@ Result<calib::RigOptions> solver_options(const CalibrateRigOptions& o) {
     return fail(ErrorCode::kInvalid, "--sync-tolerance",
                 "is above 0.005 s, in which a tracked rig moves too far");
   if (!o.tracker) return out;
-  if (!o.board_lies.empty())
+  if (!o.board_plane.empty())
     return fail(ErrorCode::kInvalid, "--board-plane",
                 "excludes --tracker, which defines the world");
   PENUMBRA_ASSIGN(tracker, read_tracker_file(*o.tracker));
@@ -270,8 +270,8 @@ Result<void> calibrate_rig(const CalibrateRigOptions& o) {
   PENUMBRA_ASSIGN(board, calib::parse_board(o.board));
   PENUMBRA_ASSIGN(options, solver_options(o));
   std::optional<Pose> board_in_world;
-  if (!o.board_lies.empty()) {
-    PENUMBRA_ASSIGN(pose, world_from_board(o.board_lies));
+  if (!o.board_plane.empty()) {
+    PENUMBRA_ASSIGN(pose, world_from_board(o.board_plane));
     board_in_world = pose;
   }
   PENUMBRA_TRY(check_writable(o.output));
@@ -329,7 +329,7 @@ void add_calibrate_rig(CLI::App& parent, Action& action) {
                 "Standard deviation of a tracked rotation in degrees, above 0")
       ->capture_default_str();
   c->add_option(
-      "--board-plane", rig.board_lies,
+      "--board-plane", rig.board_plane,
       "Where the board lies, floor or wall: cameras and board stand still, and the board's "
       "first corner is the origin of the world");
   c->add_option("--min-interval", rig.every_s,
