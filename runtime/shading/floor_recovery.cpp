@@ -235,6 +235,13 @@ std::vector<lighting::ShadowRegion> FloorRecovery::regions_of(
   const FloorIrradiance around(*real_, scene_->real_mesh, *floor_, light, clipped, seen);
   for (std::size_t i = 0; i < out.size(); ++i)
     take_in(around.at(some_of(*from[i].second)), from[i].first, clipped, out[i]);
+  // Where things hide much of all other light too, harmonics do not tell well enough what is left.
+  constexpr float kMostlyOpen = .6f;
+  const auto first_shadow = out.begin() + 1;
+  out.erase(std::remove_if(
+                first_shadow, out.end(),
+                [](const lighting::ShadowRegion& r) { return luminance(r.others) < kMostlyOpen; }),
+            out.end());
   return out;
 }
 
