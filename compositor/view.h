@@ -50,9 +50,6 @@ struct View {
 
 /// How an object looks beyond its vertices.
 struct Appearance {
-  /// Some of the forms that it will take: where all of them allow, fewer triangles are drawn. None:
-  /// every triangle is as soon as it takes one.
-  std::span<const prt::Mesh> forms{};
   /// A picture of its albedo, coded in sRGB, and where each vertex lies in it. `tint` is what else
   /// there is of albedo, by vertex.
   const Image<Rgb8>* texture = nullptr;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/common.hpp>
+#include <glm/geometric.hpp>
 #include <glm/vector_relational.hpp>
 #include <iterator>
 #include <map>
@@ -73,7 +74,35 @@ bool may_meet(const prt::Mesh& mesh, std::span<const std::uint32_t> place) {
   return false;
 }
 
+double signed_volume(const prt::Mesh& mesh) {
+  double sum = 0;
+  for (const auto& t : mesh.triangles)
+    sum += glm::dot(glm::dvec3(mesh.positions[t[0]]),
+                    glm::cross(glm::dvec3(mesh.positions[t[1]]), glm::dvec3(mesh.positions[t[2]])));
+  return sum;
+}
+
+// Creases split a vertex in two; the place is what counts.
+bool every_edge_is_shared(const prt::Mesh& mesh) {
+  const std::vector<std::uint32_t> place = prt::places_of(mesh.positions);
+  std::vector<Step> edges, reversed;
+  for (const auto& t : mesh.triangles)
+    for (std::size_t i = 0; i < 3; ++i) {
+      const std::uint32_t a = place[t[i]], b = place[t[(i + 1) % 3]];
+      if (a == b) continue;
+      edges.emplace_back(a, b);
+      reversed.emplace_back(b, a);
+    }
+  std::ranges::sort(edges);
+  std::ranges::sort(reversed);
+  return edges == reversed;
+}
+
 }  // namespace
+
+bool is_closed(const prt::Mesh& mesh) {
+  return every_edge_is_shared(mesh) && signed_volume(mesh) > 0;
+}
 
 Contour::Contour(const prt::Mesh& mesh)
     : place_(prt::places_of(mesh.positions)),

@@ -21,6 +21,10 @@ struct ContourLine {
   glm::vec2 from, to;
 };
 
+/// Whether every edge joins two triangles that face the same side, outwards (vertices in one place
+/// count as one): back faces are never seen from outside.
+bool is_closed(const prt::Mesh& mesh);
+
 /// The contour of a mesh in a view. One thread at a time.
 class Contour {
  public:

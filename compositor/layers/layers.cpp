@@ -87,11 +87,6 @@ void attribute(GLuint location, int components, std::size_t offset_bytes) {
                         reinterpret_cast<const void*>(offset_bytes));
 }
 
-// The surface that is drawn may leave the baked one by this fraction of the object's radius, while
-// that is less than so many pixels.
-constexpr float kFormTolerance = 1.5e-3f;
-constexpr double kMaxMoved_px = .5;
-
 // Planes that hide less of an object than this do not, metres.
 constexpr double kTouching = 1e-4;
 
@@ -204,15 +199,12 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   const prt::Mesh& mesh = baked.mesh;
   const prt::Bounds bounds = bounds_of(mesh);
   const bool pictures = appearance.texture || !appearance.texels.empty();
-  const float tolerance =
-      fine_ || pictures ? 0 : kFormTolerance * prt::radius_around(mesh, bounds.centre());
-  DrawnObject o{.triangles = {mesh, tolerance, appearance.forms},
-                .changes_form = !appearance.forms.empty(),
+  DrawnObject o{.triangles = mesh.triangles,
+                .closed = is_closed(mesh),
                 .albedo = mesh.albedo,
                 .colours = std::vector<Rgb>(mesh.positions.size()),
                 .stride = baked.transfer.stride,
                 .bounds = bounds,
-                .tolerance = tolerance,
                 .area_m2 = area_m2(mesh)};
   if (!fine_ && !pictures) {
     o.contour.emplace(mesh);
@@ -226,9 +218,10 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
   glBufferData(GL_ARRAY_BUFFER, bytes_of(o.colours), o.colours.data(), GL_DYNAMIC_DRAW);
   attribute(1, 3, 0);
   glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
+  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(o.triangles), o.triangles.data(), GL_STATIC_DRAW);
+  o.index_count = static_cast<GLsizei>(3 * o.triangles.size());
   add_pictures(o, baked, appearance);
   glBindVertexArray(0);
-  fill_indices(o, o.triangles.all());
   objects_.push_back(std::move(o));
   drawn_.reset();
   return static_cast<int>(objects_.size()) - 1;
@@ -236,7 +229,6 @@ int Layers::add_object(const prt::BakedObject& baked, const Appearance& appearan
 
 void Layers::update_vertices(int object, const prt::Mesh& mesh) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
-  o.moves = true;
   o.bounds = bounds_of(mesh);
   if (o.contour) o.positions = mesh.positions;
   glBindBuffer(GL_ARRAY_BUFFER, o.vertices.get());
@@ -256,14 +248,6 @@ void Layers::show(int object, bool visible) {
   if (std::exchange(o.visible, visible) != visible) drawn_.reset();
 }
 
-void Layers::fill_indices(DrawnObject& o, std::span<const DrawList::DrawTriangle> triangles) {
-  o.index_count = static_cast<GLsizei>(triangles.size() * 3);
-  o.shown = triangles;
-  glBindVertexArray(0);  // whose own buffer would change
-  glBindBuffer(GL_ELEMENT_ARRAY_BUFFER, o.indices.get());
-  glBufferData(GL_ELEMENT_ARRAY_BUFFER, bytes_of(triangles), triangles.data(), GL_DYNAMIC_DRAW);
-}
-
 void Layers::set_light(int object, std::span<const float> relit) {
   DrawnObject& o = objects_[static_cast<std::size_t>(object)];
   if (o.light_map) {
@@ -279,7 +263,6 @@ void Layers::set_light(int object, std::span<const float> relit) {
     o.colours[i] = colour;
   }
   if (!changed) return;  // a shadow moved, or a neighbour
-  o.selection_stale = true;
   glBindBuffer(GL_ARRAY_BUFFER, o.light.get());
   glBufferSubData(GL_ARRAY_BUFFER, 0, bytes_of(o.colours), o.colours.data());
   drawn_.reset();
@@ -382,19 +365,6 @@ void Layers::draw_hiding_planes(const glm::dvec3& eye, const glm::dmat4& clip_fr
   }
 }
 
-void Layers::choose_triangles(DrawnObject& o, const prt::PinholeView& camera) const {
-  const double distance = distance_to_box(o, camera.world_from_camera.translation);
-  const bool coarse_is_fine = !fine_ && (o.changes_form || !o.moves) && !o.albedo_map &&
-                              o.tolerance * camera.focal_px.x < kMaxMoved_px * distance;
-  if (!coarse_is_fine) {
-    if (!o.every_triangle) fill_indices(o, o.triangles.all());
-    o.every_triangle = true;
-  } else if (o.every_triangle || o.selection_stale) {
-    fill_indices(o, o.triangles.select(o.colours));
-    o.every_triangle = o.selection_stale = false;
-  }
-}
-
 void Layers::bind_pictures(const DrawnObject& o, GLuint program) const {
   glActiveTexture(GL_TEXTURE1);
   glBindTexture(GL_TEXTURE_2D, o.light_map ? o.light_map->texture.get() : white_.get());
@@ -442,7 +412,6 @@ Result<void> Layers::draw_layer_of_objects(const View& view, const glm::dmat4& c
                                            Layer& out) {
   out.rect = reach_of_objects(view.camera);
   if (out.rect.empty()) return {};
-  for (DrawnObject& o : objects_) choose_triangles(o, view.camera);
   if (one_sample_does(view.camera, clip_from_world) &&
       find_contours(view.camera, clip_from_world)) {
     PENUMBRA_TRY(draw_on(plain_canvas_, view, clip_from_world, out));

@@ -8,7 +8,6 @@
 
 #include "compositor/layers/canvas.h"
 #include "compositor/layers/contour.h"
-#include "compositor/layers/draw_list.h"
 #include "compositor/layers/gl.h"
 #include "compositor/projection.h"
 #include "compositor/view.h"
@@ -56,21 +55,16 @@ class Layers {
     GlBuffer vertices{}, indices{}, seen{}, light{}, texture_coordinates{}, light_coordinates{};
     std::optional<GlTexture> albedo_map{};  // with a light map white where there is none
     std::optional<LightMap> light_map{};
-    DrawList triangles;
-    std::span<const DrawList::DrawTriangle> shown{};  // of `triangles`, in `indices`
+    std::vector<std::array<std::uint32_t, 3>> triangles;
+    bool closed;
     // Of what one sample a pixel may do for, and the vertices in their present form.
     std::optional<Contour> contour{};
     std::vector<glm::vec3> positions{};
-    bool changes_form;
     std::vector<Rgb> albedo, colours;  // by vertex; colours: radiance as lit now, what GL draws
     GLsizei index_count = 0, seen_count = 0;
-    bool every_triangle = true;  // in `indices`; otherwise those selected for `colours`
-    bool selection_stale = true;
-    bool moves = false;  // has been given another form: what the list of triangles tells of is gone
     std::size_t stride = 0;  // floats a colour plane
     prt::Bounds bounds;
-    float tolerance;  // of `triangles`, metres
-    double area_m2;   // of all triangles, at rest
+    double area_m2;  // of all triangles, at rest
     Pose world_from_bake{};
     bool visible = true;
   };
@@ -114,8 +108,6 @@ class Layers {
   static Occluder upload(const prt::Mesh& mesh);
   void draw_objects(const View& view, const glm::dmat4& clip_from_world, bool seen_alone);
   void bind_pictures(const DrawnObject& object, GLuint program) const;
-  void choose_triangles(DrawnObject& object, const prt::PinholeView& camera) const;
-  static void fill_indices(DrawnObject& object, std::span<const DrawList::DrawTriangle> triangles);
   Result<void> draw_layer_of_objects(const View& view, const glm::dmat4& clip_from_world,
                                      Layer& out);
   Result<void> draw_on(Canvas& canvas, const View& view, const glm::dmat4& clip_from_world,
@@ -131,7 +123,7 @@ class Layers {
   Rect reach_of(const glm::dmat4& clip_from_bounds, const prt::Bounds& bounds) const;
 
   int width_, height_;
-  bool fine_;  // stills: every triangle
+  bool fine_;  // stills: four samples or more everywhere
   Canvas objects_canvas_, plain_canvas_, hidden_canvas_;
   GlProgram object_program_, textured_program_, occluder_program_;
   GlTexture white_;  // of one texel

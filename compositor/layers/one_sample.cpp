@@ -42,7 +42,7 @@ double Layers::distance_to_box(const DrawnObject& o, const glm::dvec3& eye) {
 
 // The black back of a closed surface shows only from within.
 bool Layers::fronts_only(const DrawnObject& o, const glm::dvec3& eye) {
-  return o.triangles.closed() && distance_to_box(o, eye) > kNearPlane;
+  return o.closed && distance_to_box(o, eye) > kNearPlane;
 }
 
 bool Layers::in_view(const DrawnObject& o, const glm::dmat4& clip_from_world) const {
@@ -81,7 +81,7 @@ bool Layers::one_sample_does(const DrawnObject& o, const prt::PinholeView& camer
   const double px_per_metre =
       camera.focal_px.x / glm::distance(eye, o.world_from_bake * glm::dvec3(o.bounds.centre()));
   // Half of them face the other way, and what is seen of a closed form is a quarter of its surface.
-  const double triangle_m2 = .5 * o.area_m2 / static_cast<double>(o.triangles.all().size());
+  const double triangle_m2 = .5 * o.area_m2 / static_cast<double>(o.triangles.size());
   if (triangle_m2 * px_per_metre * px_per_metre < kMinTriangle_px2) return false;
   const double max_px_per_metre = camera.focal_px.x / std::max(distance_to_box(o, eye), kNearPlane);
   return std::ranges::all_of(planes_, [&](const DrawnPlane& p) {
@@ -97,7 +97,8 @@ bool Layers::find_contours(const prt::PinholeView& camera, const glm::dmat4& cli
   for (DrawnObject& o : objects_) {
     o.seen_count = 0;
     if (!in_view(o, clip_from_world)) continue;
-    if (!o.contour->find(o.positions, o.shown, fronts_only(o, camera.world_from_camera.translation),
+    if (!o.contour->find(o.positions, o.triangles,
+                         fronts_only(o, camera.world_from_camera.translation),
                          clip_from_world * o.world_from_bake.matrix(), width_, height_, lines_))
       return false;
     const auto seen = o.contour->seen();

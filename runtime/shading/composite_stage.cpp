@@ -56,18 +56,6 @@ compositor::Appearance appearance_of(const PreparedObject& o) {
   return out;
 }
 
-// Poses over what it plays: the drawn triangles must serve all of them. With pictures every
-// triangle is drawn anyway.
-std::vector<prt::Mesh> forms_of(const PreparedObject& o) {
-  constexpr int kForms = 8;
-  std::vector<prt::Mesh> forms;
-  if (!o.animation || o.animation->character.texture || !o.animation->layout.texels.empty())
-    return forms;
-  for (int i = 0; i < kForms; ++i)
-    forms.push_back(o.mesh_at(o.animation->longest_clip_s() * i / kForms));
-  return forms;
-}
-
 // Error of transfer patterns under a small light: as little as with all coefficients. Twice as much
 // shows on an object, by 0.1 %.
 constexpr double kPatternsError = 5e-4;
@@ -130,10 +118,7 @@ Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
   for (const prt::Plane& plane : scene.planes)
     stage->compositor_->add_plane(plane.point, plane.normal);
   for (const PreparedObject& o : scene.objects) {
-    const std::vector<prt::Mesh> forms = forms_of(o);
-    compositor::Appearance appearance = appearance_of(o);
-    appearance.forms = forms;
-    const int handle = stage->compositor_->add_object(o.baked, appearance);
+    const int handle = stage->compositor_->add_object(o.baked, appearance_of(o));
     StageObject& object = stage->objects_.emplace_back();
     object.prepared = &o;
     object.handle = handle;

@@ -145,6 +145,17 @@ prt::Mesh ball(const glm::vec3& centre, float radius, Rgb seen) {
   return prt::make_sphere(centre, radius, 3, seen);
 }
 
+TEST(ClosedMesh, EveryEdgeJoinsTwoTrianglesThatFaceOutwards) {
+  const prt::Mesh box = prt::make_box({0, 0, 0}, {1, 1, 1}, 8, {.5f, .5f, .5f});
+  EXPECT_TRUE(is_closed(box));
+  prt::Mesh open = box;
+  open.triangles.pop_back();
+  EXPECT_FALSE(is_closed(open));
+  prt::Mesh inside_out = box;
+  for (auto& t : inside_out.triangles) std::swap(t[1], t[2]);
+  EXPECT_FALSE(is_closed(inside_out)) << "its backs are what is seen";
+}
+
 TEST(Contour, EdgesOfABallAreBetterThanOfFourSamples) {
   const Errors e = errors({{ball({0, 0, 0}, .9f, {1, .6f, .3f})}});
   EXPECT_GT(e.one, .2);
