@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <glm/common.hpp>
 #include <glm/geometric.hpp>
 #include <glm/vector_relational.hpp>
@@ -21,13 +22,14 @@ constexpr std::int32_t kNone = -1;
 
 using Step = std::pair<std::uint32_t, std::uint32_t>;
 
-// Edges that are not gone along as often there as back from vertex to vertex.
-std::vector<Step> rims_of(const prt::Mesh& mesh) {
+// Edges that are not gone along as often there as back between what `of` makes of the vertices.
+template <class Of>
+std::vector<Step> rims_of(const prt::Mesh& mesh, Of of) {
   std::vector<Step> there, back, out;
   for (const auto& t : mesh.triangles)
     for (std::size_t i = 0; i < 3; ++i) {
-      there.emplace_back(t[i], t[(i + 1) % 3]);
-      back.emplace_back(t[(i + 1) % 3], t[i]);
+      there.emplace_back(of(t[i]), of(t[(i + 1) % 3]));
+      back.emplace_back(of(t[(i + 1) % 3]), of(t[i]));
     }
   std::ranges::sort(there);
   std::ranges::sort(back);
@@ -82,26 +84,13 @@ double signed_volume(const prt::Mesh& mesh) {
   return sum;
 }
 
-// Creases split a vertex in two; the place is what counts.
-bool every_edge_is_shared(const prt::Mesh& mesh) {
-  const std::vector<std::uint32_t> place = prt::places_of(mesh.positions);
-  std::vector<Step> edges, reversed;
-  for (const auto& t : mesh.triangles)
-    for (std::size_t i = 0; i < 3; ++i) {
-      const std::uint32_t a = place[t[i]], b = place[t[(i + 1) % 3]];
-      if (a == b) continue;
-      edges.emplace_back(a, b);
-      reversed.emplace_back(b, a);
-    }
-  std::ranges::sort(edges);
-  std::ranges::sort(reversed);
-  return edges == reversed;
-}
-
 }  // namespace
 
+// Creases split a vertex in two; the place is what counts.
 bool is_closed(const prt::Mesh& mesh) {
-  return every_edge_is_shared(mesh) && signed_volume(mesh) > 0;
+  const std::vector<std::uint32_t> place = prt::places_of(mesh.positions);
+  return rims_of(mesh, [&](std::uint32_t v) { return place[v]; }).empty() &&
+         signed_volume(mesh) > 0;
 }
 
 Contour::Contour(const prt::Mesh& mesh)
@@ -109,7 +98,7 @@ Contour::Contour(const prt::Mesh& mesh)
       rim_(mesh.positions.size(), 0),
       first_(mesh.positions.size()) {
   constexpr std::size_t kMaxRims = 100'000;  // both ways
-  const std::vector<Step> rims = rims_of(mesh);
+  const std::vector<Step> rims = rims_of(mesh, std::identity());
   for (const auto& [a, b] : rims) rim_[place_[a]] = rim_[place_[b]] = kBoth;
   serves_ = rims.size() <= kMaxRims && !may_meet(mesh, place_);
 }

@@ -17,6 +17,7 @@
 #include "core/conventions.h"
 #include "core/io/log.h"
 #include "core/median.h"
+#include "core/threads/parallel.h"
 #include "lighting/lights/distant_light.h"
 #include "prt/geometry/plane.h"
 #include "prt/geometry/ray_pattern.h"
@@ -27,7 +28,8 @@ namespace penumbra::runtime {
 
 namespace {
 
-constexpr int kStep_px = 6;  // between the pixels that are read
+// Between the pixels that are read, in a picture of that width.
+constexpr int kStep_px = 6, kUsualWidth_px = 640;
 constexpr std::size_t kMinPixels = 200;
 constexpr float kShadowed = .5f;  // of the median: darker pixels lie in a real shadow
 constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
@@ -196,23 +198,36 @@ FloorRecovery::SeenFloor FloorRecovery::measure(
   const double height = glm::dot(eye - floor_->point, floor_->normal);
   SeenFloor out;
   if (!(height > 0)) return out;  // its underside
-  for (int y = kStep_px / 2; y < p.height; y += kStep_px)
-    for (int x = kStep_px / 2; x < p.width; x += kStep_px) {
-      const auto ray = calib::direction_from_pixel(p, {x + .5, y + .5});
-      if (!ray) continue;
-      const glm::dvec3 d = frame.world_from_camera.rotation * *ray;
-      const double distance = -height / glm::dot(d, floor_->normal);
-      const glm::dvec3 point = eye + distance * d;
-      if (!(distance > 0) || !is_near_an_object(point)) continue;
-      const auto hidden =
-          real_ ? hidden_at(*real_, eye, d, distance, clipped) : std::optional<HiddenLights>(0);
-      if (!hidden) continue;
-      auto pixel = std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
-      if (!pixel) continue;
-      pixel->radiance = pixel->radiance * (1 / static_cast<float>(vignetting.at({x + .5, y + .5})));
-      pixel->point = point;
-      (*hidden == 0 ? out.lit : out.shadowed[*hidden]).push_back(*pixel);
-    }
+  // Larger pictures show no more of the floor.
+  const int step = kStep_px * std::max(1, p.width / kUsualWidth_px);
+  struct RowPixel {
+    HiddenLights hidden;
+    FloorPixel pixel;
+  };
+  std::vector<std::vector<RowPixel>> rows(static_cast<std::size_t>((p.height + step - 1) / step));
+  const auto look = [&](int x, int y, std::vector<RowPixel>& row) {
+    const auto ray = calib::direction_from_pixel(p, {x + .5, y + .5});
+    if (!ray) return;
+    const glm::dvec3 d = frame.world_from_camera.rotation * *ray;
+    const double distance = -height / glm::dot(d, floor_->normal);
+    const glm::dvec3 point = eye + distance * d;
+    if (!(distance > 0) || !is_near_an_object(point)) return;
+    const auto hidden =
+        real_ ? hidden_at(*real_, eye, d, distance, clipped) : std::optional<HiddenLights>(0);
+    if (!hidden) return;
+    auto pixel = std::visit([&](const auto& image) { return read(image, x, y); }, *frame.pixels);
+    if (!pixel) return;
+    pixel->radiance = pixel->radiance * (1 / static_cast<float>(vignetting.at({x + .5, y + .5})));
+    pixel->point = point;
+    row.push_back({*hidden, *pixel});
+  };
+  parallel_for(std::size_t{0}, rows.size(), [&](std::size_t r) {
+    const int y = step / 2 + static_cast<int>(r) * step;
+    for (int x = step / 2; x < p.width && y < p.height; x += step) look(x, y, rows[r]);
+  });
+  for (const std::vector<RowPixel>& row : rows)
+    for (const RowPixel& seen : row)
+      (seen.hidden == 0 ? out.lit : out.shadowed[seen.hidden]).push_back(seen.pixel);
   return out;
 }
 

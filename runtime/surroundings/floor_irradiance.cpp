@@ -13,14 +13,18 @@ namespace penumbra::runtime {
 namespace {
 
 constexpr float kOff_m = 1e-3f, kFar_m = 1e4f;
-constexpr int kRays = 64;        // from a point of the floor
-constexpr int kFurtherRays = 4;  // from where one of them meets a thing
-constexpr double kGoldenAngle = 2.399963229728653;
+constexpr int kPacket = prt::RayScene::kPacket;
+constexpr int kRays = 4 * kPacket;     // from a point of the floor
+constexpr int kFurtherRays = kPacket;  // from where one of them meets a thing
 
-// By the cosine about the normal, on a spiral.
-glm::dvec3 ray_about(const glm::dmat3& frame, int k, int count, double turned) {
-  const double sine2 = (k + .5) / count, turn = k * kGoldenAngle + turned, sine = std::sqrt(sine2);
-  return frame * glm::dvec3(sine * std::cos(turn), sine * std::sin(turn), std::sqrt(1 - sine2));
+template <int rays>
+const prt::RayPatterns& patterns() {
+  static const prt::RayPatterns made(rays);
+  return made;
+}
+
+glm::dvec3 direction_of(const prt::RayScene::RayPacket& packet, int lane) {
+  return {packet.x[lane], packet.y[lane], packet.z[lane]};
 }
 
 }  // namespace
@@ -88,12 +92,14 @@ void FloorIrradiance::add_reflected(const Surface& on, std::size_t turn, Sums& s
     if (std::ranges::find(sources_, &d) == sources_.end())
       sums.left += on.radiance_of_irradiance * d.radiance *
                    (static_cast<float>(d.solid_angle_sr()) * by_cosine(d));
-  const glm::dmat3 frame(prt::frame_around(glm::vec3(on.normal)));
-  constexpr auto kIrradiance = static_cast<float>(kPi / kFurtherRays);
+  prt::RayScene::RayPacket packet;
+  patterns<kFurtherRays>().cosine_block(prt::RayPatterns::turn_of(turn), 0,
+                                        prt::frame_around(glm::vec3(on.normal)), packet);
+  const std::uint32_t blocked = rays_.occluded(glm::vec3(on.point), kOff_m, packet);
+  const Rgb sent_on = on.radiance_of_irradiance * static_cast<float>(kPi / kFurtherRays);
   for (int k = 0; k < kFurtherRays; ++k) {
-    const glm::dvec3 d = ray_about(frame, k, kFurtherRays, static_cast<double>(turn));
-    if (rays_.occluded(glm::vec3(on.point), glm::vec3(d), kOff_m, kFar_m)) continue;
-    const Rgb sent_on = on.radiance_of_irradiance * kIrradiance;
+    if (blocked >> k & 1) continue;
+    const glm::dvec3 d = direction_of(packet, k);
     if (glm::dot(d, floor_.normal) < 0)
       sums.beside += sent_on * floor_seen_from(on.point, d);
     else
@@ -101,18 +107,24 @@ void FloorIrradiance::add_reflected(const Surface& on, std::size_t turn, Sums& s
   }
 }
 
-void FloorIrradiance::add_point(const glm::dvec3& point, Sums& sums) const {
-  const glm::dmat3 frame(prt::frame_around(glm::vec3(floor_.normal)));
-  for (int k = 0; k < kRays; ++k) {
-    const glm::dvec3 d = ray_about(frame, k, kRays, 0);
-    const Rgb radiance = sky(d);
-    sums.all += radiance;
-    const auto hit = rays_.intersect(glm::vec3(point), glm::vec3(d), kOff_m, kFar_m);
-    if (!hit)
-      sums.left += radiance;
-    else
-      add_reflected(surface(*hit, point + double(hit->distance) * d), static_cast<std::size_t>(k),
-                    sums);
+void FloorIrradiance::add_point(const glm::dvec3& point, std::size_t turn, Sums& sums) const {
+  const glm::mat3 frame = prt::frame_around(glm::vec3(floor_.normal));
+  for (int block = 0; block < kRays / kPacket; ++block) {
+    prt::RayScene::RayPacket packet;
+    patterns<kRays>().cosine_block(prt::RayPatterns::turn_of(turn), block, frame, packet);
+    rays_.intersect(glm::vec3(point), kOff_m, packet);
+    for (int k = 0; k < kPacket; ++k) {
+      const glm::dvec3 d = direction_of(packet, k);
+      const Rgb radiance = sky(d);
+      sums.all += radiance;
+      if (packet.triangle[k] == prt::RayScene::kMiss)
+        sums.left += radiance;
+      else
+        add_reflected(surface({packet.triangle[k], packet.distance[k], packet.u[k], packet.v[k],
+                               packet.front[k]},
+                              point + double(packet.distance[k]) * d),
+                      turn + static_cast<std::size_t>(k), sums);
+    }
   }
   constexpr auto kRadianceOfIrradiance = static_cast<float>(kRays / kPi);
   for (const lighting::DistantLight& d : light_.lights) {
@@ -127,7 +139,7 @@ FloorIrradianceParts FloorIrradiance::at(std::span<const glm::dvec3> points) con
   std::vector<Sums> by_point(points.size());
   parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
     by_point[i].reflected.resize(sources_.size());
-    add_point(points[i], by_point[i]);
+    add_point(points[i], i, by_point[i]);
   });
   FloorIrradianceParts out{{1, 1, 1}, {}, std::vector<Rgb>(sources_.size())};
   Rgb all, left;

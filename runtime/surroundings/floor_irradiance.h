@@ -56,7 +56,7 @@ class FloorIrradiance {
   Rgb sky(const glm::dvec3& direction) const;
   Surface surface(const prt::Hit& hit, const glm::dvec3& at) const;
   bool is_hidden(const glm::dvec3& point, const lighting::DistantLight& light) const;
-  void add_point(const glm::dvec3& point, Sums& sums) const;
+  void add_point(const glm::dvec3& point, std::size_t turn, Sums& sums) const;
   void add_reflected(const Surface& surface, std::size_t turn, Sums& sums) const;
   Rgb floor_seen_from(const glm::dvec3& point, const glm::dvec3& direction) const;
 
