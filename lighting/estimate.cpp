@@ -143,7 +143,7 @@ void LightEstimator::choose_max_lights() {
     Treatment with_clipped = *plan_;
     with_clipped.lights = with_clipped.fine_lights = static_cast<int>(used);
     const bool time_limited = plan_->time_limited;
-    plan_ = governor_->judge(errors_, with_clipped, governor_config_->limits.budget);
+    plan_ = governor_->judge(errors_, with_clipped, governor_config_->limits.max_error);
     plan_->time_limited = time_limited && !plan_->within_budget;
   }
   unused_.insert(unused_.end(), extraction_.lights.begin() + static_cast<std::ptrdiff_t>(used),

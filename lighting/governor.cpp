@@ -287,7 +287,7 @@ Plan Governor::cheapest(const ErrorTable& errors, double budget, int lights_allo
 Plan Governor::update(const ErrorTable& errors, TimestampNs now) {
   Plan plan = choose(errors, now);
   plan.time_limited = !plan.within_budget && max_lights() < limits_.max_lights &&
-                      cheapest(errors, limits_.budget, limits_.max_lights).lights > plan.lights;
+                      cheapest(errors, limits_.max_error, limits_.max_lights).lights > plan.lights;
   return plan;
 }
 
@@ -296,7 +296,7 @@ Plan Governor::with_unseen(Plan plan, double unseen_above) const {
   const double unseen = factor_ * kUnseen * unseen_above;
   plan.error = std::hypot(plan.error, unseen);
   plan.object_error = std::hypot(plan.object_error, unseen);
-  plan.within_budget = kept && std::max(plan.error, plan.object_error) <= limits_.budget;
+  plan.within_budget = kept && std::max(plan.error, plan.object_error) <= limits_.max_error;
   plan.unseen = kept && !plan.within_budget;
   return plan;
 }
@@ -312,7 +312,7 @@ Treatment Governor::at_least(const Treatment& now, const Treatment& needed) cons
 }
 
 Plan Governor::choose(const ErrorTable& errors, TimestampNs now) {
-  const double budget = limits_.budget;
+  const double budget = limits_.max_error;
   const auto needed = [&] { return cheapest(errors, budget); };
   if (!current_ || current_->lights > max_lights()) {
     could_do_less_since_.reset();

@@ -171,7 +171,7 @@ class Governor {
   static constexpr double kUnseen = .175;
 
   struct Limits {
-    double budget = .05;  // RMS, of the shadow ratio and of the objects
+    double max_error = .05;  // RMS, of the shadow ratio and of the objects
     int max_bands = 5, max_lights = 8;
   };
   /// factor: on predicted errors

@@ -25,9 +25,6 @@ constexpr double kSmall = .01;  // radians: the form of smaller sources cannot b
 constexpr float kCoreLevel = .01f;  // of the peak: where the core of such a region ends
 
 // Temporaries come from the thread's scratch memory.
-template <class T>
-using Vector = std::pmr::vector<T>;
-
 // Pixels [x0, x1) of row y.
 struct Run {
   int y, x0, x1;
@@ -68,7 +65,7 @@ class DisjointSets {
   void join(std::size_t a, std::size_t b) { parent_[find(a)] = find(b); }
 
  private:
-  Vector<std::size_t> parent_;
+  std::pmr::vector<std::size_t> parent_;
 };
 
 struct BrightRegion {
@@ -84,7 +81,7 @@ struct BrightRegion {
     pixels += static_cast<std::size_t>(run.length());
   }
 
-  Vector<Run> runs;
+  std::pmr::vector<Run> runs;
   float peak = 0;
   std::size_t pixels = 0;
 };
@@ -101,11 +98,11 @@ struct RegionCut {
     clipped |= other.clipped;
   }
 
-  Vector<Run> runs;
-  Vector<Rgb> radiance;     // of their pixels, one after the other
-  Vector<float> luminance;  // likewise
-  glm::dvec3 power{0};      // radiance times solid angle
-  glm::dvec3 moment{0};     // sum of flux times direction
+  std::pmr::vector<Run> runs;
+  std::pmr::vector<Rgb> radiance;     // of their pixels, one after the other
+  std::pmr::vector<float> luminance;  // likewise
+  glm::dvec3 power{0};                // radiance times solid angle
+  glm::dvec3 moment{0};               // sum of flux times direction
   glm::dvec3 centre{0, 1, 0};
   double flux = 0;
   double solid_angle = 0;  // of an even light with the same second moment of radiance
@@ -153,17 +150,17 @@ class LightExtractor {
 
  private:
   Result<double> mean() const;
-  Vector<Run> bright_parts(float level) const;
+  std::pmr::vector<Run> bright_parts(float level) const;
   double mean_below(double level) const;
-  Vector<BrightRegion> regions_above(float level);
-  Vector<BrightRegion> regions_of(std::span<const Run> runs) const;
-  Vector<Run> runs_above(float level, std::span<const Run> within);
+  std::pmr::vector<BrightRegion> regions_above(float level);
+  std::pmr::vector<BrightRegion> regions_of(std::span<const Run> runs) const;
+  std::pmr::vector<Run> runs_above(float level, std::span<const Run> within);
   void extract(const BrightRegion& region, float level);
   double flux_of(const BrightRegion& region) const;
   void cut_clipped(float level);
   void cut(const BrightRegion& region, float level, bool clipped = false);
   void put_back(const RegionCut& candidate);
-  Vector<EnergyPiece> fractions_of(const RegionCut& candidate) const;
+  std::pmr::vector<EnergyPiece> fractions_of(const RegionCut& candidate) const;
   DistantLight::Shape shape_of(const RegionCut& candidate) const;
   void join_concentric();
   void choose();
@@ -177,8 +174,9 @@ class LightExtractor {
   std::vector<DistantLight>& lights_;
   LightExtraction& split_;
   const PixelDirections& grid_;
-  Vector<RegionCut> candidates_{memory_};
-  Vector<float> brightness_{static_cast<std::size_t>(map_.width()), memory_};  // of part of a row
+  std::pmr::vector<RegionCut> candidates_{memory_};
+  // Of part of a row.
+  std::pmr::vector<float> brightness_{static_cast<std::size_t>(map_.width()), memory_};
   double min_flux_ = 0;
 };
 
@@ -194,8 +192,8 @@ Result<double> LightExtractor::mean() const {
 }
 
 // The parts of rows whose blocks reach above the level.
-Vector<Run> LightExtractor::bright_parts(float level) const {
-  Vector<Run> parts(memory_);
+std::pmr::vector<Run> LightExtractor::bright_parts(float level) const {
+  std::pmr::vector<Run> parts(memory_);
   auto peak = luminance_.block_peak.begin();
   for (int y = 0; y < map_.height(); ++y)
     for (int x = 0; x < map_.width(); x += kPeakBlock) {
@@ -219,8 +217,8 @@ double LightExtractor::mean_below(double level) const {
   return std::max(0., mean);  // of a map that is black but for its sources, but for rounding
 }
 
-Vector<Run> LightExtractor::runs_above(float level, std::span<const Run> within) {
-  Vector<Run> runs(memory_);
+std::pmr::vector<Run> LightExtractor::runs_above(float level, std::span<const Run> within) {
+  std::pmr::vector<Run> runs(memory_);
   for (const Run& r : within) {
     pixel_luminance(&map_.at(r.x0, r.y).r, r.length(), brightness_.data());
     const float* const l = brightness_.data();
@@ -235,13 +233,13 @@ Vector<Run> LightExtractor::runs_above(float level, std::span<const Run> within)
   return runs;
 }
 
-Vector<BrightRegion> LightExtractor::regions_above(float level) {
+std::pmr::vector<BrightRegion> LightExtractor::regions_above(float level) {
   return regions_of(runs_above(level, bright_parts(level)));
 }
 
 // Runs touch when they overlap, diagonals counted, in one row or two neighbouring ones; around the
 // seam; and all pixels of the first row, or the last, meet at the pole.
-Vector<BrightRegion> LightExtractor::regions_of(std::span<const Run> runs) const {
+std::pmr::vector<BrightRegion> LightExtractor::regions_of(std::span<const Run> runs) const {
   DisjointSets sets(runs.size(), memory_);
   const int width = map_.width();
   const auto touch = [&](const Run& a, const Run& b) {
@@ -259,7 +257,7 @@ Vector<BrightRegion> LightExtractor::regions_of(std::span<const Run> runs) const
     for (std::size_t k = previous_start; k < row_start; ++k)
       if (touch(runs[i], runs[k])) sets.join(i, k);
   }
-  Vector<BrightRegion> regions(memory_);
+  std::pmr::vector<BrightRegion> regions(memory_);
   regions.reserve(runs.size());
   for (std::size_t i = 0; i < runs.size(); ++i) regions.emplace_back();
   for (std::size_t i = 0; i < runs.size(); ++i) regions[sets.find(i)].add(runs[i]);
@@ -288,7 +286,7 @@ double LightExtractor::flux_of(const BrightRegion& region) const {
 // Clipped pixels come first, so that the light is where they are and what they lack is not spread
 // over the glow around them. Down to half of their own mean where that is not six times the rest.
 void LightExtractor::cut_clipped(float level) {
-  Vector<Run> parts(memory_);
+  std::pmr::vector<Run> parts(memory_);
   const int width = std::max(1, map_.width());
   for (const std::uint32_t i : clipped_) {
     const int y = static_cast<int>(i) / width, x = static_cast<int>(i) % width;
@@ -296,7 +294,7 @@ void LightExtractor::cut_clipped(float level) {
     ++parts.back().x1;
   }
   constexpr float kAll = -std::numeric_limits<float>::infinity();
-  const Vector<Run> runs = runs_above(kAll, parts);
+  const std::pmr::vector<Run> runs = runs_above(kAll, parts);
   for (const BrightRegion& region : regions_of(runs)) {
     double solid_angle = 0;
     for (const Run& r : region.runs)
@@ -353,11 +351,11 @@ void LightExtractor::put_back(const RegionCut& c) {
 }
 
 // Of blocks of pixels: a thousand pieces are plenty for 64 points.
-Vector<EnergyPiece> LightExtractor::fractions_of(const RegionCut& c) const {
+std::pmr::vector<EnergyPiece> LightExtractor::fractions_of(const RegionCut& c) const {
   const int block = 1 + static_cast<int>(std::sqrt(static_cast<double>(c.luminance.size()) / 1000));
-  Vector<EnergyPiece> pieces(memory_),
+  std::pmr::vector<EnergyPiece> pieces(memory_),
       across_blocks(static_cast<std::size_t>(map_.width() / block + 1), memory_);
-  Vector<std::size_t> touched(memory_);  // of `across_blocks`, in this row of blocks
+  std::pmr::vector<std::size_t> touched(memory_);  // of `across_blocks`, in this row of blocks
   pieces.reserve(4096);
   touched.reserve(across_blocks.size());
   const auto end_row = [&] {
@@ -398,7 +396,7 @@ DistantLight::Shape LightExtractor::shape_of(const RegionCut& c) const {
   // the solid angle.
   const double spread = 2 - 2 * glm::dot(c.moment, c.centre) / c.flux;
   if (spread < kRoundness * c.solid_angle / (2 * kPi) || spread < kSmall * kSmall) return {};
-  Vector<EnergyPiece> pieces = fractions_of(c);
+  std::pmr::vector<EnergyPiece> pieces = fractions_of(c);
   return shape_points(pieces);
 }
 
@@ -457,7 +455,7 @@ Result<void> LightExtractor::run() {
   const auto level = static_cast<float>(kAboveMean * shown * residual);
   if (!clipped_.empty()) cut_clipped(level);
   auto regions = regions_above(level);
-  Vector<std::pair<double, const BrightRegion*>> order(memory_);
+  std::pmr::vector<std::pair<double, const BrightRegion*>> order(memory_);
   for (const BrightRegion& region : regions) order.emplace_back(-flux_of(region), &region);
   std::ranges::sort(order, {}, &std::pair<double, const BrightRegion*>::first);
   for (const auto& [negative_flux, region] : order) {

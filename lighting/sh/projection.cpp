@@ -216,17 +216,17 @@ constexpr double kSmoothness = 1e-3;
 constexpr double kFullCoverage = .999;  // above this the plain sum is more accurate than a fit
 constexpr double kMinCoverage = .02;
 
-using Matrix = Eigen::MatrixXd;
+using DenseMatrix = Eigen::MatrixXd;
 /// Of one light; takes nothing from the heap.
 using MomentMatrix = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::ColMajor, kMaxCoefficients, 3>;
 
 // ShSums over the seen pixels of w Y Y^T, of w L Y^T and of w.
 struct NormalEquations {
-  Matrix gram, moments;
+  DenseMatrix gram, moments;
   double seen_sr = 0;
 
   explicit NormalEquations(int count)
-      : gram(Matrix::Zero(count, count)), moments(Matrix::Zero(count, 3)) {}
+      : gram(DenseMatrix::Zero(count, count)), moments(DenseMatrix::Zero(count, 3)) {}
 
   void add(const Eigen::VectorXd& basis, const Eigen::RowVector3d& radiance, double w,
            bool need_gram) {
@@ -245,8 +245,8 @@ RadianceSh to_light(const Coefficients& coefficients, int bands) {
 }
 
 // Weighted least squares with the smoothness penalty in proportion to what is unseen.
-Matrix penalised(const Matrix& lower_gram, int bands, double unseen) {
-  Matrix system = lower_gram.selfadjointView<Eigen::Lower>();
+DenseMatrix penalised(const DenseMatrix& lower_gram, int bands, double unseen) {
+  DenseMatrix system = lower_gram.selfadjointView<Eigen::Lower>();
   for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m)
       system(sh_index(l, m), sh_index(l, m)) +=
@@ -277,8 +277,8 @@ Result<BothSums> accumulate(const LightSamples& s, int bands, bool need_gram) {
 }
 
 // Int over the upper hemisphere of Y_i Y_j on nine bands, by a grid whose rows end at the horizon.
-const Matrix& upper_gram() {
-  static const Matrix gram = [] {
+const DenseMatrix& upper_gram() {
+  static const DenseMatrix gram = [] {
     constexpr int kWidth = 64, kHeight = 256;
     NormalEquations sums(kMaxCoefficients);
     Eigen::VectorXd basis(kMaxCoefficients);
@@ -288,7 +288,7 @@ const Matrix& upper_gram() {
                        {basis.data(), static_cast<std::size_t>(kMaxCoefficients)});
         sums.add(basis, Eigen::RowVector3d::Zero(), latlong_solid_angle(y, kWidth, kHeight), true);
       }
-    return Matrix(sums.gram.selfadjointView<Eigen::Lower>());
+    return DenseMatrix(sums.gram.selfadjointView<Eigen::Lower>());
   }();
   return gram;
 }
@@ -315,9 +315,9 @@ double parity(int m) {
 namespace {
 
 // G_up + e P G_up P for so many bands.
-Eigen::LDLT<Matrix> floor_system(int bands) {
+Eigen::LDLT<DenseMatrix> floor_system(int bands) {
   const int count = coefficient_count(bands);
-  Matrix system(count, count);
+  DenseMatrix system(count, count);
   for (int l = 0; l < bands; ++l)
     for (int m = -l; m <= l; ++m)
       for (int k = 0; k < bands; ++k)
@@ -332,8 +332,8 @@ Eigen::LDLT<Matrix> floor_system(int bands) {
 
 RadianceSh upper_hemisphere_light(const RadianceSh& upper_moments, int bands) {
   // (G_up + e G_low) c = b_up + e b_mirror with G_low = P G_up P and b_mirror = P b_up.
-  static const std::vector<Eigen::LDLT<Matrix>> systems = [] {
-    std::vector<Eigen::LDLT<Matrix>> all;
+  static const std::vector<Eigen::LDLT<DenseMatrix>> systems = [] {
+    std::vector<Eigen::LDLT<DenseMatrix>> all;
     for (int b = 1; b <= kMaxBands; ++b) all.push_back(floor_system(b));
     return all;
   }();
@@ -365,7 +365,7 @@ Result<ShProjection> project_samples(const LightSamples& s, int bands) {
   if (complete)
     return ShProjection{to_light(sums.whole.moments, bands),
                         to_light(sums.upper_moments.moments, bands), coverage};
-  const Matrix fit =
+  const DenseMatrix fit =
       penalised(sums.whole.gram, bands, 1 - coverage).ldlt().solve(sums.whole.moments);
   const RadianceSh light = to_light(fit, bands);
   return ShProjection{light, moments_above(light), coverage};

@@ -126,7 +126,7 @@ Seams::Seams(const Character& c, const SurfaceLayout& layout) {
 void Seams::equalise(std::span<const char> hidden, std::size_t stride,
                      std::span<float> maps) const {
   if (empty()) return;
-  using Matrix = Eigen::SparseMatrix<double>;
+  using Sparse = Eigen::SparseMatrix<double>;
   std::vector<Eigen::Triplet<double>> terms;
   std::vector<const Lookup*> used;
   for (const Lookup& l : lookups_) {
@@ -139,9 +139,9 @@ void Seams::equalise(std::span<const char> hidden, std::size_t stride,
   }
   const auto count = static_cast<Eigen::Index>(points_.size());
   for (Eigen::Index i = 0; i < count; ++i) terms.emplace_back(i, i, kStiffness);
-  Matrix normal(count, count);
+  Sparse normal(count, count);
   normal.setFromTriplets(terms.begin(), terms.end());
-  const Eigen::SimplicialLDLT<Matrix> solver(normal);  // positive definite by the stiffness
+  const Eigen::SimplicialLDLT<Sparse> solver(normal);  // positive definite by the stiffness
   if (solver.info() != Eigen::Success) return;
   parallel_for(std::size_t{0}, maps.size() / stride, [&](std::size_t m) {
     const std::span<float> map = maps.subspan(m * stride, stride);

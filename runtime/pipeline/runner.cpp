@@ -363,14 +363,14 @@ class LiveFrames {
 };
 
 // Clipped sources stay lights whatever they cost.
-void keep_pace(FrameBudget& pace, double busy_ms, const lighting::LightEstimate& light,
-               Live& live) {
-  const int before = pace.max_lights();
-  pace.add(busy_ms, static_cast<int>(
-                        std::ranges::count(light.lights, false, &lighting::DistantLight::clipped)));
-  if (pace.max_lights() == before) return;
-  log_info("light: the frame budget allows {}", counted(pace.max_lights(), "distant light"));
-  live.affordable_lights = pace.max_lights();
+void update_frame_budget(FrameBudget& budget, double busy_ms, const lighting::LightEstimate& light,
+                         Live& live) {
+  const int before = budget.max_lights();
+  budget.add(busy_ms, static_cast<int>(std::ranges::count(light.lights, false,
+                                                          &lighting::DistantLight::clipped)));
+  if (budget.max_lights() == before) return;
+  log_info("light: the frame budget allows {}", counted(budget.max_lights(), "distant light"));
+  live.affordable_lights = budget.max_lights();
 }
 
 }  // namespace
@@ -394,7 +394,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
     };
     const std::unique_ptr<Live, decltype(close_all)> release(&live, close_all);
     lighting::LightEstimate estimate;
-    FrameBudget pace(period_ms(source));
+    FrameBudget budget(period_ms(source));
     LiveFrames frames(compose, sink, counts);
     const auto recover = [&](const capture::Frame& view) {
       if (auto found = compose.recover_lights(view, estimate, darker_of(source, view.camera));
@@ -413,7 +413,7 @@ Result<RunCounts> run_live(capture::FrameSource& source, LightEstimationStage& l
       recover(*frame);
       composed = frames.add(*frame, estimate, live.view);
       if (!composed) break;
-      keep_pace(pace, frames.busy_ms(), estimate, live);
+      update_frame_budget(budget, frames.busy_ms(), estimate, live);
     }
     if (composed) frames.finish_last();
   }

@@ -156,44 +156,73 @@ bool CompositeStage::move_objects() {
   return moved;
 }
 
-bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds) {
+void CompositeStage::place_objects(double seconds) {
   std::swap(poses_, poses_before_);
-  std::vector<Pose>& poses = poses_;
-  poses.clear();
+  poses_.clear();
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     const ObjectMoves::ObjectNow now = moves_.at(i, seconds);
     objects_[i].visible = now.visible;
     objects_[i].clip_time_s = now.clip_time_s;
     objects_[i].blend_weight = now.blend_weight;
     objects_[i].holds = now.speed == 0;
-    poses.push_back(now.world_from_bake);
+    poses_.push_back(now.world_from_bake);
     compositor_->show(objects_[i].handle, now.visible);
-    compositor_->set_pose(objects_[i].handle, poses[i]);
+    compositor_->set_pose(objects_[i].handle, poses_[i]);
     lights_.show(i, now.visible);
-    lights_.set_pose(i, poses[i]);
+    lights_.set_pose(i, poses_[i]);
   }
+}
+
+// True where a light changed or what it meets did.
+bool CompositeStage::update_lights(const lighting::LightEstimate& light, bool other_form) {
+  bool changed = false;
+  {
+    const StageTimer timer(times_, "lights");
+    const std::size_t fine = light.plan ? static_cast<std::size_t>(light.plan->fine_lights)
+                                        : DirectLightStage::kAllLights;
+    changed = lights_.update(light.lights, kPi * luminance(light.mean_radiance), surroundings_,
+                             open_, fine);
+  }
+  if (lamps_.any()) {
+    const StageTimer timer(times_, "lamps");
+    changed |= lamps_.update(lights_.occluders(), poses_, other_form);
+  }
+  return changed;
+}
+
+// True where an object's light changed visibly.
+bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool lights_changed,
+                                     bool other_form) {
+  light_planes(poses_);
+  bool relit = false;
+  // What things reflect onto each other is known from the last update, at first from a round of its
+  // own.
+  const int rounds = !lit_before_ && surroundings_.any() ? 2 : 1;
+  for (int round = 0; round < rounds; ++round) {
+    for (std::size_t i = 0; i < objects_.size(); ++i)
+      relit |= update_object(i, poses_, light, lights_changed || round > 0, other_form);
+    if (round + 1 == rounds) break;
+    combine_object_shadows(poses_);
+    light_planes(poses_);
+    shade_real_mesh(light, poses_, other_form);
+  }
+  lit_before_ = true;
+  return relit;
+}
+
+bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds) {
+  place_objects(seconds);
   const bool other_form = move_objects();
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
-    surroundings_.update(lights_.occluders(), poses);
-    ground_probes_.update(lights_.occluders(), poses, other_form);
+    surroundings_.update(lights_.occluders(), poses_);
+    ground_probes_.update(lights_.occluders(), poses_, other_form);
   }
   open_.clear();
   for (const prt::Plane& plane : scene_.planes)
     open_.push_back(open_irradiance(light, plane.normal));
   floor_radiance_ = radiance_of_floor(scene_, open_);
-  bool lights_changed = false;
-  {
-    const StageTimer timer(times_, "lights");
-    const std::size_t fine = light.plan ? static_cast<std::size_t>(light.plan->fine_lights)
-                                        : DirectLightStage::kAllLights;
-    lights_changed = lights_.update(light.lights, kPi * luminance(light.mean_radiance),
-                                    surroundings_, open_, fine);
-  }
-  if (lamps_.any()) {
-    const StageTimer timer(times_, "lamps");
-    lights_changed |= lamps_.update(lights_.occluders(), poses, other_form);
-  }
+  const bool lights_changed = update_lights(light, other_form);
   bool measured = false;
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
@@ -201,27 +230,14 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   }
   lights_.shadows(open_, on_planes_);
   lamps_.append(open_, on_planes_);
-  light_planes(poses);
-  bool relit = false;
-  // What things reflect onto each other is known from the last update, at first from a round of its
-  // own.
-  const int rounds = !lit_before_ && surroundings_.any() ? 2 : 1;
-  for (int round = 0; round < rounds; ++round) {
-    for (std::size_t i = 0; i < objects_.size(); ++i)
-      relit |= update_object(i, poses, light, lights_changed || round > 0, other_form);
-    if (round + 1 == rounds) break;
-    combine_object_shadows(poses);
-    light_planes(poses);
-    shade_real_mesh(light, poses, other_form);
-  }
-  lit_before_ = true;
+  const bool relit = relight_objects(light, lights_changed, other_form);
   // Neighbours' shadows and those on real meshes follow a turn that no light shows.
-  const bool moved = (objects_.size() > 1 || real_.any()) && poses != poses_before_;
+  const bool moved = (objects_.size() > 1 || real_.any()) && poses_ != poses_before_;
   if (!relit && !lights_changed && !moved && !measured) return false;
-  combine_object_shadows(poses);
-  light_planes(poses);
+  combine_object_shadows(poses_);
+  light_planes(poses_);
   compositor_->set_shadow_maps(on_planes_);
-  shade_real_mesh(light, poses, other_form);
+  shade_real_mesh(light, poses_, other_form);
   if (real_.any()) {
     compositor_->set_ratios(0, real_ratios_);
     if (real_.shadow()) compositor_->set_real_shadow(*real_.shadow());

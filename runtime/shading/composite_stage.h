@@ -218,6 +218,9 @@ class CompositeStage {
   void light_planes(const std::vector<Pose>& poses);
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
+  void place_objects(double seconds);
+  bool update_lights(const lighting::LightEstimate& light, bool other_form);
+  bool relight_objects(const lighting::LightEstimate& light, bool lights_changed, bool other_form);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);
   static bool ask_for_darker(ViewCamera& camera, const capture::Frame& frame,

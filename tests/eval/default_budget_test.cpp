@@ -4,7 +4,7 @@
 
 #include "lighting/lighting.h"
 #include "tests/support/environment_maps.h"
-#include "tools/chart/chart_bench.h"
+#include "tools/chart/benches/chart_bench.h"
 #include "tools/chart/governor/governor_bench.h"
 #include "tools/chart/peers/baselines.h"
 

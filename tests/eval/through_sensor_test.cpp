@@ -1,5 +1,5 @@
 // From both cameras' sensors to the picture, against a path-traced world with the object in it.
-#include "tools/chart/through_sensor.h"
+#include "tools/chart/benches/through_sensor.h"
 
 #include <gtest/gtest.h>
 

@@ -182,7 +182,7 @@ TEST(ErrorTable, NoProbesOrNoLightGiveNumbers) {
 
 // A plan that keeps the budget for what is seen promises nothing for what is not.
 TEST(Governor, WhatNoCameraSeesOfTheSkyCountsInTheError) {
-  const Governor governor({.budget = .05}, {});
+  const Governor governor({.max_error = .05}, {});
   Plan plan;
   plan.error = .03;
   const Plan all = governor.with_unseen(plan, 0), some = governor.with_unseen(plan, .03),
@@ -260,7 +260,7 @@ TEST(Governor, AStrongLightThrowsAFineShadowAndAWeakOneACoarseOne) {
   light.lights = {sun(8 * kPi), sun(1.5 * kPi, glm::normalize(dvec3(-.6, .7, .1)))};
   // So tight that both are traced.
   Governor::Limits tight = limits();
-  tight.budget =
+  tight.max_error =
       1.05 * Governor::kConformalFactor * light.table(some_probes()).errors({9, 2, 1, 1}).larger();
   const Plan plan = Governor(tight, {}).update(light.table(some_probes()), {});
   EXPECT_EQ(plan.lights, 2);
@@ -330,7 +330,7 @@ TEST(Governor, TheObjectsErrorCountsLikeTheShadows) {
   const ErrorTable table = light.table(probes, 5);
   EXPECT_GT(table.errors({5, 0, 0}).object, 2 * table.errors({5, 0, 0}).shadow);
   Governor::Limits limits;
-  limits.budget = 1.1 * Governor::kConformalFactor * table.errors({5, 0, 0}).shadow;
+  limits.max_error = 1.1 * Governor::kConformalFactor * table.errors({5, 0, 0}).shadow;
   EXPECT_EQ(Governor(limits, {}).update(light.table(floor_only, 5), {}).lights, 0);
   EXPECT_EQ(Governor(limits, {}).update(table, {}).lights, 1);
 }

@@ -476,7 +476,7 @@ TEST(RecoveryMemory, NothingIsPromisedUntilASaturatedLightIsRecovered) {
   const auto map = room_with({&kSun, 1});
   LightEstimator estimator({});
   GovernorConfig config;
-  config.limits.budget = .9;  // any prediction would keep to it
+  config.limits.max_error = .9;  // any prediction would keep to it
   config.probes.deficit.assign(kMaxCoefficients, 0);
   estimator.set_governor(config);
   const auto first = estimator.estimate(at(clip(map, 8), 0));
@@ -514,7 +514,7 @@ TEST(RecoveryMemory, AnUnseenSunWithoutPowerCostsNoLight) {
       if (glm::dot(latlong_direction(x + .5, y + .5, kWidth, kHeight), sun) > std::cos(.2))
         environment.confidence.at(x, y) = 0, environment.radiance.at(x, y) = {};
   GovernorConfig config;
-  config.limits.budget = .9;
+  config.limits.max_error = .9;
   config.probes.deficit.assign(kMaxCoefficients, 0);
   EstimateOptions with;
   with.sun = site;

@@ -74,7 +74,7 @@ void expect_none_after_warm_up(Image<Rgb> environment, int knots = 1, int rows =
   capture::Studio studio(world, options);
   StageTimes times;
   auto light = *LightEstimationStage::create(studio.cameras(), {}, times);
-  const auto governor_config = make_governor_config(scene, {.budget = .02}, CostSource::kFixed);
+  const auto governor_config = make_governor_config(scene, {.max_error = .02}, CostSource::kFixed);
   ASSERT_TRUE(governor_config);
   light.set_governor(*governor_config);
   auto compose = CompositeStage::create(studio.cameras(), scene,

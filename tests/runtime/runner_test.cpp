@@ -281,7 +281,7 @@ TEST(Live, LightsThatAFrameHasNoTimeForAreGivenUp) {
   hurried.clip = 2;
   capture::Studio studio(bench().world, hurried);
   const auto governor_config =
-      make_governor_config(bench().scene, {.budget = .001}, CostSource::kFixed);
+      make_governor_config(bench().scene, {.max_error = .001}, CostSource::kFixed);
   ASSERT_TRUE(governor_config);
   s.light->set_governor(*governor_config);
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);

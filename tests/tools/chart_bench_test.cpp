@@ -1,4 +1,4 @@
-#include "tools/chart/chart_bench.h"
+#include "tools/chart/benches/chart_bench.h"
 #include "prt/prt.h"
 
 #include <gtest/gtest.h>

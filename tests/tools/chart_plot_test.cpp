@@ -22,29 +22,31 @@ namespace fs = std::filesystem;
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 using Front = std::vector<std::size_t>;
-using Values = std::vector<std::pair<double, double>>;
+using CostsAndErrors = std::vector<std::pair<double, double>>;
 
 TEST(ParetoFront, LeavesOutWhatAnotherBeats) {
-  EXPECT_EQ(pareto_front(Values{{3, 1}, {1, 3}, {2, 2}, {2.5, 2.5}, {4, 1}}), (Front{1, 2, 0}));
-  EXPECT_EQ(pareto_front(Values{}), Front{});
-  EXPECT_EQ(pareto_front(Values{{5, 5}}), Front{0});
+  EXPECT_EQ(pareto_front(CostsAndErrors{{3, 1}, {1, 3}, {2, 2}, {2.5, 2.5}, {4, 1}}),
+            (Front{1, 2, 0}));
+  EXPECT_EQ(pareto_front(CostsAndErrors{}), Front{});
+  EXPECT_EQ(pareto_front(CostsAndErrors{{5, 5}}), Front{0});
 }
 
 TEST(ParetoFront, TiesInOneValueAreDecidedByTheOther) {
-  EXPECT_EQ(pareto_front(Values{{1, 2}, {1, 1}, {2, 1}}), Front{1});
+  EXPECT_EQ(pareto_front(CostsAndErrors{{1, 2}, {1, 1}, {2, 1}}), Front{1});
 }
 
 TEST(ParetoFront, EqualPointsStandTogether) {
-  EXPECT_EQ(pareto_front(Values{{1, 1}, {2, 2}, {1, 1}}), (Front{0, 2}));
+  EXPECT_EQ(pareto_front(CostsAndErrors{{1, 1}, {2, 2}, {1, 1}}), (Front{0, 2}));
 }
 
 TEST(ParetoFront, IgnoresWhatIsNotFinite) {
-  EXPECT_EQ(pareto_front(Values{{kNan, 0}, {0, kNan}, {-HUGE_VAL, 0}, {2, 1}, {1, HUGE_VAL}}),
-            Front{3});
+  EXPECT_EQ(
+      pareto_front(CostsAndErrors{{kNan, 0}, {0, kNan}, {-HUGE_VAL, 0}, {2, 1}, {1, HUGE_VAL}}),
+      Front{3});
 }
 
 TEST(ParetoFront, FreePointsCount) {
-  EXPECT_EQ(pareto_front(Values{{0, 3}, {0, 2}, {1, 1}}), (Front{1, 2}));
+  EXPECT_EQ(pareto_front(CostsAndErrors{{0, 3}, {0, 2}, {1, 1}}), (Front{1, 2}));
 }
 
 std::vector<std::string> lines_of(const std::string& text) {

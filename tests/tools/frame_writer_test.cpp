@@ -7,7 +7,7 @@
 
 #include "codec/codec.h"
 #include "tests/support/temp_folder.h"
-#include "tools/common/output.h"
+#include "tools/runs/output.h"
 
 namespace penumbra::tools {
 namespace {

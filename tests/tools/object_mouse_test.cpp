@@ -1,4 +1,4 @@
-#include "tools/common/object_mouse.h"
+#include "tools/runs/object_mouse.h"
 
 #include <gtest/gtest.h>
 

@@ -16,10 +16,10 @@ struct ChartOptions {
   std::vector<std::string> assets;
   std::vector<int> bands;  // only these, with `lights`; else the whole sweep
   int lights = 0;
-  std::optional<double> error;  // of the reference; nothing: as the chart's kind needs it
-  int governor = 0;             // prove the governor on so many scenes instead
-  double budget = .05;          // of the shadow's RMS error in s, for that
-  bool truncated = false;       // compare under the same truncated light instead of the whole light
+  std::optional<double> error;    // of the reference; nothing: as the chart's kind needs it
+  int governor = 0;               // prove the governor on so many scenes instead
+  double max_shadow_error = .05;  // of the shadow's RMS error in s, for that
+  bool truncated = false;  // compare under the same truncated light instead of the whole light
   bool through_sensor = false;
   bool stills = false;                      // of each case, for that
   int bits = 8;                             // of both cameras, for that

@@ -7,7 +7,7 @@
 #include "lighting/governor.h"
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/scene/scene.h"
-#include "tools/chart/chart_bench.h"
+#include "tools/chart/benches/chart_bench.h"
 #include "tools/chart/chart_environments.h"
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
@@ -15,9 +15,9 @@
 #include "tools/chart/governor/governor_bench.h"
 #include "tools/chart/light_chart.h"
 #include "tools/common/command.h"
-#include "tools/common/output.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/runs/output.h"
 
 namespace penumbra::tools {
 
@@ -29,7 +29,7 @@ Result<void> chart_governor(const ChartOptions& o) {
   PENUMBRA_ASSIGN(calibration, make_trial_scenes(own, kBakeRays));
   PENUMBRA_ASSIGN(others, make_trial_scenes(o.assets.empty() ? own : o.assets, kBakeRays));
   PENUMBRA_ASSIGN(costs, runtime::fit_costs(calibration[0].prepared));
-  PENUMBRA_ASSIGN(proof, prove_governor(calibration, others, costs, o.budget, o.governor,
+  PENUMBRA_ASSIGN(proof, prove_governor(calibration, others, costs, o.max_shadow_error, o.governor,
                                         progress_bar("random scenes")));
   if (proof.needed_factor > lighting::Governor::kConformalFactor)
     log_warning("the calibration scenes need a factor of {:.2f}, more than the program's {:.2f}",
@@ -51,7 +51,7 @@ Result<void> chart_governor(const ChartOptions& o) {
                 {"mean_bands", proof.mean_bands},
                 {"mean_lights", proof.mean_lights},
                 {"mean_map_step", proof.mean_map_step},
-                {"max_shadow_error", o.budget}});
+                {"max_shadow_error", o.max_shadow_error}});
     return {};
   }
   fmt::print(
@@ -62,8 +62,8 @@ Result<void> chart_governor(const ChartOptions& o) {
   fmt::print(
       "{} scenes need a factor of {:.2f}, taken {:.2f}; of {} others {} had a plan within {:.3f}, "
       "{} kept it (at least {:.1f} % with 95 % confidence)\n",
-      proof.calibration, proof.needed_factor, proof.factor, proof.scenes, proof.promised, o.budget,
-      proof.kept, 100 * proof.coverage_low);
+      proof.calibration, proof.needed_factor, proof.factor, proof.scenes, proof.promised,
+      o.max_shadow_error, proof.kept, 100 * proof.coverage_low);
   fmt::print(
       "chosen on average: {:.1f} bands, {:.1f} lights, blocks of {:.1f} pixels; shadow {:.4f} "
       "(worst {:.4f}), objects {:.1f} % (worst {:.1f}); {:.1f} times the cost of the cheapest that "
@@ -79,7 +79,7 @@ Result<void> chart_governor(const ChartOptions& o) {
 Result<void> chart(const ChartOptions& o) {
   if (o.governor < 0 || o.governor > 10'000)
     return fail(ErrorCode::kInvalid, "--governor", "is not within 1..10000 scenes");
-  if (!(o.budget > 0 && o.budget <= 1))
+  if (!(o.max_shadow_error > 0 && o.max_shadow_error <= 1))
     return fail(ErrorCode::kInvalid, "--max-shadow-error", "is not above 0 and at most 1");
   if (o.lights < 0 || o.lights > 64)
     return fail(ErrorCode::kInvalid, "--max-lights", "is not within 0..64");
@@ -135,7 +135,7 @@ void add_chart(CLI::App& parent, Action& action) {
       "--governor", chart_options.governor,
       "Calibrate the governor on 59 random scenes, and test its promise on this many others, "
       "1 to 10000");
-  c->add_option("--max-shadow-error", chart_options.budget,
+  c->add_option("--max-shadow-error", chart_options.max_shadow_error,
                 "Limit of the errors that the governor has to keep, above 0 and "
                 "at most 1; with --governor")
       ->capture_default_str();

@@ -23,9 +23,9 @@
 #include "tools/chart/peers/rgbe_video.h"
 #include "tools/common/gnuplot.h"
 #include "tools/common/number_pairs.h"
-#include "tools/common/output.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
+#include "tools/runs/output.h"
 
 namespace penumbra::tools {
 

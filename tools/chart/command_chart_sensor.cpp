@@ -7,14 +7,14 @@
 #include "codec/codec.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
+#include "tools/chart/benches/through_sensor.h"
 #include "tools/chart/chart_environments.h"
 #include "tools/chart/chart_options.h"
 #include "tools/chart/chart_plot.h"
 #include "tools/chart/plots.h"
-#include "tools/chart/through_sensor.h"
 #include "tools/common/gnuplot.h"
-#include "tools/common/output.h"
 #include "tools/common/print.h"
+#include "tools/runs/output.h"
 
 namespace penumbra::tools {
 

@@ -7,12 +7,12 @@
 #include "codec/codec.h"
 #include "core/conventions.h"
 #include "runtime/pipeline/report.h"
-#include "tools/chart/chart_bench.h"
+#include "tools/chart/benches/chart_bench.h"
 #include "tools/chart/commands.h"
 #include "tools/chart/measures/flip.h"
 #include "tools/common/command.h"
-#include "tools/common/output.h"
 #include "tools/common/print.h"
+#include "tools/runs/output.h"
 
 namespace penumbra::tools {
 

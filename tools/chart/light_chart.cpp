@@ -19,8 +19,8 @@
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/chart_bench.h"
-#include "tools/chart/flicker.h"
+#include "tools/chart/benches/chart_bench.h"
+#include "tools/chart/benches/flicker.h"
 #include "tools/chart/measures/accuracy.h"
 #include "tools/chart/peers/baselines.h"
 #include "tools/common/progress.h"
@@ -372,7 +372,7 @@ class Charter {
   // What is chosen beside every knob at full, and beside the cheapest that would have kept the
   // limit. Fewer updates are no choice here: where nothing moves there are none.
   static void compare_choice(std::span<ChartPoint> points) {
-    constexpr double kLimit = lighting::Governor::Limits{}.budget;
+    constexpr double kLimit = lighting::Governor::Limits{}.max_error;
     double full_ms = std::numeric_limits<double>::quiet_NaN(), cheapest_ms = HUGE_VAL;
     for (const ChartPoint& p : points) {
       if (p.full) full_ms = p.ms_p50;

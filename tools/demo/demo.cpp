@@ -18,12 +18,12 @@
 #include "runtime/pipeline/report.h"
 #include "runtime/studio/studio_setup.h"
 #include "tools/common/command.h"
-#include "tools/common/light_options.h"
-#include "tools/common/object_mouse.h"
-#include "tools/common/output.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
-#include "tools/common/summary.h"
+#include "tools/runs/light_options.h"
+#include "tools/runs/object_mouse.h"
+#include "tools/runs/output.h"
+#include "tools/runs/summary.h"
 
 namespace penumbra::tools {
 
@@ -38,7 +38,7 @@ struct DemoOptions {
   double fps = 30;
   int bands = 5;
   std::string lights = "auto";
-  double budget = kDefaultMaxShadowError, rotation_deg = 0;
+  double max_shadow_error = kDefaultMaxShadowError, rotation_deg = 0;
 };
 
 using compositor::Compositor;
@@ -72,7 +72,7 @@ Result<void> check(const DemoOptions& o) {
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
   PENUMBRA_TRY(choose_max_lights(o.lights));
-  PENUMBRA_TRY(check_budget(o.budget));
+  PENUMBRA_TRY(check_max_shadow_error(o.max_shadow_error));
   if (o.rotation_deg != 0 && !o.environment)
     return fail(ErrorCode::kInvalid, "--rotate-environment",
                 "turns a map: give --environment as well");
@@ -121,7 +121,7 @@ PipelineOptions pipeline_options(const DemoOptions& o) {
   PipelineOptions options;
   options.bands = o.bands;
   options.max_lights = choose_max_lights(o.lights)->max_count;  // checked before
-  options.max_shadow_error = o.budget;
+  options.max_shadow_error = o.max_shadow_error;
   options.measure_costs = o.live;
   options.window = !o.headless;
   options.progress = progress_bar;
@@ -132,6 +132,34 @@ PipelineOptions pipeline_options(const DemoOptions& o) {
     options.bake.visibility = false;
   }
   return options;
+}
+
+ObjectMouse make_mouse(Pipeline& pipeline) {
+  if (pipeline.output().has_window())
+    log_info(
+        "window: the left mouse button drags an object, the right one and the wheel turn it; "
+        "keys 1 to 9 take an object away and put it back; space holds what turns or plays; Escape "
+        "ends");
+  return {pipeline.scene(),
+          [&pipeline](std::string_view object, const auto& place) {
+            return pipeline.move_object(object, place);
+          },
+          [&pipeline](std::string_view object, bool visible) {
+            return pipeline.show_object(object, visible);
+          },
+          [&pipeline](std::string_view object, const auto& playback) {
+            return pipeline.play_object(object, playback);
+          }};
+}
+
+void print_results(const DemoOptions& o, const nlohmann::json& summary) {
+  if (o.json) {
+    print_json(summary);
+    return;
+  }
+  print_summary(summary);
+  if (o.video) fmt::print("{}/video.mp4  ", o.output);
+  fmt::print("{0}/still.png  {0}/camera.png (before)  {0}/summary.json\n", o.output);
 }
 
 }  // namespace
@@ -158,20 +186,7 @@ Result<void> demo(const DemoOptions& o) {
     recording.emplace(studio, std::move(recorder));
   }
   std::shared_ptr<const FramePixels> last, last_source;
-  ObjectMouse mouse(
-      pipeline.scene(),
-      [&](std::string_view object, const auto& place) {
-        return pipeline.move_object(object, place);
-      },
-      [&](std::string_view object, bool visible) { return pipeline.show_object(object, visible); },
-      [&](std::string_view object, const auto& playback) {
-        return pipeline.play_object(object, playback);
-      });
-  if (pipeline.output().has_window())
-    log_info(
-        "window: the left mouse button drags an object, the right one and the wheel turn it; "
-        "keys 1 to 9 take an object away and put it back; space holds what turns or plays; Escape "
-        "ends");
+  ObjectMouse mouse = make_mouse(pipeline);
   const runtime::Sink sink = [&](const runtime::Output& out) {
     last = out.pixels;
     last_source = out.source.pixels;
@@ -201,13 +216,7 @@ Result<void> demo(const DemoOptions& o) {
                  pipeline.output().renderer()});
   PENUMBRA_TRY(write_bytes(output.file("summary.json"), summary.dump(2) + "\n"));
   PENUMBRA_TRY(output.keep());
-  if (o.json) {
-    print_json(summary);
-  } else {
-    print_summary(summary);
-    if (o.video) fmt::print("{}/video.mp4  ", o.output);
-    fmt::print("{0}/still.png  {0}/camera.png (before)  {0}/summary.json\n", o.output);
-  }
+  print_results(o, summary);
   return {};
 }
 
@@ -252,7 +261,7 @@ void add_demo(CLI::App& app, Action& action) {
       ->capture_default_str();
   app.add_option("--bands", demo_options.bands, kMaxBandsHelp)->capture_default_str();
   app.add_option("--max-lights", demo_options.lights, kMaxLightsHelp)->capture_default_str();
-  app.add_option("--max-shadow-error", demo_options.budget, kMaxShadowErrorHelp)
+  app.add_option("--max-shadow-error", demo_options.max_shadow_error, kMaxShadowErrorHelp)
       ->capture_default_str();
   app.add_flag(
       "--fine", demo_options.fine,

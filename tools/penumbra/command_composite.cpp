@@ -10,12 +10,12 @@
 #include "runtime/pipeline/pipeline.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
-#include "tools/common/light_options.h"
-#include "tools/common/output.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
-#include "tools/common/summary.h"
 #include "tools/penumbra/commands.h"
+#include "tools/runs/light_options.h"
+#include "tools/runs/output.h"
+#include "tools/runs/summary.h"
 
 namespace penumbra::tools {
 
@@ -25,7 +25,7 @@ struct CompositeOptions {
   std::string capture, scene, output, moves;
   int bands = 5;
   std::string lights = "auto";
-  double budget = kDefaultMaxShadowError;
+  double max_shadow_error = kDefaultMaxShadowError;
   bool json = false, stills = true, video = true;
 };
 
@@ -67,7 +67,7 @@ Result<void> composite(const CompositeOptions& o) {
   if (o.bands < 1 || o.bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "--bands", fmt::format("{} is not within 1..9", o.bands));
   PENUMBRA_ASSIGN(lights, choose_max_lights(o.lights));
-  PENUMBRA_TRY(check_budget(o.budget));
+  PENUMBRA_TRY(check_max_shadow_error(o.max_shadow_error));
   PENUMBRA_ASSIGN(source, capture::open_capture(o.capture));
   PENUMBRA_ASSIGN(scene, runtime::read_scene(o.scene));
   const auto& cameras = source->cameras();
@@ -79,7 +79,7 @@ Result<void> composite(const CompositeOptions& o) {
   PipelineOptions options;
   options.bands = o.bands;
   options.max_lights = lights.max_count;
-  options.max_shadow_error = o.budget;
+  options.max_shadow_error = o.max_shadow_error;
   options.progress = progress_bar;
   PENUMBRA_ASSIGN(track, read_moves(o.moves, scene));
   PENUMBRA_ASSIGN(pipeline, Pipeline::create(cameras, scene, options));
@@ -136,7 +136,7 @@ void add_composite(CLI::App& parent, Action& action) {
                 "time_s,object,x_m,y_m,z_m,turn_deg");
   c->add_option("--bands", composite_options.bands, kMaxBandsHelp)->capture_default_str();
   c->add_option("--max-lights", composite_options.lights, kMaxLightsHelp)->capture_default_str();
-  c->add_option("--max-shadow-error", composite_options.budget, kMaxShadowErrorHelp)
+  c->add_option("--max-shadow-error", composite_options.max_shadow_error, kMaxShadowErrorHelp)
       ->capture_default_str();
   auto* no_video = c->add_flag("!--no-video", composite_options.video, "Write no video");
   c->add_flag("!--no-stills", composite_options.stills,

@@ -9,9 +9,9 @@
 #include "runtime/pipeline/light_file.h"
 #include "runtime/pipeline/report.h"
 #include "tools/common/command.h"
-#include "tools/common/light_options.h"
 #include "tools/common/print.h"
 #include "tools/penumbra/commands.h"
+#include "tools/runs/light_options.h"
 
 namespace penumbra::tools {
 

@@ -14,11 +14,11 @@
 #include "runtime/pipeline/report.h"
 #include "runtime/scene/scene.h"
 #include "tools/common/command.h"
-#include "tools/common/light_options.h"
 #include "tools/common/print.h"
 #include "tools/common/progress.h"
 #include "tools/penumbra/commands.h"
 #include "tools/pictures/still.h"
+#include "tools/runs/light_options.h"
 
 namespace penumbra::tools {
 

@@ -38,8 +38,6 @@ constexpr int kMaxLights = 8;
 constexpr double kShadowed = .95;
 constexpr double kTilt_rad = 12 * kPi / 180;
 
-using Values = std::vector<double>;
-
 // One coefficient at the receiver's texels, bilinear at (u, v).
 double at_grid(const prt::Transfer& t, int size, int n, glm::vec2 uv) {
   const double x = std::clamp(uv.x * size - .5, 0., size - 1.001),
@@ -164,11 +162,12 @@ class Trial::Points {
                                     light.bands());
     return turn * light;
   }
-  void add_row(const prt::Transfer& t, glm::vec2 uv, Values& out) const {
+  void add_row(const prt::Transfer& t, glm::vec2 uv, std::vector<double>& out) const {
     for (int n = 0; n < coefficient_count(t.bands); ++n)
       out.push_back(at_grid(t, object_.baked.receiver->grid.size, n, uv));
   }
-  static double dot(const Values& table, int bands, std::size_t p, const RadianceSh& light) {
+  static double dot(const std::vector<double>& table, int bands, std::size_t p,
+                    const RadianceSh& light) {
     const auto stride = static_cast<std::size_t>(coefficient_count(bands));
     double sum = 0;
     for (int n = 0; n < std::min(light.size(), coefficient_count(bands)); ++n)
@@ -181,7 +180,7 @@ class Trial::Points {
   bool level_;
   std::vector<std::vector<std::uint32_t>> patches_;
   std::vector<glm::dvec3> floor_;
-  Values deficit_, indirect_;  // [point][n]
+  std::vector<double> deficit_, indirect_;  // [point][n]
 };
 
 Result<std::vector<TrialScene>> make_trial_scenes(const std::vector<std::string>& assets,

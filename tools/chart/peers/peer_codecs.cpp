@@ -104,7 +104,7 @@ struct Freed {
 };
 using Codec = std::unique_ptr<AVCodecContext, Freed<avcodec_free_context>>;
 using FramePointer = std::unique_ptr<AVFrame, Freed<av_frame_free>>;
-using Packet = std::unique_ptr<AVPacket, Freed<av_packet_free>>;
+using OwnedPacket = std::unique_ptr<AVPacket, Freed<av_packet_free>>;
 
 constexpr float kLargestCode = 1023;
 
@@ -184,7 +184,7 @@ class VideoCoder {
 
   Result<void> encode(const AVFrame* frame, CodedMaps& out) {
     if (avcodec_send_frame(encoder_.get(), frame) < 0) return broken("refuses a frame");
-    const Packet packet(av_packet_alloc());
+    const OwnedPacket packet(av_packet_alloc());
     while (avcodec_receive_packet(encoder_.get(), packet.get()) == 0) {
       out.bytes += static_cast<std::size_t>(packet->size);
       if (avcodec_send_packet(decoder_.get(), packet.get()) < 0)

@@ -8,7 +8,7 @@
 #include "lighting/light_estimate.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/chart_bench.h"
+#include "tools/chart/benches/chart_bench.h"
 #include "tools/pictures/still.h"
 
 namespace penumbra::tools {

@@ -1,4 +1,4 @@
-#include "tools/common/summary.h"
+#include "tools/runs/summary.h"
 
 #include <fmt/format.h>
 

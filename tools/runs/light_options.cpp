@@ -1,4 +1,4 @@
-#include "tools/common/light_options.h"
+#include "tools/runs/light_options.h"
 
 #include <charconv>
 
@@ -19,8 +19,8 @@ Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text) {
   return options;
 }
 
-Result<void> check_budget(double budget) {
-  if (budget > 0 && budget <= 1) return {};
+Result<void> check_max_shadow_error(double value) {
+  if (value > 0 && value <= 1) return {};
   return fail(ErrorCode::kInvalid, "--max-shadow-error", "is not above 0 and at most 1");
 }
 

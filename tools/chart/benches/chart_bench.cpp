@@ -1,4 +1,4 @@
-#include "tools/chart/chart_bench.h"
+#include "tools/chart/benches/chart_bench.h"
 
 #include <oneapi/tbb/global_control.h>
 
@@ -127,7 +127,7 @@ Result<lighting::Plan> default_plan(const ChartScene& scene, const Image<Rgb>& e
                                     has_blocks ? lighting::kMapBlock : 1},
                                    runtime::scene_probes(scene.prepared(), limits.max_bands),
                                    limits.max_bands, limits.max_lights);
-  return lighting::Governor({}, costs).cheapest(table, limits.budget);
+  return lighting::Governor({}, costs).cheapest(table, limits.max_error);
 }
 
 Result<Truth> trace_truth(const ChartScene& scene, const Image<Rgb>& environment, double error) {

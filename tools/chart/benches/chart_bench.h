@@ -11,7 +11,6 @@
 #include "runtime/pipeline/single_thread_time.h"
 #include "runtime/scene/scene.h"
 #include "runtime/shading/direct_light_stage.h"
-#include "tools/chart/chart_plot.h"
 #include "tools/chart/measures/accuracy.h"
 #include "tools/pictures/still.h"
 

@@ -1,4 +1,4 @@
-#include "tools/chart/through_sensor.h"
+#include "tools/chart/benches/through_sensor.h"
 
 #include <algorithm>
 #include <cmath>
@@ -14,7 +14,7 @@
 #include "runtime/pipeline/governor_config.h"
 #include "runtime/pipeline/pipeline.h"
 #include "tools/common/progress.h"
-#include "tools/common/side_by_side.h"
+#include "tools/runs/side_by_side.h"
 
 namespace penumbra::tools {
 

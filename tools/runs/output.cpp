@@ -1,4 +1,4 @@
-#include "tools/common/output.h"
+#include "tools/runs/output.h"
 
 #include <unistd.h>
 
@@ -10,7 +10,7 @@
 #include "codec/display.h"
 #include "core/io/files.h"
 #include "core/io/log.h"
-#include "tools/common/side_by_side.h"
+#include "tools/runs/side_by_side.h"
 
 namespace penumbra::tools {
 

@@ -1,4 +1,4 @@
-#include "tools/chart/flicker.h"
+#include "tools/chart/benches/flicker.h"
 
 #include <cmath>
 

@@ -18,7 +18,7 @@ namespace penumbra::tools {
 Result<lighting::ExtractionOptions> choose_max_lights(const std::string& text);
 
 /// errors: kInvalid
-Result<void> check_budget(double budget);
+Result<void> check_max_shadow_error(double value);
 
 /// "auto" or 1..9. Auto: the fewest bands that keep the unshadowed irradiance within 0.5 %.
 /// errors: kInvalid
