@@ -205,6 +205,7 @@ bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool 
     combine_object_shadows(poses_);
     light_planes(poses_);
     shade_real_mesh(light, poses_, other_form);
+    if (surroundings_.refine(lights_.occluders())) update_lights(light, other_form);
   }
   lit_before_ = true;
   return relit;
@@ -216,6 +217,7 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   if (surroundings_.any()) {
     const StageTimer timer(times_, "occlusion probes");
     surroundings_.update(lights_.occluders(), poses_);
+    surroundings_.refine(lights_.occluders());
     ground_probes_.update(lights_.occluders(), poses_, other_form);
   }
   open_.clear();

@@ -114,6 +114,8 @@ class CompositeStage {
 
  private:
   static constexpr double kDarker = 1. / 8;  // exposure of the first darker frame
+  static constexpr int kOwnBounces = 3;      // of a shaded floor's light on an object
+  static constexpr double kDeepShade = .4;   // of the light that floor and object send in the open
   // In the bake frame.
   struct ObjectLight {
     RadianceSh open, local;  // local: with real things in it as the object's surface sees it
@@ -202,9 +204,12 @@ class CompositeStage {
   Rgb exit_of_object(std::size_t object, std::uint32_t vertex) const;
   RadianceSh with_real_things(const RadianceSh& light, std::size_t index) const;
   void relight(StageObject& object, const ObjectLight& light, std::size_t index,
-               const lighting::LightEstimate& estimate, const Pose& pose) const;
+               const lighting::LightEstimate& estimate, const Pose& pose);
+  struct SentLight;
+  SentLight sent_at_probes(std::size_t light_index, std::size_t index,
+                           const lighting::DistantLight& source, const Pose& pose) const;
   void take_away_shaded(StageObject& object, const ObjectLight& light, std::size_t index,
-                        const lighting::LightEstimate& estimate, const Pose& pose) const;
+                        const lighting::LightEstimate& estimate, const Pose& pose);
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
   void compose_shadow(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,

@@ -228,7 +228,22 @@ bool DirectLightStage::may_have_changed(std::size_t object,
   return false;
 }
 
-void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool all) {
+// True where there were any.
+bool DirectLightStage::shade_new_hits(TracedLight& t, const OcclusionProbes& around,
+                                      bool all) const {
+  t.hit_shade.resize(scene_->objects.size());
+  t.looks.resize(scene_->objects.size());
+  bool any = false;
+  for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
+    if (!visible_[i] || (!all && t.looks[i] == around.looks(i))) continue;
+    t.looks[i] = around.looks(i);
+    shade_hits(i, t.source, around, t.hit_shade[i]);
+    any = true;
+  }
+  return any;
+}
+
+void DirectLightStage::trace(TracedLight& t, bool all) {
   if (all) {  // else some of it stays as it was traced for the light that these tell
     t.direction = t.source.direction;
     t.shape = t.source.shape;
@@ -237,12 +252,10 @@ void DirectLightStage::trace(TracedLight& t, const OcclusionProbes& around, bool
   around_.clear();
   memo_.clear();
   t.cosine.resize(scene_->objects.size());
-  t.hit_shade.resize(scene_->objects.size());
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
     if (!visible_[i]) continue;
     const PreparedObject& o = scene_->objects[i];
     around_.push_back({poses_[i] * spheres_[i].centre, kAround * spheres_[i].radius});
-    shade_hits(i, t.source, around, t.hit_shade[i]);
     if (!all && !may_have_changed(i, t.source)) continue;
     t.cosine[i].resize(o.baked.mesh.positions.size());
     const prt::Plane own{poses_[i].translation, poses_[i].rotation * glm::dvec3(0, 1, 0), {}, {}};
@@ -328,12 +341,13 @@ bool DirectLightStage::update(std::span<const lighting::DistantLight> lights,
                       detail.plane > t.detail.plane || detail.fine > t.detail.fine;
     if (anew) t.detail = detail;
     if (anew || poses_changed) {
-      trace(t, around, anew);
+      trace(t, anew);
       changed = true;
     } else if (change <= kVisibleFraction * mean_irradiance) {
       t.source.radiance = before.radiance;  // small changes add up until they are seen
       t.source.radius = before.radius;
     }
+    changed |= shade_new_hits(t, around, anew || poses_changed);
     traced_.push_back(std::move(t));
   }
   changed |= traced_.size() != before_.size();

@@ -98,6 +98,7 @@ class DirectLightStage {
     double radius = 0;
     std::vector<std::vector<float>> cosine;                 // by object, by vertex
     std::vector<std::vector<std::uint8_t>> hit_shade;       // by object, by probe hit
+    std::vector<std::uint32_t> looks;                       // by object, for that
     std::vector<std::vector<shadows::ShadowMap>> on_plane;  // by plane, by group of objects
     std::vector<shadows::ShadowMap> real_on_plane;          // by plane; empty without real things
   };
@@ -118,7 +119,8 @@ class DirectLightStage {
   void follow_forms();
   /// `all`: the light itself is new or has moved; otherwise only what objects that moved can have
   /// changed.
-  void trace(TracedLight& traced, const OcclusionProbes& around, bool all);
+  void trace(TracedLight& traced, bool all);
+  bool shade_new_hits(TracedLight& traced, const OcclusionProbes& around, bool all) const;
   void trace_planes(TracedLight& traced);
   TracedDetail detail_for(const lighting::DistantLight& source, bool fine, const OpenLight& open,
                           const TracedDetail& before) const;

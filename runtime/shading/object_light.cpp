@@ -2,6 +2,7 @@
 // around it.
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "core/conventions.h"
 #include "core/threads/scratch.h"
@@ -143,7 +144,7 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
   // What is left for the probes to mend is little, so that little is lost between them.
   const RadianceSh local = with_real_things(light, index);
   out.local = turn * local;
-  constexpr float kWeight = 1.f / OcclusionProbes::kRays;
+  const float weight = 1 / static_cast<float>(surroundings_.rays(index));
   const IrradianceSh irradiance = lighting::irradiance(light),
                      local_irradiance = lighting::irradiance(local);
   const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
@@ -173,18 +174,18 @@ void CompositeStage::see_surroundings(std::size_t index, const lighting::LightEs
       continue;
     }
     const bool thing = hit.thing != ProbeHit::kFloor;  // a real or a virtual one
-    if (thing) out.around[hit.probe] += exit_of(hit) * kWeight;
+    if (thing) out.around[hit.probe] += exit_of(hit) * weight;
     if (hit.above_floor) {
       const FloorLight floor = floor_at(hit.point, shadows_there, of_residual, all);
       out.reflected[hit.probe] += of_floor * floor.counted;
       if (!thing) out.reflected_left[hit.probe] += of_floor * floor.left;
     } else {
-      out.around[hit.probe] += lighting::evaluate(local, glm::dvec3(hit.direction)) * -kWeight;
+      out.around[hit.probe] += lighting::evaluate(local, glm::dvec3(hit.direction)) * -weight;
     }
   }
   const RadianceSh gone = difference(light, local);
   for (const OpenRay& ray : surroundings_.open_rays(index))
-    out.around[ray.probe] += lighting::evaluate(gone, glm::dvec3(ray.direction)) * kWeight;
+    out.around[ray.probe] += lighting::evaluate(gone, glm::dvec3(ray.direction)) * weight;
 }
 
 // How much of a distant light reaches the object past everything else: what it has to reflect onto
@@ -252,48 +253,84 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
   out.receiver_lights = lit == sum ? out.lights : in_bake_frame(lit);
 }
 
+// What floor and object send of a distant light to each probe.
+struct CompositeStage::SentLight {
+  // As the bake has it, and past what stands around; luminance for a light of unit irradiance.
+  OcclusionProbes::Values all{}, left{};
+  // The latter with what the object sends on to itself, irradiance/pi.
+  std::array<Rgb, OcclusionProbes::kProbes> gathered{};
+};
+
+CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index, std::size_t index,
+                                                         const lighting::DistantLight& source,
+                                                         const Pose& pose) const {
+  const prt::BakedObject& baked = objects_[index].prepared->baked;
+  const std::span<const ProbeHit> hits = surroundings_.hits(index);
+  const std::span<const std::uint8_t> shade = lights_.hit_shade(light_index, index);
+  const float weight = 1 / static_cast<float>(surroundings_.rays(index));
+  const glm::vec3 towards(glm::conjugate(pose.rotation) * source.direction);
+  const Rgb unit = lighting::irradiance(source, source.direction) * (weight / float(kPi));
+  const Rgb of_floor = baked.receiver ? baked.receiver->albedo * std::max(0.f, towards.y) : Rgb{};
+  SentLight out;
+  for (std::size_t k = 0; k < hits.size(); ++k) {
+    const ProbeHit& hit = hits[k];
+    const bool itself = hit.thing == ProbeHit::kItself;
+    if ((!hit.above_floor && !itself) || (shade[k] & DirectLightStage::kByItself)) continue;
+    const Rgb sent = itself ? baked.mesh.albedo[hit.vertex] *
+                                  std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards))
+                            : of_floor;
+    out.all[hit.probe] += luminance(sent);
+    const bool in_sight = itself || hit.thing == ProbeHit::kFloor;
+    if (!in_sight || (shade[k] & DirectLightStage::kByOthers)) continue;
+    out.left[hit.probe] += luminance(sent);
+    out.gathered[hit.probe] += sent * unit;
+  }
+  if (out.left == out.all) return out;
+  const auto first = out.gathered;
+  for (int bounce = 0; bounce < kOwnBounces; ++bounce) {
+    auto next = first;
+    for (const ProbeHit& hit : hits)
+      if (hit.thing == ProbeHit::kItself)
+        next[hit.probe] += baked.mesh.albedo[hit.vertex] *
+                           surroundings_.at_vertex(index, out.gathered, hit.vertex) * weight;
+    out.gathered = next;
+  }
+  return out;
+}
+
 // What object and floor reflect to each other where others hide the floor, or shade one of them.
+// Little of a distant light's comes from a small part of the floor, and another part of the object
+// sees that than the bake's whole floor.
 void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, std::size_t index,
-                                      const lighting::LightEstimate& estimate,
-                                      const Pose& pose) const {
+                                      const lighting::LightEstimate& estimate, const Pose& pose) {
   const prt::BakedObject& baked = o.prepared->baked;
   const bool level = stands_level(baked, pose);
   o.more.resize(o.relit.size());
-  const auto take = [&](const RadianceSh& reflected, const OcclusionProbes::Values& left,
-                        const OcclusionProbes::Values& all) {
-    if (left == all) return;
-    o.prepared->relight(PreparedObject::TransferPart::kReflected, reflected, o.more);
-    surroundings_.take_missing(index, left, all, o.more, o.relit);
-  };
-  take(light.local.with_bands(prt::kIndirectBands), light.reflected_left, light.reflected);
-  const std::span<const ProbeHit> hits = surroundings_.hits(index);
-  for (std::size_t j = 0; j < estimate.lights.size(); ++j) {
-    OcclusionProbes::Values left{}, all{};
-    const std::span<const std::uint8_t> shade = lights_.hit_shade(j, index);
-    const glm::vec3 towards(glm::conjugate(pose.rotation) * estimate.lights[j].direction);
-    const float of_floor =
-        baked.receiver ? luminance(baked.receiver->albedo) * std::max(0.f, towards.y) : 0;
-    for (std::size_t k = 0; k < hits.size(); ++k) {
-      const ProbeHit& hit = hits[k];
-      const bool itself = hit.thing == ProbeHit::kItself;
-      if ((!hit.above_floor && !itself) || (shade[k] & DirectLightStage::kByItself)) continue;
-      const float sent = itself
-                             ? luminance(baked.mesh.albedo[hit.vertex]) *
-                                   std::max(0.f, glm::dot(baked.mesh.normals[hit.vertex], towards))
-                             : of_floor;
-      all[hit.probe] += sent;
-      const bool in_sight = itself || hit.thing == ProbeHit::kFloor;
-      if (in_sight && !(shade[k] & DirectLightStage::kByOthers)) left[hit.probe] += sent;
-    }
-    take(reflected_in_bake_frame(reflected_for(estimate.lights[j], level), level, pose,
-                                 baked.indirect.bands),
-         left, all);
+  if (light.reflected_left != light.reflected) {
+    o.prepared->relight(PreparedObject::TransferPart::kReflected,
+                        light.local.with_bands(prt::kIndirectBands), o.more);
+    surroundings_.take_missing(index, light.reflected_left, light.reflected, o.more, o.relit);
   }
+  double all = 0, left = 0;  // of all lights
+  for (std::size_t j = 0; j < estimate.lights.size(); ++j) {
+    const lighting::DistantLight& source = estimate.lights[j];
+    const SentLight sent = sent_at_probes(j, index, source, pose);
+    const double power = luminance(source.irradiance());
+    all += power * std::accumulate(sent.all.begin(), sent.all.end(), 0.);
+    left += power * std::accumulate(sent.left.begin(), sent.left.end(), 0.);
+    if (sent.left == sent.all) continue;
+    o.prepared->relight(
+        PreparedObject::TransferPart::kReflected,
+        reflected_in_bake_frame(reflected_for(source, level), level, pose, baked.indirect.bands),
+        o.more);
+    surroundings_.replace_shaded(index, sent.left, sent.all, sent.gathered, o.more, o.relit);
+  }
+  surroundings_.want_fine(index, left < kDeepShade * all);
 }
 
 // The light that the bake counts on, and what differs around the object.
 void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size_t index,
-                             const lighting::LightEstimate& estimate, const Pose& pose) const {
+                             const lighting::LightEstimate& estimate, const Pose& pose) {
   const bool lights = light.lights.bands() > 1;
   relight_parts(o, PreparedObject::TransferPart::kSurface, light.local,
                 lights ? &light.lights : nullptr, o.relit);

@@ -175,8 +175,25 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
 
 void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
   if (!any() || std::ranges::equal(poses, poses_)) return;
+  poses_.resize(poses.size());
+  for (std::size_t i = 0; i < poses.size(); ++i)
+    if (poses_[i] != poses[i]) objects_[i].rays = kRays;
   poses_.assign(poses.begin(), poses.end());
   for (std::size_t i = 0; i < poses.size(); ++i) look_from(i, occluders);
+  moved_ = true;
+}
+
+bool OcclusionProbes::refine(const shadows::RayOccluders& occluders) {
+  if (std::exchange(moved_, false)) return false;
+  bool any = false;
+  for (std::size_t i = 0; i < objects_.size(); ++i) {
+    Object& o = objects_[i];
+    if (!o.wants_fine || o.rays == kFineRays) continue;
+    o.rays = kFineRays;
+    look_from(i, occluders);
+    any = true;
+  }
+  return any;
 }
 
 struct OcclusionProbes::Other {
@@ -282,6 +299,7 @@ void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& 
         .find_real(baked.receiver.has_value(), o.by_real);
   parallel_for(std::size_t{0}, o.blocks.size(),
                [&](std::size_t block) { look_from_block(o, block, in); });
+  ++o.looks;
   o.hits.clear();
   o.open.clear();
   for (const ProbeBlock& b : o.blocks) {
@@ -297,14 +315,15 @@ void OcclusionProbes::look_from_block(Object& o, std::size_t block, const Surrou
   out.open.clear();
   const std::size_t first = block * kPerBlock, last = std::min(first + kPerBlock, o.probes.size());
   prt::RayScene::RayPacket packet;
+  const prt::RayPatterns& patterns = o.rays == kRays ? patterns_ : fine_patterns_;
   for (std::size_t p = first; p < last; ++p) {
     const std::uint32_t v = o.probes[p];
     const glm::vec3 n = in.turn * in.mesh().normals[v],
                     from = in.turn * in.mesh().positions[v] + in.shift + in.occluders.near_m * n;
     const glm::mat3 frame = prt::frame_around(n);
     out.hits.push_back({static_cast<std::uint16_t>(p), ProbeHit::kProbe, false, v, n, {}});
-    for (int rays = 0; rays < kRays / kPacket; ++rays) {
-      patterns_.cosine_block(prt::RayPatterns::turn_of(p), rays, frame, packet);
+    for (int block_of_rays = 0; block_of_rays < o.rays / kPacket; ++block_of_rays) {
+      patterns.cosine_block(prt::RayPatterns::turn_of(p), block_of_rays, frame, packet);
       Met met;
       for (int i = 0; i < kPacket; ++i)
         set_ray(met.rays, i, from, {packet.x[i], packet.y[i], packet.z[i]});
@@ -349,6 +368,36 @@ void OcclusionProbes::take_missing(std::size_t object, const Values& part, const
       if (all <= 0) continue;
       const float hidden = 1 - left / all;
       for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= hidden * in[c * stride + v];
+    }
+  });
+}
+
+Rgb OcclusionProbes::at_vertex(std::size_t object, std::span<const Rgb> of_probes,
+                               std::size_t vertex) const {
+  const Nearby& near = objects_[object].nearby[vertex];
+  Rgb sum;
+  for (std::size_t k = 0; k < kNearest; ++k) sum += of_probes[near.probe[k]] * near.weight[k];
+  return sum;
+}
+
+void OcclusionProbes::replace_shaded(std::size_t object, const Values& part, const Values& whole,
+                                     std::span<const Rgb> gathered, std::span<const float> in,
+                                     std::span<float> out) const {
+  const std::vector<Nearby>& nearby = objects_[object].nearby;
+  const std::size_t stride = out.size() / 3;
+  parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& vertices) {
+    for (std::size_t v = vertices.begin(); v < vertices.end(); ++v) {
+      float left = 0, all = 0;
+      for (std::size_t k = 0; k < kNearest; ++k) {
+        const std::size_t p = nearby[v].probe[k];
+        left += part[p] * nearby[v].weight[k];
+        all += whole[p] * nearby[v].weight[k];
+      }
+      const float lit = all > 0 ? std::min(left / all, 1.f) : 1;
+      const Rgb instead = at_vertex(object, gathered, v);
+      for (std::size_t c = 0; c < 3; ++c)
+        out[c * stride + v] +=
+            (1 - lit) * (instead[static_cast<int>(c)] - (1 + lit) * in[c * stride + v]);
     }
   });
 }

@@ -49,8 +49,8 @@ struct OpenRay {
 /// between the nearest of them.
 class OcclusionProbes {
  public:
-  static constexpr int kProbes = 256, kRays = 32, kNearest = 8, kSphereRays = 256;
-  static constexpr std::size_t kMaxHits = kProbes * (kRays + 1);  // of an object
+  static constexpr int kProbes = 256, kRays = 32, kFineRays = 128, kNearest = 8, kSphereRays = 256;
+  static constexpr std::size_t kMaxHits = kProbes * (kRays + 1);  // of an object that moves
 
   /// The scene must outlive it.
   explicit OcclusionProbes(const PreparedScene& scene);
@@ -62,8 +62,17 @@ class OcclusionProbes {
   /// in:  occluders as made for this scene (as DirectLightStage::occluders)
   void update(const shadows::RayOccluders& occluders, std::span<const Pose> poses);
 
-  /// As last looked at; rays of weight 1/kRays.
+  /// An object in deep shade asks for more rays: what little light reaches it comes from few
+  /// directions.
+  void want_fine(std::size_t object, bool wants) { objects_[object].wants_fine = wants; }
+  /// Looks again, with more rays, from objects that stand and ask for them. True where one did.
+  bool refine(const shadows::RayOccluders& occluders);
+
+  /// As last looked at; rays of weight 1/rays().
   std::span<const ProbeHit> hits(std::size_t object) const { return objects_[object].hits; }
+  int rays(std::size_t object) const { return objects_[object].rays; }
+  /// Grows each time that the hits are others.
+  std::uint32_t looks(std::size_t object) const { return objects_[object].looks; }
   /// True where there is anything real but one plane.
   bool any_real() const {
     return !scene_->real_mesh.triangles.empty() || scene_->planes.size() > 1;
@@ -77,6 +86,13 @@ class OcclusionProbes {
   /// whole is 0.
   void take_missing(std::size_t object, const Values& part, const Values& whole,
                     std::span<const float> in, std::span<float> out) const;
+  /// What the probes around a vertex have.
+  Rgb at_vertex(std::size_t object, std::span<const Rgb> of_probes, std::size_t vertex) const;
+  /// in[v], which is a part of out[v], becomes lit^2 in[v] + (1 - lit) gathered around vertex v,
+  /// with lit = part/whole there, a plane for each colour.
+  void replace_shaded(std::size_t object, const Values& part, const Values& whole,
+                      std::span<const Rgb> gathered, std::span<const float> in,
+                      std::span<float> out) const;
   /// Of the object as a whole.
   std::span<const RealHit> by_real(std::size_t object) const { return objects_[object].by_real; }
   /// Around the object in its first form, bake frame, metres.
@@ -106,6 +122,9 @@ class OcclusionProbes {
     std::vector<ProbeHit> hits;
     std::vector<OpenRay> open;
     std::vector<RealHit> by_real;
+    int rays = kRays;
+    bool wants_fine = false;
+    std::uint32_t looks = 0;
   };
   struct Surroundings;
   struct Met;
@@ -116,8 +135,9 @@ class OcclusionProbes {
   void look_from_block(Object& object, std::size_t block, const Surroundings& in) const;
 
   const PreparedScene* scene_;
-  prt::RayPatterns patterns_{kRays};
+  prt::RayPatterns patterns_{kRays}, fine_patterns_{kFineRays};
   std::vector<Pose> poses_;
+  bool moved_ = false;  // something, when they were last given
   std::vector<Object> objects_;
 };
 

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 
 #include "prt/prt.h"
 #include "tests/support/ball_and_wall.h"
@@ -58,6 +59,60 @@ TEST_F(ProbesBesideAWall, FractionsAreFormFactors) {
   EXPECT_LT(hidden, .5);
   for (const RealHit& hit : probes.by_real(0)) EXPECT_LT(hit.direction.x, 0);
   EXPECT_FALSE(probes.open_rays(0).empty());
+}
+
+// Once it stands, and no sooner; what moves is looked from with few rays again.
+TEST_F(ProbesBesideAWall, MoreRaysTellMoreOfAnObjectThatStands) {
+  OcclusionProbes probes(scene);
+  const Pose here, there{{1, 0, 0, 0}, dvec3(.1, 0, 0)};
+  const auto off = [&] {  // RMS, from the form factor of the open floor
+    std::array<double, OcclusionProbes::kProbes> floor{};
+    for (const ProbeHit& hit : probes.hits(0))
+      floor[hit.probe] += hit.thing == ProbeHit::kFloor ? 1. / probes.rays(0) : 0;
+    double sum = 0, count = 0;
+    for (const ProbeHit& hit : probes.hits(0))
+      if (hit.thing == ProbeHit::kProbe && hit.direction.x > .2f) {
+        sum += std::pow(floor[hit.probe] - (1 - double(hit.direction.y)) / 2, 2);
+        ++count;
+      }
+    return std::sqrt(sum / count);
+  };
+  probes.update(occluders(), {&here, 1});
+  EXPECT_FALSE(probes.refine(occluders())) << "nobody asked";
+  const double coarse = off();
+  const std::uint32_t before = probes.looks(0);
+  probes.want_fine(0, true);
+  EXPECT_TRUE(probes.refine(occluders()));
+  EXPECT_FALSE(probes.refine(occluders())) << "there is nothing finer";
+  EXPECT_EQ(probes.looks(0), before + 1);
+  EXPECT_EQ(probes.rays(0), OcclusionProbes::kFineRays);
+  EXPECT_LT(off(), .5 * coarse);
+  probes.update(occluders(), {&there, 1});
+  EXPECT_FALSE(probes.refine(occluders())) << "it has just moved";
+  EXPECT_EQ(probes.rays(0), OcclusionProbes::kRays);
+  EXPECT_TRUE(probes.refine(occluders()));
+}
+
+// From what the bake has, where all is lit, to what was gathered, where nothing is.
+TEST_F(ProbesBesideAWall, ShadedLightIsReplacedByWhatWasGathered) {
+  const OcclusionProbes probes(scene);
+  const std::size_t vertices = scene.objects[0].baked.mesh.positions.size();
+  const std::vector<float> by_bake(3 * vertices, 2.f);
+  std::array<Rgb, OcclusionProbes::kProbes> gathered;
+  gathered.fill({.3f, .2f, .1f});
+  OcclusionProbes::Values whole;
+  whole.fill(4);
+  for (const float lit : {1.f, .5f, 0.f}) {
+    OcclusionProbes::Values part;
+    part.fill(4 * lit);
+    std::vector<float> out(3 * vertices, 5.f);
+    probes.replace_shaded(0, part, whole, gathered, by_bake, out);
+    for (std::size_t v = 0; v < vertices; v += 7)
+      for (std::size_t c = 0; c < 3; ++c)
+        ASSERT_NEAR(out[c * vertices + v],
+                    3 + lit * lit * 2 + (1 - lit) * gathered[0][static_cast<int>(c)], 1e-4)
+            << lit;
+  }
 }
 
 // Looking again from the same place costs nothing; from another one it is seen anew.

@@ -198,9 +198,11 @@ SensorError SensorBench::compare(const Image<Rgb>& composite, const Image<Rgb>& 
       mean += luminance(true_radiance);
       ++objects;
     } else if (world.shaded[i] && at(camera, i) > 0) {
+      const double empty_a = half(world.empty, false, i), empty_b = half(world.empty, true, i);
+      if (!(empty_a > 0 && empty_b > 0)) continue;  // too dark for the reference
       const double ours = at(composite, i) / at(camera, i);
-      const double a = ours - half(world.full, false, i) / half(world.empty, false, i),
-                   b = ours - half(world.full, true, i) / half(world.empty, true, i);
+      const double a = ours - half(world.full, false, i) / empty_a,
+                   b = ours - half(world.full, true, i) / empty_b;
       shadow += a * b;
       shadow_bias += (a + b) / 2;
       ++floor;
