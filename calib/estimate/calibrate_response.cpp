@@ -14,9 +14,6 @@ namespace penumbra::calib {
 
 namespace {
 
-using Picture = Image<Rgb8>;
-using Pictures = std::span<const Picture* const>;
-
 std::unexpected<Error> undetermined(std::string detail) {
   return fail(ErrorCode::kUndetermined, "bracket", std::move(detail));
 }
@@ -86,8 +83,7 @@ double difference(const Response& a, const Response& b, const CodeRange& range =
 
 }  // namespace
 
-Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
-                                               std::span<const Seconds> times) {
+Result<ResponseCalibration> calibrate_response(Pictures pictures, std::span<const Seconds> times) {
   PENUMBRA_ASSIGN(whole, estimate_response(pictures, times));
   ResponseCalibration out{std::move(whole), 0, {}};
   const auto even = estimate_from(pictures, times, PictureHalf::kEvenRows),

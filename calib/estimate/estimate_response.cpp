@@ -29,9 +29,6 @@
 namespace penumbra::calib {
 namespace {
 
-using Picture = Image<Rgb8>;
-using Pictures = std::span<const Picture* const>;
-
 constexpr int kCodes = 256;
 // A code this close to either end may be clipped or buried in noise.
 constexpr int kBlack = 3, kClipped = 252;
@@ -240,8 +237,8 @@ struct Equations {
 using CodesAndTimes = std::vector<std::pair<int, double>>;  // code, logarithm of the time
 
 /// One pixel: min over ln E of sum w_k (g_k - ln t_k - ln E)^2 = sum w_k (g_k - ln t_k)^2 less its
-/// weighted mean's square. `trust`: how much the pixel counts.
-void add_pixel(Equations& equations, const CodesAndTimes& seen, double trust) {
+/// weighted mean's square. `pixel_weight`: how much the pixel counts.
+void add_pixel(Equations& equations, const CodesAndTimes& seen, double pixel_weight) {
   double weights = 0, log_time = 0;
   for (const auto& [code, t] : seen) {
     weights += weight_of(code);
@@ -249,9 +246,9 @@ void add_pixel(Equations& equations, const CodesAndTimes& seen, double trust) {
   }
   if (weights <= 0) return;
   log_time /= weights;
-  equations.total_weight += trust * weights;
+  equations.total_weight += pixel_weight * weights;
   for (const auto& [a, ta] : seen) {
-    const double wa = trust * weight_of(a);
+    const double wa = pixel_weight * weight_of(a);
     equations.right.at<double>(a - 1) += wa * (ta - log_time);
     equations.matrix.at<double>(a - 1, a - 1) += wa;
     for (const auto& [b, tb] : seen)
@@ -273,8 +270,8 @@ double contradiction_of(const CodesAndTimes& seen, const cv::Mat& curve) {
 /// Pixels that contradict themselves more than others do: something moved over them. At first by
 /// the sum of distances, which has one minimum; then those far off have no say at all.
 /// source: biweight, Beaton & Tukey 1974
-std::vector<double> trust_in(const std::vector<CodesAndTimes>& pixels, const cv::Mat& curve,
-                             bool first) {
+std::vector<double> pixel_weights(const std::vector<CodesAndTimes>& pixels, const cv::Mat& curve,
+                                  bool first) {
   constexpr double kFar = 4.685, kUsual = .02;  // a code's rounding and noise at least
   std::vector<double> out;
   for (const CodesAndTimes& p : pixels) out.push_back(contradiction_of(p, curve));
@@ -361,11 +358,12 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
       }
     }
     const cv::Mat terms = curve_terms();
-    std::vector<double> trust(pixels.size(), 1);
+    std::vector<double> pixel_weight(pixels.size(), 1);
     cv::Mat curve;
     for (int round = 0; round < kRounds; ++round) {
       Equations equations;
-      for (std::size_t i = 0; i < pixels.size(); ++i) add_pixel(equations, pixels[i], trust[i]);
+      for (std::size_t i = 0; i < pixels.size(); ++i)
+        add_pixel(equations, pixels[i], pixel_weight[i]);
       const auto exponents =
           rising(terms.t() * equations.matrix * terms + smoothness_of_terms(equations.total_weight),
                  terms.t() * equations.right);
@@ -374,7 +372,7 @@ Result<std::vector<double>> solve_curve(Pictures pictures, std::span<const Secon
             fmt::format("the pictures do not determine the curve of {}: its equations are singular",
                         kChannelNames[static_cast<std::size_t>(channel)]));
       curve = terms * *exponents;
-      trust = trust_in(pixels, curve, round < kFirstRounds);
+      pixel_weight = pixel_weights(pixels, curve, round < kFirstRounds);
     }
     return std::vector<double>(curve.begin<double>(), curve.end<double>());
   } catch (const std::exception& e) {  // cv::Exception is one
@@ -476,8 +474,7 @@ Result<std::vector<float>> decode_from_curve(const std::vector<double>& log_ligh
 
 }  // namespace
 
-Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
-                                   std::span<const Seconds> times) {
+Result<Response> estimate_response(Pictures pictures, std::span<const Seconds> times) {
   PENUMBRA_TRY(check_arguments(pictures, times));
   const Survey survey = survey_bracket(pictures);
   PENUMBRA_TRY(check_survey(survey));

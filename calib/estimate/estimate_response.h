@@ -17,14 +17,17 @@ namespace penumbra::calib {
 /// known least, so that a merge of the very bracket does better without them.
 inline constexpr double kFirstReliableCode = 8 / 255., kLastReliableCode = 240 / 255.;
 
+/// Of one bracket, in any order.
+using Picture = Image<Rgb8>;
+using Pictures = std::span<const Picture* const>;
+
 /// Response from a registered 8-bit bracket, clipped codes left out, made monotone. As of any
 /// response 1 is the light that saturates: where longer exposures clip what shorter ones tell, else
 /// where the curve leads. Masked pixels are pure blue (0,0,255) registration borders.
 /// errors: kInvalid (fewer than 2 pictures, sizes), kUndetermined (equal times, no overlap, one
 ///         colour)
 /// source: Debevec & Malik 1997
-Result<Response> estimate_response(std::span<const Image<Rgb8>* const> pictures,
-                                   std::span<const Seconds> times);
+Result<Response> estimate_response(Pictures pictures, std::span<const Seconds> times);
 
 struct ResponseCalibration {
   Response response;
@@ -36,8 +39,7 @@ struct ResponseCalibration {
 
 /// estimate_response with how sure it is.
 /// errors: as estimate_response; kUndetermined (the curve depends on the place: local tone mapping)
-Result<ResponseCalibration> calibrate_response(std::span<const Image<Rgb8>* const> pictures,
-                                               std::span<const Seconds> times);
+Result<ResponseCalibration> calibrate_response(Pictures pictures, std::span<const Seconds> times);
 
 }  // namespace penumbra::calib
 #pragma GCC visibility pop

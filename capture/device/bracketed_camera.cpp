@@ -10,7 +10,7 @@ Result<void> BracketedCamera::connect(std::unique_ptr<CameraDevice> device) {
   // A new device counts from the start and follows as late as the old one did.
   labels_ = ExposureLabels(labels_.delay() && counts_.frames > 0 ? labels_.delay() : delay_);
   counter_ = {};
-  told_ = back_to_usual_ = false;
+  reports_exposures_ = back_to_usual_ = false;
   darker_exposure_.reset(), darker_.reset(), next_frame_.reset();
   missed_ = 0, darkens_ = true;
   lost_before_ = counts_.lost;
@@ -51,7 +51,7 @@ ExposureLimits BracketedCamera::limits() const {
 Result<void> BracketedCamera::ask() {
   const Exposure wanted = device_->nearest(schedule_[next_++ % schedule_.size()]);
   PENUMBRA_TRY(device_->request(wanted));
-  if (!told_) labels_.requested(counter_.at(device_->now()), wanted);
+  if (!reports_exposures_) labels_.requested(counter_.at(device_->now()), wanted);
   return {};
 }
 
@@ -125,7 +125,7 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
   counts_.lost = lost_before_ + counter_.lost();
   if (!pixels) return std::nullopt;
   ++counts_.arrived;
-  if (raw.applied) take_told(number, *raw.applied);
+  if (raw.applied) take_reported(number, *raw.applied);
   const ExposureLabels::Label label = label_of(raw.time, number, *pixels);
   if (label.verdict == ExposureLabels::Verdict::kRefused) ++counts_.rejected;
   if (label.verdict != ExposureLabels::Verdict::kGood) return std::nullopt;
@@ -142,8 +142,8 @@ Result<std::optional<Frame>> BracketedCamera::next(Seconds timeout) {
 }
 
 // A frame that tells its exposure needs no delay; what it tells is checked like any label.
-void BracketedCamera::take_told(std::uint64_t number, Exposure exposure) {
-  if (!std::exchange(told_, true)) labels_ = ExposureLabels(0);
+void BracketedCamera::take_reported(std::uint64_t number, Exposure exposure) {
+  if (!std::exchange(reports_exposures_, true)) labels_ = ExposureLabels(0);
   labels_.requested(number, exposure);
 }
 

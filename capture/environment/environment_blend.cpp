@@ -17,15 +17,13 @@ constexpr std::size_t kFewestPixels = 16;
 // Of a new round's gains, after the first: what walks past must not flicker
 constexpr double kStep = .1;
 
-using Channels = std::array<double, 3>;
-
 bool is_clipped(const Environment& e, std::uint32_t pixel) {
   return std::ranges::binary_search(e.clipped, pixel);
 }
 
 // log(a / b) of each channel where both are measured well.
-std::optional<Channels> log_ratio(const Environment& a, const Environment& b,
-                                  std::span<const std::uint32_t> pixels) {
+std::optional<std::array<double, 3>> log_ratio(const Environment& a, const Environment& b,
+                                               std::span<const std::uint32_t> pixels) {
   std::array<std::vector<double>, 3> logs;
   double mean = 0;
   for (const std::uint32_t i : pixels)
@@ -38,7 +36,7 @@ std::optional<Channels> log_ratio(const Environment& a, const Environment& b,
       if (one[c] > 0 && other[c] > 0)
         logs[static_cast<std::size_t>(c)].push_back(std::log(double(one[c]) / double(other[c])));
   }
-  Channels out{};
+  std::array<double, 3> out{};
   for (std::size_t c = 0; c < 3; ++c) {
     if (logs[c].size() < kFewestPixels) return std::nullopt;
     out[c] = median(logs[c]);
@@ -79,11 +77,11 @@ void EnvironmentBlend::pair_views() {
 
 // Log gains by least squares of log g_a + log a = log g_b + log b over all overlaps, by
 // Gauss-Seidel with the first fixed; nothing for a view that no overlap ties to it.
-std::vector<std::optional<Channels>> EnvironmentBlend::solve(
+std::vector<std::optional<EnvironmentBlend::LogGains>> EnvironmentBlend::solve(
     std::span<const Environment* const> views) const {
   struct Tie {
     std::size_t a, b;
-    Channels log_ratio;
+    LogGains log_ratio;
     double pixels;
   };
   std::vector<Tie> ties;
@@ -92,12 +90,12 @@ std::vector<std::optional<Channels>> EnvironmentBlend::solve(
     const auto ratio = log_ratio(*views[pair.a], *views[pair.b], pair.pixels);
     if (ratio) ties.push_back({pair.a, pair.b, *ratio, double(pair.pixels.size())});
   }
-  std::vector<std::optional<Channels>> logs(views.size());
-  logs[0] = Channels{};
+  std::vector<std::optional<LogGains>> logs(views.size());
+  logs[0] = LogGains{};
   constexpr int kRounds = 50;
   for (int round = 0; round < kRounds && !ties.empty(); ++round)
     for (std::size_t v = 1; v < views.size(); ++v) {
-      Channels sum{};
+      LogGains sum{};
       double weight = 0;
       for (const Tie& t : ties) {
         if (t.a != v && t.b != v) continue;

@@ -39,8 +39,8 @@ class EnvironmentBlend {
     std::size_t a, b;
     std::vector<std::uint32_t> pixels;  // some that both see well
   };
-  using Channels = std::array<double, 3>;
-  std::vector<std::optional<Channels>> solve(std::span<const Environment* const> views) const;
+  using LogGains = std::array<double, 3>;  // by channel
+  std::vector<std::optional<LogGains>> solve(std::span<const Environment* const> views) const;
   void pair_views();
   void follow_gains(std::span<const Environment* const> views);
   void add(std::size_t view, const Environment& map, std::uint32_t pixel, Environment& out);
@@ -49,7 +49,7 @@ class EnvironmentBlend {
   std::vector<Image<float>> weights_;
   std::vector<Pair> pairs_;
   bool paired_ = false;
-  std::vector<Channels> first_logs_;  // of the gains
+  std::vector<LogGains> first_logs_;  // of the gains
   std::vector<Rgb> gains_;
   std::vector<bool> has_gain_;
   Image<float> total_;  // of the weights that count

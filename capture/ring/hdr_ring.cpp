@@ -81,7 +81,7 @@ Result<void> HdrRing::make_room(const Frame& frame) {
     return fail(ErrorCode::kInvalid, camera_.name,
                 fmt::format("takes more than {} exposures in turn, which is as many as are merged",
                             max_slots_));
-  if (!std::exchange(told_, true))
+  if (!std::exchange(said_, true))
     log_warning("{}: takes more than {} different exposures: the oldest are left out", camera_.name,
                 max_slots_);
   const auto oldest = std::ranges::min_element(slots_, {}, &RingSlot::placed);

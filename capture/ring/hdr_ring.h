@@ -82,7 +82,7 @@ class HdrRing {
   };
   std::vector<LeftExposure> left_;  // of late, for want of room
   std::size_t came_again_ = 0;      // frames in a row whose exposure had left
-  bool told_ = false;               // that exposures leave
+  bool said_ = false;               // that exposures leave
   std::unique_ptr<FrameWatch> watch_;
   std::vector<Exposure> table_exposures_;
   std::unique_ptr<TableMerger> table_;

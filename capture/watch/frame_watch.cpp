@@ -29,7 +29,7 @@ Frame FrameWatch::steady(const Frame& frame, const Exposure& nominal, const Fram
   }
   history_.keep(rows_);
   if (!wave) return frame;
-  if (!std::exchange(told_bands_, true))
+  if (!std::exchange(said_bands_, true))
     log_info(
         "{}: light on the mains leaves {:.1f} bands of {:.0f} % in its frames: they are taken out",
         name_, wave->cycles, 100 * std::expm1(wave->amplitude()));
@@ -46,7 +46,7 @@ Frame FrameWatch::steady(const Frame& frame, const Exposure& nominal, const Fram
 
 void FrameWatch::watch_balance(const PictureHistory::Comparison& compared) {
   const auto shift = balance_.see(compared);
-  if (!shift || std::exchange(told_balance_, true)) return;
+  if (!shift || std::exchange(said_balance_, true)) return;
   log_warning(
       "{}: its colours change alike everywhere, red by {:+.0f} % and blue by {:+.0f} % against "
       "green: its white balance follows the picture, and with it the colour of the light; fix it "

@@ -28,7 +28,7 @@ class FrameWatch {
   MainsBands bands_;
   WhiteBalanceWatch balance_;
   std::vector<double> rows_;
-  bool told_bands_ = false, told_balance_ = false;
+  bool said_bands_ = false, said_balance_ = false;
 };
 
 }  // namespace penumbra::capture

@@ -71,7 +71,7 @@ class Baker {
       points_.push_back({mesh_.positions[i], mesh_.normals[i], options.rays});
     if (options.receiver && !options.floor_apart) floor_albedo_ = options.receiver->albedo;
     if (options.receiver) add_receiver_points(options.receiver->grid);
-    if (options.bounces > 0) bands_ = std::max(bands_, options.indirect_bands);
+    if (options.bounces > 0) bands_ = std::max(bands_, options.reflected_bands);
     coefficients_ = solved_ = static_cast<std::size_t>(coefficient_count(bands_));
   }
 
@@ -104,7 +104,7 @@ class Baker {
                         const std::vector<PointQuality>& quality) const;
   Transfer packed_vertices() const;
   Transfer packed_deficit() const;
-  Transfer packed_indirect(std::size_t first, std::size_t count) const;
+  Transfer packed_reflected(std::size_t first, std::size_t count) const;
   Transfer packed(std::size_t first, std::size_t count, int bands) const;
   Transfer shadow_probes() const;
 
@@ -427,8 +427,8 @@ Transfer Baker::packed_deficit() const {
 }
 
 // What the bounces added.
-Transfer Baker::packed_indirect(std::size_t first, std::size_t count) const {
-  const int bands = options_.bounces > 0 ? options_.indirect_bands : 1;
+Transfer Baker::packed_reflected(std::size_t first, std::size_t count) const {
+  const int bands = options_.bounces > 0 ? options_.reflected_bands : 1;
   Transfer out(bands, channels_, count);
   for (std::size_t p = 0; p < count; ++p)
     for (int c = 0; c < channels_; ++c) {
@@ -462,8 +462,8 @@ void Baker::bake_floor(const std::vector<PointResult>& results, BakedObject& out
   };
   gather_from_floor(results, ground_far_);
   bounce_all(results, options_.bounces, .05);
-  out.floor = packed(0, vertices, options_.indirect_bands);
-  out.ground_floor = packed(vertices, points_.size() - vertices, options_.indirect_bands);
+  out.floor = packed(0, vertices, options_.reflected_bands);
+  out.ground_floor = packed(vertices, points_.size() - vertices, options_.reflected_bands);
   // What comes to the floor a second time is faint, and nearly the same wherever it came from.
   const int few_bands = std::min(kFloorAgainBands, bands_);
   solved_ = static_cast<std::size_t>(coefficient_count(few_bands));
@@ -548,12 +548,12 @@ Result<BakedObject> Baker::run(Mesh mesh) {
   BakedObject out;
   const std::size_t vertices = mesh_.positions.size();
   out.transfer = packed_vertices();
-  out.indirect = packed_indirect(0, vertices);
+  out.reflected = packed_reflected(0, vertices);
   if (options_.receiver) {
     out.receiver = options_.receiver;
     out.ground_deficit = packed_deficit();
     out.shadow_probes = shadow_probes();
-    out.ground_indirect = packed_indirect(vertices, points_.size() - vertices);
+    out.ground_reflected = packed_reflected(vertices, points_.size() - vertices);
   }
   if (options_.floor_apart && options_.receiver) {
     out.receiver->albedo = {};
@@ -593,9 +593,9 @@ Result<BakedObject> bake(Mesh mesh, const BakeOptions& o) {
                 fmt::format("{} is not within 1..{}", o.bands, kMaxBands));
   if (o.rays < 64 || o.rays % 64 != 0 || o.ground_rays < 64 || o.ground_rays % 64 != 0)
     return fail(ErrorCode::kInvalid, "rays", "are not a positive multiple of 64");
-  if (o.indirect_bands < 1 || o.indirect_bands > kMaxBands)
+  if (o.reflected_bands < 1 || o.reflected_bands > kMaxBands)
     return fail(ErrorCode::kInvalid, "bands of reflected light",
-                fmt::format("{} is not within 1..{}", o.indirect_bands, kMaxBands));
+                fmt::format("{} is not within 1..{}", o.reflected_bands, kMaxBands));
   if (!o.ray_frames.empty() && o.ray_frames.size() != mesh.positions.size())
     return fail(ErrorCode::kInvalid, "ray frames", "are not as many as the vertices");
   if (o.bounces < 0 || o.bounces > kMaxBounces)

@@ -34,8 +34,8 @@ struct BakeOptions {
   /// Keeps what the receiver reflects apart (BakedObject::floor), so that it can get any albedo
   /// later; its own counts as 0.
   bool floor_apart = false;
-  /// Bands of what comes by reflection (BakedObject::indirect).
-  int indirect_bands = kIndirectBands;
+  /// Bands of what comes by reflection (BakedObject::reflected).
+  int reflected_bands = kReflectedBands;
   /// One a vertex, or none: axes with the normal as the third, in which its rays keep their places.
   /// Turned with the material they give what only turns the same transfer in all poses, but for
   /// single rays that graze an edge.
@@ -67,9 +67,9 @@ struct BakedObject {
   /// receiver's irradiance E0 (its own reflected light counted in); empty without a receiver.
   Transfer ground_deficit;
   /// The part of `transfer`, and of the receiver's irradiance/pi, that came by reflection between
-  /// object and receiver: smooth, so at most kIndirectBands, and what a light needs beside its
+  /// object and receiver: smooth, so at most kReflectedBands, and what a light needs beside its
   /// direct light.
-  Transfer indirect, ground_indirect;
+  Transfer reflected, ground_reflected;
   /// What the receiver's reflection adds to the surface, and to the receiver's own irradiance/pi:
   /// at its albedo rho, rho times `floor` of light that it reflects once, and
   /// rho^2 / (1 - rho floor_echo) times `floor_again` of light that it reflects more often. Empty

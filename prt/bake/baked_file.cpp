@@ -69,7 +69,7 @@ Value number(double v) {
 
 // Accessors of the transfers that no viewer needs.
 struct OwnAccessors {
-  int indirect = -1, ground_deficit = -1, ground_indirect = -1, shadow_probes = -1;
+  int reflected = -1, ground_deficit = -1, ground_reflected = -1, shadow_probes = -1;
   int floor = -1, ground_floor = -1, floor_again = -1, ground_floor_again = -1;
   int visibility = -1, refined_visibility = -1, fine_visibility = -1;
 };
@@ -79,8 +79,8 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
   d["version"] = Value(kVersion);
   d["bands"] = Value(o.transfer.bands);
   d["channels"] = Value(o.transfer.channels);
-  d["indirect"] = Value(own.indirect);
-  d["indirect_bands"] = Value(o.indirect.bands);
+  d["indirect"] = Value(own.reflected);
+  d["indirect_bands"] = Value(o.reflected.bands);
   d["rays"] = number(static_cast<double>(o.report.rays));
   d["seconds"] = number(o.report.seconds);
   d["standard_error"] = number(o.report.standard_error);
@@ -98,7 +98,7 @@ Value::Object describe(const BakedObject& o, const OwnAccessors& own) {
     r["height_m"] = number(g.height);
     r["albedo"] = Value(Value::Array{number(a.r), number(a.g), number(a.b)});
     r["deficit"] = Value(own.ground_deficit);
-    r["indirect"] = Value(own.ground_indirect);
+    r["indirect"] = Value(own.ground_reflected);
     r["probes"] = Value(own.shadow_probes);
     if (o.floor.points > 0) {
       const Rgb& echo = o.floor_echo;
@@ -150,7 +150,7 @@ Model to_model(const BakedObject& o) {
                       TINYGLTF_TYPE_SCALAR, 0);
   };
   OwnAccessors own;
-  own.indirect = add_halves(o.indirect);
+  own.reflected = add_halves(o.reflected);
   if (!o.visibility.empty()) {
     own.visibility = add_words(o.visibility.open.data(), o.visibility.open.size());
     own.refined_visibility =
@@ -161,7 +161,7 @@ Model to_model(const BakedObject& o) {
   }
   if (o.receiver) {
     own.ground_deficit = add_halves(o.ground_deficit);
-    own.ground_indirect = add_halves(o.ground_indirect);
+    own.ground_reflected = add_halves(o.ground_reflected);
     if (o.floor.points > 0) {
       own.floor = add_halves(o.floor);
       own.ground_floor = add_halves(o.ground_floor);
@@ -316,7 +316,7 @@ bool read_floor(const Model& m, const Value& floor, std::size_t texels, BakedObj
     return read_halves(m, get(floor, surface), bands, channels, o.transfer.points, to_surface) &&
            read_halves(m, get(floor, ground), bands, channels, texels, to_ground);
   };
-  return read("surface", "ground", o.indirect.bands, o.floor, o.ground_floor) &&
+  return read("surface", "ground", o.reflected.bands, o.floor, o.ground_floor) &&
          read("surface_again", "ground_again", static_cast<int>(again), o.floor_again,
               o.ground_floor_again);
 }
@@ -345,8 +345,8 @@ bool read_receiver(const Model& m, const Value& r, BakedObject& o) {
   if (r.Has("floor") && !read_floor(m, r.Get("floor"), texels, o)) return false;
   return read_halves(m, get(r, "deficit"), o.transfer.bands, o.transfer.channels, texels,
                      o.ground_deficit) &&
-         read_halves(m, get(r, "indirect"), o.indirect.bands, o.transfer.channels, texels,
-                     o.ground_indirect);
+         read_halves(m, get(r, "indirect"), o.reflected.bands, o.transfer.channels, texels,
+                     o.ground_reflected);
 }
 
 const Value* own_extras(const Model& m) {
@@ -374,11 +374,11 @@ Result<BakedObject> from_model(const Model& m, const std::string& file) {
     return fail(ErrorCode::kUnreadable, file, "has a damaged mesh");
   if (!read_transfer(m, primitive, static_cast<int>(bands), static_cast<int>(channels), o))
     return fail(ErrorCode::kUnreadable, file, "has damaged transfer");
-  const double indirect_bands = get(*extras, "indirect_bands");
-  if (!(indirect_bands >= 1 && indirect_bands <= kMaxBands) ||
-      !read_halves(m, get(*extras, "indirect"), static_cast<int>(indirect_bands),
-                   o.transfer.channels, o.transfer.points, o.indirect))
-    return fail(ErrorCode::kUnreadable, file, "has damaged indirect transfer");
+  const double reflected_bands = get(*extras, "indirect_bands");
+  if (!(reflected_bands >= 1 && reflected_bands <= kMaxBands) ||
+      !read_halves(m, get(*extras, "indirect"), static_cast<int>(reflected_bands),
+                   o.transfer.channels, o.transfer.points, o.reflected))
+    return fail(ErrorCode::kUnreadable, file, "has damaged reflected transfer");
   if (extras->Has("visibility") &&
       !read_visibility(m, extras->Get("visibility"), o.transfer.points, o.visibility))
     return fail(ErrorCode::kUnreadable, file, "has a damaged visibility map");

@@ -47,9 +47,10 @@ BakedObject on_floor(const BakedObject& baked, const Rgb& albedo) {
     return with_added(t, {{&once, sign * albedo}, {&more, sign * again}});
   };
   out.transfer = lit(baked.transfer, 1, baked.floor, baked.floor_again);
-  out.indirect = lit(baked.indirect, 1, baked.floor, baked.floor_again);
+  out.reflected = lit(baked.reflected, 1, baked.floor, baked.floor_again);
   out.ground_deficit = lit(baked.ground_deficit, -1, baked.ground_floor, baked.ground_floor_again);
-  out.ground_indirect = lit(baked.ground_indirect, 1, baked.ground_floor, baked.ground_floor_again);
+  out.ground_reflected =
+      lit(baked.ground_reflected, 1, baked.ground_floor, baked.ground_floor_again);
   return out;
 }
 

@@ -113,7 +113,7 @@ FrameBaker::FrameBaker(const Character& character, int clip, const SequenceOptio
       frames_(std::max(
           1, static_cast<int>(std::lround(character.clips[static_cast<std::size_t>(clip)].seconds *
                                           options.frames_per_second)))),
-      indirect_bands_(options.bounces == 0 ? 1 : reflected_bands(options.bands)) {
+      reflected_bands_(options.bounces == 0 ? 1 : reflected_bands(options.bands)) {
   if (options.ground_size) find_receiver();
   link_points();
 }
@@ -158,10 +158,10 @@ JournalKey FrameBaker::key() const {
 }
 
 Transfer FrameBaker::shape(Stream stream) const {
-  const bool ground = stream == kGround || stream == kGroundIndirect;
-  const bool indirect = stream == kSurfaceIndirect || stream == kGroundIndirect;
+  const bool ground = stream == kGround || stream == kGroundReflected;
+  const bool reflected = stream == kSurfaceReflected || stream == kGroundReflected;
   const auto side = static_cast<std::size_t>(receiver_ ? receiver_->grid.size : 0);
-  return {indirect ? indirect_bands_ : options_.bands, channels(),
+  return {reflected ? reflected_bands_ : options_.bands, channels(),
           ground ? side * side : layout_.points()};
 }
 
@@ -357,19 +357,19 @@ void FrameBaker::denoise(const BakeReport& report, const Mesh& mesh, Transfer& t
 // Before the materials' frames, which may differ across a seam. Points within others would pull it
 // dark.
 void FrameBaker::equalise_seams(const BakeReport& report, Transfer& transfer,
-                                Transfer& indirect) const {
+                                Transfer& reflected) const {
   if (seams_.empty()) return;
   std::vector<char> hidden(layout_.points());
   for (std::size_t p = 0; p < hidden.size(); ++p)
     hidden[p] = report.quality[p].behind > kHiddenFraction;
   std::vector<float> values = floats_of(transfer);
-  const std::vector<float> more = floats_of(indirect);
+  const std::vector<float> more = floats_of(reflected);
   values.insert(values.end(), more.begin(), more.end());
   seams_.equalise(hidden, transfer.stride, values);
   const std::span<const float> done(values);
   std::ranges::transform(done.first(transfer.values.size()), transfer.values.begin(),
                          half_from_float);
-  std::ranges::transform(done.subspan(transfer.values.size()), indirect.values.begin(),
+  std::ranges::transform(done.subspan(transfer.values.size()), reflected.values.begin(),
                          half_from_float);
 }
 
@@ -424,7 +424,7 @@ Result<FrameRecord> FrameBaker::bake(int position,
   BakeOptions o;
   o.bands = options_.bands;
   o.bounces = options_.bounces;
-  o.indirect_bands = indirect_bands_;
+  o.reflected_bands = reflected_bands_;
   o.rays = options_.rays;
   o.ground_rays = options_.ground_rays;
   o.receiver = receiver_;
@@ -434,8 +434,8 @@ Result<FrameRecord> FrameBaker::bake(int position,
   // In one frame, where neighbours on different bones can be compared.
   if (options_.denoise && !layout_.texels.empty())
     denoise(baked.report, baked.mesh, baked.transfer);
-  equalise_seams(baked.report, baked.transfer, baked.indirect);
-  for (Transfer* t : {&baked.transfer, &baked.indirect}) {
+  equalise_seams(baked.report, baked.transfer, baked.reflected);
+  for (Transfer* t : {&baked.transfer, &baked.reflected}) {
     to_materials(layout_, bones, *t);
     mark_hidden(baked.report, *t);
   }
@@ -450,7 +450,7 @@ Result<FrameRecord> FrameBaker::bake(int position,
     out.error_variance += std::pow(double(baked.report.quality[p].standard_error) * kOpenT0, 2);
   }
   for (const Transfer* t :
-       {&baked.transfer, &baked.indirect, &baked.ground_deficit, &baked.ground_indirect})
+       {&baked.transfer, &baked.reflected, &baked.ground_deficit, &baked.ground_reflected})
     out.values.insert(out.values.end(), t->values.begin(), t->values.end());
   out.values.resize(offset(kStreams));
   return out;

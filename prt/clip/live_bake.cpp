@@ -325,9 +325,9 @@ void LiveBake::Impl::write(BakedObject& out) const {
     t.values.make_own();  // before threads write into it
   };
   shaped(out.transfer, options.bands, vertices);
-  shaped(out.indirect, traced_bands, vertices);
+  shaped(out.reflected, traced_bands, vertices);
   shaped(out.ground_deficit, options.bands, texels);
-  shaped(out.ground_indirect, traced_bands, texels);
+  shaped(out.ground_reflected, traced_bands, texels);
   parallel_for(std::size_t{0}, size(), kChunk, [&](const auto& range) {
     for (std::size_t p = range.begin(); p < range.end(); ++p)
       for (int c = 0; c < channels; ++c) {
@@ -339,8 +339,8 @@ void LiveBake::Impl::write(BakedObject& out) const {
               ? out.ground_deficit.set(c, n, texel, open_ground[static_cast<std::size_t>(n)] - t[n])
               : out.transfer.set(c, n, p, t[n]);
         for (int n = 0; n < coefficient_count(traced_bands); ++n)
-          on_ground(p) ? out.ground_indirect.set(c, n, texel, r[n])
-                       : out.indirect.set(c, n, p, r[n]);
+          on_ground(p) ? out.ground_reflected.set(c, n, texel, r[n])
+                       : out.reflected.set(c, n, p, r[n]);
       }
   });
 }

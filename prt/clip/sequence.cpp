@@ -104,7 +104,7 @@ std::vector<Transfer> frames_of(const FrameBaker& baker, const Records& records,
     std::copy_n(r.values.begin() + first, t.values.size(), t.values.begin());
     out.push_back(std::move(t));
   }
-  if (stream == FrameBaker::kSurface || stream == FrameBaker::kSurfaceIndirect)
+  if (stream == FrameBaker::kSurface || stream == FrameBaker::kSurfaceReflected)
     baker.complete_hidden(out, keys_of(baker, records));
   return out;
 }
@@ -268,9 +268,9 @@ Result<BakedSequence> compress_frames(const Character& character, int clip,
     return SequenceCodec::encode(frames, layout, allowed).sequence;
   };
   out.surface = encode(FrameBaker::kSurface, surface);
-  out.surface_indirect = encode(FrameBaker::kSurfaceIndirect, surface);
+  out.surface_reflected = encode(FrameBaker::kSurfaceReflected, surface);
   out.ground_deficit = encode(FrameBaker::kGround, ground);
-  out.ground_indirect = encode(FrameBaker::kGroundIndirect, ground);
+  out.ground_reflected = encode(FrameBaker::kGroundReflected, ground);
   return out;
 }
 

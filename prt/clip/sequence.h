@@ -171,9 +171,9 @@ struct BakedSequence {
   double seconds = 0;  // of the clip
   KeyFrames keys;
   int map_width = 0, map_height = 0;
-  TransferSequence surface, surface_indirect;  // at the layout's points
-  std::optional<Receiver> receiver;            // its grid holds for all frames
-  TransferSequence ground_deficit, ground_indirect;
+  TransferSequence surface, surface_reflected;  // at the layout's points
+  std::optional<Receiver> receiver;             // its grid holds for all frames
+  TransferSequence ground_deficit, ground_reflected;
   SequenceReport report;
   double frame_at(double time_s) const;
 };

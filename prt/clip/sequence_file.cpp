@@ -94,9 +94,9 @@ Result<void> write_sequence(const std::filesystem::path& path, const Character& 
     for (int c = 0; c < 3; ++c) head.ground_albedo[c] = s.receiver->albedo[c];
   }
   const std::vector<unsigned char> streams[4] = {SequenceCodec::write(s.surface, surface),
-                                                 SequenceCodec::write(s.surface_indirect, surface),
+                                                 SequenceCodec::write(s.surface_reflected, surface),
                                                  SequenceCodec::write(s.ground_deficit, ground),
-                                                 SequenceCodec::write(s.ground_indirect, ground)};
+                                                 SequenceCodec::write(s.ground_reflected, ground)};
   std::string bytes;
   for (std::size_t i = 0; i < 4; ++i) head.bytes[i] = streams[i].size();
   bytes.append(reinterpret_cast<const char*>(&head), sizeof head);
@@ -154,8 +154,8 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
   }
   const StreamLayout surface = layout_of_surface(layout);
   const StreamLayout ground = layout_of_ground(static_cast<int>(head.ground_size));
-  TransferSequence* const streams[4] = {&out.surface, &out.surface_indirect, &out.ground_deficit,
-                                        &out.ground_indirect};
+  TransferSequence* const streams[4] = {&out.surface, &out.surface_reflected, &out.ground_deficit,
+                                        &out.ground_reflected};
   std::size_t at = sizeof head;
   if (head.key_frames > (bytes.size() - at) / sizeof(std::uint32_t))
     return fail(ErrorCode::kUnreadable, name,
@@ -176,8 +176,8 @@ Result<BakedSequence> decode_sequence(std::span<const unsigned char> bytes,
     *streams[i] = std::move(read);
     at += head.bytes[i];
   }
-  if (out.surface.points() == 0 || out.surface_indirect.points() == 0 ||
-      (out.receiver && (out.ground_deficit.points() == 0 || out.ground_indirect.points() == 0)))
+  if (out.surface.points() == 0 || out.surface_reflected.points() == 0 ||
+      (out.receiver && (out.ground_deficit.points() == 0 || out.ground_reflected.points() == 0)))
     return fail(ErrorCode::kUnreadable, name, "is damaged: a stream of transfer is empty");
   for (const TransferSequence* s : streams)
     if (s->points() > 0 && (static_cast<std::size_t>(s->frames()) != out.keys.at.size() ||

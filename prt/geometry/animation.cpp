@@ -166,25 +166,25 @@ namespace {
 
 // The strongest of both, which sum to 1 again.
 Character::Influence mean_influence(const Character::Influence& a, const Character::Influence& b) {
-  struct BoneShare {
+  struct BoneWeight {
     std::uint16_t bone;
     float weight;
   };
-  std::vector<BoneShare> fractions;
+  std::vector<BoneWeight> fractions;
   for (const Character::Influence* f : {&a, &b})
     for (std::size_t k = 0; k < Character::kInfluences; ++k) {
       if (f->weight[k] == 0) continue;
-      const auto known = std::ranges::find(fractions, f->bone[k], &BoneShare::bone);
+      const auto known = std::ranges::find(fractions, f->bone[k], &BoneWeight::bone);
       if (known == fractions.end()) {
         fractions.push_back({f->bone[k], .5f * f->weight[k]});
       } else {
         known->weight += .5f * f->weight[k];
       }
     }
-  std::ranges::stable_sort(fractions, std::ranges::greater(), &BoneShare::weight);
+  std::ranges::stable_sort(fractions, std::ranges::greater(), &BoneWeight::weight);
   if (fractions.size() > Character::kInfluences) fractions.resize(Character::kInfluences);
   float sum = 0;
-  for (const BoneShare& s : fractions) sum += s.weight;
+  for (const BoneWeight& s : fractions) sum += s.weight;
   Character::Influence out;
   for (std::size_t k = 0; k < fractions.size(); ++k) {
     out.bone[k] = fractions[k].bone;

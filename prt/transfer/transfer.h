@@ -11,7 +11,7 @@
 #pragma GCC visibility push(default)
 namespace penumbra::prt {
 
-inline constexpr int kIndirectBands = 9;
+inline constexpr int kReflectedBands = 9;
 
 /// Transfer t_n of conventions.h at points, as half floats in structure-of-arrays order:
 /// value(channel, n, point) stands at ((channel * bands^2) + n) * stride + point. One channel

@@ -250,12 +250,12 @@ void LightEstimationStage::warn_once(const lighting::LightEstimate& estimate) {
   }
   const auto sun =
       std::ranges::find(estimate.lights, lighting::kUnseenSun, &lighting::DistantLight::id);
-  if (sun != estimate.lights.end() && ready() && !std::exchange(told_sun_, true))
+  if (sun != estimate.lights.end() && ready() && !std::exchange(said_sun_, true))
     log_info(
         "no camera sees the sun, {:.0f} degrees above the horizon: its power is read off the floor",
         std::asin(sun->direction.y) * 180 / kPi);
-  if (!blend_ || told_gains_ || !ready()) return;
-  told_gains_ = true;
+  if (!blend_ || said_gains_ || !ready()) return;
+  said_gains_ = true;
   const auto views = gains();
   for (std::size_t i = 1; i < views.size(); ++i) {
     const auto& [camera, g, known] = views[i];

@@ -94,7 +94,7 @@ class LightEstimationStage {
   StageTimes& times_;
   std::uint64_t frames_ = 0;
   bool warned_ = false;  // that a source is clipped
-  bool told_gains_ = false, told_sun_ = false;
+  bool said_gains_ = false, said_sun_ = false;
 };
 
 }  // namespace penumbra::runtime

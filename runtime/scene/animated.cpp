@@ -369,10 +369,10 @@ bool PreparedObject::move_to(double seconds, const MoveOptions& options) {
   turns = prt::bone_turns(animation->character, pose);
   if (!options.all_transfer) return true;
   s.surface.decode(frame, turns, baked.transfer);
-  s.surface_indirect.decode(frame, turns, baked.indirect);
+  s.surface_reflected.decode(frame, turns, baked.reflected);
   if (!s.receiver) return true;
   s.ground_deficit.decode(frame, {}, baked.ground_deficit);
-  s.ground_indirect.decode(frame, {}, baked.ground_indirect);
+  s.ground_reflected.decode(frame, {}, baked.ground_reflected);
   return true;
 }
 
@@ -382,13 +382,13 @@ const prt::TransferSequence& PreparedObject::clip_of(TransferPart part) const {
     case TransferPart::kSurface:
       return s.surface;
     case TransferPart::kReflected:
-      return s.surface_indirect;
+      return s.surface_reflected;
     case TransferPart::kGround:
       return s.ground_deficit;
     case TransferPart::kGroundReflected:
       break;
   }
-  return s.ground_indirect;
+  return s.ground_reflected;
 }
 
 std::span<const glm::mat3> PreparedObject::turns_of(TransferPart part) const {
@@ -404,11 +404,11 @@ void PreparedObject::relight(TransferPart part, const RadianceSh& light,
     case TransferPart::kSurface:
       return prt::relight(baked.transfer, light, out);
     case TransferPart::kReflected:
-      return prt::relight(baked.indirect, light, out);
+      return prt::relight(baked.reflected, light, out);
     case TransferPart::kGround:
       return prt::relight(baked.ground_deficit, light, out);
     case TransferPart::kGroundReflected:
-      return prt::relight(baked.ground_indirect, light, out);
+      return prt::relight(baked.ground_reflected, light, out);
   }
 }
 

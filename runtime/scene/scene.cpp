@@ -158,14 +158,16 @@ Pose PreparedObject::pose_at(double seconds) const {
 
 Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fraction) {
   prt::Mesh mesh;
-  const int fineness = edge_fraction > .05f ? 1 : 2;  // of shapes that are made as finely as asked
+  const int subdivision =
+      edge_fraction > .05f ? 1 : 2;  // of shapes that are made as finely as asked
   if (asset.empty()) return fail(ErrorCode::kInvalid, "asset", "is an empty name");
   if (asset == "builtin:knot") {
-    mesh = prt::make_knot(.5f, 240 * fineness, 40 * fineness, albedo);
+    mesh = prt::make_knot(.5f, 240 * subdivision, 40 * subdivision, albedo);
   } else if (asset == "builtin:twist") {
-    mesh = make_twist(14 * fineness, albedo);
+    mesh = make_twist(14 * subdivision, albedo);
   } else if (asset == "builtin:ball") {
-    return prt::make_sphere({0, .2f, 0}, .2f, 3 + fineness, albedo);  // cut edges leave the sphere
+    return prt::make_sphere({0, .2f, 0}, .2f, 3 + subdivision,
+                            albedo);  // cut edges leave the sphere
   } else if (asset == "builtin:box") {
     mesh = prt::make_box({-.17f, 0, -.13f}, {.17f, .4f, .13f}, 1, albedo);
   } else if (asset == "builtin:walker") {

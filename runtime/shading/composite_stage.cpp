@@ -70,8 +70,8 @@ Rgb radiance_of_floor(const PreparedScene& scene, std::span<const Rgb> open) {
 }  // namespace
 
 RelightBases::RelightBases(const prt::BakedObject& baked)
-    : surface(baked.transfer, baked.indirect, kPatternsError),
-      ground(baked.ground_deficit, baked.ground_indirect, kPatternsError) {}
+    : surface(baked.transfer, baked.reflected, kPatternsError),
+      ground(baked.ground_deficit, baked.ground_reflected, kPatternsError) {}
 
 Result<std::unique_ptr<CompositeStage>> CompositeStage::create(
     const std::vector<capture::CameraInfo>& cameras, const PreparedScene& given,
@@ -372,12 +372,12 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},
       on_receiver, o.shadow);
   // The compositor knows what real things leave of the open floor's light at each place.
-  const auto floor_light = [&](const RadianceSh& residual) {
+  const auto open_floor_irradiance = [&](const RadianceSh& residual) {
     return lighting::evaluate(lighting::irradiance(residual.with_bands(baked.ground_deficit.bands)),
                               {0, 1, 0}) +
            light.distant_irradiance;
   };
-  const Rgb local = floor_light(light.local), open = floor_light(light.open);
+  const Rgb local = open_floor_irradiance(light.local), open = open_floor_irradiance(light.open);
   for (int c = 0; c < 3; ++c) o.of_open[c] = open[c] > 0 ? std::max(0.f, local[c] / open[c]) : 1;
 }
 

@@ -309,8 +309,8 @@ bool FloorRecovery::contradicts_albedo(float measured, const std::string& camera
   return by_shadow_;
 }
 
-bool FloorRecovery::is_news(const std::vector<lighting::SaturationRecovery>& found,
-                            const lighting::LightEstimate& light) const {
+bool FloorRecovery::differs_from_said(const std::vector<lighting::SaturationRecovery>& found,
+                                      const lighting::LightEstimate& light) const {
   return !std::ranges::all_of(found, [&](const lighting::SaturationRecovery& c) {
     if (c.source == lighting::kUnseenSun) {
       // By what it has now: behind clouds that is next to nothing, and noise is no news.
@@ -341,7 +341,7 @@ Result<std::vector<lighting::SaturationRecovery>> FloorRecovery::observe(
   tried_ = std::move(clipped);
   auto found = recover(measure(frame, camera, curve, lights), light, lights, camera.name);
   if (!found) return found;
-  if (!is_news(*found, light)) return std::vector<lighting::SaturationRecovery>{};
+  if (!differs_from_said(*found, light)) return std::vector<lighting::SaturationRecovery>{};
   said_ = *found;
   return found;
 }

@@ -72,8 +72,8 @@ class FloorRecovery {
       std::span<const lighting::DistantLight* const> clipped, const std::string& camera);
   bool contradicts_albedo(float measured, const std::string& camera);
   bool is_near_an_object(const glm::dvec3& point) const;
-  bool is_news(const std::vector<lighting::SaturationRecovery>& found,
-               const lighting::LightEstimate& light) const;
+  bool differs_from_said(const std::vector<lighting::SaturationRecovery>& found,
+                         const lighting::LightEstimate& light) const;
 
   const PreparedScene* scene_ = nullptr;
   const prt::Plane* floor_ = nullptr;

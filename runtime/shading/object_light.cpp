@@ -226,7 +226,7 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
                                         const Pose& pose, ObjectLight& out) const {
   const bool level = stands_level(objects_[index].prepared->baked, pose);
   const glm::dvec3 up = pose.rotation * glm::dvec3(0, 1, 0);
-  RadianceSh sum(prt::kIndirectBands);
+  RadianceSh sum(prt::kReflectedBands);
   RadianceSh lit = sum;  // as far as it reaches the object
   for (std::size_t i = 0; i < estimate.lights.size(); ++i) {
     const lighting::DistantLight& d = estimate.lights[i];
@@ -247,7 +247,7 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
   }
   const auto in_bake_frame = [&](const RadianceSh& light) {
     return reflected_in_bake_frame(light, level, pose,
-                                   objects_[index].prepared->baked.indirect.bands);
+                                   objects_[index].prepared->baked.reflected.bands);
   };
   out.lights = in_bake_frame(sum);
   out.receiver_lights = lit == sum ? out.lights : in_bake_frame(lit);
@@ -308,7 +308,7 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
   o.more.resize(o.relit.size());
   if (light.reflected_left != light.reflected) {
     o.prepared->relight(PreparedObject::TransferPart::kReflected,
-                        light.local.with_bands(prt::kIndirectBands), o.more);
+                        light.local.with_bands(prt::kReflectedBands), o.more);
     surroundings_.take_missing(index, light.reflected_left, light.reflected, o.more, o.relit);
   }
   double all = 0, left = 0;  // of all lights
@@ -321,7 +321,7 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
     if (sent.left == sent.all) continue;
     o.prepared->relight(
         PreparedObject::TransferPart::kReflected,
-        reflected_in_bake_frame(reflected_for(source, level), level, pose, baked.indirect.bands),
+        reflected_in_bake_frame(reflected_for(source, level), level, pose, baked.reflected.bands),
         o.more);
     surroundings_.replace_shaded(index, sent.left, sent.all, sent.gathered, o.more, o.relit);
   }

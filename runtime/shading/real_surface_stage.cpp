@@ -42,7 +42,7 @@ void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
   const RadianceSh& open = residual_for(light, level);
   const RadianceSh residual =
       lighting::ShRotation(glm::transpose(pose.rotation_matrix()), open.bands()) * open;
-  RadianceSh sum(prt::kIndirectBands);
+  RadianceSh sum(prt::kReflectedBands);
   for (const lighting::DistantLight& d : light.lights) {
     const RadianceSh one = reflected_for(d, level);
     for (int n = 0; n < one.size(); ++n) sum[n] += one[n];
@@ -52,7 +52,7 @@ void RealSurfaceStage::relight(const lighting::LightEstimate& light) {
   relit_.resize(3 * stride);
   reflected_.resize(3 * stride);
   prt::relight(baked.transfer, residual, relit_);
-  prt::relight(baked.indirect, reflected, reflected_);
+  prt::relight(baked.reflected, reflected, reflected_);
   arrives_.resize(mesh.positions.size());
   exit_.resize(arrives_.size());
   for (std::size_t i = 0; i < arrives_.size(); ++i)

@@ -17,15 +17,15 @@ const RadianceSh& residual_for(const lighting::LightEstimate& light, bool level)
 }
 
 RadianceSh reflected_for(const lighting::DistantLight& source, bool level) {
-  return level ? lighting::project_upper_distant_light(source, prt::kIndirectBands)
-               : lighting::project_distant_light(source, prt::kIndirectBands);
+  return level ? lighting::project_upper_distant_light(source, prt::kReflectedBands)
+               : lighting::project_distant_light(source, prt::kReflectedBands);
 }
 
 RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
                                    int bands) {
   const lighting::ShRotation turn(glm::transpose(world_from_bake.rotation_matrix()), bands);
   return (turn * (level ? lighting::upper_hemisphere_light(sum, bands) : sum.with_bands(bands)))
-      .with_bands(prt::kIndirectBands);
+      .with_bands(prt::kReflectedBands);
 }
 
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal) {

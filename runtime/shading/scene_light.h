@@ -22,14 +22,14 @@ inline constexpr double kLevel = .99999;
 inline bool stands_level(const prt::BakedObject& baked, const Pose& world_from_bake) {
   return baked.receiver && (world_from_bake.rotation * glm::dvec3(0, 1, 0)).y > kLevel;
 }
-/// The residual, and one light for what is reflected of it (kIndirectBands), world frame.
+/// The residual, and one light for what is reflected of it (kReflectedBands), world frame.
 const RadianceSh& residual_for(const lighting::LightEstimate& light, bool level);
 RadianceSh reflected_for(const lighting::DistantLight& source, bool level);
 /// A sum of reflected_for turned into the bake frame.
-/// in: bands that the bake keeps of reflected light, 1..kIndirectBands: a fit of more would leave
+/// in: bands that the bake keeps of reflected light, 1..kReflectedBands: a fit of more would leave
 /// out part of its own
 RadianceSh reflected_in_bake_frame(const RadianceSh& sum, bool level, const Pose& world_from_bake,
-                                   int bands = prt::kIndirectBands);
+                                   int bands = prt::kReflectedBands);
 /// Irradiance of an open plane of this orientation, lights included.
 Rgb open_irradiance(const lighting::LightEstimate& light, const glm::dvec3& normal);
 

@@ -37,7 +37,7 @@ Result<void> compose_planar_shadow(const prt::BakedObject& object, const Receive
   prt::relight(object.ground_deficit, light.residual, deficit);
   if (luminance(light.distant_irradiance) > 0) {
     reflected.resize(3 * stride);
-    prt::relight(object.ground_indirect, light.lights, reflected);
+    prt::relight(object.ground_reflected, light.lights, reflected);
     for (std::size_t i = 0; i < deficit.size(); ++i) deficit[i] -= reflected[i];
   }
   compose_planar_shadow({object.receiver->grid, object.ground_deficit.bands, stride, deficit},

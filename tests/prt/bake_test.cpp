@@ -165,9 +165,9 @@ TEST(Bake, BowlSpreadsWhatItReflectsEvenlyUnderAnyLight) {
   double mean_direct = 0;
   for (std::size_t i = 0; i < direct.size(); ++i)
     mean_direct += bowl.vertex_fraction[i] * direct[i];
-  const double f = bowl.fraction, indirect = kRho * f * mean_direct / (1 - kRho * f);
+  const double f = bowl.fraction, reflected = kRho * f * mean_direct / (1 - kRho * f);
   for (std::size_t i = 0; i < direct.size(); ++i)
-    EXPECT_NEAR(all[i] - direct[i], indirect, .02 * indirect) << "vertex " << i;
+    EXPECT_NEAR(all[i] - direct[i], reflected, .02 * reflected) << "vertex " << i;
 }
 
 // ------------------------------------------------------------------------------------- receiver
@@ -289,8 +289,8 @@ TEST(Bake, OneBakeStandsOnAnyFloor) {
       const bool bright = double(floor.r) > .5;
       EXPECT_LT(off, bright ? .015 : .002);
       EXPECT_LT(on_ground, bright ? .035 : .002);
-      EXPECT_LT(apart(truth.indirect, ours.indirect), bright ? .03 : .01);
-      EXPECT_LT(apart(truth.ground_indirect, ours.ground_indirect), bright ? .12 : .015);
+      EXPECT_LT(apart(truth.reflected, ours.reflected), bright ? .03 : .01);
+      EXPECT_LT(apart(truth.ground_reflected, ours.ground_reflected), bright ? .12 : .015);
       EXPECT_GT(without, .1 * double(floor.g)) << "the test must be able to fail";
     }
   }

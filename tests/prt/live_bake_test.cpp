@@ -170,13 +170,13 @@ TEST(LiveBake, CarriesColourByReflection) {
   BakedObject out;
   live.update(walking(0), 8 * live.points(), out);
   const BakedObject truth = baked(walking(0), options);
-  ASSERT_EQ(out.indirect.channels, 3);
+  ASSERT_EQ(out.reflected.channels, 3);
   for (int c = 0; c < 3; ++c) {
     double is = 0, should = 0;
     for (std::size_t p = 0; p < out.transfer.points; ++p) {
       if (!is_seen(truth, p)) continue;
-      is += out.indirect.value(c, 0, p);
-      should += truth.indirect.value(c, 0, p);
+      is += out.reflected.value(c, 0, p);
+      should += truth.reflected.value(c, 0, p);
     }
     EXPECT_NEAR(is / should, 1, .04) << c;
   }

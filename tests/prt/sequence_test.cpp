@@ -523,8 +523,8 @@ TEST(Sequence, AFileComesBackWhole) {
   ASSERT_TRUE(read) << read.error().detail;
   const RadianceSh light = some_light(3, 9);
   const auto turns = bone_turns(walker(), sample(walker(), walker().clips[0], .5));
-  for (const auto member : {&BakedSequence::surface, &BakedSequence::surface_indirect,
-                            &BakedSequence::ground_deficit, &BakedSequence::ground_indirect}) {
+  for (const auto member : {&BakedSequence::surface, &BakedSequence::surface_reflected,
+                            &BakedSequence::ground_deficit, &BakedSequence::ground_reflected}) {
     const TransferSequence &x = b.sequence.*member, &y = (*read).*member;
     ASSERT_EQ(x.points(), y.points());
     const bool ground = x.points() == 256;

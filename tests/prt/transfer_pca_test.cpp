@@ -93,8 +93,8 @@ double error_of(const TransferPca& components, Which which, const Transfer& tran
 TEST(TransferPca, TheErrorIsAsAskedFor) {
   for (const Rgb albedo : {Rgb{.6f, .6f, .6f}, Rgb{.8f, .5f, .2f}}) {
     const BakedObject o = baked_knot(albedo);
-    for (const auto& [first, second] :
-         {std::pair{&o.transfer, &o.indirect}, std::pair{&o.ground_deficit, &o.ground_indirect}}) {
+    for (const auto& [first, second] : {std::pair{&o.transfer, &o.reflected},
+                                        std::pair{&o.ground_deficit, &o.ground_reflected}}) {
       const int one = coefficient_count(first->bands), two = coefficient_count(second->bands);
       int first_before = one, before = one + two;
       for (const double error : {3e-4, 1e-3, 5e-3}) {
@@ -115,19 +115,19 @@ TEST(TransferPca, TheErrorIsAsAskedFor) {
 
 TEST(TransferPca, EachHasItsOwn) {
   const BakedObject o = baked_knot({.6f, .6f, .6f});
-  const TransferPca both(o.transfer, o.indirect, 5e-4), own(o.transfer, {}, 5e-4),
-      reflected(o.indirect, {}, 5e-4);
+  const TransferPca both(o.transfer, o.reflected, 5e-4), own(o.transfer, {}, 5e-4),
+      reflected(o.reflected, {}, 5e-4);
   EXPECT_EQ(both.first_count(), own.count());
   EXPECT_EQ(both.count(), own.count() + reflected.count());
 }
 
 TEST(TransferPca, BothLightsAddUp) {
   const BakedObject o = baked_knot({.8f, .5f, .2f});
-  const TransferPca c(o.transfer, o.indirect, 1e-4);
+  const TransferPca c(o.transfer, o.reflected, 1e-4);
   const RadianceSh light = test::random_light(5, 3), more = test::random_light(9, 4);
   std::vector<float> both(3 * o.transfer.stride, NAN);
   c.relight(light, &more, both);
-  const std::vector<float> one = relit(o.transfer, light), two = relit(o.indirect, more);
+  const std::vector<float> one = relit(o.transfer, light), two = relit(o.reflected, more);
   double square = 0;
   for (std::size_t i = 0; i < both.size(); ++i) {
     const double off = double(both[i]) - (one[i] + two[i]);

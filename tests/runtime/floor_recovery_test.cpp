@@ -353,7 +353,7 @@ class OverexposedFloor : public testing::Test {
   }
   // `run` is given a source of frames that are overexposed by the factor.
   template <class Run>
-  void film(double over, bool deaf, Run run) {
+  void film(double over, bool fixed_exposure, Run run) {
     capture::StudioOptions options = c_.options;
     options.view_exposure->time *= over;
     capture::Studio studio(c_.world, options);
@@ -370,8 +370,8 @@ class OverexposedFloor : public testing::Test {
       last_ = out.light;
       return ++shown_ < kMaxShown && (!until_recovered_ || !is_recovered());
     };
-    ASSERT_TRUE(
-        run(deaf ? static_cast<capture::FrameSource&>(same) : studio, light, **compose, sink));
+    ASSERT_TRUE(run(fixed_exposure ? static_cast<capture::FrameSource&>(same) : studio, light,
+                    **compose, sink));
   }
   bool is_recovered() const {
     return last_.valid && !last_.lights.empty() && !last_.lights[0].is_lower_bound();
@@ -383,13 +383,13 @@ class OverexposedFloor : public testing::Test {
 
 TEST_F(OverexposedFloor, IsFilmedOnceMoreDarker) {
   for (const double over : {10., 60.})
-    for (const bool deaf : {true, false}) {
-      film(over, deaf, [&](auto& source, auto& light, auto& compose, const Sink& sink) {
+    for (const bool fixed_exposure : {true, false}) {
+      film(over, fixed_exposure, [&](auto& source, auto& light, auto& compose, const Sink& sink) {
         return run_replay(source, light, compose, sink, times_);
       });
       EXPECT_EQ(shown_, c_.options.view_frames);
-      EXPECT_EQ(is_recovered(), !deaf) << over;
-      if (deaf)
+      EXPECT_EQ(is_recovered(), !fixed_exposure) << over;
+      if (fixed_exposure)
         EXPECT_LT(sun_fraction(last_, c_.truth), .5f) << over;
       else
         EXPECT_NEAR(sun_fraction(last_, c_.truth), 1, .06f) << over;

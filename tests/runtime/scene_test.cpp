@@ -509,7 +509,7 @@ TEST_F(OneBake, ServesCopiesWhichShareItsMemory) {
   const prt::BakedObject& first = out.objects[0].baked;
   for (const PreparedObject& o : out.objects) {
     EXPECT_TRUE(o.baked.transfer.values.shares(first.transfer.values));
-    EXPECT_TRUE(o.baked.indirect.values.shares(first.indirect.values));
+    EXPECT_TRUE(o.baked.reflected.values.shares(first.reflected.values));
     EXPECT_TRUE(o.baked.ground_deficit.values.shares(first.ground_deficit.values));
     EXPECT_TRUE(o.baked.visibility.open.shares(first.visibility.open));
     EXPECT_EQ(o.baked.receiver->albedo, (Rgb{.4f, .4f, .4f}));

@@ -114,7 +114,7 @@ TEST_P(WindowFrame, BarBeforeTheSunMakesNoJumpsOfItsOwn) {
     last_truth = truth, last_fraction = fraction, last_naive = naive;
   }
   std::printf(
-      "%s: jump %.1f %%, %zu ids, irradiance off by %.2f %%; naive: jump %.1f %%, share off by "
+      "%s: jump %.1f %%, %zu ids, irradiance off by %.2f %%; naive: jump %.1f %%, fraction off by "
       "%.1f %%\n",
       name, 100 * jump, ids.size(), 100 * irradiance_error, 100 * naive_jump, 100 * naive_error);
   EXPECT_TRUE(naive_jump > .02 || naive_error > .02) << "the naive forms would do";

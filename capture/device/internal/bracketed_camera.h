@@ -140,7 +140,7 @@ class BracketedCamera {
   std::optional<Frame> pass(Frame frame, const std::optional<Exposure>& applied);
   void end_darker();
   ExposureLabels::Label label_of(TimestampNs time, std::uint64_t number, const FramePixels& pixels);
-  void take_told(std::uint64_t number, Exposure exposure);
+  void take_reported(std::uint64_t number, Exposure exposure);
   ExposureLimits limits() const;
   void take(std::vector<Exposure> planned);
   bool asks_each_frame() const { return auto_schedule_ || schedule_.size() > 1; }
@@ -155,7 +155,7 @@ class BracketedCamera {
   std::unique_ptr<CameraDevice> device_;
   std::size_t next_ = 0;  // in the schedule
   std::uint64_t sent_ = 0, lost_before_ = 0;
-  bool told_ = false;  // the camera's frames tell their exposures
+  bool reports_exposures_ = false;  // the camera's frames tell their exposures
   // A darker frame that is asked for, from the next frame on, and the frame after it
   std::optional<Exposure> darker_exposure_;
   double darker_factor_ = 1;  // of the usual exposure

@@ -44,7 +44,7 @@ class FrameBaker {
   Result<FrameRecord> bake(int position, const std::function<void(double)>& progress) const;
 
   /// The streams of a frame's values, in their order.
-  enum Stream { kSurface, kSurfaceIndirect, kGround, kGroundIndirect, kStreams };
+  enum Stream { kSurface, kSurfaceReflected, kGround, kGroundReflected, kStreams };
   /// An empty transfer of the stream's shape: no points where there is no receiver.
   Transfer shape(Stream stream) const;
   std::size_t offset(Stream stream) const;  // in FrameRecord::values
@@ -64,7 +64,7 @@ class FrameBaker {
   void mark_hidden(const BakeReport& report, Transfer& transfer) const;
   void complete_in_time(std::size_t point, std::span<Transfer> frames, const KeyFrames& keys) const;
   void denoise(const BakeReport& report, const Mesh& mesh, Transfer& transfer) const;
-  void equalise_seams(const BakeReport& report, Transfer& transfer, Transfer& indirect) const;
+  void equalise_seams(const BakeReport& report, Transfer& transfer, Transfer& reflected) const;
 
   const Character& character_;
   int clip_;
@@ -72,7 +72,7 @@ class FrameBaker {
   SurfaceLayout layout_;
   Seams seams_;
   int frames_;
-  int indirect_bands_;
+  int reflected_bands_;
   std::optional<Receiver> receiver_;
   std::vector<std::uint32_t> link_begin_, links_;  // of each point, those beside it
 };

@@ -163,7 +163,8 @@ std::size_t memory_of(const runtime::PreparedScene& scene, std::size_t lights, i
   for (const runtime::PreparedObject& o : scene.objects) {
     bytes += of(o.baked.transfer) + of(o.baked.ground_deficit);
     if (lights == 0) continue;
-    bytes += of(o.baked.indirect) + of(o.baked.ground_indirect) + of_visibility(o.baked.visibility);
+    bytes +=
+        of(o.baked.reflected) + of(o.baked.ground_reflected) + of_visibility(o.baked.visibility);
     bytes += lights *
              (static_cast<std::size_t>(map_size) * static_cast<std::size_t>(map_size) +
               o.baked.transfer.points) *

@@ -155,10 +155,10 @@ Result<SensorBench> SensorBench::make(const SensorScene& scene) {
   bench.seconds_ = scene.seconds;
   PENUMBRA_ASSIGN(prepared, runtime::prepare(scene.scene, {}, progress_bar));
   bench.prepared_ = std::make_shared<const runtime::PreparedScene>(std::move(prepared));
-  bench.told_ = bench.prepared_;
+  bench.given_ = bench.prepared_;
   if (scene.told) {
     PENUMBRA_ASSIGN(told, runtime::prepare(*scene.told, {}, progress_bar));
-    bench.told_ = std::make_shared<const runtime::PreparedScene>(std::move(told));
+    bench.given_ = std::make_shared<const runtime::PreparedScene>(std::move(told));
   }
   bench.view_ = make_view();
   PENUMBRA_ASSIGN(masks, make_masks(*bench.prepared_, bench.view_, scene.seconds));
@@ -231,7 +231,7 @@ Result<SensorError> SensorBench::under_true_map(const World& world, double full_
   Environment environment;
   environment.radiance = *world.environment;
   PENUMBRA_ASSIGN(light, estimator.estimate(environment));
-  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*told_, view_, {}));
+  PENUMBRA_ASSIGN(pipeline, make_still_pipeline(*given_, view_, {}));
   PENUMBRA_ASSIGN(ours, composite_still(pipeline, view_, light, world.empty, seconds_));
   return compare(ours.radiance, world.empty.radiance, world, full_scale);
 }
@@ -242,7 +242,7 @@ Result<SensorPoint> SensorBench::measure(const World& world, const SensorSetting
   capture::Studio studio(pictured, studio_options(settings, view_, *world.environment));
   PipelineOptions options;
   options.oversampling = 4;
-  PENUMBRA_ASSIGN(pipeline, Pipeline::create(studio.cameras(), told_, options));
+  PENUMBRA_ASSIGN(pipeline, Pipeline::create(studio.cameras(), given_, options));
 
   const double exposure = studio.view_exposure().product();
   const capture::CameraInfo& view_camera = studio.cameras()[1];
@@ -285,7 +285,7 @@ Result<SensorPoint> SensorBench::measure(const World& world, const SensorSetting
   const lighting::Governor::Limits limits{options.max_shadow_error, options.bands,
                                           options.max_lights};
   PENUMBRA_ASSIGN(config,
-                  runtime::make_governor_config(*told_, limits, runtime::CostSource::kFixed));
+                  runtime::make_governor_config(*given_, limits, runtime::CostSource::kFixed));
   PENUMBRA_ASSIGN(true_map, under_true_map(world, 1 / exposure, config));
   out.true_map = true_map;
   const Image<Rgb> pictures[] = {std::move(camera), std::move(composite), world.full.radiance};

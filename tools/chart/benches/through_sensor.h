@@ -77,7 +77,7 @@ class SensorBench {
 
   std::string name_;
   double seconds_ = 0;
-  std::shared_ptr<const runtime::PreparedScene> prepared_, told_;
+  std::shared_ptr<const runtime::PreparedScene> prepared_, given_;
   prt::PinholeView view_;
   Masks masks_;
 };

@@ -118,7 +118,7 @@ class Trial::Points {
         floor_.push_back(object_.world_from_bake * glm::dvec3(p.x, receiver.grid.height, p.y));
         const glm::vec2 uv = receiver.grid.uv(p);
         add_row(object_.baked.ground_deficit, uv, deficit_);
-        add_row(object_.baked.ground_indirect, uv, indirect_);
+        add_row(object_.baked.ground_reflected, uv, reflected_);
       }
   }
 
@@ -143,8 +143,8 @@ class Trial::Points {
   double deficit(std::size_t p, const RadianceSh& light) const {
     return dot(deficit_, object_.baked.ground_deficit.bands, p, light);
   }
-  double indirect(std::size_t p, const RadianceSh& light) const {
-    return dot(indirect_, object_.baked.ground_indirect.bands, p, light);
+  double reflected(std::size_t p, const RadianceSh& light) const {
+    return dot(reflected_, object_.baked.ground_reflected.bands, p, light);
   }
   /// Mean over a patch of what vertices have of `transfer` under a light.
   double at_patch(std::size_t patch, const prt::Transfer& transfer, const RadianceSh& light) const {
@@ -180,7 +180,7 @@ class Trial::Points {
   bool level_;
   std::vector<std::vector<std::uint32_t>> patches_;
   std::vector<glm::dvec3> floor_;
-  std::vector<double> deficit_, indirect_;  // [point][n]
+  std::vector<double> deficit_, reflected_;  // [point][n]
 };
 
 Result<std::vector<TrialScene>> make_trial_scenes(const std::vector<std::string>& assets,
@@ -332,7 +332,7 @@ TrialValues Trial::values(const lighting::Treatment& t) const {
   const Split& split = splits_[t.map_step > 1 ? 1 : 0];
   const auto used = std::min(static_cast<std::size_t>(t.lights), split.lights.size());
   RadianceSh whole = split.residual.light, moments = split.residual.upper_moments,
-             reflected(prt::kIndirectBands);
+             reflected(prt::kReflectedBands);
   double distant = 0;
   for (std::size_t j = 0; j < split.lights.size(); ++j) {
     const lighting::DistantLight& d = split.lights[j].light;
@@ -347,12 +347,12 @@ TrialValues Trial::values(const lighting::Treatment& t) const {
     for (int n = 0; n < kMaxCoefficients; ++n) whole[n] += own[n], moments[n] += above[n];
   }
   const RadianceSh light = points.light_here(whole, moments, t.bands),
-                   lights = points.reflected_here(reflected, points.object().baked.indirect.bands);
+                   lights = points.reflected_here(reflected, points.object().baked.reflected.bands);
   const double open = points.open_irradiance(light) + distant;
   TrialValues out;
   for (std::size_t p = 0; p < points.floor().size(); ++p) {
     double lost = points.deficit(p, light);
-    if (used > 0) lost -= points.indirect(p, lights);
+    if (used > 0) lost -= points.reflected(p, lights);
     for (std::size_t j = 0; j < used; ++j) {
       const bool fine = j < static_cast<std::size_t>(t.fine_lights);
       lost += split.lights[j].virtual_occlusion[fine ? 1 : 0][p] * split.lights[j].irradiance;
@@ -362,7 +362,7 @@ TrialValues Trial::values(const lighting::Treatment& t) const {
   const prt::BakedObject& baked = points.object().baked;
   for (std::size_t p = 0; p < points.patches().size(); ++p) {
     double sum = points.at_patch(p, baked.transfer, light);
-    if (used > 0) sum += points.at_patch(p, baked.indirect, lights);
+    if (used > 0) sum += points.at_patch(p, baked.reflected, lights);
     for (std::size_t j = 0; j < used; ++j) sum += split.lights[j].object[p];
     out.object.push_back(sum);
   }

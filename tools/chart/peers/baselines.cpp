@@ -173,7 +173,7 @@ runtime::PreparedScene without_floor_shadow(const runtime::PreparedScene& scene)
   runtime::PreparedScene out = scene;
   for (runtime::PreparedObject& o : out.objects) {
     clear(o.baked.ground_deficit);
-    clear(o.baked.ground_indirect);
+    clear(o.baked.ground_reflected);
   }
   return out;
 }
@@ -185,7 +185,7 @@ runtime::PreparedScene without_shadows(const runtime::PreparedScene& scene) {
     o.baked.transfer = open_transfer(
         o.baked.transfer.bands, normals.size(), [&](std::size_t p) { return normals[p]; },
         [](std::size_t) { return 1.; });
-    clear(o.baked.indirect);
+    clear(o.baked.reflected);
   }
   return out;
 }
