@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <httplib.h>
+#include <sys/socket.h>
 
 #include <algorithm>
 #include <thread>
@@ -68,7 +69,27 @@ nlohmann::json to_json(const capture::CameraCounts& c) {
 
 void reply(httplib::Response& response, const nlohmann::json& body, int status = 200) {
   response.status = status;
-  response.set_content(body.dump() + "\n", "application/json");
+  // What a request says may be any bytes, and JSON is UTF-8.
+  response.set_content(body.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n",
+                       "application/json");
+}
+
+// A web page whose name was bound anew to a loopback address sends that name.
+bool is_for_loopback(const httplib::Request& request) {
+  std::string host = request.get_header_value("Host");
+  const std::size_t port = host.rfind(':');
+  if (port != std::string::npos && host.find(']', port) == std::string::npos &&
+      (host.find(':') == port || host.starts_with('[')))
+    host.resize(port);
+  const auto is_digit_or_dot = [](char c) { return c == '.' || (c >= '0' && c <= '9'); };
+  return host == "localhost" || host == "[::1]" || host == "::1" ||
+         (host.starts_with("127.") && std::ranges::all_of(host, is_digit_or_dot));
+}
+
+// The library's own options let a second server share the port and take half of the requests.
+void let_address_be_reused(socket_t socket) {
+  const int yes = 1;
+  ::setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
 }
 
 }  // namespace
@@ -77,6 +98,23 @@ struct HttpApi::Impl {
   httplib::Server server;
   std::jthread thread;
   int port = 0;
+
+  void guard() {
+    server.set_pre_routing_handler([](const httplib::Request& q, httplib::Response& r) {
+      if (is_for_loopback(q)) return httplib::Server::HandlerResponse::Unhandled;
+      reply(r, {{"error", "only requests to localhost or a loopback address are answered"}}, 403);
+      return httplib::Server::HandlerResponse::Handled;
+    });
+    server.set_exception_handler(
+        [](const httplib::Request&, httplib::Response& r, const std::exception_ptr&) {
+          reply(r, {{"error", "the request could not be answered"}}, 500);
+        });
+    server.set_socket_options(let_address_be_reused);
+    server.set_tcp_nodelay(true);
+    server.set_payload_max_length(1 << 16);
+    server.set_read_timeout(5);
+    server.set_write_timeout(5);
+  }
 
   void routes(const PublishedState& state, const StageTimes& times, double stale_after_s) {
     server.Get("/healthz",
@@ -119,9 +157,6 @@ struct HttpApi::Impl {
       else
         reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, r.status);
     });
-    server.set_payload_max_length(1 << 16);
-    server.set_read_timeout(5);
-    server.set_write_timeout(5);
   }
 };
 
@@ -137,6 +172,7 @@ Result<std::unique_ptr<HttpApi>> HttpApi::start(const std::string& address, int 
                                                 const PublishedState& state,
                                                 const StageTimes& times, double stale_after_s) {
   auto impl = std::make_unique<Impl>();
+  impl->guard();
   impl->routes(state, times, stale_after_s);
   impl->port = port == 0 ? impl->server.bind_to_any_port(address) : port;
   const bool bound = port == 0 ? impl->port > 0 : impl->server.bind_to_port(address, port);

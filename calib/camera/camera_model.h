@@ -49,6 +49,7 @@ struct CameraModel {
   glm::dvec2 focal_px{0, 0};
   glm::dvec2 principal_px{0, 0};
   std::array<double, 5> distortion{};  // distortion_count(kind) of them are used
+  bool operator==(const CameraModel&) const = default;
   [[nodiscard]] bool is_distorted() const {
     return std::ranges::any_of(distortion, [](double k) { return k != 0; });
   }

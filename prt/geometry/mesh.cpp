@@ -50,6 +50,10 @@ float radius_around(const Mesh& mesh, const glm::vec3& centre) {
   return largest;
 }
 
+float radius_of(const Mesh& mesh) {
+  return radius_around(mesh, bounds_of(mesh).centre());
+}
+
 void transform(Mesh& mesh, const glm::dmat4& matrix) {
   const glm::dmat3 normal_matrix = glm::transpose(glm::inverse(glm::dmat3(matrix)));
   for (glm::vec3& p : mesh.positions) p = glm::vec3(matrix * glm::dvec4(p, 1));

@@ -37,6 +37,8 @@ std::vector<std::uint32_t> places_of(std::span<const glm::vec3> positions);
 std::uint32_t nearest_corner(const Mesh& mesh, std::size_t triangle, float u, float v);
 /// Largest distance of a vertex from `centre`.
 float radius_around(const Mesh& mesh, const glm::vec3& centre);
+/// The same around the middle of its bounds.
+float radius_of(const Mesh& mesh);
 /// Affine map of positions; normals follow by the inverse transpose.
 void transform(Mesh& mesh, const glm::dmat4& matrix);
 void append(Mesh& mesh, const Mesh& other);

@@ -93,8 +93,7 @@ namespace {
 void refine(prt::Character& character, float edge_fraction) {
   prt::Mesh rest;
   rest.positions = character.positions;
-  prt::subdivide(character,
-                 edge_fraction * prt::radius_around(rest, prt::bounds_of(rest).centre()));
+  prt::subdivide(character, edge_fraction * prt::radius_of(rest));
 }
 
 }  // namespace

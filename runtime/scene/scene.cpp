@@ -183,8 +183,7 @@ Result<prt::Mesh> load_asset(const std::string& asset, Rgb albedo, float edge_fr
       log_warning("{}: {} degenerate triangles are left out", asset, imported.degenerate_triangles);
     mesh = std::move(imported.mesh);
   }
-  if (edge_fraction > 0)
-    prt::subdivide(mesh, edge_fraction * prt::radius_around(mesh, prt::bounds_of(mesh).centre()));
+  if (edge_fraction > 0) prt::subdivide(mesh, edge_fraction * prt::radius_of(mesh));
   return mesh;
 }
 
@@ -196,8 +195,7 @@ void prepare_receivers(PreparedScene& scene) {
   constexpr std::size_t kMaxTriangles = 150'000;
   float smallest = std::numeric_limits<float>::max();
   for (const PreparedObject& o : scene.objects)
-    smallest =
-        std::min(smallest, prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre()));
+    smallest = std::min(smallest, prt::radius_of(o.baked.mesh));
   prt::subdivide(scene.real_mesh, kReceiverEdge * smallest, kMaxTriangles);
 }
 

@@ -52,8 +52,7 @@ Standing standing_of(const Placement& p, const prt::Mesh& mesh, const prt::Plane
   out.world_from_bake = {frame.rotation * turn, frame.translation};
   out.shift = (out.world_from_bake.inverse() * glm::dvec3(world[3])) / out.scale;
   if (!plane) return out;
-  const double low = lowest(mesh, out.tilt),
-               radius = prt::radius_around(mesh, prt::bounds_of(mesh).centre());
+  const double low = lowest(mesh, out.tilt), radius = prt::radius_of(mesh);
   const bool stands = std::abs(-out.shift.y - low) < kStep * radius;
   const double height = stands ? low : rounded(-out.shift.y, kStep * std::max(radius, 1e-30));
   out.height = static_cast<float>(height);

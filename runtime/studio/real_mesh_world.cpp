@@ -53,7 +53,7 @@ Result<std::shared_ptr<RealMeshWorld>> RealMeshWorld::make(
     std::shared_ptr<const capture::FloorWorld> floor, prt::Mesh things,
     const std::function<void(double)>& progress) {
   constexpr float kEdge = .05f;  // of the radius: holds the penumbra of a window
-  prt::subdivide(things, kEdge * prt::radius_around(things, prt::bounds_of(things).centre()));
+  prt::subdivide(things, kEdge * prt::radius_of(things));
   PENUMBRA_ASSIGN(rays, prt::RayScene::build(things));
   auto world = std::shared_ptr<RealMeshWorld>(
       new RealMeshWorld(std::move(floor), std::move(things), std::move(rays)));

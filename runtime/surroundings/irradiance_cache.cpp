@@ -129,7 +129,7 @@ IrradianceCache::IrradianceCache(const PreparedScene& scene) : scene_(&scene) {
   if (mesh.triangles.empty() || scene.objects.empty()) return;
   float smallest = std::numeric_limits<float>::max(), largest = 0;
   for (const PreparedObject& o : scene.objects) {
-    const float radius = prt::radius_around(o.baked.mesh, prt::bounds_of(o.baked.mesh).centre());
+    const float radius = prt::radius_of(o.baked.mesh);
     smallest = std::min(smallest, radius);
     largest = std::max(largest, radius);
   }

@@ -22,8 +22,7 @@ constexpr float kLevelRay = 1e-3f;    // a ray that falls less never meets the f
 // Squared distance of two vertices: a normal turned by 60 degrees is as far as half a radius.
 class VertexDistance {
  public:
-  explicit VertexDistance(const prt::Mesh& mesh)
-      : mesh_(mesh), per_m_(1 / prt::radius_around(mesh, prt::bounds_of(mesh).centre())) {}
+  explicit VertexDistance(const prt::Mesh& mesh) : mesh_(mesh), per_m_(1 / prt::radius_of(mesh)) {}
   float operator()(std::size_t a, std::size_t b) const {
     const glm::vec3 place = (mesh_.positions[a] - mesh_.positions[b]) * per_m_,
                     turn = mesh_.normals[a] - mesh_.normals[b];

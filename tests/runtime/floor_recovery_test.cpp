@@ -15,6 +15,7 @@
 
 #include "runtime/shading/composite_stage.h"
 #include "runtime/studio/internal/real_mesh_world.h"
+#include "tests/support/temp_folder.h"
 
 namespace penumbra::runtime {
 namespace {
@@ -604,6 +605,65 @@ TEST_F(UnseenSun, KeepsItsPowerWhenItComesIntoViewAndLeavesIt) {
       std::ranges::find(gone.lights, lighting::kUnseenSun, &lighting::DistantLight::id);
   ASSERT_NE(sun, gone.lights.end());
   EXPECT_NEAR(power(*sun), whole, .1 * whole);
+}
+
+// All of the way: [sun] in a file, frames of both cameras, the shadow in the picture.
+TEST_F(UnseenSun, InTheSceneFileCastsItsShadowIntoThePicture) {
+  const test::TempFolder folder;
+  Scene scene;
+  scene.objects.emplace_back();
+  scene.objects[0].asset = "builtin:box";
+  scene.objects[0].place_on_floor = true;
+  scene.objects[0].fit_size_m = .4;
+  scene.real.emplace_back();
+  scene.real[0].plane = RealPlane{};
+  scene.real[0].albedo = c_.world->mean_floor_albedo();
+  PipelineOptions options;
+  options.bake.rays = options.bake.ground_rays = 64;
+  options.bake.max_edge_fraction = .1f;
+  const auto shadow_ratio = [&](const std::optional<lighting::SunSite>& sun) -> Result<double> {
+    scene.sun = sun;
+    PENUMBRA_TRY(write_scene(folder.path() / "scene.toml", scene));
+    PENUMBRA_ASSIGN(read, read_scene(folder.path() / "scene.toml"));
+    capture::Studio studio(c_.world, c_.options);
+    const std::size_t view = studio.cameras()[0].role == capture::Role::kView ? 0 : 1;
+    const capture::CameraInfo& camera = studio.cameras()[view];
+    PENUMBRA_ASSIGN(pipeline, Pipeline::create({fisheye_, camera}, read, options));
+    // Where the shadow of the box's middle, at 35 of its 40 cm, falls.
+    const glm::dvec3 at = glm::dvec3(0, .35, 0) - sun_ * (.35 / sun_.y);
+    const auto pixel = calib::pixel_from_direction(
+        camera.projection, glm::conjugate(camera.world_from_camera.rotation) *
+                               (at - camera.world_from_camera.translation));
+    if (!pixel) return fail(ErrorCode::kInvalid, "shadow", "is out of the picture");
+    double ratio = 1;
+    for (int shown = 0; shown < 12;) {  // the light fades in
+      capture::Frame frame = **studio.next();
+      if (static_cast<std::size_t>(frame.camera) != view) continue;
+      ++shown;
+      capture::Frame around = fisheye_frame();
+      around.time = frame.time;
+      frame.camera = 1;
+      PENUMBRA_TRY(pipeline.add_environment(around));
+      PENUMBRA_ASSIGN(out, pipeline.composite(frame));
+      const auto value = [&](const FramePixels& pixels) {
+        const Rgb8 c = std::get<Image<Rgb8>>(pixels).at(static_cast<int>(pixel->x),
+                                                        static_cast<int>(pixel->y));
+        return camera.response.decode(c.g / 255., 1);
+      };
+      ratio = value(out.pixels) / value(*frame.pixels);
+    }
+    return ratio;
+  };
+  const auto naive = shadow_ratio(std::nullopt);
+  if (!naive && naive.error().code == ErrorCode::kUnavailable)
+    GTEST_SKIP() << "no OpenGL ES 3.1 here: " << naive.error().detail;
+  const auto known = shadow_ratio(site());
+  ASSERT_TRUE(naive && known);
+  std::printf("shadow of a sun that no camera sees: s = %.2f, %.2f without [sun]\n", *known,
+              *naive);
+  EXPECT_GT(*naive, .8);
+  EXPECT_LT(*naive, 1.01);
+  EXPECT_LT(*known, .4);
 }
 
 TEST_F(UnseenSun, BehindCloudsSendsNothing) {

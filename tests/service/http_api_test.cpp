@@ -25,6 +25,50 @@ TEST(HttpApi, TakesAnyFreePortAndRefusesOneInUse) {
   ::usleep(200'000);  // both threads listen; see the next test
 }
 
+TEST(HttpApi, ASecondOneDoesNotShareAPort) {
+  const PublishedState state;
+  const StageTimes times;
+  const auto first = HttpApi::start("127.0.0.1", 0, state, times, 1);
+  ASSERT_TRUE(first);
+  const auto second = HttpApi::start("127.0.0.1", (*first)->port(), state, times, 1);
+  ASSERT_FALSE(second);
+  EXPECT_EQ(second.error().code, ErrorCode::kUnavailable);
+  ::usleep(200'000);  // the first one listens
+}
+
+// Bytes that are no UTF-8 come back in an error, and the service goes on.
+TEST(HttpApi, AnyPathIsAnswered) {
+  const PublishedState state;
+  const StageTimes times;
+  const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
+  ASSERT_TRUE(api);
+  httplib::Client client("127.0.0.1", (*api)->port());
+  for (const char* path : {"/%ff", "/%c3%28", "/%00", "/..%2f..%2fetc", "/%"}) {
+    const auto response = client.Get(path);
+    ASSERT_TRUE(response) << path;
+    EXPECT_EQ(response->status, 404) << path;
+    EXPECT_TRUE(nlohmann::json::accept(response->body)) << path << ": " << response->body;
+  }
+}
+
+TEST(HttpApi, AHostThatIsNoLoopbackNameIsRefused) {
+  const PublishedState state;
+  const StageTimes times;
+  const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
+  ASSERT_TRUE(api);
+  httplib::Client client("127.0.0.1", (*api)->port());
+  const auto status = [&](const char* host) {
+    const auto response = client.Get("/v1/light", {{"Host", host}});
+    return response ? response->status : -1;
+  };
+  for (const char* host :
+       {"localhost", "localhost:8080", "127.0.0.1:8080", "127.1.2.3", "[::1]", "[::1]:8080"})
+    EXPECT_EQ(status(host), 503) << host << ": no light yet";
+  for (const char* host : {"evil.example", "evil.example:8080", "127.evil.example", "10.0.0.1",
+                           "localhost.evil.example", ":8080"})
+    EXPECT_EQ(status(host), 403) << host;
+}
+
 void start_and_stop_often() {
   ::alarm(60);  // ends a process that hangs; no measure of speed
   const PublishedState state;

@@ -82,9 +82,7 @@ Result<void> set_lenses(const CalibrateRigOptions& o, RigPictures& seen) {
     if (!camera->lens_covariance.empty())
       return fail(ErrorCode::kInvalid, file,
                   fmt::format("is a second lens of the camera \"{}\"", info.name));
-    const calib::CameraModel &lens = info.projection, &captured = camera->projection;
-    if (lens.kind != captured.kind || lens.focal_px != captured.focal_px ||
-        lens.principal_px != captured.principal_px || lens.distortion != captured.distortion)
+    if (info.projection != camera->projection)
       log_warning("{}: is another lens than that of the capture: the poses belong to this one",
                   file);
     PENUMBRA_ASSIGN(text, read_text(file));
