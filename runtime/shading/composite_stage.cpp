@@ -365,9 +365,11 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   for (Rgb& term : given_back.terms()) term = term * -1.f;
   relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
                 luminance(light.distant_irradiance) > 0 ? &given_back : nullptr, o.deficit);
-  if (ground_probes_.any())
+  if (ground_probes_.any()) {
     take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
                         o.deficit);
+    take_hidden_reflections(index, light);
+  }
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},
       on_receiver, o.shadow);
@@ -404,6 +406,35 @@ void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sk
     more[hit.point] += change * (1.f / GroundProbes::kRays);
   }
   ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, deficit);
+}
+
+// What the object reflects onto the floor does not go through real things.
+void CompositeStage::take_hidden_reflections(std::size_t index, const ObjectLight& light) {
+  StageObject& o = objects_[index];
+  const prt::BakedObject& baked = o.prepared->baked;
+  std::array<float, GroundProbes::kPoints> blocked{}, hidden{};
+  for (const GroundHit& hit : ground_probes_.hits(index)) {
+    blocked[hit.point] += hit.bake_blocks ? 1 : 0;
+    hidden[hit.point] += hit.bake_blocks && !hit.object_first ? 1 : 0;
+  }
+  std::array<Rgb, GroundProbes::kPoints> fraction{};
+  bool any = false;
+  for (std::size_t p = 0; p < fraction.size(); ++p) {
+    if (hidden[p] <= 0) continue;
+    const float f = hidden[p] / blocked[p];
+    fraction[p] = {f, f, f};
+    any = true;
+  }
+  if (!any) return;
+  o.hidden.assign(o.deficit.size(), 0);
+  ground_probes_.spread(index, fraction, baked.receiver->grid.size, o.hidden);
+  RadianceSh reflected = light.local.with_bands(baked.reflected.bands);
+  if (light.receiver_lights.bands() > 1)
+    for (int n = 0; n < reflected.size(); ++n) reflected[n] += light.receiver_lights[n];
+  o.more.resize(std::max(o.more.size(), o.deficit.size()));
+  const std::span<float> more(o.more.data(), o.deficit.size());
+  o.prepared->relight(PreparedObject::TransferPart::kGroundReflected, reflected, more);
+  for (std::size_t i = 0; i < more.size(); ++i) o.deficit[i] += o.hidden[i] * more[i];
 }
 
 // What real things have lost is of all objects together: the nearest takes it from a place of the
