@@ -81,6 +81,35 @@ TEST(ThroughSensor, BesideRealThingsItIsAsInTheWorld) {
   EXPECT_EQ(scenes, 2);
 }
 
+// Pixels that the composite changed by more than 6 % where the truth changed by less than 3.
+int changed_for_nothing(const Image<Rgb>& strip) {
+  const int width = strip.width() / 3;
+  int count = 0;
+  for (int y = 0; y < strip.height(); ++y)
+    for (int x = 0; x < width; ++x) {
+      const auto at = [&](int panel) { return luminance(strip.at(panel * width + x, y)); };
+      const float camera = at(0), ours = at(1), truth = at(2);
+      count += std::abs(truth - camera) < .03f * camera && std::abs(ours - camera) > .06f * camera;
+    }
+  return count;
+}
+
+// A light object in the sun lights the floor, but not through the block that it stands on, in whose
+// shade that would show.
+TEST(ThroughSensor, OnABlockNothingShinesThroughIt) {
+  const std::vector<std::string> assets{"builtin:ball"};
+  const std::vector<SensorScene> scenes = sensor_scenes(assets);
+  const auto scene = std::ranges::find(scenes, "on a block", &SensorScene::name);
+  ASSERT_NE(scene, scenes.end());
+  SensorScene bright = *scene;
+  bright.scene.objects[0].albedo = {.9f, .9f, .9f};
+  const auto got = filmed(bright, sky(), {8, Seconds(1. / 64000)});
+  ASSERT_FILMED(got);
+  const int pixels = changed_for_nothing(got->strip);
+  std::printf("on a block: %d pixels changed for nothing\n", pixels);
+  EXPECT_LT(pixels, 60);
+}
+
 // A bare sun behind the wall: what lights the object comes off the sunlit floor beyond the wall's
 // shadow, and off the object itself. (A part of what the bake reflects is 6.4 % off.)
 TEST(ThroughSensor, InAWallsShadeAnObjectIsLitByTheFarFloor) {
