@@ -5,11 +5,13 @@
 #include <sys/socket.h>
 
 #include <algorithm>
+#include <cctype>
 #include <thread>
 
 #include "codec/codec.h"
 #include "codec/display.h"
 #include "runtime/pipeline/report.h"
+#include "service/internal/loopback.h"
 
 namespace penumbra::service {
 
@@ -74,16 +76,13 @@ void reply(httplib::Response& response, const nlohmann::json& body, int status =
                        "application/json");
 }
 
-// A web page whose name was bound anew to a loopback address sends that name.
+// Against DNS rebinding: a page whose name was bound anew to a loopback address sends that name.
 bool is_for_loopback(const httplib::Request& request) {
   std::string host = request.get_header_value("Host");
-  const std::size_t port = host.rfind(':');
-  if (port != std::string::npos && host.find(']', port) == std::string::npos &&
-      (host.find(':') == port || host.starts_with('[')))
-    host.resize(port);
-  const auto is_digit_or_dot = [](char c) { return c == '.' || (c >= '0' && c <= '9'); };
-  return host == "localhost" || host == "[::1]" || host == "::1" ||
-         (host.starts_with("127.") && std::ranges::all_of(host, is_digit_or_dot));
+  std::ranges::transform(host, host.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  if (host.starts_with('[')) return is_loopback(host.substr(1, host.find(']') - 1));
+  return is_loopback(host.substr(0, host.find(':')));
 }
 
 // The library's own options let a second server share the port and take half of the requests.
@@ -154,8 +153,13 @@ struct HttpApi::Impl {
       if (!r.body.empty()) return;
       if (r.status == 404 && q.method != "GET" && q.method != "HEAD")
         reply(r, {{"error", "only GET is answered"}}, 405);
+      else if (r.status == 404)
+        reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, 404);
       else
-        reply(r, {{"error", fmt::format("nothing at {}", q.path.substr(0, 200))}}, r.status);
+        reply(
+            r,
+            {{"error", r.status == 413 ? "the request is too large" : "the request is not valid"}},
+            r.status);
     });
   }
 };

@@ -1,13 +1,12 @@
 #include "service/rig_config.h"
 
-#include <arpa/inet.h>
-
 #include <algorithm>
 
 #include "capture/camera_regions.h"
 #include "capture/frames.h"
 #include "core/conventions.h"
 #include "core/io/toml_keys.h"
+#include "service/internal/loopback.h"
 
 namespace penumbra::service {
 namespace fs = std::filesystem;
@@ -81,13 +80,6 @@ Result<void> read_capture(const TomlKeys& keys, const fs::path& folder, RigConfi
   PENUMBRA_TRY(read_number(keys, "fps", 0, 1000, c.fps));
   PENUMBRA_TRY(read_integer(keys, "width", 64, 8192, c.width));
   return read_integer(keys, "height", 64, 8192, c.height);
-}
-
-// By number, since a name like 127.example may lead anywhere.
-bool is_loopback(const std::string& address) {
-  in_addr numbers{};
-  if (address == "localhost" || address == "::1") return true;
-  return inet_pton(AF_INET, address.c_str(), &numbers) == 1 && (ntohl(numbers.s_addr) >> 24) == 127;
 }
 
 Result<void> read_http(const TomlKeys& keys, RigConfig& c) {

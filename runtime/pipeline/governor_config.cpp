@@ -25,6 +25,9 @@ namespace {
 
 constexpr std::size_t kProbesEach = 64, kProbes = 256;  // of an object, of all
 constexpr int kRuns = 5;
+// Of each of the seven costs that are fitted: a first start takes two seconds at most, unless one
+// run is longer.
+constexpr double kMaxFit_ms = 250;
 
 // An object with its planar shadow, as a stage relights them.
 class Relit {
@@ -89,7 +92,7 @@ double time_light(const PreparedScene& scene, DirectLightStage& lights,
     light.direction = glm::normalize(glm::dvec3(1, 1.2, .1 * run));
     lights.update({&light, 1}, 1, around, open, fine ? 1 : 0);
   };
-  const double ms = time_single_threaded(kRuns, move).p50_ms;
+  const double ms = time_single_threaded(kRuns, move, kMaxFit_ms).p50_ms;
   lights.update({}, 1, around);  // forgets it
   return ms;
 }
@@ -115,7 +118,7 @@ double time_reading(int map_step) {
   lighting::LightEstimate out;
   const auto read = [&](int) { (void)estimator.estimate(environment, out); };
   read(0);  // makes its tables
-  return time_single_threaded(kRuns, read).p50_ms;
+  return time_single_threaded(kRuns, read, kMaxFit_ms).p50_ms;
 }
 
 }  // namespace
@@ -161,7 +164,7 @@ Result<lighting::CostModel> fit_costs(const PreparedScene& scene) {
     const auto all = [&](int) {
       for (Relit& thing : things) thing.relight(light, reflected);
     };
-    return time_single_threaded(kRuns, all).p50_ms;
+    return time_single_threaded(kRuns, all, kMaxFit_ms).p50_ms;
   };
   // The first light brings reflected light.
   costs.relight_ms = relight(nullptr);

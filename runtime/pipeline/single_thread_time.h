@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <limits>
 
 namespace penumbra::runtime {
 
@@ -10,7 +11,9 @@ struct LightTime {
   double p50_ms = 0, p99_ms = 0;
 };
 
-/// Median and 99th percentile of so many runs of `work` on one thread.
-LightTime time_single_threaded(int runs, const std::function<void(int run)>& work);
+/// Median and 99th percentile of so many runs of `work` on one thread; no further run begins once
+/// all together have taken max_ms.
+LightTime time_single_threaded(int runs, const std::function<void(int run)>& work,
+                               double max_ms = std::numeric_limits<double>::infinity());
 
 }  // namespace penumbra::runtime

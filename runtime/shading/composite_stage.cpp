@@ -174,20 +174,12 @@ void CompositeStage::place_objects(double seconds) {
 }
 
 // True where a light changed or what it meets did.
-bool CompositeStage::update_lights(const lighting::LightEstimate& light, bool other_form) {
-  bool changed = false;
-  {
-    const StageTimer timer(times_, "lights");
-    const std::size_t fine = light.plan ? static_cast<std::size_t>(light.plan->fine_lights)
-                                        : DirectLightStage::kAllLights;
-    changed = lights_.update(light.lights, kPi * luminance(light.mean_radiance), surroundings_,
-                             open_, fine);
-  }
-  if (lamps_.any()) {
-    const StageTimer timer(times_, "lamps");
-    changed |= lamps_.update(lights_.occluders(), poses_, other_form);
-  }
-  return changed;
+bool CompositeStage::update_distant_lights(const lighting::LightEstimate& light) {
+  const StageTimer timer(times_, "lights");
+  const std::size_t fine =
+      light.plan ? static_cast<std::size_t>(light.plan->fine_lights) : DirectLightStage::kAllLights;
+  return lights_.update(light.lights, kPi * luminance(light.mean_radiance), surroundings_, open_,
+                        fine);
 }
 
 // True where an object's light changed visibly.
@@ -205,7 +197,7 @@ bool CompositeStage::relight_objects(const lighting::LightEstimate& light, bool 
     combine_object_shadows(poses_);
     light_planes(poses_);
     shade_real_mesh(light, poses_, other_form);
-    if (surroundings_.refine(lights_.occluders())) update_lights(light, other_form);
+    if (surroundings_.refine(lights_.occluders(), true)) update_distant_lights(light);
   }
   lit_before_ = true;
   return relit;
@@ -224,7 +216,11 @@ bool CompositeStage::shade(const lighting::LightEstimate& light, double seconds)
   for (const prt::Plane& plane : scene_.planes)
     open_.push_back(open_irradiance(light, plane.normal));
   floor_radiance_ = radiance_of_floor(scene_, open_);
-  const bool lights_changed = update_lights(light, other_form);
+  bool lights_changed = update_distant_lights(light);
+  if (lamps_.any()) {
+    const StageTimer timer(times_, "lamps");
+    lights_changed |= lamps_.update(lights_.occluders(), poses_, other_form);
+  }
   bool measured = false;
   if (real_.any()) {
     const StageTimer timer(times_, "real mesh");
@@ -329,7 +325,10 @@ bool CompositeStage::update_object(std::size_t index, const std::vector<Pose>& p
                                    const lighting::LightEstimate& estimate, bool lights_changed,
                                    bool moved) {
   StageObject& o = objects_[index];
-  if (!o.visible) return false;
+  if (!o.visible) {
+    surroundings_.want_fine(index, false);
+    return false;
+  }
   ObjectLight light = light_at(index, estimate, poses);
   const bool other_form = moved && o.prepared->animation;
   // Its shadow depends on what is behind it, too.
@@ -361,14 +360,15 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   on_receiver.distant_irradiance = light.distant_irradiance;
   o.deficit.resize(3 * baked.ground_deficit.stride);
   // What is taken is what is lost less what comes back by reflection.
+  const bool lights = luminance(light.distant_irradiance) > 0;
   RadianceSh given_back = light.receiver_lights;
   for (Rgb& term : given_back.terms()) term = term * -1.f;
   relight_parts(o, PreparedObject::TransferPart::kGround, light.local,
-                luminance(light.distant_irradiance) > 0 ? &given_back : nullptr, o.deficit);
+                lights ? &given_back : nullptr, o.deficit);
   if (ground_probes_.any()) {
     take_what_is_behind(index, residual_for(estimate, stands_level(baked, pose)), pose, light.local,
                         o.deficit);
-    take_hidden_reflections(index, light);
+    take_hidden_reflections(index, light.local, lights ? &light.receiver_lights : nullptr);
   }
   shadows::compose_planar_shadow(
       {baked.receiver->grid, baked.ground_deficit.bands, baked.ground_deficit.stride, o.deficit},
@@ -381,76 +381,6 @@ void CompositeStage::compose_shadow(std::size_t index, const lighting::LightEsti
   };
   const Rgb local = open_floor_irradiance(light.local), open = open_floor_irradiance(light.open);
   for (int c = 0; c < 3; ++c) o.of_open[c] = open[c] > 0 ? std::max(0.f, local[c] / open[c]) : 1;
-}
-
-// The bake takes the local light in all directions in which the object stands. From a point of the
-// floor another part of a real thing may be behind the object, or before it; and of what is seen
-// past it the object has taken some.
-void CompositeStage::take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
-                                         const RadianceSh& local, std::span<float> deficit) const {
-  std::array<Rgb, GroundProbes::kPoints> more{};
-  std::array<bool, GroundProbes::kPoints> own{};
-  for (std::size_t p = 0; p < own.size(); ++p)
-    own[p] = is_nearest(index, ground_probes_.place(index, p));
-  const glm::dquat bake_from_world = glm::conjugate(pose.rotation);
-  for (const GroundHit& hit : ground_probes_.hits(index)) {
-    const glm::dvec3 d(hit.direction);
-    const PlaneLight::Radiance there =
-        hit.real ? exit_of_real(hit.at) : PlaneLight::Radiance{lighting::evaluate(sky, d), {}};
-    Rgb change;
-    if (hit.object_first)
-      change = there.before;
-    else if (own[hit.point])
-      change = there.before - there.now;
-    if (hit.bake_blocks) change = change - lighting::evaluate(local, bake_from_world * d);
-    more[hit.point] += change * (1.f / GroundProbes::kRays);
-  }
-  ground_probes_.spread(index, more, objects_[index].prepared->baked.receiver->grid.size, deficit);
-}
-
-// What the object reflects onto the floor does not go through real things.
-void CompositeStage::take_hidden_reflections(std::size_t index, const ObjectLight& light) {
-  StageObject& o = objects_[index];
-  const prt::BakedObject& baked = o.prepared->baked;
-  std::array<float, GroundProbes::kPoints> blocked{}, hidden{};
-  for (const GroundHit& hit : ground_probes_.hits(index)) {
-    blocked[hit.point] += hit.bake_blocks ? 1 : 0;
-    hidden[hit.point] += hit.bake_blocks && !hit.object_first ? 1 : 0;
-  }
-  std::array<Rgb, GroundProbes::kPoints> fraction{};
-  bool any = false;
-  for (std::size_t p = 0; p < fraction.size(); ++p) {
-    if (hidden[p] <= 0) continue;
-    const float f = hidden[p] / blocked[p];
-    fraction[p] = {f, f, f};
-    any = true;
-  }
-  if (!any) return;
-  o.hidden.assign(o.deficit.size(), 0);
-  ground_probes_.spread(index, fraction, baked.receiver->grid.size, o.hidden);
-  RadianceSh reflected = light.local.with_bands(baked.reflected.bands);
-  if (light.receiver_lights.bands() > 1)
-    for (int n = 0; n < reflected.size(); ++n) reflected[n] += light.receiver_lights[n];
-  o.more.resize(std::max(o.more.size(), o.deficit.size()));
-  const std::span<float> more(o.more.data(), o.deficit.size());
-  o.prepared->relight(PreparedObject::TransferPart::kGroundReflected, reflected, more);
-  for (std::size_t i = 0; i < more.size(); ++i) o.deficit[i] += o.hidden[i] * more[i];
-}
-
-// What real things have lost is of all objects together: the nearest takes it from a place of the
-// floor, in the measure of its grid. Several in one place all do, and have it in common
-// (combine_shadows).
-bool CompositeStage::is_nearest(std::size_t index, const glm::dvec3& place) const {
-  const auto distance = [&](std::size_t k) {
-    const auto& receiver = objects_[k].prepared->baked.receiver;
-    return receiver
-               ? glm::length(place - poses_[k].translation) / double(receiver->grid.half_extent)
-               : std::numeric_limits<double>::max();
-  };
-  constexpr double kSame = 1e-3;
-  for (std::size_t k = 0; k < objects_.size(); ++k)
-    if (distance(k) < distance(index) - kSame) return false;
-  return true;
 }
 
 const ResponseTable* CompositeStage::curve_for(ViewCamera& camera, const FramePixels& pixels) {

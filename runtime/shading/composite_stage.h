@@ -143,7 +143,7 @@ class CompositeStage {
     std::vector<float> relit{};                // irradiance/pi of the object's vertices
     std::vector<float> deficit{};              // of the receiver's irradiance/pi
     std::vector<float> more{};                 // scratch: what is added to either
-    std::vector<float> hidden{};               // scratch: of the object, from the receiver
+    std::vector<float> rays{};                 // scratch: see take_hidden_reflections
     shadows::PlanarShadow shadow{}, shared{};  // alone, and without what others before it take
     bool shares = false;
     Rgb of_open{1, 1, 1};             // the local light on the floor, over that of the open floor
@@ -209,15 +209,16 @@ class CompositeStage {
   struct SentLight;
   SentLight sent_at_probes(std::size_t light_index, std::size_t index,
                            const lighting::DistantLight& source, const Pose& pose) const;
-  void take_away_shaded(StageObject& object, const ObjectLight& light, std::size_t index,
-                        const lighting::LightEstimate& estimate, const Pose& pose);
+  void correct_reflected(StageObject& object, const ObjectLight& light, std::size_t index,
+                         const lighting::LightEstimate& estimate, const Pose& pose);
   void relight_parts(StageObject& object, PreparedObject::TransferPart own, const RadianceSh& light,
                      const RadianceSh* reflected, std::span<float> out) const;
   void compose_shadow(std::size_t index, const lighting::LightEstimate& estimate, const Pose& pose,
                       const ObjectLight& light);
   void take_what_is_behind(std::size_t index, const RadianceSh& sky, const Pose& pose,
                            const RadianceSh& local, std::span<float> deficit) const;
-  void take_hidden_reflections(std::size_t index, const ObjectLight& light);
+  void take_hidden_reflections(std::size_t index, const RadianceSh& local,
+                               const RadianceSh* lights);
   bool is_nearest(std::size_t index, const glm::dvec3& place) const;
   void combine_object_shadows(const std::vector<Pose>& poses);
   void shade_real_mesh(const lighting::LightEstimate& light, const std::vector<Pose>& poses,
@@ -226,7 +227,7 @@ class CompositeStage {
   Rgb lost_at(std::size_t point, const RadianceSh& sky) const;
   bool move_objects();
   void place_objects(double seconds);
-  bool update_lights(const lighting::LightEstimate& light, bool other_form);
+  bool update_distant_lights(const lighting::LightEstimate& light);
   bool relight_objects(const lighting::LightEstimate& light, bool lights_changed, bool other_form);
   bool update_object(std::size_t index, const std::vector<Pose>& poses,
                      const lighting::LightEstimate& light, bool lights_changed, bool moved);

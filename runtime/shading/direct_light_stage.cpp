@@ -232,11 +232,11 @@ bool DirectLightStage::may_have_changed(std::size_t object,
 bool DirectLightStage::shade_new_hits(TracedLight& t, const OcclusionProbes& around,
                                       bool all) const {
   t.hit_shade.resize(scene_->objects.size());
-  t.looks.resize(scene_->objects.size());
+  t.hits_version.resize(scene_->objects.size());
   bool any = false;
   for (std::size_t i = 0; i < scene_->objects.size(); ++i) {
-    if (!visible_[i] || (!all && t.looks[i] == around.looks(i))) continue;
-    t.looks[i] = around.looks(i);
+    if (!visible_[i] || (!all && t.hits_version[i] == around.hits_version(i))) continue;
+    t.hits_version[i] = around.hits_version(i);
     shade_hits(i, t.source, around, t.hit_shade[i]);
     any = true;
   }

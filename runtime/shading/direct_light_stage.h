@@ -98,7 +98,7 @@ class DirectLightStage {
     double radius = 0;
     std::vector<std::vector<float>> cosine;                 // by object, by vertex
     std::vector<std::vector<std::uint8_t>> hit_shade;       // by object, by probe hit
-    std::vector<std::uint32_t> looks;                       // by object, for that
+    std::vector<std::uint32_t> hits_version;                // by object: of the hits that it shades
     std::vector<std::vector<shadows::ShadowMap>> on_plane;  // by plane, by group of objects
     std::vector<shadows::ShadowMap> real_on_plane;          // by plane; empty without real things
   };

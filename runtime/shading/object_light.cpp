@@ -255,9 +255,9 @@ void CompositeStage::add_distant_lights(std::size_t index, const lighting::Light
 
 // What floor and object send of a distant light to each probe.
 struct CompositeStage::SentLight {
-  // As the bake has it, and past what stands around; luminance for a light of unit irradiance.
+  // As the bake has it, and past what stands around: for a light of unit irradiance, luminance.
   OcclusionProbes::Values all{}, left{};
-  // The latter with what the object sends on to itself, irradiance/pi.
+  // The latter with what the object sends on to itself, in the light's own power: irradiance/pi.
   std::array<Rgb, OcclusionProbes::kProbes> gathered{};
 };
 
@@ -269,7 +269,7 @@ CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index
   const std::span<const std::uint8_t> shade = lights_.hit_shade(light_index, index);
   const float weight = 1 / static_cast<float>(surroundings_.rays(index));
   const glm::vec3 towards(glm::conjugate(pose.rotation) * source.direction);
-  const Rgb unit = lighting::irradiance(source, source.direction) * (weight / float(kPi));
+  const Rgb power_per_ray = source.irradiance() * (weight / float(kPi));
   const Rgb of_floor = baked.receiver ? baked.receiver->albedo * std::max(0.f, towards.y) : Rgb{};
   SentLight out;
   for (std::size_t k = 0; k < hits.size(); ++k) {
@@ -283,7 +283,7 @@ CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index
     const bool in_sight = itself || hit.thing == ProbeHit::kFloor;
     if (!in_sight || (shade[k] & DirectLightStage::kByOthers)) continue;
     out.left[hit.probe] += luminance(sent);
-    out.gathered[hit.probe] += sent * unit;
+    out.gathered[hit.probe] += sent * power_per_ray;
   }
   if (out.left == out.all) return out;
   const auto first = out.gathered;
@@ -299,10 +299,10 @@ CompositeStage::SentLight CompositeStage::sent_at_probes(std::size_t light_index
 }
 
 // What object and floor reflect to each other where others hide the floor, or shade one of them.
-// Little of a distant light's comes from a small part of the floor, and another part of the object
-// sees that than the bake's whole floor.
-void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, std::size_t index,
-                                      const lighting::LightEstimate& estimate, const Pose& pose) {
+// What little of a distant light is left comes from a small part of the floor: other parts of the
+// object see that than see the bake's whole floor.
+void CompositeStage::correct_reflected(StageObject& o, const ObjectLight& light, std::size_t index,
+                                       const lighting::LightEstimate& estimate, const Pose& pose) {
   const prt::BakedObject& baked = o.prepared->baked;
   const bool level = stands_level(baked, pose);
   o.more.resize(o.relit.size());
@@ -325,7 +325,11 @@ void CompositeStage::take_away_shaded(StageObject& o, const ObjectLight& light, 
         o.more);
     surroundings_.replace_shaded(index, sent.left, sent.all, sent.gathered, o.more, o.relit);
   }
-  surroundings_.want_fine(index, left < kDeepShade * all);
+  const float residual =
+      luminance(lighting::evaluate(lighting::irradiance(light.local), glm::dvec3(0, 1, 0)));
+  const bool matters = luminance(light.distant_irradiance) > residual,
+             stands = !o.prepared->animation || o.holds;
+  surroundings_.want_fine(index, matters && stands && left < kDeepShade * all);
 }
 
 // The light that the bake counts on, and what differs around the object.
@@ -335,7 +339,7 @@ void CompositeStage::relight(StageObject& o, const ObjectLight& light, std::size
   relight_parts(o, PreparedObject::TransferPart::kSurface, light.local,
                 lights ? &light.lights : nullptr, o.relit);
   if (surroundings_.any()) {
-    take_away_shaded(o, light, index, estimate, pose);
+    correct_reflected(o, light, index, estimate, pose);
     surroundings_.spread(index, light.around, o.relit);
     for (float& v : o.relit) v = std::max(v, 0.f);
   }

@@ -174,16 +174,17 @@ OcclusionProbes::OcclusionProbes(const PreparedScene& scene)
 
 void OcclusionProbes::update(const shadows::RayOccluders& occluders, std::span<const Pose> poses) {
   if (!any() || std::ranges::equal(poses, poses_)) return;
-  poses_.resize(poses.size());
-  for (std::size_t i = 0; i < poses.size(); ++i)
-    if (poses_[i] != poses[i]) objects_[i].rays = kRays;
   poses_.assign(poses.begin(), poses.end());
-  for (std::size_t i = 0; i < poses.size(); ++i) look_from(i, occluders);
-  moved_ = true;
+  still_frames_ = 0;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    objects_[i].rays = kRays;
+    look_from(i, occluders);
+  }
 }
 
-bool OcclusionProbes::refine(const shadows::RayOccluders& occluders) {
-  if (std::exchange(moved_, false)) return false;
+bool OcclusionProbes::refine(const shadows::RayOccluders& occluders, bool at_once) {
+  if (still_frames_ < kStillFrames) ++still_frames_;
+  if (still_frames_ < kStillFrames && !at_once) return false;
   bool any = false;
   for (std::size_t i = 0; i < objects_.size(); ++i) {
     Object& o = objects_[i];
@@ -298,7 +299,7 @@ void OcclusionProbes::look_from(std::size_t index, const shadows::RayOccluders& 
         .find_real(baked.receiver.has_value(), o.by_real);
   parallel_for(std::size_t{0}, o.blocks.size(),
                [&](std::size_t block) { look_from_block(o, block, in); });
-  ++o.looks;
+  ++o.hits_version;
   o.hits.clear();
   o.open.clear();
   for (const ProbeBlock& b : o.blocks) {
@@ -352,20 +353,25 @@ void OcclusionProbes::spread(std::size_t object, std::span<const Rgb> of_probes,
   });
 }
 
+// What is left of a whole around a vertex, as a fraction.
+std::optional<float> OcclusionProbes::left_at(const Nearby& nearby, const Values& part,
+                                              const Values& whole) {
+  float left = 0, all = 0;
+  for (std::size_t k = 0; k < kNearest; ++k) {
+    left += part[nearby.probe[k]] * nearby.weight[k];
+    all += whole[nearby.probe[k]] * nearby.weight[k];
+  }
+  if (all <= 0) return {};
+  return left / all;
+}
+
 void OcclusionProbes::take_missing(std::size_t object, const Values& part, const Values& whole,
                                    std::span<const float> in, std::span<float> out) const {
   const std::vector<Nearby>& nearby = objects_[object].nearby;
   const std::size_t stride = out.size() / 3;
   parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& vertices) {
     for (std::size_t v = vertices.begin(); v < vertices.end(); ++v) {
-      float left = 0, all = 0;
-      for (std::size_t k = 0; k < kNearest; ++k) {
-        const std::size_t p = nearby[v].probe[k];
-        left += part[p] * nearby[v].weight[k];
-        all += whole[p] * nearby[v].weight[k];
-      }
-      if (all <= 0) continue;
-      const float hidden = 1 - left / all;
+      const float hidden = 1 - left_at(nearby[v], part, whole).value_or(1);
       for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] -= hidden * in[c * stride + v];
     }
   });
@@ -386,17 +392,13 @@ void OcclusionProbes::replace_shaded(std::size_t object, const Values& part, con
   const std::size_t stride = out.size() / 3;
   parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& vertices) {
     for (std::size_t v = vertices.begin(); v < vertices.end(); ++v) {
-      float left = 0, all = 0;
-      for (std::size_t k = 0; k < kNearest; ++k) {
-        const std::size_t p = nearby[v].probe[k];
-        left += part[p] * nearby[v].weight[k];
-        all += whole[p] * nearby[v].weight[k];
-      }
-      const float lit = all > 0 ? std::min(left / all, 1.f) : 1;
+      const float lit = std::min(left_at(nearby[v], part, whole).value_or(1), 1.f);
       const Rgb instead = at_vertex(object, gathered, v);
-      for (std::size_t c = 0; c < 3; ++c)
+      for (std::size_t c = 0; c < 3; ++c) {
+        const float by_bake = in[c * stride + v];
         out[c * stride + v] +=
-            (1 - lit) * (instead[static_cast<int>(c)] - (1 + lit) * in[c * stride + v]);
+            std::lerp(instead[static_cast<int>(c)], lit * by_bake, lit) - by_bake;
+      }
     }
   });
 }

@@ -50,7 +50,8 @@ struct OpenRay {
 class OcclusionProbes {
  public:
   static constexpr int kProbes = 256, kRays = 32, kFineRays = 128, kNearest = 8, kSphereRays = 256;
-  static constexpr std::size_t kMaxHits = kProbes * (kRays + 1);  // of an object that moves
+  static constexpr std::size_t kMaxHits = kProbes * (kFineRays + 1);  // of an object
+  static constexpr int kStillFrames = 8;  // what is dragged moves in steps
 
   /// The scene must outlive it.
   explicit OcclusionProbes(const PreparedScene& scene);
@@ -65,14 +66,15 @@ class OcclusionProbes {
   /// An object in deep shade asks for more rays: what little light reaches it comes from few
   /// directions.
   void want_fine(std::size_t object, bool wants) { objects_[object].wants_fine = wants; }
-  /// Looks again, with more rays, from objects that stand and ask for them. True where one did.
-  bool refine(const shadows::RayOccluders& occluders);
+  /// Once a frame, after update(): when nothing has moved for kStillFrames, or `at_once`, looks
+  /// again from objects that ask for more rays. True where one did.
+  bool refine(const shadows::RayOccluders& occluders, bool at_once = false);
 
   /// As last looked at; rays of weight 1/rays().
   std::span<const ProbeHit> hits(std::size_t object) const { return objects_[object].hits; }
   int rays(std::size_t object) const { return objects_[object].rays; }
-  /// Grows each time that the hits are others.
-  std::uint32_t looks(std::size_t object) const { return objects_[object].looks; }
+  /// Another number each time that the hits are others.
+  std::uint32_t hits_version(std::size_t object) const { return objects_[object].hits_version; }
   /// True where there is anything real but one plane.
   bool any_real() const {
     return !scene_->real_mesh.triangles.empty() || scene_->planes.size() > 1;
@@ -88,8 +90,9 @@ class OcclusionProbes {
                     std::span<const float> in, std::span<float> out) const;
   /// What the probes around a vertex have.
   Rgb at_vertex(std::size_t object, std::span<const Rgb> of_probes, std::size_t vertex) const;
-  /// in[v], which is a part of out[v], becomes lit^2 in[v] + (1 - lit) gathered around vertex v,
-  /// with lit = part/whole there, a plane for each colour.
+  /// in[v], which is a part of out[v], becomes a blend of what is left of it, lit in[v] with
+  /// lit = part/whole around vertex v, and of what was gathered there: the former where most is
+  /// left, the latter where little is. A plane for each colour.
   void replace_shaded(std::size_t object, const Values& part, const Values& whole,
                       std::span<const Rgb> gathered, std::span<const float> in,
                       std::span<float> out) const;
@@ -124,20 +127,22 @@ class OcclusionProbes {
     std::vector<RealHit> by_real;
     int rays = kRays;
     bool wants_fine = false;
-    std::uint32_t looks = 0;
+    std::uint32_t hits_version = 0;
   };
   struct Surroundings;
   struct Met;
   struct Other;
   static std::optional<ProbeHit> hit_of(const Met& met, int lane, std::size_t probe,
                                         const Surroundings& in);
+  static std::optional<float> left_at(const Nearby& nearby, const Values& part,
+                                      const Values& whole);
   void look_from(std::size_t index, const shadows::RayOccluders& occluders);
   void look_from_block(Object& object, std::size_t block, const Surroundings& in) const;
 
   const PreparedScene* scene_;
   prt::RayPatterns patterns_{kRays}, fine_patterns_{kFineRays};
   std::vector<Pose> poses_;
-  bool moved_ = false;  // something, when they were last given
+  int still_frames_ = 0;
   std::vector<Object> objects_;
 };
 

@@ -107,7 +107,9 @@ TEST(ThroughSensor, OnABlockNothingShinesThroughIt) {
   ASSERT_FILMED(got);
   const int pixels = changed_for_nothing(got->strip);
   std::printf("on a block: %d pixels changed for nothing\n", pixels);
-  EXPECT_LT(pixels, 60);
+  EXPECT_LT(pixels, 30);
+  EXPECT_LT(got->sensor.object_rel_rmse, .04) << "it is drawn";
+  EXPECT_LT(got->sensor.shadow_rmse, .05) << "and its shadow";
 }
 
 // A bare sun behind the wall: what lights the object comes off the sunlit floor beyond the wall's

@@ -81,6 +81,25 @@ TEST(DirectLightStage, ObjectsThatMoveRenewAllThatTheyReach) {
   EXPECT_GE(shaded, 1) << "one of the places is before the sun";
 }
 
+// More rays of the probes are other hits: each is shaded, once.
+TEST(DirectLightStage, OtherHitsAreShadedAnew) {
+  const PreparedScene scene = two_balls();
+  OcclusionProbes around(scene);
+  auto stage = DirectLightStage::create(scene, {});
+  ASSERT_TRUE(stage);
+  const std::vector<Pose> poses{scene.objects[0].world_from_bake, scene.objects[1].world_from_bake};
+  around.update(stage->occluders(), poses);
+  const auto update = [&] { return stage->update(std::vector{sun(0)}, 1, around); };
+  EXPECT_TRUE(update());
+  EXPECT_FALSE(update()) << "nothing is new";
+  EXPECT_EQ(stage->hit_shade(0, 0).size(), around.hits(0).size());
+  around.want_fine(0, true);
+  ASSERT_TRUE(around.refine(stage->occluders(), true));
+  EXPECT_TRUE(update());
+  EXPECT_EQ(stage->hit_shade(0, 0).size(), around.hits(0).size());
+  EXPECT_FALSE(update());
+}
+
 // A window's form is long: its round stand-in does not reach what stands before the window's end.
 // Silhouettes for planes are others than those for objects, and both move.
 TEST(DirectLightStage, TheShadowOnAPlaneGoesWithItsObject) {

@@ -3,12 +3,15 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cstdlib>
 #include <filesystem>
+#include <thread>
 
 #include "core/io/files.h"
 #include "lighting/lighting.h"
 #include "runtime/pipeline/internal/kept_costs.h"
+#include "runtime/pipeline/single_thread_time.h"
 #include "runtime/scene/bake_cache.h"
 #include "runtime/scene/scene.h"
 #include "tests/support/temp_folder.h"
@@ -91,6 +94,25 @@ TEST_F(KeptCosts, DamagedOnesAreFittedAnew) {
 
 TEST_F(KeptCosts, TheProcessorIsKnown) {
   EXPECT_FALSE(processor_name().empty());
+}
+
+// A large scene must not hold up the start: fewer runs, one at least.
+TEST(FittedCosts, TakeFewerRunsOfWhatIsSlow) {
+  const auto runs_of = [](double run_ms, double max_ms) {
+    int runs = 0;
+    const LightTime time = time_single_threaded(
+        5,
+        [&](int) {
+          std::this_thread::sleep_for(std::chrono::duration<double, std::milli>(run_ms));
+          ++runs;
+        },
+        max_ms);
+    EXPECT_GE(time.p50_ms, run_ms);
+    return runs;
+  };
+  EXPECT_EQ(runs_of(.1, 60'000), 5);
+  EXPECT_LE(runs_of(30, 50), 2);
+  EXPECT_EQ(runs_of(30, 1), 1);
 }
 
 TEST(FittedCosts, ArePositiveAndFinite) {

@@ -78,19 +78,26 @@ TEST_F(ProbesBesideAWall, MoreRaysTellMoreOfAnObjectThatStands) {
     return std::sqrt(sum / count);
   };
   probes.update(occluders(), {&here, 1});
-  EXPECT_FALSE(probes.refine(occluders())) << "nobody asked";
+  EXPECT_FALSE(probes.refine(occluders(), true)) << "nobody asked";
   const double coarse = off();
-  const std::uint32_t before = probes.looks(0);
+  const std::uint32_t before = probes.hits_version(0);
   probes.want_fine(0, true);
-  EXPECT_TRUE(probes.refine(occluders()));
-  EXPECT_FALSE(probes.refine(occluders())) << "there is nothing finer";
-  EXPECT_EQ(probes.looks(0), before + 1);
+  EXPECT_TRUE(probes.refine(occluders(), true));
+  EXPECT_FALSE(probes.refine(occluders(), true)) << "there is nothing finer";
+  EXPECT_NE(probes.hits_version(0), before);
   EXPECT_EQ(probes.rays(0), OcclusionProbes::kFineRays);
   EXPECT_LT(off(), .5 * coarse);
-  probes.update(occluders(), {&there, 1});
-  EXPECT_FALSE(probes.refine(occluders())) << "it has just moved";
-  EXPECT_EQ(probes.rays(0), OcclusionProbes::kRays);
+  // Dragged in steps of some frames it is not looked at finely between them.
+  for (const Pose& step : {there, here, there}) {
+    probes.update(occluders(), {&step, 1});
+    EXPECT_EQ(probes.rays(0), OcclusionProbes::kRays);
+    for (int frame = 1; frame < OcclusionProbes::kStillFrames; ++frame) {
+      probes.update(occluders(), {&step, 1});
+      EXPECT_FALSE(probes.refine(occluders())) << frame;
+    }
+  }
   EXPECT_TRUE(probes.refine(occluders()));
+  EXPECT_EQ(probes.rays(0), OcclusionProbes::kFineRays);
 }
 
 // From what the bake has, where all is lit, to what was gathered, where nothing is.

@@ -62,10 +62,10 @@ TEST(HttpApi, AHostThatIsNoLoopbackNameIsRefused) {
     return response ? response->status : -1;
   };
   for (const char* host :
-       {"localhost", "localhost:8080", "127.0.0.1:8080", "127.1.2.3", "[::1]", "[::1]:8080"})
+       {"localhost", "LocalHost:8080", "127.0.0.1:8080", "127.1.2.3", "[::1]", "[::1]:8080"})
     EXPECT_EQ(status(host), 503) << host << ": no light yet";
   for (const char* host : {"evil.example", "evil.example:8080", "127.evil.example", "10.0.0.1",
-                           "localhost.evil.example", ":8080"})
+                           "127.1.2.3.4", "[", "localhost.evil.example", ":8080"})
     EXPECT_EQ(status(host), 403) << host;
 }
 
