@@ -5,7 +5,7 @@
 #include <limits>
 #include <span>
 
-#include "lighting/sh/irradiance.h"
+#include "lighting/sh/basis.h"
 #include "prt/bake/bake.h"
 #include "prt/transfer/transfer.h"
 #include "runtime/scene/scene.h"
