@@ -345,10 +345,8 @@ void OcclusionProbes::spread(std::size_t object, std::span<const Rgb> of_probes,
   const std::size_t stride = out.size() / 3;
   parallel_for(std::size_t{0}, nearby.size(), kGrain, [&](const auto& part) {
     for (std::size_t v = part.begin(); v < part.end(); ++v) {
-      Rgb sum;
-      for (std::size_t k = 0; k < kNearest; ++k)
-        sum += of_probes[nearby[v].probe[k]] * nearby[v].weight[k];
-      for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += sum[static_cast<int>(c)];
+      const Rgb here = at_vertex(object, of_probes, v);
+      for (std::size_t c = 0; c < 3; ++c) out[c * stride + v] += here[static_cast<int>(c)];
     }
   });
 }
@@ -396,8 +394,8 @@ void OcclusionProbes::replace_shaded(std::size_t object, const Values& part, con
       const Rgb instead = at_vertex(object, gathered, v);
       for (std::size_t c = 0; c < 3; ++c) {
         const float by_bake = in[c * stride + v];
-        out[c * stride + v] +=
-            std::lerp(instead[static_cast<int>(c)], lit * by_bake, lit) - by_bake;
+        const float blend = lit * (lit * by_bake) + (1 - lit) * instead[static_cast<int>(c)];
+        out[c * stride + v] += blend - by_bake;
       }
     }
   });

@@ -36,15 +36,19 @@ TEST(HttpApi, ASecondOneDoesNotShareAPort) {
   ::usleep(200'000);  // the first one listens
 }
 
+// Before any light.
+struct Served {
+  PublishedState state;
+  StageTimes times;
+  std::unique_ptr<HttpApi> api = *HttpApi::start("127.0.0.1", 0, state, times, 1);
+  httplib::Client client{"127.0.0.1", api->port()};
+};
+
 // Bytes that are no UTF-8 come back in an error, and the service goes on.
 TEST(HttpApi, AnyPathIsAnswered) {
-  const PublishedState state;
-  const StageTimes times;
-  const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
-  ASSERT_TRUE(api);
-  httplib::Client client("127.0.0.1", (*api)->port());
+  Served s;
   for (const char* path : {"/%ff", "/%c3%28", "/%00", "/..%2f..%2fetc", "/%"}) {
-    const auto response = client.Get(path);
+    const auto response = s.client.Get(path);
     ASSERT_TRUE(response) << path;
     EXPECT_EQ(response->status, 404) << path;
     EXPECT_TRUE(nlohmann::json::accept(response->body)) << path << ": " << response->body;
@@ -52,13 +56,9 @@ TEST(HttpApi, AnyPathIsAnswered) {
 }
 
 TEST(HttpApi, AHostThatIsNoLoopbackNameIsRefused) {
-  const PublishedState state;
-  const StageTimes times;
-  const auto api = HttpApi::start("127.0.0.1", 0, state, times, 1);
-  ASSERT_TRUE(api);
-  httplib::Client client("127.0.0.1", (*api)->port());
+  Served s;
   const auto status = [&](const char* host) {
-    const auto response = client.Get("/v1/light", {{"Host", host}});
+    const auto response = s.client.Get("/v1/light", {{"Host", host}});
     return response ? response->status : -1;
   };
   for (const char* host :
