@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "calib/camera/camera_model.h"
 #include "calib/camera/drawable.h"

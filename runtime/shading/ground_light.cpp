@@ -1,7 +1,6 @@
 // The part of CompositeStage that tells what an object changes on the floor beside real things.
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <limits>
 #include <span>
 
